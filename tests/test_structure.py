@@ -181,7 +181,10 @@ AVOIDED = re.compile(
     r"_(found|known|own|said|told|tells?|look(s|ed)?|judge[sd]?|settled?|meets?|met|weighs?|doubts?)_"
 )
 """Words that no variable, function or class has in the packages that are clean of them."""
-CLEAN = ("evaluate", "regression", "many", "systems", "config", "params")
+CLEAN = (
+    "evaluate", "regression", "many", "systems", "config", "params", "kernels", "stages",
+    "detections", "filter", "fuse", "lee", "malaguti", "merge", "optimize", "track",
+)  # fmt: skip
 """Layers and modules; this list only grows."""
 
 

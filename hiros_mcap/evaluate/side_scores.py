@@ -88,13 +88,13 @@ def facing_tracks(frames: Iterable[Frame], model: SkeletonModel) -> list[FacingT
     ]
 
 
-def _measured(people: People, stamps: Stamps, model: SkeletonModel) -> kernels.Looks:
+def _measured(people: People, stamps: Stamps, model: SkeletonModel) -> kernels.MeasuredViews:
     """Measure everybody in axes of his own."""
     symmetry, cues = symmetry_of(model), ForwardCues.of(model)
     markers = kernels.FacingMarkers(
         symmetry.mirror, symmetry.lateral, cues.vectors, cues.feet, cues.trunk
     )
-    bodies, bank = kernels.Looks.allocate(len(stamps)), Bank(kernels.FacingPast.empty())
+    bodies, bank = kernels.MeasuredViews.allocate(len(stamps)), Bank(kernels.FacingPast.empty())
     bodies.stamps[:] = stamps
     bodies.rows[:] = [bank.row(person, 0) for person in people.ids.tolist()]
     tables = kernels.FacingTables.make()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -78,3 +78,19 @@ def arrays(kind: type[N], *shapes: Any) -> N:
     """Return a NamedTuple of zeros, from the shapes of its arrays; tuples in it are given whole."""
     fields = zip(shapes, named_tuple(kind).types, strict=True)
     return kind(*[s if hasattr(s, "_fields") else np.zeros(s, str(t.dtype)) for s, t in fields])
+
+
+def settings_of(kind: type[N], params: object, **others: Any) -> N:
+    """Return those parameters of a stage that its kernels take, and what else these take."""
+    names = kind.__annotations__
+    return kind(*[others[n] if n in others else getattr(params, n) for n in names])
+
+
+def chosen(arrays: N, rows: Any) -> N:
+    """Return some rows of a NamedTuple of arrays: a slice, which shares them, a mask or indices."""
+    return type(arrays)(*[array[rows] for array in arrays])
+
+
+def joined(parts: Sequence[N]) -> N:
+    """Return NamedTuples of arrays, one behind the other."""
+    return type(parts[0])(*map(np.concatenate, zip(*parts, strict=True)))

@@ -7,7 +7,7 @@ views lie in arrays (K, ...).
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,8 +21,7 @@ from hiros_mcap.skeletons import STATE, Floats, People
 POSITION, ORIENTATION, VELOCITY, ANGULAR_VELOCITY, ACCELERATION = 0, 3, 7, 10, 13
 _VECTORS = (POSITION, VELOCITY, ANGULAR_VELOCITY, ACCELERATION, 16)
 
-BEGIN, END, TIME, CAMERA = 0, 1, 2, 3
-"""Columns of ``Buffers.messages``."""
+BEGIN, END, TIME, CAMERA = 0, 1, 2, 3  # Columns of ``Buffers.messages``
 
 
 class Buffers(NamedTuple):
@@ -62,6 +61,16 @@ def copy_row(to: Floats, at: int, source: Floats, row: int) -> None:
     for length in to.shape[1:]:
         size *= length
     copy(to, at * size, source, row * size, size)
+
+
+@inlined
+def copy_pose(to: Any, at: int, source: Any, row: int) -> None:
+    """Copy a row of markers, links and confidences between People, Views and what is like them."""
+    to.confidences[at] = source.confidences[row]
+    copy_row(to.markers, at, source.markers, row)
+    copy_row(to.marker_confidences, at, source.marker_confidences, row)
+    copy_row(to.links, at, source.links, row)
+    copy_row(to.link_confidences, at, source.link_confidences, row)
 
 
 @kernel
@@ -122,11 +131,7 @@ def load_views(
                 continue
             scratch.cameras[n] = buffers.messages[k, CAMERA]
             scratch.stamps[n] = buffers.messages[k, TIME]
-            scratch.confidences[n] = people.confidences[i]
-            copy_row(scratch.markers, n, people.markers, i)
-            copy_row(scratch.marker_confidences, n, people.marker_confidences, i)
-            copy_row(scratch.links, n, people.links, i)
-            copy_row(scratch.link_confidences, n, people.link_confidences, i)
+            copy_pose(scratch, n, people, i)
             if carry:
                 dt = (buffers.stamps[q] - scratch.stamps[n]) * 1e-9
                 _carry(scratch.markers[n], dt)

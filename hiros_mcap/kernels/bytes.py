@@ -102,8 +102,6 @@ swap64 = _swapper(types.uint64)
 to_double: Any = _double
 """``to_double(word)``: the number with these 64 bits, the payload of a NaN included."""
 
-to_word: Any = _word
-"""``to_word(number)``: the 64 bits of a number."""
+to_word: Any = _word  # ``to_word(number)``: the 64 bits of a number
 
-copy: Any = _copy
-"""``copy(to, at, source, start, size)``: ``size`` bytes from one array to another."""
+copy: Any = _copy  # ``copy(to, at, source, start, size)``: ``size`` bytes from one array to another

@@ -10,9 +10,6 @@ every message, so the codec prepares them once per slot, as 64-bit words padded 
 decoder compares them with the message instead of parsing, the encoder copies them.
 """
 
-# mypy: disable-error-code="no-any-return"
-# (numba's decorator hides the types of the helpers from their callers)
-
 from __future__ import annotations
 
 import math
@@ -28,24 +25,10 @@ from hiros_mcap.skeletons import BOX as BOX
 from hiros_mcap.skeletons import STATE as STATE
 from hiros_mcap.skeletons import Floats, People
 
-OK = 0
-# Faults of a message.
-TRUNCATED = 1
-ENCAPSULATION = 2
-TRAILING = 3
-STRING_LENGTH = 4
-STRING_END = 5
-NANOSEC = 6
-TOO_MANY = 7
-UNKNOWN_MARKER = 8
-UNKNOWN_LINK = 9
-MARKER_NAME = 10
-LINK_NAME = 11
-LINK_ENDS = 12
-REPEATED_MARKER = 13
-REPEATED_LINK = 14
-# No fault: the arrays have no columns for numbers that the message holds.
-TOO_NARROW = 15
+# A message is right, or has one of the faults, or the arrays have no columns for its numbers.
+OK, TRUNCATED, ENCAPSULATION, TRAILING, STRING_LENGTH, STRING_END, NANOSEC, TOO_MANY = range(8)
+UNKNOWN_MARKER, UNKNOWN_LINK, MARKER_NAME, LINK_NAME, LINK_ENDS = range(8, 13)
+REPEATED_MARKER, REPEATED_LINK, TOO_NARROW = range(13, 16)
 
 MAX_PEOPLE = 1000
 MAX_STRING = 65536
@@ -56,8 +39,8 @@ MAX_PADDING = 3
 ABSENT = 1 << 32
 
 # Elements of a report: where a message is at fault, and what it holds besides its people.
-AT, PERSON, ID, NAME, NAME_END = 0, 1, 2, 3, 4
-COUNT, HEADER_STAMP, FRAME, FRAME_END, SOURCE, SOURCE_END, MIXED = 5, 6, 7, 8, 9, 10, 11
+AT, PERSON, ID, NAME, NAME_END = range(5)
+COUNT, HEADER_STAMP, FRAME, FRAME_END, SOURCE, SOURCE_END, MIXED = range(5, 12)
 ROWS, MOST_MARKERS, MOST_LINKS = 9, 10, 11
 REPORT = 12
 

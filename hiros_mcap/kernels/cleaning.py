@@ -3,9 +3,6 @@
 An absent quaternion or vector is NaN throughout. A confidence that is not given is NaN.
 """
 
-# mypy: disable-error-code="no-any-return"
-# (numba's decorator hides the types of the helpers from their callers)
-
 from __future__ import annotations
 
 import numpy as np
@@ -14,8 +11,7 @@ from hiros_mcap.kernels.array_types import F1, I1
 from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.skeletons import BOX, ORIENTATION, STATE, VELOCITY, Floats, People, Stamps
 
-LIMIT = 1e4
-"""Largest believable number: m, m/s, rad/s, m/s2, rad/s2."""
+LIMIT = 1e4  # Largest believable number: m, m/s, rad/s, m/s2, rad/s2
 
 # Elements of the counts.
 ABSURD, INCOMPLETE, NO_ROTATION, NOT_UNIT, ABOVE_ONE, NEGATIVE = 0, 1, 2, 3, 4, 5

@@ -1,7 +1,5 @@
 """The distance between two skeletons: the mean over the markers that both have."""
 
-# mypy: disable-error-code="no-any-return"
-
 from __future__ import annotations
 
 import math
@@ -23,6 +21,26 @@ def norm3(x: float, y: float, z: float) -> float:
 def point_distance(a: Floats, b: Floats) -> float:
     """Distance between two points, m, the first three numbers of each; NaN if one is absent."""
     return norm3(a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+@inlined
+def step_between(points: Floats, a: int, b: int) -> tuple[float, float, float]:
+    """Vector from one of the points (N, >= 3) to another, m; NaN if one is absent."""
+    return points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
+
+
+@entry
+def centre(positions: F2, out: F1) -> None:
+    """Write the mean of those of some positions (M, >= 3) that are known, m; NaN if none is."""
+    n = 0
+    out[:] = 0.0
+    for m in range(len(positions)):
+        if not math.isnan(positions[m, 0]):
+            n += 1
+            for c in range(3):
+                out[c] += positions[m, c]
+    for c in range(3):
+        out[c] = out[c] / n if n > 0 else np.nan
 
 
 @inlined

@@ -4,9 +4,6 @@ The tables of the model are those of ``kernels.cdr``. There is no check per byte
 large as the largest message of so many people, or nothing is written.
 """
 
-# mypy: disable-error-code="no-any-return"
-# (numba's decorator hides the types of the helpers from their callers)
-
 from __future__ import annotations
 
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Which skeletons of several cameras at one instant are the same person."""
 
-# mypy: disable-error-code="no-any-return"
-
 from __future__ import annotations
 
 from typing import NamedTuple

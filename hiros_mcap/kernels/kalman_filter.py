@@ -9,8 +9,6 @@ A step is: ``predict`` with a process noise, ``innovation_variance``, ``gain``, 
 caller moves the state itself, since positions add and orientations multiply.
 """
 
-# mypy: disable-error-code="no-any-return"
-
 from __future__ import annotations
 
 from hiros_mcap.kernels.compile import inlined

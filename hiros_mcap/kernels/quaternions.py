@@ -3,8 +3,6 @@
 Orientations and angular velocities are in the fixed frame, so rotations multiply from the left.
 """
 
-# mypy: disable-error-code="no-any-return"
-
 from __future__ import annotations
 
 import math

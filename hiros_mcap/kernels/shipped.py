@@ -20,8 +20,7 @@ from hiros_mcap import kernels
 FOLDER = Path(__file__).parent.parent / "_compiled"
 MANIFEST = FOLDER / "manifest.json"
 
-CPU = "x86-64-v3"
-"""LLVM's name of processors with AVX2: Intel's since 2013, AMD's since 2015."""
+CPU = "x86-64-v3"  # LLVM's name of processors with AVX2: Intel's since 2013, AMD's since 2015
 NEEDS = ("avx", "avx2", "bmi", "bmi2", "cx16", "f16c", "fma", "lzcnt", "movbe", "popcnt", "sse4.2")
 """LLVM's names of what :data:`CPU` can do."""
 

@@ -49,12 +49,12 @@ class Bank(Generic[P]):
         """
         rows = np.full(len(people), -1, np.int64)
         for person in np.unique(people[people != UNTRACKED]).tolist():
-            own = np.flatnonzero(people == person)
-            times = stamps[own]
+            theirs = np.flatnonzero(people == person)
+            times = stamps[theirs]
             before, last = self.last_seen.get(person, times[0]), int(times.max())
             if last - before > self._patience < np.diff(times, prepend=before).max():
                 self.forget(person)
-            rows[own] = self.row(person, last)
+            rows[theirs] = self.row(person, last)
         if len(stamps):
             self.expire(int(stamps.max()))
         return rows

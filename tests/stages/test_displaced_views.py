@@ -73,7 +73,7 @@ def test_a_camera_that_was_moved_shows_everybody_elsewhere(n_displaced: int) -> 
     seen = joined([views_of(3, seconds=4.0, person=person) for person in range(4)])
     is_off = (seen.cameras == 1) & (seen.people < n_displaced)
     views.count(seen, np.where(is_off, SHARE * 0.1**2, 0.0), np.ones(len(is_off), np.bool_))
-    views.tell(events)
+    views.warn(events)
     told = [(event.source, event.kind) for event in events.log]
     assert told == ([("b", CAMERA_DISPLACED)] if n_displaced == 4 else [])
 

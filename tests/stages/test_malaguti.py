@@ -218,7 +218,7 @@ class Joints:
 
     def measure(self, distance: float, confidence: float = 1.0) -> tuple[int, float]:
         """Measure ``distance`` from a state as uncertain as a detection; outliers and gain."""
-        self.past.known[:], self.x[:], self.p[:] = True, 0.0, [0.0009, 0, 0, 1, 0, 0]
+        self.past.started[:], self.x[:], self.p[:] = True, 0.0, [0.0009, 0, 0, 1, 0, 0]
         found = self.take(np.array([[distance, 0, 0]]), confidence)
         return found, float(self.x[0, 0, 0] / distance)
 
@@ -386,7 +386,7 @@ def test_d_as_printed_is_between_consecutive_positions(
     outlier, and 126 mm from the joint's last position, which is two thresholds.
     """
     joints = Joints(consecutive=consecutive, process_noise=1e-6)
-    joints.past.known[:], joints.x[0, 1, 0] = True, 1.0
+    joints.past.started[:], joints.x[0, 1, 0] = True, 1.0
     joints.p[:] = [0.0009, 0, 0, 0, 0, 0]
     joints.past.distances[0, 0], joints.past.counts[0, 0, 0] = 0.0504, 15
     assert joints.take(np.array([[0.126, 0, 0]]), dt=0.1) == outliers

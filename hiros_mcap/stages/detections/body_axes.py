@@ -14,10 +14,10 @@ import numpy as np
 
 from hiros_mcap.kernels.array_types import F1, F2, F3
 from hiros_mcap.kernels.compile import entry, inlined, kernel
+from hiros_mcap.kernels.distance import norm3, step_between
 from hiros_mcap.skeletons import Floats, Ints
 
-PATIENCE = 1.0
-"""s without sight of the trunk after which its direction is not known any more."""
+PATIENCE = 1.0  # s without sight of the trunk after which its direction is not known any more
 _MEMORY = 0.05  # s: a trunk turns by 20 degrees in it when somebody falls or rolls
 _LEAST_SHARE = 0.3  # of each view in the mean: about six views err by less than one
 _AGREEING = 0.5  # length of the mean of unit vectors below which they contradict each other
@@ -34,15 +34,13 @@ _UPRIGHT, _TILTED = 0.85, 0.6  # cosine of a tilt of 32 degrees and of 53 degree
 @inlined
 def ramp(x: float, low: float, high: float) -> float:
     """0 up to ``low``, 1 from ``high`` on, a line between."""
-    share: float = min(max((x - low) / (high - low), 0.0), 1.0)
-    return share
+    return min(max((x - low) / (high - low), 0.0), 1.0)
 
 
 @inlined
 def component(x: float, y: float, z: float, axes: Floats, k: int) -> float:
     """Component of a vector along one of the axes."""
-    result: float = axes[k, 0] * x + axes[k, 1] * y + axes[k, 2] * z
-    return result
+    return axes[k, 0] * x + axes[k, 1] * y + axes[k, 2] * z
 
 
 @kernel
@@ -50,10 +48,7 @@ def _sum_of_vectors(positions: Floats, pairs: Ints) -> tuple[float, float, float
     """Sum of the vectors from the first marker of each pair to the second, where both are seen."""
     x = y = z = 0.0
     for i in range(len(pairs)):
-        a, b = pairs[i, 0], pairs[i, 1]
-        dx = positions[b, 0] - positions[a, 0]
-        dy = positions[b, 1] - positions[a, 1]
-        dz = positions[b, 2] - positions[a, 2]
+        dx, dy, dz = step_between(positions, pairs[i, 0], pairs[i, 1])
         if not math.isnan(dx + dy + dz):
             x, y, z = x + dx, y + dy, z + dz
     return x, y, z
@@ -75,7 +70,7 @@ def left_to_right(positions: Floats, pairs: Ints, axes: Floats) -> tuple[float, 
 def _trunk(positions: Floats, pairs: Ints) -> tuple[float, float, float]:
     """Return the unit vector from the hips to the shoulders above them; NaN if not known."""
     x, y, z = _sum_of_vectors(positions, pairs)
-    length = math.sqrt(x * x + y * y + z * z)
+    length = norm3(x, y, z)
     if not length > _SHORTEST:
         return np.nan, np.nan, np.nan
     return x / length, y / length, z / length
@@ -109,7 +104,7 @@ def follow_trunk(
     mean[0] += share * (x - mean[0])
     mean[1] += share * (y - mean[1])
     mean[2] += share * (z - mean[2])
-    length = math.sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2)
+    length = norm3(mean[0], mean[1], mean[2])
     if length < _AGREEING:
         axes[:] = np.nan
         return True, False
@@ -146,7 +141,7 @@ def _complete(x: float, y: float, z: float, axes: Floats) -> None:
     along = component(x, y, z, axes, 0)
     for c in range(3):
         axes[0, c] -= along * axes[2, c]
-    length = math.sqrt(axes[0, 0] ** 2 + axes[0, 1] ** 2 + axes[0, 2] ** 2)
+    length = norm3(axes[0, 0], axes[0, 1], axes[0, 2])
     for c in range(3):
         axes[0, c] /= length
     for c in range(3):
@@ -228,12 +223,11 @@ def learn_up(velocity: tuple[float, float, float], axes: Floats, up: Floats) -> 
 @kernel
 def upright(axes: Floats, up: Floats) -> float:
     """Tell how upright a trunk is: 1, or 0 if it lies, or nobody has shown yet which way is up."""
-    length = math.sqrt(up[0] ** 2 + up[1] ** 2 + up[2] ** 2)
+    length = norm3(up[0], up[1], up[2])
     if up[3] < _FEWEST or length < _CONCENTRATED * up[3] or math.isnan(axes[2, 0]):
         return 0.0
     cosine = component(up[0], up[1], up[2], axes, 2) / length
-    share: float = ramp(cosine, _TILTED, _UPRIGHT)
-    return share
+    return ramp(cosine, _TILTED, _UPRIGHT)
 
 
 @entry

@@ -9,7 +9,6 @@ summed as logarithms of likelihoods. Weights and scales were fitted to recording
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +16,7 @@ import numpy as np
 from hiros_mcap.kernels.array_types import B1, F1, F2, F3, I1, I2, J1, J2, arrays
 from hiros_mcap.kernels.averaging import copy_row
 from hiros_mcap.kernels.compile import entry, inlined, kernel
+from hiros_mcap.kernels.distance import centre, step_between
 from hiros_mcap.skeletons import Floats, Ints, People, Stamps
 from hiros_mcap.stages.detections.body_axes import (
     component,
@@ -30,8 +30,7 @@ from hiros_mcap.stages.detections.body_axes import (
 
 CELL = 33_333_333  # ns
 BINS = 36
-CUES = 4
-"""Rows of body.forward_cues.CUES."""
+CUES = 4  # Rows of body.forward_cues.CUES
 VIEWS = 16  # of a person that are remembered
 CELLS = 16  # of a person's way that are remembered
 _HALF = BINS // 2
@@ -75,7 +74,7 @@ class FacingMarkers(NamedTuple):
     trunk: J2  # (T, 2)
 
 
-class Looks(NamedTuple):
+class MeasuredViews(NamedTuple):
     """What N views of anybody show, across the person's trunk."""
 
     cells: I1  # (N,) number of the cell of time
@@ -92,19 +91,10 @@ class Looks(NamedTuple):
     weights: F1  # (N,) 1 for a camera of 30 Hz or slower, less for a faster one
 
     @classmethod
-    def allocate(cls, n: int) -> Looks:
+    def allocate(cls, n: int) -> MeasuredViews:
         """Make room."""
         pair, cues, axes = (n, 2), (n, 2 * CUES), (n, 3, 3)
         return arrays(cls, n, n, n, n, pair, n, (n, 3), cues, axes, n, n)
-
-    @classmethod
-    def joined(cls, parts: Sequence[Looks]) -> Looks:
-        """Return the views of several in one."""
-        return cls._make(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-
-    def at(self, views: slice) -> Looks:
-        """Return some of the views; the arrays are shared."""
-        return Looks._make(array[views] for array in self)
 
 
 class FacingPast(NamedTuple):
@@ -113,10 +103,10 @@ class FacingPast(NamedTuple):
     cells: I1  # (S,) number of the current cell; 0 = never seen
     beliefs: F2  # (S, BINS) probabilities before the current cell's views
     evidence: F2  # (S, BINS) logarithm of the likelihood of the current cell's views so far
-    widths: F1  # (S,) 80 % quantile of Looks.widths, m
+    widths: F1  # (S,) 80 % quantile of MeasuredViews.widths, m
     view_stamps: I2
     view_cameras: I2  # (S, VIEWS) the last views, a ring; stamp 0 = none
-    view_looks: F3  # (S, VIEWS, 2 + CUES * 2) their facing and cues
+    view_measures: F3  # (S, VIEWS, 2 + CUES * 2) their facing and cues
     view_ranges: F3
     """(S, VIEWS, 3) their facing, rad, however the axes were turned, and the least and the
     largest one that the camera showed lately without a step; NaN = not known."""
@@ -124,12 +114,12 @@ class FacingPast(NamedTuple):
     way_cells: I2  # (S, CELLS) the last cells, a ring
     way: F3  # (S, CELLS, 4) sum of the centres of their views, m, and the number of these
     next_cell: I1  # (S,) place of the next one in the ring
-    axes: F3  # (S, 3, 3) as Looks.axes, of the last view
+    axes: F3  # (S, 3, 3) as MeasuredViews.axes, of the last view
     trunks: F2  # (S, 3) mean of the last unit vectors along the trunk
     trunk_stamps: I1  # (S,) time of the last view that showed it, ns
     lines: F2  # (S, 3) see body_axes.follow_line; NaN = not known
     starts: I1
-    belief_starts: I1  # (S,) as Looks.starts: of the last view; of the current cell
+    belief_starts: I1  # (S,) as MeasuredViews.starts: of the last view; of the current cell
 
     @classmethod
     def empty(cls) -> FacingPast:
@@ -188,26 +178,8 @@ class Facings(NamedTuple):
         """Make room."""
         return arrays(cls, (n, 2), n, n, n)
 
-    def at(self, views: slice) -> Facings:
-        """Return what was decided on some of the views; the arrays are shared."""
-        return Facings._make(array[views] for array in self)
-
 
 # What a view shows.
-
-
-@kernel
-def _centre(positions: Floats, out: Floats) -> None:
-    """Mean of the markers."""
-    out[:] = 0.0
-    n = 0
-    for m in range(len(positions)):
-        if not math.isnan(positions[m, 0]):
-            for c in range(3):
-                out[c] += positions[m, c]
-            n += 1
-    for c in range(3):
-        out[c] = out[c] / n if n > 0 else np.nan
 
 
 @kernel
@@ -233,14 +205,10 @@ def _measure_cues(positions: Floats, axes: Floats, vectors: Ints, out: Floats) -
 @kernel
 def _cue(positions: Floats, a: int, b: int, joint: int) -> tuple[float, float, float]:
     """Vector from a to b, or from the line between them to a joint, m; NaN if not known."""
-    x = positions[b, 0] - positions[a, 0]
-    y = positions[b, 1] - positions[a, 1]
-    z = positions[b, 2] - positions[a, 2]
+    x, y, z = step_between(positions, a, b)
     if joint < 0:
         return x, y, z
-    jx = positions[joint, 0] - positions[a, 0]
-    jy = positions[joint, 1] - positions[a, 1]
-    jz = positions[joint, 2] - positions[a, 2]
+    jx, jy, jz = step_between(positions, a, joint)
     length2 = x * x + y * y + z * z
     if not length2 > 1e-6:
         return np.nan, np.nan, np.nan
@@ -252,30 +220,30 @@ def _cue(positions: Floats, a: int, b: int, joint: int) -> tuple[float, float, f
 
 
 @kernel
-def _learn(looks: Looks, i: int, past: FacingPast, tables: FacingTables) -> None:
+def _learn(measured: MeasuredViews, i: int, past: FacingPast, tables: FacingTables) -> None:
     """Learn from view ``i``, and write its weight."""
-    row, stamp, camera = looks.rows[i], looks.stamps[i], looks.cameras[i]
+    row, stamp, camera = measured.rows[i], measured.stamps[i], measured.cameras[i]
     last = _last_view(camera, past, row)
     cells = (stamp - past.view_stamps[row, last]) / CELL if last >= 0 else np.inf
     # A camera of 30 Hz whose stamps jitter counts as one of 30 Hz.
     weight: float = min(1.0, 1.25 * max(cells, 0.0))
-    looks.weights[i] = weight
-    if not math.isnan(looks.facing[i, 0]):
+    measured.weights[i] = weight
+    if not math.isnan(measured.facing[i, 0]):
         for v in range(VIEWS):
             if (
                 past.view_cameras[row, v] != camera
                 and past.view_stamps[row, v] > 0
                 and abs(stamp - past.view_stamps[row, v]) < CELL
             ):
-                _compare(looks, i, past.view_looks[row, v], weight, tables.agreement)
+                _compare(measured, i, past.view_measures[row, v], weight, tables.agreement)
     place = past.next_view[row]
-    if _goes_round(looks, i, last, past, past.view_ranges[row, place]):
+    if _goes_round(measured, i, last, past, past.view_ranges[row, place]):
         tables.rounds[0] += _SAMPLE * weight
     past.view_stamps[row, place], past.view_cameras[row, place] = stamp, camera
     for c in range(2):
-        past.view_looks[row, place, c] = looks.facing[i, c]
+        past.view_measures[row, place, c] = measured.facing[i, c]
     for c in range(2 * CUES):
-        past.view_looks[row, place, 2 + c] = looks.cues[i, c]
+        past.view_measures[row, place, 2 + c] = measured.cues[i, c]
     past.next_view[row] = (place + 1) % VIEWS
 
 
@@ -290,14 +258,14 @@ def _last_view(camera: int, past: FacingPast, row: int) -> int:
 
 
 @kernel
-def _goes_round(looks: Looks, i: int, last: int, past: FacingPast, out: Floats) -> bool:
+def _goes_round(measured: MeasuredViews, i: int, last: int, past: FacingPast, out: Floats) -> bool:
     """Whether the labels of a camera went round with a person; write the range of the facing.
 
     A detector that assumes that people face it shows at most half a turn, then exchanges labels.
     """
-    row = looks.rows[i]
-    facing = math.atan2(looks.facing[i, 1], looks.facing[i, 0]) + past.lines[row, 2]
-    if not _line_reliability(looks.widths[i], past.widths[row]) > 0.0:
+    row = measured.rows[i]
+    facing = math.atan2(measured.facing[i, 1], measured.facing[i, 0]) + past.lines[row, 2]
+    if not _line_reliability(measured.widths[i], past.widths[row]) > 0.0:
         facing = np.nan
     low = high = facing
     if last >= 0:
@@ -306,13 +274,12 @@ def _goes_round(looks: Looks, i: int, last: int, past: FacingPast, out: Floats) 
         step -= 2.0 * math.pi * math.floor(step / (2.0 * math.pi) + 0.5)
         if abs(step) < _LARGEST_STEP:  # False for NaN
             facing = before[0] + step
-            seconds = 1e-9 * max(looks.stamps[i] - past.view_stamps[row, last], 0)
+            seconds = 1e-9 * max(measured.stamps[i] - past.view_stamps[row, last], 0)
             share = min(seconds / _ROUND_MEMORY, 1.0)
             low = min(facing, before[1] + share * (facing - before[1]))
             high = max(facing, before[2] + share * (facing - before[2]))
     out[0], out[1], out[2] = facing, low, high
-    went: bool = high - low > _ROUND
-    return went
+    return high - low > _ROUND
 
 
 @kernel
@@ -327,31 +294,19 @@ def _learn_width(width: float, past: FacingPast, row: int) -> None:
 
 
 @kernel
-def _compare(looks: Looks, i: int, other: Floats, weight: float, agreement: Floats) -> None:
+def _compare(
+    measured: MeasuredViews, i: int, other: Floats, weight: float, agreement: Floats
+) -> None:
     """Count which cues point the same way in two views whose labels contradict each other."""
-    x, y = looks.facing[i, 0], looks.facing[i, 1]
+    x, y = measured.facing[i, 0], measured.facing[i, 1]
     if not x * other[0] + y * other[1] < _OPPOSITE:
         return
     for k in range(CUES):
-        mine = x * looks.cues[i, 2 * k] + y * looks.cues[i, 2 * k + 1]
+        mine = x * measured.cues[i, 2 * k] + y * measured.cues[i, 2 * k + 1]
         theirs = x * other[2 + 2 * k] + y * other[3 + 2 * k]
         if mine * theirs != 0.0:
             agreement[k, 0] += _SAMPLE * weight * (1.0 if mine * theirs > 0.0 else 0.0)
             agreement[k, 1] += _SAMPLE * weight
-
-
-@inlined
-def _gate(k: int, agreement: Floats) -> float:
-    """How far a cue is trusted: 0 if it follows the label, 1 if it is physical."""
-    gate: float = ramp(agreement[k, 0] / agreement[k, 1], 0.5, 0.8)
-    return gate
-
-
-@inlined
-def _toes(agreement: Floats) -> float:
-    """How often toes point the same way where labels contradict each other."""
-    share: float = agreement[TOES, 0] / agreement[TOES, 1]
-    return share
 
 
 @inlined
@@ -361,15 +316,13 @@ def _honesty(tables: FacingTables) -> float:
     Such a detector leaves the toes alone when it errs, and its labels go round with a person.
     """
     same, asked, rounds = tables.agreement[TOES, 0], tables.agreement[TOES, 1], tables.rounds[0]
-    share: float = (same + rounds) / (asked + rounds)
-    return share
+    return (same + rounds) / (asked + rounds)
 
 
 @inlined
 def _mistrust(tables: FacingTables) -> float:
     """Probability that a label is wrong: 0.5 for a detector that assumes that people face it."""
-    wrong: float = 0.5 - 0.4 * ramp(_honesty(tables), *_LABELS)
-    return wrong
+    return 0.5 - 0.4 * ramp(_honesty(tables), *_LABELS)
 
 
 @inlined
@@ -395,7 +348,7 @@ def _follow_body(
     if anew:
         past.starts[row] += 1
         past.lines[row] = np.nan
-        past.view_looks[row], past.view_ranges[row] = np.nan, np.nan
+        past.view_measures[row], past.view_ranges[row] = np.nan, np.nan
     x, y = left_to_right(positions, markers.lateral, axes)
     width = math.sqrt(x * x + y * y)
     if not width > 1e-6:
@@ -410,24 +363,24 @@ def _follow_body(
 
 @inlined
 def _measure(
-    people: People, view: int, markers: FacingMarkers, looks: Looks, i: int,
+    people: People, view: int, markers: FacingMarkers, measured: MeasuredViews, i: int,
     past: FacingPast, tables: FacingTables,
 ) -> None:  # fmt: skip
     """Measure what view ``i`` shows in the person's axes, and learn from it."""
-    positions, row = people.markers[view], looks.rows[i]
-    x, y = _follow_body(positions, markers, looks.stamps[i], past, row, _honesty(tables))
+    positions, row = people.markers[view], measured.rows[i]
+    x, y = _follow_body(positions, markers, measured.stamps[i], past, row, _honesty(tables))
     width = math.sqrt(x * x + y * y)
-    looks.widths[i], looks.facing[i, 0], looks.facing[i, 1] = width, -y / width, x / width
-    looks.starts[i] = past.starts[row]
-    copy_row(looks.axes, i, past.axes, row)
-    _centre(positions, looks.centres[i])
-    _measure_cues(positions, looks.axes[i], markers.vectors, looks.cues[i])
-    _learn(looks, i, past, tables)
+    measured.widths[i], measured.facing[i, 0], measured.facing[i, 1] = width, -y / width, x / width
+    measured.starts[i] = past.starts[row]
+    copy_row(measured.axes, i, past.axes, row)
+    centre(positions, measured.centres[i])
+    _measure_cues(positions, measured.axes[i], markers.vectors, measured.cues[i])
+    _learn(measured, i, past, tables)
 
 
 @entry
 def measure(
-    people: People, views: I1, markers: FacingMarkers, looks: Looks, past: FacingPast,
+    people: People, views: I1, markers: FacingMarkers, measured: MeasuredViews, past: FacingPast,
     tables: FacingTables,
 ) -> None:  # fmt: skip
     """Measure what ``views``, rows of ``people``, show, and learn from one after the other.
@@ -437,7 +390,7 @@ def measure(
     looks : cells, stamps, cameras and rows are given; the others are written.
     """
     for i in range(len(views)):
-        _measure(people, views[i], markers, looks, i, past, tables)
+        _measure(people, views[i], markers, measured, i, past, tables)
 
 
 # What a view tells of the facing.
@@ -447,15 +400,21 @@ def measure(
 def _squash(x: float) -> float:
     """Hyperbolic tangent within 0.025, in a tenth of its time."""
     x = min(max(x, -3.0), 3.0)
-    squashed: float = x * (27.0 + x * x) / (27.0 + 9.0 * x * x)
-    return squashed
+    return x * (27.0 + x * x) / (27.0 + 9.0 * x * x)
 
 
 @kernel
-def _weigh(looks: Looks, i: int, past: FacingPast, tables: FacingTables, out: Floats) -> None:
+def _write_evidence(
+    measured: MeasuredViews, i: int, past: FacingPast, tables: FacingTables, out: Floats
+) -> None:
     """Write the logarithm of the likelihood of view ``i`` for every facing."""
-    x, y, cues, weight = looks.facing[i, 0], looks.facing[i, 1], looks.cues[i], looks.weights[i]
-    reliable = _line_reliability(looks.widths[i], past.widths[looks.rows[i]])
+    x, y, cues, weight = (
+        measured.facing[i, 0],
+        measured.facing[i, 1],
+        measured.cues[i],
+        measured.weights[i],
+    )
+    reliable = _line_reliability(measured.widths[i], past.widths[measured.rows[i]])
     wrong, sharpness = _mistrust(tables), 2.0 * _LINE_SHARPNESS * reliable
     for b in range(_HALF if reliable > 0.0 else 0):
         cosine = x * tables.directions[b, 0] + y * tables.directions[b, 1]
@@ -471,7 +430,13 @@ def _weigh(looks: Looks, i: int, past: FacingPast, tables: FacingTables, out: Fl
         out[:] = 0.0
     for k in range(CUES):
         cx, cy = cues[2 * k] / _CUE_SCALES[k], cues[2 * k + 1] / _CUE_SCALES[k]
-        trust = weight * _VIEW * _CUE_WEIGHTS[k] * _gate(k, tables.agreement)
+        # 0 of a cue that follows the label, 1 of one that is physical
+        trust = (
+            weight
+            * _VIEW
+            * _CUE_WEIGHTS[k]
+            * ramp(tables.agreement[k, 0] / tables.agreement[k, 1], 0.5, 0.8)
+        )
         if trust > 0.0 and (cx != 0.0 or cy != 0.0):
             for b in range(_HALF):
                 along = _squash(cx * tables.directions[b, 0] + cy * tables.directions[b, 1])
@@ -483,11 +448,11 @@ def _weigh(looks: Looks, i: int, past: FacingPast, tables: FacingTables, out: Fl
 
 
 @kernel
-def _step(looks: Looks, i: int, past: FacingPast) -> None:
+def _step(measured: MeasuredViews, i: int, past: FacingPast) -> None:
     """Add the centre of view ``i`` to the person's way."""
-    if math.isnan(looks.centres[i, 0]):
+    if math.isnan(measured.centres[i, 0]):
         return
-    row, cell = looks.rows[i], looks.cells[i]
+    row, cell = measured.rows[i], measured.cells[i]
     place = (past.next_cell[row] - 1) % CELLS
     if past.way_cells[row, place] != cell:
         place = past.next_cell[row]
@@ -495,7 +460,7 @@ def _step(looks: Looks, i: int, past: FacingPast) -> None:
         past.way_cells[row, place] = cell
         past.way[row, place, :] = 0.0
     for c in range(3):
-        past.way[row, place, c] += looks.centres[i, c]
+        past.way[row, place, c] += measured.centres[i, c]
     past.way[row, place, 3] += 1.0
 
 
@@ -608,14 +573,15 @@ def _mean_direction(belief: Floats, tables: FacingTables, out: Floats) -> None:
 @kernel
 def _starts_anew(start: int, past: FacingPast, row: int) -> bool:
     """Whether nothing is known of a person's facing in these axes."""
-    anew: bool = past.cells[row] == 0 or start != past.belief_starts[row]
-    return anew
+    return past.cells[row] == 0 or start != past.belief_starts[row]
 
 
 @inlined
-def _open_cell(looks: Looks, i: int, past: FacingPast, tables: FacingTables, work: Floats) -> bool:
+def _open_cell(
+    measured: MeasuredViews, i: int, past: FacingPast, tables: FacingTables, work: Floats
+) -> bool:
     """Start a person's next cell, unless view ``i`` lies in the current one; whether it did."""
-    row, cell, start = looks.rows[i], looks.cells[i], looks.starts[i]
+    row, cell, start = measured.rows[i], measured.cells[i], measured.starts[i]
     anew = _starts_anew(start, past, row)
     if not anew and cell <= past.cells[row]:
         return False
@@ -642,14 +608,16 @@ def _turn_back(deviation: float) -> float:
 
 
 @kernel
-def _decide(looks: Looks, i: int, past: FacingPast, tables: FacingTables, out: Facings) -> None:
+def _decide(
+    measured: MeasuredViews, i: int, past: FacingPast, tables: FacingTables, out: Facings
+) -> None:
     """Decide whether view ``i`` is mirrored, and by how much its trunk is turned.
 
-    The likelihoods of its label are (1 + tanh(2 cos)) / 2 and the complement, as in :func:`_weigh`:
+    The likelihoods of its label are (1 + tanh(2 cos)) / 2 and the complement, as in :func:`_write_evidence`:
     the logarithm of their ratio is 4 cos. An honest detector's label is right beforehand in 90 %.
     Labels that do not follow a detector's assumption stay while the facing is not sure.
     """
-    x, y = looks.facing[i, 0], looks.facing[i, 1]
+    x, y = measured.facing[i, 0], measured.facing[i, 1]
     fx, fy = out.facing[i, 0], out.facing[i, 1]
     sure = max(math.sqrt(fx * fx + fy * fy), 1e-12)
     if math.isnan(x) or (sure < _SURE and _mistrust(tables) < 0.5):
@@ -658,8 +626,8 @@ def _decide(looks: Looks, i: int, past: FacingPast, tables: FacingTables, out: F
     honesty = ramp(_honesty(tables), *_HONEST)
     right = 0.5 + 0.4 * honesty
     odds = math.log(right / (1.0 - right)) if honesty > 0.0 else 0.0
-    usual = past.widths[looks.rows[i]]
-    reliable = _line_reliability(looks.widths[i], usual) if honesty > 0.0 else 1.0
+    usual = past.widths[measured.rows[i]]
+    reliable = _line_reliability(measured.widths[i], usual) if honesty > 0.0 else 1.0
     if odds + 2.0 * _LABEL_SHARPNESS * reliable * cosine < 0.0:
         out.swapped[i] = True
         cosine, sine = -cosine, -sine
@@ -669,7 +637,7 @@ def _decide(looks: Looks, i: int, past: FacingPast, tables: FacingTables, out: F
 
 @entry
 def follow(
-    people: People, views: I1, markers: FacingMarkers, looks: Looks, past: FacingPast,
+    people: People, views: I1, markers: FacingMarkers, measured: MeasuredViews, past: FacingPast,
     tables: FacingTables, work: F1, out: Facings,
 ) -> None:  # fmt: skip
     """Measure and decide on one view after the other, by the past alone: the forward pass.
@@ -682,27 +650,29 @@ def follow(
     """
     here, belief = work[:BINS], work[BINS:]
     for i in range(len(views)):
-        row, cell = looks.rows[i], looks.cells[i]
-        _measure(people, views[i], markers, looks, i, past, tables)
-        _step(looks, i, past)
-        if _open_cell(looks, i, past, tables, here):
+        row, cell = measured.rows[i], measured.cells[i]
+        _measure(people, views[i], markers, measured, i, past, tables)
+        _step(measured, i, past)
+        if _open_cell(measured, i, past, tables, here):
             velocity = _velocity(past.way_cells[row], past.way[row], cell - 12, cell)
-            learn_up(velocity, looks.axes[i], tables.up)
-            _walk(velocity, looks.axes[i], tables, past.evidence[row])
-        _weigh(looks, i, past, tables, here)
+            learn_up(velocity, measured.axes[i], tables.up)
+            _walk(velocity, measured.axes[i], tables, past.evidence[row])
+        _write_evidence(measured, i, past, tables, here)
         for b in range(BINS):
             past.evidence[row, b] += here[b]
         _multiply(past.beliefs[row], past.evidence[row], belief)
         _mean_direction(belief, tables, out.facing[i])
-        _decide(looks, i, past, tables, out)
-        out.toes[i] = _toes(tables.agreement)
+        _decide(measured, i, past, tables, out)
+        out.toes[i] = tables.agreement[TOES, 0] / tables.agreement[TOES, 1]
 
 
 @entry
-def weigh(looks: Looks, past: FacingPast, tables: FacingTables, out: F2) -> None:
+def write_evidence(
+    measured: MeasuredViews, past: FacingPast, tables: FacingTables, out: F2
+) -> None:
     """Write the evidence (N, BINS) of each view."""
-    for i in range(len(looks.cells)):
-        _weigh(looks, i, past, tables, out[i])
+    for i in range(len(measured.cells)):
+        _write_evidence(measured, i, past, tables, out[i])
 
 
 class SmoothWork(NamedTuple):
@@ -711,7 +681,7 @@ class SmoothWork(NamedTuple):
     places: I1  # (N,) place of each view's cell among the cells
     cells: I1  # (N,) numbers of the cells
     starts: I1
-    axes: F3  # (N,) and (N, 3, 3) as in Looks, of the last view of each cell
+    axes: F3  # (N,) and (N, 3, 3) as in MeasuredViews, of the last view of each cell
     way: F2  # (N, 4) as FacingPast.way
     beliefs: F2
     evidence: F2  # (N, BINS) before the cell's views; of them
@@ -733,34 +703,38 @@ def _past_way(past: FacingPast, row: int, work: SmoothWork) -> int:
         place = (past.next_cell[row] + k) % CELLS
         if past.way_cells[row, place] > 0:
             work.cells[n] = past.way_cells[row, place]
-            for c in range(4):
-                work.way[n, c] = past.way[row, place, c]
+            copy_row(work.way, n, past.way[row], place)
             n += 1
     return n
 
 
 @kernel
 def _lay_out(
-    looks: Looks, order: Stamps, evidence: Floats, past: FacingPast, n: int, work: SmoothWork
+    measured: MeasuredViews,
+    order: Stamps,
+    evidence: Floats,
+    past: FacingPast,
+    n: int,
+    work: SmoothWork,
 ) -> int:
     """Add up one person's views by cells behind the first ``n``; return how many cells there are.
 
     A view that is late counts as one of the first cell that is not decided yet. Views in new axes
     have a cell of their own.
     """
-    first, cell = n, past.cells[looks.rows[order[0]]]
+    first, cell = n, past.cells[measured.rows[order[0]]]
     for j in range(len(order)):
         i = order[j]
-        if n == first or looks.cells[i] > cell or looks.starts[i] != work.starts[n - 1]:
-            cell = max(looks.cells[i], cell + 1)
+        if n == first or measured.cells[i] > cell or measured.starts[i] != work.starts[n - 1]:
+            cell = max(measured.cells[i], cell + 1)
             work.cells[n], work.way[n, :], work.evidence[n, :] = cell, 0.0, 0.0
-            work.starts[n] = looks.starts[i]
+            work.starts[n] = measured.starts[i]
             n += 1
         work.places[j] = n - 1
-        copy_row(work.axes, n - 1, looks.axes, i)
-        if not math.isnan(looks.centres[i, 0]):
+        copy_row(work.axes, n - 1, measured.axes, i)
+        if not math.isnan(measured.centres[i, 0]):
             for c in range(3):
-                work.way[n - 1, c] += looks.centres[i, c]
+                work.way[n - 1, c] += measured.centres[i, c]
             work.way[n - 1, 3] += 1.0
         for b in range(BINS):
             work.evidence[n - 1, b] += evidence[i, b]
@@ -786,8 +760,7 @@ def _add_walking(first: int, n: int, until: int, tables: FacingTables, work: Smo
 def _cells_between(work: SmoothWork, j: int) -> int:
     """Count the cells from the one before cell ``j`` to it; 0 = they are in different axes."""
     same = work.starts[j] == work.starts[j - 1]
-    cells: int = work.cells[j] - work.cells[j - 1] if same else 0
-    return cells
+    return work.cells[j] - work.cells[j - 1] if same else 0
 
 
 @kernel
@@ -831,8 +804,7 @@ def _keep(past: FacingPast, row: int, first: int, n: int, until: int, work: Smoo
         past.belief_starts[row] = work.starts[j]
         place = past.next_cell[row]
         past.way_cells[row, place] = work.cells[j]
-        for c in range(4):
-            past.way[row, place, c] = work.way[j, c]
+        copy_row(past.way[row], place, work.way, j)
         past.next_cell[row] = (place + 1) % CELLS
 
 
@@ -841,13 +813,13 @@ class FacingWindow(NamedTuple):
 
     order: I1  # (N,) the views, person by person, each person's by time
     ends: I1  # (P + 1,) where each person's views begin in ``order``; the last number is N
-    evidence: F2  # (N, BINS) of the views, from :func:`weigh`
+    evidence: F2  # (N, BINS) of the views, from :func:`write_evidence`
 
 
 @entry
 def smooth(
-    looks: Looks, window: FacingWindow, until: int, past: FacingPast, tables: FacingTables,
-    work: SmoothWork, out: Facings,
+    measured: MeasuredViews, window: FacingWindow, until: int, past: FacingPast,
+    tables: FacingTables, work: SmoothWork, out: Facings,
 ) -> None:  # fmt: skip
     """Decide on the views of a window by past and future: the forward and the backward pass.
 
@@ -855,13 +827,13 @@ def smooth(
     """
     for p in range(len(window.ends) - 1):
         order = window.order[window.ends[p] : window.ends[p + 1]]
-        row = looks.rows[order[0]]
+        row = measured.rows[order[0]]
         first = _past_way(past, row, work)
-        n = _lay_out(looks, order, window.evidence, past, first, work)
+        n = _lay_out(measured, order, window.evidence, past, first, work)
         _add_walking(first, n, until, tables, work)
         _go_forwards(past, row, first, n, tables, work)
         _go_backwards(first, n, tables, work)
         _keep(past, row, first, n, until, work)
         for j in range(len(order)):
             copy_row(out.facing, order[j], work.facing, work.places[j])
-            _decide(looks, order[j], past, tables, out)
+            _decide(measured, order[j], past, tables, out)

@@ -19,8 +19,6 @@ where N is the number of its links, and d < BESIDE the distance, m, of somebody 
 line of sight. The mean square of N independent z has the mean 1 and the variance 2 / N.
 """
 
-# mypy: disable-error-code="no-any-return"
-
 from __future__ import annotations
 
 import math
@@ -30,7 +28,7 @@ import numpy as np
 
 from hiros_mcap.kernels.array_types import B1, F1, F2, I1, I2, J2, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel
-from hiros_mcap.kernels.distance import norm3, point_distance
+from hiros_mcap.kernels.distance import centre, norm3, point_distance
 from hiros_mcap.skeletons import UNTRACKED, Floats, People
 
 _PRIOR = 300.0  # views that the assumed deviation counts as much as: 5 s of two cameras
@@ -48,8 +46,7 @@ _BESIDE = 0.5  # m
 _ALONE = 200_000_000  # ns without a good view of another camera: then a camera is alone
 _IN_FRONT = 0.35  # m: somebody this much nearer to the camera is in front
 
-OUT, MARKERS = 0, 1
-"""Rows of the counts: views left out, and markers that are trusted less."""
+OUT, MARKERS = 0, 1  # Rows of the counts: views left out, and markers that are trusted less
 
 
 class LimbLinks(NamedTuple):
@@ -188,16 +185,9 @@ def _lower(
 def _find_centres(people: People, begin: int, end: int, work: PlausibleWork) -> None:
     """Mean marker position of each person of a message; NaN of nobody's detections."""
     for p in range(begin, end):
-        n = 0
-        for c in range(3):
-            work.centres[p, c] = 0.0
-        for m in range(people.markers.shape[1]):
-            if people.ids[p] != UNTRACKED and not math.isnan(people.markers[p, m, 0]):
-                n += 1
-                for c in range(3):
-                    work.centres[p, c] += people.markers[p, m, c]
-        for c in range(3):
-            work.centres[p, c] = work.centres[p, c] / n if n > 0 else np.nan
+        work.centres[p] = np.nan
+        if people.ids[p] != UNTRACKED:
+            centre(people.markers[p], work.centres[p])
 
 
 @kernel
@@ -267,8 +257,8 @@ def find_implausible(
                 past.first[row] = stamp
             deviation = _compare(people.markers[p], row, links, past, work)
             _learn(people.markers[p], row, links, past)
-            is_known = (stamp - past.first[row]) * 1e-9 >= settings.enough
-            if math.isnan(deviation) or not is_known:
+            is_measured = (stamp - past.first[row]) * 1e-9 >= settings.enough
+            if math.isnan(deviation) or not is_measured:
                 continue
             beside = _least_distance(p, begin, end, places[camera], work.centres)
             limit = work.limit[0] + _PER_METRE * beside

@@ -24,6 +24,7 @@ import numpy as np
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, CameraNumbers
+from hiros_mcap.kernels.array_types import settings_of
 from hiros_mcap.skeletons import Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.detections import limb_deviations as kernels
@@ -56,12 +57,12 @@ def drop_implausible_blocks(
     if not params.limbs:
         yield from blocks
         return
-    bodies = _KnownLimbs(model, params, Events() if events is None else events, cameras or {})
+    bodies = _LimbHistories(model, params, Events() if events is None else events, cameras or {})
     for block in blocks:
         yield bodies.compare(block)
 
 
-class _KnownLimbs:
+class _LimbHistories:
     """What is known of everybody's limbs."""
 
     def __init__(
@@ -69,9 +70,7 @@ class _KnownLimbs:
         places: Mapping[str, Floats],
     ) -> None:  # fmt: skip
         self._links = links_of(model)
-        self._settings = kernels.PlausibleSettings(
-            params.max_deviation, params.enough, params.patience
-        )
+        self._settings = settings_of(kernels.PlausibleSettings, params)
         self._events, self._places = events, places
         self._bank = Bank(kernels.LimbPast.empty(len(self._links.ends)), _FORGET)
         self._cameras = CameraNumbers()

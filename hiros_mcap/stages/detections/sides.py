@@ -34,6 +34,7 @@ from hiros_mcap.body.forward_cues import ForwardCues
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, CameraNumbers, join
+from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.skeletons import UNTRACKED, Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.detections import exchanging
@@ -83,7 +84,7 @@ class _Piece:
     block: Block
     views: Stamps  # (N,) rows of the people with an id in the block's arrays
     owners: Stamps  # (N,) the frame of each view
-    looks: kernels.Looks
+    measured: kernels.MeasuredViews
     evidence: Floats  # (N, BINS), or (0, BINS) before they were weighed
 
     def cut(self, k: int) -> tuple[_Piece, _Piece]:
@@ -92,9 +93,9 @@ class _Piece:
         return self._part(slice(0, k), slice(0, n)), self._part(slice(k, None), slice(n, None))
 
     def _part(self, frames: slice, views: slice) -> _Piece:
-        own, owners = self.looks.at(views), self.owners[views] - (frames.start or 0)
+        some, owners = chosen(self.measured, views), self.owners[views] - (frames.start or 0)
         return _Piece(
-            self.block.select(frames), self.views[views], owners, own, self.evidence[views]
+            self.block.select(frames), self.views[views], owners, some, self.evidence[views]
         )
 
     def logged_from(self, log_time: int) -> _Piece:
@@ -148,12 +149,12 @@ class _Sides:
         views, owners = block.everybody()
         tracked = block.people.ids[views] != UNTRACKED
         views, owners = views[tracked], owners[tracked]
-        looks = kernels.Looks.allocate(len(views))
-        looks.stamps[:] = block.stamps[owners]
-        looks.cells[:] = looks.stamps // kernels.CELL
-        looks.cameras[:] = self._cameras.of(block)[owners]
-        looks.rows[:] = self._bank.rows_of(block.people.ids[views], looks.stamps)
-        return _Piece(block, views, owners, looks, np.empty((0, kernels.BINS)))
+        measured = kernels.MeasuredViews.allocate(len(views))
+        measured.stamps[:] = block.stamps[owners]
+        measured.cells[:] = measured.stamps // kernels.CELL
+        measured.cameras[:] = self._cameras.of(block)[owners]
+        measured.rows[:] = self._bank.rows_of(block.people.ids[views], measured.stamps)
+        return _Piece(block, views, owners, measured, np.empty((0, kernels.BINS)))
 
     # Decisions
 
@@ -162,26 +163,26 @@ class _Sides:
         out = kernels.Facings.allocate(len(piece.views))
         people, past, work = piece.block.people, self._bank.past, np.empty(2 * kernels.BINS)
         kernels.follow(
-            people, piece.views, self._markers, piece.looks, past, self._tables, work, out
+            people, piece.views, self._markers, piece.measured, past, self._tables, work, out
         )
         return out
 
     def _decide(self, until: int) -> Iterator[Block]:
         """Decide on everything that is held; yield the frames before the cell ``until``."""
-        self._weigh()
+        self._add_evidence()
         held, self._held = self._held, []
-        looks = kernels.Looks.joined([piece.looks for piece in held])
-        out = kernels.Facings.allocate(len(looks.cells))
-        window = _window(looks, np.concatenate([piece.evidence for piece in held]))
+        measured = joined([piece.measured for piece in held])
+        out = kernels.Facings.allocate(len(measured.cells))
+        window = _window(measured, np.concatenate([piece.evidence for piece in held]))
         work = kernels.SmoothWork.of(int(np.diff(window.ends).max(initial=0)))
-        kernels.smooth(looks, window, until, self._bank.past, self._tables, work, out)
+        kernels.smooth(measured, window, until, self._bank.past, self._tables, work, out)
         out.toes[:] = self._tables.reliability(kernels.TOES)
         self._decided = until
         now = int(held[-1].block.log_times.max())
         first = 0
         for k, piece in enumerate(held):
             n = len(piece.views)
-            facings = out.at(slice(first, first + n))
+            facings = chosen(out, slice(first, first + n))
             first += n
             late = piece.block.stamps // kernels.CELL >= until
             if late.any():
@@ -191,7 +192,7 @@ class _Sides:
                 return
             yield self._mirrored(piece.logged_from(now), facings)
 
-    def _weigh(self) -> None:
+    def _add_evidence(self) -> None:
         """Measure the views that are new, learn from all of them, then weigh them."""
         new = [k for k, piece in enumerate(self._held) if len(piece.evidence) < len(piece.views)]
         if not new:
@@ -199,13 +200,13 @@ class _Sides:
         parts = [self._held[k] for k in new]
         for part in parts:
             people, past = part.block.people, self._bank.past
-            kernels.measure(people, part.views, self._markers, part.looks, past, self._tables)
-        looks = kernels.Looks.joined([part.looks for part in parts])
-        evidence = np.empty((len(looks.cells), kernels.BINS))
-        kernels.weigh(looks, self._bank.past, self._tables, evidence)
+            kernels.measure(people, part.views, self._markers, part.measured, past, self._tables)
+        measured = joined([part.measured for part in parts])
+        evidence = np.empty((len(measured.cells), kernels.BINS))
+        kernels.write_evidence(measured, self._bank.past, self._tables, evidence)
         ends = np.cumsum([len(part.views) for part in parts])
-        for k, own in zip(new, np.split(evidence, ends[:-1]), strict=True):
-            self._held[k] = replace(self._held[k], evidence=own)
+        for k, some in zip(new, np.split(evidence, ends[:-1]), strict=True):
+            self._held[k] = replace(self._held[k], evidence=some)
 
     # The result
 
@@ -220,20 +221,20 @@ class _Sides:
         views = piece.views + (block.rows - piece.block.rows)[piece.owners, 0]
         facing = facings.facing[swapped]
         facing[facings.toes[swapped] >= _SLAVED] = np.nan
-        axes = piece.looks.axes
+        axes = piece.measured.axes
         exchanging.exchange_sides(
             block.people, views[swapped], facing, axes[swapped], self._markers
         )
         angles = facings.turns[turned]
         exchanging.turn_trunks(block.people, views[turned], angles, axes[turned], self._markers)
-        by_camera = np.bincount(piece.looks.cameras[swapped], minlength=len(self._cameras))
+        by_camera = np.bincount(piece.measured.cameras[swapped], minlength=len(self._cameras))
         for source, n in zip(self._cameras, by_camera.tolist(), strict=True):
             self._events.count("flip", source, n)
         return block
 
 
-def _window(looks: kernels.Looks, evidence: Floats) -> kernels.FacingWindow:
+def _window(measured: kernels.MeasuredViews, evidence: Floats) -> kernels.FacingWindow:
     """Put views in order: person by person, each person's by time."""
-    order = np.lexsort((looks.stamps, looks.rows))
-    starts = np.flatnonzero(np.diff(looks.rows[order], prepend=-1))
+    order = np.lexsort((measured.stamps, measured.rows))
+    starts = np.flatnonzero(np.diff(measured.rows[order], prepend=-1))
     return kernels.FacingWindow(order, np.append(starts, len(order)), evidence)

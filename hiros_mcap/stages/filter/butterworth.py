@@ -230,7 +230,7 @@ def update(
 
 
 @entry
-def weigh(window: Window, work: ButterworthWork) -> None:
+def write_weights(window: Window, work: ButterworthWork) -> None:
     """Weight of the output of each step of a window in the backward run; their sum is 1."""
     n_steps = window.end - window.first
     work.weights[:n_steps] = 0.0
@@ -292,7 +292,7 @@ def estimate(
     """Write the estimates of steps, given the data until their ends."""
     for j in range(len(steps.rows)):
         window = window_of(steps, past, j)
-        weigh(window, work)
+        write_weights(window, work)
         for number in range(GROUPS):
             group = group_of(people, steps.people[j], number)
             for k in range(len(group.elements)):
@@ -328,7 +328,7 @@ def gain_at(corner: float, dt: float, ahead: int, frequency: float, work: Butter
     warped = 2.0 / dt * np.tan(np.pi * frequency * dt)  # bilinear transform
     forward = 1.0 / np.sqrt(1.0 + (warped / corner) ** (2 * len(work.adjoint)))
     steps = np.arange(ahead + 1, dtype=np.float64)
-    weigh(Window(np.zeros((0, 0, 0)), steps * dt, -1, 0, ahead + 1, corner, dt), work)
+    write_weights(Window(np.zeros((0, 0, 0)), steps * dt, -1, 0, ahead + 1, corner, dt), work)
     backward = work.weights[: ahead + 1] @ np.exp(2j * np.pi * frequency * dt * steps)
     return float(forward * abs(backward))
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, HeldFrames
+from hiros_mcap.kernels.array_types import settings_of
 from hiros_mcap.skeletons import POSITION, UNTRACKED, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.delay import Delay
@@ -84,7 +85,7 @@ class _SkeletonFilter:
     ) -> None:  # fmt: skip
         self._params, self._events, self._method = params, events, _method(params)
         self._keep_positions = keep_positions
-        self._settings = FilterSettings(params.order, params.max_gap, params.bridge)
+        self._settings = settings_of(FilterSettings, params)
         self._links = np.ascontiguousarray(model.links)
         self._bank = Bank(
             _nobody(model, params.order, self._method), params.max_gap + params.lookahead

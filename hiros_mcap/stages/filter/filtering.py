@@ -10,8 +10,6 @@ A person's steps are numbered from 0. A ring of R slots per person (R a power of
 latest steps, which the estimates with look-ahead read.
 """
 
-# mypy: disable-error-code="no-any-return"
-
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -35,21 +33,16 @@ from hiros_mcap.skeletons import (
 )
 
 # Columns of a slot of the ring that every method fills.
-SLOT_POSE = 0
-"""Predicted (state_space), or the output at the last measurement (butterworth)."""
+SLOT_POSE = 0  # Predicted (state_space), or the output at the last measurement (butterworth)
 SLOT_VELOCITY = 4
 SLOT_ACCELERATION = 7
 SLOT_CONTINUES = 10
 """1 if the trajectory goes on from the previous slot, 0 if it starts or is absent."""
-SLOT_AGE = 11
-"""s since the last measurement; inf = the trajectory is absent."""
-SLOT_CONFIDENCE = 12
-"""Confidence of the last measurement."""
-SLOT_METHOD = 13
-"""First column that belongs to the method."""
+SLOT_AGE = 11  # s since the last measurement; inf = the trajectory is absent
+SLOT_CONFIDENCE = 12  # Confidence of the last measurement
+SLOT_METHOD = 13  # First column that belongs to the method
 
-GROUPS = 4
-"""Marker positions, link orientations, link positions, marker orientations."""
+GROUPS = 4  # Marker positions, link orientations, link positions, marker orientations
 
 
 class FilterSteps(NamedTuple):

@@ -108,5 +108,5 @@ def project_all(
     """
     for row in range(len(which)):
         if which[row] >= 0:
-            own = lengths[which[row]]
-            project(markers[row], links, own, variances[row], sweeps, tolerance)
+            mine = lengths[which[row]]
+            project(markers[row], links, mine, variances[row], sweeps, tolerance)

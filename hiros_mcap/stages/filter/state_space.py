@@ -8,8 +8,6 @@ The smoother is Bryson and Frazier's (Bierman 1977, section X.4): it carries bac
 innovations instead of states. It needs no inverse and, for an orientation, one exponential.
 """
 
-# mypy: disable-error-code="no-any-return"
-
 from __future__ import annotations
 
 from typing import Any, NamedTuple

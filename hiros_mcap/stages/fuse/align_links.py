@@ -21,7 +21,7 @@ from hiros_mcap.skeletons import UNTRACKED, Floats, Ints, SkeletonModel
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.fuse import aligning
 from hiros_mcap.stages.fuse.aligning import LinkPast
-from hiros_mcap.stages.fuse.constrain import UNKNOWN_DEVIATION, own_variances
+from hiros_mcap.stages.fuse.constrain import UNKNOWN_DEVIATION, unshared_variances
 
 _FORGET = 10.0  # s
 _CAREFUL = 1.2  # times the variance; to turn a link too far costs more than not far enough
@@ -62,18 +62,20 @@ def candidates(model: SkeletonModel) -> Ints:
     Its own first, then those that end where it begins and those that begin where it ends.
     """
     links = [tuple(ends) for ends in model.links.tolist()]
-    found = []
+    bones_of_links = []
     for parent, child in links:
         before = [ends for ends in links if ends[1] == parent >= 0]
         after = [ends for ends in links if ends[0] == child >= 0]
-        found.append([(parent, child), *before, *after])
-    most = max(map(len, found), default=1)
-    rows = [own + [(-1, -1)] * (most - len(own)) for own in found]
+        bones_of_links.append([(parent, child), *before, *after])
+    most = max(map(len, bones_of_links), default=1)
+    rows = [
+        ends_of_link + [(-1, -1)] * (most - len(ends_of_link)) for ends_of_link in bones_of_links
+    ]
     return np.array(rows, np.int32).reshape(len(links), most, 2)
 
 
 def _variances(block: Block) -> Floats:
     """(P, M) Variance of each marker across a bone, m2: known lengths reduce that along it only."""
     if block.uncertainty is None:
-        return _CAREFUL * own_variances(block)
+        return _CAREFUL * unshared_variances(block)
     return _CAREFUL * np.nan_to_num(block.uncertainty.deviations, nan=UNKNOWN_DEVIATION) ** 2

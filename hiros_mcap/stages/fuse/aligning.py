@@ -9,6 +9,7 @@ import numpy as np
 
 from hiros_mcap.kernels.array_types import F2, F4, I1, J3
 from hiros_mcap.kernels.compile import entry, inlined, kernel
+from hiros_mcap.kernels.distance import norm3, step_between
 from hiros_mcap.kernels.quaternions import (
     Quaternion,
     Vector,
@@ -44,11 +45,7 @@ def _step(markers: Floats, a: int, b: int) -> Vector:
     """Vector from one marker to another, m; NaN where one is absent or there is no such marker."""
     if a < 0 or b < 0:
         return np.nan, np.nan, np.nan
-    return (
-        markers[b, 0] - markers[a, 0],
-        markers[b, 1] - markers[a, 1],
-        markers[b, 2] - markers[a, 2],
-    )
+    return step_between(markers, a, b)
 
 
 @inlined
@@ -64,7 +61,7 @@ def _observe(people: People, p: int, k: int, bones: Ints, axes: Floats) -> None:
     q = _quaternion(people.links[p], k)
     for c in range(len(bones)):
         x, y, z = _step(people.markers[p], bones[c, 0], bones[c, 1])
-        length = math.sqrt(x * x + y * y + z * z)
+        length = norm3(x, y, z)
         if not length > 0.01 or math.isnan(q[0]):
             continue
         x, y, z = _turned(conjugate(q), (x / length, y / length, z / length))
@@ -73,12 +70,6 @@ def _observe(people: People, p: int, k: int, bones: Ints, axes: Floats) -> None:
         axes[c, 0] += gain * (x - axes[c, 0])
         axes[c, 1] += gain * (y - axes[c, 1])
         axes[c, 2] += gain * (z - axes[c, 2])
-
-
-@inlined
-def _size(v: Vector) -> float:
-    """Length of a vector."""
-    return math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
 
 
 @kernel
@@ -90,7 +81,7 @@ def _steadiest(axes: Floats) -> int:
     """
     best, least = -1, _LARGEST
     for c in range(len(axes)):
-        variance = 1.0 - _size((axes[c, 0], axes[c, 1], axes[c, 2]))
+        variance = 1.0 - norm3(axes[c, 0], axes[c, 1], axes[c, 2])
         # The link's own bone comes first; another one has to be clearly steadier.
         if axes[c, _COUNT] >= FEWEST and variance < (least if best < 0 else 0.5 * least):
             best, least = c, variance
@@ -106,7 +97,7 @@ def _align(people: People, p: int, k: int, bone: Ints, axis: Floats, variances: 
     direction together; Wiener's estimate of the link's part is that share of the whole.
     """
     step = _step(people.markers[p], bone[0], bone[1])
-    length, mean = _size(step), _size((axis[0], axis[1], axis[2]))
+    length, mean = norm3(*step), norm3(axis[0], axis[1], axis[2])
     q = _quaternion(people.links[p], k)
     if not length > 0.01 or math.isnan(q[0]):
         return
@@ -119,7 +110,7 @@ def _align(people: People, p: int, k: int, bone: Ints, axis: Floats, variances: 
     cross = (
         u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0],
     )  # fmt: skip
-    sine, cosine = _size(cross), u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+    sine, cosine = norm3(*cross), u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
     if sine < 1e-9 or cosine < 0.0:  # more than 90 degrees: one of them is wrong
         return
     scale = share * math.atan2(sine, cosine) / sine

@@ -105,7 +105,7 @@ class _Body:
     first: int
     last: int = 0  # When the person was first and last seen, ns
     measured: MeasuredLengths | None = None  # None = not since the last pose
-    known: bool = False  # Whether the lengths stay as they are
+    is_fixed: bool = False  # Whether the lengths stay as they are
 
 
 class _Bodies:
@@ -125,18 +125,18 @@ class _Bodies:
 
     def measure(self, out: Block, numbers: range) -> _WaitingWindow:
         """Measure everybody in a window, as long as the lengths are not well known."""
-        variances, people = own_variances(out), list(_tracked(out))
+        variances, people = unshared_variances(out), list(_tracked(out))
         stamps = np.repeat(out.stamps, out.sizes)
         for person, rows in people:
             body = self._body(person, int(stamps[rows[0]]))
             body.last = int(stamps[rows[-1]])
             begun = (int(stamps[rows[0]]) - body.first) * 1e-9
-            if not body.known and (self._params.window > 0 or begun <= self._params.enough):
+            if not body.is_fixed and (self._params.window > 0 or begun <= self._params.enough):
                 body.meter.update(out.people.markers[rows, :, POSITION], variances[rows])  # 1
                 body.measured = None
-            if not body.known and body.last - body.first >= self._params.enough * 1e9:
+            if not body.is_fixed and body.last - body.first >= self._params.enough * 1e9:
                 self._keep(person, body)
-                body.known, body.meter = True, self._meter()
+                body.is_fixed, body.meter = True, self._meter()
         return _WaitingWindow(numbers, int(out.stamps[0]), [person for person, _ in people])
 
     def _body(self, person: int, stamp: int) -> _Body:
@@ -166,18 +166,18 @@ class _Bodies:
     def end_of_log(self) -> None:
         """Keep the lengths of those who were not seen for long enough."""
         for person, body in self._people.items():
-            if not body.known:
+            if not body.is_fixed:
                 self._keep(person, body)
 
     def can_correct(self, window: _WaitingWindow, now: int) -> bool:
         """Whether nothing more about the people of a window is worth waiting for at ``now``, ns."""
         patience = self._params.enough + self._params.window if self._params.window > 0 else 0.0
         waited = now - window.begin >= patience * 1e9
-        return waited or all(self._people[person].known for person in window.people)
+        return waited or all(self._people[person].is_fixed for person in window.people)
 
     def corrected(self, out: Block, log_time: int) -> Block:
         """Project a window onto the lengths; move towards what people do; project again."""
-        variances, people = own_variances(out), list(_tracked(out))
+        variances, people = unshared_variances(out), list(_tracked(out))
         lengths = np.ones((len(people), len(self._pairs), 2))
         which = np.full(len(out.people.ids), -1)
         for k, (person, rows) in enumerate(people):
@@ -219,12 +219,11 @@ def _tracked(block: Block) -> Iterator[tuple[int, Stamps]]:
             yield person, np.flatnonzero(block.people.ids == person)
 
 
-def own_variances(block: Block) -> Floats:
+def unshared_variances(block: Block) -> Floats:
     """(P, M) Variance of each marker along each axis by itself, m2, without what all share."""
-    known = block.uncertainty
-    if known is None:
+    if block.uncertainty is None:
         return np.full(block.people.marker_confidences.shape, UNKNOWN_DEVIATION**2)
-    variances = known.deviations**2 - known.shared**2
+    variances = block.uncertainty.deviations**2 - block.uncertainty.shared**2
     return np.where(np.isnan(variances), UNKNOWN_DEVIATION**2, np.maximum(variances, 1e-8))
 
 

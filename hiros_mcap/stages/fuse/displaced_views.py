@@ -29,8 +29,7 @@ CLEARLY = 1.9
 it has twice the offset of the others; with more cameras the ratio is larger."""
 SHARE = 100.0
 """The offset lasts, and noise averages out: the variance of a view must be far over its square."""
-MAJORITY = 3
-"""Fewer cameras do not tell which one of them is wrong."""
+MAJORITY = 3  # Fewer cameras do not tell which one of them is wrong
 SECOND = 1_000_000_000  # ns
 _MEMORY = 0.5  # s; time constant of the mean without future views
 _WORTH_S, _WORTH_M = 1.5, 0.06
@@ -54,11 +53,11 @@ def view_offsets(
     """
     offsets = np.full((len(rows), 3), np.nan)
     fused = np.flatnonzero(rows >= 0)
-    own = rows[fused]
-    later = (views.stamps[fused] - stamps[own])[:, None, None] * 1e-9
+    these = rows[fused]
+    later = (views.stamps[fused] - stamps[these])[:, None, None] * 1e-9
     residuals = views.positions[fused]  # in place: these arrays are large
-    residuals -= poses.positions[own]
-    residuals -= later * poses.velocities[own]
+    residuals -= poses.positions[these]
+    residuals -= later * poses.velocities[these]
     there = ~np.isnan(residuals[:, :, 0])
     weights = np.where(there, 1.0 / variances[fused], 0.0)
     total = weights.sum(axis=1)
@@ -108,26 +107,26 @@ class DisplacedViews:
 
     def remember(self, views: Sightings, offsets: Floats) -> None:
         """Take the offsets of views, m; NaN = none. Each view comes once with an offset."""
-        own = np.flatnonzero(~np.isnan(offsets[:, 0]))
-        if not len(own):
+        these = np.flatnonzero(~np.isnan(offsets[:, 0]))
+        if not len(these):
             return
-        stamp = int(views.stamps[own].max())
-        rows = np.array([self._bank.row(p, stamp) for p in views.people[own].tolist()], np.int64)
+        stamp = int(views.stamps[these].max())
+        rows = np.array([self._bank.row(p, stamp) for p in views.people[these].tolist()], np.int64)
         keep = np.exp(-max(stamp - self._stamp, 0) * 1e-9 / _MEMORY)
         self._stamp = max(stamp, self._stamp)
         for array in self._bank.past:
             array *= keep
-        np.add.at(self._bank.past.sums, (rows, views.cameras[own]), offsets[own])
-        np.add.at(self._bank.past.weights, (rows, views.cameras[own]), 1.0)
+        np.add.at(self._bank.past.sums, (rows, views.cameras[these]), offsets[these])
+        np.add.at(self._bank.past.weights, (rows, views.cameras[these]), 1.0)
         self._bank.expire(stamp)
 
     def count(self, views: Sightings, excess: Floats, done: Flags) -> None:
         """Note which of the views whose results are ``done`` have lost their weight."""
         for camera in np.unique(views.cameras[done]).tolist():
-            own = done & (views.cameras == camera)
-            self._spans.setdefault(camera, _Span()).add(views.stamps[own], excess[own])
+            these = done & (views.cameras == camera)
+            self._spans.setdefault(camera, _Span()).add(views.stamps[these], excess[these])
 
-    def tell(self, events: Events) -> None:
+    def warn(self, events: Events) -> None:
         """Note the cameras that were displaced for long enough to be worth a warning."""
         for camera, span in self._spans.items():
             if span.seconds >= _WORTH_S and span.metres >= _WORTH_M:

@@ -15,17 +15,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
 from hiros_mcap.skeletons import Floats, SkeletonModel
 from hiros_mcap.stages.fuse.fuse_params import FuseParams
+from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
+from hiros_mcap.stages.fuse.pose_error import PoseError
+from hiros_mcap.stages.fuse.residuals import ResidualMeter
+from hiros_mcap.stages.fuse.running_noise import RunningNoise
+from hiros_mcap.stages.fuse.sightings import SightingGatherer
+from hiros_mcap.stages.fuse.window_smoother import WindowSmoother
 from hiros_mcap.stages.merge.merge_params import MergeParams
-
-if TYPE_CHECKING:
-    from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 
 
 def fuse_blocks(
@@ -49,24 +51,16 @@ def fuse_blocks(
     One frame per instant, with positions, m, velocities, m/s, and their uncertainty. Each is logged
     when its window was complete.
     """
-    from hiros_mcap.stages.fuse.pose_error import PoseError
-    from hiros_mcap.stages.fuse.residuals import ResidualMeter
-    from hiros_mcap.stages.fuse.sightings import SightingGatherer
-    from hiros_mcap.stages.fuse.window_smoother import WindowSmoother, WindowTimes
-
     events = Events() if events is None else events
     views = SightingGatherer(model, merging or MergeParams(), cameras)  # instants and sides
     params = params or FuseParams()
     noise = noise or noise_of(model, params)
     if params.follow_noise:
-        from hiros_mcap.stages.fuse.running_noise import RunningNoise
-
         noise = RunningNoise.of(noise)
     # variances, filters, smoother, confidences
-    waiting = WindowTimes(params.window, params.lookahead, params.max_lag)
     angle = math.radians(params.pose_angle)
     pose_error = PoseError(angle, params.pose_shift, cameras or {}, noise.to_given)
-    smoother = WindowSmoother(model, waiting, noise, params.freedom, pose_error, cameras or {})
+    smoother = WindowSmoother(model, params, noise, pose_error, cameras or {})
     causal = params.window == 0
     residuals = ResidualMeter(model, noise, cameras or {}, events, causal=causal)
 
@@ -80,7 +74,7 @@ def fuse_blocks(
         yield from map(finished, smoother.update(block, sightings, names))
     yield from map(finished, smoother.rest())
     residuals.finish()
-    smoother.displaced.tell(events)
+    smoother.displaced.warn(events)
 
 
 def noise_of(
@@ -88,8 +82,6 @@ def noise_of(
     to_given: Mapping[str, Rigid] | None = None,
 ) -> FusionNoise:  # fmt: skip
     """Return what is assumed of cameras and joints, or ``measured``, and how poses were refined."""
-    from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
-
     noise = measured or FusionNoise.default(
         model, params.acceleration, params.offset, params.offset_time
     )

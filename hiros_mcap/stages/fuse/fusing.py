@@ -22,10 +22,8 @@ from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.skeletons import Floats, People
 from hiros_mcap.stages.merge.merging import EXCHANGED, LEFT_OUT
 
-POSITION, VELOCITY, OFFSETS = 0, 1, 2
-"""Rows of the state of a joint."""
-POSE = -1
-"""The camera of a step at which a pose is wanted and nothing is measured."""
+POSITION, VELOCITY, OFFSETS = 0, 1, 2  # Rows of the state of a joint
+POSE = -1  # The camera of a step at which a pose is wanted and nothing is measured
 
 _POSITION_VARIANCE, _VELOCITY_VARIANCE = 0.05, 1.0  # of a joint that is seen first, m2 and m2/s2
 _UNKNOWN = -1.0  # interval of a step that a joint takes no part in
@@ -225,15 +223,13 @@ def _predict(dt: float, q: float, offset_variance: float, time: float, work: Fus
 def _log_likelihood(scaled: float, variance: float, freedom: float) -> float:
     """Of an innovation in space under Student's t, by its square over its ``variance``."""
     tail: float = 0.5 * (freedom + 3.0) * math.log1p(scaled / freedom)
-    likelihood: float = -1.5 * math.log(variance) - tail
-    return likelihood
+    return -1.5 * math.log(variance) - tail
 
 
 @inlined
 def _weight(scaled: float, freedom: float) -> float:
     """Return the weight of such a measurement, at most 1."""
-    weight: float = min((freedom + 3.0) / (freedom + scaled), 1.0)
-    return weight
+    return min((freedom + 3.0) / (freedom + scaled), 1.0)
 
 
 @inlined

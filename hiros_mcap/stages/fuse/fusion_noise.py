@@ -100,5 +100,5 @@ def distances(views: Sightings, names: Sequence[str], places: Mapping[str, Float
     seen = ~np.isnan(views.positions[:, :, 0])
     sums = np.where(seen[:, :, None], views.positions, 0.0).sum(axis=1)
     centres = sums / np.maximum(seen.sum(axis=1), 1)[:, None]
-    found = np.linalg.norm(centres - cameras[views.cameras], axis=1)
-    return np.where(np.isnan(found), _REFERENCE, np.maximum(found, 0.3))
+    away = np.linalg.norm(centres - cameras[views.cameras], axis=1)
+    return np.where(np.isnan(away), _REFERENCE, np.maximum(away, 0.3))

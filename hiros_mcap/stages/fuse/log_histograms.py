@@ -30,5 +30,5 @@ def medians(counts: NDArray[Any], fewest: int) -> Floats:
     at = (2 * before >= total[:, None]).argmax(axis=1)
     k = np.arange(len(counts))
     inside = (total / 2 - (before[k, at] - counts[k, at])) / np.maximum(counts[k, at], 1)
-    found = 2.0 ** (_LEAST + (at + inside) / _PER_OCTAVE)
-    return np.where(total >= fewest, found, np.nan)
+    middle = 2.0 ** (_LEAST + (at + inside) / _PER_OCTAVE)
+    return np.where(total >= fewest, middle, np.nan)

@@ -45,17 +45,17 @@ def measured_lengths(positions: Floats, variances: Floats, pairs: Ints) -> Float
     a, b = pairs[:, 0], pairs[:, 1]
     squares = ((positions[:, a] - positions[:, b]) ** 2).sum(axis=2)
     noise = variances[:, a] + variances[:, b]
-    known = ~np.isnan(squares)
-    squares = np.where(known, squares, np.nan)
-    enough = known.sum(axis=0) >= _FEWEST
+    seen = ~np.isnan(squares)
+    squares = np.where(seen, squares, np.nan)
+    enough = seen.sum(axis=0) >= _FEWEST
     lengths = np.full(len(pairs), np.nan)
     if not enough.any():
         return lengths
-    squares, noise, known = squares[:, enough], noise[:, enough], known[:, enough]
+    squares, noise, seen = squares[:, enough], noise[:, enough], seen[:, enough]
     middle = np.nanmedian(squares, axis=0)
     spread = 1.4826 * np.nanmedian(np.abs(squares - middle), axis=0)
     clipped = np.clip(squares, middle - _OUTLIER * spread, middle + _OUTLIER * spread)
-    weights = known / (noise + 2 * _SURE**2)
+    weights = seen / (noise + 2 * _SURE**2)
     mean = np.nansum(weights * clipped, axis=0) / weights.sum(axis=0)
     stated = np.nansum(weights * noise, axis=0) / weights.sum(axis=0)
     lengths[enough] = without_noise(mean, np.nanvar(np.sqrt(clipped), axis=0), stated)
@@ -115,18 +115,18 @@ class RunningLengths:
 
     def _add(self, pose: Floats, noise: Floats) -> None:
         squares = ((pose[self._a] - pose[self._b]) ** 2).sum(axis=1)
-        known = ~np.isnan(squares)
-        squares = np.where(known, squares, 0.0)
+        seen = ~np.isnan(squares)
+        squares = np.where(seen, squares, 0.0)
         mean, mean_square = self._means[:2]
         spread = np.sqrt(np.maximum(mean_square - mean**2, 0.0))
         clipped = np.clip(squares, mean - _OUTLIER * spread, mean + _OUTLIER * spread)
         squares = np.where(self._counts >= _FEWEST, clipped, squares)
-        new = known / (noise + 2 * _SURE**2)
+        new = seen / (noise + 2 * _SURE**2)
         self._weight += new
         gain = new / np.maximum(self._weight, 1e-12)
         values = np.stack([squares, squares**2, np.sqrt(squares), noise])
         self._means += gain * (values - self._means)
-        self._counts += known
+        self._counts += seen
 
     def result(self) -> MeasuredLengths:
         """Return what the poses so far show."""
@@ -182,8 +182,8 @@ class PairLimbs:
 def _deviations(poses: Floats, pairs: Ints) -> tuple[Floats, Ints]:
     """(K,) Standard deviations of the distances of pairs, m, and the number of poses with each."""
     distances = np.linalg.norm(poses[:, pairs[:, 0]] - poses[:, pairs[:, 1]], axis=2)
-    known = ~np.isnan(distances)
-    n = np.maximum(known.sum(axis=0), 1)
-    means = np.where(known, distances, 0.0).sum(axis=0) / n
-    squares = np.where(known, (distances - means) ** 2, 0.0).sum(axis=0) / n
-    return np.sqrt(squares), known.sum(axis=0).astype(np.int32)
+    seen = ~np.isnan(distances)
+    n = np.maximum(seen.sum(axis=0), 1)
+    means = np.where(seen, distances, 0.0).sum(axis=0) / n
+    squares = np.where(seen, (distances - means) ** 2, 0.0).sum(axis=0) / n
+    return np.sqrt(squares), seen.sum(axis=0).astype(np.int32)

@@ -68,10 +68,10 @@ class PoseError:
         for person in np.unique(views.people[seen]):
             scaled = []
             for camera in np.unique(views.cameras[seen & (views.people == person)]):
-                own = seen & (views.people == person) & (views.cameras == camera)
-                centre = np.nanmean(views.positions[own], axis=(0, 1))
+                these = seen & (views.people == person) & (views.cameras == camera)
+                centre = np.nanmean(views.positions[these], axis=(0, 1))
                 assumed = self._assumed(centre, self._place_of(names[camera]))
-                scaled.append(offsets[own].mean(axis=0) / np.sqrt(assumed))
+                scaled.append(offsets[these].mean(axis=0) / np.sqrt(assumed))
             self._count(np.array(scaled))
 
     def _is_due(self, now: int) -> bool:
@@ -112,10 +112,10 @@ class PoseError:
         """
         sees = (seen >> np.arange(len(names))[:, None, None]) & 1
         agrees = [self._placement is not None and name in self._refined for name in names]
-        own = np.flatnonzero(~np.array(agrees, np.bool_))
+        these = np.flatnonzero(~np.array(agrees, np.bool_))
         refined, count = sees[agrees].sum(axis=0), sees.sum(axis=0)
-        places = np.array([self._place_of(names[k]) for k in own.tolist()]).reshape(-1, 1, 1, 3)
-        alone = (sees[own] * self._assumed(positions, places)).sum(axis=0)
+        places = np.array([self._place_of(names[k]) for k in these.tolist()]).reshape(-1, 1, 1, 3)
+        alone = (sees[these] * self._assumed(positions, places)).sum(axis=0)
         shared = np.zeros(seen.shape)
         if self._placement is not None:
             shared = self._placement.variances(positions)

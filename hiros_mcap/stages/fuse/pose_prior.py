@@ -14,10 +14,8 @@ import numpy as np
 
 from hiros_mcap.skeletons import Flags, Floats, Ints
 
-WINDOW = 90
-"""Poses, 3 s at 30 Hz."""
-FEWEST = 30
-"""Poses that a prior needs."""
+WINDOW = 90  # Poses, 3 s at 30 Hz
+FEWEST = 30  # Poses that a prior needs
 _EXCESS = 1.5  # eigenvalue, in units of the noise, that noise alone may have
 _FREE = 0.003  # m; what each marker may do by itself
 _SHOWN = 0.4  # share of its variance that a Gauss-Markov offset of 1.7 s shows within 3 s
@@ -45,11 +43,11 @@ def shrink_noise(positions: Floats, variances: Floats) -> Floats:
         # Neighbouring windows overlap by half and are faded into each other.
         fade = np.minimum(np.arange(n), np.arange(n)[::-1]) + 1.0
         estimate = positions[part].copy()
-        known = ~np.isnan(positions[part]).any(axis=2).all(axis=0)
-        if n >= FEWEST and known.any():
-            some = positions[part][:, known]
-            noise = at_most_shown(some, variances[part][:, known])
-            estimate[:, known] = estimated(motion_of(some, noise), some, noise)
+        present = ~np.isnan(positions[part]).any(axis=2).all(axis=0)
+        if n >= FEWEST and present.any():
+            some = positions[part][:, present]
+            noise = at_most_shown(some, variances[part][:, present])
+            estimate[:, present] = estimated(motion_of(some, noise), some, noise)
         out[part] += fade[:, None, None] * estimate
         weights[part] += fade
     return np.asarray(out / weights[:, None, None])
@@ -83,9 +81,9 @@ class RecentMotion:
     def _estimate(self, local: Floats, variances: Floats) -> Floats:
         if self._motion is None:
             return local
-        motion, known = self._motion
+        motion, present = self._motion
         estimate = local.copy()
-        estimate[known] = estimated(motion, local[None, known], variances[None, known])[0]
+        estimate[present] = estimated(motion, local[None, present], variances[None, present])[0]
         steps = estimate - local
         sizes, most = np.linalg.norm(steps, axis=1), _LARGEST_STEP * np.sqrt(3 * variances)
         scale = most / np.maximum(sizes, np.maximum(most, 1e-9))
@@ -103,9 +101,9 @@ class RecentMotion:
         if stamp >= self._next and len(self._poses) >= FEWEST:
             self._next = stamp + round(_RENEWED * 1e9)
             poses = np.stack(self._poses)
-            known: Flags = np.asarray(~np.isnan(poses).any(axis=2).all(axis=0))
-            some, noise = poses[:, known], np.stack(self._variances)[:, known]
-            self._motion = (motion_of(some, noise), known) if known.any() else None
+            present: Flags = np.asarray(~np.isnan(poses).any(axis=2).all(axis=0))
+            some, noise = poses[:, present], np.stack(self._variances)[:, present]
+            self._motion = (motion_of(some, noise), present) if present.any() else None
 
 
 def at_most_shown(positions: Floats, variances: Floats) -> Floats:

@@ -22,15 +22,15 @@ from numpy.typing import NDArray
 from hiros_mcap.calibrate.gauge import CHI2_3_MEDIAN
 from hiros_mcap.events import COMMON, RESIDUAL, Events
 from hiros_mcap.frames import Block, join
+from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.skeletons import POSITION, VELOCITY, Floats, SkeletonModel
 from hiros_mcap.stages.fuse.displaced_views import SECOND, excess_of
 from hiros_mcap.stages.fuse.fusing import Sightings
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 from hiros_mcap.stages.fuse.log_histograms import histograms, medians
-from hiros_mcap.stages.fuse.sightings import chosen, joined, rows_of
+from hiros_mcap.stages.fuse.sightings import rows_of
 
-FEWEST = 50
-"""Residuals that give a median."""
+FEWEST = 50  # Residuals that give a median
 _EVERY = 3  # instants; residuals of neighbours tell the same
 _BATCH = 48  # frames that are compared at once
 _MEMORY = 60.0  # s; time constant of the mean of a camera's residuals
@@ -99,33 +99,33 @@ class ResidualMeter:
         The variance of a marker grows by the mean of the squared ratios of the cameras that saw
         it, beyond what healthy cameras show.
         """
-        known = fused.uncertainty
-        if known is None:
+        uncertainty = fused.uncertainty
+        if uncertainty is None:
             return fused
         ratio_of = {name: float(ratios(one[None])[0]) for name, one in self._recent.items()}
-        ratio = np.array([ratio_of.get(name, np.nan) for name in known.names])
+        ratio = np.array([ratio_of.get(name, np.nan) for name in uncertainty.names])
         factors = np.fmax(np.nan_to_num(ratio, nan=1.0) / self._healthy, 1.0) ** 2
         if (factors == 1.0).all():
             return fused
-        sees = (known.cameras[:, :, None] >> np.arange(len(factors))) & 1
+        sees = (uncertainty.cameras[:, :, None] >> np.arange(len(factors))) & 1
         count = sees.sum(axis=2)
         factor = np.where(count > 0, sees @ factors / np.maximum(count, 1), factors.mean())
-        return restated(fused, factor * (known.deviations**2 - known.shared**2))
+        return restated(fused, factor * (uncertainty.deviations**2 - uncertainty.shared**2))
 
     def _count(self, fused: Block, views: Sightings) -> None:
         """Add the residuals of views to the histograms of their cameras."""
         instants = self._first + np.repeat(np.arange(len(fused)), np.diff(fused.rows).ravel())
         rows = rows_of(views, instants, fused.people.ids)
         views, rows = chosen(views, rows >= 0), rows[rows >= 0]
-        known = fused.uncertainty
-        if known is None or not len(rows):
+        uncertainty = fused.uncertainty
+        if uncertainty is None or not len(rows):
             return
         late = (views.stamps - fused.people.stamps[rows]) * 1e-9
         markers = fused.people.markers
         velocities = markers[rows, :, VELOCITY]
         expected = markers[rows, :, POSITION] + late[:, None, None] * velocities
         residuals = views.positions - expected
-        posterior = known.deviations[rows] ** 2 - known.shared[rows] ** 2
+        posterior = uncertainty.deviations[rows] ** 2 - uncertainty.shared[rows] ** 2
         white = self._noise.variances(views, self._names, self._places)
         variances = white + self._noise.offsets**2 - posterior
         # An estimate that no measurement supports is as uncertain as the measurement.
@@ -133,10 +133,10 @@ class ResidualMeter:
         squares = (residuals**2).sum(axis=2)
         common = _common_share(residuals, squares)
         for k, name in enumerate(self._names):
-            own = views.cameras == k
-            counts = histograms((squares[own] / variances[own]).T)
+            of_camera = views.cameras == k
+            counts = histograms((squares[of_camera] / variances[of_camera]).T)
             self._events.tally(RESIDUAL, name, counts)
-            self._events.tally(COMMON, name, histograms(common[None, own]))
+            self._events.tally(COMMON, name, histograms(common[None, of_camera]))
         with np.errstate(invalid="ignore"):
             whole = np.where(~np.isnan(squares)[:, :, None], residuals, 0.0).sum(axis=1)
             whole /= (~np.isnan(squares)).sum(axis=1)[:, None]
@@ -181,27 +181,29 @@ def ratios(counts: NDArray[Any]) -> Floats:
 
 def restated(fused: Block, variances: Floats) -> Block:
     """Return a block whose markers have other ``variances`` (P, M), m2, and confidences."""
-    known, people = fused.uncertainty, fused.people
-    if known is None:
+    uncertainty, people = fused.uncertainty, fused.people
+    if uncertainty is None:
         return fused
-    total = variances + known.shared**2
+    total = variances + uncertainty.shared**2
     confidences = people.marker_confidences
     # 1 / c - 1 is proportional to the variance.
-    confidences = 1 / (1 + (1 / confidences - 1) * total / known.deviations**2)
+    confidences = 1 / (1 + (1 / confidences - 1) * total / uncertainty.deviations**2)
     there = ~np.isnan(confidences)
     count = there.sum(axis=1)
     whole = np.where(there, confidences, 0.0).sum(axis=1) / np.maximum(count, 1)
     people = people._replace(
         marker_confidences=confidences, confidences=np.where(count > 0, whole, np.nan)
     )
-    return replace(fused, people=people, uncertainty=known._replace(deviations=np.sqrt(total)))
+    return replace(
+        fused, people=people, uncertainty=uncertainty._replace(deviations=np.sqrt(total))
+    )
 
 
 def _common_share(residuals: Floats, squares: Floats) -> Floats:
     """(N,) Share of the squared residuals (N, M) of each view that its markers have in common."""
-    known = ~np.isnan(squares)
-    n = np.maximum(known.sum(axis=1), 1)
-    mean = np.where(known[:, :, None], residuals, 0.0).sum(axis=1) / n[:, None]
-    total = np.where(known, squares, 0.0).sum(axis=1) / n
+    seen = ~np.isnan(squares)
+    n = np.maximum(seen.sum(axis=1), 1)
+    mean = np.where(seen[:, :, None], residuals, 0.0).sum(axis=1) / n[:, None]
+    total = np.where(seen, squares, 0.0).sum(axis=1) / n
     share = (mean**2).sum(axis=1) / np.where(total > 0, total, np.nan)
     return np.where(n >= 5, share, np.nan)

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.skeletons import Floats
 from hiros_mcap.stages.fuse.fusing import Sightings
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise, distances
-from hiros_mcap.stages.fuse.sightings import chosen, joined
 
 _STRETCH = 2_000_000_000  # ns that give one factor of each camera
 _BIN = 30  # third differences that give one variance
@@ -59,13 +59,13 @@ class RunningNoise(FusionNoise):
 
     def _learn(self, views: Sightings, names: Sequence[str], places: Mapping[str, Floats]) -> None:
         away = np.log(distances(views, names, places) / 2.0)
-        found: dict[str, list[float]] = {}
+        offsets_of: dict[str, list[float]] = {}
         for camera, logs, distance, guesses in _binned(views, away, self.guessed_below):
             expected = np.log(self.joints) + 2 * self.power * distance
             off = np.where(guesses == 0, logs - expected, np.nan)
             if np.isfinite(off).any():
-                found.setdefault(names[camera], []).append(float(np.nanmedian(off)))
-        factors = {name: float(np.mean(own)) for name, own in found.items()}
+                offsets_of.setdefault(names[camera], []).append(float(np.nanmedian(off)))
+        factors = {name: float(np.mean(logs)) for name, logs in offsets_of.items()}
         usual = float(np.median(list(factors.values()))) if factors else 0.0
         for name, log in factors.items():
             self.logs[name] = self.logs.get(name, 0.0) + log - usual
@@ -92,9 +92,9 @@ def _binned(
         guesses = views.confidences[rows] < guessed_below
         for start in range(0, len(third) - _BIN + 1, _BIN):
             part = third[start : start + _BIN]
-            known = np.isfinite(part)
-            enough = (known.sum(axis=0) >= _BIN // 2) & (np.nan_to_num(part).sum(axis=0) > 0)
-            mean = np.nan_to_num(part).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+            finite = np.isfinite(part)
+            enough = (finite.sum(axis=0) >= _BIN // 2) & (np.nan_to_num(part).sum(axis=0) > 0)
+            mean = np.nan_to_num(part).sum(axis=0) / np.maximum(finite.sum(axis=0), 1)
             logs = np.full(len(mean), np.nan)
             # The mean of |D| of a normal D with variance 20 R is sqrt(40 R / pi).
             logs[enough] = np.log(mean[enough] ** 2 * np.pi / 40) + _BIAS

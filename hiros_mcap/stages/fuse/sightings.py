@@ -6,13 +6,13 @@ Who is there at an instant, and how the links are oriented, is decided as in the
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any
 
 import numpy as np
 
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
+from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.kernels.averaging import Buffers
 from hiros_mcap.skeletons import Floats, Ints, People, SkeletonModel, Stamps
 from hiros_mcap.stages.fuse import fusing
@@ -33,7 +33,7 @@ class SightingGatherer:
         self._cameras = cameras or {}
         self._merge = ViewMerger(model, params, only_orientations=True)
         self._mirror = symmetry_of(model).mirror
-        self._found: list[Sightings] = []
+        self._gathered: list[Sightings] = []
         self._n_instants = 0
 
     def run(
@@ -45,8 +45,8 @@ class SightingGatherer:
             Unseen(self._params.bridge, self._params.carry, self._cameras),
         )  # fmt: skip
         for block in merger.run(blocks, self._params.cameras, self._params.max_delta_time):
-            found, self._found, self._n_instants = self._found, [], 0
-            yield block, joined(found), merger.cameras
+            gathered, self._gathered, self._n_instants = self._gathered, [], 0
+            yield block, joined(gathered), merger.cameras
 
     def _gather(
         self, buffers: Buffers, people: People, views: int, out: People, counts: Stamps
@@ -59,18 +59,8 @@ class SightingGatherer:
             buffers, people, out.ids, self._merge.sides_changed, self._mirror, some
         )
         some = chosen(some, slice(n))
-        self._found.append(some._replace(instants=some.instants + self._n_instants))
+        self._gathered.append(some._replace(instants=some.instants + self._n_instants))
         self._n_instants += len(buffers.stamps)
-
-
-def joined(some: list[Sightings]) -> Sightings:
-    """Return sightings one behind the other."""
-    return Sightings(*[np.concatenate(arrays) for arrays in zip(*some, strict=True)])
-
-
-def chosen(views: Sightings, rows: Any) -> Sightings:
-    """Return some of the sightings: a slice, a mask or indices."""
-    return Sightings(*[array[rows] for array in views])
 
 
 def rows_of(views: Sightings, instants: Stamps, people: Ints) -> Stamps:

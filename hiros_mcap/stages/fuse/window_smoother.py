@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.frames import Block, HeldFrames
+from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.skeletons import (
     POSITION,
     VELOCITY,
@@ -22,10 +23,11 @@ from hiros_mcap.skeletons import (
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.fuse import fusing
 from hiros_mcap.stages.fuse.displaced_views import DisplacedViews, excess_of, view_offsets
+from hiros_mcap.stages.fuse.fuse_params import FuseParams
 from hiros_mcap.stages.fuse.fusing import POSE, FusedPoses, JointStates, Sightings, Steps
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 from hiros_mcap.stages.fuse.pose_error import PoseError
-from hiros_mcap.stages.fuse.sightings import chosen, joined, rows_of
+from hiros_mcap.stages.fuse.sightings import rows_of
 
 _FOLLOW = 0.05  # share of each interval in the mean of all
 _FORGET = 10.0  # s without a sighting after which a person's filter starts anew
@@ -45,30 +47,22 @@ class _Window(NamedTuple):
     stamps: Stamps  # (K,) at which time, ns
 
 
-class WindowTimes(NamedTuple):
-    """How long results wait, s; see FuseParams."""
-
-    window: float
-    lookahead: float
-    max_lag: float
-
-
 class WindowSmoother:
     """Smooths window after window; the filters go on from one to the next.
 
     Parameters
     ----------
-    model, waiting, noise : the skeleton; how long results wait; what is assumed of the cameras.
-    freedom : degrees of freedom of the noise. pose_error : what the cameras' poses add.
+    model, params, noise : the skeleton; how long results wait; what is assumed of the cameras.
+    pose_error : what the cameras' poses add.
     cameras : source -> (3,) position, m, as far as known.
     """
 
     def __init__(
-        self, model: SkeletonModel, waiting: WindowTimes, noise: FusionNoise, freedom: float,
-        pose_error: PoseError, cameras: Mapping[str, Floats],
+        self, model: SkeletonModel, params: FuseParams, noise: FusionNoise, pose_error: PoseError,
+        cameras: Mapping[str, Floats],
     ) -> None:  # fmt: skip
-        self._waiting, self._noise, self._places = waiting, noise, cameras
-        self._motion = noise.motion(freedom)
+        self._params, self._noise, self._places = params, noise, cameras
+        self._motion = noise.motion(params.freedom)
         self._pose_error = pose_error
         self.displaced = DisplacedViews()
         self._names: tuple[str, ...] = ()
@@ -91,7 +85,7 @@ class WindowSmoother:
     def update(self, block: Block, views: Sightings, names: tuple[str, ...]) -> Iterator[Block]:
         """Add instants; yield those whose window is complete."""
         self._make_room(names)
-        patience = round((self._waiting.window + self._waiting.lookahead) * 1e9)
+        patience = round((self._params.window + self._params.lookahead) * 1e9)
         bounds = np.searchsorted(views.instants, np.arange(len(block) + 1))
         views = views._replace(instants=views.instants + self._held.add(block))
         taken = 0
@@ -102,7 +96,7 @@ class WindowSmoother:
             while self._stamps and (stamp - self._stamps[0] >= patience or self._is_due(log_time)):
                 self._views.append(chosen(views, slice(taken, end)))
                 taken = end
-                yield self._smooth(self._stamps[0] + round(self._waiting.window * 1e9), log_time)
+                yield self._smooth(self._stamps[0] + round(self._params.window * 1e9), log_time)
         self._views.append(chosen(views, slice(taken, None)))
 
     def _count_on(self, log_time: int) -> None:
@@ -116,7 +110,7 @@ class WindowSmoother:
     def _is_due(self, log_time: int) -> bool:
         """Whether the first instant would be too late if it waited for one more."""
         next_time = log_time + self._interval + 2 * self._jitter
-        return next_time > self._stamps[0] + self._waiting.max_lag * 1e9
+        return next_time > self._stamps[0] + self._params.max_lag * 1e9
 
     def rest(self) -> Iterator[Block]:
         """Yield what is left at the end of the log."""
@@ -134,8 +128,8 @@ class WindowSmoother:
         covariances = np.pad(past.covariances, ((0, 0), (0, 0), (0, new), (0, new)))
         size = means.shape[2]
         for k in range(size - new, size):
-            known = covariances[:, :, 0, 0] > 0
-            covariances[:, :, k, k] = np.where(known, self._noise.offsets**2, 0.0)
+            seen_before = covariances[:, :, 0, 0] > 0
+            covariances[:, :, k, k] = np.where(seen_before, self._noise.offsets**2, 0.0)
         self._bank.past = past._replace(means=means, covariances=covariances)
 
     def _smooth(self, end: int, log_time: int) -> Block:
@@ -158,7 +152,7 @@ class WindowSmoother:
         """Smooth a window. Cameras that prove to be displaced lose their weight."""
         views, new = window.views, window.new
         white = self._noise.variances(views, self._names, self._places)
-        ahead = self._waiting.window > 0
+        ahead = self._params.window > 0
         excess = np.zeros(len(new)) if ahead else self.displaced.expected(views)
         for person in np.unique(window.people).tolist():
             self._bank.row(person, boundary)
@@ -184,9 +178,9 @@ class WindowSmoother:
         poses = FusedPoses.absent(len(window.people), variances.shape[1])
         for person in np.unique(window.people):
             rows = np.flatnonzero(window.people == person)
-            own = (window.views.people == person) & window.new
+            theirs = (window.views.people == person) & window.new
             steps, keep = self._steps(
-                chosen(window.views, own), variances[own], window.stamps[rows], boundary
+                chosen(window.views, theirs), variances[theirs], window.stamps[rows], boundary
             )
             self._smooth_person(int(person), steps, keep, boundary, rows, poses)
         return poses
@@ -214,10 +208,10 @@ class WindowSmoother:
         """Smooth one person's joints into ``rows`` of ``poses``."""
         row = self._bank.row(person, boundary)
         size = self._bank.past.means.shape[2]
-        own = FusedPoses.absent(len(rows), poses.variances.shape[1])
+        smoothed = FusedPoses.absent(len(rows), poses.variances.shape[1])
         work = fusing.FusionWork.of(len(steps.times), size)
-        fusing.smooth_joints(steps, keep, self._motion, self._bank.past, row, own, work)
-        for whole, part in zip(poses, own, strict=True):
+        fusing.smooth_joints(steps, keep, self._motion, self._bank.past, row, smoothed, work)
+        for whole, part in zip(poses, smoothed, strict=True):
             whole[rows] = part
 
     def _drop(self, n: int, boundary: int, views: Sightings) -> None:
@@ -239,9 +233,9 @@ class WindowSmoother:
             values[unknown] = np.nan
             people.markers[:, :, columns] = values
         people.marker_confidences[:] = 1 / (1 + variances / HALF_CONFIDENCE**2)
-        known = (~unknown).sum(axis=1)
+        count = (~unknown).sum(axis=1)
         total = np.nansum(people.marker_confidences, axis=1)
-        people.confidences[:] = np.where(known > 0, total / np.maximum(known, 1), np.nan)
+        people.confidences[:] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
         uncertainty = Uncertainty(np.sqrt(variances), seen, self._names, np.sqrt(shared))
         return replace(out.logged_at([log_time] * len(out)), uncertainty=uncertainty)
 
@@ -249,7 +243,7 @@ class WindowSmoother:
 def cameras_by_row(views: Sightings, rows: Stamps, shape: tuple[int, int]) -> Stamps:
     """(K, M) Cameras that saw each marker of a person at an instant, a bit each."""
     seen = np.zeros(shape, np.int64)
-    own = np.flatnonzero(rows >= 0)
-    bits = ~np.isnan(views.positions[own, :, 0]) * (1 << views.cameras[own])[:, None]
-    np.bitwise_or.at(seen, rows[own], bits)
+    shown = np.flatnonzero(rows >= 0)
+    bits = ~np.isnan(views.positions[shown, :, 0]) * (1 << views.cameras[shown])[:, None]
+    np.bitwise_or.at(seen, rows[shown], bits)
     return seen

@@ -19,9 +19,11 @@ import numpy as np
 from hiros_mcap.body.symmetry import split_side, symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
+from hiros_mcap.kernels.array_types import settings_of
 from hiros_mcap.kernels.averaging import Buffers, Views
 from hiros_mcap.skeletons import Flags, Ints, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.lee import clustering
 from hiros_mcap.stages.lee.lee_params import ClusterParams
 from hiros_mcap.stages.merge.instants import InstantMerger
 
@@ -92,31 +94,23 @@ class _ClusterKernel:
     """The compiled merger, with its settings, scratch and what it remembers of people."""
 
     def __init__(self, model: SkeletonModel, params: ClusterParams) -> None:
-        from hiros_mcap.stages.lee import clustering  # compiled only where it is used
-
-        self._kernels = clustering
         self._slots = model.n_markers, model.n_links
         every = np.ones(model.n_markers, np.bool_)
         used = lee_joints(model) if params.joints == "lee16" else every
         self._joints = clustering.Joints(pairs_of(model), np.ascontiguousarray(model.links), used)
-        self._settings = clustering.ClusterSettings(
-            medium_confidence=_MEDIUM,
-            low_confidence=_LOW,
+        self._settings = settings_of(
+            clustering.ClusterSettings, params, medium_confidence=_MEDIUM, low_confidence=_LOW,
             radius=params.radius if params.method == "dbscan" else 0.0,
-            min_neighbours=params.min_neighbours,
             memory=round(params.memory * 1e9) if params.previous_helps else -1,
-            rearrange=params.rearrange != "off",
-            both_sides=params.rearrange == "both",
-            reference_helps=params.reference_helps,
-            compensate_motion=params.compensate_motion,
-        )
+            rearrange=params.rearrange != "off", both_sides=params.rearrange == "both",
+        )  # fmt: skip
         nobody = clustering.ClusterPast(np.zeros(0, np.int64), np.zeros((0, model.n_markers, 3)))
         self.bank = Bank(nobody)
         self._make_room(0)
 
     def _make_room(self, views: int) -> None:
         self._views = Views.allocate(views, *self._slots)
-        self._work = self._kernels.ClusterWork.of(views, self._slots[0])
+        self._work = clustering.ClusterWork.of(views, self._slots[0])
 
     def __call__(
         self, buffers: Buffers, people: People, views: int, out: People, counts: Stamps
@@ -124,7 +118,7 @@ class _ClusterKernel:
         """Merge; see :data:`hiros_mcap.stages.merge.instants.MergeKernel`."""
         if views > len(self._views.stamps):
             self._make_room(2 * views)
-        self._kernels.cluster_buffers(
+        clustering.cluster_buffers(
             buffers, people, self._views, self.bank.past, self._settings, self._joints, out, counts,
             self._work,
         )  # fmt: skip

@@ -20,7 +20,7 @@ from hiros_mcap.kernels.averaging import (
     mean_state,
 )
 from hiros_mcap.kernels.compile import entry, kernel
-from hiros_mcap.kernels.distance import norm3
+from hiros_mcap.kernels.distance import norm3, point_distance, step_between
 from hiros_mcap.skeletons import Flags, Floats, Ints, People, Stamps
 
 OUTLIERS, SWAPS = 0, 1
@@ -173,11 +173,11 @@ def _rearrange(views: Views, k: int, joints: Joints, both: bool, work: ClusterWo
     swapped[:] = False
     for i in range(len(joints.pairs)):
         left, right = joints.pairs[i, 0], joints.pairs[i, 1]
-        correct = _distance(markers, right, reference, right)  # D_correct
-        wrong = _distance(markers, left, reference, right)  # D_wrong
+        correct = point_distance(markers[right], reference[right])  # D_correct
+        wrong = point_distance(markers[left], reference[right])  # D_wrong
         if both:
-            correct += _distance(markers, left, reference, left)
-            wrong += _distance(markers, right, reference, left)
+            correct += point_distance(markers[left], reference[left])
+            wrong += point_distance(markers[right], reference[left])
         if math.isnan(correct) or math.isnan(wrong) or math.isnan(reference[left, 0]):
             continue
         compared += 1
@@ -202,13 +202,6 @@ def _blank_links(views: Views, k: int, links: Ints, swapped: Flags, every: bool)
             views.link_confidences[k, m] = np.nan
             for c in range(views.links.shape[2]):
                 views.links[k, m, c] = np.nan
-
-
-@kernel
-def _distance(a: Floats, i: int, b: Floats, j: int) -> float:
-    """Distance between row ``i`` of ``a`` and row ``j`` of ``b``."""
-    distance: float = norm3(a[i, 0] - b[j, 0], a[i, 1] - b[j, 1], a[i, 2] - b[j, 2])
-    return distance
 
 
 # Clustering (section 2.2.2).
@@ -262,9 +255,7 @@ def _is_one_cluster(points: Floats, n: int, radius: float) -> bool:
             continue
         if first < 0:
             first = k
-        x = points[k, 0] - points[first, 0]
-        y = points[k, 1] - points[first, 1]
-        z = points[k, 2] - points[first, 2]
+        x, y, z = step_between(points, first, k)
         if x * x + y * y + z * z > radius * radius:
             return False
     return True
@@ -292,9 +283,7 @@ def dbscan(points: F2, radius: float, min_points: int, work: ClusterWork) -> int
     for a in range(n):
         labels[a] = -1
         for b in range(a + 1):
-            x = points[a, 0] - points[b, 0]
-            y = points[a, 1] - points[b, 1]
-            z = points[a, 2] - points[b, 2]
+            x, y, z = step_between(points, b, a)
             near[a, b] = near[b, a] = x * x + y * y + z * z <= limit  # false for NaN
     for a in range(n):
         count = 0
@@ -332,7 +321,7 @@ def _choose_cluster(
     wins, then the one whose centre is nearer to the previous position; what is still equal wins
     together, for the order of the cameras must not matter.
     """
-    found = False
+    some = False
     best_size, best_confident, best_distance = 0, 0, 0.0
     for cluster in range(clusters):
         size = candidates = good = 0
@@ -359,13 +348,13 @@ def _choose_cluster(
             order = good - best_confident
         if order == 0 and abs(distance - best_distance) > _EQUAL:
             order = 1 if distance < best_distance else -1
-        if order < 0 and found:
+        if order < 0 and some:
             continue
         for k in range(n):
-            chosen[k] = labels[k] == cluster or (order == 0 and found and chosen[k])
-        found = True
+            chosen[k] = labels[k] == cluster or (order == 0 and some and chosen[k])
+        some = True
         best_size, best_confident, best_distance = size, good, distance
-    return found
+    return some
 
 
 @kernel
@@ -387,15 +376,15 @@ def _average_link(
     parent, child = joints.links[m, 0], joints.links[m, 1]
     if (parent >= 0 and not joints.used[parent]) or (child >= 0 and not joints.used[child]):
         return
-    found = False
+    some = False
     for k in range(len(views.stamps)):
         both = (parent < 0 or work.kept[k, parent]) and (child < 0 or work.kept[k, child])
-        known = not (
+        is_seen = not (
             math.isnan(views.links[k, m, ORIENTATION]) and math.isnan(views.links[k, m, POSITION])
         )
-        work.weights[k] = 1.0 if both and known else 0.0
-        found = found or (both and known)
-    if not found:
+        work.weights[k] = 1.0 if both and is_seen else 0.0
+        some = some or (both and is_seen)
+    if not some:
         work.weights[: len(views.stamps)] = 1.0
     _average(
         views.links, views.link_confidences, m, work.weights, out.links[p], out.link_confidences[p]

@@ -16,8 +16,10 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from hiros_mcap.events import Events
+from hiros_mcap.kernels.array_types import settings_of
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
 from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.lee import predicting as kernels
 from hiros_mcap.stages.lee.lee_params import PredictParams
 
 _SIZES = {"constant_position": 1, "constant_velocity": 2, "constant_acceleration": 3}
@@ -36,15 +38,12 @@ def predict(
     model : the skeleton. params : see :class:`PredictParams`.
     events : counts "predict: time not increasing" (a person passes unchanged).
     """
-    from hiros_mcap.stages.lee import predicting as kernels
-
     if not model.n_markers:  # a log of an empty room
         yield from frames
         return
     params, events = params or PredictParams(), Events() if events is None else events
-    settings = kernels.PredictSettings(
-        params.noise_ratio, params.max_gap, params.output == "corrected"
-    )
+    corrected = params.output == "corrected"
+    settings = settings_of(kernels.PredictSettings, params, corrected=corrected)
     empty = kernels.PredictedPeople.empty(model.n_markers, _SIZES[params.model])
     bank = Bank(empty, params.max_gap)
     for frame in frames:

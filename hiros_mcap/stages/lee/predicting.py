@@ -12,8 +12,7 @@ from hiros_mcap.kernels.kalman_filter import Covariance
 from hiros_mcap.kernels.point_filter import TRIANGLE, correct, predict, start
 from hiros_mcap.skeletons import ACCELERATION, POSITION, VELOCITY, Floats
 
-STEP = 1 / 30
-"""s: time step of Q, the period of the paper's cameras."""
+STEP = 1 / 30  # s: time step of Q, the period of the paper's cameras
 _X = POSITION.start
 _DERIVATIVES = (VELOCITY.start, ACCELERATION.start)
 
@@ -22,7 +21,7 @@ class PredictedPeople(NamedTuple):
     """The filters of all people: R rows, M joints, S elements of the state."""
 
     stamps: I1  # (R,) time of the state, ns
-    known: B2  # (R, M) joints that were measured at least once
+    started: B2  # (R, M) joints that were measured at least once
     seen: I2  # (R, M) time of the last measurement, ns
     states: F4  # (R, M, S, 3) position, m, and its derivatives per step
     covariances: F3  # (R, M, 6) of ``kalman_filter``, per R and step
@@ -94,11 +93,11 @@ def filter_people(
             x, p, marker = past.states[row, m], past.covariances[row, m], markers[i, m]
             is_seen = not np.isnan(marker[_X])
             unseen_for = (now - past.seen[row, m]) * 1e-9
-            if past.known[row, m] and unseen_for <= settings.max_gap:
+            if past.started[row, m] and unseen_for <= settings.max_gap:
                 _filter(x, p, marker, steps, settings)
             elif is_seen:
                 start(x, p, marker[_X : _X + 3], _diagonal(len(x), 1.0))
-                past.known[row, m] = True
+                past.started[row, m] = True
                 _write_derivatives(x, marker)
             if is_seen:
                 past.seen[row, m] = now

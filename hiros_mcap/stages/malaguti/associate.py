@@ -14,9 +14,13 @@ import numpy as np
 
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of
+from hiros_mcap.kernels.array_types import settings_of
+from hiros_mcap.kernels.assignment import assign
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
 from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.malaguti import centroid_filter as kernels
 from hiros_mcap.stages.malaguti.malaguti_params import AssociateParams
+from hiros_mcap.stages.time_order import in_time_order
 
 
 def associate(
@@ -34,8 +38,6 @@ def associate(
     ------
     The frames, in the order of their times, with ids; UNTRACKED where a track is not confirmed.
     """
-    from hiros_mcap.stages.time_order import in_time_order
-
     params = params or AssociateParams()
     associator = _Associator(params, Events() if events is None else events)
     for frame in frames_of(in_time_order(map(Block.of, frames), params.reorder)):
@@ -46,23 +48,17 @@ class _Associator:
     """The tracks, tentative until they are confirmed."""
 
     def __init__(self, params: AssociateParams, events: Events) -> None:
-        from hiros_mcap.stages.malaguti import centroid_filter as kernels
-
-        self._params, self._events, self._kernels = params, events, kernels
+        self._params, self._events = params, events
         self._bank = Bank(kernels.Centroids.empty(), params.max_gap)
-        self._settings = kernels.CentroidSettings(
-            params.gate, params.position_noise, params.acceleration
-        )
+        self._settings = settings_of(kernels.CentroidSettings, params)
         self._tracks, self._people = itertools.count(), itertools.count()
         self._ids: dict[int, int] = {}
         """Confirmed track -> id."""
 
     def update(self, frame: Frame) -> Frame:
         """Give every detection of one message its id (III-A)."""
-        from hiros_mcap.kernels.assignment import assign
-
         self._end_lost_tracks(frame.stamp)
-        kernels, settings, past = self._kernels, self._settings, self._bank.past
+        settings, past = self._settings, self._bank.past
         tracks, rows = list(self._bank.rows), np.array(list(self._bank.rows.values()), np.int64)
         centroids, cost = np.empty((frame.n_people, 3)), np.empty((len(rows), frame.n_people))
         kernels.find_centroids(frame.markers, centroids)
@@ -86,8 +82,8 @@ class _Associator:
     def _correct(self, matches: list[int | None], centroids: Floats, stamp: int) -> None:
         """Correct the track of each detection by its centroid, where it has one."""
         rows = [-1 if track is None else self._bank.row(track, stamp) for track in matches]
-        own = np.array(rows, np.int64)
-        self._kernels.correct_tracks(self._bank.past, own, centroids, self._settings)
+        matched_rows = np.array(rows, np.int64)
+        kernels.correct_tracks(self._bank.past, matched_rows, centroids, self._settings)
 
     def _start(self, centroid: Floats, frame: Frame) -> int | None:
         """Start a track, unless a person was reported twice."""
@@ -100,7 +96,7 @@ class _Associator:
             return None
         track = next(self._tracks)
         row = self._bank.row(track, frame.stamp)
-        self._kernels.start_track(self._bank.past, row, frame.stamp, centroid, self._settings)
+        kernels.start_track(self._bank.past, row, frame.stamp, centroid, self._settings)
         return track
 
     def _id(self, track: int | None, frame: Frame) -> int:

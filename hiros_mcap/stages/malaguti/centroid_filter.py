@@ -8,14 +8,14 @@ import numpy as np
 
 from hiros_mcap.kernels.array_types import F1, F2, F3, I1, arrays
 from hiros_mcap.kernels.compile import entry
+from hiros_mcap.kernels.distance import centre
 from hiros_mcap.kernels.kalman_filter import prior, white_acceleration
 from hiros_mcap.kernels.point_filter import TRIANGLE, correct, predict, start
 from hiros_mcap.skeletons import POSITION
 
 NOISE_RATE = 30.0
 """Hz: the noise of one second is that of so many steps of the paper's model (33 ms)."""
-STARTING_SPEED = 1.0
-"""m/s, SD per axis of what was just seen for the first time."""
+STARTING_SPEED = 1.0  # m/s, SD per axis of what was just seen for the first time
 _X = POSITION.start
 
 
@@ -45,15 +45,7 @@ class CentroidSettings(NamedTuple):
 def find_centroids(markers: F3, centroids: F2) -> None:
     """Write the means of the known markers of (P, M, 19) into (P, 3), m; NaN where none is."""
     for p in range(len(markers)):
-        known = 0
-        centroids[p] = 0.0
-        for m in range(markers.shape[1]):
-            if not np.isnan(markers[p, m, _X]):
-                known += 1
-                for c in range(3):
-                    centroids[p, c] += markers[p, m, _X + c]
-        for c in range(3):
-            centroids[p, c] = centroids[p, c] / known if known else np.nan
+        centre(markers[p], centroids[p])
 
 
 @entry

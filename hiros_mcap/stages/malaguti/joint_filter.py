@@ -27,7 +27,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.kernels.array_types import B2, F1, F2, F3, F4, I1, I3, arrays
-from hiros_mcap.kernels.compile import entry, inlined, kernel
+from hiros_mcap.kernels.averaging import copy_row
+from hiros_mcap.kernels.compile import entry, kernel
+from hiros_mcap.kernels.distance import point_distance
 from hiros_mcap.kernels.kalman_filter import prior, white_acceleration
 from hiros_mcap.kernels.point_filter import TRIANGLE, correct, predict, start
 from hiros_mcap.skeletons import POSITION, STATE, VELOCITY, Floats, People, Stamps
@@ -37,15 +39,14 @@ _LEAST_CONFIDENCE = 1e-3  # keeps eq 8 finite where every confidence is accepted
 _DISTANCES, _OUTLIERS = 0, 1  # columns of the counts
 _X, _VX = POSITION.start, VELOCITY.start
 
-Position = tuple[float, float, float]
-"""m."""
+Position = tuple[float, float, float]  # m
 
 
 class FilteredPeople(NamedTuple):
     """The filters of all people: R rows, M joints, L links."""
 
     stamps: I1  # (R,) time of the state, ns
-    known: B2  # (R, M) joints that were measured at least once
+    started: B2  # (R, M) joints that were measured at least once
     states: F4  # (R, M, 2, 3) position, m, and velocity, m/s (eq 4)
     covariances: F3  # (R, M, 6) of ``kalman_filter``
     distances: F3  # (R, M, N) the last N d of eq 9, m: innovations accepted, or steps made
@@ -102,11 +103,6 @@ def _measurement_variance(
     return float(sigma_r**2 / max(confidence, _LEAST_CONFIDENCE) + range_variance)  # eq 8
 
 
-@inlined
-def _distance(a: Floats, b: Floats | Position) -> float:
-    return float(np.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2))
-
-
 @kernel
 def _outlier_factor(
     history: Floats, counts: Stamps, d: float, settings: JointFilterSettings
@@ -141,22 +137,16 @@ def _correct_joint(
     """Correct a predicted joint, which was at ``before``; whether the measurement is an outlier."""
     x, p = past.states[row, m], past.covariances[row, m]
     history, counts = past.distances[row, m], past.counts[row, m]
-    innovation = _distance(measured, x[0])
-    d = _distance(measured, before) if settings.consecutive else innovation
+    innovation = point_distance(measured, x[0])
+    d = point_distance(measured, before) if settings.consecutive else innovation
     factor = _outlier_factor(history, counts, d, settings)  # eq 9 and 10
     is_outlier: bool = factor > 1.0
     correct(x, p, measured, variance * factor)  # eq 6 and 7
     if settings.consecutive:
-        _remember(history, counts, _distance(x[0], before))
+        _remember(history, counts, point_distance(x[0], before))
     elif not is_outlier:
         _remember(history, counts, innovation)
     return is_outlier
-
-
-@kernel
-def _copy(target: Floats, source: Floats) -> None:
-    for i in range(len(target)):
-        target[i] = source[i]
 
 
 @entry
@@ -180,22 +170,21 @@ def update(
         for m in range(people.markers.shape[1]):
             x, p = past.states[row, m], past.covariances[row, m]
             before = x[0, 0], x[0, 1], x[0, 2]
-            if past.known[row, m]:
+            if past.started[row, m]:
                 _predict_joint(x, p, dt, settings)  # eq 5
             confidence, measured = people.marker_confidences[k, m], people.markers[k, m, POSITION]
             variance = _measurement_variance(confidence, range_variances[k], settings)  # eq 8
             if np.isnan(variance + measured[0]):
                 continue  # the prediction stands (III-C)
-            if past.known[row, m]:
+            if past.started[row, m]:
                 outliers += _correct_joint(past, row, m, before, measured, variance, settings)
             else:
                 start(x, p, measured, prior(variance, STARTING_SPEED**2, 0.0))
-                past.known[row, m] = True
+                past.started[row, m] = True
         past.stamps[row], past.confidences[row] = now, people.confidences[k]
-        _copy(past.marker_confidences[row], people.marker_confidences[k])
-        for n in range(people.links.shape[1]):
-            _copy(past.links[row, n], people.links[k, n])
-        _copy(past.link_confidences[row], people.link_confidences[k])
+        copy_row(past.marker_confidences, row, people.marker_confidences, k)
+        copy_row(past.links, row, people.links, k)
+        copy_row(past.link_confidences, row, people.link_confidences, k)
     return outliers
 
 
@@ -206,13 +195,12 @@ def write(past: FilteredPeople, rows: I1, now: int, people: People) -> None:
         row = rows[i]
         dt = (now - past.stamps[row]) * 1e-9
         for m in range(people.markers.shape[1]):
-            if past.known[row, m]:
+            if past.started[row, m]:
                 for c in range(3):
                     position, velocity = past.states[row, m, 0, c], past.states[row, m, 1, c]
                     people.markers[i, m, _X + c] = position + dt * velocity
                     people.markers[i, m, _VX + c] = velocity
         people.confidences[i] = past.confidences[row]
-        _copy(people.marker_confidences[i], past.marker_confidences[row])
-        for n in range(people.links.shape[1]):
-            _copy(people.links[i, n], past.links[row, n])
-        _copy(people.link_confidences[i], past.link_confidences[row])
+        copy_row(people.marker_confidences, i, past.marker_confidences, row)
+        copy_row(people.links, i, past.links, row)
+        copy_row(people.link_confidences, i, past.link_confidences, row)

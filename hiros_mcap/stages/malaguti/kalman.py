@@ -12,8 +12,11 @@ from operator import attrgetter
 import numpy as np
 
 from hiros_mcap.events import TOO_LATE, Events
+from hiros_mcap.kernels.array_types import settings_of
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.malaguti import joint_filter
+from hiros_mcap.stages.malaguti.centroid_filter import find_centroids
 from hiros_mcap.stages.malaguti.malaguti_params import KalmanParams
 
 _PEOPLE = attrgetter(*People._fields)
@@ -61,14 +64,11 @@ class _Fusion:
         self, model: SkeletonModel, params: KalmanParams, fixed_frame: str,
         cameras: Mapping[str, Floats],
     ) -> None:  # fmt: skip
-        from hiros_mcap.stages.malaguti import joint_filter
-
         self.params, self._model = params, model
-        self._kernels, self._fixed, self._cameras = joint_filter, fixed_frame, cameras
+        self._fixed, self._cameras = fixed_frame, cameras
         empty = joint_filter.FilteredPeople.empty(model.n_markers, model.n_links, params.history)
         self._bank = Bank(empty, params.max_gap)
-        names = joint_filter.JointFilterSettings._fields
-        self._settings = joint_filter.JointFilterSettings(*attrgetter(*names)(params))
+        self._settings = settings_of(joint_filter.JointFilterSettings, params)
         self._due = 0
 
     def update(self, frame: Frame) -> int:
@@ -82,7 +82,7 @@ class _Fusion:
             for person in frame.ids.tolist()
         ]
         return int(
-            self._kernels.update(
+            joint_filter.update(
                 self._bank.past, People(*_PEOPLE(frame)), np.array(rows, np.int64), frame.stamp,
                 self._range_variances(frame), self._settings,
             )
@@ -90,8 +90,6 @@ class _Fusion:
 
     def _range_variances(self, frame: Frame) -> Floats:
         """(P,) Variance that the distance from the camera adds, m2, as in OpenPTrack."""
-        from hiros_mcap.stages.malaguti.centroid_filter import find_centroids
-
         if not self.params.range_noise or frame.source not in self._cameras:
             return np.zeros(frame.n_people)
         centroids = np.empty((frame.n_people, 3))
@@ -118,5 +116,5 @@ class _Fusion:
         )  # fmt: skip
         out.ids[:] = people
         rows: Stamps = np.array([self._bank.rows[person] for person in people], np.int64)
-        self._kernels.write(self._bank.past, rows, stamp, People(*_PEOPLE(out)))
+        joint_filter.write(self._bank.past, rows, stamp, People(*_PEOPLE(out)))
         return out

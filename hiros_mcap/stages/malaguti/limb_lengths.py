@@ -8,6 +8,7 @@ import numpy as np
 
 from hiros_mcap.kernels.array_types import B1, F2, F3, I1, J2
 from hiros_mcap.kernels.compile import entry, kernel
+from hiros_mcap.kernels.distance import point_distance
 from hiros_mcap.skeletons import Floats
 
 _SHORTEST = 1e-6  # m; a shorter link has no direction
@@ -39,10 +40,7 @@ class LimbSettings(NamedTuple):
 @kernel
 def _length(pose: Floats, tree: LinkTree, k: int) -> float:
     """Measured length of link k in a pose (M, 19), m; NaN if an end is absent."""
-    squared = 0.0
-    for c in range(3):
-        squared += (pose[tree.ends[k, 1], c] - pose[tree.ends[k, 0], c]) ** 2
-    return float(np.sqrt(squared))
+    return point_distance(pose[tree.ends[k, 1]], pose[tree.ends[k, 0]])
 
 
 @kernel

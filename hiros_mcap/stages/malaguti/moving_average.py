@@ -50,8 +50,8 @@ def moving_average(
                 array[row, -1] = newest
         poses = bank.past.positions[rows]
         counts = np.abs(frame.stamp - bank.past.stamps[rows]) <= lifetime
-        known = ~np.isnan(poses) & counts[:, :, np.newaxis, np.newaxis]
-        total = np.where(known, poses, 0.0).sum(axis=1)
+        recent = ~np.isnan(poses) & counts[:, :, np.newaxis, np.newaxis]
+        total = np.where(recent, poses, 0.0).sum(axis=1)
         with np.errstate(invalid="ignore"):
-            out.markers[:, :, POSITION] = total / known.sum(axis=1)
+            out.markers[:, :, POSITION] = total / recent.sum(axis=1)
         yield out

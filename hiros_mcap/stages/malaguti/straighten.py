@@ -10,8 +10,10 @@ from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
 from hiros_mcap.body.segments import HEAD
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.events import Events
+from hiros_mcap.kernels.array_types import settings_of
 from hiros_mcap.skeletons import POSITION, UNTRACKED, Frame, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.malaguti import limb_lengths as kernels
 from hiros_mcap.stages.malaguti.malaguti_params import StraightenParams
 
 
@@ -53,11 +55,9 @@ class _LimbConsistency:
     """The limb lengths of everybody who was seen lately."""
 
     def __init__(self, model: SkeletonModel, params: StraightenParams, limbs: LimbTable) -> None:
-        from hiros_mcap.stages.malaguti import limb_lengths as kernels
-
-        self._kernels, self._limbs, self._keys = kernels, limbs, link_keys(model)
+        self._limbs, self._keys = limbs, link_keys(model)
         self._given = {person: limbs.lengths(person, model) for person in limbs.people}
-        self._settings = kernels.LimbSettings(params.frames, params.rate)
+        self._settings = settings_of(kernels.LimbSettings, params)
         order = link_order(model, () if params.head else _head(model))
         self._tree = kernels.LinkTree(np.ascontiguousarray(model.links), order)
         nobody, none = np.zeros(0, np.int64), np.zeros((0, model.n_links))
@@ -72,9 +72,7 @@ class _LimbConsistency:
             for person in out.ids.tolist()
         ]
         past = self._bank.past
-        self._kernels.straighten(
-            out.markers, np.array(rows, np.int64), past, self._tree, self._settings
-        )
+        kernels.straighten(out.markers, np.array(rows, np.int64), past, self._tree, self._settings)
         if len(self._calibrated) == len(self._bank.rows):
             return []
         enough = self._settings.frames

@@ -24,6 +24,7 @@ import numpy as np
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
+from hiros_mcap.kernels.array_types import settings_of
 from hiros_mcap.kernels.averaging import Buffers, Views
 from hiros_mcap.skeletons import Floats, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
@@ -79,22 +80,13 @@ class ViewMerger:
         symmetry = symmetry_of(model)
         self._slots = model.n_markers, model.n_links
         self._sides = merging.Sides(symmetry.mirror, symmetry.lateral)
-        self._settings = merging.MergerSettings(
-            max_position_delta=params.max_position_delta,
-            max_orientation_delta=params.max_orientation_delta,
-            max_facing_delta=params.max_facing_delta,
-            confidence_power=params.confidence_power,
-            robust_scale=params.robust_scale,
-            offset_time=params.offset_time,
-            bridge=params.bridge,
-            carry=params.carry,
+        self._settings = settings_of(
+            merging.MergerSettings, params,
             pelvis_link=-1 if params.facing == "sides" else _pelvis_link(model),
             facing_by_sides=params.facing != "pelvis",
             relabel=params.flips == "relabel" and symmetry.known,
-            past_votes=params.past_votes,
-            compensate_motion=params.compensate_motion,
             only_orientations=only_orientations,
-        )
+        )  # fmt: skip
         self.bank = Bank(merging.MergerPast.empty(*self._slots))
         self.sides_changed = np.zeros(0, np.int64)
         """What became of the views of the last call; see :func:`merging.merge_buffers`."""

@@ -18,14 +18,14 @@ from hiros_mcap.kernels.averaging import (
     Views,
     blank,
     blank_person,
-    copy_row,
+    copy_pose,
     exchange,
     load_views,
     mean_person,
     mean_state,
 )
 from hiros_mcap.kernels.compile import entry, inlined, kernel
-from hiros_mcap.kernels.distance import norm3
+from hiros_mcap.kernels.distance import norm3, point_distance, step_between
 from hiros_mcap.kernels.quaternions import angle_of
 from hiros_mcap.skeletons import STATE, Flags, Floats, Ints, People, Stamps
 
@@ -137,7 +137,7 @@ def _merge_person(
 ) -> None:  # fmt: skip
     """Merge the views of one person (section 3.2)."""
     has_past = _predict(stamp, past, row, settings, work)  # the past pose votes like a camera
-    _settle_facing(stamp, views, past, row, has_past, settings, sides, counts, work)  # flips
+    _follow_facing(stamp, views, past, row, has_past, settings, sides, counts, work)  # flips
     offsets = past.camera_offsets[row]
     blank_person(out, p)
     with_markers = not settings.only_orientations or _have_orientations(views.markers)
@@ -178,8 +178,7 @@ def _have_orientations(markers: Floats) -> bool:
 @kernel
 def _is_fresh(stamp: int, past: MergerPast, row: int) -> bool:
     """Whether the past pose is young enough to be carried on."""
-    fresh: bool = past.seen[row] > 0 and (stamp - past.seen[row]) * 1e-9 <= _HORIZON
-    return fresh
+    return past.seen[row] > 0 and (stamp - past.seen[row]) * 1e-9 <= _HORIZON
 
 
 @kernel
@@ -207,11 +206,7 @@ def _predict(
 def _remember(stamp: int, people: People, p: int, past: MergerPast, row: int) -> None:
     """Keep a merged pose."""
     past.seen[row] = stamp
-    past.confidences[row] = people.confidences[p]
-    copy_row(past.markers, row, people.markers, p)
-    copy_row(past.marker_confidences, row, people.marker_confidences, p)
-    copy_row(past.links, row, people.links, p)
-    copy_row(past.link_confidences, row, people.link_confidences, p)
+    copy_pose(past, row, people, p)
 
 
 @kernel
@@ -229,11 +224,7 @@ def _bridge(
 
     Beyond ``bridge`` s without a view, confidences fall, to nothing at ``carry`` s.
     """
-    out.confidences[p] = past.confidences[row]
-    copy_row(out.markers, p, past.markers, row)
-    copy_row(out.marker_confidences, p, past.marker_confidences, row)
-    copy_row(out.links, p, past.links, row)
-    copy_row(out.link_confidences, p, past.link_confidences, row)
+    copy_pose(out, p, past, row)
     unseen = (stamp - past.seen[row]) * 1e-9
     if unseen > settings.bridge:
         share = max(1.0 - unseen / settings.carry, 0.0)
@@ -264,11 +255,8 @@ def _distance(values: Floats, a: int, b: int, orientations: bool) -> float:
     """Distance of two rows: positions, m, or ``orientations``, rad; NaN = unknown."""
     if orientations:
         dot = _dot(values, a, values, b)
-        angle: float = np.nan if math.isnan(dot) else angle_of(dot)  # eq 10
-        return angle
-    x, y, z = values[a, 0] - values[b, 0], values[a, 1] - values[b, 1], values[a, 2] - values[b, 2]
-    distance: float = norm3(x, y, z)
-    return distance
+        return np.nan if math.isnan(dot) else angle_of(dot)  # eq 10
+    return norm3(*step_between(values, b, a))
 
 
 @entry
@@ -327,7 +315,7 @@ def _votes(distances: Floats, k: int, limit: float) -> int:
 
 
 @kernel
-def _settle_facing(
+def _follow_facing(
     stamp: int, views: Views, past: MergerPast, row: int, has_past: bool,
     settings: MergerSettings, sides: Sides, counts: Stamps, work: MergerWork,
 ) -> None:  # fmt: skip
@@ -432,10 +420,7 @@ def _left_to_right(positions: Floats, pairs: Ints) -> tuple[float, float, float]
     """Direction from left to right, the mean over shoulders and hips; NaN if unknown."""
     x = y = z = 0.0
     for i in range(pairs.shape[0]):
-        a, b = pairs[i, 0], pairs[i, 1]
-        dx = positions[b, 0] - positions[a, 0]
-        dy = positions[b, 1] - positions[a, 1]
-        dz = positions[b, 2] - positions[a, 2]
+        dx, dy, dz = step_between(positions, pairs[i, 0], pairs[i, 1])
         length = norm3(dx, dy, dz)
         if length > 1e-6:  # false for NaN
             x, y, z = x + dx / length, y + dy / length, z + dz / length
@@ -509,27 +494,11 @@ def _is_mirrored(markers: Floats, mirror: Ints, reference: Floats, share: float)
     as_is = mirrored = 0.0
     for m in range(len(mirror)):
         o = mirror[m]
-        d = norm3(
-            markers[m, 0] - reference[m, 0],
-            markers[m, 1] - reference[m, 1],
-            markers[m, 2] - reference[m, 2],
-        )
-        s = norm3(
-            markers[o, 0] - reference[m, 0],
-            markers[o, 1] - reference[m, 1],
-            markers[o, 2] - reference[m, 2],
-        )
+        d, s = point_distance(markers[m], reference[m]), point_distance(markers[o], reference[m])
         if not math.isnan(d) and not math.isnan(s):
             as_is += d
             mirrored += s
     return mirrored < share * as_is
-
-
-@kernel
-def _blank_view(views: Views, k: int) -> None:
-    """Make all markers and links of a view absent."""
-    blank(views.markers[k], views.marker_confidences[k])
-    blank(views.links[k], views.link_confidences[k])
 
 
 @kernel
@@ -598,20 +567,20 @@ def _raise(slots: _Slots, power: float) -> None:
 def _load_values(slots: _Slots, m: int, orientations: bool, values: Floats, present: Flags) -> bool:
     """Load what views and past show of a slot; whether any view shows it at all."""
     n, first = len(present), ORIENTATION if orientations else POSITION
-    found = False
+    some = False
     for k in range(n):
         present[k] = not math.isnan(slots.states[k, m, first])
-        found = found or present[k]
+        some = some or present[k]
         for c in range(slots.past.shape[1]):
             values[k, c] = slots.states[k, m, first + c]
     for c in range(slots.past.shape[1]):
         values[n, c] = slots.past[m, c]
-    if orientations and not found:
+    if orientations and not some:
         for k in range(n):
             no_position = math.isnan(slots.states[k, m, POSITION])
             present[k] = not (no_position and math.isnan(slots.confidences[k, m]))
-            found = found or present[k]
-    return found
+            some = some or present[k]
+    return some
 
 
 @kernel
@@ -640,9 +609,7 @@ def _all_agree(
             if abs(_dot(values, k, values, centre)) <= half:
                 return False
         else:
-            x = values[k, 0] - values[centre, 0]
-            y = values[k, 1] - values[centre, 1]
-            z = values[k, 2] - values[centre, 2]
+            x, y, z = step_between(values, centre, k)
             if x * x + y * y + z * z >= half:
                 return False
     return True

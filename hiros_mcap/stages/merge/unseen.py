@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hiros_mcap.frames import Block
-from hiros_mcap.skeletons import POSITION, UNTRACKED, Flags, Floats, People, Stamps
+from hiros_mcap.kernels.distance import centre
+from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, People, Stamps
 from hiros_mcap.stages.track.coverage import Coverage
 
 _RECENT = 1_000_000_000  # ns: a camera that was silent for longer did not see the person anyway
@@ -148,6 +149,6 @@ class Unseen:
 
 def _centre(people: People, row: int) -> Floats:
     """Mean marker position (3,) of a person, m; NaN if no marker was seen."""
-    places = people.markers[row, :, POSITION]
-    known = places[~np.isnan(places[:, 0])]
-    return np.asarray(known.sum(axis=0) / (len(known) or np.nan))
+    place = np.empty(3)
+    centre(people.markers[row], place)
+    return place

@@ -39,8 +39,8 @@ def topology_of(model: SkeletonModel) -> Topology:
     ends = [pair and sorted(pair, key=place.__getitem__) for pair in couples]
     link_block = [blocks[pair[0], pair[1]] if pair else -1 for pair in ends]
     # Links to a marker that does not exist count for no degree; a link to itself counts twice.
-    known = model.links[(model.links >= 0).all(axis=1)]
-    degree = np.bincount(known.ravel(), minlength=model.n_markers)
+    whole = model.links[(model.links >= 0).all(axis=1)]
+    degree = np.bincount(whole.ravel(), minlength=model.n_markers)
     rows = (model.links, degree, _outward(model), order, first, row, first_pair, target, link_block)
     return Topology(*(np.ascontiguousarray(each, np.int32) for each in rows))
 

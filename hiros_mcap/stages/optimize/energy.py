@@ -13,6 +13,7 @@ import numpy as np
 
 from hiros_mcap.kernels.array_types import F1, F2, F3, J2, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel
+from hiros_mcap.kernels.distance import point_distance
 from hiros_mcap.skeletons import Floats, Ints
 from hiros_mcap.stages.optimize.normal_equations import NormalEquations, Topology, solve_equations
 
@@ -77,19 +78,12 @@ class SolverScratch(NamedTuple):
 
 
 @kernel
-def distance(a: Floats, b: Floats) -> float:
-    """Return the distance of two points, m."""
-    x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
-    return sqrt(x * x + y * y + z * z)
-
-
-@kernel
 def length_error(points: Floats, nominal: Floats, links: Ints, k: int) -> float:
     """How far link ``k`` is off its calibrated length, m; NaN where it is not known."""
     p, d = links[k, 0], links[k, 1]
     if p < 0 or d < 0 or p == d:
         return np.nan
-    error: float = distance(points[p], points[d]) - nominal[k]
+    error: float = point_distance(points[p], points[d]) - nominal[k]
     return abs(error)
 
 
@@ -160,7 +154,7 @@ def _write_start_directions(energy: Energy, links: Ints, directions: Floats) -> 
     for k in range(links.shape[0]):
         p, d = links[k, 0], links[k, 1]
         weighted = energy.weights[k, W_ORIENTATION] > 0.0
-        length = distance(energy.start[p], energy.start[d]) if weighted else 0.0
+        length = point_distance(energy.start[p], energy.start[d]) if weighted else 0.0
         for j in range(3):
             way = energy.start[d, j] - energy.start[p, j]
             directions[k, j] = way / length if length > 1e-9 else 0.0

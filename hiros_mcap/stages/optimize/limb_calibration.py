@@ -146,7 +146,7 @@ class Calibration:
             if identity < 0:
                 continue
             if identity not in self._bank.rows:
-                self._meet(identity, stamp)
+                self._admit(identity, stamp)
             self._bank.row(identity, stamp)
             person = self._people.get(identity)
             if person is None:
@@ -154,11 +154,11 @@ class Calibration:
             if wanted:
                 self._buffer(identity, person, stamp, lengths[row], weights[row])
             if person.waiting and stamp - person.first >= self._params.lookahead * _SECOND:
-                self._settle(identity, person)
+                self._conclude(identity, person)
         if stamp - self._checked > _SECOND:
             self._check_absent(stamp)
 
-    def settled(self, ids: list[int]) -> bool:
+    def is_ready(self, ids: list[int]) -> bool:
         """Whether none of these people may get lengths soon."""
         people = map(self._people.get, ids)
         return not any(person is not None and person.waiting for person in people)
@@ -170,7 +170,7 @@ class Calibration:
             if identity not in self._bank.rows:
                 if identity not in self.limbs.people:
                     continue
-                self._meet(identity, self._checked)
+                self._admit(identity, self._checked)
             (_, target, current), row = self._bank.past, self._bank.rows[identity]
             current[row] += (target[row] - current[row]) / self._params.calibration_frames
             nominal[k] = current[row]
@@ -186,7 +186,7 @@ class Calibration:
             if len(person.buffer) >= self._enough:
                 self._refine(identity, person)
             return
-        self._settle(identity, person)
+        self._conclude(identity, person)
         if not person.calibrated and person.buffer:
             self._reject(identity, f"only {len(person.buffer)} frames")
 
@@ -200,7 +200,7 @@ class Calibration:
         seconds = (stamp - (self._start or 0)) / _SECOND
         return not windows or any(start <= seconds < end for start, end in windows)
 
-    def _meet(self, identity: int, stamp: int) -> None:
+    def _admit(self, identity: int, stamp: int) -> None:
         """Take the lengths of a new person from the table, or start to measure them."""
         row, n = self._bank.row(identity, stamp), self._model.n_links
         given = self.limbs.lengths(identity, self._model)  # NaN if there are none
@@ -226,7 +226,7 @@ class Calibration:
         elif person.waiting:
             self._average(person)
         else:
-            self._settle(identity, person)
+            self._conclude(identity, person)
 
     def _average(self, person: _Measured) -> None:
         """Average the buffer's lengths; keep those that pass the quality gate."""
@@ -238,7 +238,7 @@ class Calibration:
         person.accepted += np.where(seen & (deviation <= limit), buffer, 0.0)
         person.tried |= seen
 
-    def _settle(self, identity: int, person: _Measured) -> None:
+    def _conclude(self, identity: int, person: _Measured) -> None:
         """Stop waiting: accept the calibration, or reject it and start anew."""
         person.waiting = False
         if len(person.buffer) >= self._enough or (person.buffer and person.tried.any()):
@@ -305,7 +305,7 @@ class Calibration:
             if absent > _FORGET * _SECOND:
                 self._finish(identity, person)
             elif absent > _GONE and person.waiting and math.isfinite(self._params.lookahead):
-                self._settle(identity, person)
+                self._conclude(identity, person)
         for identity in self._bank.expire(now):
             self._people.pop(identity, None)
 

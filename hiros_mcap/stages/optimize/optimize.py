@@ -108,8 +108,8 @@ def _await_calibration(
     delay = Delay[tuple[Block, int, list[int]]](_UNLIMITED)
     now = 0
 
-    def settled(held: tuple[Block, int, list[int]]) -> bool:
-        return calibration.settled(held[2])
+    def is_ready(held: tuple[Block, int, list[int]]) -> bool:
+        return calibration.is_ready(held[2])
 
     for block in blocks:
         calibrated = []
@@ -122,7 +122,7 @@ def _await_calibration(
             calibration.observe(stamp, people, lengths[begin:end], weights[begin:end])
             delay.push(stamp, (block, i, people))
             now = max(now, log_time)
-            for held, place, who in delay.release(stamp, settled):
+            for held, place, who in delay.release(stamp, is_ready):
                 calibrated.append(_Calibrated(held, place, now, calibration.nominal(who)))
         yield calibrated
     calibration.finish()
@@ -146,17 +146,17 @@ class _Optimizer:
         """Return frames of a block with their calibrated people optimized."""
         places, log_times = [one.place for one in frames], [one.log_time for one in frames]
         nominal = np.concatenate([one.nominal for one in frames])
-        known = ~np.isnan(nominal).all(axis=1)
-        if not known.any():
+        rows = ~np.isnan(nominal).all(axis=1)
+        if not rows.any():
             return block.select(places).logged_at(log_times)
         out = join([block.select(places)]).logged_at(log_times)
-        if known.all():
+        if rows.all():
             self._optimize(out.people, nominal)
         else:
-            some = out.people.at(known)
-            self._optimize(some, nominal[known])
+            some = out.people.at(rows)
+            self._optimize(some, nominal[rows])
             for name in ("markers", "marker_confidences", "links", "link_confidences"):
-                getattr(out.people, name)[known] = getattr(some, name)
+                getattr(out.people, name)[rows] = getattr(some, name)
         return out
 
     def _optimize(self, people: People, nominal: Floats) -> None:
@@ -175,11 +175,11 @@ class _Optimizer:
         outlier = np.zeros(confidences.shape, np.int32)
         limit = self._params.max_length_error
         if self._params.outliers == "remove":
-            found = kernels.remove_outliers(*energy[:2], self._topology, limit, outlier)
+            count = kernels.remove_outliers(*energy[:2], self._topology, limit, outlier)
         else:
             exact_weights(energy, self._topology, outlier, confidences)
-            found = kernels.restore_outliers(energy, self._topology, limit, outlier, self._scratch)
-        if found:
+            count = kernels.restore_outliers(energy, self._topology, limit, outlier, self._scratch)
+        if count:
             for name, n in zip(self._names, outlier.sum(axis=0), strict=True):
                 self._events.count("optimizer outlier", name, int(n))
         return outlier

@@ -12,6 +12,7 @@ import numpy as np
 
 from hiros_mcap.kernels.array_types import F2, F3, J2
 from hiros_mcap.kernels.compile import entry, kernel
+from hiros_mcap.kernels.distance import point_distance
 from hiros_mcap.skeletons import ORIENTATION, STATE, Floats, Ints, People
 from hiros_mcap.stages.optimize.energy import (
     W_LENGTH,
@@ -19,7 +20,6 @@ from hiros_mcap.stages.optimize.energy import (
     W_PROXIMAL,
     Energy,
     SolverScratch,
-    distance,
     length_error,
     minimize_one,
 )
@@ -55,7 +55,7 @@ def measure_lengths(markers: F3, confidences: F2, links: J2, lengths: F2, weight
             weights[i, k] = 0.0
             if p < 0 or d < 0 or p == d:
                 continue
-            length = distance(markers[i, p], markers[i, d])
+            length = point_distance(markers[i, p], markers[i, d])
             if np.isnan(length):
                 continue
             a, b = confidences[i, p], confidences[i, d]
@@ -77,7 +77,7 @@ def remove_outliers(
     From the roots outwards, the distal marker of a link whose length is off by more than
     ``max_error`` is an outlier. Links that touch an outlier are not looked at.
     """
-    found = 0
+    count = 0
     for i in range(points.shape[0]):
         for k in topology.outward:
             p, d = topology.links[k, 0], topology.links[k, 1]
@@ -87,9 +87,9 @@ def remove_outliers(
                 outlier[i, d] = 1
         for m in range(points.shape[1]):
             if outlier[i, m]:
-                found += 1
+                count += 1
                 points[i, m] = np.nan
-    return found
+    return count
 
 
 @kernel
@@ -109,7 +109,7 @@ def _reweight(x: Floats, energy: Energy, links: Ints, scale: float, weights: Flo
         for end in range(2):
             m = links[k, end]
             if m >= 0:
-                moved = distance(x[m], energy.start[m]) / scale
+                moved = point_distance(x[m], energy.start[m]) / scale
                 factor = max(1.0 / (1.0 + moved * moved) ** 2, _LEAST_FACTOR)
                 weights[k, W_PROXIMAL + end] = energy.weights[k, W_PROXIMAL + end] * factor
                 least = min(least, factor)
@@ -144,19 +144,19 @@ def restore_outliers(
     and so on. A marker that ends up further than half of ``max_error`` from where it was measured
     is an outlier, and moves there.
     """
-    found = 0
+    count = 0
     points, x = energy.start, scratch.solution
     for i in range(points.shape[0]):
         if not _exceeds(points[i], energy.nominal[i], topology.links, max_error):
             continue
         _fit_robustly(Energy(points[i], energy.nominal[i], energy.weights[i]), topology, scratch)
         for m in range(points.shape[1]):
-            if distance(x[m], points[i, m]) > 0.5 * max_error:
+            if point_distance(x[m], points[i, m]) > 0.5 * max_error:
                 outlier[i, m] = 1
-                found += 1
+                count += 1
                 for j in range(3):
                     points[i, m, j] = x[m, j]
-    return found
+    return count
 
 
 # Section 3.3.3: the result
@@ -193,7 +193,7 @@ def _move_link(
     state: Floats, before: tuple[Floats, Floats], after: tuple[Floats, Floats], align: bool
 ) -> None:
     """Move a link's position, and its orientation if asked, with its two ends."""
-    length, new_length = distance(before[0], before[1]), distance(after[0], after[1])
+    length, new_length = point_distance(before[0], before[1]), point_distance(after[0], after[1])
     if not (length > 1e-9 and new_length > 1e-9):
         return
     u, v = _direction(before, length), _direction(after, new_length)

@@ -43,10 +43,8 @@ from hiros_mcap.stages.track.likeness import (
     median_distance,
 )
 
-DISPLACED = "displaced"
-"""Counts detections, by camera, that were left out as copies."""
-CAMERA_DISPLACED, MIRROR_SEEN = "camera displaced", "mirror seen"
-"""Events: a camera's first copy."""
+DISPLACED = "displaced"  # Counts detections, by camera, that were left out as copies
+CAMERA_DISPLACED, MIRROR_SEEN = "camera displaced", "mirror seen"  # Events: a camera's first copy
 
 _INTERVAL = 45_000_000  # ns between two samples of a track
 _PATIENCE, _LATER = 90_000_000, 500_000_000  # ns between two comparisons of a track: at first, and
@@ -82,8 +80,8 @@ class LoneTracks(NamedTuple):
 class _Pairs(NamedTuple):
     """A track beside a person at K instants."""
 
-    own: Floats  # (K, M, 3) m
-    other: Floats  # (K, M, 3) m
+    track: Floats  # (K, M, 3) m
+    person: Floats  # (K, M, 3) m
     unseen: float  # Share of the instants at which the camera did not show the person in place
     agreed: bool  # Whether two cameras agree on the person
 
@@ -136,12 +134,12 @@ class _State:
     sampled: int = 0  # Time of the latest pair, ns
     in_place: int = 0  # Time since which it has shown people in place, ns; 0 = it does not
 
-    def learn(self, own: Floats, other: Floats, stamp: int, mirror: Ints) -> None:
+    def learn(self, track: Floats, person: Floats, stamp: int, mirror: Ints) -> None:
         """Make the displacement more precise by one more copy."""
         if stamp - self.sampled < _INTERVAL:
             return
         self.sampled = stamp
-        self.pairs.append((own, other))
+        self.pairs.append((track, person))
         self.new += 1
         if self.new >= _REFIT:
             self.new = 0
@@ -157,16 +155,16 @@ class _State:
         """
         if not self.by.mirrors and pairs.unseen < UNSEEN:
             return False
-        if median_distance(self.by, pairs.own, pairs.other, mirror) < _NEAR:
+        if median_distance(self.by, pairs.track, pairs.person, mirror) < _NEAR:
             return True
-        own, other = (np.stack(some) for some in zip(*self.pairs, strict=True))
-        together = np.concatenate([own, pairs.own]), np.concatenate([other, pairs.other])
+        track, person = (np.stack(some) for some in zip(*self.pairs, strict=True))
+        together = np.concatenate([track, pairs.track]), np.concatenate([person, pairs.person])
         by, _ = fit(*together, mirror, self.by.mirrors, self.by.swaps)
-        before = median_distance(by, own, other, mirror)
-        if max(before, median_distance(by, pairs.own, pairs.other, mirror)) > ALIKE_IF_DISPLACED:
+        before = median_distance(by, track, person, mirror)
+        if max(before, median_distance(by, pairs.track, pairs.person, mirror)) > ALIKE_IF_DISPLACED:
             return False
         self.by = by
-        self.pairs.extend(zip(pairs.own, pairs.other, strict=True))
+        self.pairs.extend(zip(pairs.track, pairs.person, strict=True))
         return True
 
 
@@ -288,7 +286,7 @@ class DisplacedCameras:
             if state and state.explains(pairs, self._mirror):
                 state.last = lone.stamp
                 return True
-            like = likeness(pairs.own, pairs.other, self._mirror)
+            like = likeness(pairs.track, pairs.person, self._mirror)
             same_kind = state and like and state.by.mirrors == like.by.mirrors
             limit = ALIKE_IF_DISPLACED if same_kind else ALIKE
             if like and like.is_copy(limit, pairs.unseen):
@@ -311,11 +309,11 @@ class DisplacedCameras:
         """Note that a camera is displaced, or displaced anew."""
         right = sorted(self._right_ones(lone))
         state = self._cameras[lone.source] = _State(like.by, lone.stamp)
-        state.pairs.extend(zip(pairs.own, pairs.other, strict=True))
+        state.pairs.extend(zip(pairs.track, pairs.person, strict=True))
         if not like.by.mirrors and len(lone.heard) == 1:
             (other,) = lone.heard
             state = self._cameras[other] = _State(like.by.inverse(), lone.stamp)
-            state.pairs.extend(zip(pairs.other, pairs.own, strict=True))
+            state.pairs.extend(zip(pairs.person, pairs.track, strict=True))
         if (lone.source, like.by.mirrors) in self._named:
             return
         both = len(lone.heard) == 1

@@ -17,10 +17,8 @@ from hiros_mcap.skeletons import Floats, Ints
 ALIKE, ALIKE_IF_DISPLACED = 0.085, 0.12
 """Largest mean marker distance, m, of a copy after the fit. Copies have 0.02 to 0.08, other people
 over 0.13, or 0.10 after a reflection. The second is for a camera that is displaced for certain."""
-UNSEEN = 0.7
-"""Share of the time in which a displaced camera does not show the person in place."""
-FEWEST = 6
-"""Instants that are compared."""
+UNSEEN = 0.7  # Share of the time in which a displaced camera does not show the person in place
+FEWEST = 6  # Instants that are compared
 
 _FEWEST_MARKERS = 6  # that both have at an instant
 _MOTION = 0.07  # m: SD of the person's markers over time; less is no evidence
@@ -66,63 +64,63 @@ class Likeness(NamedTuple):
         return alike and (self.pure if self.by.mirrors else unseen >= UNSEEN)
 
 
-def likeness(own: Floats, other: Floats, mirror: Ints) -> Likeness | None:
+def likeness(track: Floats, person: Floats, mirror: Ints) -> Likeness | None:
     """Compare a track with a person; None if there is no evidence.
 
     Parameters
     ----------
-    own, other : (K, M, 3) markers of both at K instants, m. mirror : (M,) slot of the
+    track, person : (K, M, 3) markers of both at K instants, m. mirror : (M,) slot of the
         marker on the other side.
     """
-    both = np.isfinite(own[..., 0] + other[..., 0])
+    both = np.isfinite(track[..., 0] + person[..., 0])
     enough = np.count_nonzero(both, axis=1) >= _FEWEST_MARKERS
     if np.count_nonzero(enough) < FEWEST:
         return None
-    own, other, both = own[enough], other[enough], both[enough]
+    track, person, both = track[enough], person[enough], both[enough]
     often = np.count_nonzero(both, axis=0) >= FEWEST
     if not often.any():
         return None
-    motion = float(np.sqrt(np.mean(np.nanvar(other[:, often], axis=0).sum(axis=-1))))
+    motion = float(np.sqrt(np.mean(np.nanvar(person[:, often], axis=0).sum(axis=-1))))
     if motion <= _MOTION:
         return None
-    by, distance = _best_fit(own, other, mirror, mirrors=False)
+    by, distance = _best_fit(track, person, mirror, mirrors=False)
     if distance > ALIKE:  # a body that is almost flat looks like its mirror image, too
         by, distance = min(
-            (by, distance), _best_fit(own, other, mirror, mirrors=True), key=lambda each: each[1]
+            (by, distance), _best_fit(track, person, mirror, mirrors=True), key=lambda each: each[1]
         )
-    away = np.nanmean(own - other, axis=1)
+    away = np.nanmean(track - person, axis=1)
     apart = float(np.median(np.linalg.norm(away, axis=-1)))
     pure = by.mirrors and _only_reflects(by.rotation, away.mean(axis=0))
     return Likeness(distance, motion, apart, by, pure)
 
 
 def _best_fit(
-    own: Floats, other: Floats, mirror: Ints, *, mirrors: bool
+    track: Floats, person: Floats, mirror: Ints, *, mirrors: bool
 ) -> tuple[Displacement, float]:
     """Return the better of the fits with sides as they are and with sides swapped."""
     sides = (False, True) if (mirror != np.arange(len(mirror))).any() else (False,)
-    fits = [fit(own, other, mirror, mirrors, swaps) for swaps in sides]
+    fits = [fit(track, person, mirror, mirrors, swaps) for swaps in sides]
     return min(fits, key=lambda each: each[1])
 
 
 def fit(
-    own: Floats, other: Floats, mirror: Ints, mirrors: bool, swaps: bool
+    track: Floats, person: Floats, mirror: Ints, mirrors: bool, swaps: bool
 ) -> tuple[Displacement, float]:
     """Return the displacement that fits best, and the median over time of the distance left, m.
 
     Instants that fit much worse than most are left out; inf if too few are left. Parameters: see
     :func:`likeness`.
     """
-    source = own[:, mirror] if swaps else own
-    both = np.isfinite(source[..., 0] + other[..., 0])
+    source = track[:, mirror] if swaps else track
+    both = np.isfinite(source[..., 0] + person[..., 0])
     used = np.count_nonzero(both, axis=1) >= _FEWEST_MARKERS
     if np.count_nonzero(used) < FEWEST:
         return Displacement(np.eye(3), np.zeros(3), mirrors, swaps), np.inf
     for _ in range(_ROUNDS):
         rows = both & used[:, None]
-        rotation, shift = kabsch(source[rows], other[rows], mirrors=mirrors)
+        rotation, shift = kabsch(source[rows], person[rows], mirrors=mirrors)
         by = Displacement(rotation, shift, mirrors, swaps)
-        distances = mean_marker_distances(by.undo(own, mirror), other)
+        distances = mean_marker_distances(by.undo(track, mirror), person)
         distance = float(np.median(distances))
         if distance > 2.0 * ALIKE_IF_DISPLACED:  # nothing that is left out would mend it
             break
@@ -130,14 +128,14 @@ def fit(
     return by, distance
 
 
-def median_distance(by: Displacement, own: Floats, other: Floats, mirror: Ints) -> float:
+def median_distance(by: Displacement, track: Floats, person: Floats, mirror: Ints) -> float:
     """Median over time of the distance, m, of a track from a person, the displacement undone."""
-    return float(np.median(mean_marker_distances(by.undo(own, mirror), other)))
+    return float(np.median(mean_marker_distances(by.undo(track, mirror), person)))
 
 
-def mean_marker_distances(one: Floats, other: Floats) -> Floats:
+def mean_marker_distances(some: Floats, others: Floats) -> Floats:
     """Mean distance, m, of the markers (..., M, 3) that both have; inf if there is none."""
-    apart = np.sqrt(np.sum((one - other) ** 2, axis=-1))
+    apart = np.sqrt(np.sum((some - others) ** 2, axis=-1))
     n = np.count_nonzero(np.isfinite(apart), axis=-1)
     return np.where(n > 0, np.nansum(apart, axis=-1) / np.maximum(n, 1), np.inf)
 

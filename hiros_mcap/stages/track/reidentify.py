@@ -28,8 +28,7 @@ import numpy as np
 
 from hiros_mcap.skeletons import Floats, Ints
 
-THRESHOLD = 0.9
-"""Least probability with which somebody gets an old id."""
+THRESHOLD = 0.9  # Least probability with which somebody gets an old id
 
 _LASTING_NOISE, _NOISE_OF_ONE = 0.016, 0.04  # SD of a limb's length, m: lasting (10 to 18 mm of
 # simulated limbs), and what one detection adds, which falls with the root of their number
@@ -108,8 +107,8 @@ def reidentify(
     limbs : of their skeleton.
     """
     newcomers, absent = newcomers[:_MOST], absent[-_MOST:]
-    known = _KNOWN_IF_MISSING if missing > 0 else _KNOWN_IF_COMPLETE
-    number = math.log(known / (1 - known))
+    enough = _KNOWN_IF_MISSING if missing > 0 else _KNOWN_IF_COMPLETE
+    number = math.log(enough / (1 - enough))
     cues = {
         (n, a): {LIMBS: limb_cue(new, old, limbs), PLACE: place_cue(new, old), NUMBER: number}
         for n, new in enumerate(newcomers)
@@ -127,8 +126,8 @@ def reidentify(
 
 def limb_cue(new: PersonCues, old: PersonCues, limbs: Limbs) -> float:
     """Logarithm of the likelihood ratio of one person's limb lengths against two people's."""
-    known = np.minimum(new.counts, old.counts) >= _FEWEST_LENGTHS
-    both = known & (np.minimum(new.lengths, old.lengths) > _SHORT)
+    enough = np.minimum(new.counts, old.counts) >= _FEWEST_LENGTHS
+    both = enough & (np.minimum(new.lengths, old.lengths) > _SHORT)
     if not both.any():
         return 0.0
     ours, theirs, pairs = new.lengths[both], old.lengths[both], np.ix_(both, both)
@@ -195,11 +194,13 @@ def _deciding_cue(
     chances: Mapping[tuple[int, int], float],
 ) -> str:  # fmt: skip
     """Name the cue that speaks most for ``best`` against the next best explanation."""
-    own = cues[n, best]
+    evidence = cues[n, best]
     others = [a for row, a in cues if row == n and a != best]
     second = max(others, key=lambda a: chances[n, a], default=None)
     stranger = 1.0 - sum(chance for (row, _), chance in chances.items() if row == n)
     if second is None or stranger >= chances[n, second]:
-        return max(own, key=own.__getitem__)
+        return max(evidence, key=evidence.__getitem__)
     rival = cues[n, second]
-    return max(own, key=lambda cue: own[cue] - (rival[cue] if cue != NUMBER else own[cue]))
+    return max(
+        evidence, key=lambda cue: evidence[cue] - (rival[cue] if cue != NUMBER else evidence[cue])
+    )

@@ -53,13 +53,13 @@ class Confirmation:
             if track.number not in self._people.bank.rows:  # merged into another one by now
                 continue
             if not track.certain:
-                self._weigh(track, group, scene)
+                self._add_report(track, group, scene)
                 self._decide(track, group, scene)
                 self._merge_into_person(track, group, scene)
             elif due and track in scene.shown:
                 self._coverage.learn(group.source, [self._people.centre(track)], group.stamp)
 
-    def _weigh(self, track: PersonTrack, group: DetectionGroup, scene: Present) -> None:
+    def _add_report(self, track: PersonTrack, group: DetectionGroup, scene: Present) -> None:
         """Add the support, or the contradiction, of a camera's message."""
         support, source = track.support, group.source
         if track in scene.shown:

@@ -31,6 +31,7 @@ import numpy as np
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
+from hiros_mcap.kernels.array_types import settings_of
 from hiros_mcap.kernels.compile import direct
 from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.delay import Delay
@@ -111,9 +112,8 @@ class _Tracker:
         same = np.arange(model.n_markers, dtype=np.int32)
         ends = model.links if params.reidentify > 0 else np.empty((0, 2), np.int32)
         self._slots = kernels.SlotOrders(same, symmetry.mirror, np.ascontiguousarray(ends))
-        self._settings = kernels.TrackSettings._make(
-            getattr(params, name) for name in kernels.TrackSettings._fields
-        )._replace(flip_aware=params.flip_aware and symmetry.known)
+        flip_aware = params.flip_aware and symmetry.known
+        self._settings = settings_of(kernels.TrackSettings, params, flip_aware=flip_aware)
         self._allocate = partial(
             kernels.TrackWork.allocate, n_markers=model.n_markers, n_links=model.n_links
         )

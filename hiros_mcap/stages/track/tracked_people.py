@@ -9,7 +9,7 @@ import numpy as np
 
 from hiros_mcap.frames import Block
 from hiros_mcap.kernels.compile import direct
-from hiros_mcap.kernels.distance import mean_distances
+from hiros_mcap.kernels.distance import centre, mean_distances
 from hiros_mcap.skeletons import UNTRACKED, Floats, People, SkeletonModel
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.track import tracking as kernels
@@ -20,7 +20,7 @@ INSISTENCE = 500_000_000
 _NOW = 200_000_000  # ns since the last detection of a person who is there
 _STANDS = 0.3  # m from its start; a coat on a stand never moves as far
 
-_centre = direct(kernels.centre)
+_centre = direct(centre)
 
 
 @dataclass(slots=True, eq=False)
@@ -185,17 +185,16 @@ class TrackedPeople:
 
     def centre(self, track: PersonTrack) -> Floats:
         """(3,) mean marker position of a track, m."""
-        centre = np.empty(3)
-        _centre(self.bank.past.positions, track.row, centre)
-        return centre
+        place = np.empty(3)
+        _centre(self.bank.past.positions[track.row], place)
+        return place
 
     def distances(self, track: PersonTrack, persons: list[PersonTrack]) -> Floats:
         """Mean distance, m, of a track's markers from each person."""
         others = [person.row for person in persons]
         positions, distances = self.bank.past.positions, np.empty((1, len(others)))
         mean_distances(positions[[track.row]], positions[others], distances)
-        row: Floats = distances[0]
-        return row
+        return distances[0]
 
     def heard_besides(self, group: DetectionGroup) -> list[str]:
         """Return the other cameras that send messages at this time."""

@@ -4,8 +4,6 @@
 them; so does :func:`follow`, for many messages at once.
 """
 
-# mypy: disable-error-code="no-any-return"
-
 from __future__ import annotations
 
 import math
@@ -17,7 +15,7 @@ from hiros_mcap.kernels import kalman_filter
 from hiros_mcap.kernels.array_types import B1, B2, F1, F2, F3, I1, I2, J1, J2, arrays
 from hiros_mcap.kernels.assignment import AssignmentWork, solve
 from hiros_mcap.kernels.compile import entry, inlined, rows_of
-from hiros_mcap.kernels.distance import norm3, point_distance, weighted_mean_distance
+from hiros_mcap.kernels.distance import centre, norm3, point_distance, weighted_mean_distance
 from hiros_mcap.kernels.kalman_filter import Covariance
 from hiros_mcap.kernels.quaternions import (
     Quaternion,
@@ -303,7 +301,7 @@ def predict(
 
 
 @inlined
-def _weigh_by_velocity(velocities: Floats, settings: TrackSettings, out: Floats) -> None:
+def _velocity_weights(velocities: Floats, settings: TrackSettings, out: Floats) -> None:
     for m in range(len(velocities)):
         speed = 1.0 + norm3(velocities[m, 0], velocities[m, 1], velocities[m, 2])
         if settings.velocity_decay == 0.25:  # two roots are five times quicker than a power
@@ -313,7 +311,7 @@ def _weigh_by_velocity(velocities: Floats, settings: TrackSettings, out: Floats)
 
 
 @inlined
-def _weigh_by_confidence(confidences: Floats, out: Floats) -> None:
+def _confidence_weights(confidences: Floats, out: Floats) -> None:
     for j in range(len(confidences)):
         for m in range(confidences.shape[1]):
             unknown = math.isnan(confidences[j, m])
@@ -343,7 +341,7 @@ def _compare(
     mean of their distances. Among many people most pairs need no more than that.
     """
     weights, pairs, bounds = work.weights, work.pairs, work.bounds
-    _weigh_by_confidence(people.marker_confidences, weights.marker_confidences)
+    _confidence_weights(people.marker_confidences, weights.marker_confidences)
     for j in range(len(people.ids)):
         low_high = _bound(people.markers[j])
         for c in range(6):
@@ -367,7 +365,7 @@ def _compare(
             ):  # fmt: skip
                 continue
             if not weighed:
-                _weigh_by_velocity(tracks.velocities[rows[i]], settings, weight)
+                _velocity_weights(tracks.velocities[rows[i]], settings, weight)
                 weighed = True
             seen, confidence = people.markers[j], weights.marker_confidences[j]
             # Beyond twice the reach a detection is mirrored if that brings it within the reach.
@@ -450,7 +448,7 @@ def _fill_cost(
 ) -> None:
     """Fill ``cost`` of the pairs within the gate (eq 6), where a detection wants a track."""
     weights, pairs = work.weights, work.pairs
-    _weigh_by_confidence(people.link_confidences, weights.link_confidences)
+    _confidence_weights(people.link_confidences, weights.link_confidences)
     for i in range(len(rows)):
         velocities = tracks.velocities[rows[i]]
         angular_velocities = tracks.angular_velocities[rows[i]]
@@ -462,7 +460,7 @@ def _fill_cost(
                 pairs.cost[i, j] = pairs.distances[i, j]
             else:
                 if not weighed:
-                    _weigh_by_velocity(angular_velocities, settings, weights.link_velocities[i])
+                    _velocity_weights(angular_velocities, settings, weights.link_velocities[i])
                     weighed = True
                 linear = _linear_distance(i, j, people, velocities, settings, work)
                 angular = _angular_distance(i, j, people, angular_velocities, settings, work)
@@ -744,19 +742,6 @@ def correct(
             _correct_links(stamp, row, tracks, people.links[j], settings)
 
 
-@entry
-def centre(positions: F3, row: int, out: F1) -> None:
-    """Write the mean position (3,) of a track's markers, m; NaN before any was seen."""
-    count = x = y = z = 0.0
-    for m in range(positions.shape[1]):
-        if not math.isnan(positions[row, m, 0]):
-            count += 1.0
-            x += positions[row, m, 0]
-            y += positions[row, m, 1]
-            z += positions[row, m, 2]
-    out[0], out[1], out[2] = x / count, y / count, z / count
-
-
 # Many messages at once
 
 
@@ -793,5 +778,5 @@ def follow(
             group.ids[j] = confirmed.ids[i]
             confirmed.last_seen[i] = max(confirmed.last_seen[i], stamps[k])
             followed.match[begin + j] = i
-            centre(tracks.positions, confirmed.rows[i], followed.centres[begin + j])
+            centre(tracks.positions[confirmed.rows[i]], followed.centres[begin + j])
     return len(stamps)
