@@ -3,22 +3,14 @@
 from __future__ import annotations
 
 from math import isnan
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from hiros_mcap.kernels.array_types import F2, F3, I1, J1, J2, S2, S3
-from hiros_mcap.kernels.compile import entry, kernel
+from hiros_mcap.kernels.compile import entry
 
 Singles = npt.NDArray[np.float32]
-
-
-@kernel
-def _size(largest: float, confidence: float) -> Any:
-    """Return a joint's size: half at confidence 0, full at 1 or if it is unknown."""
-    count = 1.0 if isnan(confidence) else min(max(confidence, 0.0), 1.0)
-    return np.float32(largest * (0.5 + 0.5 * count))
 
 
 @entry
@@ -42,7 +34,9 @@ def draw_joints(
         for m in range(poses.shape[1]):
             for k in range(3):
                 joints[r, m, k] = poses[n, m, k]
-            radii[r, m] = _size(largest, confidences[n, m])
+            given = confidences[n, m]  # full size at 1 or if it is unknown, half at 0
+            sure = 1.0 if isnan(given) else min(max(given, 0.0), 1.0)
+            radii[r, m] = np.float32(largest * (0.5 + 0.5 * sure))
 
 
 @entry

@@ -38,7 +38,8 @@ class Bank(Generic[P]):
             if not self._free:
                 self._add_rows()
             self.rows[person] = self._free.pop()
-            self._clear(self.rows[person])
+            for array in self.past:
+                array[self.rows[person]] = 0
         self.last_seen[person] = max(stamp, self.last_seen.get(person, stamp))
         return self.rows[person]
 
@@ -71,10 +72,6 @@ class Bank(Generic[P]):
         if person in self.rows:
             self._free.append(self.rows.pop(person))
             del self.last_seen[person]
-
-    def _clear(self, row: int) -> None:
-        for array in self.past:
-            array[row] = 0
 
     def _add_rows(self) -> None:
         old = len(self.past[0])

@@ -67,16 +67,6 @@ def left_to_right(positions: Floats, pairs: Ints, axes: Floats) -> tuple[float, 
 
 
 @kernel
-def _trunk(positions: Floats, pairs: Ints) -> tuple[float, float, float]:
-    """Return the unit vector from the hips to the shoulders above them; NaN if not known."""
-    x, y, z = _sum_of_vectors(positions, pairs)
-    length = norm3(x, y, z)
-    if not length > _SHORTEST:
-        return np.nan, np.nan, np.nan
-    return x / length, y / length, z / length
-
-
-@kernel
 def follow_trunk(
     positions: Floats, pairs: Ints, seconds: float, mean: Floats, axes: Floats
 ) -> tuple[bool, bool]:
@@ -97,9 +87,11 @@ def follow_trunk(
     """
     if seconds > PATIENCE:
         mean[:], axes[:] = 0.0, np.nan
-    x, y, z = _trunk(positions, pairs)
-    if math.isnan(x):
+    x, y, z = _sum_of_vectors(positions, pairs)
+    length = norm3(x, y, z)
+    if not length > _SHORTEST:
         return False, False
+    x, y, z = x / length, y / length, z / length
     share = max(_LEAST_SHARE, 1.0 - _MEMORY / (seconds + _MEMORY))  # 1 where nothing is known
     mean[0] += share * (x - mean[0])
     mean[1] += share * (y - mean[1])
@@ -110,28 +102,16 @@ def follow_trunk(
         return True, False
     x, y, z = mean[0] / length, mean[1] / length, mean[2] / length
     cosine = component(x, y, z, axes, 2)
-    if cosine > 0.0:  # False for NaN
-        _carry(x, y, z, cosine, axes)
-        return True, False
-    _choose(x, y, z, axes)
-    return True, True
-
-
-@kernel
-def _choose(x: float, y: float, z: float, axes: Floats) -> None:
-    """Take any axes across the unit vector (x, y, z)."""
-    axes[0, 0], axes[0, 1], axes[0, 2] = (1.0, 0.0, 0.0) if abs(x) < 0.8 else (0.0, 1.0, 0.0)
+    is_near = cosine > 0.0  # False for NaN
+    if is_near:  # turn the axes the shortest way until the third points there
+        share = component(x, y, z, axes, 0) / (1.0 + cosine)
+        axes[0, 0] -= share * (axes[2, 0] + x)
+        axes[0, 1] -= share * (axes[2, 1] + y)
+        axes[0, 2] -= share * (axes[2, 2] + z)
+    else:  # take any axes across it
+        axes[0, 0], axes[0, 1], axes[0, 2] = (1.0, 0.0, 0.0) if abs(x) < 0.8 else (0.0, 1.0, 0.0)
     _complete(x, y, z, axes)
-
-
-@kernel
-def _carry(x: float, y: float, z: float, cosine: float, axes: Floats) -> None:
-    """Turn the axes the shortest way until the third is the unit vector (x, y, z)."""
-    share = component(x, y, z, axes, 0) / (1.0 + cosine)
-    axes[0, 0] -= share * (axes[2, 0] + x)
-    axes[0, 1] -= share * (axes[2, 1] + y)
-    axes[0, 2] -= share * (axes[2, 2] + z)
-    _complete(x, y, z, axes)
+    return True, not is_near
 
 
 @kernel

@@ -613,9 +613,10 @@ def _decide(
 ) -> None:
     """Decide whether view ``i`` is mirrored, and by how much its trunk is turned.
 
-    The likelihoods of its label are (1 + tanh(2 cos)) / 2 and the complement, as in :func:`_write_evidence`:
-    the logarithm of their ratio is 4 cos. An honest detector's label is right beforehand in 90 %.
-    Labels that do not follow a detector's assumption stay while the facing is not sure.
+    The likelihoods of its label are (1 + tanh(2 cos)) / 2 and the complement, as in
+    :func:`_write_evidence`: the logarithm of their ratio is 4 cos. An honest detector's label is
+    right beforehand in 90 %. Labels that do not follow a detector's assumption stay while the
+    facing is not sure.
     """
     x, y = measured.facing[i, 0], measured.facing[i, 1]
     fx, fy = out.facing[i, 0], out.facing[i, 1]

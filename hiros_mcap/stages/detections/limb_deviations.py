@@ -182,15 +182,6 @@ def _lower(
 
 
 @kernel
-def _find_centres(people: People, begin: int, end: int, work: PlausibleWork) -> None:
-    """Mean marker position of each person of a message; NaN of nobody's detections."""
-    for p in range(begin, end):
-        work.centres[p] = np.nan
-        if people.ids[p] != UNTRACKED:
-            centre(people.markers[p], work.centres[p])
-
-
-@kernel
 def _least_distance(p: int, begin: int, end: int, camera: Floats, centres: Floats) -> float:
     """Least distance, m, of anybody in front from the camera's line of sight to person p."""
     x, y, z = camera[0], camera[1], camera[2]
@@ -248,7 +239,10 @@ def find_implausible(
     for i in range(len(messages.stamps)):
         stamp, camera = messages.stamps[i], messages.cameras[i]
         begin, end = messages.spans[i, 0], messages.spans[i, 1]
-        _find_centres(people, begin, end, work)
+        for p in range(begin, end):
+            work.centres[p] = np.nan
+            if people.ids[p] != UNTRACKED:
+                centre(people.markers[p], work.centres[p])
         for p in range(begin, end):
             row = messages.rows[p]
             if row < 0:

@@ -86,7 +86,10 @@ class _LimbHistories:
         work = kernels.PlausibleWork.of(*people.markers.shape[:2])
         nowhere = np.full(3, np.nan)
         places = np.array([self._places.get(name, nowhere) for name in self._cameras])
-        self._make_room(len(places))
+        seen = self._bank.past.seen
+        if len(places) > seen.shape[1]:
+            seen = np.pad(seen, ((0, 0), (0, len(places))))
+            self._bank.past = self._bank.past._replace(seen=seen)
         counts = np.zeros((2, len(places)), np.int64)
         # What is not written is shared: the tracker may still write into others of the arrays.
         people = people._replace(marker_confidences=people.marker_confidences.copy())
@@ -104,13 +107,6 @@ class _LimbHistories:
                 array[work.left_out] = np.nan
             people.link_confidences[work.left_out] = np.nan
         return replace(block, people=people)
-
-    def _make_room(self, n_cameras: int) -> None:
-        """Remember more cameras."""
-        seen = self._bank.past.seen
-        if n_cameras > seen.shape[1]:
-            seen = np.pad(seen, ((0, 0), (0, n_cameras)))
-            self._bank.past = self._bank.past._replace(seen=seen)
 
 
 def links_of(model: SkeletonModel) -> kernels.LimbLinks:

@@ -173,7 +173,10 @@ class _Sides:
         held, self._held = self._held, []
         measured = joined([piece.measured for piece in held])
         out = kernels.Facings.allocate(len(measured.cells))
-        window = _window(measured, np.concatenate([piece.evidence for piece in held]))
+        order = np.lexsort((measured.stamps, measured.rows))  # each person's views, by time
+        starts = np.flatnonzero(np.diff(measured.rows[order], prepend=-1))
+        evidence = np.concatenate([piece.evidence for piece in held])
+        window = kernels.FacingWindow(order, np.append(starts, len(order)), evidence)
         work = kernels.SmoothWork.of(int(np.diff(window.ends).max(initial=0)))
         kernels.smooth(measured, window, until, self._bank.past, self._tables, work, out)
         out.toes[:] = self._tables.reliability(kernels.TOES)
@@ -231,10 +234,3 @@ class _Sides:
         for source, n in zip(self._cameras, by_camera.tolist(), strict=True):
             self._events.count("flip", source, n)
         return block
-
-
-def _window(measured: kernels.MeasuredViews, evidence: Floats) -> kernels.FacingWindow:
-    """Put views in order: person by person, each person's by time."""
-    order = np.lexsort((measured.stamps, measured.rows))
-    starts = np.flatnonzero(np.diff(measured.rows[order], prepend=-1))
-    return kernels.FacingWindow(order, np.append(starts, len(order)), evidence)

@@ -141,7 +141,9 @@ class _SkeletonFilter:
             elif self._params.keep_lengths:
                 restore_lengths(out.people, steps, past, self._links)
             yield out.logged_at(plan.log_times)
-        self._forget()
+        if self._last and self._bank.expire(self._last[0]):
+            rows = self._bank.rows
+            self._people = {key: p for key, p in self._people.items() if p.number in rows}
 
     def _add(
         self, plan: _FilterPlan, people: People, rows: Stamps, stamp: int, source: str
@@ -195,12 +197,6 @@ class _SkeletonFilter:
         if past is not self._bank.past:
             self._bank.past = past
             self._work = self._method.work(self._params.order, past.ring.shape[1])
-
-    def _forget(self) -> None:
-        """Forget those who left."""
-        if self._last and self._bank.expire(self._last[0]):
-            rows = self._bank.rows
-            self._people = {key: p for key, p in self._people.items() if p.number in rows}
 
 
 def _method(params: FilterParams) -> FilterMethod:

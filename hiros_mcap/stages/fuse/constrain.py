@@ -128,7 +128,10 @@ class _Bodies:
         variances, people = unshared_variances(out), list(_tracked(out))
         stamps = np.repeat(out.stamps, out.sizes)
         for person, rows in people:
-            body = self._body(person, int(stamps[rows[0]]))
+            if person not in self._people:
+                first = int(stamps[rows[0]])
+                self._people[person] = _Body(self._meter(), RecentMotion(), first)
+            body = self._people[person]
             body.last = int(stamps[rows[-1]])
             begun = (int(stamps[rows[0]]) - body.first) * 1e-9
             if not body.is_fixed and (self._params.window > 0 or begun <= self._params.enough):
@@ -138,12 +141,6 @@ class _Bodies:
                 self._keep(person, body)
                 body.is_fixed, body.meter = True, self._meter()
         return _WaitingWindow(numbers, int(out.stamps[0]), [person for person, _ in people])
-
-    def _body(self, person: int, stamp: int) -> _Body:
-        """Return what is known of who is seen at ``stamp``, ns."""
-        if person not in self._people:
-            self._people[person] = _Body(self._meter(), RecentMotion(), stamp)
-        return self._people[person]
 
     def _meter(self) -> AllPoses | RunningLengths:
         if self._params.window > 0:

@@ -62,8 +62,12 @@ class PoseError:
         ----------
         offsets : (N, 3) of the views against the results, m; NaN = none.
         """
-        if self._right or not len(views.stamps) or not self._is_due(int(views.stamps.max())):
+        if self._right or not len(views.stamps):
             return
+        now = int(views.stamps.max())
+        if self._learned is not None and now - self._learned < _RENEWED:
+            return
+        self._learned = now
         seen = ~np.isnan(offsets[:, 0])
         for person in np.unique(views.people[seen]):
             scaled = []
@@ -73,11 +77,6 @@ class PoseError:
                 assumed = self._assumed(centre, self._place_of(names[camera]))
                 scaled.append(offsets[these].mean(axis=0) / np.sqrt(assumed))
             self._count(np.array(scaled))
-
-    def _is_due(self, now: int) -> bool:
-        due = self._learned is None or now - self._learned >= _RENEWED
-        self._learned = now if due else self._learned
-        return due
 
     def _count(self, scaled: Floats) -> None:
         """Add how far the cameras' places (C, 3), in standard deviations, are from each other."""

@@ -99,9 +99,11 @@ def _merge_person(
     for m in range(len(joints.used)):
         _load_candidates(views, m, joints.used[m], work)
         if settings.radius > 0.0:
-            _load_helpers(  # 2.2.2
-                len(views.stamps), m, past, row, has_previous, settings.reference_helps, work
-            )
+            n = len(views.stamps)
+            for c in range(3):  # 2.2.2: the reference and the previous position join
+                helps = settings.reference_helps
+                work.points[n, c] = work.reference[m, c] if helps else np.nan
+                work.points[n + 1, c] = past.positions[row, m, c] if has_previous else np.nan
             _keep_largest_cluster(views, m, settings, counts, work)  # algorithms 1 and 2
         _average_marker(views, m, out, p, work)  # the centroid, without the helpers
     for m in range(len(joints.links)):
@@ -214,16 +216,6 @@ def _load_candidates(views: Views, m: int, used: bool, work: ClusterWork) -> Non
         work.kept[k, m] = used and not math.isnan(views.markers[k, m, POSITION])
         for c in range(3):
             work.points[k, c] = views.markers[k, m, c] if work.kept[k, m] else np.nan
-
-
-@kernel
-def _load_helpers(
-    n: int, m: int, past: ClusterPast, row: int, has_previous: bool, helps: bool, work: ClusterWork
-) -> None:
-    """Let the reference, if it ``helps``, and the previous position join the ``n`` candidates."""
-    for c in range(3):
-        work.points[n, c] = work.reference[m, c] if helps else np.nan
-        work.points[n + 1, c] = past.positions[row, m, c] if has_previous else np.nan
 
 
 @kernel

@@ -65,7 +65,8 @@ class _Associator:
         kernels.predict_tracks(past, rows, frame.stamp, settings)  # z^, without a new detection
         kernels.association_cost(past, rows, centroids, settings, cost)  # eq 2 and 3, epsilon
         matches = [tracks[k] if k >= 0 else None for k in assign(cost).tolist()]  # Hungarian
-        self._correct(matches, centroids, frame.stamp)
+        seen = [-1 if k is None else self._bank.row(k, frame.stamp) for k in matches]
+        kernels.correct_tracks(past, np.array(seen, np.int64), centroids, settings)
         for d, track in enumerate(matches):
             if track is None:  # a person never seen before
                 matches[d] = self._start(centroids[d], frame)
@@ -78,12 +79,6 @@ class _Associator:
             if track in self._ids:
                 person = self._ids.pop(track)
                 self._events.note(last_seen[track], "track lost", person=person)
-
-    def _correct(self, matches: list[int | None], centroids: Floats, stamp: int) -> None:
-        """Correct the track of each detection by its centroid, where it has one."""
-        rows = [-1 if track is None else self._bank.row(track, stamp) for track in matches]
-        matched_rows = np.array(rows, np.int64)
-        kernels.correct_tracks(self._bank.past, matched_rows, centroids, self._settings)
 
     def _start(self, centroid: Floats, frame: Frame) -> int | None:
         """Start a track, unless a person was reported twice."""

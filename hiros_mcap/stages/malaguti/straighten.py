@@ -58,7 +58,8 @@ class _LimbConsistency:
         self._limbs, self._keys = limbs, link_keys(model)
         self._given = {person: limbs.lengths(person, model) for person in limbs.people}
         self._settings = settings_of(kernels.LimbSettings, params)
-        order = link_order(model, () if params.head else _head(model))
+        head = [k for k, name in enumerate(model.marker_names) if split_side(name)[0] in HEAD]
+        order = link_order(model, () if params.head else head)
         self._tree = kernels.LinkTree(np.ascontiguousarray(model.links), order)
         nobody, none = np.zeros(0, np.int64), np.zeros((0, model.n_links))
         self._bank = Bank(kernels.LimbLengths(none, none, nobody, nobody > 0))
@@ -66,7 +67,10 @@ class _LimbConsistency:
 
     def apply(self, out: Frame) -> list[int]:
         """Move the joints of ``out`` in place; return who is calibrated from now on."""
-        self._forget(out.stamp)
+        former_rows = self._bank.rows.copy()
+        for person in self._bank.expire(out.stamp):
+            self._save(person, former_rows[person])
+            self._calibrated.discard(person)
         rows = [
             -1 if person == UNTRACKED else self._row(person, out.stamp)
             for person in out.ids.tolist()
@@ -88,12 +92,6 @@ class _LimbConsistency:
             self._bank.past.lengths[row] = self._given[person]
             self._bank.past.given[row] = True
         return row
-
-    def _forget(self, now: int) -> None:
-        rows = self._bank.rows.copy()
-        for person in self._bank.expire(now):
-            self._save(person, rows[person])
-            self._calibrated.discard(person)
 
     def save_all(self) -> None:
         """Put the lengths of everybody who is left into the table."""
@@ -132,11 +130,6 @@ def link_order(model: SkeletonModel, without: Collection[int] = ()) -> Stamps:
                 order.append(k)
                 placed.add(ends[k][1])
         waiting = [k for k in waiting if k not in order]
-
-
-def _head(model: SkeletonModel) -> list[int]:
-    """Slots of the head; a detector of faces calls it nose."""
-    return [k for k, name in enumerate(model.marker_names) if split_side(name)[0] in HEAD]
 
 
 def _chest(model: SkeletonModel) -> tuple[int, list[int]] | None:

@@ -162,7 +162,8 @@ def _merge_person(
         _learn_offsets(
             views, work.marker_weights, out.markers[p], _rate(stamp, past, row, settings), offsets
         )
-    _remember(stamp, out, p, past, row)
+    past.seen[row] = stamp
+    copy_pose(past, row, out, p)
 
 
 @kernel
@@ -200,13 +201,6 @@ def _predict(
         for c in range(4):
             work.past_orientations[k, c] = past.links[row, k, ORIENTATION + c] if votes else np.nan
     return votes
-
-
-@kernel
-def _remember(stamp: int, people: People, p: int, past: MergerPast, row: int) -> None:
-    """Keep a merged pose."""
-    past.seen[row] = stamp
-    copy_pose(past, row, people, p)
 
 
 @kernel
@@ -362,12 +356,12 @@ def _correct_flips(
     reference = work.reference if any_right else work.past_positions
     corrected = False
     for k in range(n):
-        if not right[k] and _correct_view(
-            views, k, sides.mirror, reference, settings.relabel, any_right
-        ):
-            counts[FLIPS, views.cameras[k]] += 1
-            work.sides_changed[k] = LEFT_OUT if _is_blank(views.markers[k]) else EXCHANGED
-            corrected = True
+        if not right[k]:
+            relabel = settings.relabel
+            change = _correct_view(views, k, sides.mirror, reference, relabel, any_right)
+            work.sides_changed[k] = change
+            counts[FLIPS, views.cameras[k]] += int(change > 0)
+            corrected = corrected or change > 0
     if not any_right:
         return _HELD if corrected else _CHANGED
     if has_past:
@@ -465,27 +459,30 @@ def _mean_positions(markers: Floats, chosen: Flags, out: Floats) -> None:
 @kernel
 def _correct_view(
     views: Views, k: int, mirror: Ints, reference: Floats, relabel: bool, drop: bool
-) -> bool:
+) -> int:
     """Exchange the sides of a view if that brings it nearer to ``reference``, else drop it.
 
     Without ``drop``, ``reference`` is only the past, which may be distorted: the sides are
-    exchanged if that brings the view clearly nearer, else it stays as it is. Whether it changed.
+    exchanged if that brings the view clearly nearer, else it stays as it is. Returns EXCHANGED,
+    LEFT_OUT or 0.
     """
     markers = views.markers[k]
     share = 1.0 if drop else _CLEARLY
-    if relabel and _is_mirrored(markers, mirror, reference, share):
+    change = EXCHANGED if relabel and _is_mirrored(markers, mirror, reference, share) else 0
+    if change == EXCHANGED:
         for m in range(len(mirror)):
             if mirror[m] > m:
                 exchange(markers, views.marker_confidences[k], m, mirror[m])
     elif drop:
+        change = LEFT_OUT
         for m in range(len(mirror)):
             markers[m, POSITION] = np.nan
     else:
-        return False
+        return 0
     # A detector that flips a person flips the links' frames by a convention of its own: they are
     # unknown now.
     blank(views.links[k], views.link_confidences[k])
-    return True
+    return change
 
 
 @kernel
@@ -499,15 +496,6 @@ def _is_mirrored(markers: Floats, mirror: Ints, reference: Floats, share: float)
             as_is += d
             mirrored += s
     return mirrored < share * as_is
-
-
-@kernel
-def _is_blank(markers: Floats) -> bool:
-    """Whether no marker of a view is there."""
-    for m in range(len(markers)):
-        if not math.isnan(markers[m, POSITION]):
-            return False
-    return True
 
 
 # Outliers and the mean.

@@ -140,7 +140,11 @@ class _Optimizer:
         self._names, self._params, self._events = model.marker_names, params, events
         self._topology = topology_of(model)
         self._scratch = SolverScratch.of(self._topology)
-        self._minimize = _solver(model, params)
+        self._minimize = block_solver(model, params.tolerance)
+        if params.solver == "ceres":
+            from hiros_mcap.stages.optimize.ceres import CeresSolver
+
+            self._minimize = CeresSolver(model, params.tolerance)
 
     def __call__(self, block: Block, frames: list[_Calibrated]) -> Block:
         """Return frames of a block with their calibrated people optimized."""
@@ -189,14 +193,6 @@ class _Optimizer:
             paper_weights(energy, self._topology, outlier, self._params.max_length_error)
         elif self._params.outliers == "remove" or outlier.any():  # else the search has written them
             exact_weights(energy, self._topology, outlier, confidences)
-
-
-def _solver(model: SkeletonModel, params: OptimizeParams) -> Solver:
-    if params.solver == "ceres":
-        from hiros_mcap.stages.optimize.ceres import CeresSolver
-
-        return CeresSolver(model, params.tolerance)
-    return block_solver(model, params.tolerance)
 
 
 def block_solver(model: SkeletonModel, tolerance: float) -> Solver:

@@ -216,12 +216,6 @@ def screen(people: People, min_marker: float, min_skeleton: float, faults: I1) -
 
 
 @inlined
-def _steady(dt: float, horizon: float) -> float:
-    """Time, s, of ``dt`` without a detection for which a velocity is constant."""
-    return min(max(dt, 0.0), horizon)
-
-
-@inlined
 def _faded(dt: float, settings: TrackSettings) -> float:
     """Time, s, for which the velocity at the horizon would carry on: it fades exponentially."""
     beyond = dt - settings.horizon
@@ -249,7 +243,7 @@ def _predict_positions(
         for m in range(out.positions.shape[1]):
             dt = (stamp - tracks.seen[row, m]) * 1e-9
             unseen = min(unseen, dt)
-            steady = _steady(dt, settings.horizon)
+            steady = min(max(dt, 0.0), settings.horizon)
             for c in range(3):
                 moved = steady * tracks.velocities[row, m, c]
                 out.positions[i, m, c] = tracks.positions[row, m, c] + moved
@@ -277,7 +271,7 @@ def _predict_orientations(
     for i in range(len(rows)):
         row = rows[i]
         for k in range(out.shape[1]):
-            dt = _steady((stamp - tracks.links_seen[row, k]) * 1e-9, horizon)
+            dt = min(max((stamp - tracks.links_seen[row, k]) * 1e-9, 0.0), horizon)
             omega = tracks.angular_velocities[row, k]
             step = exponential(dt * omega[0], dt * omega[1], dt * omega[2])
             q = multiply(step, _quaternion(tracks.orientations[row, k]))
