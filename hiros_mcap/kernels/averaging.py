@@ -180,17 +180,6 @@ def _mean_orientation(states: Floats, m: int, weights: Floats, reference: int, o
     out[m, 3], out[m, 4], out[m, 5], out[m, 6] = qx, qy, qz, qw
 
 
-@kernel
-def _mean_confidence(confidences: Floats, m: int, weights: Floats) -> float:
-    """Weighted mean of the confidences that are given; NaN if none is."""
-    total = norm = 0.0
-    for k in range(len(confidences)):
-        if weights[k] > 0.0 and not math.isnan(confidences[k, m]):
-            total += weights[k] * confidences[k, m]
-            norm += weights[k]
-    return total / norm if norm > 0.0 else np.nan
-
-
 @inlined
 def mean_state(
     states: Floats, confidences: Floats, m: int, weights: Floats, reference: int, out: Floats,
@@ -209,7 +198,12 @@ def mean_state(
         _mean_vector(states, m, first, weights, out)
     if not math.isnan(states[reference, m, ORIENTATION]):
         _mean_orientation(states, m, weights, reference, out)
-    out_confidences[m] = _mean_confidence(confidences, m, weights)
+    total = norm = 0.0
+    for k in range(len(confidences)):
+        if weights[k] > 0.0 and not math.isnan(confidences[k, m]):
+            total += weights[k] * confidences[k, m]
+            norm += weights[k]
+    out_confidences[m] = total / norm if norm > 0.0 else np.nan
 
 
 @kernel

@@ -68,14 +68,8 @@ def decode_messages(
         i = message + k
         begin, end = results.first[i], results.first[i + 1]
         mine = rows_of(people, begin, end)
-        results.codes[i] = decode(
-            data[places[k, START] : places[k, STOP]],
-            tables,
-            mine,
-            results.sources[begin:end],
-            seen,
-            results.reports[i],
-        )
+        data_of, sources = data[places[k, START] : places[k, STOP]], results.sources[begin:end]
+        results.codes[i] = decode(data_of, tables, mine, sources, seen, results.reports[i])
         if results.codes[i] == TOO_NARROW:
             return False
         if results.codes[i] != OK or exact:

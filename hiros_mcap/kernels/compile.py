@@ -133,12 +133,7 @@ def direct(function: Any) -> Any:
 def rows_of(people: People, begin: int, end: int) -> People:
     """People from row ``begin`` on and before row ``end``, as views; for kernels."""
     return People(
-        people.ids[begin:end],
-        people.stamps[begin:end],
-        people.confidences[begin:end],
-        people.markers[begin:end],
-        people.marker_confidences[begin:end],
-        people.links[begin:end],
-        people.link_confidences[begin:end],
-        people.boxes[begin:end],
-    )
+        people.ids[begin:end], people.stamps[begin:end], people.confidences[begin:end],
+        people.markers[begin:end], people.marker_confidences[begin:end], people.links[begin:end],
+        people.link_confidences[begin:end], people.boxes[begin:end],
+    )  # fmt: skip

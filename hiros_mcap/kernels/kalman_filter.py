@@ -80,10 +80,6 @@ def correct(p: Covariance, k: Gain) -> Covariance:
     """Covariance after the measurement: (I - K H) P."""
     p00, p01, p02, p11, p12, p22 = p
     return (
-        p00 - k[0] * p00,
-        p01 - k[0] * p01,
-        p02 - k[0] * p02,
-        p11 - k[1] * p01,
-        p12 - k[1] * p02,
-        p22 - k[2] * p02,
-    )
+        p00 - k[0] * p00, p01 - k[0] * p01, p02 - k[0] * p02,
+        p11 - k[1] * p01, p12 - k[1] * p02, p22 - k[2] * p02,
+    )  # fmt: skip

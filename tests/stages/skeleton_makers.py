@@ -4,8 +4,8 @@ import numpy as np
 
 from hiros_mcap.body.limb_table import Limb, LimbTable
 from hiros_mcap.skeletons import Frame, SkeletonModel
-from hiros_mcap.stages.optimize.elimination import topology_of
 from hiros_mcap.stages.optimize.energy import Energy, exact_weights, paper_weights
+from hiros_mcap.stages.optimize.normal_equations import topology_of
 
 
 def random_model(rng, markers=20, loops=0):

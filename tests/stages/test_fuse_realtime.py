@@ -23,10 +23,9 @@ from hiros_mcap.stages.fuse.fusing import (
     Sightings,
     Steps,
 )
-from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
+from hiros_mcap.stages.fuse.fusion_noise import FusionNoise, RunningNoise
 from hiros_mcap.stages.fuse.pair_lengths import RunningLengths, measured_lengths
 from hiros_mcap.stages.fuse.pose_prior import RecentMotion
-from hiros_mcap.stages.fuse.running_noise import RunningNoise
 from hiros_mcap.stages.fuse.sightings import chosen
 from hiros_mcap.systems import Run, system
 

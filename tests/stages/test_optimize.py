@@ -12,7 +12,6 @@ from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
 from hiros_mcap.frames import by_frame
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
-from hiros_mcap.stages.optimize.elimination import topology_of
 from hiros_mcap.stages.optimize.energy import (
     W_DISTAL,
     W_LENGTH,
@@ -21,7 +20,11 @@ from hiros_mcap.stages.optimize.energy import (
     exact_weights,
     paper_weights,
 )
-from hiros_mcap.stages.optimize.normal_equations import NormalEquations, solve_equations
+from hiros_mcap.stages.optimize.normal_equations import (
+    NormalEquations,
+    solve_equations,
+    topology_of,
+)
 from hiros_mcap.stages.optimize.optimize import OptimizeParams, block_solver, optimize_blocks
 
 optimize = by_frame(optimize_blocks)

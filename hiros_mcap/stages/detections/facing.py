@@ -408,12 +408,8 @@ def _write_evidence(
     measured: MeasuredViews, i: int, past: FacingPast, tables: FacingTables, out: Floats
 ) -> None:
     """Write the logarithm of the likelihood of view ``i`` for every facing."""
-    x, y, cues, weight = (
-        measured.facing[i, 0],
-        measured.facing[i, 1],
-        measured.cues[i],
-        measured.weights[i],
-    )
+    x, y, cues = measured.facing[i, 0], measured.facing[i, 1], measured.cues[i]
+    weight = measured.weights[i]
     reliable = _line_reliability(measured.widths[i], past.widths[measured.rows[i]])
     wrong, sharpness = _mistrust(tables), 2.0 * _LINE_SHARPNESS * reliable
     for b in range(_HALF if reliable > 0.0 else 0):

@@ -19,7 +19,7 @@ import numpy as np
 
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, HeldFrames
-from hiros_mcap.kernels.array_types import settings_of
+from hiros_mcap.kernels.array_types import arrays, settings_of
 from hiros_mcap.skeletons import POSITION, UNTRACKED, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.delay import Delay
@@ -210,12 +210,8 @@ def _method(params: FilterParams) -> FilterMethod:
 
 def _nobody(model: SkeletonModel, order: int, method: FilterMethod) -> FilterPast:
     n = 2 * (model.n_markers + model.n_links)
-    return FilterPast(
-        states=np.zeros((0, n, method.state_columns(order))),
-        ring=np.zeros((0, _SLOTS, n, method.slot_columns)),
-        times=np.zeros((0, _SLOTS)),
-        lengths=np.zeros((0, _SLOTS, model.n_links, 2)),
-    )
+    rings = (0, _SLOTS, n, method.slot_columns), (0, _SLOTS), (0, _SLOTS, model.n_links, 2)
+    return arrays(FilterPast, (0, n, method.state_columns(order)), *rings)
 
 
 class _SampleTime:

@@ -4,7 +4,7 @@ fuse.py              the page
 sightings.py         the views of each instant
 window_smoother.py   the estimate; fusing.py holds the compiled loops
 pose_error.py        how well each camera's pose is known
-fusion_noise.py      how well each camera sees; running_noise.py, residuals.py, log_histograms.py
+fusion_noise.py      how well each camera sees; residuals.py, log_histograms.py
 displaced_views.py   views of a camera that is not where its pose says
 constrain.py         constant lengths afterwards; pair_lengths.py, pose_prior.py
 align_links.py       orientations of the links; aligning.py is its compiled loop

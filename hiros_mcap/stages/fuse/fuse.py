@@ -21,10 +21,9 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
 from hiros_mcap.skeletons import Floats, SkeletonModel
 from hiros_mcap.stages.fuse.fuse_params import FuseParams
-from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
+from hiros_mcap.stages.fuse.fusion_noise import FusionNoise, RunningNoise
 from hiros_mcap.stages.fuse.pose_error import PoseError
 from hiros_mcap.stages.fuse.residuals import ResidualMeter
-from hiros_mcap.stages.fuse.running_noise import RunningNoise
 from hiros_mcap.stages.fuse.sightings import SightingGatherer
 from hiros_mcap.stages.fuse.window_smoother import WindowSmoother
 from hiros_mcap.stages.merge.merge_params import MergeParams

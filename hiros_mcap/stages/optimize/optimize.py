@@ -39,7 +39,6 @@ from hiros_mcap.frames import Block, frames_of, join
 from hiros_mcap.skeletons import POSITION, Floats, Ints, People, SkeletonModel
 from hiros_mcap.stages.delay import Delay
 from hiros_mcap.stages.optimize import optimizing as kernels
-from hiros_mcap.stages.optimize.elimination import topology_of
 from hiros_mcap.stages.optimize.energy import (
     Energy,
     SolverScratch,
@@ -48,6 +47,7 @@ from hiros_mcap.stages.optimize.energy import (
     paper_weights,
 )
 from hiros_mcap.stages.optimize.limb_calibration import Calibration, calibrate_limbs
+from hiros_mcap.stages.optimize.normal_equations import topology_of
 from hiros_mcap.stages.optimize.optimize_params import OptimizeParams
 
 _UNLIMITED = 1e9  # s; the calibration decides how long frames are held

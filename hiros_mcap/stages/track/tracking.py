@@ -264,20 +264,6 @@ def _quaternion(values: Floats) -> Quaternion:
     return values[0], values[1], values[2], values[3]
 
 
-@inlined
-def _predict_orientations(
-    stamp: int, rows: Stamps, tracks: Tracks, horizon: float, out: Floats
-) -> None:
-    for i in range(len(rows)):
-        row = rows[i]
-        for k in range(out.shape[1]):
-            dt = min(max((stamp - tracks.links_seen[row, k]) * 1e-9, 0.0), horizon)
-            omega = tracks.angular_velocities[row, k]
-            step = exponential(dt * omega[0], dt * omega[1], dt * omega[2])
-            q = multiply(step, _quaternion(tracks.orientations[row, k]))
-            out[i, k, 0], out[i, k, 1], out[i, k, 2], out[i, k, 3] = q
-
-
 @entry
 def predict(
     stamp: int, rows: I1, tracks: Tracks, settings: TrackSettings, predicted: PredictedTracks
@@ -288,7 +274,15 @@ def predict(
     twice its size: nobody knows where an unseen person goes.
     """
     _predict_positions(stamp, rows, tracks, settings, predicted)
-    _predict_orientations(stamp, rows, tracks, settings.horizon, predicted.orientations)
+    out = predicted.orientations
+    for i in range(len(rows)):
+        row = rows[i]
+        for k in range(out.shape[1]):
+            dt = min(max((stamp - tracks.links_seen[row, k]) * 1e-9, 0.0), settings.horizon)
+            omega = tracks.angular_velocities[row, k]
+            step = exponential(dt * omega[0], dt * omega[1], dt * omega[2])
+            q = multiply(step, _quaternion(tracks.orientations[row, k]))
+            out[i, k, 0], out[i, k, 1], out[i, k, 2], out[i, k, 3] = q
 
 
 # Cost, eq 6 and 8 to 11
