@@ -64,20 +64,17 @@ def _swapper(kind: Any) -> Any:
     return swap
 
 
-@intrinsic
-def _double(typing_context: Any, value: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.bitcast(args[0], ir.DoubleType())
+def _cast(source: Any, target: Any, kind: Any) -> Any:
+    """Make a change of the type of 64 bits."""
 
-    return types.float64(types.uint64), generate
+    @intrinsic
+    def cast(typing_context: Any, value: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            return builder.bitcast(args[0], kind)
 
+        return target(source), generate
 
-@intrinsic
-def _word(typing_context: Any, value: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.bitcast(args[0], ir.IntType(64))
-
-    return types.uint64(types.float64), generate
+    return cast
 
 
 @intrinsic
@@ -99,9 +96,11 @@ store64 = _storer(64, types.uint64)
 swap32 = _swapper(types.uint32)
 swap64 = _swapper(types.uint64)
 
-to_double: Any = _double
+to_double: Any = _cast(types.uint64, types.float64, ir.DoubleType())
 """``to_double(word)``: the number with these 64 bits, the payload of a NaN included."""
 
-to_word: Any = _word  # ``to_word(number)``: the 64 bits of a number
+to_word: Any = _cast(
+    types.float64, types.uint64, ir.IntType(64)
+)  # ``to_word(number)``: the 64 bits of a number
 
 copy: Any = _copy  # ``copy(to, at, source, start, size)``: ``size`` bytes from one array to another

@@ -30,7 +30,7 @@ class Delay(Generic[T]):
         self._held.append((stamp, item))
 
     def release(self, now: int, decided: Callable[[T], bool]) -> Iterator[T]:
-        """Yield what need not be held any more at ``now``, ns: oldest first, none past another."""
+        """Yield, oldest first, what need not be held any more at ``now``, ns."""
         while self._held:
             stamp, item = self._held[0]
             if now - stamp < self._patience and not decided(item):

@@ -1,8 +1,8 @@
 """Kernels that decide which way a person faces: evidence of each view, and a hidden Markov model.
 
 The hidden state is the facing: BINS directions across the person's trunk, in axes that are carried
-along with the body (kernels.body_axes). Time goes in cells of 1/30 s. What a cell's views show is
-summed as logarithms of likelihoods. Weights and scales were fitted to recordings of two cameras at
+along with the body (body_axes.py). Time is divided into cells of 1/30 s. The logarithms of the
+likelihoods of a cell's views add up. Weights and scales were fitted to recordings of two cameras at
 30 Hz.
 """
 
@@ -87,7 +87,7 @@ class MeasuredViews(NamedTuple):
     cues: F2  # (N, CUES * 2) vectors that point forwards, m; 0 = not known
     axes: F3  # (N, 3, 3) the person's: two across the trunk, one along it; NaN = not known
     starts: I1
-    """(N,) how often they were chosen anew: facings before and after that have no relation."""
+    """(N,) how often the axes were chosen anew; facings before and after are unrelated."""
     weights: F1  # (N,) 1 for a camera of 30 Hz or slower, less for a faster one
 
     @classmethod
@@ -171,7 +171,7 @@ class Facings(NamedTuple):
     facing: F2  # (N, 2) the way the person faces; the length, up to 1, tells how sure that is
     swapped: B1  # (N,) whether the view's left and right are exchanged
     turns: F1  # (N,) angle by which shoulders and hips are turned after that, rad
-    toes: F1  # (N,) what was known when this was decided: see FacingTables.reliability of the toes
+    toes: F1  # (N,) reliability of the toes (FacingTables.reliability) when this was decided
 
     @classmethod
     def allocate(cls, n: int) -> Facings:
@@ -487,7 +487,7 @@ def _velocity(cells: Stamps, way: Floats, first: int, last: int) -> tuple[float,
 
 @inlined
 def _forwards(along: float, against: float) -> float:
-    """Likelihood of a facing that lies along and against the walking direction to such a degree."""
+    """Likelihood of a facing, from its agreement with the walking direction and the opposite."""
     return (1.0 - _WALK_BACKWARDS) * along + _WALK_BACKWARDS * against + 0.01
 
 
@@ -495,9 +495,9 @@ def _forwards(along: float, against: float) -> float:
 def _walk(
     velocity: tuple[float, float, float], axes: Floats, tables: FacingTables, out: Floats
 ) -> None:
-    """Add what the walking direction says of the facing: seldom do people walk backwards.
+    """Add the evidence of the walking direction: people seldom walk backwards.
 
-    It says nothing of somebody who is not upright, or while nothing shows which way is up.
+    There is none while a person is not upright, or while it is unknown which way is up.
     """
     weight = _VIEW * upright(axes, tables.up)
     if weight == 0.0:

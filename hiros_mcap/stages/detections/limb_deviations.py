@@ -163,7 +163,7 @@ def _compare(
 def _lower(
     people: People, p: int, deviation: float, settings: PlausibleSettings, work: PlausibleWork
 ) -> int:
-    """Lower the confidences of contradictory markers of a view; return of how many."""
+    """Lower the confidences of contradictory markers of a view; return how many they are."""
     n = 0
     for m in range(people.markers.shape[1]):
         square = work.second[m] if work.second[m] >= 0.0 else work.largest[m]

@@ -99,7 +99,7 @@ class _Piece:
         )
 
     def logged_from(self, log_time: int) -> _Piece:
-        """Return the same frames, known at ``log_time``, ns, or later."""
+        """Return the same frames, logged at ``log_time``, ns, or later."""
         times = np.maximum(self.block.log_times, log_time)
         return replace(self, block=self.block.logged_at(times))
 

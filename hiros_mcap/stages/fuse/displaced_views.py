@@ -69,7 +69,7 @@ def view_offsets(
 
 
 class _Offsets(NamedTuple):
-    """Sums over the views of R people by C cameras of late."""
+    """Sums over the recent views of R people by C cameras."""
 
     sums: Floats  # (R, C, 3) of the offsets, m
     weights: Floats  # (R, C) of the views
@@ -98,7 +98,7 @@ class DisplacedViews:
         )
 
     def expected(self, views: Sightings) -> Floats:
-        """(N,) The same of views that come now, by the views before them."""
+        """(N,) Variance, m2, to be added to new views, by the offsets of the views before them."""
         rows = np.array([self._bank.rows.get(p, -1) for p in views.people.tolist()], np.int64)
         variances = displaced(*self._bank.past, LIMIT_AHEAD)
         if not len(variances):

@@ -228,7 +228,7 @@ def _log_likelihood(scaled: float, variance: float, freedom: float) -> float:
 
 @inlined
 def _weight(scaled: float, freedom: float) -> float:
-    """Return the weight of such a measurement, at most 1."""
+    """Weight of a measurement under Student's t, at most 1, by its ``scaled`` square."""
     return min((freedom + 3.0) / (freedom + scaled), 1.0)
 
 

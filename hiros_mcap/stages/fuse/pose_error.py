@@ -1,7 +1,7 @@
 """How wrong the cameras' poses are: a part of the error that all markers of a person share.
 
-A pose is assumed to be as wrong as poses usually are. The cameras then show by how much: in front
-of wrong poses, they see a person at different places. The variance that is assumed, times
+A pose is assumed to be as wrong as poses usually are. The cameras then show how wrong: if poses
+are wrong, cameras see a person at different places. The variance that is assumed, times
 
     (3 + n a) / (3 + n),   n = 3 (cameras - 1),
 

@@ -102,7 +102,7 @@ class ResidualMeter:
         uncertainty = fused.uncertainty
         if uncertainty is None:
             return fused
-        ratio_of = {name: float(ratios(one[None])[0]) for name, one in self._recent.items()}
+        ratio_of = {name: float(ratios(counts[None])[0]) for name, counts in self._recent.items()}
         ratio = np.array([ratio_of.get(name, np.nan) for name in uncertainty.names])
         factors = np.fmax(np.nan_to_num(ratio, nan=1.0) / self._healthy, 1.0) ** 2
         if (factors == 1.0).all():

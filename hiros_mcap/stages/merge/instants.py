@@ -146,9 +146,9 @@ class InstantMerger:
         Messages are copied only where those of an instant lie in several blocks.
         """
         start = instants[0].stamp if instants else 0
-        for _, batch in groupby(instants, lambda one: (one.stamp - start) // self._SPAN):
+        for _, batch in groupby(instants, lambda instant: (instant.stamp - start) // self._SPAN):
             plans = []
-            for is_held, some in groupby(batch, lambda one: min(one.messages) < first):
+            for is_held, some in groupby(batch, lambda instant: min(instant.messages) < first):
                 part = list(some)
                 numbers = [number for instant in part for number in instant.messages]
                 if block is None or is_held:

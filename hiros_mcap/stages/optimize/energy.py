@@ -306,6 +306,6 @@ def minimize(
     """
     failed, steps = 0, np.int64(MAX_STEPS)
     for i in range(x.shape[0]):
-        one = Energy(energy.start[i], energy.nominal[i], energy.weights[i])
-        failed += minimize_one(one, topology, tolerance, steps, False, scratch, x[i])
+        skeleton = Energy(energy.start[i], energy.nominal[i], energy.weights[i])
+        failed += minimize_one(skeleton, topology, tolerance, steps, False, scratch, x[i])
     return failed

@@ -148,8 +148,8 @@ class _Optimizer:
 
     def __call__(self, block: Block, frames: list[_Calibrated]) -> Block:
         """Return frames of a block with their calibrated people optimized."""
-        places, log_times = [one.place for one in frames], [one.log_time for one in frames]
-        nominal = np.concatenate([one.nominal for one in frames])
+        places, log_times = [each.place for each in frames], [each.log_time for each in frames]
+        nominal = np.concatenate([each.nominal for each in frames])
         rows = ~np.isnan(nominal).all(axis=1)
         if not rows.any():
             return block.select(places).logged_at(log_times)

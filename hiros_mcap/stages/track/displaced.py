@@ -6,14 +6,14 @@ copies of people. Nobody but a copy moves as the person does. The model, with it
 - Only a track that one camera alone reports may be a copy, and only of a person whom another camera
   knows. Both are compared at the same instants, over a second and a half.
 - A copy: one rotation and one shift, or one reflection, takes the track onto the person, with
-  sides as they are or swapped. What distance is left is far less than the person moved. So nobody
-  who stands still is evidence.
-- A displaced camera does not show the person in place as well. A mirror does, but it only
-  reflects: the person who walks half a step behind is turned or shifted besides.
-- What displaces one person displaces all whom the camera shows. So the displacement is remembered,
-  and made more precise: it finds copies at once, also of people who stand still, and those that
-  lie near enough to the person to be taken for the person. It is forgotten once the camera shows
-  people in place, or no copy for a while.
+  sides as they are or swapped. The distance that remains is far less than the person moved, so a
+  person who stands still is no evidence.
+- A displaced camera does not also show the person in place. A mirror does, but it only reflects:
+  somebody who walks half a step behind the person is also turned or shifted.
+- The displacement is the camera's, so it applies to everybody whom the camera shows. It is
+  remembered and made more precise. It then finds copies at once, also of people who stand still,
+  and copies so near to the person that they would be taken for the person. It is forgotten once
+  the camera shows people in place, or no copy for a while.
 
 Of two cameras without a third, nobody can know which is displaced. Each then shows copies of the
 people whom the other one knows: whoever came first stays.

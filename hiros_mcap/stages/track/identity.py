@@ -88,8 +88,8 @@ class Identities:
     def _is_unseen_since(self, person: PersonTrack, track: PersonTrack) -> bool:
         """Whether a person was last seen before a track began, and not for a while.
 
-        Where cameras disagree for a moment, the old track may also outlive the beginning of the
-        one that goes on; then no camera shows both.
+        If cameras disagree for a moment, the old track may still be seen after the new one began.
+        No camera then shows both.
         """
         disagree = self._params.merge_tracks and person.number not in track.beside
         latest = track.support.first + (OVERLAP if disagree else 0)
@@ -112,8 +112,8 @@ class Identities:
     def _reidentify(self, track: PersonTrack, scene: Present) -> Verdict:
         """Weigh whether a newcomer is one of the absent people, with all other newcomers.
 
-        Those who came before, with a new id, are newcomers still: whom they fit best by now is
-        less probably this one.
+        People who got a new id earlier are still newcomers: an absent person whom one of them fits
+        best is less probably this one.
         """
         others = [each for each in self._people.tentative() if each is not track]
         rivals = [each for each in others if each.support.confirms(each.seen, self._params)]

@@ -1,8 +1,8 @@
 """Whether a track is a copy: another camera's displaced or mirrored view of a person.
 
 A copy becomes the person by one rotation and one shift, or by one reflection, over all instants.
-That is found by least squares (Kabsch 1976), and what distance is left is compared with how far the
-person moved. :mod:`hiros_mcap.stages.track.displaced` gathers the instants.
+Least squares find it (Kabsch 1976). The distance that remains is compared with how far the person
+moved. :mod:`hiros_mcap.stages.track.displaced` gathers the instants.
 """
 
 from __future__ import annotations

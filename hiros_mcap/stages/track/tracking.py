@@ -138,7 +138,7 @@ class TrackPairs(NamedTuple):
     mirrored: B2  # (T, P) whether that is with the detection's left and right swapped
     cost: F2  # (T, P) eq 6; infinite where a pair is not allowed
     match: I1  # (P,) index of the track of each detection, -1 = none
-    broken: B1  # (P,) whether a detection breaks with the track that ``match`` gives it
+    broken: B1  # (P,) whether a detection is too far from the track that ``match`` gives it
 
 
 class TrackWork(NamedTuple):
