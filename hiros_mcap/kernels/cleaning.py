@@ -14,26 +14,19 @@ from hiros_mcap.skeletons import BOX, ORIENTATION, STATE, VELOCITY, Floats, Peop
 LIMIT = 1e4  # Largest believable number: m, m/s, rad/s, m/s2, rad/s2
 
 # Elements of the counts.
-ABSURD, INCOMPLETE, NO_ROTATION, NOT_UNIT, ABOVE_ONE, NEGATIVE = 0, 1, 2, 3, 4, 5
 COUNTS = 6
+ABSURD, INCOMPLETE, NO_ROTATION, NOT_UNIT, ABOVE_ONE, NEGATIVE = range(COUNTS)
 KINDS = (
-    "absurd number",
-    "incomplete vector",
-    "quaternion of length 0",
-    "quaternion normalised",
-    "confidence above 1",
-    "negative confidence",
-)
+    "absurd number", "incomplete vector", "quaternion of length 0", "quaternion normalised",
+    "confidence above 1", "negative confidence",
+)  # fmt: skip
 """What the counts are called in reports."""
 
 _QUATERNION = ORIENTATION.start
 
-# A quaternion of float32 numbers is this far from unit length: left as it is.
-_UNIT = 1e-6
-# Farther off than this is worth telling (rounding to three digits, say).
-_NOTICE = 1e-3
-# Shorter than this it has no direction.
-_SHORTEST = 1e-6
+_UNIT = 1e-6  # a quaternion of float32 numbers is this far from unit length: left as it is
+_NOTICE = 1e-3  # farther off than this is worth a note (rounding to three digits, say)
+_SHORTEST = 1e-6  # shorter than this it has no direction
 
 
 # Signatures keep numba from making a version for every number that a helper is called with.

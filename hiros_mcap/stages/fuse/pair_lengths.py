@@ -110,23 +110,21 @@ class RunningLengths:
 
     def update(self, positions: Floats, variances: Floats) -> None:
         """Take poses: (T, M, 3) m, (T, M) m2 along each axis."""
-        for pose, noise in zip(positions, variances, strict=True):
-            self._add(pose, noise[self._a] + noise[self._b])
-
-    def _add(self, pose: Floats, noise: Floats) -> None:
-        squares = ((pose[self._a] - pose[self._b]) ** 2).sum(axis=1)
-        seen = ~np.isnan(squares)
-        squares = np.where(seen, squares, 0.0)
-        mean, mean_square = self._means[:2]
-        spread = np.sqrt(np.maximum(mean_square - mean**2, 0.0))
-        clipped = np.clip(squares, mean - _OUTLIER * spread, mean + _OUTLIER * spread)
-        squares = np.where(self._counts >= _FEWEST, clipped, squares)
-        new = seen / (noise + 2 * _SURE**2)
-        self._weight += new
-        gain = new / np.maximum(self._weight, 1e-12)
-        values = np.stack([squares, squares**2, np.sqrt(squares), noise])
-        self._means += gain * (values - self._means)
-        self._counts += seen
+        noises = variances[:, self._a] + variances[:, self._b]
+        for pose, noise in zip(positions, noises, strict=True):
+            squares = ((pose[self._a] - pose[self._b]) ** 2).sum(axis=1)
+            seen = ~np.isnan(squares)
+            squares = np.where(seen, squares, 0.0)
+            mean, mean_square = self._means[:2]
+            spread = np.sqrt(np.maximum(mean_square - mean**2, 0.0))
+            clipped = np.clip(squares, mean - _OUTLIER * spread, mean + _OUTLIER * spread)
+            squares = np.where(self._counts >= _FEWEST, clipped, squares)
+            new = seen / (noise + 2 * _SURE**2)
+            self._weight += new
+            gain = new / np.maximum(self._weight, 1e-12)
+            values = np.stack([squares, squares**2, np.sqrt(squares), noise])
+            self._means += gain * (values - self._means)
+            self._counts += seen
 
     def result(self) -> MeasuredLengths:
         """Return what the poses so far show."""

@@ -145,7 +145,12 @@ class WindowSmoother:
         self._bank.expire(self._stamps[0])
         poses = self._without_displaced(window, of_views, boundary)
         seen = cameras_by_row(views, of_views, poses.variances.shape)
-        self._drop(n, boundary, views)
+        # The filters have taken over what is before the boundary.
+        self._stamps = self._stamps[n:]
+        self._first += n
+        self._held.keep(range(self._first, self._held.count))
+        self._taken = boundary
+        self._views = [chosen(views, (views.stamps >= boundary) | (views.instants >= self._first))]
         return self._finished(out, log_time, poses, seen)
 
     def _without_displaced(self, window: _Window, of_views: Stamps, boundary: int) -> FusedPoses:
@@ -182,7 +187,12 @@ class WindowSmoother:
             steps, keep = self._steps(
                 chosen(window.views, theirs), variances[theirs], window.stamps[rows], boundary
             )
-            self._smooth_person(int(person), steps, keep, boundary, rows, poses)
+            row = self._bank.row(int(person), boundary)
+            smoothed = FusedPoses.absent(len(rows), poses.variances.shape[1])
+            work = fusing.FusionWork.of(len(steps.times), self._bank.past.means.shape[2])
+            fusing.smooth_joints(steps, keep, self._motion, self._bank.past, row, smoothed, work)
+            for whole, part in zip(poses, smoothed, strict=True):
+                whole[rows] = part
         return poses
 
     def _steps(
@@ -201,26 +211,6 @@ class WindowSmoother:
             np.concatenate([variances, np.full((len(wanted), m), np.nan)])[order],
         )
         return steps, int((stamps < boundary).sum())
-
-    def _smooth_person(
-        self, person: int, steps: Steps, keep: int, boundary: int, rows: Stamps, poses: FusedPoses
-    ) -> None:
-        """Smooth one person's joints into ``rows`` of ``poses``."""
-        row = self._bank.row(person, boundary)
-        size = self._bank.past.means.shape[2]
-        smoothed = FusedPoses.absent(len(rows), poses.variances.shape[1])
-        work = fusing.FusionWork.of(len(steps.times), size)
-        fusing.smooth_joints(steps, keep, self._motion, self._bank.past, row, smoothed, work)
-        for whole, part in zip(poses, smoothed, strict=True):
-            whole[rows] = part
-
-    def _drop(self, n: int, boundary: int, views: Sightings) -> None:
-        """Forget what the filters have taken over."""
-        self._stamps = self._stamps[n:]
-        self._first += n
-        self._held.keep(range(self._first, self._held.count))
-        self._taken = boundary
-        self._views = [chosen(views, (views.stamps >= boundary) | (views.instants >= self._first))]
 
     def _finished(self, out: Block, log_time: int, poses: FusedPoses, seen: Stamps) -> Block:
         """Write poses, confidences and uncertainty."""
