@@ -27,9 +27,9 @@ class AssignmentWork(NamedTuple):
 
     row_potential: F1
     column_potential: F1
-    least: F1  # Reduced cost of the cheapest way to a column
-    row_of: I1  # Row of each column, 0 = none
-    before: I1  # Column before each on the cheapest way
+    least: F1  # reduced cost of the cheapest way to a column
+    row_of: I1  # row of each column, 0 = none
+    before: I1  # column before each on the cheapest way
     visited: B1
 
     @classmethod

@@ -21,7 +21,7 @@ from hiros_mcap.skeletons import STATE, Floats, People
 POSITION, ORIENTATION, VELOCITY, ANGULAR_VELOCITY, ACCELERATION = 0, 3, 7, 10, 13
 _VECTORS = (POSITION, VELOCITY, ANGULAR_VELOCITY, ACCELERATION, 16)
 
-BEGIN, END, TIME, CAMERA = 0, 1, 2, 3  # Columns of ``Buffers.messages``
+BEGIN, END, TIME, CAMERA = 0, 1, 2, 3  # columns of ``Buffers.messages``
 
 
 class Buffers(NamedTuple):

@@ -70,7 +70,7 @@ class Tables(NamedTuple):
     links: I2
     """(L, 5) the same, then the ids of the parent and the child marker; ABSENT + an unused id
     stands for a marker that the log never shows."""
-    words: W1  # Prepared bytes of all slots
+    words: W1  # prepared bytes of all slots
 
 
 # Columns of the tables.
@@ -84,7 +84,7 @@ class Slots(NamedTuple):
     seen: Table  # (n,) who had the slot last
     states: Floats
     confidences: Floats
-    width: int  # Columns of the states: STATE, or as many as come first
+    width: int  # columns of the states: STATE, or as many as come first
 
 
 @kernel

@@ -11,7 +11,7 @@ from hiros_mcap.kernels.array_types import F1, I1
 from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.skeletons import BOX, ORIENTATION, STATE, VELOCITY, Floats, People, Stamps
 
-LIMIT = 1e4  # Largest believable number: m, m/s, rad/s, m/s2, rad/s2
+LIMIT = 1e4  # largest believable number: m, m/s, rad/s, m/s2, rad/s2
 
 # Elements of the counts.
 COUNTS = 6

@@ -52,7 +52,7 @@ class Format(NamedTuple):
 
     columns: int
     """How many of the numbers of a KinematicState: all, or the pose only. The others are NaN."""
-    dropped: int  # How many of the 52 bits of the mantissa are rounded away, the lowest ones
+    dropped: int  # how many of the 52 bits of the mantissa are rounded away, the lowest ones
     boxed: int
     """Whether bounding boxes are those of the markers; else they are written as they are given."""
 

@@ -11,8 +11,8 @@ from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.kernels.distance import norm3
 from hiros_mcap.skeletons import Floats
 
-_SHARE = 0.75  # Of two skeletons' joints, this share with the smallest distances is compared
-_LEAST = 4  # Skeletons with fewer joints in common are not compared
+_SHARE = 0.75  # of two skeletons' joints, this share with the smallest distances is compared
+_LEAST = 4  # skeletons with fewer joints in common are not compared
 
 
 class Skeletons(NamedTuple):

@@ -11,7 +11,7 @@ from hiros_mcap.kernels.compile import kernel
 from hiros_mcap.kernels.kalman_filter import Covariance
 from hiros_mcap.skeletons import Floats
 
-TRIANGLE = 6  # Numbers of a covariance
+TRIANGLE = 6  # numbers of a covariance
 
 _correct = kalman_filter.correct
 _gain = kalman_filter.gain

@@ -11,7 +11,7 @@ from hiros_mcap.kernels.array_types import F1, F2, F3, I1, arrays
 from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.skeletons import Floats
 
-UNKNOWNS = 8  # Of a camera: rotation, shift, clock, drift
+UNKNOWNS = 8  # of a camera: rotation, shift, clock, drift
 CLOCK, DRIFT = 6, 7
 
 

@@ -30,7 +30,7 @@ from hiros_mcap.stages.detections.body_axes import (
 
 CELL = 33_333_333  # ns
 BINS = 36
-CUES = 4  # Rows of body.forward_cues.CUES
+CUES = 4  # rows of body.forward_cues.CUES
 VIEWS = 16  # of a person that are remembered
 CELLS = 16  # of a person's way that are remembered
 _HALF = BINS // 2

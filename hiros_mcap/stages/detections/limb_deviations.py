@@ -46,7 +46,7 @@ _BESIDE = 0.5  # m
 _ALONE = 200_000_000  # ns without a good view of another camera: then a camera is alone
 _IN_FRONT = 0.35  # m: somebody this much nearer to the camera is in front
 
-OUT, MARKERS = 0, 1  # Rows of the counts: views left out, and markers that are trusted less
+OUT, MARKERS = 0, 1  # rows of the counts: views left out, and markers that are trusted less
 
 
 class LimbLinks(NamedTuple):

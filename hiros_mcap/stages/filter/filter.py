@@ -30,13 +30,13 @@ from hiros_mcap.stages.filter.link_lengths import average_lengths, restore_lengt
 
 _JITTER = 0.001
 """s by which a frame may come early and still complete a look-ahead: stamps are rounded."""
-_INTERVALS = 31  # Number of intervals whose median is the sample time
+_INTERVALS = 31  # number of intervals whose median is the sample time
 _REDESIGN = 0.1
 """Relative change of the sample time, once well known, at which the filter is designed anew."""
-_SHORTEST = 0.002  # Least sample time in s to design for; nothing that sees people is faster
-_HIGHEST = 0.4  # Highest cut-off over the sample rate; half of the rate cannot be filtered at all
-_BATCH = 16  # Most frames that are filtered in one call: each takes a slot of the rings
-_SLOTS = 32  # Slots of the rings at first: enough for a batch and the default look-ahead at 30 Hz
+_SHORTEST = 0.002  # least sample time in s to design for; nothing that sees people is faster
+_HIGHEST = 0.4  # highest cut-off over the sample rate; half of the rate cannot be filtered at all
+_BATCH = 16  # most frames that are filtered in one call: each takes a slot of the rings
+_SLOTS = 32  # slots of the rings at first: enough for a batch and the default look-ahead at 30 Hz
 
 
 def filter_blocks(
@@ -251,11 +251,11 @@ class _SampleTime:
 class _FilteredPerson:
     """How far the filters of one person are."""
 
-    number: int  # In the bank; whoever comes back after a long gap gets a new one
-    start: int  # Time of the first step, ns
-    stamp: int  # Time of the latest step, ns
+    number: int  # in the bank; whoever comes back after a long gap gets a new one
+    start: int  # time of the first step, ns
+    stamp: int  # time of the latest step, ns
     n_steps: int = 0
-    n_estimated: int = 0  # Steps whose estimates are written
+    n_estimated: int = 0  # steps whose estimates are written
 
 
 class _HeldFrame(NamedTuple):

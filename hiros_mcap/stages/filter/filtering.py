@@ -33,27 +33,27 @@ from hiros_mcap.skeletons import (
 )
 
 # Columns of a slot of the ring that every method fills.
-SLOT_POSE = 0  # Predicted (state_space), or the output at the last measurement (butterworth)
+SLOT_POSE = 0  # predicted (state_space), or the output at the last measurement (butterworth)
 SLOT_VELOCITY = 4
 SLOT_ACCELERATION = 7
 SLOT_CONTINUES = 10
 """1 if the trajectory goes on from the previous slot, 0 if it starts or is absent."""
 SLOT_AGE = 11  # s since the last measurement; inf = the trajectory is absent
-SLOT_CONFIDENCE = 12  # Confidence of the last measurement
-SLOT_METHOD = 13  # First column that belongs to the method
+SLOT_CONFIDENCE = 12  # confidence of the last measurement
+SLOT_METHOD = 13  # first column that belongs to the method
 
-GROUPS = 4  # Marker positions, link orientations, link positions, marker orientations
+GROUPS = 4  # marker positions, link orientations, link positions, marker orientations
 
 
 class FilterSteps(NamedTuple):
     """What to do, in order: one person at one step per row."""
 
-    people: I1  # Row of the person's pose in People
-    rows: I1  # Row of the person in the bank
-    steps: I1  # Number of the step
-    ends: I1  # Number of the first step that is not known yet
-    tunings: F1  # What ``FilterMethod.tune`` returned
-    periods: F1  # Sample time of the person's source, s
+    people: I1  # row of the person's pose in People
+    rows: I1  # row of the person in the bank
+    steps: I1  # number of the step
+    ends: I1  # number of the first step that is not known yet
+    tunings: F1  # what ``FilterMethod.tune`` returned
+    periods: F1  # sample time of the person's source, s
 
 
 class FilterPast(NamedTuple):
@@ -88,7 +88,7 @@ class FilterMethod(NamedTuple):
 class Group(NamedTuple):
     """One of the four groups of a person's trajectories."""
 
-    first: int  # Index of its first trajectory
+    first: int  # index of its first trajectory
     angular: bool
     elements: Floats  # (n, 19) KinematicStates
     confidences: Floats  # (n,)
@@ -99,7 +99,7 @@ class Step(NamedTuple):
 
     states: Floats
     slot: Floats
-    before: Floats  # Slot of the previous step
+    before: Floats  # slot of the previous step
     interval: float  # s since the previous step; inf at the first
     tuning: float
     period: float

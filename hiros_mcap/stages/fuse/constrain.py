@@ -91,9 +91,9 @@ def constrain_blocks(
 class _WaitingWindow(NamedTuple):
     """Frames that are corrected together, and wait for lengths."""
 
-    numbers: range  # Of these frames
-    begin: int  # Time of the first, ns
-    people: list[int]  # Who has an id in them
+    numbers: range  # of these frames
+    begin: int  # time of the first, ns
+    people: list[int]  # who has an id in them
 
 
 @dataclass
@@ -103,9 +103,9 @@ class _Body:
     meter: AllPoses | RunningLengths
     recent: RecentMotion
     first: int
-    last: int = 0  # When the person was first and last seen, ns
+    last: int = 0  # when the person was first and last seen, ns
     measured: MeasuredLengths | None = None  # None = not since the last pose
-    is_fixed: bool = False  # Whether the lengths stay as they are
+    is_fixed: bool = False  # whether the lengths stay as they are
 
 
 class _Bodies:

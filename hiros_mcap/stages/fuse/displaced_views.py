@@ -29,7 +29,7 @@ CLEARLY = 1.9
 it has twice the offset of the others; with more cameras the ratio is larger."""
 SHARE = 100.0
 """The offset lasts, and noise averages out: the variance of a view must be far over its square."""
-MAJORITY = 3  # Fewer cameras do not tell which one of them is wrong
+MAJORITY = 3  # fewer cameras do not tell which one of them is wrong
 SECOND = 1_000_000_000  # ns
 _MEMORY = 0.5  # s; time constant of the mean without future views
 _WORTH_S, _WORTH_M = 1.5, 0.06

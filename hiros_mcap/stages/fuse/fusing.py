@@ -22,8 +22,8 @@ from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.skeletons import Floats, People
 from hiros_mcap.stages.merge.merging import EXCHANGED, LEFT_OUT
 
-POSITION, VELOCITY, OFFSETS = 0, 1, 2  # Rows of the state of a joint
-POSE = -1  # The camera of a step at which a pose is wanted and nothing is measured
+POSITION, VELOCITY, OFFSETS = 0, 1, 2  # rows of the state of a joint
+POSE = -1  # the camera of a step at which a pose is wanted and nothing is measured
 
 _POSITION_VARIANCE, _VELOCITY_VARIANCE = 0.05, 1.0  # of a joint that is seen first, m2 and m2/s2
 _UNKNOWN = -1.0  # interval of a step that a joint takes no part in
@@ -64,8 +64,8 @@ class JointNoise(NamedTuple):
 
     accelerations: F1  # (M,) spectral density of the acceleration, m2/s3
     offsets: F1  # (M,) variance of a camera's offset, m2
-    time: float  # Time constant of the offsets, s
-    freedom: float  # Degrees of freedom of Student's t
+    time: float  # time constant of the offsets, s
+    freedom: float  # degrees of freedom of Student's t
 
 
 class JointStates(NamedTuple):

@@ -36,12 +36,12 @@ class FusionNoise:
     joints: Floats  # (M,) variance of the white noise at 2 m along each axis, m2
     accelerations: Floats  # (M,) spectral density of the acceleration, m2/s3
     offsets: Floats  # (M,) standard deviation of the slow offset of a camera, m
-    time: float = 1.7  # Time constant of the offsets, s
+    time: float = 1.7  # time constant of the offsets, s
     cameras: dict[str, float] = field(default_factory=dict)
     """Source -> factor of the variances of this camera; 1 where it is missing."""
-    power: float = 1.4  # The standard deviation grows with this power of the distance
-    guessed: float = 5.5  # Factor of the standard deviation where the detector guesses
-    guessed_below: float = 0.5  # Confidence below which the detector guesses
+    power: float = 1.4  # the standard deviation grows with this power of the distance
+    guessed: float = 5.5  # factor of the standard deviation where the detector guesses
+    guessed_below: float = 0.5  # confidence below which the detector guesses
     to_given: Mapping[str, Rigid] = field(default_factory=dict)
     """Source -> what takes its people back to the pose that was given, where it was refined."""
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from hiros_mcap.skeletons import Flags, Floats, Ints
 
-WINDOW = 90  # Poses, 3 s at 30 Hz
-FEWEST = 30  # Poses that a prior needs
+WINDOW = 90  # poses, 3 s at 30 Hz
+FEWEST = 30  # poses that a prior needs
 _EXCESS = 1.5  # eigenvalue, in units of the noise, that noise alone may have
 _FREE = 0.003  # m; what each marker may do by itself
 _SHOWN = 0.4  # share of its variance that a Gauss-Markov offset of 1.7 s shows within 3 s

@@ -30,7 +30,7 @@ from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 from hiros_mcap.stages.fuse.log_histograms import histograms, medians
 from hiros_mcap.stages.fuse.sightings import rows_of
 
-FEWEST = 50  # Residuals that give a median
+FEWEST = 50  # residuals that give a median
 _EVERY = 3  # instants; residuals of neighbours tell the same
 _BATCH = 48  # frames that are compared at once
 _MEMORY = 60.0  # s; time constant of the mean of a camera's residuals

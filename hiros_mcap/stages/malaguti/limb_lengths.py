@@ -27,7 +27,7 @@ class LinkTree(NamedTuple):
     """The hierarchical model (Fig. 2)."""
 
     ends: J2  # (L, 2) parent and child marker slot of each link
-    order: I1  # Links, a parent's before its children's; those that close a loop are left out
+    order: I1  # links, a parent's before its children's; those that close a loop are left out
 
 
 class LimbSettings(NamedTuple):

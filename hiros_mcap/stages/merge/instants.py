@@ -23,8 +23,8 @@ class Instant:
 
     messages: Sequence[int]
     """Their numbers, sorted by source, so that nothing depends on which camera was first."""
-    stamp: int  # Mean time of the messages, ns
-    log_time: int  # Log time, ns, of the message that completed the instant
+    stamp: int  # mean time of the messages, ns
+    log_time: int  # log time, ns, of the message that completed the instant
 
 
 class Instants:
@@ -240,8 +240,8 @@ class _MergePlan(NamedTuple):
     """Instants whose messages lie in common arrays, written down for a kernel."""
 
     buffers: Buffers
-    people: People  # Whom the messages show; who has no marker has no id
+    people: People  # whom the messages show; who has no marker has no id
     ids: Ints  # (P,) Of each merged person
-    most_views: int  # Most views of one person at an instant
+    most_views: int  # most views of one person at an instant
     log_times: Stamps  # (Q,) ns
     frame_ids: Sequence[str]  # Q names of coordinate frames

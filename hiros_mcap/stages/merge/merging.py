@@ -57,7 +57,7 @@ class MergerSettings(NamedTuple):
     offset_time: float
     bridge: float
     carry: float
-    pelvis_link: int  # Slot; -1 = there is none
+    pelvis_link: int  # slot; -1 = there is none
     facing_by_sides: bool
     relabel: bool
     past_votes: bool

@@ -83,16 +83,16 @@ class _LengthsInUse(NamedTuple):
     """Lengths (person, L) of the links, m; NaN where a link, or the person, has none."""
 
     calibrated: Floats
-    target: Floats  # As refined since
-    current: Floats  # On the way from the calibrated to the target lengths
+    target: Floats  # as refined since
+    current: Floats  # on the way from the calibrated to the target lengths
 
 
 @dataclass(slots=True)
 class _Measured:
     """Measurements of one person."""
 
-    first: int  # First sighting, ns
-    waiting: bool  # Whether frames are held for this person's calibration
+    first: int  # first sighting, ns
+    waiting: bool  # whether frames are held for this person's calibration
     accepted: Floats  # (4, L) moments of the links that pass the quality gate
     tried: Flags
     buffer: list[tuple[Floats, Floats]] = field(default_factory=list)

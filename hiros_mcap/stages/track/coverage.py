@@ -24,7 +24,7 @@ class _FieldOfView:
     axis: Floats = field(default_factory=lambda: np.zeros(3))
     nearest: float = np.inf
     farthest: float = 0.0
-    least_cosine: float = 1.0  # Of the angles between the axis and the people reported
+    least_cosine: float = 1.0  # of the angles between the axis and the people reported
     stamp: int = 0
     people: int = 0
 

@@ -43,8 +43,8 @@ from hiros_mcap.stages.track.likeness import (
     median_distance,
 )
 
-DISPLACED = "displaced"  # Counts detections, by camera, that were left out as copies
-CAMERA_DISPLACED, MIRROR_SEEN = "camera displaced", "mirror seen"  # Events: a camera's first copy
+DISPLACED = "displaced"  # counts detections, by camera, that were left out as copies
+CAMERA_DISPLACED, MIRROR_SEEN = "camera displaced", "mirror seen"  # events: a camera's first copy
 
 _INTERVAL = 45_000_000  # ns between two samples of a track
 _PATIENCE, _LATER = 90_000_000, 500_000_000  # ns between two comparisons of a track: at first, and
@@ -60,7 +60,7 @@ _SAMPLES, _REFIT = 90, 10  # samples that make a displacement more precise; new 
 class Others(NamedTuple):
     """The P people whom other cameras know, at the time of a message."""
 
-    numbers: Sequence[int]  # Of their tracks
+    numbers: Sequence[int]  # of their tracks
     places: Floats  # (P, M, 3) their markers, m
     since: Ints  # (P,) time of the first detection, ns; 0 if two cameras agree on the person
     shown: Flags  # (P,) whether the message shows the person in place
@@ -71,10 +71,10 @@ class LoneTracks(NamedTuple):
 
     source: str
     stamp: int  # ns
-    tracks: Sequence[int]  # Numbers of tracks that no other camera reports
+    tracks: Sequence[int]  # numbers of tracks that no other camera reports
     poses: Floats  # (N, M, 3) their detections, m
     others: Others
-    heard: Sequence[str]  # The other cameras that send messages at this time
+    heard: Sequence[str]  # the other cameras that send messages at this time
 
 
 class _Pairs(NamedTuple):
@@ -82,16 +82,16 @@ class _Pairs(NamedTuple):
 
     track: Floats  # (K, M, 3) m
     person: Floats  # (K, M, 3) m
-    unseen: float  # Share of the instants at which the camera did not show the person in place
-    agreed: bool  # Whether two cameras agree on the person
+    unseen: float  # share of the instants at which the camera did not show the person in place
+    agreed: bool  # whether two cameras agree on the person
 
 
 @dataclass(slots=True)
 class _History:
     """The latest samples of a track that one camera reports, and of the people known elsewhere."""
 
-    first: int  # Time of the first sample, ns
-    due: int  # Time of the next comparison, ns
+    first: int  # time of the first sample, ns
+    due: int  # time of the next comparison, ns
     samples: deque[tuple[int, Floats, Others]] = field(default_factory=deque)
     """Time, ns; (M, 3) markers, m; the others."""
 
@@ -127,12 +127,12 @@ class _State:
     """A camera that is displaced."""
 
     by: Displacement
-    last: int  # Time of its last copy, ns
+    last: int  # time of its last copy, ns
     pairs: deque[tuple[Floats, Floats]] = field(default_factory=lambda: deque(maxlen=_SAMPLES))
     """(M, 3) markers of a copy and of its person, m."""
-    new: int = 0  # Pairs since the last fit
-    sampled: int = 0  # Time of the latest pair, ns
-    in_place: int = 0  # Time since which it has shown people in place, ns; 0 = it does not
+    new: int = 0  # pairs since the last fit
+    sampled: int = 0  # time of the latest pair, ns
+    in_place: int = 0  # time since which it has shown people in place, ns; 0 = it does not
 
     def learn(self, track: Floats, person: Floats, stamp: int, mirror: Ints) -> None:
         """Make the displacement more precise by one more copy."""

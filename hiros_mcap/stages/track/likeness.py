@@ -17,8 +17,8 @@ from hiros_mcap.skeletons import Floats, Ints
 ALIKE, ALIKE_IF_DISPLACED = 0.085, 0.12
 """Largest mean marker distance, m, of a copy after the fit. Copies have 0.02 to 0.08, other people
 over 0.13, or 0.10 after a reflection. The second is for a camera that is displaced for certain."""
-UNSEEN = 0.7  # Share of the time in which a displaced camera does not show the person in place
-FEWEST = 6  # Instants that are compared
+UNSEEN = 0.7  # share of the time in which a displaced camera does not show the person in place
+FEWEST = 6  # instants that are compared
 
 _FEWEST_MARKERS = 6  # that both have at an instant
 _MOTION = 0.07  # m: SD of the person's markers over time; less is no evidence
@@ -33,7 +33,7 @@ class Displacement(NamedTuple):
     rotation: Floats  # (3, 3); improper if it mirrors
     shift: Floats  # (3,) m
     mirrors: bool
-    swaps: bool  # Whether left and right are swapped as well
+    swaps: bool  # whether left and right are swapped as well
 
     def inverse(self) -> Displacement:
         """Return what takes people from where the other cameras see them to where this one does."""
@@ -49,11 +49,11 @@ class Displacement(NamedTuple):
 class Likeness(NamedTuple):
     """How much a track looks like a displaced view of a person."""
 
-    distance: float  # Median over time of the mean marker distance after the fit, m
+    distance: float  # median over time of the mean marker distance after the fit, m
     motion: float  # SD of the person's markers over time, m
-    apart: float  # Median distance of the two before the fit, m
+    apart: float  # median distance of the two before the fit, m
     by: Displacement
-    pure: bool  # Whether it is a reflection, and that explains how far apart the two are
+    pure: bool  # whether it is a reflection, and that explains how far apart the two are
 
     def is_copy(self, limit: float, unseen: float) -> bool:
         """Whether it is a copy, with a limit of the distance, m.

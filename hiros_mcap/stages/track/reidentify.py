@@ -28,7 +28,7 @@ import numpy as np
 
 from hiros_mcap.skeletons import Floats, Ints
 
-THRESHOLD = 0.9  # Least probability with which somebody gets an old id
+THRESHOLD = 0.9  # least probability with which somebody gets an old id
 
 _LASTING_NOISE, _NOISE_OF_ONE = 0.016, 0.04  # SD of a limb's length, m: lasting (10 to 18 mm of
 # simulated limbs), and what one detection adds, which falls with the root of their number
@@ -52,8 +52,8 @@ LIMBS, PLACE, NUMBER = "limb lengths", "place and time", "number of people"
 class PersonCues:
     """What is known of a person at one end of an absence."""
 
-    person: int  # Id; of a newcomer any number of its own
-    stamp: int  # Time of the last detection of one who is absent, of the first of a newcomer, ns
+    person: int  # id; of a newcomer any number of its own
+    stamp: int  # time of the last detection of one who is absent, of the first of a newcomer, ns
     place: Floats  # (3,) mean marker position at that time, m
     lengths: Floats  # (L,) mean limb lengths, m
     counts: Floats  # (L,) detections that they are of
@@ -84,7 +84,7 @@ class Verdict:
 
     person: int
     probability: float
-    cue: str  # What spoke most for this person, against the next best explanation
+    cue: str  # what spoke most for this person, against the next best explanation
 
     def __str__(self) -> str:
         return f"{self.cue}, {self.probability:.0%} person {self.person}"

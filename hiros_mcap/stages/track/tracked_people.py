@@ -31,12 +31,12 @@ class Support:
     nobody in between, and reports nobody there contradicts it.
     """
 
-    first: int  # Time of the first report, ns
+    first: int  # time of the first report, ns
     origin: Floats  # (3,) mean marker position of the first report, m
-    reports: dict[str, int] = field(default_factory=dict)  # Camera to number of reports
+    reports: dict[str, int] = field(default_factory=dict)  # camera to number of reports
     misses: int = 0
-    travelled: float = 0.0  # Greatest distance from the origin so far, m
-    lone: bool = False  # Whether there are other cameras, none of which has looked at the place
+    travelled: float = 0.0  # greatest distance from the origin so far, m
+    lone: bool = False  # whether there are other cameras, none of which has looked at the place
 
     def confirms(self, stamp: int, params: TrackParams) -> bool:
         """Whether a track that was last seen at ``stamp``, ns, has enough support."""
@@ -61,9 +61,9 @@ class Support:
 class PersonTrack:
     """A person, or what may become one."""
 
-    number: int  # Its name in the bank
-    row: int  # Its row in the bank
-    seen: int  # Time of the last detection, ns
+    number: int  # its name in the bank
+    row: int  # its row in the bank
+    seen: int  # time of the last detection, ns
     support: Support
     id: int = UNTRACKED  # UNTRACKED while the track is tentative
     former_id: int = UNTRACKED
@@ -74,7 +74,7 @@ class PersonTrack:
     """Camera to the times, ns, of the first and last of its latest leaps."""
     stranger: bool = False
     """Whether it has a new id although somebody was absent: it may yet be one of them."""
-    is_copy: bool = False  # Whether it was left out as a displaced camera's view of somebody else
+    is_copy: bool = False  # whether it was left out as a displaced camera's view of somebody else
 
     @property
     def confirmed(self) -> bool:
@@ -100,12 +100,12 @@ class DetectionGroup:
     """One message of a camera: the detection group of eq 3, with the tracks it was given."""
 
     block: Block
-    place: int  # Its place in the block
+    place: int  # its place in the block
     stamp: int
     source: str
-    people: People  # Views of its people in the block
+    people: People  # views of its people in the block
     tracks: list[PersonTrack | None]
-    reasons: list[str]  # Why a detection has no track and starts none; "" if there is no reason
+    reasons: list[str]  # why a detection has no track and starts none; "" if there is no reason
 
     @classmethod
     def of(cls, block: Block, place: int) -> DetectionGroup:
@@ -135,9 +135,9 @@ class DetectionGroup:
 class Present:
     """Who is there while a message is weighed."""
 
-    shown: set[PersonTrack | None]  # Tracks that the message shows
-    numbers: frozenset[int]  # Their numbers
-    persons: list[PersonTrack]  # The confirmed tracks
+    shown: set[PersonTrack | None]  # tracks that the message shows
+    numbers: frozenset[int]  # their numbers
+    persons: list[PersonTrack]  # the confirmed tracks
     centres: Floats | None = None
     """(N, 3) mean marker position of each person, m, once somebody has asked for it."""
 
