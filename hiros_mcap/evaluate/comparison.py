@@ -184,9 +184,8 @@ def _run(task: Task) -> tuple[Outcome, list[Distances]]:
         recording.head(_WARM_UP).run(config, options, chosen)
         _CACHE.warm.add(kind)
     start = time.process_time()
-    results = recording.run(config, options, chosen)
+    (frames,) = recording.run(config, options, chosen, last=True).values()
     seconds = time.process_time() - start
-    frames = list(results.values())[-1]
     messages = sum(frame.source in chosen for frame in recording.frames())
     outcome = Outcome(task.log.name, task.entry.name, chosen, 1000 * seconds / max(messages, 1))
     if truth is None:
@@ -210,13 +209,10 @@ def _by_second(matches: Matches, truth: Truth) -> Distances:
     seconds = np.arange(truth.stamps[0], truth.stamps[-1] + 1, _SECOND_NS)
     shape = (len(truth.people), len(seconds))
     sums, counts = np.zeros(shape), np.zeros(shape)
-    for stamp, person, pose, true in zip(
-        matches.stamps, matches.people, matches.poses, matches.true_poses, strict=True
-    ):
-        distances = 1000 * np.linalg.norm(pose - true, axis=-1)
-        cell = person, int((stamp - truth.stamps[0]) // _SECOND_NS)
-        sums[cell] += np.nansum(distances)
-        counts[cell] += (~np.isnan(distances)).sum()
+    distances = 1000 * np.linalg.norm(matches.poses - matches.true_poses, axis=-1)
+    cells = matches.people, (matches.stamps - truth.stamps[0]) // _SECOND_NS
+    np.add.at(sums, cells, np.nansum(distances, axis=-1))
+    np.add.at(counts, cells, (~np.isnan(distances)).sum(axis=-1))
     means = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan).astype(np.float32)
     joints = means.reshape(-1, 1)
     return Distances(np.tile(seconds, len(truth.people)), joints, np.full_like(joints, np.nan))

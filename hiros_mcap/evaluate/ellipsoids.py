@@ -37,13 +37,11 @@ def coverage_of(
     matches: Matches, given: Deviations, model: SkeletonModel
 ) -> EllipsoidCoverage | None:
     """Compare errors with stated deviations; None if no joint has both."""
-    scaled = []
-    rows = zip(matches.stamps, matches.ids, matches.poses, matches.true_poses, strict=True)
-    for stamp, person, pose, true in rows:
-        stated = given.get((stamp, person), {})
-        deviations = np.array([stated.get(marker, np.nan) for marker in model.marker_ids])
-        scaled.append(((pose - true) ** 2).sum(axis=1) / deviations**2)
-    squares = np.concatenate([*scaled, np.zeros(0)])
+    keys = zip(matches.stamps.tolist(), matches.ids.tolist(), strict=True)
+    stated = (given.get(key, {}) for key in keys)
+    rows = [[one.get(marker, np.nan) for marker in model.marker_ids] for one in stated]
+    deviations = np.array(rows).reshape(-1, model.n_markers)
+    squares = ((matches.poses - matches.true_poses) ** 2).sum(axis=2) / deviations**2
     squares = squares[np.isfinite(squares)]
     if not len(squares):
         return None

@@ -154,7 +154,8 @@ def _fused(
 ) -> list[Frame]:
     """Return the last stage's frames on some of the cameras."""
     sources = [name for name, topic in recording.topics.items() if topic in topics]
-    return list(recording.run(config, options, sources).values())[-1]
+    (frames,) = recording.run(config, options, sources, last=True).values()
+    return frames
 
 
 def _left_out(topic: str, residuals: _Residuals, varying: Floats, model: SkeletonModel) -> LeftOut:
@@ -201,24 +202,20 @@ def _varying(displacement: Floats, people: Stamps) -> Floats:
 def _residuals(frames: Sequence[Frame], fused: Sequence[Frame], model: SkeletonModel) -> _Residuals:
     """Match a camera's detections to what was fused, and subtract it."""
     empty = np.zeros(0, np.int64)
-    none = _Residuals(empty, empty, np.zeros((0, model.n_markers, 3)), np.zeros(0, bool), 0, empty)
     if not any(len(frame.ids) for frame in fused):
-        return none
+        none = np.zeros((0, model.n_markers, 3))
+        return _Residuals(empty, empty, none, np.zeros(0, bool), 0, empty)
     matches = match(_numbered(frames), Truth.of(fused, model))
-    if not matches.poses:
-        none.unmatched = matches.false
-        return none
-    poses, reference = np.stack(matches.poses), np.stack(matches.true_poses)
-    displacement = poses - reference
-    swapped = poses[:, symmetry_of(model).mirror] - reference
+    displacement = matches.poses - matches.true_poses
+    swapped = matches.poses[:, symmetry_of(model).mirror] - matches.true_poses
     size, size_swapped = (nan_mean(np.linalg.norm(d, axis=-1), -1) for d in (displacement, swapped))
     return _Residuals(
-        np.array(matches.stamps, np.int64),
-        np.array(matches.people, np.int64),
+        matches.stamps,
+        matches.people,
         displacement,
         size_swapped < size,
         matches.false,
-        np.array(matches.ids, np.int64),
+        matches.ids,
     )
 
 

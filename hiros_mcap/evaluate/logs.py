@@ -15,7 +15,7 @@ import numpy as np
 import hiros_schemas
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.ellipsoids import EllipsoidCoverage, coverage_of
-from hiros_mcap.evaluate.match import MATCH_DISTANCE, Matches, Track, match
+from hiros_mcap.evaluate.match import MATCH_DISTANCE, Matches, match, tracks_of
 from hiros_mcap.evaluate.partial_truth import people_without_truth
 from hiros_mcap.evaluate.scores import Scores, score_matches
 from hiros_mcap.evaluate.smoothness import jitter, limb_variations
@@ -305,17 +305,12 @@ def _matched(
 
 def consistency(frames: Sequence[Frame], model: SkeletonModel) -> Consistency:
     """Measure what needs no truth: limb constancy, jitter, how long ids live."""
-    tracks: dict[int, Track] = {}
-    for frame in frames:
-        for row, person in frame.tracked():
-            track = tracks.setdefault(person, Track())
-            track.stamps.append(frame.stamp)
-            track.poses.append(frame.positions[row])
+    tracks = tracks_of(frames)
     limbs, jitters = limb_variations(tracks.values(), model), jitter(tracks.values())
     return Consistency(
         frames=len(frames),
         people=tuple(
-            PersonSpan(person, (t.stamps[-1] - t.stamps[0]) / 1e9, len(t.stamps))
+            PersonSpan(person, float(t.stamps[-1] - t.stamps[0]) / 1e9, len(t.stamps))
             for person, t in sorted(tracks.items())
         ),
         limb_variation=mean_of(limbs),

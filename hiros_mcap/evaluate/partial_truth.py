@@ -7,7 +7,6 @@ import numpy as np
 from hiros_mcap.evaluate.match import MATCH_DISTANCE, Matches, Track
 from hiros_mcap.evaluate.pairing import skeleton_distances
 from hiros_mcap.evaluate.truth import Truth
-from hiros_mcap.skeletons import Floats
 
 _LEAST_SECONDS = 2.0
 _LEAST_SHARE = 0.25
@@ -45,23 +44,14 @@ def people_without_truth(
         n, seconds = len(track.stamps), (track.stamps[-1] - track.stamps[0]) / 1e9
         lasts = n >= _LEAST_SHARE * matches.frames and seconds >= _LEAST_SECONDS
         if lasts and matched.get(ident, 0) <= (1 - _UNMATCHED) * n and _walks(track):
-            far = [d > max_distance for d in _distances(track, truth)]
-            if np.mean(far) >= 0.5:
+            frames = zip(truth.at(track.stamps)[0], track.poses, strict=True)
+            nearest = [skeleton_distances(t, p[None]).min(initial=np.inf) for t, p in frames]
+            if np.mean(np.array(nearest) > max_distance) >= 0.5:
                 others.append(ident)
     return tuple(sorted(others))
 
 
 def _walks(track: Track) -> bool:
-    places = np.nanmean(np.stack(track.poses), axis=1)
+    places = np.nanmean(track.poses, axis=1)
     away = places - np.nanmean(places, axis=0)
     return bool(np.nanmean((away * away).sum(axis=-1)) >= _WALKS_M**2)
-
-
-def _distances(track: Track, truth: Truth) -> list[float]:
-    """Distance from the nearest true person in each frame, m."""
-
-    def nearest(stamp: int, pose: Floats) -> float:
-        there = truth.at(stamp)[0]
-        return float(skeleton_distances(there, pose[None]).min(initial=np.inf))
-
-    return [nearest(*frame) for frame in zip(track.stamps, track.poses, strict=True)]

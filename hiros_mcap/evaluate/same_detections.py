@@ -148,9 +148,9 @@ def block_interval(values: Floats, blocks: Stamps) -> tuple[float, float, float,
     n, mean = len(counts), float(sums.sum() / counts.sum())
     if n < 2:
         return mean, np.nan, np.nan, n
-    from scipy.stats import t
+    from scipy.special import stdtrit  # scipy.stats takes 0.5 s to import
 
     residuals = sums - mean * counts
     error = np.sqrt(n / (n - 1) * (residuals**2).sum()) / counts.sum()
-    half = float(t.ppf(0.975, n - 1)) * float(error)
+    half = float(stdtrit(n - 1, 0.975)) * float(error)
     return mean, mean - half, mean + half, n

@@ -117,15 +117,13 @@ def score_matches(matches: Matches, truth: Truth, model: SkeletonModel) -> Score
         raise ValueError(explain_no_overlap(matches, truth))
     truth = truth.seen_by(model)
     model = truth.model or model  # its own where nobody was seen
-    markers, links = (model.n_markers, 3), (model.n_links, 4)
-    poses, true_poses = _stack(matches.poses, markers), _stack(matches.true_poses, markers)
-    orientations = _stack(matches.orientations, links)
-    true_orientations = _stack(matches.true_orientations, links)
+    poses, true_poses = matches.poses, matches.true_poses
+    turns = matches.orientations, matches.true_orientations
     errors = 1000 * np.linalg.norm(poses - true_poses, axis=-1)
     all_errors = ErrorStats.of(errors)
     bending = np.degrees(wrapped(flexions(model, poses) - flexions(model, true_poses)))
     angles = {name: AngleStats.of(bending[:, k]) for k, name in enumerate(ANGLES)}
-    by_links = _link_angle_stats(model, orientations, true_orientations)
+    by_links = _link_angle_stats(model, *turns)
     tracks = matches.tracks.values()
     late_ms = lag(matches, truth)
     return Scores(
@@ -138,7 +136,7 @@ def score_matches(matches: Matches, truth: Truth, model: SkeletonModel) -> Score
         angle_deviation=_mean_deviation(angles),
         link_angle_rmse=_pooled_rmse(by_links),
         link_angle_deviation=_mean_deviation(by_links),
-        orientation_error=mean_of(np.degrees(angle(orientations, true_orientations))),
+        orientation_error=mean_of(np.degrees(angle(*turns))),
         limb_error=_limb_error(matches, truth, model),
         limb_variation=mean_of(limb_variations(tracks, model)),
         jitter=mean_of(jitter(tracks)),
@@ -155,7 +153,7 @@ def score_matches(matches: Matches, truth: Truth, model: SkeletonModel) -> Score
             part: ErrorStats.of(errors[:, columns]) for part, columns in parts_of(model).items()
         },
         joints=ErrorStats.by_name(model.marker_names, errors),
-        pck=pck_curves(errors, model, _unplaced(matches, poses, true_poses)),
+        pck=pck_curves(errors, model, _unplaced(matches)),
         angles=angles,
         link_angles=by_links,
         signed_angles=_signed_angle_stats(model, poses, true_poses),
@@ -215,11 +213,11 @@ def _mean_deviation(angles: Mapping[str, AngleStats]) -> float:
     return total / sum(a.count for a in counted) if counted else np.nan
 
 
-def _unplaced(matches: Matches, poses: Floats, true_poses: Floats) -> Floats:
+def _unplaced(matches: Matches) -> Floats:
     """(M,) How often the truth has a marker and the result, which has it elsewhere, lacks it."""
-    lacks = np.isnan(poses[..., 0]) & ~np.isnan(true_poses[..., 0])
+    lacks = np.isnan(matches.poses[..., 0]) & ~np.isnan(matches.true_poses[..., 0])
     count = lacks.sum(axis=0) + np.sum(matches.missed, axis=0, initial=0)
-    shown = [~np.isnan(np.stack(t.poses)[..., 0]).all(axis=0) for t in matches.tracks.values()]
+    shown = [~np.isnan(t.poses[..., 0]).all(axis=0) for t in matches.tracks.values()]
     return np.where(np.any(shown, axis=0), count, 0) if shown else np.asarray(count)
 
 
@@ -247,10 +245,6 @@ def _pck(errors: Floats, unplaced: float) -> tuple[float, ...]:
     return tuple(float((present <= t).sum() / true) if true else np.nan for t in PCK_MM)
 
 
-def _stack(rows: list[Floats], shape: tuple[int, int]) -> Floats:
-    return np.stack(rows) if rows else np.full((0, *shape), np.nan)
-
-
 def _first_rows(matches: Matches) -> list[int]:
     """Rows of the first frames of each id, but for those that begin with the log."""
     start = min((track.stamps[0] for track in matches.tracks.values()), default=0)
@@ -258,19 +252,17 @@ def _first_rows(matches: Matches) -> list[int]:
         (i, stamp)
         for i, track in matches.tracks.items()
         if track.stamps[0] > start
-        for stamp in track.stamps[:FIRST_FRAMES]
+        for stamp in track.stamps[:FIRST_FRAMES].tolist()
     }
-    pairs = zip(matches.ids, matches.stamps, strict=True)
+    pairs = zip(matches.ids.tolist(), matches.stamps.tolist(), strict=True)
     return [k for k, pair in enumerate(pairs) if pair in first]
 
 
 def _limb_error(matches: Matches, truth: Truth, model: SkeletonModel) -> float:
     """Per row, against the median length of the true person."""
-    if not matches.poses:
-        return np.nan
     lengths = lengths_of(truth.positions, model)
     medians = np.full(lengths.shape[1:], np.nan)
     seen = ~np.isnan(lengths).all(axis=0)
     medians[seen] = np.nanmedian(lengths[:, seen], axis=0)
-    of_result = lengths_of(np.stack(matches.poses), model)
+    of_result = lengths_of(matches.poses, model)
     return mean_of(1000 * np.abs(of_result - medians[matches.people]))

@@ -45,8 +45,8 @@ def silent_instants(stamps: Stamps, truth: Truth) -> Stamps:
         for k, length in enumerate(np.diff(ends))
         if length > (longest if 0 < k < len(ends) - 2 else max(longest, _ENDS_NS + step))
     ]
-    instants = np.concatenate([np.zeros(0), *gaps]).astype(np.int64).tolist()
-    return np.array([stamp for stamp in instants if truth.covers(stamp)], np.int64)
+    instants = np.concatenate([np.zeros(0), *gaps]).astype(np.int64)
+    return np.asarray(instants[truth.covers(instants)])
 
 
 def _usual(steps: Stamps) -> float:

@@ -75,7 +75,12 @@ class Recording:
         return replace(self, blocks=self.blocks[: int(np.searchsorted(sizes, messages)) + 1])
 
     def run(
-        self, config: Config, options: ProcessOptions, sources: Collection[str] | None = None
+        self,
+        config: Config,
+        options: ProcessOptions,
+        sources: Collection[str] | None = None,
+        *,
+        last: bool = False,
     ) -> dict[str, list[Frame]]:
         """Run the stages; return what comes out of each, by the name of its channel.
 
@@ -83,11 +88,12 @@ class Recording:
         ----------
         config, options : of the stages; the preparation stays as it is.
         sources : cameras to use, None = all.
+        last : return only what comes out of the last stage.
 
         Raises ConfigError for a parameter that does not fit the log.
         """
         chain = chain_of(options.system, options.stages)
-        results: dict[str, list[Frame]] = {name: [] for name in chain}
+        results: dict[str, list[Frame]] = {name: [] for name in (chain[-1:] if last else chain)}
 
         def keep(channel: str, block: Block) -> None:
             if channel in results:
