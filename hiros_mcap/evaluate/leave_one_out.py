@@ -26,7 +26,7 @@ from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.io.log import Source
 from hiros_mcap.running.process_options import ProcessOptions, Progress, Silent
 from hiros_mcap.running.recording import Recording
-from hiros_mcap.skeletons import Flags, Floats, Frame, SkeletonModel, Stamps, nearest_stamps
+from hiros_mcap.skeletons import Flags, Floats, Frame, Ints, SkeletonModel, Stamps, nearest_stamps
 
 SIMULTANEOUS_NS = 50_000_000
 """Largest difference in time of two cameras' views that are compared."""
@@ -76,7 +76,7 @@ class _Residuals:
     """(R, M, 3) detection minus reference, m."""
     mirrored: Flags
     unmatched: int
-    detections: Stamps
+    detections: Stamps | Ints
     """(R,) number of the detection among all of the camera."""
 
 

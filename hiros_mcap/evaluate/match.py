@@ -101,7 +101,8 @@ def match(frames: Iterable[Frame], truth: Truth, max_distance: float = MATCH_DIS
     numbers = np.insert(np.arange(len(times)), places, -1).tolist()
     none, poses, links = np.zeros(0, np.int64), truth.positions[0, :0], truth.orientations[0, :0]
     rows: list[Sequence[Any]] = [(none, none, none, poses, poses, links, links)]
-    result = Matches(*rows[0], tracks_of(covered), len(covered))
+    nobody = dict(zip(_ROWS, rows[0], strict=True))
+    result = Matches(**nobody, tracks=tracks_of(covered), frames=len(covered))
     if stamps.size:
         result.span = int(stamps.min()), int(stamps.max())
     for start in range(0, len(instants), _CHUNK):

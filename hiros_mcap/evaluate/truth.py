@@ -60,7 +60,7 @@ class Truth:
     def covers(self, stamps: Stamps | int) -> Flags:
         """(...) Whether the truth knows who was there: at an instant, or within no pause."""
         _, _, _, is_instant, is_between = self._neighbours(stamps, 0)
-        return is_instant | is_between
+        return np.asarray(is_instant | is_between)
 
     def at(self, stamps: Stamps | int) -> tuple[Floats, Floats]:
         """(..., N, M, 3) positions and (..., N, L, 4) orientations at stamps (...).

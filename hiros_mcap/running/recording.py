@@ -13,7 +13,7 @@ them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -82,13 +82,9 @@ class Recording:
         *,
         last: bool = False,
     ) -> dict[str, list[Frame]]:
-        """Run the stages; return what comes out of each, by the name of its channel.
+        """Return what comes out of each stage, or of the last one, by the name of its channel.
 
-        Parameters
-        ----------
-        config, options : of the stages; the preparation stays as it is.
-        sources : cameras to use, None = all.
-        last : return only what comes out of the last stage.
+        ``config`` and ``options`` are of the stages; ``sources`` the cameras to use, None = all.
 
         Raises ConfigError for a parameter that does not fit the log.
         """
@@ -99,7 +95,7 @@ class Recording:
             if channel in results:
                 results[channel] += _as_written(block, config.output.precision).frames()
 
-        read: Callable[[], Iterator[Block]] = partial(self._blocks_of, sources)
+        read = partial(self._blocks_of, sources)
         run = set_up(self.prepared, config, options, read)
         for _ in stream(read(), run, chain, [keep], Stopwatch()):
             pass
