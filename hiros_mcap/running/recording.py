@@ -95,20 +95,19 @@ class Recording:
             if channel in results:
                 results[channel] += _as_written(block, config.output.precision).frames()
 
-        read = partial(self._blocks_of, sources)
-        run = set_up(self.prepared, config, options, read)
-        for _ in stream(read(), run, chain, [keep], Stopwatch()):
+        run = set_up(self.prepared, config, options, partial(self._blocks_of, sources))
+        for _ in stream(self._blocks_of(sources), run, chain, [keep], Stopwatch()):
             pass
         return results
 
     def _blocks_of(self, sources: Collection[str] | None) -> Iterator[Block]:
         """Yield the detections of some cameras."""
         for block in self.blocks:
-            if sources is None:
+            some = block.names if sources is None else sources
+            wanted = np.array([name in some for name in block.names])[block.sources]
+            if wanted.all():
                 yield block
-                continue
-            wanted = np.array([name in sources for name in block.names])[block.sources]
-            if wanted.any():
+            elif wanted.any():
                 yield block.select(np.flatnonzero(wanted))
 
 
