@@ -255,10 +255,8 @@ def load_config(
     named : values by the option that the user gave for them, which errors name; they come before
         ``overrides``.
 
-    Raises
-    ------
-    ConfigError
-        A name does not exist, a value is out of range, or the file cannot be read.
+    Raises ConfigError if a name does not exist, a value is out of range, or the file cannot be
+    read.
     """
     if preset not in PRESETS:
         raise ConfigError(f"no preset {preset!r}{_instead(preset, PRESETS)}")

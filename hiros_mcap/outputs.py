@@ -63,11 +63,8 @@ def check_outputs(
     force : replace any regular file except an input.
     remedy : how the user asks for ``force``.
 
-    Raises
-    ------
-    LogError
-        An output is an input or another output, is not a regular file, belongs to somebody else,
-        or lies in a folder that does not exist or may not be written into.
+    Raises LogError if an output is an input or another output, is not a regular file, belongs to
+    somebody else, or lies in a folder that does not exist or may not be written into.
     """
     read = [file for path in inputs if path is not None for file in _files(Path(path))]
     taken: list[Path] = []
@@ -244,10 +241,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
     Until then an older file stays as it is. An error or a signal leaves nothing behind.
 
-    Raises
-    ------
-    LogError
-        The file cannot be written.
+    Raises LogError if the file cannot be written.
     """
     target = Path(os.path.realpath(path))
     temporary = temporary_name(target)
@@ -267,12 +261,6 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file; whole or not at all.
-
-    Raises
-    ------
-    LogError
-        The file cannot be written.
-    """
+    """Write a text file, whole or not at all; raises LogError if it cannot be written."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hiros_mcap.body.rotations import conjugate, multiply
+from hiros_mcap.body.segments import between
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
@@ -42,15 +43,8 @@ def flexions(model: SkeletonModel, positions: Floats) -> Floats:
                 angles.append(np.full(positions.shape[:-2], np.nan))
                 continue
             points = [positions[..., slot, :] for slot in ends]
-            angles.append(_between(points[1] - points[0], points[-1] - points[-2]))
+            angles.append(between(points[1] - points[0], points[-1] - points[-2]))
     return np.stack(angles, axis=-1)
-
-
-def _between(u: Floats, v: Floats) -> Floats:
-    """Angle between vectors, rad; by its tangent, which is exact for small angles."""
-    cross = np.linalg.norm(np.cross(u, v), axis=-1)
-    angle: Floats = np.arctan2(cross, np.sum(u * v, axis=-1))
-    return angle
 
 
 def euler_zxy(xyzw: Floats) -> Floats:
@@ -86,7 +80,7 @@ def joint_links(model: SkeletonModel) -> tuple[tuple[int, int], ...]:
     slots = {split_side(name): slot for slot, name in enumerate(model.marker_names)}
     ends = list(zip(model.link_parents, model.link_children, strict=True))
 
-    def between(parent: tuple[str, str], child: tuple[str, str]) -> int:
+    def link(parent: tuple[str, str], child: tuple[str, str]) -> int:
         pair = (slots.get(parent, -2), slots.get(child, -2))
         return ends.index(pair) if pair in ends else -1
 
@@ -97,13 +91,13 @@ def joint_links(model: SkeletonModel) -> tuple[tuple[int, int], ...]:
     lower = next((k for k, (p, c) in enumerate(ends) if p == root and c in middle), -1)
     pairs = []
     for side in ("left", "right"):
-        arm = between(("shoulder", side), ("elbow", side))
-        leg = between(("hip", side), ("knee", side))
+        arm = link(("shoulder", side), ("elbow", side))
+        leg = link(("hip", side), ("knee", side))
         pairs += [
             (upper, arm),
-            (arm, between(("elbow", side), ("wrist", side))),
+            (arm, link(("elbow", side), ("wrist", side))),
             (lower, leg),
-            (leg, between(("knee", side), ("ankle", side))),
+            (leg, link(("knee", side), ("ankle", side))),
         ]
     return tuple(pairs)
 

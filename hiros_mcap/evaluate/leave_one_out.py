@@ -91,12 +91,8 @@ def leave_one_out(
 
     ``progress`` is told the runs.
 
-    Raises
-    ------
-    ConfigError
-        There are fewer than two cameras' channels.
-    LogError
-        The log cannot be read.
+    Raises ConfigError if there are fewer than two cameras' channels; LogError if the log cannot be
+    read.
     """
     options = options or ProcessOptions()
     config = config or load_config(system=options.system)

@@ -177,12 +177,7 @@ def fused_topics(source: Source, truth: str | None) -> tuple[str, ...]:
 
     A camera that is the reference must not be in what is compared with it (Lee 2022, section 2.3).
 
-    Raises
-    ------
-    LogError
-        The log cannot be read.
-    ConfigError
-        The truth is the only camera.
+    Raises LogError if the log cannot be read; ConfigError if the truth is the only camera.
     """
     if truth is None or not truth.startswith("/"):
         return ()

@@ -91,10 +91,7 @@ def on_same_detections(systems: Mapping[str, Sequence[Distances]]) -> dict[str, 
     ----------
     systems : name -> the cameras' distances, for all systems in the same order.
 
-    Raises
-    ------
-    ValueError
-        The systems were given different detections.
+    Raises ValueError if the systems were given different detections.
     """
     joints = {name: _stacked([d.joints for d in cameras]) for name, cameras in systems.items()}
     varying = {name: _stacked([d.varying for d in cameras]) for name, cameras in systems.items()}

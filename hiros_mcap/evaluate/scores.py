@@ -100,13 +100,8 @@ def evaluate(
     model : of ``frames``.
     max_distance : m, mean over joints; a skeleton farther away is of somebody else.
 
-    Raises
-    ------
-    ConfigError
-        The models share no marker.
-    ValueError
-        There are frames, but none within the time of the truth. (Without any frame, everybody is
-        missing all the time.)
+    Raises ConfigError if the models share no marker; ValueError if there are frames, but none
+    within the time of the truth. (Without any frame, everybody is missing.)
     """
     return score_matches(match(frames, truth.seen_by(model), max_distance), truth, model)
 

@@ -40,10 +40,7 @@ def load_truth(path: Source, topic: str = f"{TRUTH_PREFIX}/*") -> Truth:
     path : an MCAP log, ``.trc`` or ``.csv``.
     topic : glob of the channel in a log; the ids of its skeletons are the true people.
 
-    Raises
-    ------
-    LogError, ConfigError
-        The file cannot be read, or holds no truth.
+    Raises LogError or ConfigError if the file cannot be read, or holds no truth.
     """
     readers = {".trc": read_trc, ".csv": read_csv}
     name = Path(path.path if isinstance(path, McapReader) else path)

@@ -79,12 +79,8 @@ def run_logs(
     Failures do not stop the others. The manifest of the folder has every record; ``logs`` are
     absolute paths or addresses, see :func:`hiros_mcap.many.find.find_logs`.
 
-    Raises
-    ------
-    LogError
-        The folder cannot be written, or a file in it must not be replaced.
-    ConfigError
-        The manifest is damaged.
+    Raises LogError if the folder cannot be written, or a file in it must not be replaced;
+    ConfigError if the manifest is damaged.
     """
     with ExitStack() as stack:
         place = place_of(folder.path) if folder.path else None

@@ -198,12 +198,8 @@ def compare_logs(
     tolerances : of the times that make two frames the same one, and of the first frame that
         differs; None = those beside the golden log.
 
-    Raises
-    ------
-    LogError
-        A log cannot be read, or the golden log holds no output channel.
-    ConfigError
-        The skeleton models differ: there is nothing to compare.
+    Raises LogError if a log cannot be read, or the golden log holds no output channel; ConfigError
+    if the skeleton models differ: there is nothing to compare.
     """
     tolerances = beside(Path(golden)) if tolerances is None else tolerances
     if not has_outputs(golden):

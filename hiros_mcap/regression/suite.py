@@ -193,12 +193,8 @@ def run_suite(
 ) -> list[CaseResult]:
     """Process and check every log, several at once; results in the order of the suite.
 
-    Raises
-    ------
-    ConfigError
-        ``options.only`` names a case that does not exist.
-    LogError
-        A file in ``options.keep`` must not be replaced.
+    Raises ConfigError if ``options.only`` names a case that does not exist; LogError if a file in
+    ``options.keep`` must not be replaced.
     """
     only, keep = options.only, options.keep
     titles = [case.title for case in suite.cases]
