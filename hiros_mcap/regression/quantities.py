@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from math import floor, log10
 
 import numpy as np
@@ -38,26 +37,27 @@ class Quantity:
     """One kind of number of a skeleton."""
 
     name: str
-    limit: str
-    """Name of its tolerance."""
     tolerance: float
     """Distances up to this do not count, unless a file says so. The defaults forgive another
-    machine, not another algorithm."""
+    machine, not another algorithm. In m, degrees, s and their derivatives."""
     unit: str
-    """Of a distance and its tolerance."""
-    shown_unit: str
     """Of a distance as it is shown."""
-    scale: float
-    """Unit -> unit of a distance as it is shown."""
     values: str
     """Unit of the numbers themselves."""
     read: Read
     distance: Distance
     names: Names
+    scale: float = 1.0
+    """Unit of the tolerance -> unit of a distance as it is shown."""
+
+    @property
+    def limit(self) -> str:
+        """Name of its tolerance: boxes have that of positions."""
+        return "positions" if self.name == "box sizes" else self.name.replace(" ", "_")
 
     def shown(self, distance: float) -> str:
         """Return a distance as text."""
-        return f"{self.scale * distance:.4g} {self.shown_unit}".rstrip()
+        return f"{self.scale * distance:.4g} {self.unit}".rstrip()
 
     def value(self, numbers: Floats, decimals: int) -> str:
         """Return the numbers of one element as text."""
@@ -116,38 +116,27 @@ def _seconds(was: Floats, now: Floats) -> Floats:
     return np.asarray(np.abs(now - was)[..., 0] / 1e9)
 
 
-def _kinematic(
-    limit: str, tolerance: float, units: tuple[str, str], columns: slice, distance: Distance
+def _state(
+    name: str, tolerance: float, units: tuple[str, str], columns: slice, distance: Distance = _norm
 ) -> Quantity:
     """Part of the KinematicState; units of a distance, and of the numbers."""
-    unit, values = units
-    name, read = limit.replace("_", " "), _states(columns)
-    return Quantity(name, limit, tolerance, unit, unit, 1.0, values, read, distance, _state_names)
+    return Quantity(name, tolerance, *units, _states(columns), distance, _state_names)
 
 
-_POSITIONS = Quantity(
-    *("positions", "positions", 1e-6, "m", "mm", 1000.0, "m"),
-    *(_states(POSITION), _norm, _state_names),
-)
+_POSITIONS = replace(_state("positions", 1e-6, ("mm", "m"), POSITION), scale=1000.0)
 QUANTITIES = (
     _POSITIONS,
     # 1e-6 m at the end of a limb of 0.5 m.
-    _kinematic("orientations", 1e-4, ("deg", "(x y z w)"), ORIENTATION, _degrees),
-    _kinematic("velocities", 1e-4, ("m/s", "m/s"), VELOCITY, _norm),
-    _kinematic("angular_velocities", 1e-2, ("deg/s", "rad/s"), ANGULAR_VELOCITY, _degree_rates),
-    _kinematic("accelerations", 1e-2, ("m/s2", "m/s2"), ACCELERATION, _norm),
-    _kinematic(
-        *("angular_accelerations", 1.0, ("deg/s2", "rad/s2")),
-        *(ANGULAR_ACCELERATION, _degree_rates),
-    ),
-    Quantity(
-        *("confidences", "confidences", 1e-6, "", "", 1.0, ""),
-        *(_confidences, _norm, _confidence_names),
-    ),
+    _state("orientations", 1e-4, ("deg", "(x y z w)"), ORIENTATION, _degrees),
+    _state("velocities", 1e-4, ("m/s", "m/s"), VELOCITY),
+    _state("angular velocities", 1e-2, ("deg/s", "rad/s"), ANGULAR_VELOCITY, _degree_rates),
+    _state("accelerations", 1e-2, ("m/s2", "m/s2"), ACCELERATION),
+    _state("angular accelerations", 1.0, ("deg/s2", "rad/s2"), ANGULAR_ACCELERATION, _degree_rates),
+    Quantity("confidences", 1e-6, "", "", _confidences, _norm, _confidence_names),
     replace(_POSITIONS, name="box sizes", read=_box_size, names=lambda _: ("box",)),
     Quantity(
-        *("times", "times", 1e-6, "s", "ms", 1000.0, "ns after the frame's stamp"),
-        *(_times, _seconds, lambda _: ("source time", "log time")),
+        *("times", 1e-6, "ms", "ns after the frame's stamp"),
+        *(_times, _seconds, lambda _: ("source time", "log time"), 1000.0),
     ),
 )
 """In the order in which reports name them."""
@@ -227,7 +216,8 @@ class QuantityComparison:
             return None
         s = int(wrong.any(axis=1).argmax())
         k = int(distance[s].argmax())
-        what = f"{self._subject(names[k])} of person {pairs[s].person}"
+        kind = "" if self.quantity.name == "positions" else f" ({self.quantity.name})"
+        what = f"{names[k]}{kind} of person {pairs[s].person}"
         if np.isfinite(distance[s, k]):
             return pairs[s], f"{what} is off by {self.quantity.shown(float(distance[s, k]))}"
         return pairs[s], f"{what} is {'absent' if before[s, k] else 'new'}"
@@ -236,11 +226,6 @@ class QuantityComparison:
         for counts, mask in ((self.vanished, before & ~after), (self.appeared, after & ~before)):
             for k in np.nonzero(mask.any(axis=0))[0].tolist():
                 counts[names[k]] += int(mask[:, k].sum())
-
-    def _subject(self, element: str) -> str:
-        if self.quantity.name == "positions":
-            return element
-        return f"{element} ({self.quantity.name})"
 
 
 def _present(numbers: Floats) -> Flags:
@@ -264,13 +249,8 @@ def most(counts: Counter[str]) -> str:
 
 def union(old: SkeletonModel, new: SkeletonModel) -> SkeletonModel:
     """Return a model with the markers and links of both, by name; the old ones come first."""
-    markers, links = (
-        tuple(dict.fromkeys(chain(*names)))
-        for names in (
-            (old.marker_names, new.marker_names),
-            (old.link_names, new.link_names),
-        )
-    )
+    markers = dict.fromkeys([*old.marker_names, *new.marker_names])
+    links = dict.fromkeys([*old.link_names, *new.link_names])
     return SkeletonModel.of(markers, [(name, -1, -1) for name in links])
 
 
@@ -279,13 +259,12 @@ def widened(frame: Frame, narrow: SkeletonModel, model: SkeletonModel) -> Frame:
     markers = [model.marker_names.index(name) for name in narrow.marker_names]
     links = [model.link_names.index(name) for name in narrow.link_names]
     result = Frame.empty(frame.n_people, model)
-    result.markers[:, markers] = frame.markers
-    result.marker_confidences[:, markers] = frame.marker_confidences
-    result.links[:, links] = frame.links
-    result.link_confidences[:, links] = frame.link_confidences
+    for name, slots in (("marker", markers), ("link", links)):
+        for array in (f"{name}s", f"{name}_confidences"):
+            getattr(result, array)[:, slots] = getattr(frame, array)
     return frame.replace(
-        **{
-            name: getattr(result, name)
-            for name in ("markers", "marker_confidences", "links", "link_confidences")
-        }
+        markers=result.markers,
+        marker_confidences=result.marker_confidences,
+        links=result.links,
+        link_confidences=result.link_confidences,
     )
