@@ -13,7 +13,7 @@ import textwrap
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import tomli_w
 from pydantic import ConfigDict, Field, ValidationError, model_validator
@@ -154,57 +154,56 @@ class OutputParams(Params):
     )
 
 
+Section = TypeVar("Section", bound=Params)
+
+
+def _part(params: type[Section], text: str) -> Section:
+    """Return the field of a section, with its defaults."""
+    field: Section = Field(params(), description=text)
+    return field
+
+
 class Config(Params):
     """Every parameter of a run, one section per step."""
 
-    input: InputParams = Field(InputParams(), description="Reading the cameras.")
-    clock: ClockParams = Field(
-        ClockParams(), description="Seconds to add to the stamps of a camera: camera = seconds."
+    input: InputParams = _part(InputParams, "Reading the cameras.")
+    clock: ClockParams = _part(
+        ClockParams, "Seconds to add to the stamps of a camera: camera = seconds."
     )
-    noise: NoiseParams = Field(
-        NoiseParams(), description="White noise of the detectors, by hiros calibrate noise."
+    noise: NoiseParams = _part(
+        NoiseParams, "White noise of the detectors, by hiros calibrate noise."
     )
-    output: OutputParams = Field(OutputParams(), description="Writing the results.")
-    track: TrackParams = Field(TrackParams(), description="Tracking (Hi-ROS 3.1).")
-    plausible: PlausibleParams = Field(
-        PlausibleParams(), description="Detections against the person's own limbs, before merging."
+    output: OutputParams = _part(OutputParams, "Writing the results.")
+    track: TrackParams = _part(TrackParams, "Tracking (Hi-ROS 3.1).")
+    plausible: PlausibleParams = _part(
+        PlausibleParams, "Detections against the person's own limbs, before merging."
     )
-    sides: SidesParams = Field(
-        SidesParams(), description="Left and right of each view, before merging."
+    sides: SidesParams = _part(SidesParams, "Left and right of each view, before merging.")
+    merge: MergeParams = _part(MergeParams, "Merging: one skeleton per person (Hi-ROS 3.2).")
+    optimize: OptimizeParams = _part(
+        OptimizeParams, "Optimizing: constant limb lengths (Hi-ROS 3.3)."
     )
-    merge: MergeParams = Field(
-        MergeParams(), description="Merging: one skeleton per person (Hi-ROS 3.2)."
+    filter: FilterParams = _part(FilterParams, "Filtering: smooth motion (Hi-ROS 3.4).")
+    fuse: FuseParams = _part(FuseParams, "Fusing in fuse: one smooth trajectory per joint.")
+    constrain: ConstrainParams = _part(
+        ConstrainParams, "Constant lengths and the person's own motion in fuse."
     )
-    optimize: OptimizeParams = Field(
-        OptimizeParams(), description="Optimizing: constant limb lengths (Hi-ROS 3.3)."
+    associate: AssociateParams = _part(
+        AssociateParams, "Tracking in malaguti and the baselines (Malaguti III-A)."
     )
-    filter: FilterParams = Field(
-        FilterParams(), description="Filtering: smooth motion (Hi-ROS 3.4)."
+    kalman: KalmanParams = _part(
+        KalmanParams, "Fusion in malaguti and openptrack (Malaguti III-B to III-D)."
     )
-    fuse: FuseParams = Field(
-        FuseParams(), description="Fusing in fuse: one smooth trajectory per joint."
+    straighten: StraightenParams = _part(
+        StraightenParams, "Constant limb lengths in malaguti (Malaguti III-E)."
     )
-    constrain: ConstrainParams = Field(
-        ConstrainParams(), description="Constant lengths and the person's own motion in fuse."
+    moving_average: MovingAverageParams = _part(
+        MovingAverageParams, "Moving average in the baseline maf."
     )
-    associate: AssociateParams = Field(
-        AssociateParams(), description="Tracking in malaguti and the baselines (Malaguti III-A)."
+    cluster: ClusterParams = _part(
+        ClusterParams, "Merging in lee: one skeleton per person (Lee 2.2)."
     )
-    kalman: KalmanParams = Field(
-        KalmanParams(), description="Fusion in malaguti and openptrack (Malaguti III-B to III-D)."
-    )
-    straighten: StraightenParams = Field(
-        StraightenParams(), description="Constant limb lengths in malaguti (Malaguti III-E)."
-    )
-    moving_average: MovingAverageParams = Field(
-        MovingAverageParams(), description="Moving average in the baseline maf."
-    )
-    cluster: ClusterParams = Field(
-        ClusterParams(), description="Merging in lee: one skeleton per person (Lee 2.2)."
-    )
-    predict: PredictParams = Field(
-        PredictParams(), description="Filtering in lee: smooth motion (Lee 2.2.3)."
-    )
+    predict: PredictParams = _part(PredictParams, "Filtering in lee: smooth motion (Lee 2.2.3).")
 
 
 PRESETS = (NO_PRESET, "realtime", "paper", "upstream")

@@ -54,10 +54,11 @@ def tracking_scores(frames: Sequence[FrameSimilarity]) -> TrackingScores:
     true, reported = np.zeros((len(people), 1)), np.zeros(len(names))
     placed = []
     for now in frames:
-        rows, columns = [people[i] for i in now.true_ids], [names[i] for i in now.ids]
+        rows = np.array([people[i] for i in now.true_ids], np.int64)
+        columns = np.array([names[i] for i in now.ids], np.int64)
         true[rows] += 1
         reported[columns] += 1
-        placed.append((np.array(rows, int), np.array(columns, int), now.similarity))
+        placed.append((rows, columns, now.similarity))
     total = float(true.sum() + reported.sum())
     if not total:
         return TrackingScores(*_clear(frames), np.nan, np.nan)

@@ -132,14 +132,13 @@ def _read_tables(path: Path) -> tuple[_Table, _Table]:
         marker, parent, child = ((row.get(c) or "").strip() for c in ("marker", *_LINK))
         if bool(marker) == bool(parent or child) or bool(parent) != bool(child):
             raise ConfigError(f"{where}: needs either a marker, or the parent and child of a link")
-        table, name, columns = (
-            (joints, marker, "xyz") if marker else (links, f"link {parent} to {child}", _QUATERNION)
-        )
+        name = marker or f"link {parent} to {child}"
+        table, numbers = (joints, "xyz") if marker else (links, _QUATERNION)
         key = stamp, int(person), marker or (parent, child)
         if key in table:
             raise ConfigError(f"{where}: {name} twice at {stamp} s")
-        numbers = [number_of(row[column], where) for column in columns]
-        table[key] = numbers if marker else _unit_quaternion(numbers, where)
+        values = [number_of(row[column], where) for column in numbers]
+        table[key] = values if marker else _unit_quaternion(values, where)
     return joints, links
 
 
