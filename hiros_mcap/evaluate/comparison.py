@@ -147,11 +147,6 @@ def comparison(
     return outcomes
 
 
-def run_task(task: Task) -> Outcome:
-    """Run one system on one log and score what comes out."""
-    return _on_the_same([_run(task)])[0]
-
-
 def _on_the_same(done: Sequence[tuple[Outcome, list[Distances]]]) -> list[Outcome]:
     """Add what several systems do on the same detections of a log.
 

@@ -18,10 +18,9 @@ from hiros_mcap.config import Config, load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.logs import Consistency, consistency
 from hiros_mcap.evaluate.match import match
-from hiros_mcap.evaluate.parts import parts_of
 from hiros_mcap.evaluate.same_detections import Distances
 from hiros_mcap.evaluate.side_scores import SideScores, side_scores
-from hiros_mcap.evaluate.statistics import ErrorStats, mean_of, nan_mean
+from hiros_mcap.evaluate.statistics import ErrorStats, mean_of, nan_mean, parts_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.io.log import Source
 from hiros_mcap.running.process_options import ProcessOptions, Progress, Silent

@@ -1,4 +1,4 @@
-"""Frame by frame: which skeleton is which true person, and how far its joints are off."""
+"""Frame by frame: which skeleton is which true person, who is missing, whom the truth lacks."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 
 from hiros_mcap.evaluate.mot import FrameSimilarity
 from hiros_mcap.evaluate.pairing import best_pairs, skeleton_distances
-from hiros_mcap.evaluate.silence import silent_instants
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, Ints, SkeletonModel, Stamps
 
@@ -74,7 +73,7 @@ class Matches:
     false: int = 0
     """Skeletons that match nobody; those of a partial truth are of somebody else."""
     silent: int = 0
-    """Instants with people but without a frame; see :mod:`hiros_mcap.evaluate.silence`."""
+    """Instants with people but without a frame; see :func:`silent_instants`."""
     nearest: float = math.inf
     """Least distance of a skeleton from a true person, mean over joints, m."""
 
@@ -83,6 +82,52 @@ class Matches:
         """How often a true person's nearest skeleton has another id than at the last match."""
         each = (self.ids[self.people == person] for person in np.unique(self.people))
         return sum(int(np.count_nonzero(np.diff(ids))) for ids in each)
+
+
+SHORTEST_NS = 50_000_000
+"""A step between frames that is not longer is never silence."""
+_IRREGULAR_NS = 100_000_000
+"""Cameras that take turns make steps of many lengths, up to this one; longer steps are gaps."""
+_SLACK = 1.5
+"""Silence is longer than this many usual steps, so that one lost frame counts."""
+_ENDS_NS = 100_000_000
+"""Cameras and truth do not start and stop together: shorter silence at the ends does not count."""
+
+
+def silent_instants(stamps: Stamps, truth: Truth) -> Stamps:
+    """(S,) Times, ns, of the truth's span at which a result is silent; increasing.
+
+    A result has its own rhythm: motion capture at 100 Hz beside a result of 30 Hz is not silence.
+    So silence between frames, before the first, and after the last is filled at that rhythm.
+
+    ``stamps`` are the times of all frames of the result, ns, in any order, also of frames without
+    people. The rhythm is the mean step outside silence; a result of less than two different times
+    has the rhythm of the truth.
+    """
+    stamps = np.unique(stamps)
+    steps = np.diff(stamps if stamps.size > 1 else truth.stamps)
+    if not steps.size:
+        return np.zeros(0, np.int64)
+    longest = max(_SLACK * _usual(steps), SHORTEST_NS)
+    step = float(np.mean(steps[steps <= longest]))
+    first, last = truth.stamps[[0, -1]]
+    inside = stamps[(stamps >= first) & (stamps <= last)]
+    # The span of the truth is closed: with a frame one step before and one after it, its first and
+    # last instants are filled as those between two frames.
+    ends = np.concatenate([[first - step], inside, [last + step]])
+    gaps = [
+        np.arange(ends[k] + step, ends[k + 1] - step / 2, step)
+        for k, length in enumerate(np.diff(ends))
+        if length > (longest if 0 < k < len(ends) - 2 else max(longest, _ENDS_NS + step))
+    ]
+    instants = np.concatenate([np.zeros(0), *gaps]).astype(np.int64)
+    return np.asarray(instants[truth.covers(instants)])
+
+
+def _usual(steps: Stamps) -> float:
+    """Longest step that belongs to the rhythm, ns: 90 % are not longer, or the median of them."""
+    most = float(np.percentile(steps, 90))
+    return most if most <= _IRREGULAR_NS else float(np.median(steps))
 
 
 def match(frames: Iterable[Frame], truth: Truth, max_distance: float = MATCH_DISTANCE) -> Matches:
@@ -178,3 +223,52 @@ def _median_text(positions: Floats) -> str:
     """Median of each coordinate, as text."""
     median = np.nanmedian(positions.reshape(-1, 3), axis=0)
     return f"({', '.join(f'{value:.4g}' for value in median)})"
+
+
+_LEAST_SECONDS = 2.0
+_LEAST_SHARE = 0.25
+"""Of the scored frames, that somebody without a label is there."""
+_UNMATCHED = 0.9
+"""Of his frames, that no true person matches."""
+_WALKS_M = 0.5
+"""RMS distance of somebody who walks about from his own mean position."""
+_FOUND = 0.5
+"""Of all true people and instants: a result that finds fewer says nothing about the truth."""
+
+
+def people_without_truth(
+    matches: Matches, truth: Truth, max_distance: float = MATCH_DISTANCE
+) -> tuple[int, ...]:
+    """Return the ids that are surely of people whom the truth lacks.
+
+    A detector's error must not pass for a person. So an id counts only if it is there for a quarter
+    of the frames and 2 s, matches nobody in 90 % of its frames, is farther than the matching
+    distance from every true person in half of them (a second skeleton of one person never is), and
+    walks about, which an object that is taken for a person does not. And the result must find the
+    people of the truth: otherwise the two do not belong together.
+
+    Parameters
+    ----------
+    matches : of a result with this truth.
+    truth : on the markers of the result.
+    max_distance : m, that the matches were found with.
+    """
+    if len(matches.people) < _FOUND * (len(matches.people) + len(matches.missed)):
+        return ()
+    matched = dict(zip(*np.unique(matches.ids, return_counts=True), strict=True))
+    others = []
+    for ident, track in matches.tracks.items():
+        n, seconds = len(track.stamps), (track.stamps[-1] - track.stamps[0]) / 1e9
+        lasts = n >= _LEAST_SHARE * matches.frames and seconds >= _LEAST_SECONDS
+        if lasts and matched.get(ident, 0) <= (1 - _UNMATCHED) * n and _walks(track):
+            frames = zip(truth.at(track.stamps)[0], track.poses, strict=True)
+            nearest = [skeleton_distances(t, p[None]).min(initial=np.inf) for t, p in frames]
+            if np.mean(np.array(nearest) > max_distance) >= 0.5:
+                others.append(ident)
+    return tuple(sorted(others))
+
+
+def _walks(track: Track) -> bool:
+    places = np.nanmean(track.poses, axis=1)
+    away = places - np.nanmean(places, axis=0)
+    return bool(np.nanmean((away * away).sum(axis=-1)) >= _WALKS_M**2)

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from hiros_mcap.evaluate.parts import PARTS
+from hiros_mcap.evaluate.statistics import PARTS
 from hiros_mcap.summary import number
 
 Rows = list[tuple[str, ...]]

@@ -13,9 +13,8 @@ from hiros_mcap.body.rotations import angle
 from hiros_mcap.body.segments import SIDES
 from hiros_mcap.evaluate.match import MATCH_DISTANCE, Matches, explain_no_overlap, match
 from hiros_mcap.evaluate.mot import TrackingScores, tracking_scores
-from hiros_mcap.evaluate.parts import parts_of
 from hiros_mcap.evaluate.smoothness import distances_at, jitter, lag, lengths_of, limb_variations
-from hiros_mcap.evaluate.statistics import AngleStats, ErrorStats, mean_of
+from hiros_mcap.evaluate.statistics import AngleStats, ErrorStats, mean_of, parts_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 

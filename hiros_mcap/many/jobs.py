@@ -17,10 +17,17 @@ from hiros_mcap.config import Config
 from hiros_mcap.defaults import DEFAULT_SYSTEM, LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.leave_one_out import leave_one_out
-from hiros_mcap.evaluate.logs import covered_by, evaluate_channels, find_truth, start_of
+from hiros_mcap.evaluate.logs import (
+    check_scorable,
+    covered_by,
+    evaluate_channels,
+    find_truth,
+    results_of,
+    settings_of,
+    start_of,
+)
 from hiros_mcap.evaluate.measures import CONSISTENCY, MEASURES
 from hiros_mcap.evaluate.remarks import warnings_of
-from hiros_mcap.evaluate.scored import check_scorable, results_of, settings_of
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.export.files import export
 from hiros_mcap.io.export.marker_set import load_marker_set, renamed
@@ -31,8 +38,8 @@ from hiros_mcap.many.find import base_name
 from hiros_mcap.many.manifest import Verdict
 from hiros_mcap.outputs import Kind
 from hiros_mcap.regression.provenance import Provenance
+from hiros_mcap.regression.quantities import Tolerances
 from hiros_mcap.regression.suite import GOLDEN_SUFFIXES, Golden, check_output
-from hiros_mcap.regression.tolerances import Tolerances
 from hiros_mcap.running.pipeline import ProcessOptions, process
 
 TRUTH_SUFFIXES = (".truth.mcap", ".mcap", ".trc", ".csv")

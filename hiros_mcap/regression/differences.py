@@ -20,12 +20,13 @@ from hiros_mcap.regression.quantities import (
     QUANTITIES,
     Pair,
     QuantityComparison,
+    Tolerances,
+    beside,
     most,
     union,
     widened,
     worst,
 )
-from hiros_mcap.regression.tolerances import Tolerances, beside
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
 
 SAME_PERSON = 0.3

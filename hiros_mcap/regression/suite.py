@@ -44,7 +44,7 @@ from hiros_mcap.regression.metrics import (
     worse,
 )
 from hiros_mcap.regression.provenance import Provenance, changes
-from hiros_mcap.regression.tolerances import Tolerances, beside, validated
+from hiros_mcap.regression.quantities import Tolerances, beside, validated
 from hiros_mcap.running.pipeline import ProcessOptions, Progress, Silent, process
 from hiros_mcap.workers import run_tasks
 

@@ -6,8 +6,7 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.systems.fusion import fuse
 from hiros_mcap.systems.hiros import hiros
 from hiros_mcap.systems.hiros import merging_order as merging_order
-from hiros_mcap.systems.lee import lee
-from hiros_mcap.systems.malaguti import average, maf, malaguti, openptrack, raw
+from hiros_mcap.systems.published import average, lee, maf, malaguti, openptrack, raw
 from hiros_mcap.systems.run import Run as Run
 from hiros_mcap.systems.run import Stages as Stages
 from hiros_mcap.systems.run import System

@@ -1,4 +1,10 @@
-"""Malaguti et al. (2019), and the baselines behind its association by centroids (III-A)."""
+"""Published systems: Malaguti et al. (2019) with its baselines, and Lee et al. (2022).
+
+Malaguti and the baselines have its association by centroids (III-A). Lee follows one person with
+cameras that a wire synchronises. Here the tracker of Hi-ROS comes first, and every person is merged
+as the paper merges its one. The variants A1 to A5 of section 3.1 are the same stages with other
+parameters (``systems/presets``).
+"""
 
 from __future__ import annotations
 
@@ -44,3 +50,18 @@ def malaguti(run: Run) -> Stages:
 
     lengths = run.stage(straighten, run.config.straighten, limbs=run.limbs)
     return {**openptrack(run), "optimized": by_block(lengths)}
+
+
+def lee(run: Run) -> Stages:
+    """Output channel -> the stage that fills it, in the order of the paper (Fig. 4)."""
+    from hiros_mcap.stages.lee.cluster import cluster_blocks
+    from hiros_mcap.stages.lee.predict import predict
+    from hiros_mcap.stages.track.track import track_blocks
+
+    config = run.config
+    merge = run.stage(cluster_blocks, config.cluster, fixed_frame=run.fixed_frame)
+    return {
+        "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),
+        "merged": merge,  # 2.2.1, 2.2.2
+        "filtered": by_block(run.stage(predict, config.predict)),  # 2.2.3
+    }
