@@ -12,19 +12,9 @@ from typing import Literal
 from hiros_mcap.errors import LogError
 
 Kind = Literal[
-    "log",
-    "HTML page",
-    "Rerun recording",
-    "JUnit report",
-    "Markdown summary",
-    "limb table",
-    "camera file",
-    "PNG picture",
-    "export",
-    "rosbag2 folder",
-    "rosbag2 metadata",
-    "table of logs",
-]
+    "log", "HTML page", "Rerun recording", "JUnit report", "Markdown summary", "limb table",
+    "camera file", "PNG picture", "export", "rosbag2 folder", "rosbag2 metadata", "table of logs",
+]  # fmt: skip
 
 HTML_MARK = '<meta name="generator" content="hiros">'
 JUNIT_MARK = "<!-- hiros check -->"

@@ -153,7 +153,7 @@ def link_axes(model: SkeletonModel, positions: Floats, orientations: Floats) -> 
         if known.sum() < FEWEST:
             continue
         relations = np.swapaxes(links[known], -1, -2) @ frames[known]
-        mean = _mean_rotation(relations)
+        mean = nearest_rotation(relations.sum(axis=0).T)  # projected mean (Moakher 2002)
         cosines = np.einsum("tij,ij->t", relations, mean)  # 1 + 2 cos of the angle between them
         largest = LARGEST_FOREARM_DEG if segment.endswith("forearm") else LARGEST_DEG
         if np.median(cosines) >= 1 + 2 * np.cos(np.radians(largest)):
@@ -208,11 +208,6 @@ def _link_slots(model: SkeletonModel) -> dict[str, int]:
             if (k := slot(parents, children, side)) is not None:
                 found[f"{side} {segment}".strip()] = k
     return found
-
-
-def _mean_rotation(rotations: Floats) -> Floats:
-    """(3, 3) rotation nearest to the sum of (T, 3, 3) (Moakher 2002, projected mean)."""
-    return nearest_rotation(rotations.sum(axis=0).T)
 
 
 def _complete(frames: Floats) -> Flags:

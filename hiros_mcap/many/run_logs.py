@@ -105,9 +105,14 @@ def run_logs(
             place.check(there, job.kind, logs, folder.force)
         for former in done.values():
             yield former, False
+
+        def lost(k: int, why: str) -> LogRecord:
+            error = f"stopped its process more than once: {why}"
+            return replace(todo[k], verdict="failed", error=error)
+
         tasks = [(job, record, folder.path) for record in todo]
         stack.callback(manifest.save)
-        for _, record in runner(run_one, tasks, lost=lambda k, why: _lost(todo[k], why)):
+        for _, record in runner(run_one, tasks, lost=lost):
             manifest.add(record)
             yield record, True
 
@@ -125,7 +130,8 @@ def _planned(job: Job, logs: Sequence[str], manifest: Manifest) -> list[LogRecor
     for log in logs:
         configuration, identity = "", Identity(0, "")
         with suppress(HirosError, OSError):  # the job will say why
-            configuration = _with_sides(settings, job.sides(base_name(log)))
+            contents = (path.read_bytes() for path in job.sides(base_name(log)))
+            configuration = hashlib.sha256(b"".join([settings, *contents])).hexdigest()
             if log in manifest.records:
                 identity = identity_of(log)
         planned.append(
@@ -160,20 +166,12 @@ def _is_same(planned: LogRecord, former: LogRecord) -> bool:
 
 def _settings(job: Job) -> bytes:
     """Return the settings of a job as text."""
-    settings = json.dumps(plain_value(job), default=_as_json, sort_keys=True)
+
+    def as_json(value: object) -> object:
+        return value.model_dump(mode="json") if isinstance(value, BaseModel) else str(value)
+
+    settings = json.dumps(plain_value(job), default=as_json, sort_keys=True)
     return f"{job.command}\n{settings}\n".encode()
-
-
-def _as_json(value: object) -> object:
-    return value.model_dump(mode="json") if isinstance(value, BaseModel) else str(value)
-
-
-def _with_sides(settings: bytes, sides: Sequence[Path]) -> str:
-    """Return the SHA-256 of the settings and of the further files that a job reads."""
-    digest = hashlib.sha256(settings)
-    for path in sides:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
 
 
 _one_at_a_time = Lock()
@@ -241,7 +239,3 @@ def _in_one_line(error: Exception, log: str) -> str:
         names = [str(name) for name in (error.filename, error.filename2) if name is not None]
         text = ": ".join([*names, error.strerror or text])
     return text.removeprefix(f"{log}: ")
-
-
-def _lost(record: LogRecord, why: str) -> LogRecord:
-    return replace(record, verdict="failed", error=f"stopped its process more than once: {why}")

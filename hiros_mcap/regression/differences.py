@@ -198,17 +198,17 @@ def _compare_channel(
     golden: str | os.PathLike[str],
     tolerances: Tolerances,
 ) -> ChannelComparison:
-    new, model, _ = read_channel(output, topic)
-    old, golden_model, _ = read_channel(golden, topic)
-    names = model.marker_names, model.link_names
-    if names != (golden_model.marker_names, golden_model.link_names):
-        if not set(model.marker_names) & set(golden_model.marker_names):
+    now, was = read_channel(output, topic), read_channel(golden, topic)
+    new, old, model = now.frames, was.frames, was.model
+    names = now.model.marker_names, now.model.link_names
+    if names != (model.marker_names, model.link_names):
+        if not set(now.model.marker_names) & set(model.marker_names):
             fault = f"cannot be compared with {golden}: the skeletons share no marker"
             raise ConfigError(f"{output}: {topic}: {fault}")
-        both = union(golden_model, model)
-        new = [widened(frame, model, both) for frame in new]
-        old, golden_model = [widened(frame, golden_model, both) for frame in old], both
-    return compare_frames(new, old, golden_model, tolerances, topic)
+        model = union(was.model, now.model)
+        new = [widened(frame, now.model, model) for frame in new]
+        old = [widened(frame, was.model, model) for frame in old]
+    return compare_frames(new, old, model, tolerances, topic)
 
 
 def compare_frames(

@@ -57,12 +57,12 @@ def write_golden(
     topics : globs of output channels; empty = the last stage's.
     """
     chosen = output_channels(output, topics) if topics else output_channels(output)[-1:]
-    channels = [(topic, *read_channel(output, topic)[:2]) for topic in chosen]
+    channels = {topic: read_channel(output, topic) for topic in chosen}
     with McapWriter(Path(golden), inputs=[output]) as writer:
-        for topic, frames, model in channels:
-            encoder = Encoder(model)
+        for topic, read in channels.items():
+            encoder = Encoder(read.model)
             channel = add_skeleton_channel(writer, topic)
-            for frame in frames:
+            for frame in read.frames:
                 writer.write(channel, frame.log_time, encoder.encode(compact(frame)))
         with open_reader(output) as reader:
             for name in (LIMBS_ATTACHMENT, CONFIG_ATTACHMENT):
