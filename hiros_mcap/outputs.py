@@ -56,7 +56,8 @@ def check_outputs(
     Raises LogError if an output is an input or another output, is not a regular file, belongs to
     somebody else, or lies in a folder that does not exist or may not be written into.
     """
-    read = [file for path in inputs if path is not None for file in _files(Path(path))]
+    given = [Path(path) for path in inputs if path is not None]
+    read = [file for path in given for file in (path.iterdir() if path.is_dir() else [path])]
     taken: list[Path] = []
     for path, kind in _single_files(outputs, force=force, remedy=remedy):
         _check_place(path)
@@ -107,10 +108,6 @@ def _reason(kind: Kind) -> str:
     """Return why an existing file is not replaced."""
     article = "an" if kind in ("HTML page", "export") else "a"
     return f"exists and is not {article} {kind} of hiros"
-
-
-def _files(path: Path) -> list[Path]:
-    return [p for p in path.iterdir() if p.is_file()] if path.is_dir() else [path]
 
 
 def _check_place(path: Path) -> None:

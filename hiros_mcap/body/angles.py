@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from hiros_mcap.body.rotations import conjugate, multiply
-from hiros_mcap.body.segments import between
+from hiros_mcap.body.segments import SIDES, between
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
@@ -20,7 +22,7 @@ _CHAINS = (
 _TRUNKS = (("neck", "pelvis"), ("neck", "spinebase"), ("neck", "midhip"), ("neck", "hips"))
 
 JOINTS = ("shoulder", "elbow", "hip", "knee")
-ANGLES = tuple(f"{side} {joint}" for side in ("left", "right") for joint in JOINTS)
+ANGLES = tuple(f"{side} {joint}" for side in SIDES for joint in JOINTS)
 """Names of the columns of :func:`flexions`."""
 
 
@@ -35,7 +37,7 @@ def flexions(model: SkeletonModel, positions: Floats) -> Floats:
     names = {part for part, _ in slots}
     trunk = next(((a, b) for a, b in _TRUNKS if a in names and b in names), ("", ""))
     angles = []
-    for side in ("left", "right"):
+    for side in SIDES:
         for chain in _CHAINS:
             ends = [slots.get((name, side)) for name in chain]
             ends = [slots.get((name, "")) for name in trunk] * (len(chain) == 2) + ends
@@ -90,15 +92,10 @@ def joint_links(model: SkeletonModel) -> tuple[tuple[int, int], ...]:
     middle = {slot for (_, side), slot in slots.items() if not side}
     lower = next((k for k, (p, c) in enumerate(ends) if p == root and c in middle), -1)
     pairs = []
-    for side in ("left", "right"):
-        arm = link(("shoulder", side), ("elbow", side))
-        leg = link(("hip", side), ("knee", side))
-        pairs += [
-            (upper, arm),
-            (arm, link(("elbow", side), ("wrist", side))),
-            (lower, leg),
-            (leg, link(("knee", side), ("ankle", side))),
-        ]
+    for side in SIDES:
+        for above, *joints in ((upper, *_CHAINS[1]), (lower, *_CHAINS[3])):
+            near, far = (link((a, side), (b, side)) for a, b in pairwise(joints))
+            pairs += [(above, near), (near, far)]
     return tuple(pairs)
 
 

@@ -17,7 +17,6 @@ import hiros_schemas
 from hiros_mcap.config import Config, load_config
 from hiros_mcap.defaults import DEFAULT_SYSTEM
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.evaluate.ellipsoids import EllipsoidCoverage, coverage_of
 from hiros_mcap.evaluate.match import (
     MATCH_DISTANCE,
     Matches,
@@ -25,7 +24,7 @@ from hiros_mcap.evaluate.match import (
     people_without_truth,
     tracks_of,
 )
-from hiros_mcap.evaluate.scores import Scores, score_matches
+from hiros_mcap.evaluate.scores import EllipsoidCoverage, Scores, coverage_of, score_matches
 from hiros_mcap.evaluate.smoothness import jitter, limb_variations
 from hiros_mcap.evaluate.statistics import mean_of
 from hiros_mcap.evaluate.truth import Truth

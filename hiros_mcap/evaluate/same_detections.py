@@ -93,8 +93,12 @@ def on_same_detections(systems: Mapping[str, Sequence[Distances]]) -> dict[str, 
 
     Raises ValueError if the systems were given different detections.
     """
-    joints = {name: _stacked([d.joints for d in cameras]) for name, cameras in systems.items()}
-    varying = {name: _stacked([d.varying for d in cameras]) for name, cameras in systems.items()}
+    joints = {
+        name: np.concatenate([d.joints for d in cameras]) for name, cameras in systems.items()
+    }
+    varying = {
+        name: np.concatenate([d.varying for d in cameras]) for name, cameras in systems.items()
+    }
     if len({each.shape for each in joints.values()}) > 1:
         raise ValueError("the systems were given different detections")
     stamps = np.concatenate([d.stamps for d in next(iter(systems.values()))])
@@ -116,10 +120,6 @@ def on_same_detections(systems: Mapping[str, Sequence[Distances]]) -> dict[str, 
             difference=None if name == first else _difference(table, joints[first], stamps, first),
         )
     return scores
-
-
-def _stacked(parts: Sequence[npt.NDArray[np.float32]]) -> npt.NDArray[np.float32]:
-    return np.concatenate(parts)
 
 
 def _difference(

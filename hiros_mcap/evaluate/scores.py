@@ -16,6 +16,7 @@ from hiros_mcap.evaluate.mot import TrackingScores, tracking_scores
 from hiros_mcap.evaluate.smoothness import distances_at, jitter, lag, lengths_of, limb_variations
 from hiros_mcap.evaluate.statistics import AngleStats, ErrorStats, mean_of, parts_of
 from hiros_mcap.evaluate.truth import Truth
+from hiros_mcap.io.marker_uncertainty import Deviations
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 
 PCK_MM = tuple(range(0, 201, 5))
@@ -260,3 +261,46 @@ def _limb_error(matches: Matches, truth: Truth, model: SkeletonModel) -> float:
     medians[seen] = np.nanmedian(lengths[:, seen], axis=0)
     of_result = lengths_of(matches.poses, model)
     return mean_of(1000 * np.abs(of_result - medians[matches.people]))
+
+
+# Quantiles of chi square with three degrees of freedom.
+_SQUARE_68, _SQUARE_95 = 3.5059, 7.8147
+
+
+@dataclass(frozen=True, slots=True)
+class EllipsoidCoverage:
+    """Shares of the true joints; right are 0.68 and 0.95."""
+
+    joints: int
+    """Joints whose uncertainty and truth are known."""
+    within_68: float
+    """Share inside the ellipsoid that holds 68 % of a normal distribution."""
+    within_95: float
+    ratio: float
+    """Root mean square of error / stated standard deviation, per axis: 1 is right."""
+
+    def __str__(self) -> str:
+        return (
+            f"68 % ellipsoids hold {100 * self.within_68:.0f} % of the true joints, 95 % "
+            f"ellipsoids {100 * self.within_95:.0f} %"
+        )
+
+
+def coverage_of(
+    matches: Matches, given: Deviations, model: SkeletonModel
+) -> EllipsoidCoverage | None:
+    """Compare errors with stated deviations; None if no joint has both."""
+    keys = zip(matches.stamps.tolist(), matches.ids.tolist(), strict=True)
+    stated = (given.get(key, {}) for key in keys)
+    rows = [[one.get(marker, np.nan) for marker in model.marker_ids] for one in stated]
+    deviations = np.array(rows).reshape(-1, model.n_markers)
+    squares = ((matches.poses - matches.true_poses) ** 2).sum(axis=2) / deviations**2
+    squares = squares[np.isfinite(squares)]
+    if not len(squares):
+        return None
+    return EllipsoidCoverage(
+        len(squares),
+        float((squares < _SQUARE_68).mean()),
+        float((squares < _SQUARE_95).mean()),
+        float(np.sqrt(squares.mean() / 3)),
+    )

@@ -92,14 +92,6 @@ def _confidences(frame: Frame, row: int) -> Floats:
     return np.concatenate([skeleton, *each])[:, None]
 
 
-def _confidence_names(model: SkeletonModel) -> Sequence[str]:
-    return ("skeleton", *_state_names(model)[:-1])
-
-
-def _box_size(frame: Frame, row: int) -> Floats:
-    return frame.boxes[row : row + 1, STATE:]
-
-
 def _times(frame: Frame, row: int) -> Floats:
     """(2, 1) Source time and log time after the frame's stamp, ns."""
     stamp = int(frame.stamps[row])
@@ -139,8 +131,21 @@ QUANTITIES = (
     _state("angular velocities", 1e-2, ("deg/s", "rad/s"), ANGULAR_VELOCITY, _degree_rates),
     _state("accelerations", 1e-2, ("m/s2", "m/s2"), ACCELERATION),
     _state("angular accelerations", 1.0, ("deg/s2", "rad/s2"), ANGULAR_ACCELERATION, _degree_rates),
-    Quantity("confidences", 1e-6, "", "", _confidences, _norm, _confidence_names),
-    replace(_POSITIONS, name="box sizes", read=_box_size, names=lambda _: ("box",)),
+    Quantity(
+        "confidences",
+        1e-6,
+        "",
+        "",
+        _confidences,
+        _norm,
+        lambda model: ("skeleton", *_state_names(model)[:-1]),
+    ),
+    replace(
+        _POSITIONS,
+        name="box sizes",
+        read=lambda frame, row: frame.boxes[row : row + 1, STATE:],
+        names=lambda _: ("box",),
+    ),
     Quantity(
         *("times", 1e-6, "ms", "ns after the frame's stamp"),
         *(_times, _seconds, lambda _: ("source time", "log time"), 1000.0),

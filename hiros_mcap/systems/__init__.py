@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.systems.fusion import fuse
-from hiros_mcap.systems.hiros import hiros
+from hiros_mcap.systems.hiros import fuse, hiros
 from hiros_mcap.systems.hiros import merging_order as merging_order
 from hiros_mcap.systems.published import average, lee, maf, malaguti, openptrack, raw
 from hiros_mcap.systems.run import Run as Run

@@ -10,9 +10,9 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from hiros_mcap.config import load_config
-from hiros_mcap.evaluate.ellipsoids import coverage_of
 from hiros_mcap.evaluate.logs import evaluate_log, find_truth
 from hiros_mcap.evaluate.match import Matches
+from hiros_mcap.evaluate.scores import coverage_of
 from hiros_mcap.io.marker_uncertainty import UNCERTAINTY_TOPIC, read_uncertainty
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
