@@ -15,7 +15,7 @@ with its segment shows itself by a large deviation from that mean, and is not us
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -190,23 +190,14 @@ def segments_of(
 
 def _link_slots(model: SkeletonModel) -> dict[str, int]:
     """Segment -> slot of the link that turns with it, as far as there are such links."""
-    names = [split_side(name) for name in model.marker_names]
-    ends = [
-        (names[parent] if parent >= 0 else ("", ""), names[child] if child >= 0 else ("", ""))
-        for parent, child in zip(model.link_parents, model.link_children, strict=True)
-    ]
-
-    def slot(parents: Sequence[str], children: Sequence[str], side: str) -> int | None:
-        for k, ((parent, _), child) in enumerate(ends):
-            if child[1] == side and child[0] in children and (not parents or parent in parents):
-                return k
-        return None
-
-    found = {}
-    for segment, (parents, children) in _LINKS.items():
-        for side in ("",) if segment in _TRUNK else SIDES:
-            if (k := slot(parents, children, side)) is not None:
-                found[f"{side} {segment}".strip()] = k
+    names = [*map(split_side, model.marker_names), ("", "")]  # slot -1 is no marker
+    found: dict[str, int] = {}
+    for k, (start, end) in enumerate(zip(model.link_parents, model.link_children, strict=True)):
+        parent, (child, side) = names[start][0], names[end]
+        for segment, (parents, children) in _LINKS.items():
+            fits = child in children and (not parents or parent in parents)
+            if fits and side in (("",) if segment in _TRUNK else SIDES):
+                found.setdefault(f"{side} {segment}".strip(), k)
     return found
 
 

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,12 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.leave_one_out import leave_each_out
 from hiros_mcap.evaluate.logs import find_truth, fused_topics
 from hiros_mcap.evaluate.match import Matches, match
-from hiros_mcap.evaluate.same_detections import Distances, MeanDifference, on_same_detections
+from hiros_mcap.evaluate.same_detections import (
+    Distances,
+    MeanDifference,
+    SameScores,
+    on_same_detections,
+)
 from hiros_mcap.evaluate.scores import Scores, score_matches
 from hiros_mcap.evaluate.statistics import ErrorStats
 from hiros_mcap.evaluate.truth import Truth
@@ -152,20 +158,15 @@ def _on_the_same(done: Sequence[tuple[Outcome, list[Distances]]]) -> list[Outcom
 
     Raises ConfigError if their settings make other detections of it.
     """
-    # A system may take part twice.
-    named = {str(k): distances for k, (_, distances) in enumerate(done)}
     try:
-        same = on_same_detections(named)
+        same = on_same_detections([distances for _, distances in done], done[0][0].name)
     except ValueError as error:
         raise ConfigError(f"{done[0][0].log}: {error}") from None
-    first, outcomes = done[0][0].name, []
-    for (outcome, _), scores in zip(done, same.values(), strict=True):
-        values = {f.name: getattr(scores, f.name) for f in fields(scores)}
-        if outcome.scores is not None:
-            values = {"difference": scores.difference}
-        outcome = replace(outcome, **values)
-        difference = outcome.difference and replace(outcome.difference, against=first)
-        outcomes.append(replace(outcome, difference=difference))
+    outcomes = []
+    for (outcome, _), scores in zip(done, same, strict=True):
+        names = ("difference",) if outcome.scores else SameScores.__slots__
+        values: dict[str, Any] = {name: getattr(scores, name) for name in names}
+        outcomes.append(replace(outcome, **values))
     return outcomes
 
 

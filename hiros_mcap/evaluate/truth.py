@@ -139,10 +139,8 @@ class Truth:
         links = shared_links(self.model, model, slots)
         positions = np.full((*self.positions.shape[:2], model.n_markers, 3), np.nan)
         orientations = np.full((*self.orientations.shape[:2], model.n_links, 4), np.nan)
-        for theirs, ours in slots.items():
-            positions[:, :, ours] = self.positions[:, :, theirs]
-        for theirs, ours in links.items():
-            orientations[:, :, ours] = self.orientations[:, :, theirs]
+        positions[:, :, list(slots.values())] = self.positions[:, :, list(slots)]
+        orientations[:, :, list(links.values())] = self.orientations[:, :, list(links)]
         return replace(self, positions=positions, orientations=orientations, model=model)
 
 
@@ -169,12 +167,9 @@ def _name(name: str) -> tuple[str, str]:
 def shared_links(a: SkeletonModel, b: SkeletonModel, slots: dict[int, int]) -> dict[int, int]:
     """Slot in ``a`` -> slot in ``b`` of links that join the same markers."""
     ends = {pair: k for k, pair in enumerate(zip(b.link_parents, b.link_children, strict=True))}
-    pairs = {}
-    for k, (parent, child) in enumerate(zip(a.link_parents, a.link_children, strict=True)):
-        other = ends.get((slots.get(parent, -2), slots.get(child, -2)))
-        if other is not None:
-            pairs[k] = other
-    return pairs
+    pairs = zip(a.link_parents, a.link_children, strict=True)
+    others = [ends.get((slots.get(parent, -2), slots.get(child, -2))) for parent, child in pairs]
+    return {slot: other for slot, other in enumerate(others) if other is not None}
 
 
 def _list(names: tuple[str, ...], most: int = 40) -> str:
