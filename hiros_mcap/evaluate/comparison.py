@@ -164,7 +164,7 @@ def _on_the_same(done: Sequence[tuple[Outcome, list[Distances]]]) -> list[Outcom
         raise ConfigError(f"{done[0][0].log}: {error}") from None
     outcomes = []
     for (outcome, _), scores in zip(done, same, strict=True):
-        names = ("difference",) if outcome.scores else SameScores.__slots__
+        names = ("difference",) if outcome.scores is not None else SameScores.__slots__
         values: dict[str, Any] = {name: getattr(scores, name) for name in names}
         outcomes.append(replace(outcome, **values))
     return outcomes

@@ -100,7 +100,7 @@ def on_same_detections(systems: Sequence[Sequence[Distances]], first: str) -> li
     varying = (np.concatenate([d.varying for d in cameras]) for cameras in systems)
     stamps = np.concatenate([d.stamps for d in systems[0]])
     present: Flags = ~np.isnan(np.stack(each))  # (S, D, M)
-    there = present.any(axis=2)
+    there = np.any(present, axis=2)
     anybody = there.any(axis=0)
     # Without any that has somebody, all is common: nothing is present.
     common = present[there.any(axis=1)].all(axis=0)
