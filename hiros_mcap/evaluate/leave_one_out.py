@@ -126,10 +126,10 @@ def leave_each_out(
     for k, (topic, frames) in enumerate(frames_of.items(), start=1):
         progress.update(k, len(frames_of) + 1)
         others = _fused(recording, config, options, frames_of.keys() - {topic})
-        residuals_of_camera = _residuals(frames, others, model)
-        varying = _varying(residuals_of_camera.displacement, residuals_of_camera.people)
-        cameras.append(_left_out(topic, residuals_of_camera, varying, model))
-        distances.append(_distances(frames, residuals_of_camera, varying))
+        left = _residuals(frames, others, model)
+        varying = _varying(left.displacement, left.people)
+        cameras.append(_left_out(topic, left, varying, model))
+        distances.append(_distances(frames, left, varying))
     residuals = {topic: _residuals(frames, everybody, model) for topic, frames in frames_of.items()}
     scores = SelfScores(
         consistency=consistency(everybody, model),
@@ -196,22 +196,14 @@ def _varying(displacement: Floats, people: Stamps) -> Floats:
 
 def _residuals(frames: Sequence[Frame], fused: Sequence[Frame], model: SkeletonModel) -> _Residuals:
     """Match a camera's detections to what was fused, and subtract it."""
-    empty = np.zeros(0, np.int64)
-    if not any(len(frame.ids) for frame in fused):
-        none = np.zeros((0, model.n_markers, 3))
-        return _Residuals(empty, empty, none, np.zeros(0, bool), 0, empty)
-    matches = match(_numbered(frames), Truth.of(fused, model))
-    displacement = matches.poses - matches.true_poses
-    swapped = matches.poses[:, symmetry_of(model).mirror] - matches.true_poses
+    anybody = any(len(frame.ids) for frame in fused)
+    truth = Truth.of(fused or [Frame.empty(0, model)], model)
+    found = match(_numbered(frames) if anybody else [], truth)
+    displacement = found.poses - found.true_poses
+    swapped = found.poses[:, symmetry_of(model).mirror] - found.true_poses
     size, size_swapped = (nan_mean(np.linalg.norm(d, axis=-1), -1) for d in (displacement, swapped))
-    return _Residuals(
-        matches.stamps,
-        matches.people,
-        displacement,
-        size_swapped < size,
-        matches.false,
-        matches.ids,
-    )
+    rows = found.stamps, found.people, displacement, size_swapped < size
+    return _Residuals(*rows, found.false, found.ids)
 
 
 def _numbered(frames: Sequence[Frame]) -> Iterator[Frame]:
