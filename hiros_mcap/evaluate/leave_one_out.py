@@ -198,12 +198,12 @@ def _residuals(frames: Sequence[Frame], fused: Sequence[Frame], model: SkeletonM
     """Match a camera's detections to what was fused, and subtract it."""
     anybody = any(len(frame.ids) for frame in fused)
     truth = Truth.of(fused or [Frame.empty(0, model)], model)
-    found = match(_numbered(frames) if anybody else [], truth)
-    displacement = found.poses - found.true_poses
-    swapped = found.poses[:, symmetry_of(model).mirror] - found.true_poses
+    matches = match(_numbered(frames) if anybody else [], truth)
+    displacement = matches.poses - matches.true_poses
+    swapped = matches.poses[:, symmetry_of(model).mirror] - matches.true_poses
     size, size_swapped = (nan_mean(np.linalg.norm(d, axis=-1), -1) for d in (displacement, swapped))
-    rows = found.stamps, found.people, displacement, size_swapped < size
-    return _Residuals(*rows, found.false, found.ids)
+    rows = matches.stamps, matches.people, displacement, size_swapped < size
+    return _Residuals(*rows, matches.false, matches.ids)
 
 
 def _numbered(frames: Sequence[Frame]) -> Iterator[Frame]:
