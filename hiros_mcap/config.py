@@ -271,10 +271,9 @@ def load_config(
     merged: Table = {}
     origins: dict[tuple[str, ...], str] = {}
     for origin, table in layers:
-        _check_names(table, origin)
         is_text = origin in ("--set", str(path))
         for section, values in table.items():
-            chosen = _without_fixed(section, values, merged, origin, are_refused=is_text)
+            chosen = _accepted(section, values, merged, origin, are_refused=is_text)
             merged.setdefault(section, {}).update(chosen)
             origins[(section,)] = origin
             origins.update({(section, name): origin for name in chosen})
@@ -309,38 +308,29 @@ def _value(text: str) -> Any:
     return table["value"] if len(table) == 1 else text
 
 
-def _check_names(table: Mapping[str, Any], origin: str) -> None:
-    for section, values in table.items():
-        if section not in Config.model_fields:
-            raise ConfigError(
-                f"{origin}: no section {section!r}{_instead(section, Config.model_fields)}"
-            )
-        if not isinstance(values, Mapping):
-            raise ConfigError(f"{origin}: {section} is a section, not a value")
-        if _section(section).model_config.get("extra") == "allow":
-            continue
-        there = _section(section).model_fields
-        for name in values:
-            if name not in there and name not in constants_of(section):
-                raise ConfigError(
-                    f"{origin}: no parameter {section}.{name}{_instead(name, there, section)}"
-                )
-
-
-def _without_fixed(
-    section: str, values: Mapping[str, Any], merged: Table, origin: str, *, are_refused: bool
+def _accepted(
+    section: str, values: Any, merged: Table, origin: str, *, are_refused: bool
 ) -> dict[str, Any]:
     """Return the values that count: a user may repeat one that is fixed, but not change it.
 
-    Raises ConfigError if one differs from what the system, the preset or the code sets.
+    Raises ConfigError for a name that does not exist, and for a value that differs from what the
+    system, the preset or the code sets.
     """
-    chosen, constants = dict(values), constants_of(section)
+    if section not in Config.model_fields:
+        instead = _instead(section, Config.model_fields)
+        raise ConfigError(f"{origin}: no section {section!r}{instead}")
+    if not isinstance(values, Mapping):
+        raise ConfigError(f"{origin}: {section} is a section, not a value")
+    chosen, constants, there = dict(values), constants_of(section), _section(section).model_fields
+    is_open = _section(section).model_config.get("extra") == "allow"
     for name in values:
-        field = _section(section).model_fields.get(name)
         if name in constants:
             now, why = constants[name], "it is a constant now"
-        elif field is not None and is_fixed(field) and are_refused:
-            now = merged.get(section, {}).get(name, field.default)
+        elif name not in there and not is_open:
+            instead = _instead(name, there, section)
+            raise ConfigError(f"{origin}: no parameter {section}.{name}{instead}")
+        elif name in there and is_fixed(there[name]) and are_refused:
+            now = merged.get(section, {}).get(name, there[name].default)
             why = "only the system and the preset set it"
         else:
             continue

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from threading import Lock
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 from pydantic import BaseModel
 
@@ -35,23 +35,8 @@ from hiros_mcap.many.manifest import Identity, LogRecord, Manifest
 from hiros_mcap.summary import plain_value
 from hiros_mcap.workers import run_tasks
 
-Answer = TypeVar("Answer")
-
-
-class Runner(Protocol):
-    """Calls a function for each task, somewhere; see :func:`hiros_mcap.workers.run_tasks`."""
-
-    def __call__(
-        self,
-        function: Callable[..., Answer],
-        tasks: Sequence[tuple[Any, ...]],
-        *,
-        lost: Callable[[int, str], Answer],
-    ) -> Iterator[tuple[int, Answer]]:
-        """Yield (number of the task, answer) as they get ready.
-
-        ``lost`` gives the answer of a task that killed its process too often.
-        """
+Runner = Callable[..., Iterator[tuple[int, LogRecord]]]
+"""Calls a function for each task, somewhere, with ``lost``: as :func:`workers.run_tasks`."""
 
 
 def in_processes(jobs: int) -> Runner:

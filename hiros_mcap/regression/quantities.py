@@ -270,7 +270,10 @@ class QuantityComparison:
         was = np.stack([self.quantity.read(pair.was, pair.was_row) for pair in pairs])
         now = np.stack([self.quantity.read(pair.now, pair.now_row) for pair in pairs])
         before, after = _present(was), _present(now)
-        self._count_absent(before, after, names)
+        for counts, mask in ((self.vanished, before & ~after), (self.appeared, after & ~before)):
+            counts.update(
+                {names[k]: int(mask[:, k].sum()) for k in np.flatnonzero(mask.any(axis=0)).tolist()}
+            )
         both = before & after
         # Rounding gives two equal orientations a distance above 0.
         differs = both & (was != now).any(axis=-1)
@@ -298,11 +301,6 @@ class QuantityComparison:
         if np.isfinite(distance[s, k]):
             return pairs[s], f"{what} is off by {self.quantity.shown(float(distance[s, k]))}"
         return pairs[s], f"{what} is {'absent' if before[s, k] else 'new'}"
-
-    def _count_absent(self, before: Flags, after: Flags, names: Sequence[str]) -> None:
-        for counts, mask in ((self.vanished, before & ~after), (self.appeared, after & ~before)):
-            for k in np.nonzero(mask.any(axis=0))[0].tolist():
-                counts[names[k]] += int(mask[:, k].sum())
 
 
 def _present(numbers: Floats) -> Flags:
