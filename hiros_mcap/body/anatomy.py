@@ -113,7 +113,9 @@ def anatomical_angles(
         columns |= _arm_angles(body, side)
         # Markers show thigh and shank by the same hinge, between which nothing turns.
         if {f"{side} thigh", f"{side} shank"} <= (axes or {}).keys():
-            columns |= _knee_angles(body, side)
+            _, adduction, rotation = zxy(body[f"{side} thigh"], body[f"{side} shank"])
+            columns[f"{side} knee abduction"] = -_sign(side) * adduction
+            columns[f"{side} knee rotation"] = _sign(side) * rotation
         if f"{side} forearm" in (axes or {}):
             rotation = zxy(body[f"{side} upper arm"], body[f"{side} forearm"])[2]
             columns[f"{side} elbow pronation"] = _sign(side) * rotation
@@ -216,16 +218,6 @@ def _leg_angles(at: Finder, body: Segments, side: str) -> Columns:
         f"{side} knee flexion": _knee_flexion(pelvis, thigh, shank),
         f"{side} ankle dorsiflexion": np.pi / 2 - between(foot, shank[:, :, 1]),
         f"{side} ankle rotation": np.arctan2(-sign * z, x),
-    }
-
-
-def _knee_angles(body: Segments, side: str) -> Columns:
-    """Abduction and rotation of a knee, where links show them."""
-    thigh, shank = body[f"{side} thigh"], body[f"{side} shank"]
-    _, adduction, rotation = zxy(thigh, shank)
-    return {
-        f"{side} knee abduction": -_sign(side) * adduction,
-        f"{side} knee rotation": _sign(side) * rotation,
     }
 
 

@@ -267,18 +267,13 @@ def camera_subsets(task: Task) -> list[Task]:
 
 def by_number_of_cameras(outcomes: Sequence[Outcome]) -> dict[str, dict[int, tuple[float, float]]]:
     """System -> number of cameras -> error and SD, mm, each the mean over all subsets."""
-    groups: dict[str, dict[int, list[Scores]]] = {}
+    groups: dict[tuple[str, int], list[Scores]] = {}
     for o in sorted(outcomes, key=lambda o: len(o.cameras)):
         if o.scores is not None:
-            groups.setdefault(o.name, {}).setdefault(len(o.cameras), []).append(o.scores)
-    return {
-        name: {size: _mean_error(scores) for size, scores in sizes.items()}
-        for name, sizes in groups.items()
-    }
-
-
-def _mean_error(scores: Sequence[Scores]) -> tuple[float, float]:
-    return (
-        float(np.nanmean([s.mean for s in scores])),
-        float(np.nanmean([s.deviation for s in scores])),
-    )
+            groups.setdefault((o.name, len(o.cameras)), []).append(o.scores)
+    errors: dict[str, dict[int, tuple[float, float]]] = {}
+    for (name, size), scores in groups.items():
+        error, deviation = ([s.mean for s in scores], [s.deviation for s in scores])
+        means = float(np.nanmean(error)), float(np.nanmean(deviation))
+        errors.setdefault(name, {})[size] = means
+    return errors

@@ -13,7 +13,7 @@ from hiros_mcap.evaluate.logs import Consistency
 from hiros_mcap.evaluate.measures import SELF, Rows, Table, table_of
 from hiros_mcap.evaluate.scores import Scores
 from hiros_mcap.evaluate.side_scores import SideScores
-from hiros_mcap.evaluate.statistics import ErrorStats
+from hiros_mcap.evaluate.statistics import AngleStats, ErrorStats
 from hiros_mcap.summary import number
 
 TWO_CAMERAS = (
@@ -52,21 +52,19 @@ BENDING = "Unsigned bending angles"
 def angle_table(scores: Scores) -> Table:
     """Errors of the eight bending angles, degrees, by joint positions and by links."""
     header = ("Joint", "RMSE", "SD", "Bias", "By links: RMSE", "SD", "Bias", "Left out")
-    rows = []
-    for name, error in scores.angles.items():
-        link = scores.link_angles[name]
-        cells = (number(v, 2) for s in (error, link) for v in (s.rmse, s.deviation, s.bias))
-        rows.append((name, *cells, str(link.singular)))
-    return header, rows
+    links = scores.link_angles
+    return header, [(name, *_cells(s, links[name])) for name, s in scores.angles.items()]
 
 
 def signed_angle_table(scores: Scores) -> Table:
     """Errors of the signed joint angles (docs/angles.md), degrees."""
-    rows: Rows = [
-        (name, *(number(v, 2) for v in (s.rmse, s.deviation, s.bias)), str(s.singular))
-        for name, s in scores.signed_angles.items()
-    ]
+    rows = [(name, *_cells(s)) for name, s in scores.signed_angles.items()]
     return ("Angle", "RMSE", "SD", "Bias", "Left out"), rows
+
+
+def _cells(*stats: AngleStats) -> list[str]:
+    numbers = [number(v, 2) for s in stats for v in (s.rmse, s.deviation, s.bias)]
+    return [*numbers, str(stats[-1].singular)]
 
 
 def joint_table(joints: Mapping[str, ErrorStats]) -> Table:
