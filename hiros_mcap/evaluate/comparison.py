@@ -18,7 +18,7 @@ import numpy as np
 from hiros_mcap.config import Config, load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.leave_one_out import leave_each_out
-from hiros_mcap.evaluate.logs import find_truth, fused_topics
+from hiros_mcap.evaluate.logs import consistency, find_truth, fused_topics
 from hiros_mcap.evaluate.match import Matches, match
 from hiros_mcap.evaluate.same_detections import (
     Distances,
@@ -239,15 +239,16 @@ def _read(task: Task) -> tuple[Recording, Truth | None]:
 def _without_truth(
     task: Task, outcome: Outcome, recording: Recording, frames: Sequence[Frame]
 ) -> tuple[Outcome, list[Distances]]:
-    scores, distances = leave_each_out(recording, *_settings(task), frames)
-    detections = sum(camera.detections for camera in scores.cameras)
-    unmatched = sum(camera.unmatched for camera in scores.cameras)
+    cameras, distances = leave_each_out(recording, *_settings(task))
+    detections = sum(camera.detections for camera in cameras)
+    unmatched = sum(camera.unmatched for camera in cameras)
+    result = consistency(frames, recording.model)
     scored = replace(
         outcome,
         coverage=1 - unmatched / detections if detections else float("nan"),
-        ids=len(scores.consistency.people),
-        limb_variation=scores.consistency.limb_variation,
-        jitter=scores.consistency.jitter,
+        ids=result.n_people,
+        limb_variation=result.limb_variation,
+        jitter=result.jitter,
     )
     return scored, distances
 

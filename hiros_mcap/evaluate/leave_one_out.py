@@ -96,33 +96,31 @@ def leave_one_out(
     options = options or ProcessOptions()
     config = config or load_config(system=options.system)
     recording = Recording.read(source, config, options)
-    return leave_each_out(recording, config, options, progress=progress)[0]
+    model, frames_of = recording.model, _frames_of_cameras(recording)
+    everybody = _fused(recording, config, options, frames_of)
+    cameras, _ = leave_each_out(recording, config, options, progress)
+    residuals = {topic: _residuals(frames, everybody, model) for topic, frames in frames_of.items()}
+    mirrored = {topic: int(each.mirrored.sum()) for topic, each in residuals.items()}
+    return SelfScores(
+        consistency=consistency(everybody, model),
+        cameras=cameras,
+        disagreement={
+            (a, b): _disagreement(residuals[a], residuals[b]) for a, b in combinations(frames_of, 2)
+        },
+        sides=side_scores(everybody, model, mirrored),
+    )
 
 
 def leave_each_out(
-    recording: Recording,
-    config: Config,
-    options: ProcessOptions,
-    everybody: Sequence[Frame] | None = None,
-    progress: Progress | None = None,
-) -> tuple[SelfScores, list[Distances]]:
-    """Return the scores of :func:`leave_one_out`, and each camera's distances one by one.
-
-    ``everybody`` is the result of all cameras, if it is there already.
+    recording: Recording, config: Config, options: ProcessOptions, progress: Progress | None = None
+) -> tuple[tuple[LeftOut, ...], list[Distances]]:
+    """Return each camera against the result of the others, and its distances one by one.
 
     Raises ConfigError for fewer than two cameras' channels.
     """
-    frames_of: dict[str, list[Frame]] = {topic: [] for topic in recording.topics.values()}
-    for frame in recording.frames():
-        frames_of[recording.topics[frame.source]].append(frame)
-    if len(frames_of) < 2:
-        path = recording.prepared.log.path
-        raise ConfigError(f"{path}: leaving one camera out needs at least two cameras")
-    model = recording.model
-    progress = progress or Silent()
-    if everybody is None:
-        everybody = _fused(recording, config, options, frames_of)
+    progress, model = progress or Silent(), recording.model
     cameras, distances = [], []
+    frames_of = _frames_of_cameras(recording)
     for k, (topic, frames) in enumerate(frames_of.items(), start=1):
         progress.update(k, len(frames_of) + 1)
         others = _fused(recording, config, options, frames_of.keys() - {topic})
@@ -130,18 +128,18 @@ def leave_each_out(
         varying = _varying(left.displacement, left.people)
         cameras.append(_left_out(topic, left, varying, model))
         distances.append(_distances(frames, left, varying))
-    residuals = {topic: _residuals(frames, everybody, model) for topic, frames in frames_of.items()}
-    scores = SelfScores(
-        consistency=consistency(everybody, model),
-        cameras=tuple(cameras),
-        disagreement={
-            (a, b): _disagreement(residuals[a], residuals[b]) for a, b in combinations(frames_of, 2)
-        },
-        sides=side_scores(
-            everybody, model, {topic: int(r.mirrored.sum()) for topic, r in residuals.items()}
-        ),
-    )
-    return scores, distances
+    return tuple(cameras), distances
+
+
+def _frames_of_cameras(recording: Recording) -> dict[str, list[Frame]]:
+    """Topic -> its detections; raises ConfigError for fewer than two."""
+    frames_of: dict[str, list[Frame]] = {topic: [] for topic in recording.topics.values()}
+    for frame in recording.frames():
+        frames_of[recording.topics[frame.source]].append(frame)
+    if len(frames_of) < 2:
+        path = recording.prepared.log.path
+        raise ConfigError(f"{path}: leaving one camera out needs at least two cameras")
+    return frames_of
 
 
 def _fused(
