@@ -212,10 +212,10 @@ def fused_topics(source: Source, truth: str | None) -> tuple[str, ...]:
     return () if others == topics else others
 
 
-def read_channel(source: Source, topic: str) -> Channel:
-    """Read an output channel."""
+def read_channel(source: Source, topic: str) -> tuple[list[Frame], SkeletonModel, dict[str, int]]:
+    """Frames of an output channel, their model, and how many messages were skipped, by reason."""
     (channel,) = _read(source, [glob.escape(topic)]).values()
-    return channel
+    return list(channel.frames), channel.model, dict(channel.skipped)
 
 
 def read_results(source: Source, globs: Sequence[str] = ()) -> dict[str, Channel]:

@@ -198,16 +198,15 @@ def _compare_channel(
     golden: str | os.PathLike[str],
     tolerances: Tolerances,
 ) -> ChannelComparison:
-    now, was = read_channel(output, topic), read_channel(golden, topic)
-    new, old, model = now.frames, was.frames, was.model
-    names = now.model.marker_names, now.model.link_names
-    if names != (model.marker_names, model.link_names):
-        if not set(now.model.marker_names) & set(model.marker_names):
+    new, now, _ = read_channel(output, topic)
+    old, model, _ = read_channel(golden, topic)
+    if (now.marker_names, now.link_names) != (model.marker_names, model.link_names):
+        if not set(now.marker_names) & set(model.marker_names):
             fault = f"cannot be compared with {golden}: the skeletons share no marker"
             raise ConfigError(f"{output}: {topic}: {fault}")
-        model = union(was.model, now.model)
-        new = [widened(frame, now.model, model) for frame in new]
-        old = [widened(frame, was.model, model) for frame in old]
+        was, model = model, union(model, now)
+        new = [widened(frame, now, model) for frame in new]
+        old = [widened(frame, was, model) for frame in old]
     return compare_frames(new, old, model, tolerances, topic)
 
 

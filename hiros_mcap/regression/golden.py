@@ -42,10 +42,10 @@ def write_golden(
     chosen = output_channels(output, topics) if topics else output_channels(output)[-1:]
     channels = {topic: read_channel(output, topic) for topic in chosen}
     with McapWriter(Path(golden), inputs=[output]) as writer:
-        for topic, read in channels.items():
-            encoder = Encoder(read.model)
+        for topic, (frames, model, _) in channels.items():
+            encoder = Encoder(model)
             channel = add_skeleton_channel(writer, topic)
-            for frame in read.frames:
+            for frame in frames:
                 writer.write(channel, frame.log_time, encoder.encode(compact(frame)))
         with open_reader(output) as reader:
             for name in (LIMBS_ATTACHMENT, CONFIG_ATTACHMENT):

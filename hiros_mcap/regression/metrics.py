@@ -82,8 +82,8 @@ def metrics_of(
     path : what ``hiros process`` wrote. topic : the channel.
     truth : None = the log's own /truth channel, if it has one.
     """
-    channel = read_channel(path, topic)
-    of_result = consistency(channel.frames, channel.model)
+    frames, model, _ = read_channel(path, topic)
+    of_result = consistency(frames, model)
     values = {m.name: m.compared(of_result) for m in CONSISTENCY}
     truth = find_truth(path) if truth is None else truth
     if truth is not None:

@@ -80,8 +80,7 @@ def test_process_eval_and_compare_give_one_score(faulty: Path, tmp_path: Path, n
     channels = results_of(faulty, config, system=name)
     assert numbers(list(evaluate_channels(channels, truth).values())[-1].scores) == expected
     alone = leave_one_out(faulty, config=config, options=ProcessOptions(name))
-    read = read_channel(out, output_channels(out)[-1])
-    frames, model = read.frames, read.model
+    frames, model, _ = read_channel(out, output_channels(out)[-1])
     assert alone.consistency == consistency(frames, model)
 
 

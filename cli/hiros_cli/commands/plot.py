@@ -70,8 +70,7 @@ def plot(
         raise ConfigError(f"--what: {what!r} is none of {', '.join(curves.KINDS)}")
     topic = output_channels(log, [channel] if channel else [])[-1]
     with bar(f"plotting {log.name}", quiet=quiet):
-        read = read_channel(log, topic)
-        frames, model = read.frames, read.model
+        frames, model, _ = read_channel(log, topic)
         its_truth = find_truth(log, truth)
         start = frames[0].stamp if frames else 0
         true = None if its_truth is None else its_truth.moved(start=start)
