@@ -19,48 +19,28 @@ if TYPE_CHECKING:
 logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 __all__ = [
-    "Config",
-    "ConfigError",
-    "Frame",
-    "HirosError",
-    "LogError",
-    "Motion",
-    "ProcessOptions",
-    "Result",
-    "SkeletonModel",
-    "Summary",
-    "__version__",
-    "export",
-    "load_config",
-    "open_log",
-    "open_result",
-    "process",
-    "transform_to_fixed",
-]
+    "Config", "ConfigError", "Frame", "HirosError", "LogError", "Motion", "ProcessOptions",
+    "Result", "SkeletonModel", "Summary", "__version__", "export", "load_config", "open_log",
+    "open_result", "process", "transform_to_fixed",
+]  # fmt: skip
 
 _HOMES = {
-    "Config": "config",
-    "ConfigError": "errors",
-    "Frame": "skeletons",
-    "HirosError": "errors",
-    "LogError": "errors",
-    "Motion": "io.result",
-    "ProcessOptions": "running.pipeline",
-    "Result": "io.result",
-    "SkeletonModel": "skeletons",
-    "Summary": "summary",
-    "export": "io.export.files",
-    "load_config": "config",
-    "open_log": "io.log",
-    "open_result": "io.result",
-    "process": "running.pipeline",
-    "transform_to_fixed": "body.transforms",
+    "body.transforms": ("transform_to_fixed",),
+    "config": ("Config", "load_config"),
+    "errors": ("ConfigError", "HirosError", "LogError"),
+    "io.export.files": ("export",),
+    "io.log": ("open_log",),
+    "io.result": ("Motion", "Result", "open_result"),
+    "running.pipeline": ("ProcessOptions", "process"),
+    "skeletons": ("Frame", "SkeletonModel"),
+    "summary": ("Summary",),
 }
 
 
 def __getattr__(name: str) -> Any:
     """Import on first use: ``hiros --version`` shall not wait for numba."""
-    if name not in _HOMES:
+    home = next((module for module, names in _HOMES.items() if name in names), None)
+    if home is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
@@ -68,7 +48,7 @@ def __getattr__(name: str) -> Any:
         from hiros_mcap.kernels.shipped import announce
 
         announce()
-    return getattr(import_module(f"hiros_mcap.{_HOMES[name]}"), name)
+    return getattr(import_module(f"hiros_mcap.{home}"), name)
 
 
 def __dir__() -> list[str]:

@@ -13,7 +13,7 @@ import textwrap
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import tomli_w
 from pydantic import ConfigDict, Field, ValidationError, model_validator
@@ -154,57 +154,56 @@ class OutputParams(Params):
     )
 
 
+Section = TypeVar("Section", bound=Params)
+
+
+def _part(params: type[Section], text: str) -> Section:
+    """Return the field of a section, with its defaults."""
+    field: Section = Field(params(), description=text)
+    return field
+
+
 class Config(Params):
     """Every parameter of a run, one section per step."""
 
-    input: InputParams = Field(InputParams(), description="Reading the cameras.")
-    clock: ClockParams = Field(
-        ClockParams(), description="Seconds to add to the stamps of a camera: camera = seconds."
+    input: InputParams = _part(InputParams, "Reading the cameras.")
+    clock: ClockParams = _part(
+        ClockParams, "Seconds to add to the stamps of a camera: camera = seconds."
     )
-    noise: NoiseParams = Field(
-        NoiseParams(), description="White noise of the detectors, by hiros calibrate noise."
+    noise: NoiseParams = _part(
+        NoiseParams, "White noise of the detectors, by hiros calibrate noise."
     )
-    output: OutputParams = Field(OutputParams(), description="Writing the results.")
-    track: TrackParams = Field(TrackParams(), description="Tracking (Hi-ROS 3.1).")
-    plausible: PlausibleParams = Field(
-        PlausibleParams(), description="Detections against the person's own limbs, before merging."
+    output: OutputParams = _part(OutputParams, "Writing the results.")
+    track: TrackParams = _part(TrackParams, "Tracking (Hi-ROS 3.1).")
+    plausible: PlausibleParams = _part(
+        PlausibleParams, "Detections against the person's own limbs, before merging."
     )
-    sides: SidesParams = Field(
-        SidesParams(), description="Left and right of each view, before merging."
+    sides: SidesParams = _part(SidesParams, "Left and right of each view, before merging.")
+    merge: MergeParams = _part(MergeParams, "Merging: one skeleton per person (Hi-ROS 3.2).")
+    optimize: OptimizeParams = _part(
+        OptimizeParams, "Optimizing: constant limb lengths (Hi-ROS 3.3)."
     )
-    merge: MergeParams = Field(
-        MergeParams(), description="Merging: one skeleton per person (Hi-ROS 3.2)."
+    filter: FilterParams = _part(FilterParams, "Filtering: smooth motion (Hi-ROS 3.4).")
+    fuse: FuseParams = _part(FuseParams, "Fusing in fuse: one smooth trajectory per joint.")
+    constrain: ConstrainParams = _part(
+        ConstrainParams, "Constant lengths and the person's own motion in fuse."
     )
-    optimize: OptimizeParams = Field(
-        OptimizeParams(), description="Optimizing: constant limb lengths (Hi-ROS 3.3)."
+    associate: AssociateParams = _part(
+        AssociateParams, "Tracking in malaguti and the baselines (Malaguti III-A)."
     )
-    filter: FilterParams = Field(
-        FilterParams(), description="Filtering: smooth motion (Hi-ROS 3.4)."
+    kalman: KalmanParams = _part(
+        KalmanParams, "Fusion in malaguti and openptrack (Malaguti III-B to III-D)."
     )
-    fuse: FuseParams = Field(
-        FuseParams(), description="Fusing in fuse: one smooth trajectory per joint."
+    straighten: StraightenParams = _part(
+        StraightenParams, "Constant limb lengths in malaguti (Malaguti III-E)."
     )
-    constrain: ConstrainParams = Field(
-        ConstrainParams(), description="Constant lengths and the person's own motion in fuse."
+    moving_average: MovingAverageParams = _part(
+        MovingAverageParams, "Moving average in the baseline maf."
     )
-    associate: AssociateParams = Field(
-        AssociateParams(), description="Tracking in malaguti and the baselines (Malaguti III-A)."
+    cluster: ClusterParams = _part(
+        ClusterParams, "Merging in lee: one skeleton per person (Lee 2.2)."
     )
-    kalman: KalmanParams = Field(
-        KalmanParams(), description="Fusion in malaguti and openptrack (Malaguti III-B to III-D)."
-    )
-    straighten: StraightenParams = Field(
-        StraightenParams(), description="Constant limb lengths in malaguti (Malaguti III-E)."
-    )
-    moving_average: MovingAverageParams = Field(
-        MovingAverageParams(), description="Moving average in the baseline maf."
-    )
-    cluster: ClusterParams = Field(
-        ClusterParams(), description="Merging in lee: one skeleton per person (Lee 2.2)."
-    )
-    predict: PredictParams = Field(
-        PredictParams(), description="Filtering in lee: smooth motion (Lee 2.2.3)."
-    )
+    predict: PredictParams = _part(PredictParams, "Filtering in lee: smooth motion (Lee 2.2.3).")
 
 
 PRESETS = (NO_PRESET, "realtime", "paper", "upstream")
@@ -255,10 +254,8 @@ def load_config(
     named : values by the option that the user gave for them, which errors name; they come before
         ``overrides``.
 
-    Raises
-    ------
-    ConfigError
-        A name does not exist, a value is out of range, or the file cannot be read.
+    Raises ConfigError if a name does not exist, a value is out of range, or the file cannot be
+    read.
     """
     if preset not in PRESETS:
         raise ConfigError(f"no preset {preset!r}{_instead(preset, PRESETS)}")
@@ -274,10 +271,9 @@ def load_config(
     merged: Table = {}
     origins: dict[tuple[str, ...], str] = {}
     for origin, table in layers:
-        _check_names(table, origin)
         is_text = origin in ("--set", str(path))
         for section, values in table.items():
-            chosen = _without_fixed(section, values, merged, origin, are_refused=is_text)
+            chosen = _accepted(section, values, merged, origin, are_refused=is_text)
             merged.setdefault(section, {}).update(chosen)
             origins[(section,)] = origin
             origins.update({(section, name): origin for name in chosen})
@@ -312,38 +308,29 @@ def _value(text: str) -> Any:
     return table["value"] if len(table) == 1 else text
 
 
-def _check_names(table: Mapping[str, Any], origin: str) -> None:
-    for section, values in table.items():
-        if section not in Config.model_fields:
-            raise ConfigError(
-                f"{origin}: no section {section!r}{_instead(section, Config.model_fields)}"
-            )
-        if not isinstance(values, Mapping):
-            raise ConfigError(f"{origin}: {section} is a section, not a value")
-        if _section(section).model_config.get("extra") == "allow":
-            continue
-        there = _section(section).model_fields
-        for name in values:
-            if name not in there and name not in constants_of(section):
-                raise ConfigError(
-                    f"{origin}: no parameter {section}.{name}{_instead(name, there, section)}"
-                )
-
-
-def _without_fixed(
-    section: str, values: Mapping[str, Any], merged: Table, origin: str, *, are_refused: bool
+def _accepted(
+    section: str, values: Any, merged: Table, origin: str, *, are_refused: bool
 ) -> dict[str, Any]:
     """Return the values that count: a user may repeat one that is fixed, but not change it.
 
-    Raises ConfigError if one differs from what the system, the preset or the code sets.
+    Raises ConfigError for a name that does not exist, and for a value that differs from what the
+    system, the preset or the code sets.
     """
-    chosen, constants = dict(values), constants_of(section)
+    if section not in Config.model_fields:
+        instead = _instead(section, Config.model_fields)
+        raise ConfigError(f"{origin}: no section {section!r}{instead}")
+    if not isinstance(values, Mapping):
+        raise ConfigError(f"{origin}: {section} is a section, not a value")
+    chosen, constants, there = dict(values), constants_of(section), _section(section).model_fields
+    is_open = _section(section).model_config.get("extra") == "allow"
     for name in values:
-        field = _section(section).model_fields.get(name)
         if name in constants:
             now, why = constants[name], "it is a constant now"
-        elif field is not None and is_fixed(field) and are_refused:
-            now = merged.get(section, {}).get(name, field.default)
+        elif name not in there and not is_open:
+            instead = _instead(name, there, section)
+            raise ConfigError(f"{origin}: no parameter {section}.{name}{instead}")
+        elif name in there and is_fixed(there[name]) and are_refused:
+            now = merged.get(section, {}).get(name, there[name].default)
             why = "only the system and the preset set it"
         else:
             continue

@@ -40,8 +40,15 @@ COUNTED: Mapping[str, tuple[str, str]] = {
     "duplicate": ("detection", "ignored: the same camera had already reported the person"),
     "too few markers": ("detection", "started no track: fewer markers than track.min_markers"),
     "swap": ("pair", "of joints re-arranged: left and right were swapped"),
+    # Numbers that cannot be true (codec.clean), and what was done about them.
+    "absurd number": ("vector", "ignored: infinite, or a number beyond 10000"),
+    "incomplete vector": ("vector", "ignored: some of its numbers are missing"),
+    "quaternion of length 0": ("orientation", "ignored: a quaternion of length 0"),
+    "quaternion normalised": ("quaternion", "normalized"),
+    "confidence above 1": ("confidence", "above 1 taken as 1"),
+    "negative confidence": ("negative confidence", "taken as missing"),
 }
-"""Kind of an event that a stage counts -> noun, what happened to it."""
+"""Kind of an event that is counted -> noun, what happened to it."""
 
 
 def counted(kind: str, n: int) -> str:

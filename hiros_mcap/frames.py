@@ -88,14 +88,8 @@ class Block:
     def select(self, frames: slice | Sequence[int] | Stamps) -> Block:
         """Return some of the frames, of the same arrays."""
         chosen = frames if isinstance(frames, slice) else np.asarray(frames, np.int64)
-        return replace(
-            self,
-            stamps=self.stamps[chosen],
-            log_times=self.log_times[chosen],
-            sources=self.sources[chosen],
-            frame_ids=self.frame_ids[chosen],
-            rows=self.rows[chosen],
-        )
+        names = "stamps", "log_times", "sources", "frame_ids", "rows"
+        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
     def logged_at(self, log_times: Stamps | Sequence[int]) -> Block:
         """Return the same frames with other log times, (N,) ns."""
@@ -171,9 +165,6 @@ _ALL = np.arange(STATE)
 def _joined(packed: Sequence[_Packed], order: Stamps | None) -> Block:
     """Do what :func:`join` does, with all columns."""
     blocks = [one.block for one in packed]
-    if len(packed) == 1:
-        block = blocks[0] if order is None else blocks[0].select(order)
-        return _copied(packed[0]._replace(block=block))
     of_block = np.repeat(np.arange(len(blocks)), [len(block) for block in blocks])
     wanted = np.arange(len(of_block)) if order is None else order
     of_block, rows = of_block[wanted], np.concatenate([block.rows for block in blocks])[wanted]
@@ -195,18 +186,6 @@ def _joined(packed: Sequence[_Packed], order: Stamps | None) -> Block:
         people,
         _join_uncertainty(blocks, of_block, rows),
     )
-
-
-def _copied(packed: _Packed) -> Block:
-    """Return a copy of the people of a block's frames, which lie one behind the other in it."""
-    block, *columns = packed
-    ends = np.cumsum(block.sizes)
-    targets = ends - block.sizes
-    people, known = block.people, block.uncertainty
-    copy = People.allocate(int(ends[-1]), people.markers.shape[1], people.links.shape[1])
-    gather(block.rows, targets, people, *columns, copy)
-    known = known and known.at(_rows_between(block.rows))
-    return replace(block, rows=np.stack([targets, ends], axis=1), people=copy, uncertainty=known)
 
 
 class HeldFrames:

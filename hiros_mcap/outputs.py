@@ -12,19 +12,9 @@ from typing import Literal
 from hiros_mcap.errors import LogError
 
 Kind = Literal[
-    "log",
-    "HTML page",
-    "Rerun recording",
-    "JUnit report",
-    "Markdown summary",
-    "limb table",
-    "camera file",
-    "PNG picture",
-    "export",
-    "rosbag2 folder",
-    "rosbag2 metadata",
-    "table of logs",
-]
+    "log", "HTML page", "Rerun recording", "JUnit report", "Markdown summary", "limb table",
+    "camera file", "PNG picture", "export", "rosbag2 folder", "rosbag2 metadata", "table of logs",
+]  # fmt: skip
 
 HTML_MARK = '<meta name="generator" content="hiros">'
 JUNIT_MARK = "<!-- hiros check -->"
@@ -63,13 +53,11 @@ def check_outputs(
     force : replace any regular file except an input.
     remedy : how the user asks for ``force``.
 
-    Raises
-    ------
-    LogError
-        An output is an input or another output, is not a regular file, belongs to somebody else,
-        or lies in a folder that does not exist or may not be written into.
+    Raises LogError if an output is an input or another output, is not a regular file, belongs to
+    somebody else, or lies in a folder that does not exist or may not be written into.
     """
-    read = [file for path in inputs if path is not None for file in _files(Path(path))]
+    given = [Path(path) for path in inputs if path is not None]
+    read = [file for path in given for file in (path.iterdir() if path.is_dir() else [path])]
     taken: list[Path] = []
     for path, kind in _single_files(outputs, force=force, remedy=remedy):
         _check_place(path)
@@ -120,10 +108,6 @@ def _reason(kind: Kind) -> str:
     """Return why an existing file is not replaced."""
     article = "an" if kind in ("HTML page", "export") else "a"
     return f"exists and is not {article} {kind} of hiros"
-
-
-def _files(path: Path) -> list[Path]:
-    return [p for p in path.iterdir() if p.is_file()] if path.is_dir() else [path]
 
 
 def _check_place(path: Path) -> None:
@@ -244,10 +228,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
     Until then an older file stays as it is. An error or a signal leaves nothing behind.
 
-    Raises
-    ------
-    LogError
-        The file cannot be written.
+    Raises LogError if the file cannot be written.
     """
     target = Path(os.path.realpath(path))
     temporary = temporary_name(target)
@@ -267,12 +248,6 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file; whole or not at all.
-
-    Raises
-    ------
-    LogError
-        The file cannot be written.
-    """
+    """Write a text file, whole or not at all; raises LogError if it cannot be written."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

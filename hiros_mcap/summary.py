@@ -264,23 +264,6 @@ class Summary:
         return {key: value for key, value in self.to_dict().items() if key not in varying}
 
 
-CLEANED: Mapping[str, tuple[str, str]] = {
-    "absurd number": ("vector", "ignored: infinite, or a number beyond 10000"),
-    "incomplete vector": ("vector", "ignored: some of its numbers are missing"),
-    "quaternion of length 0": ("orientation", "ignored: a quaternion of length 0"),
-    "quaternion normalised": ("quaternion", "normalized"),
-    "confidence above 1": ("confidence", "above 1 taken as 1"),
-    "negative confidence": ("negative confidence", "taken as missing"),
-}
-"""Kind of a number that cannot be true (see codec.clean) -> noun, what was done about it."""
-
-
-def cleaned(kind: str, n: int) -> str:
-    """Return which numbers could not be true, and what was done about them."""
-    noun, what = CLEANED[kind]
-    return f"{quantity(n, noun)} {what}"
-
-
 def quantity(n: int, noun: str) -> str:
     """Return a number of things: 1 detection, 14 detections."""
     return f"{n} {noun}" if n == 1 else f"{n} {noun}s"

@@ -46,11 +46,8 @@ def run_tasks(
     lost : gives the result of a task, by its number and what happened, that killed its process
         :data:`ATTEMPTS` times. The others go on in new processes.
 
-    Raises
-    ------
-    HirosError
-        A process was killed, and there is no ``lost``. Errors of ``function`` are raised here, and
-        the others are stopped.
+    Raises HirosError if a process was killed, and there is no ``lost``. Errors of ``function`` are
+    raised here, and the others are stopped.
     """
     n = min(jobs or cores(), len(tasks))
     if n <= 1:

@@ -36,7 +36,7 @@ from hiros_mcap.evaluate.comparison import (
     camera_subsets,
     comparison,
 )
-from hiros_mcap.evaluate.parts import PARTS, part_of
+from hiros_mcap.evaluate.statistics import PARTS, part_of
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.write_log import write_log
 from hiros_mcap.summary import number

@@ -10,7 +10,7 @@ from paper_report import Claim, Rows, Table
 from published import LEE_COLUMNS, LEE_GESTURES, Pair, lee_appendix
 
 from hiros_mcap.evaluate.comparison import Entry, Outcome, Task, comparison
-from hiros_mcap.evaluate.parts import PARTS, part_of
+from hiros_mcap.evaluate.statistics import PARTS, part_of
 from hiros_mcap.summary import number
 
 DIRECTIONS = (0, 90, 180, 270)

@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 
 from hiros_mcap.body.segments import (
     HINGE_DEG,
@@ -34,7 +33,7 @@ from hiros_mcap.body.segments import (
     segments_of,
     toes,
 )
-from hiros_mcap.skeletons import Floats, SkeletonModel
+from hiros_mcap.skeletons import Flags, Floats, SkeletonModel
 
 HANGING_DEG = 10.0
 LEAP_DEG = 90.0
@@ -114,9 +113,12 @@ def anatomical_angles(
         columns |= _arm_angles(body, side)
         # Markers show thigh and shank by the same hinge, between which nothing turns.
         if {f"{side} thigh", f"{side} shank"} <= (axes or {}).keys():
-            columns |= _knee_angles(body, side)
+            _, adduction, rotation = zxy(body[f"{side} thigh"], body[f"{side} shank"])
+            columns[f"{side} knee abduction"] = -_sign(side) * adduction
+            columns[f"{side} knee rotation"] = _sign(side) * rotation
         if f"{side} forearm" in (axes or {}):
-            columns |= _pronation(body, side)
+            rotation = zxy(body[f"{side} upper arm"], body[f"{side} forearm"])[2]
+            columns[f"{side} elbow pronation"] = _sign(side) * rotation
     angles = np.stack([columns[name] for name in ANGLE_NAMES], axis=-1)
     return continued(angles, most=MOST_RAD) if unwrapped else angles
 
@@ -140,11 +142,9 @@ def continued(
     firsts = np.full(n, np.nan) if before is None else before
     limits = np.broadcast_to(most, n).tolist()
     for column, first, limit in zip(out.T, firsts, limits, strict=True):
-        known: npt.NDArray[np.bool_] = ~np.isnan(column)
-        if np.isnan(first):
-            column[known] = _continued(column[known], limit)
-        else:
-            column[known] = _continued(np.append(first, column[known]), limit)[1:]
+        known: Flags = ~np.isnan(column)
+        begin = np.full(int(not np.isnan(first)), first)
+        column[known] = _continued(np.append(begin, column[known]), limit)[len(begin) :]
     return out
 
 
@@ -190,12 +190,8 @@ def zxy(proximal: Floats, distal: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _trunk_angles(pelvis: Floats, thorax: Floats) -> Columns:
-    extension, side_bend, rotation = zxy(pelvis, thorax)
-    return {
-        "trunk flexion": -extension,
-        "trunk side bend": side_bend,
-        "trunk rotation": rotation,
-    }
+    extension, bend, rotation = zxy(pelvis, thorax)
+    return {"trunk flexion": -extension, "trunk side bend": bend, "trunk rotation": rotation}
 
 
 def _neck_angles(at: Finder, body: Segments) -> Columns:
@@ -218,27 +214,19 @@ def _leg_angles(at: Finder, body: Segments, side: str) -> Columns:
     return {
         f"{side} hip flexion": flexion,
         f"{side} hip abduction": abduction,
-        f"{side} hip rotation": _twist(pelvis, thigh, sign),
+        f"{side} hip rotation": sign * zxy(pelvis, thigh)[2],
         f"{side} knee flexion": _knee_flexion(pelvis, thigh, shank),
         f"{side} ankle dorsiflexion": np.pi / 2 - between(foot, shank[:, :, 1]),
         f"{side} ankle rotation": np.arctan2(-sign * z, x),
     }
 
 
-def _knee_angles(body: Segments, side: str) -> Columns:
-    """Abduction and rotation of a knee, where links show them."""
-    thigh, shank = body[f"{side} thigh"], body[f"{side} shank"]
-    _, adduction, rotation = zxy(thigh, shank)
-    return {
-        f"{side} knee abduction": -_sign(side) * adduction,
-        f"{side} knee rotation": _sign(side) * rotation,
-    }
-
-
 def _knee_flexion(pelvis: Floats, thigh: Floats, shank: Floats) -> Floats:
     """Angle between the bones, negative when overextended."""
     thigh_y, shank_y = thigh[:, :, 1], shank[:, :, 1]
-    hinge = frame(y=thigh_y, z=_untwisted_z(pelvis, thigh_y), keep="y")
+    z = pelvis[:, :, 2]  # of a thigh that does not rotate about its long axis
+    z = z - np.sum(z * thigh_y, axis=-1, keepdims=True) * thigh_y
+    hinge = frame(y=thigh_y, z=z, keep="y")
     ahead, along, _ = _inside(hinge, shank_y)
     bend = between(thigh_y, shank_y)
     # A nearly straight knee shows no hinge: what bends sideways then is noise, not flexion.
@@ -256,17 +244,11 @@ def _arm_angles(body: Segments, side: str) -> Columns:
     return {
         f"{side} shoulder flexion": flexion,
         f"{side} shoulder abduction": abduction,
-        f"{side} shoulder rotation": _twist(thorax, upper, sign),
+        f"{side} shoulder rotation": sign * zxy(thorax, upper)[2],
         f"{side} shoulder elevation": elevation,
         f"{side} shoulder plane": plane,
         f"{side} elbow flexion": between(upper[:, :, 1], fore[:, :, 1]),
     }
-
-
-def _pronation(body: Segments, side: str) -> Columns:
-    """Rotation of the forearm, where its link shows it."""
-    rotation = zxy(body[f"{side} upper arm"], body[f"{side} forearm"])[2]
-    return {f"{side} elbow pronation": _sign(side) * rotation}
 
 
 def _sign(side: str) -> float:
@@ -288,14 +270,3 @@ def _swing(proximal: Floats, axis: Floats, sign: float) -> tuple[Floats, Floats]
     """
     x, y, z = _inside(proximal, axis)
     return np.arctan2(-x, y), -sign * np.arcsin(np.clip(z, -1, 1))
-
-
-def _twist(proximal: Floats, limb: Floats, sign: float) -> Floats:
-    """Axial rotation of a limb, positive inwards: the angle c of Rz(a) Rx(b) Ry(c)."""
-    return sign * zxy(proximal, limb)[2]
-
-
-def _untwisted_z(proximal: Floats, axis: Floats) -> Floats:
-    """Axis z of a limb that does not rotate about its long axis."""
-    z = proximal[:, :, 2]
-    return np.asarray(z - np.sum(z * axis, axis=-1, keepdims=True) * axis)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from hiros_mcap.body.rotations import conjugate, multiply
+from hiros_mcap.body.segments import SIDES, between
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
@@ -19,7 +22,7 @@ _CHAINS = (
 _TRUNKS = (("neck", "pelvis"), ("neck", "spinebase"), ("neck", "midhip"), ("neck", "hips"))
 
 JOINTS = ("shoulder", "elbow", "hip", "knee")
-ANGLES = tuple(f"{side} {joint}" for side in ("left", "right") for joint in JOINTS)
+ANGLES = tuple(f"{side} {joint}" for side in SIDES for joint in JOINTS)
 """Names of the columns of :func:`flexions`."""
 
 
@@ -34,7 +37,7 @@ def flexions(model: SkeletonModel, positions: Floats) -> Floats:
     names = {part for part, _ in slots}
     trunk = next(((a, b) for a, b in _TRUNKS if a in names and b in names), ("", ""))
     angles = []
-    for side in ("left", "right"):
+    for side in SIDES:
         for chain in _CHAINS:
             ends = [slots.get((name, side)) for name in chain]
             ends = [slots.get((name, "")) for name in trunk] * (len(chain) == 2) + ends
@@ -42,15 +45,8 @@ def flexions(model: SkeletonModel, positions: Floats) -> Floats:
                 angles.append(np.full(positions.shape[:-2], np.nan))
                 continue
             points = [positions[..., slot, :] for slot in ends]
-            angles.append(_between(points[1] - points[0], points[-1] - points[-2]))
+            angles.append(between(points[1] - points[0], points[-1] - points[-2]))
     return np.stack(angles, axis=-1)
-
-
-def _between(u: Floats, v: Floats) -> Floats:
-    """Angle between vectors, rad; by its tangent, which is exact for small angles."""
-    cross = np.linalg.norm(np.cross(u, v), axis=-1)
-    angle: Floats = np.arctan2(cross, np.sum(u * v, axis=-1))
-    return angle
 
 
 def euler_zxy(xyzw: Floats) -> Floats:
@@ -86,7 +82,7 @@ def joint_links(model: SkeletonModel) -> tuple[tuple[int, int], ...]:
     slots = {split_side(name): slot for slot, name in enumerate(model.marker_names)}
     ends = list(zip(model.link_parents, model.link_children, strict=True))
 
-    def between(parent: tuple[str, str], child: tuple[str, str]) -> int:
+    def link(parent: tuple[str, str], child: tuple[str, str]) -> int:
         pair = (slots.get(parent, -2), slots.get(child, -2))
         return ends.index(pair) if pair in ends else -1
 
@@ -96,15 +92,10 @@ def joint_links(model: SkeletonModel) -> tuple[tuple[int, int], ...]:
     middle = {slot for (_, side), slot in slots.items() if not side}
     lower = next((k for k, (p, c) in enumerate(ends) if p == root and c in middle), -1)
     pairs = []
-    for side in ("left", "right"):
-        arm = between(("shoulder", side), ("elbow", side))
-        leg = between(("hip", side), ("knee", side))
-        pairs += [
-            (upper, arm),
-            (arm, between(("elbow", side), ("wrist", side))),
-            (lower, leg),
-            (leg, between(("knee", side), ("ankle", side))),
-        ]
+    for side in SIDES:
+        for above, *joints in ((upper, *_CHAINS[1]), (lower, *_CHAINS[3])):
+            near, far = (link((a, side), (b, side)) for a, b in pairwise(joints))
+            pairs += [(above, near), (near, far)]
     return tuple(pairs)
 
 

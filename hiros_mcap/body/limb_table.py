@@ -55,10 +55,7 @@ class LimbTable:
     def lengths(self, person: int, model: SkeletonModel) -> Floats:
         """(L,) nominal lengths of a person, m, NaN where a link has none.
 
-        Raises
-        ------
-        ConfigError
-            If a limb's name is no link of ``model``.
+        Raises ConfigError if a limb's name is no link of ``model``.
         """
         limbs = self.people.get(person, {})
         keys = link_keys(model)
@@ -73,10 +70,7 @@ class LimbTable:
     def rename(self, ids: Mapping[int, int]) -> LimbTable:
         """Return the table with people renumbered: ``{0: 3}`` makes person 0 person 3.
 
-        Raises
-        ------
-        ConfigError
-            If a person does not exist or two would share an id.
+        Raises ConfigError if a person does not exist or two would share an id.
         """
         for old in ids:
             if old not in self.people:
@@ -99,13 +93,7 @@ class LimbTable:
         return tomli_w.dumps({"person": people})
 
     def save(self, path: str | Path) -> None:
-        """Write the file, or nothing at all.
-
-        Raises
-        ------
-        ConfigError
-            If it cannot be written.
-        """
+        """Write the file, or nothing at all; raises ConfigError if it cannot be written."""
         try:
             write_text(Path(path), LIMBS_MARK + self.to_toml())
         except LogError as error:
@@ -115,22 +103,13 @@ class LimbTable:
     def load(cls, path: str | Path) -> LimbTable:
         """Read a file that :meth:`save` or a person wrote.
 
-        Raises
-        ------
-        ConfigError
-            The message names the file, and the person and link if one is at fault.
+        Raises ConfigError that names the file, and the person and link if one is at fault.
         """
         return cls.from_toml(read_text(path), str(path))
 
     @classmethod
     def from_toml(cls, text: str, origin: str) -> LimbTable:
-        """Read what :meth:`to_toml` returns; ``origin`` names it in errors.
-
-        Raises
-        ------
-        ConfigError
-            As :meth:`load` does.
-        """
+        """Read what :meth:`to_toml` returns; ``origin`` names it in errors."""
         try:
             people = _LimbFile.model_validate(parse(text, "TOML", origin)).person
         except ValidationError as error:

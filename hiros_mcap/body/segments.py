@@ -15,7 +15,7 @@ with its segment shows itself by a large deviation from that mean, and is not us
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -153,7 +153,7 @@ def link_axes(model: SkeletonModel, positions: Floats, orientations: Floats) -> 
         if known.sum() < FEWEST:
             continue
         relations = np.swapaxes(links[known], -1, -2) @ frames[known]
-        mean = _mean_rotation(relations)
+        mean = nearest_rotation(relations.sum(axis=0).T)  # projected mean (Moakher 2002)
         cosines = np.einsum("tij,ij->t", relations, mean)  # 1 + 2 cos of the angle between them
         largest = LARGEST_FOREARM_DEG if segment.endswith("forearm") else LARGEST_DEG
         if np.median(cosines) >= 1 + 2 * np.cos(np.radians(largest)):
@@ -190,29 +190,15 @@ def segments_of(
 
 def _link_slots(model: SkeletonModel) -> dict[str, int]:
     """Segment -> slot of the link that turns with it, as far as there are such links."""
-    names = [split_side(name) for name in model.marker_names]
-    ends = [
-        (names[parent] if parent >= 0 else ("", ""), names[child] if child >= 0 else ("", ""))
-        for parent, child in zip(model.link_parents, model.link_children, strict=True)
-    ]
-
-    def slot(parents: Sequence[str], children: Sequence[str], side: str) -> int | None:
-        for k, ((parent, _), child) in enumerate(ends):
-            if child[1] == side and child[0] in children and (not parents or parent in parents):
-                return k
-        return None
-
-    found = {}
-    for segment, (parents, children) in _LINKS.items():
-        for side in ("",) if segment in _TRUNK else SIDES:
-            if (k := slot(parents, children, side)) is not None:
-                found[f"{side} {segment}".strip()] = k
+    names = [*map(split_side, model.marker_names), ("", "")]  # slot -1 is no marker
+    found: dict[str, int] = {}
+    for k, (start, end) in enumerate(zip(model.link_parents, model.link_children, strict=True)):
+        parent, (child, side) = names[start][0], names[end]
+        for segment, (parents, children) in _LINKS.items():
+            fits = child in children and (not parents or parent in parents)
+            if fits and side in (("",) if segment in _TRUNK else SIDES):
+                found.setdefault(f"{side} {segment}".strip(), k)
     return found
-
-
-def _mean_rotation(rotations: Floats) -> Floats:
-    """(3, 3) rotation nearest to the sum of (T, 3, 3) (Moakher 2002, projected mean)."""
-    return nearest_rotation(rotations.sum(axis=0).T)
 
 
 def _complete(frames: Floats) -> Flags:

@@ -1,13 +1,15 @@
 """Left and right of a skeleton, read from the names of its markers.
 
 Detectors swap the two sides of a person. To detect that, the tracker and the merger need to know
-which marker mirrors which, and which markers are the shoulders and hips.
+which marker mirrors which, and which markers are the shoulders and hips. Names also tell which
+markers keep their distances.
 """
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -67,3 +69,21 @@ def symmetry_of(model: SkeletonModel) -> Symmetry:
         if parent >= 0 and child >= 0:
             link_mirror[link] = ends.get((int(mirror[parent]), int(mirror[child])), link)
     return Symmetry(mirror, link_mirror, np.array(lateral, np.int32).reshape(-1, 2))
+
+
+# Shoulders are no part of the thorax: they move by centimetres.
+_GROUPS = (
+    {"head", "nose", "eye", "ear"},
+    {"neck", "chest", "spine_chest", "spinechest", "clavicle"},
+    {"pelvis", "spinebase", "spine_base", "midhip", "hips", "hip"},
+)
+
+
+def constant_pairs(model: SkeletonModel, *, rigid: bool = True) -> Ints:
+    """(K, 2) Slots of markers with a constant distance: ends of links and, if wanted, groups."""
+    names = [split_side(name)[0] for name in model.marker_names]
+    pairs = {tuple(sorted(ends)) for ends in model.links.tolist() if min(ends) >= 0}
+    for group in _GROUPS if rigid else ():
+        slots = [slot for slot, name in enumerate(names) if name in group]
+        pairs |= set(combinations(slots, 2))
+    return np.array(sorted(pair for pair in pairs if pair[0] != pair[1]), np.int32).reshape(-1, 2)

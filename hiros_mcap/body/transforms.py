@@ -19,7 +19,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -393,21 +393,36 @@ def _parse_string(content: memoryview, at: int, order: str) -> tuple[str, int]:
     return str(raw[:-1], "utf-8"), at + 4 + length
 
 
-class _Camera(BaseModel):
-    """One entry of an extrinsics file."""
+class CameraEntry(BaseModel):
+    """One pose in a file of cameras, and what a calibration tells about it."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
 
     frame: Annotated[str, Field(min_length=1)]
     parent: Annotated[str, Field(min_length=1)] = "world"
+    """Frame that the pose is in."""
     translation: Annotated[list[float], Field(min_length=3, max_length=3)]
     quaternion_xyzw: Annotated[list[float], Field(min_length=4, max_length=4)]
     since: Annotated[int, Field(ge=0)] = 0
+    """Log time, ns, at which the camera was moved to this pose; 0 = it always stood there."""
     verdict: str = ""
+    """Good, doubtful, ...; "" in a file that somebody else wrote."""
     reason: str = ""
+    """Why it is doubtful, "" otherwise."""
     error_deg: float | None = None
     error_mm: float | None = None
     residual_mm: float | None = None
+
+    @property
+    def pose(self) -> Rigid:
+        """In the parent."""
+        return Rigid(np.array(self.quaternion_xyzw), np.array(self.translation))
+
+    @property
+    def errors(self) -> tuple[float, ...]:
+        """Standard errors, degrees and mm, and residual, mm; NaN where the file has none."""
+        errors = self.error_deg, self.error_mm, self.residual_mm
+        return tuple(math.nan if error is None else error for error in errors)
 
 
 class RoomTable(BaseModel):
@@ -428,7 +443,7 @@ class _Extrinsics(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    camera: Annotated[list[_Camera], Field(min_length=1)]
+    camera: Annotated[list[CameraEntry], Field(min_length=1)]
     clock: dict[str, Annotated[float, Field(allow_inf_nan=False)]] = {}
     room: RoomTable | None = None
 
@@ -450,7 +465,6 @@ def read_extrinsics(path: str | Path) -> TransformTree:
 
     Raises ConfigError naming the file and the key.
     """
-    path = Path(path)
     cameras = _extrinsics(path).camera
     tree = TransformTree()
     for camera in cameras:
@@ -468,51 +482,22 @@ def read_clocks(path: str | Path) -> dict[str, float]:
 
     ``hiros calibrate people`` writes it. Raises ConfigError as :func:`read_extrinsics` does.
     """
-    return _extrinsics(Path(path)).clock
+    return _extrinsics(path).clock
 
 
 def read_room(path: str | Path) -> RoomTable | None:
     """Read the table ``[room]`` of a file with poses; raises as :func:`read_extrinsics` does."""
-    return _extrinsics(Path(path)).room
-
-
-class CameraEntry(NamedTuple):
-    """One pose in a file of ``hiros calibrate``, and what the calibration tells about it."""
-
-    frame: str
-    pose: Rigid
-    """In the parent that the file names."""
-    since: int
-    """Log time, ns, at which the camera was moved to this pose; 0 = it always stood there."""
-    verdict: str
-    """Good, doubtful, ...; "" in a file that somebody else wrote."""
-    reason: str
-    """Why it is doubtful, "" otherwise."""
-    errors: tuple[float, float, float]
-    """Standard errors, degrees and mm, and residual, mm; NaN where the file has none."""
+    return _extrinsics(path).room
 
 
 def read_camera_entries(path: str | Path) -> list[CameraEntry]:
     """Read what a file tells about each pose; raises as :func:`read_extrinsics` does."""
-    return [
-        CameraEntry(
-            camera.frame,
-            Rigid(np.array(camera.quaternion_xyzw), np.array(camera.translation)),
-            camera.since,
-            camera.verdict,
-            camera.reason,
-            (_or_nan(camera.error_deg), _or_nan(camera.error_mm), _or_nan(camera.residual_mm)),
-        )
-        for camera in _extrinsics(Path(path)).camera
-    ]
+    return _extrinsics(path).camera
 
 
-def _or_nan(value: float | None) -> float:
-    return math.nan if value is None else value
-
-
-def _extrinsics(path: Path) -> _Extrinsics:
+def _extrinsics(path: str | Path) -> _Extrinsics:
     """Read a file with the cameras' poses; raises ConfigError naming the file and the key."""
+    path = Path(path)
     raw = parse(read_text(path), "JSON" if path.suffix.lower() == ".json" else "TOML", path)
     try:
         return _Extrinsics.model_validate(raw)
@@ -521,15 +506,14 @@ def _extrinsics(path: Path) -> _Extrinsics:
         raise ConfigError(f"{path}: {'.'.join(where) or 'file'}: {message}") from None
 
 
-def _add_camera(tree: TransformTree, camera: _Camera, where: str) -> None:
-    x, y, z = camera.translation
-    qx, qy, qz, qw = camera.quaternion_xyzw
-    length = math.hypot(qx, qy, qz, qw)
+def _add_camera(tree: TransformTree, camera: CameraEntry, where: str) -> None:
+    length = math.hypot(*camera.quaternion_xyzw)
     if abs(length - 1) > _DENORMALISED:
         raise ConfigError(f"{where}: quaternion_xyzw: its length is {length:g}, not 1")
     if camera.frame in tree._edges and not camera.since:
         raise ConfigError(f"{where}: this frame occurs twice")
-    transform = Transform(0, camera.parent, camera.frame, (x, y, z), (qx, qy, qz, qw))
+    numbers: Any = tuple(camera.translation), tuple(camera.quaternion_xyzw)
+    transform = Transform(0, camera.parent, camera.frame, *numbers)
     tree.add(transform, static=True, log_time=camera.since)
 
 
@@ -562,9 +546,7 @@ class Mover:
         """Return the frame in the fixed frame, itself if it already is."""
         if frame.frame_id == self._fixed:
             return frame
-        people = frame.people.copy()
-        move(self._pose(frame.frame_id, frame.stamp, frame.log_time), 0, people)
-        return frame.replace(frame_id=self._fixed, people=people)
+        return self.move_block(Block.of(frame)).frame(0)
 
     def move_block(self, block: Block) -> Block:
         """Return a block in the fixed frame, itself if it already is."""

@@ -9,12 +9,6 @@ from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.evaluate.truth_files import load_truth
 
 __all__ = [
-    "MATCH_DISTANCE",
-    "PCK_MM",
-    "AngleStats",
-    "ErrorStats",
-    "Scores",
-    "Truth",
-    "evaluate",
+    "MATCH_DISTANCE", "PCK_MM", "AngleStats", "ErrorStats", "Scores", "Truth", "evaluate",
     "load_truth",
-]
+]  # fmt: skip

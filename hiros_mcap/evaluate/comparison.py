@@ -8,18 +8,24 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from hiros_mcap.config import Config, load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.leave_one_out import leave_each_out
-from hiros_mcap.evaluate.logs import find_truth, fused_topics
+from hiros_mcap.evaluate.logs import consistency, find_truth, fused_topics
 from hiros_mcap.evaluate.match import Matches, match
-from hiros_mcap.evaluate.same_detections import Distances, MeanDifference, on_same_detections
+from hiros_mcap.evaluate.same_detections import (
+    Distances,
+    MeanDifference,
+    SameScores,
+    on_same_detections,
+)
 from hiros_mcap.evaluate.scores import Scores, score_matches
 from hiros_mcap.evaluate.statistics import ErrorStats
 from hiros_mcap.evaluate.truth import Truth
@@ -147,30 +153,20 @@ def comparison(
     return outcomes
 
 
-def run_task(task: Task) -> Outcome:
-    """Run one system on one log and score what comes out."""
-    return _on_the_same([_run(task)])[0]
-
-
 def _on_the_same(done: Sequence[tuple[Outcome, list[Distances]]]) -> list[Outcome]:
     """Add what several systems do on the same detections of a log.
 
     Raises ConfigError if their settings make other detections of it.
     """
-    # A system may take part twice.
-    named = {str(k): distances for k, (_, distances) in enumerate(done)}
     try:
-        same = on_same_detections(named)
+        same = on_same_detections([distances for _, distances in done], done[0][0].name)
     except ValueError as error:
         raise ConfigError(f"{done[0][0].log}: {error}") from None
-    first, outcomes = done[0][0].name, []
-    for (outcome, _), scores in zip(done, same.values(), strict=True):
-        values = {f.name: getattr(scores, f.name) for f in fields(scores)}
-        if outcome.scores is not None:
-            values = {"difference": scores.difference}
-        outcome = replace(outcome, **values)
-        difference = outcome.difference and replace(outcome.difference, against=first)
-        outcomes.append(replace(outcome, difference=difference))
+    outcomes = []
+    for (outcome, _), scores in zip(done, same, strict=True):
+        names = ("difference",) if outcome.scores is not None else SameScores.__slots__
+        values: dict[str, Any] = {name: getattr(scores, name) for name in names}
+        outcomes.append(replace(outcome, **values))
     return outcomes
 
 
@@ -184,9 +180,8 @@ def _run(task: Task) -> tuple[Outcome, list[Distances]]:
         recording.head(_WARM_UP).run(config, options, chosen)
         _CACHE.warm.add(kind)
     start = time.process_time()
-    results = recording.run(config, options, chosen)
+    (frames,) = recording.run(config, options, chosen, last=True).values()
     seconds = time.process_time() - start
-    frames = list(results.values())[-1]
     messages = sum(frame.source in chosen for frame in recording.frames())
     outcome = Outcome(task.log.name, task.entry.name, chosen, 1000 * seconds / max(messages, 1))
     if truth is None:
@@ -210,13 +205,10 @@ def _by_second(matches: Matches, truth: Truth) -> Distances:
     seconds = np.arange(truth.stamps[0], truth.stamps[-1] + 1, _SECOND_NS)
     shape = (len(truth.people), len(seconds))
     sums, counts = np.zeros(shape), np.zeros(shape)
-    for stamp, person, pose, true in zip(
-        matches.stamps, matches.people, matches.poses, matches.true_poses, strict=True
-    ):
-        distances = 1000 * np.linalg.norm(pose - true, axis=-1)
-        cell = person, int((stamp - truth.stamps[0]) // _SECOND_NS)
-        sums[cell] += np.nansum(distances)
-        counts[cell] += (~np.isnan(distances)).sum()
+    distances = 1000 * np.linalg.norm(matches.poses - matches.true_poses, axis=-1)
+    cells = matches.people, (matches.stamps - truth.stamps[0]) // _SECOND_NS
+    np.add.at(sums, cells, np.nansum(distances, axis=-1))
+    np.add.at(counts, cells, (~np.isnan(distances)).sum(axis=-1))
     means = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan).astype(np.float32)
     joints = means.reshape(-1, 1)
     return Distances(np.tile(seconds, len(truth.people)), joints, np.full_like(joints, np.nan))
@@ -247,15 +239,16 @@ def _read(task: Task) -> tuple[Recording, Truth | None]:
 def _without_truth(
     task: Task, outcome: Outcome, recording: Recording, frames: Sequence[Frame]
 ) -> tuple[Outcome, list[Distances]]:
-    scores, distances = leave_each_out(recording, *_settings(task), frames)
-    detections = sum(camera.detections for camera in scores.cameras)
-    unmatched = sum(camera.unmatched for camera in scores.cameras)
+    cameras, distances = leave_each_out(recording, *_settings(task))
+    detections = sum(camera.detections for camera in cameras)
+    unmatched = sum(camera.unmatched for camera in cameras)
+    result = consistency(frames, recording.model)
     scored = replace(
         outcome,
         coverage=1 - unmatched / detections if detections else float("nan"),
-        ids=len(scores.consistency.people),
-        limb_variation=scores.consistency.limb_variation,
-        jitter=scores.consistency.jitter,
+        ids=result.n_people,
+        limb_variation=result.limb_variation,
+        jitter=result.jitter,
     )
     return scored, distances
 
@@ -275,18 +268,13 @@ def camera_subsets(task: Task) -> list[Task]:
 
 def by_number_of_cameras(outcomes: Sequence[Outcome]) -> dict[str, dict[int, tuple[float, float]]]:
     """System -> number of cameras -> error and SD, mm, each the mean over all subsets."""
-    groups: dict[str, dict[int, list[Scores]]] = {}
+    groups: dict[tuple[str, int], list[Scores]] = {}
     for o in sorted(outcomes, key=lambda o: len(o.cameras)):
         if o.scores is not None:
-            groups.setdefault(o.name, {}).setdefault(len(o.cameras), []).append(o.scores)
-    return {
-        name: {size: _mean_error(scores) for size, scores in sizes.items()}
-        for name, sizes in groups.items()
-    }
-
-
-def _mean_error(scores: Sequence[Scores]) -> tuple[float, float]:
-    return (
-        float(np.nanmean([s.mean for s in scores])),
-        float(np.nanmean([s.deviation for s in scores])),
-    )
+            groups.setdefault((o.name, len(o.cameras)), []).append(o.scores)
+    errors: dict[str, dict[int, tuple[float, float]]] = {}
+    for (name, size), scores in groups.items():
+        error, deviation = ([s.mean for s in scores], [s.deviation for s in scores])
+        means = float(np.nanmean(error)), float(np.nanmean(deviation))
+        errors.setdefault(name, {})[size] = means
+    return errors

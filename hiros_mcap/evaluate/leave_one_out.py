@@ -18,15 +18,14 @@ from hiros_mcap.config import Config, load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.logs import Consistency, consistency
 from hiros_mcap.evaluate.match import match
-from hiros_mcap.evaluate.parts import parts_of
 from hiros_mcap.evaluate.same_detections import Distances
 from hiros_mcap.evaluate.side_scores import SideScores, side_scores
-from hiros_mcap.evaluate.statistics import ErrorStats, mean_of, nan_mean
+from hiros_mcap.evaluate.statistics import ErrorStats, mean_of, nan_mean, parts_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.io.log import Source
 from hiros_mcap.running.process_options import ProcessOptions, Progress, Silent
 from hiros_mcap.running.recording import Recording
-from hiros_mcap.skeletons import Flags, Floats, Frame, SkeletonModel, Stamps, nearest_stamps
+from hiros_mcap.skeletons import Flags, Floats, Frame, Ints, SkeletonModel, Stamps, nearest_stamps
 
 SIMULTANEOUS_NS = 50_000_000
 """Largest difference in time of two cameras' views that are compared."""
@@ -76,7 +75,7 @@ class _Residuals:
     """(R, M, 3) detection minus reference, m."""
     mirrored: Flags
     unmatched: int
-    detections: Stamps
+    detections: Stamps | Ints
     """(R,) number of the detection among all of the camera."""
 
 
@@ -91,62 +90,56 @@ def leave_one_out(
 
     ``progress`` is told the runs.
 
-    Raises
-    ------
-    ConfigError
-        There are fewer than two cameras' channels.
-    LogError
-        The log cannot be read.
+    Raises ConfigError if there are fewer than two cameras' channels; LogError if the log cannot be
+    read.
     """
     options = options or ProcessOptions()
     config = config or load_config(system=options.system)
     recording = Recording.read(source, config, options)
-    return leave_each_out(recording, config, options, progress=progress)[0]
+    model, frames_of = recording.model, _frames_of_cameras(recording)
+    everybody = _fused(recording, config, options, frames_of)
+    cameras, _ = leave_each_out(recording, config, options, progress)
+    residuals = {topic: _residuals(frames, everybody, model) for topic, frames in frames_of.items()}
+    mirrored = {topic: int(each.mirrored.sum()) for topic, each in residuals.items()}
+    return SelfScores(
+        consistency=consistency(everybody, model),
+        cameras=cameras,
+        disagreement={
+            (a, b): _disagreement(residuals[a], residuals[b]) for a, b in combinations(frames_of, 2)
+        },
+        sides=side_scores(everybody, model, mirrored),
+    )
 
 
 def leave_each_out(
-    recording: Recording,
-    config: Config,
-    options: ProcessOptions,
-    everybody: Sequence[Frame] | None = None,
-    progress: Progress | None = None,
-) -> tuple[SelfScores, list[Distances]]:
-    """Return the scores of :func:`leave_one_out`, and each camera's distances one by one.
-
-    ``everybody`` is the result of all cameras, if it is there already.
+    recording: Recording, config: Config, options: ProcessOptions, progress: Progress | None = None
+) -> tuple[tuple[LeftOut, ...], list[Distances]]:
+    """Return each camera against the result of the others, and its distances one by one.
 
     Raises ConfigError for fewer than two cameras' channels.
     """
+    progress, model = progress or Silent(), recording.model
+    cameras, distances = [], []
+    frames_of = _frames_of_cameras(recording)
+    for k, (topic, frames) in enumerate(frames_of.items(), start=1):
+        progress.update(k, len(frames_of) + 1)
+        others = _fused(recording, config, options, frames_of.keys() - {topic})
+        left = _residuals(frames, others, model)
+        varying = _varying(left.displacement, left.people)
+        cameras.append(_left_out(topic, left, varying, model))
+        distances.append(_distances(frames, left, varying))
+    return tuple(cameras), distances
+
+
+def _frames_of_cameras(recording: Recording) -> dict[str, list[Frame]]:
+    """Topic -> its detections; raises ConfigError for fewer than two."""
     frames_of: dict[str, list[Frame]] = {topic: [] for topic in recording.topics.values()}
     for frame in recording.frames():
         frames_of[recording.topics[frame.source]].append(frame)
     if len(frames_of) < 2:
         path = recording.prepared.log.path
         raise ConfigError(f"{path}: leaving one camera out needs at least two cameras")
-    model = recording.model
-    progress = progress or Silent()
-    if everybody is None:
-        everybody = _fused(recording, config, options, frames_of)
-    cameras, distances = [], []
-    for k, (topic, frames) in enumerate(frames_of.items(), start=1):
-        progress.update(k, len(frames_of) + 1)
-        others = _fused(recording, config, options, frames_of.keys() - {topic})
-        residuals_of_camera = _residuals(frames, others, model)
-        varying = _varying(residuals_of_camera.displacement, residuals_of_camera.people)
-        cameras.append(_left_out(topic, residuals_of_camera, varying, model))
-        distances.append(_distances(frames, residuals_of_camera, varying))
-    residuals = {topic: _residuals(frames, everybody, model) for topic, frames in frames_of.items()}
-    scores = SelfScores(
-        consistency=consistency(everybody, model),
-        cameras=tuple(cameras),
-        disagreement={
-            (a, b): _disagreement(residuals[a], residuals[b]) for a, b in combinations(frames_of, 2)
-        },
-        sides=side_scores(
-            everybody, model, {topic: int(r.mirrored.sum()) for topic, r in residuals.items()}
-        ),
-    )
-    return scores, distances
+    return frames_of
 
 
 def _fused(
@@ -154,7 +147,8 @@ def _fused(
 ) -> list[Frame]:
     """Return the last stage's frames on some of the cameras."""
     sources = [name for name, topic in recording.topics.items() if topic in topics]
-    return list(recording.run(config, options, sources).values())[-1]
+    (frames,) = recording.run(config, options, sources, last=True).values()
+    return frames
 
 
 def _left_out(topic: str, residuals: _Residuals, varying: Floats, model: SkeletonModel) -> LeftOut:
@@ -200,26 +194,14 @@ def _varying(displacement: Floats, people: Stamps) -> Floats:
 
 def _residuals(frames: Sequence[Frame], fused: Sequence[Frame], model: SkeletonModel) -> _Residuals:
     """Match a camera's detections to what was fused, and subtract it."""
-    empty = np.zeros(0, np.int64)
-    none = _Residuals(empty, empty, np.zeros((0, model.n_markers, 3)), np.zeros(0, bool), 0, empty)
-    if not any(len(frame.ids) for frame in fused):
-        return none
-    matches = match(_numbered(frames), Truth.of(fused, model))
-    if not matches.poses:
-        none.unmatched = matches.false
-        return none
-    poses, reference = np.stack(matches.poses), np.stack(matches.true_poses)
-    displacement = poses - reference
-    swapped = poses[:, symmetry_of(model).mirror] - reference
+    anybody = any(len(frame.ids) for frame in fused)
+    truth = Truth.of(fused or [Frame.empty(0, model)], model)
+    matches = match(_numbered(frames) if anybody else [], truth)
+    displacement = matches.poses - matches.true_poses
+    swapped = matches.poses[:, symmetry_of(model).mirror] - matches.true_poses
     size, size_swapped = (nan_mean(np.linalg.norm(d, axis=-1), -1) for d in (displacement, swapped))
-    return _Residuals(
-        np.array(matches.stamps, np.int64),
-        np.array(matches.people, np.int64),
-        displacement,
-        size_swapped < size,
-        matches.false,
-        np.array(matches.ids, np.int64),
-    )
+    rows = matches.stamps, matches.people, displacement, size_swapped < size
+    return _Residuals(*rows, matches.false, matches.ids)
 
 
 def _numbered(frames: Sequence[Frame]) -> Iterator[Frame]:

@@ -1,9 +1,10 @@
-"""Scores of whole logs: every output channel against the truth, and what needs no truth."""
+"""Scores of whole logs: what of them is scored, with and without a truth."""
 
 from __future__ import annotations
 
 import glob
 import os
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
@@ -13,20 +14,41 @@ from pathlib import Path
 import numpy as np
 
 import hiros_schemas
+from hiros_mcap.config import Config, load_config
+from hiros_mcap.defaults import DEFAULT_SYSTEM
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.evaluate.ellipsoids import EllipsoidCoverage, coverage_of
-from hiros_mcap.evaluate.match import MATCH_DISTANCE, Matches, Track, match
-from hiros_mcap.evaluate.partial_truth import people_without_truth
-from hiros_mcap.evaluate.scores import Scores, score_matches
+from hiros_mcap.evaluate.match import (
+    MATCH_DISTANCE,
+    Matches,
+    match,
+    people_without_truth,
+    tracks_of,
+)
+from hiros_mcap.evaluate.scores import EllipsoidCoverage, Scores, coverage_of, score_matches
 from hiros_mcap.evaluate.smoothness import jitter, limb_variations
 from hiros_mcap.evaluate.statistics import mean_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.evaluate.truth_files import load_truth
-from hiros_mcap.io.channels import OUTPUT_PREFIX, OUTPUT_TOPICS, TRUTH_PREFIX, channels_of
+from hiros_mcap.io.channels import (
+    CONFIG_ATTACHMENT,
+    OUTPUT_PREFIX,
+    OUTPUT_TOPICS,
+    PROVENANCE,
+    TRUTH_PREFIX,
+    channels_of,
+)
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.log import Source, open_groups, open_log, reading, span_of
-from hiros_mcap.io.marker_uncertainty import UNCERTAIN_TOPIC, Deviations, read_uncertainty
+from hiros_mcap.io.marker_uncertainty import (
+    UNCERTAIN_TOPIC,
+    Deviations,
+    deviations_of,
+    read_uncertainty,
+)
+from hiros_mcap.running.process_options import ProcessOptions
+from hiros_mcap.running.recording import Recording
 from hiros_mcap.skeletons import Frame, SkeletonModel
+from hiros_mcap.systems import SYSTEMS
 
 _FIRST_MESSAGES = 100
 """Cameras of a channel that take turns are all among them."""
@@ -177,12 +199,7 @@ def fused_topics(source: Source, truth: str | None) -> tuple[str, ...]:
 
     A camera that is the reference must not be in what is compared with it (Lee 2022, section 2.3).
 
-    Raises
-    ------
-    LogError
-        The log cannot be read.
-    ConfigError
-        The truth is the only camera.
+    Raises LogError if the log cannot be read; ConfigError if the truth is the only camera.
     """
     if truth is None or not truth.startswith("/"):
         return ()
@@ -278,7 +295,7 @@ def covered_by(
     """Return the truth, marked as partial or not, and the ids that show that it is partial.
 
     ``coverage`` is "all", "partial", or "auto": then the last output channel decides, see
-    :func:`hiros_mcap.evaluate.partial_truth.people_without_truth`.
+    :func:`hiros_mcap.evaluate.match.people_without_truth`.
 
     Raises LogError or ConfigError as :func:`evaluate_channels` does.
     """
@@ -305,17 +322,12 @@ def _matched(
 
 def consistency(frames: Sequence[Frame], model: SkeletonModel) -> Consistency:
     """Measure what needs no truth: limb constancy, jitter, how long ids live."""
-    tracks: dict[int, Track] = {}
-    for frame in frames:
-        for row, person in frame.tracked():
-            track = tracks.setdefault(person, Track())
-            track.stamps.append(frame.stamp)
-            track.poses.append(frame.positions[row])
+    tracks = tracks_of(frames)
     limbs, jitters = limb_variations(tracks.values(), model), jitter(tracks.values())
     return Consistency(
         frames=len(frames),
         people=tuple(
-            PersonSpan(person, (t.stamps[-1] - t.stamps[0]) / 1e9, len(t.stamps))
+            PersonSpan(person, float(t.stamps[-1] - t.stamps[0]) / 1e9, len(t.stamps))
             for person, t in sorted(tracks.items())
         ),
         limb_variation=mean_of(limbs),
@@ -327,3 +339,86 @@ def consistency(frames: Sequence[Frame], model: SkeletonModel) -> Consistency:
         jitter=mean_of(jitters),
         jitters=dict(zip(model.marker_names, jitters.tolist(), strict=False)),
     )
+
+
+def check_scorable(log: Source, truth: str | None, *, has_truth: bool) -> None:
+    """Refuse a log that holds neither a result nor cameras, or nothing to judge its result by.
+
+    Raises ConfigError.
+    """
+    with reading(log) as reader:
+        if has_cameras(reader):
+            return
+        path = reader.path
+        if not has_truth:
+            raise ConfigError(
+                f"{path}: has no truth, and no cameras that could be left out; name a truth: "
+                f"hiros eval {path} --truth FILE"
+            )
+        if truth is None and not has_outputs(reader):
+            raise ConfigError(
+                f"{path}: holds a truth but no result; name the result: "
+                f"hiros eval RESULT --truth {path}"
+            )
+
+
+def results_of(
+    log: Source,
+    config: Config,
+    truth: str | None = None,
+    globs: Sequence[str] = (),
+    system: str = DEFAULT_SYSTEM,
+) -> dict[str, Channel]:
+    """Return the channels that are scored, all outputs or those that globs name.
+
+    They are in the log itself if it holds outputs, the truth in it if it holds no cameras either,
+    else what a ``system`` makes of it.
+
+    Raises LogError or ConfigError if the log cannot be processed.
+    """
+    with reading(log) as reader:
+        if has_outputs(reader):
+            return read_results(reader, globs)
+        if not has_cameras(reader):
+            return read_results(reader, globs or [f"{TRUTH_PREFIX}/*"])
+        options = ProcessOptions(system, topics=fused_topics(reader, truth))
+        recording = Recording.read(reader, config, options)
+    results = recording.run(config, options)
+    topics = {f"{OUTPUT_PREFIX}/{name}": name for name in results}
+    if globs:
+        topics = {t: n for t, n in topics.items() if any(fnmatchcase(t, g) for g in globs)}
+    if not topics:
+        named = ", ".join(globs)
+        raise LogError(f"no channel of a run of {system} matches {named}", path=reader.path)
+    channels = {
+        topic: Channel(recording.prepared.log.path, results[name], recording.model)
+        for topic, name in topics.items()
+    }
+    if UNCERTAIN_TOPIC in channels:
+        last = channels[UNCERTAIN_TOPIC]
+        stated = deviations_of(last.frames, last.model)
+        channels[UNCERTAIN_TOPIC] = replace(last, deviations=stated)
+    return channels
+
+
+def settings_of(
+    log: Source, config: Config, system: str, *, asked: bool
+) -> tuple[Config, ProcessOptions]:
+    """Return with what a log is run anew: a result with the settings that made it.
+
+    ``config`` and ``system`` count for a recording, and if the user ``asked`` for them.
+
+    Raises LogError or ConfigError if the settings in a result cannot be used.
+    """
+    with reading(log) as reader:
+        facts = dict(reader.contents.metadata).get(PROVENANCE, {})
+        name = facts.get("system", "")
+        if asked or name not in SYSTEMS:
+            return config, ProcessOptions(system)
+        text = (reader.attachment(CONFIG_ATTACHMENT) or b"").decode(errors="replace")
+        try:
+            table = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            fault = f"has no TOML in {CONFIG_ATTACHMENT}: {error}"
+            raise LogError(fault, path=reader.path) from None
+        return load_config(system=name, named={str(reader.path): table}), ProcessOptions(name)

@@ -1,142 +1,203 @@
-"""Frame by frame: which skeleton is which true person, and how far its joints are off."""
+"""Frame by frame: which skeleton is which true person, who is missing, whom the truth lacks."""
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from hiros_mcap.evaluate.mot import FrameSimilarity
 from hiros_mcap.evaluate.pairing import best_pairs, skeleton_distances
-from hiros_mcap.evaluate.silence import silent_instants
 from hiros_mcap.evaluate.truth import Truth
-from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame
+from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, Ints, SkeletonModel, Stamps
 
 MATCH_DISTANCE = 1.0
 """m: a skeleton farther than this from a true person, mean over joints, is of somebody else."""
 
 
+_NOBODY = Frame.empty(0, SkeletonModel.of([], []))
+_ROWS = "stamps", "people", "ids", "poses", "true_poses", "orientations", "true_orientations"
+_CHUNK = 256
+"""Instants at which the truth is interpolated at once."""
+
+
 @dataclass(frozen=True, slots=True)
 class Track:
-    """One id over time."""
+    """One id over T frames."""
 
-    stamps: list[int] = field(default_factory=list)
-    poses: list[Floats] = field(default_factory=list)
-    """(M, 3) m each."""
+    stamps: Stamps
+    """(T,) ns."""
+    poses: Floats
+    """(T, M, 3) m."""
+
+
+def tracks_of(frames: Iterable[Frame]) -> dict[int, Track]:
+    """Id -> its track, in the order in which they appear."""
+    some = [frame for frame in frames if frame.n_people]
+    if not some:
+        return {}
+    ids = np.concatenate([frame.ids for frame in some])
+    stamps = np.repeat([frame.stamp for frame in some], [frame.n_people for frame in some])
+    poses = np.concatenate([frame.positions for frame in some])
+    names = [ident for ident in dict.fromkeys(ids.tolist()) if ident != UNTRACKED]
+    return {ident: Track(stamps[ids == ident], poses[ids == ident]) for ident in names}
 
 
 @dataclass(slots=True)
 class Matches:
     """R matched skeletons of a channel, and what was not matched."""
 
-    stamps: list[int] = field(default_factory=list)
+    stamps: Stamps
     """(R,) ns."""
-    people: list[int] = field(default_factory=list)
+    people: Stamps
     """(R,) row of the true person in the truth."""
-    ids: list[int] = field(default_factory=list)
+    ids: Ints
     """(R,) id of the skeleton."""
-    poses: list[Floats] = field(default_factory=list)
-    """(M, 3) m each."""
-    true_poses: list[Floats] = field(default_factory=list)
-    orientations: list[Floats] = field(default_factory=list)
-    """(L, 4) x y z w each."""
-    true_orientations: list[Floats] = field(default_factory=list)
-    tracks: dict[int, Track] = field(default_factory=dict)
+    poses: Floats
+    """(R, M, 3) m."""
+    true_poses: Floats
+    orientations: Floats
+    """(R, L, 4) x y z w."""
+    true_orientations: Floats
+    tracks: Mapping[int, Track] = field(default_factory=dict)
     """Every id, matched or not."""
+    frames: int = 0
+    span: tuple[int, int] | None = None
+    """Stamps of the first and the last frame, ns, also of those that the truth does not cover."""
     similarities: list[FrameSimilarity] = field(default_factory=list)
     missed: list[Flags] = field(default_factory=list)
     """(M,) each: which markers the truth has of a true person whom no skeleton matches."""
     false: int = 0
     """Skeletons that match nobody; those of a partial truth are of somebody else."""
-    switches: int = 0
-    frames: int = 0
     silent: int = 0
-    """Instants with people but without a frame; see :mod:`hiros_mcap.evaluate.silence`."""
-    span: tuple[int, int] | None = None
-    """Stamps of the first and the last frame, ns, also of those that the truth does not cover."""
+    """Instants with people but without a frame; see :func:`silent_instants`."""
     nearest: float = math.inf
     """Least distance of a skeleton from a true person, mean over joints, m."""
+
+    @property
+    def switches(self) -> int:
+        """How often a true person's nearest skeleton has another id than at the last match."""
+        each = (self.ids[self.people == person] for person in np.unique(self.people))
+        return sum(int(np.count_nonzero(np.diff(ids))) for ids in each)
+
+
+SHORTEST_NS = 50_000_000
+"""A step between frames that is not longer is never silence."""
+_IRREGULAR_NS = 100_000_000
+"""Cameras that take turns make steps of many lengths, up to this one; longer steps are gaps."""
+_SLACK = 1.5
+"""Silence is longer than this many usual steps, so that one lost frame counts."""
+_ENDS_NS = 100_000_000
+"""Cameras and truth do not start and stop together: shorter silence at the ends does not count."""
+
+
+def silent_instants(stamps: Stamps, truth: Truth) -> Stamps:
+    """(S,) Times, ns, of the truth's span at which a result is silent; increasing.
+
+    A result has its own rhythm: motion capture at 100 Hz beside a result of 30 Hz is not silence.
+    So silence between frames, before the first, and after the last is filled at that rhythm.
+
+    ``stamps`` are the times of all frames of the result, ns, in any order, also of frames without
+    people. The rhythm is the mean step outside silence; a result of less than two different times
+    has the rhythm of the truth.
+    """
+    stamps = np.unique(stamps)
+    steps = np.diff(stamps if stamps.size > 1 else truth.stamps)
+    if not steps.size:
+        return np.zeros(0, np.int64)
+    longest = max(_SLACK * _usual(steps), SHORTEST_NS)
+    step = float(np.mean(steps[steps <= longest]))
+    first, last = truth.stamps[[0, -1]]
+    inside = stamps[(stamps >= first) & (stamps <= last)]
+    # The span of the truth is closed: with a frame one step before and one after it, its first and
+    # last instants are filled as those between two frames.
+    ends = np.concatenate([[first - step], inside, [last + step]])
+    gaps = [
+        np.arange(ends[k] + step, ends[k + 1] - step / 2, step)
+        for k, length in enumerate(np.diff(ends))
+        if length > (longest if 0 < k < len(ends) - 2 else max(longest, _ENDS_NS + step))
+    ]
+    instants = np.concatenate([np.zeros(0), *gaps]).astype(np.int64)
+    return np.asarray(instants[truth.covers(instants)])
+
+
+def _usual(steps: Stamps) -> float:
+    """Longest step that belongs to the rhythm, ns: 90 % are not longer, or the median of them."""
+    most = float(np.percentile(steps, 90))
+    return most if most <= _IRREGULAR_NS else float(np.median(steps))
 
 
 def match(frames: Iterable[Frame], truth: Truth, max_distance: float = MATCH_DISTANCE) -> Matches:
     """Match skeletons with an id to true people, each frame by itself, least distance first.
 
     Frames that the truth does not cover do not count. Where the result is silent, everybody is
-    missed. A switch is counted when a true person's nearest skeleton has another id than at the
-    last match. Skeletons that match nobody of a partial truth are left out of the similarities.
+    missed. Skeletons that match nobody of a partial truth are left out of the similarities.
     """
-    result = Matches()
-    last_ids: dict[int, int] = {}
-    everything = list(frames)
-    stamps = np.array([frame.stamp for frame in everything], np.int64)
+    every = list(frames)
+    stamps = np.array([frame.stamp for frame in every], np.int64)
+    silent, is_covered = silent_instants(stamps, truth), truth.covers(stamps)
+    covered = [frame for frame, counts in zip(every, is_covered, strict=True) if counts]
+    times = stamps[is_covered]
+    places = np.searchsorted(np.maximum.accumulate(times), silent, side="right")
+    instants = np.insert(times, places, silent)
+    numbers = np.insert(np.arange(len(times)), places, -1).tolist()
+    none, poses, links = np.zeros(0, np.int64), truth.positions[0, :0], truth.orientations[0, :0]
+    rows: list[Sequence[Any]] = [(none, none, none, poses, poses, links, links)]
+    nobody = dict(zip(_ROWS, rows[0], strict=True))
+    result = Matches(**nobody, tracks=tracks_of(covered), frames=len(covered))
     if stamps.size:
         result.span = int(stamps.min()), int(stamps.max())
-    silent = deque(silent_instants(stamps, truth).tolist())
-    for frame in everything:
-        while silent and silent[0] < frame.stamp:
-            _miss_everybody(silent.popleft(), truth, result)
-        if truth.covers(frame.stamp):
-            _match_frame(frame, truth, max_distance, result, last_ids)
-    for stamp in silent:
-        _miss_everybody(stamp, truth, result)
+    for start in range(0, len(instants), _CHUNK):
+        chunk = slice(start, start + _CHUNK)
+        true = zip(*truth.at(instants[chunk]), strict=True)
+        for number, (positions, orientations) in zip(numbers[chunk], true, strict=True):
+            frame = covered[number] if number >= 0 else _NOBODY
+            row = _match_frame(frame, (positions, orientations), truth, max_distance, result)
+            if row:
+                rows.append(row)
+            result.silent += number < 0 and len(result.similarities[-1].true_ids) > 0
+    for name, parts in zip(_ROWS, zip(*rows, strict=True), strict=True):
+        setattr(result, name, np.concatenate(parts))
     return result
 
 
-def _miss_everybody(stamp: int, truth: Truth, result: Matches) -> None:
-    """Count an instant without a frame."""
-    visible = ~np.isnan(truth.at(stamp)[0][..., 0])
-    present = np.nonzero(visible.any(axis=-1))[0]
-    result.silent += bool(len(present))
-    result.missed += list(visible[present])
-    nobody = np.zeros((len(present), 0))
-    result.similarities.append(FrameSimilarity(tuple(present.tolist()), (), nobody))
-
-
 def _match_frame(
-    frame: Frame, truth: Truth, max_distance: float, result: Matches, last_ids: dict[int, int]
-) -> None:
+    frame: Frame, true: tuple[Floats, Floats], truth: Truth, max_distance: float, result: Matches
+) -> Sequence[Any]:
+    """Match one frame; return what it adds to each of _ROWS, nothing if nobody matches."""
+    positions, orientations = true
     rows = np.nonzero(frame.ids != UNTRACKED)[0]
-    ids: list[int] = frame.ids[rows].tolist()
-    positions, orientations = truth.at(frame.stamp)
+    ids, poses = frame.ids[rows], frame.positions[rows]
     visible = ~np.isnan(positions[..., 0])
     present = np.nonzero(visible.any(axis=-1))[0]
-    distance = skeleton_distances(positions[present], frame.positions[rows])
-    for row, ident in zip(rows, ids, strict=True):
-        track = result.tracks.setdefault(ident, Track())
-        track.stamps.append(frame.stamp)
-        track.poses.append(frame.positions[row].copy())
+    distance = skeleton_distances(positions[present], poses)
     pairs = best_pairs(np.where(distance < max_distance, distance, np.inf))
     pairs.sort(key=lambda pair: pair[1])  # as the frame has them
-    for true_row, column in pairs:
-        person, ident, row = int(present[true_row]), ids[column], rows[column]
-        result.switches += last_ids.get(person, ident) != ident
-        last_ids[person] = ident
-        result.stamps.append(frame.stamp)
-        result.people.append(person)
-        result.ids.append(ident)
-        result.poses.append(frame.positions[row].copy())
-        result.true_poses.append(positions[person])
-        result.orientations.append(frame.orientations[row].copy())
-        result.true_orientations.append(orientations[person])
-    result.missed += list(visible[np.delete(present, [true_row for true_row, _ in pairs])])
+    true_rows, columns = np.array(pairs, np.int64).reshape(-1, 2).T
+    result.missed += list(visible[np.delete(present, true_rows)])
     result.false += len(rows) - len(pairs)
-    result.frames += 1
     result.nearest = min(result.nearest, float(distance.min(initial=math.inf)))
     # A skeleton of nobody is a fault only if the truth has everybody.
-    kept = [column for _, column in pairs] if truth.partial else list(range(len(ids)))
+    kept = columns if truth.partial else np.arange(len(rows))
     similarity = np.clip(1 - distance[:, kept] / max_distance, 0, 1)
-    names = tuple(ids[column] for column in kept)
-    result.similarities.append(FrameSimilarity(tuple(present.tolist()), names, similarity))
+    names = tuple(present.tolist()), tuple(ids[kept].tolist())
+    result.similarities.append(FrameSimilarity(*names, similarity))
+    if not pairs:
+        return ()
+    people, links = present[true_rows], frame.orientations[rows[columns]]
+    stamps = np.full(len(pairs), frame.stamp)
+    matched = stamps, people, ids[columns], poses[columns], positions[people]
+    return *matched, links, orientations[people]
 
 
 def explain_no_match(matches: Matches, truth: Truth) -> str:
     """Return the distance of result and truth in words if nobody was matched, else ""."""
-    if matches.people or not math.isfinite(matches.nearest):
+    if len(matches.people) or not math.isfinite(matches.nearest):
         return ""
-    poses = np.stack([pose for track in matches.tracks.values() for pose in track.poses])
+    poses = np.concatenate([track.poses for track in matches.tracks.values()])
     return (
         f"no skeleton comes nearer than {matches.nearest:.1f} m to a true person. Is the truth in "
         "metres, in the log's fixed frame, with the right --up and --shift? Typical coordinates: "
@@ -162,3 +223,52 @@ def _median_text(positions: Floats) -> str:
     """Median of each coordinate, as text."""
     median = np.nanmedian(positions.reshape(-1, 3), axis=0)
     return f"({', '.join(f'{value:.4g}' for value in median)})"
+
+
+_LEAST_SECONDS = 2.0
+_LEAST_SHARE = 0.25
+"""Of the scored frames, that somebody without a label is there."""
+_UNMATCHED = 0.9
+"""Of his frames, that no true person matches."""
+_WALKS_M = 0.5
+"""RMS distance of somebody who walks about from his own mean position."""
+_FOUND = 0.5
+"""Of all true people and instants: a result that finds fewer says nothing about the truth."""
+
+
+def people_without_truth(
+    matches: Matches, truth: Truth, max_distance: float = MATCH_DISTANCE
+) -> tuple[int, ...]:
+    """Return the ids that are surely of people whom the truth lacks.
+
+    A detector's error must not pass for a person. So an id counts only if it is there for a quarter
+    of the frames and 2 s, matches nobody in 90 % of its frames, is farther than the matching
+    distance from every true person in half of them (a second skeleton of one person never is), and
+    walks about, which an object that is taken for a person does not. And the result must find the
+    people of the truth: otherwise the two do not belong together.
+
+    Parameters
+    ----------
+    matches : of a result with this truth.
+    truth : on the markers of the result.
+    max_distance : m, that the matches were found with.
+    """
+    if len(matches.people) < _FOUND * (len(matches.people) + len(matches.missed)):
+        return ()
+    matched = dict(zip(*np.unique(matches.ids, return_counts=True), strict=True))
+    others = []
+    for ident, track in matches.tracks.items():
+        n, seconds = len(track.stamps), (track.stamps[-1] - track.stamps[0]) / 1e9
+        lasts = n >= _LEAST_SHARE * matches.frames and seconds >= _LEAST_SECONDS
+        if lasts and matched.get(ident, 0) <= (1 - _UNMATCHED) * n and _walks(track):
+            frames = zip(truth.at(track.stamps)[0], track.poses, strict=True)
+            nearest = [skeleton_distances(t, p[None]).min(initial=np.inf) for t, p in frames]
+            if np.mean(np.array(nearest) > max_distance) >= 0.5:
+                others.append(ident)
+    return tuple(sorted(others))
+
+
+def _walks(track: Track) -> bool:
+    places = np.nanmean(track.poses, axis=1)
+    away = places - np.nanmean(places, axis=0)
+    return bool(np.nanmean((away * away).sum(axis=-1)) >= _WALKS_M**2)

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from hiros_mcap.evaluate.parts import PARTS
+from hiros_mcap.evaluate.statistics import PARTS
 from hiros_mcap.summary import number
 
 Rows = list[tuple[str, ...]]
@@ -219,10 +219,8 @@ def table_of(
     ``first`` is the title of the column of names; the title of the table states the ``unit``.
     """
     rows = list(rows)
-    columns = [m for m in measures if not (m.is_optional and _has_none(m, rows))]
+    columns = [
+        m for m in measures if not (m.is_optional and all(math.isnan(m.of(row)) for _, row in rows))
+    ]
     header = (first, *(m.header(unit) for m in columns))
     return header, [(name, *(m.cell(scores) for m in columns)) for name, scores in rows]
-
-
-def _has_none(measure: Measure, rows: Sequence[tuple[str, object]]) -> bool:
-    return all(math.isnan(measure.of(scores)) for _, scores in rows)

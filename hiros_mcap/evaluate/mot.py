@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hiros_mcap.evaluate.pairing import best_pairs
-from hiros_mcap.skeletons import Floats
+from hiros_mcap.skeletons import Floats, Stamps
 
 ALPHAS = np.arange(0.05, 0.99, 0.05)
 """Similarities at which a match counts, averaged over by HOTA (Luiten et al. 2021, eq. 10)."""
@@ -49,8 +49,25 @@ class TrackingScores:
 
 def tracking_scores(frames: Sequence[FrameSimilarity]) -> TrackingScores:
     """Compute all measures; NaN where nobody was there to be found."""
-    mota, motp, switches = _clear(frames)
-    return TrackingScores(mota, motp, switches, _idf1(frames), _hota(frames))
+    people = {i: k for k, i in enumerate(sorted({i for now in frames for i in now.true_ids}))}
+    names = {i: k for k, i in enumerate(sorted({i for now in frames for i in now.ids}))}
+    true, reported = np.zeros((len(people), 1)), np.zeros(len(names))
+    placed = []
+    for now in frames:
+        rows = np.array([people[i] for i in now.true_ids], np.int64)
+        columns = np.array([names[i] for i in now.ids], np.int64)
+        true[rows] += 1
+        reported[columns] += 1
+        placed.append((rows, columns, now.similarity))
+    total = float(true.sum() + reported.sum())
+    if not total:
+        return TrackingScores(*_clear(frames), np.nan, np.nan)
+    together = np.zeros((len(people), len(names)))
+    for rows, columns, similarity in placed:
+        np.add.at(together, np.ix_(rows, columns), similarity > _TINY)
+    hits = sum(together[row, column] for row, column in _best_scores(together))
+    hota = _hota(placed, true, reported)
+    return TrackingScores(*_clear(frames), float(2 * hits / total), hota)
 
 
 def _best_scores(score: Floats) -> list[tuple[int, int]]:
@@ -84,64 +101,27 @@ def _clear(frames: Sequence[FrameSimilarity]) -> tuple[float, float, int]:
     return 1 - wrong / true, similarity / matched if matched else np.nan, switches
 
 
-def _counts(
-    frames: Sequence[FrameSimilarity],
-) -> tuple[dict[int, int], dict[int, int], Floats, Floats]:
-    """Slots of people and of ids, and how often each appears."""
-    people = {i: k for k, i in enumerate(sorted({i for now in frames for i in now.true_ids}))}
-    names = {i: k for k, i in enumerate(sorted({i for now in frames for i in now.ids}))}
-    true, reported = np.zeros(len(people)), np.zeros(len(names))
-    for now in frames:
-        true[[people[i] for i in now.true_ids]] += 1
-        reported[[names[i] for i in now.ids]] += 1
-    return people, names, true, reported
-
-
-def _idf1(frames: Sequence[FrameSimilarity]) -> float:
-    people, names, true, reported = _counts(frames)
-    together = np.zeros((len(people), len(names)))
-    for now in frames:
-        for row, person in enumerate(now.true_ids):
-            for column, name in enumerate(now.ids):
-                close = now.similarity[row, column] > _TINY
-                together[people[person], names[name]] += close
-    total = true.sum() + reported.sum()
-    hits = sum(together[row, column] for row, column in _best_scores(together))
-    return float(2 * hits / total) if total else np.nan
-
-
-def _hota(frames: Sequence[FrameSimilarity]) -> float:
-    people, names, true, reported = _counts(frames)
-    if not true.sum() + reported.sum():
-        return np.nan
-    alignment = _alignment(frames, people, names, true, reported)
-    together = np.zeros((len(ALPHAS), len(people), len(names)))
-    for now in frames:
-        rows = [people[i] for i in now.true_ids]
-        columns = [names[i] for i in now.ids]
-        for r, c in _best_scores(alignment[np.ix_(rows, columns)] * now.similarity):
-            together[:, rows[r], columns[c]] += now.similarity[r, c] >= ALPHAS - 1e-9
+def _hota(placed: Sequence[tuple[Stamps, Stamps, Floats]], true: Floats, reported: Floats) -> float:
+    """Compute HOTA of the slots of people and ids in each frame, and how often each is there."""
+    alignment = _alignment(placed, true + reported)
+    together = np.zeros((len(ALPHAS), *alignment.shape))
+    for rows, columns, similarity in placed:
+        for r, c in _best_scores(alignment[np.ix_(rows, columns)] * similarity):
+            together[:, rows[r], columns[c]] += similarity[r, c] >= ALPHAS - 1e-9
     matched = together.sum(axis=(1, 2))
     detection = matched / (true.sum() + reported.sum() - matched)
-    union = true[:, None] + reported[None] - together
-    shared = (together * together / np.maximum(union, 1)).sum(axis=(1, 2))
+    shared = (together * together / np.maximum(true + reported - together, 1)).sum(axis=(1, 2))
     association = shared / np.maximum(matched, 1)
     return float(np.sqrt(detection * association).mean())
 
 
-def _alignment(
-    frames: Sequence[FrameSimilarity],
-    people: dict[int, int],
-    names: dict[int, int],
-    true: Floats,
-    reported: Floats,
-) -> Floats:
-    """(people, names) How well an id follows a person over the whole log, 0..1."""
-    shared = np.zeros((len(people), len(names)))
-    for now in frames:
-        s = now.similarity
-        rows = [people[i] for i in now.true_ids]
-        columns = [names[i] for i in now.ids]
+def _alignment(placed: Sequence[tuple[Stamps, Stamps, Floats]], both: Floats) -> Floats:
+    """(people, names) How well an id follows a person over the whole log, 0..1.
+
+    ``both`` : how often the one and the other are there.
+    """
+    shared = np.zeros(both.shape)
+    for rows, columns, s in placed:
         union = s.sum(axis=0, keepdims=True) + s.sum(axis=1, keepdims=True) - s
         shared[np.ix_(rows, columns)] += np.where(union > _TINY, s / np.maximum(union, _TINY), 0.0)
-    return shared / (true[:, None] + reported[None] - shared)
+    return shared / (both - shared)

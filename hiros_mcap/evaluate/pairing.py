@@ -30,13 +30,13 @@ def best_pairs(cost: Floats) -> list[tuple[int, int]]:
 
     ``cost`` is (R, C); pairs of infinite cost are not allowed. Returns pairs (row, column) by row.
     """
+    allowed = np.isfinite(cost)
+    rows, columns = (each.tolist() for each in np.nonzero(allowed))
+    if len(set(rows)) == len(rows) == len(set(columns)):
+        return list(zip(rows, columns, strict=True))  # nobody has a choice
     from scipy.optimize import linear_sum_assignment
 
-    allowed = np.isfinite(cost)
-    if not allowed.any():
-        return []
     # One forbidden pair costs more than all allowed ones together can save.
     forbidden = (2 * np.abs(cost[allowed]).max() + 1) * (max(cost.shape) + 1)
-    rows, columns = linear_sum_assignment(np.where(allowed, cost, forbidden))
-    pairs = zip(rows.tolist(), columns.tolist(), strict=True)
-    return [(row, column) for row, column in pairs if allowed[row, column]]
+    best = np.transpose(linear_sum_assignment(np.where(allowed, cost, forbidden))).tolist()
+    return [(row, column) for row, column in best if allowed[row, column]]

@@ -65,15 +65,13 @@ def notes_of(truth: Truth, results: Mapping[str, ChannelResult]) -> list[str]:
 def _partial(truth: Truth, others: Sequence[int]) -> str:
     if not others:
         return ""
+    names = ", ".join(map(str, others))
+    who = f"person {names} walks" if len(others) == 1 else f"the people {names} walk"
     return (
         f"the truth seems to have only {len(truth.people)} of the people: it has nobody where "
-        f"{_ids(others)} {'walks' if len(others) == 1 else 'walk'} about. Skeletons of nobody "
+        f"{who} about. Skeletons of nobody "
         "therefore don't count, and False is unknown; --truth-covers all counts them"
     )
-
-
-def _ids(ids: Sequence[int]) -> str:
-    return f"person {ids[0]}" if len(ids) == 1 else f"the people {', '.join(map(str, ids))}"
 
 
 def _silence(results: Mapping[str, ChannelResult]) -> str:

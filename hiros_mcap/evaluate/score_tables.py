@@ -6,24 +6,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hiros_mcap.evaluate import measures
 from hiros_mcap.evaluate.comparison import Outcome
 from hiros_mcap.evaluate.leave_one_out import LeftOut, SelfScores
 from hiros_mcap.evaluate.logs import Consistency
-from hiros_mcap.evaluate.measures import (
-    CONSISTENCY,
-    ERRORS,
-    LEFT_OUT,
-    MOTION,
-    PEOPLE,
-    RANKED,
-    SELF,
-    Rows,
-    Table,
-    table_of,
-)
+from hiros_mcap.evaluate.measures import SELF, Rows, Table, table_of
 from hiros_mcap.evaluate.scores import Scores
 from hiros_mcap.evaluate.side_scores import SideScores
-from hiros_mcap.evaluate.statistics import ErrorStats
+from hiros_mcap.evaluate.statistics import AngleStats, ErrorStats
 from hiros_mcap.summary import number
 
 TWO_CAMERAS = (
@@ -47,9 +37,11 @@ WITHOUT_TRUTH = " ".join(
 def truth_tables(scores: Mapping[str, Scores]) -> dict[str, Table]:
     """Title -> table of the measures against a truth, a row per channel."""
     return {
-        "Joint error, mm": table_of("Channel", scores.items(), ERRORS, "mm"),
-        "Motion": table_of("Channel", scores.items(), MOTION),
-        "People: sums over frames and silent instants": table_of("Channel", scores.items(), PEOPLE),
+        "Joint error, mm": table_of("Channel", scores.items(), measures.ERRORS, "mm"),
+        "Motion": table_of("Channel", scores.items(), measures.MOTION),
+        "People: sums over frames and silent instants": table_of(
+            "Channel", scores.items(), measures.PEOPLE
+        ),
     }
 
 
@@ -60,37 +52,37 @@ BENDING = "Unsigned bending angles"
 def angle_table(scores: Scores) -> Table:
     """Errors of the eight bending angles, degrees, by joint positions and by links."""
     header = ("Joint", "RMSE", "SD", "Bias", "By links: RMSE", "SD", "Bias", "Left out")
-    rows = []
-    for name, error in scores.angles.items():
-        link = scores.link_angles[name]
-        cells = (number(v, 2) for s in (error, link) for v in (s.rmse, s.deviation, s.bias))
-        rows.append((name, *cells, str(link.singular)))
-    return header, rows
+    links = scores.link_angles
+    return header, [(name, *_cells(s, links[name])) for name, s in scores.angles.items()]
 
 
 def signed_angle_table(scores: Scores) -> Table:
     """Errors of the signed joint angles (docs/angles.md), degrees."""
-    rows: Rows = [
-        (name, *(number(v, 2) for v in (s.rmse, s.deviation, s.bias)), str(s.singular))
-        for name, s in scores.signed_angles.items()
-    ]
+    rows = [(name, *_cells(s)) for name, s in scores.signed_angles.items()]
     return ("Angle", "RMSE", "SD", "Bias", "Left out"), rows
+
+
+def _cells(*stats: AngleStats) -> list[str]:
+    numbers = [number(v, 2) for s in stats for v in (s.rmse, s.deviation, s.bias)]
+    return [*numbers, str(stats[-1].singular)]
 
 
 def joint_table(joints: Mapping[str, ErrorStats]) -> Table:
     """Error of every joint, mm."""
-    return table_of("Joint", joints.items(), ERRORS[:4], "mm")
+    return table_of("Joint", joints.items(), measures.ERRORS[:4], "mm")
 
 
 def left_out_table(cameras: Sequence[LeftOut]) -> Table:
     """Distance of each camera left out from what the others give, mm."""
-    return table_of("Left out", ((camera.topic, camera) for camera in cameras), LEFT_OUT, "mm")
+    return table_of(
+        "Left out", ((camera.topic, camera) for camera in cameras), measures.LEFT_OUT, "mm"
+    )
 
 
 def lines_of(result: Consistency) -> list[str]:
     """Return limb constancy and jitter of a result, a line each."""
-    measures = [m for m in CONSISTENCY if m.digits]
-    return [f"{m.title}: {m.cell(result)} {m.unit}".rstrip() for m in measures]
+    shown = [m for m in measures.CONSISTENCY if m.digits]
+    return [f"{m.title}: {m.cell(result)} {m.unit}".rstrip() for m in shown]
 
 
 def notes_without_truth(scores: SelfScores) -> list[str]:
@@ -122,8 +114,8 @@ def system_table(outcomes: Sequence[Outcome]) -> Table:
     With a truth, the system with the least error comes first. Without one, the systems stay in the
     order in which they were named: no number tells which is best.
     """
-    measures = RANKED if has_truth(outcomes) else SELF
-    return table_of("System", ((o.name, o) for o in best_first(outcomes)), measures, "mm")
+    columns = measures.RANKED if has_truth(outcomes) else SELF
+    return table_of("System", ((o.name, o) for o in best_first(outcomes)), columns, "mm")
 
 
 def has_truth(outcomes: Sequence[Outcome]) -> bool:

@@ -13,10 +13,10 @@ from hiros_mcap.body.rotations import angle
 from hiros_mcap.body.segments import SIDES
 from hiros_mcap.evaluate.match import MATCH_DISTANCE, Matches, explain_no_overlap, match
 from hiros_mcap.evaluate.mot import TrackingScores, tracking_scores
-from hiros_mcap.evaluate.parts import parts_of
 from hiros_mcap.evaluate.smoothness import distances_at, jitter, lag, lengths_of, limb_variations
-from hiros_mcap.evaluate.statistics import AngleStats, ErrorStats, mean_of
+from hiros_mcap.evaluate.statistics import AngleStats, ErrorStats, mean_of, parts_of
 from hiros_mcap.evaluate.truth import Truth
+from hiros_mcap.io.marker_uncertainty import Deviations
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 
 PCK_MM = tuple(range(0, 201, 5))
@@ -100,13 +100,8 @@ def evaluate(
     model : of ``frames``.
     max_distance : m, mean over joints; a skeleton farther away is of somebody else.
 
-    Raises
-    ------
-    ConfigError
-        The models share no marker.
-    ValueError
-        There are frames, but none within the time of the truth. (Without any frame, everybody is
-        missing all the time.)
+    Raises ConfigError if the models share no marker; ValueError if there are frames, but none
+    within the time of the truth. (Without any frame, everybody is missing.)
     """
     return score_matches(match(frames, truth.seen_by(model), max_distance), truth, model)
 
@@ -117,15 +112,13 @@ def score_matches(matches: Matches, truth: Truth, model: SkeletonModel) -> Score
         raise ValueError(explain_no_overlap(matches, truth))
     truth = truth.seen_by(model)
     model = truth.model or model  # its own where nobody was seen
-    markers, links = (model.n_markers, 3), (model.n_links, 4)
-    poses, true_poses = _stack(matches.poses, markers), _stack(matches.true_poses, markers)
-    orientations = _stack(matches.orientations, links)
-    true_orientations = _stack(matches.true_orientations, links)
+    poses, true_poses = matches.poses, matches.true_poses
+    turns = matches.orientations, matches.true_orientations
     errors = 1000 * np.linalg.norm(poses - true_poses, axis=-1)
     all_errors = ErrorStats.of(errors)
     bending = np.degrees(wrapped(flexions(model, poses) - flexions(model, true_poses)))
     angles = {name: AngleStats.of(bending[:, k]) for k, name in enumerate(ANGLES)}
-    by_links = _link_angle_stats(model, orientations, true_orientations)
+    by_links = _link_angle_stats(model, *turns)
     tracks = matches.tracks.values()
     late_ms = lag(matches, truth)
     return Scores(
@@ -138,7 +131,7 @@ def score_matches(matches: Matches, truth: Truth, model: SkeletonModel) -> Score
         angle_deviation=_mean_deviation(angles),
         link_angle_rmse=_pooled_rmse(by_links),
         link_angle_deviation=_mean_deviation(by_links),
-        orientation_error=mean_of(np.degrees(angle(orientations, true_orientations))),
+        orientation_error=mean_of(np.degrees(angle(*turns))),
         limb_error=_limb_error(matches, truth, model),
         limb_variation=mean_of(limb_variations(tracks, model)),
         jitter=mean_of(jitter(tracks)),
@@ -155,7 +148,7 @@ def score_matches(matches: Matches, truth: Truth, model: SkeletonModel) -> Score
             part: ErrorStats.of(errors[:, columns]) for part, columns in parts_of(model).items()
         },
         joints=ErrorStats.by_name(model.marker_names, errors),
-        pck=pck_curves(errors, model, _unplaced(matches, poses, true_poses)),
+        pck=pck_curves(errors, model, _unplaced(matches)),
         angles=angles,
         link_angles=by_links,
         signed_angles=_signed_angle_stats(model, poses, true_poses),
@@ -215,11 +208,11 @@ def _mean_deviation(angles: Mapping[str, AngleStats]) -> float:
     return total / sum(a.count for a in counted) if counted else np.nan
 
 
-def _unplaced(matches: Matches, poses: Floats, true_poses: Floats) -> Floats:
+def _unplaced(matches: Matches) -> Floats:
     """(M,) How often the truth has a marker and the result, which has it elsewhere, lacks it."""
-    lacks = np.isnan(poses[..., 0]) & ~np.isnan(true_poses[..., 0])
+    lacks = np.isnan(matches.poses[..., 0]) & ~np.isnan(matches.true_poses[..., 0])
     count = lacks.sum(axis=0) + np.sum(matches.missed, axis=0, initial=0)
-    shown = [~np.isnan(np.stack(t.poses)[..., 0]).all(axis=0) for t in matches.tracks.values()]
+    shown = [~np.isnan(t.poses[..., 0]).all(axis=0) for t in matches.tracks.values()]
     return np.where(np.any(shown, axis=0), count, 0) if shown else np.asarray(count)
 
 
@@ -247,10 +240,6 @@ def _pck(errors: Floats, unplaced: float) -> tuple[float, ...]:
     return tuple(float((present <= t).sum() / true) if true else np.nan for t in PCK_MM)
 
 
-def _stack(rows: list[Floats], shape: tuple[int, int]) -> Floats:
-    return np.stack(rows) if rows else np.full((0, *shape), np.nan)
-
-
 def _first_rows(matches: Matches) -> list[int]:
     """Rows of the first frames of each id, but for those that begin with the log."""
     start = min((track.stamps[0] for track in matches.tracks.values()), default=0)
@@ -258,19 +247,60 @@ def _first_rows(matches: Matches) -> list[int]:
         (i, stamp)
         for i, track in matches.tracks.items()
         if track.stamps[0] > start
-        for stamp in track.stamps[:FIRST_FRAMES]
+        for stamp in track.stamps[:FIRST_FRAMES].tolist()
     }
-    pairs = zip(matches.ids, matches.stamps, strict=True)
+    pairs = zip(matches.ids.tolist(), matches.stamps.tolist(), strict=True)
     return [k for k, pair in enumerate(pairs) if pair in first]
 
 
 def _limb_error(matches: Matches, truth: Truth, model: SkeletonModel) -> float:
     """Per row, against the median length of the true person."""
-    if not matches.poses:
-        return np.nan
     lengths = lengths_of(truth.positions, model)
     medians = np.full(lengths.shape[1:], np.nan)
     seen = ~np.isnan(lengths).all(axis=0)
     medians[seen] = np.nanmedian(lengths[:, seen], axis=0)
-    of_result = lengths_of(np.stack(matches.poses), model)
+    of_result = lengths_of(matches.poses, model)
     return mean_of(1000 * np.abs(of_result - medians[matches.people]))
+
+
+# Quantiles of chi square with three degrees of freedom.
+_SQUARE_68, _SQUARE_95 = 3.5059, 7.8147
+
+
+@dataclass(frozen=True, slots=True)
+class EllipsoidCoverage:
+    """Shares of the true joints; right are 0.68 and 0.95."""
+
+    joints: int
+    """Joints whose uncertainty and truth are known."""
+    within_68: float
+    """Share inside the ellipsoid that holds 68 % of a normal distribution."""
+    within_95: float
+    ratio: float
+    """Root mean square of error / stated standard deviation, per axis: 1 is right."""
+
+    def __str__(self) -> str:
+        return (
+            f"68 % ellipsoids hold {100 * self.within_68:.0f} % of the true joints, 95 % "
+            f"ellipsoids {100 * self.within_95:.0f} %"
+        )
+
+
+def coverage_of(
+    matches: Matches, given: Deviations, model: SkeletonModel
+) -> EllipsoidCoverage | None:
+    """Compare errors with stated deviations; None if no joint has both."""
+    keys = zip(matches.stamps.tolist(), matches.ids.tolist(), strict=True)
+    stated = (given.get(key, {}) for key in keys)
+    rows = [[one.get(marker, np.nan) for marker in model.marker_ids] for one in stated]
+    deviations = np.array(rows).reshape(-1, model.n_markers)
+    squares = ((matches.poses - matches.true_poses) ** 2).sum(axis=2) / deviations**2
+    squares = squares[np.isfinite(squares)]
+    if not len(squares):
+        return None
+    return EllipsoidCoverage(
+        len(squares),
+        float((squares < _SQUARE_68).mean()),
+        float((squares < _SQUARE_95).mean()),
+        float(np.sqrt(squares.mean() / 3)),
+    )

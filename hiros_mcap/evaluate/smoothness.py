@@ -35,7 +35,7 @@ def limb_variations(tracks: Iterable[Track], model: SkeletonModel) -> Floats:
     """(L,) Coefficient of variation of each link's length, mean over the people; NaN if unseen."""
     rows = [np.full(model.n_links, np.nan)]
     for track in tracks:
-        lengths = lengths_of(np.stack(track.poses), model)
+        lengths = lengths_of(track.poses, model)
         seen = (~np.isnan(lengths)).sum(axis=0) > 1
         row = np.full(model.n_links, np.nan)
         mean = np.nanmean(lengths[:, seen], axis=0)
@@ -53,9 +53,9 @@ def jitter(tracks: Iterable[Track]) -> Floats:
     for track in tracks:
         if len(track.stamps) < 3:
             continue
-        steps = np.diff(np.array(track.stamps))
+        steps = np.diff(track.stamps)
         even = np.maximum(steps[1:], steps[:-1]) <= _PAUSE * np.median(steps)
-        second = np.linalg.norm(np.diff(np.stack(track.poses), 2, axis=0), axis=-1)
+        second = np.linalg.norm(np.diff(track.poses, 2, axis=0), axis=-1)
         parts.append(1000 * second[even])
     return nan_mean(np.concatenate(parts), 0) if parts else np.array([np.nan])
 
@@ -66,17 +66,12 @@ def lag(matches: Matches, truth: Truth) -> float:
     A parabola through the best three shifts gives the fraction; NaN when nobody moves or the log is
     too short.
     """
-    step = max(1, len(matches.stamps) // _SAMPLES)
-    chosen = [
-        k
-        for k in range(0, len(matches.stamps), step)
-        if all(truth.covers(matches.stamps[k] + s * MOST_MS * 1_000_000) for s in (-1, 1))
-    ]
-    if not chosen:
+    some, most = slice(None, None, max(1, len(matches.stamps) // _SAMPLES)), MOST_MS * 1_000_000
+    stamps, rows, poses = matches.stamps[some], matches.people[some], matches.poses[some]
+    chosen = truth.covers(stamps - most) & truth.covers(stamps + most)
+    if not chosen.any():
         return np.nan
-    stamps = np.array([matches.stamps[k] for k in chosen], np.int64)
-    rows = np.array([matches.people[k] for k in chosen])
-    poses = np.stack([matches.poses[k] for k in chosen])
+    stamps, rows, poses = stamps[chosen], rows[chosen], poses[chosen]
 
     def cost(shift: int) -> float:
         """Mean squared distance to the truth ``shift`` ms earlier, m2."""
@@ -101,9 +96,7 @@ def lag(matches: Matches, truth: Truth) -> float:
 
 def distances_at(matches: Matches, truth: Truth, late_ms: float) -> Floats:
     """(R, M) Distances, m, from the truth at stamps moved by ``late_ms``; NaN if that is NaN."""
-    if np.isnan(late_ms) or not matches.stamps:
+    if np.isnan(late_ms):
         return np.zeros((0, 0))
-    stamps = np.array(matches.stamps, np.int64) - round(late_ms * 1e6)
-    errors = np.stack(matches.poses) - truth.positions_of(np.array(matches.people), stamps)
-    distances: Floats = np.linalg.norm(errors, axis=-1)
-    return distances
+    then = truth.positions_of(matches.people, matches.stamps - round(late_ms * 1e6))
+    return np.asarray(np.linalg.norm(matches.poses - then, axis=-1))

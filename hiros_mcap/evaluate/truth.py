@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hiros_mcap.body.rotations import multiply
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.skeletons import Floats, Frame, Ints, SkeletonModel, Stamps
+from hiros_mcap.skeletons import Flags, Floats, Frame, SkeletonModel, Stamps
 
 MAX_GAP_NS = 500_000_000
 """The truth is not interpolated over a longer pause."""
@@ -23,7 +23,7 @@ _Y_TO_Z = np.array([0.5**0.5, 0.0, 0.0, 0.5**0.5])
 class Truth:
     """True skeletons as arrays over time: T instants, N people."""
 
-    stamps: npt.NDArray[np.int64]
+    stamps: Stamps
     """(T,) ns, increasing."""
     positions: Floats
     """(T, N, M, 3) m, NaN where a person or a marker is absent."""
@@ -57,51 +57,48 @@ class Truth:
         stamps = np.array([frame.stamp for frame in ordered], np.int64)
         return cls(stamps, positions, orientations, people, model)
 
-    def covers(self, stamp: int) -> bool:
-        """Whether the truth knows who was there at ``stamp``: at an instant, or within no pause."""
-        after = int(np.searchsorted(self.stamps, stamp))
-        if after == len(self.stamps):
-            return False
-        if self.stamps[after] == stamp:
-            return True
-        return after > 0 and bool(self.stamps[after] - self.stamps[after - 1] <= MAX_GAP_NS)
+    def covers(self, stamps: Stamps | int) -> Flags:
+        """(...) Whether the truth knows who was there: at an instant, or within no pause."""
+        _, _, _, is_instant, is_between = self._neighbours(stamps, 0)
+        return np.asarray(is_instant | is_between)
 
-    def at(self, stamp: int) -> tuple[Floats, Floats]:
-        """(N, M, 3) positions and (N, L, 4) orientations, linear between the neighbours.
+    def at(self, stamps: Stamps | int) -> tuple[Floats, Floats]:
+        """(..., N, M, 3) positions and (..., N, L, 4) orientations at stamps (...).
 
-        NaN beyond the first and the last instant, and within a pause of more than half a second.
+        Linear between the neighbours. NaN beyond the first and the last instant, and within a pause
+        of more than half a second.
         """
-        after = int(np.searchsorted(self.stamps, stamp))
-        if after < len(self.stamps) and self.stamps[after] == stamp:
-            return self.positions[after], self.orientations[after]
-        inside = 0 < after < len(self.stamps)
-        if not inside or self.stamps[after] - self.stamps[after - 1] > MAX_GAP_NS:
-            shown = self.positions[0], self.orientations[0]
-            return np.full_like(shown[0], np.nan), np.full_like(shown[1], np.nan)
-        early, late = self.stamps[after - 1], self.stamps[after]
-        part = float(stamp - early) / float(late - early)
-        positions = (1 - part) * self.positions[after - 1] + part * self.positions[after]
-        first, second = self.orientations[after - 1], self.orientations[after]
+        early, late, *place = self._neighbours(stamps, 3)
+        positions = _mixed(self.positions[early], self.positions[late], *place)
+        first, second = self.orientations[early], self.orientations[late]
         sign = np.where(np.sum(first * second, axis=-1, keepdims=True) < 0, -1.0, 1.0)
-        orientations = (1 - part) * first + part * sign * second
+        orientations = _mixed(first, sign * second, *place)
         norm = np.linalg.norm(orientations, axis=-1, keepdims=True)
-        return positions, orientations / np.where(norm > 0, norm, np.nan)
+        orientations /= np.where(norm > 0, norm, np.nan)
+        return positions, np.where(place[1], second, orientations)
 
-    def positions_of(self, rows: Ints, stamps: Stamps) -> Floats:
+    def positions_of(self, rows: Stamps, stamps: Stamps) -> Floats:
         """(R, M, 3) positions of one person each, by rows and stamps (R,), as :meth:`at`."""
-        last = len(self.stamps) - 1
+        early, late, *place = self._neighbours(stamps, 2)
+        return _mixed(self.positions[early, rows], self.positions[late, rows], *place)
+
+    def _neighbours(self, stamps: Stamps | int, axes: int) -> tuple[Any, ...]:
+        """Rows before and after stamps; which part of the way, if at one, if between both.
+
+        The last three have so many axes more.
+        """
         after = np.searchsorted(self.stamps, stamps)
-        late = np.minimum(after, last)
+        late = np.minimum(after, len(self.stamps) - 1)
         early = np.maximum(late - 1, 0)
         gap = self.stamps[late] - self.stamps[early]
-        part = ((stamps - self.stamps[early]) / np.maximum(gap, 1))[:, None, None]
-        first, second = self.positions[early, rows], self.positions[late, rows]
-        between: Floats = (1 - part) * first + part * second
-        inside = (after > 0) & (after <= last) & (gap <= MAX_GAP_NS)
-        between[~inside] = np.nan
-        at_instant = self.stamps[late] == stamps
-        between[at_instant] = self.positions[late[at_instant], rows[at_instant]]
-        return between
+        place = (
+            (stamps - self.stamps[early]) / np.maximum(gap, 1),
+            self.stamps[late] == stamps,
+            (after > 0) & (after == late) & (gap <= MAX_GAP_NS),
+        )
+        more = (..., *[None] * axes)
+        part, is_instant, is_between = (np.asarray(each)[more] for each in place)
+        return early, late, part, is_instant, is_between
 
     def moved(self, seconds: float = 0.0, *, start: int | None = None, up: str = "z") -> Truth:
         """Return the truth with other times or axes.
@@ -142,11 +139,17 @@ class Truth:
         links = shared_links(self.model, model, slots)
         positions = np.full((*self.positions.shape[:2], model.n_markers, 3), np.nan)
         orientations = np.full((*self.orientations.shape[:2], model.n_links, 4), np.nan)
-        for theirs, ours in slots.items():
-            positions[:, :, ours] = self.positions[:, :, theirs]
-        for theirs, ours in links.items():
-            orientations[:, :, ours] = self.orientations[:, :, theirs]
+        positions[:, :, list(slots.values())] = self.positions[:, :, list(slots)]
+        orientations[:, :, list(links.values())] = self.orientations[:, :, list(links)]
         return replace(self, positions=positions, orientations=orientations, model=model)
+
+
+def _mixed(
+    early: Floats, late: Floats, part: Floats, is_instant: Flags, is_between: Flags
+) -> Floats:
+    """Values on the way between two instants, or at the later one; NaN elsewhere."""
+    between = np.where(is_between, (1 - part) * early + part * late, np.nan)
+    return np.where(is_instant, late, between)
 
 
 def shared_markers(a: SkeletonModel, b: SkeletonModel) -> dict[int, int]:
@@ -164,12 +167,9 @@ def _name(name: str) -> tuple[str, str]:
 def shared_links(a: SkeletonModel, b: SkeletonModel, slots: dict[int, int]) -> dict[int, int]:
     """Slot in ``a`` -> slot in ``b`` of links that join the same markers."""
     ends = {pair: k for k, pair in enumerate(zip(b.link_parents, b.link_children, strict=True))}
-    pairs = {}
-    for k, (parent, child) in enumerate(zip(a.link_parents, a.link_children, strict=True)):
-        other = ends.get((slots.get(parent, -2), slots.get(child, -2)))
-        if other is not None:
-            pairs[k] = other
-    return pairs
+    pairs = zip(a.link_parents, a.link_children, strict=True)
+    others = [ends.get((slots.get(parent, -2), slots.get(child, -2))) for parent, child in pairs]
+    return {slot: other for slot, other in enumerate(others) if other is not None}
 
 
 def _list(names: tuple[str, ...], most: int = 40) -> str:

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -40,10 +39,7 @@ def load_truth(path: Source, topic: str = f"{TRUTH_PREFIX}/*") -> Truth:
     path : an MCAP log, ``.trc`` or ``.csv``.
     topic : glob of the channel in a log; the ids of its skeletons are the true people.
 
-    Raises
-    ------
-    LogError, ConfigError
-        The file cannot be read, or holds no truth.
+    Raises LogError or ConfigError if the file cannot be read, or holds no truth.
     """
     readers = {".trc": read_trc, ".csv": read_csv}
     name = Path(path.path if isinstance(path, McapReader) else path)
@@ -85,37 +81,34 @@ def read_csv(path: Path) -> Truth:
     Raises ConfigError if a column is missing, a cell is not a number, a quaternion is none, or a
     link ends at a marker without positions.
     """
-    table = _read_table(path)
-    times = sorted({time for time, _, _ in table.joints} | {time for time, _, _ in table.links})
-    people = sorted({person for _, person, _ in table.joints})
-    names = list(dict.fromkeys(name for _, _, name in table.joints))
-    links = list(dict.fromkeys(ends for _, _, ends in table.links))
+    joints, turns = _read_tables(path)
+    times = sorted({time for time, _, _ in (*joints, *turns)})
+    people = sorted({person for _, person, _ in joints})
+    names = list(dict.fromkeys(name for _, _, name in joints))
+    links = list(dict.fromkeys(ends for _, _, ends in turns))
     if unknown := sorted({end for ends in links for end in ends} - set(names)):
         raise ConfigError(f"{path}: links end at joints without positions: {', '.join(unknown)}")
-    if unknown_people := sorted({p for _, p, _ in table.links} - set(people)):
+    if unknown_people := sorted({p for _, p, _ in turns} - set(people)):
         raise ConfigError(f"{path}: links of people without joints: {unknown_people}")
     shape = (len(times), len(people))
     positions = np.full((*shape, len(names), 3), np.nan)
     orientations = np.full((*shape, len(links), 4), np.nan)
     row_of = {time: k for k, time in enumerate(times)}
-    for (time, person, name), xyz in table.joints.items():
+    for (time, person, name), xyz in joints.items():
         positions[row_of[time], people.index(person), names.index(name)] = xyz
-    for (time, person, ends), xyzw in table.links.items():
+    for (time, person, ends), xyzw in turns.items():
         orientations[row_of[time], people.index(person), links.index(ends)] = xyzw
     slots = [(child, names.index(parent), names.index(child)) for parent, child in links]
     model = SkeletonModel.of(names, slots)
     return _truth(path, np.array(times), positions, orientations, model, tuple(people))
 
 
-@dataclass(slots=True)
-class _CsvRows:
-    """The rows of a CSV file, by time, person, and marker or ends of the link."""
-
-    joints: dict[tuple[float, int, str], list[float]] = field(default_factory=dict)
-    links: dict[tuple[float, int, tuple[str, str]], list[float]] = field(default_factory=dict)
+_Table = dict[tuple[float, int, Any], list[float]]
+"""Numbers by time, person, and marker or ends of the link."""
 
 
-def _read_table(path: Path) -> _CsvRows:
+def _read_tables(path: Path) -> tuple[_Table, _Table]:
+    """Return the positions of markers and the orientations of links in a CSV file."""
     try:
         reader = csv.DictReader(lines_of(path))
         columns, rows = set(reader.fieldnames or ()), list(reader)
@@ -129,38 +122,31 @@ def _read_table(path: Path) -> _CsvRows:
             f"{path}: line 1: no column {', '.join(sorted(missing))} "
             f"(there are: {', '.join(reader.fieldnames or ())})"
         )
-    table = _CsvRows()
+    joints: _Table = {}
+    links: _Table = {}
     for line, row in enumerate(rows, start=2):
-        stamp = number_of(row["time"], f"{path}: line {line}")
-        person = number_of(row.get("person") or "0", f"{path}: line {line}")
+        where = f"{path}: line {line}"
+        stamp, person = (number_of(text, where) for text in (row["time"], row.get("person") or "0"))
         if math.isnan(stamp) or not person.is_integer():
-            raise ConfigError(f"{path}: line {line}: time and person must be numbers")
-        _read_row(table, row, (stamp, int(person)), f"{path}: line {line}")
-    return table
+            raise ConfigError(f"{where}: time and person must be numbers")
+        marker, parent, child = ((row.get(c) or "").strip() for c in ("marker", *_LINK))
+        if bool(marker) == bool(parent or child) or bool(parent) != bool(child):
+            raise ConfigError(f"{where}: needs either a marker, or the parent and child of a link")
+        name = marker or f"link {parent} to {child}"
+        table, numbers = (joints, "xyz") if marker else (links, _QUATERNION)
+        key = stamp, int(person), marker or (parent, child)
+        if key in table:
+            raise ConfigError(f"{where}: {name} twice at {stamp} s")
+        values = [number_of(row[column], where) for column in numbers]
+        table[key] = values if marker else _unit_quaternion(values, where)
+    return joints, links
 
 
-def _read_row(
-    table: _CsvRows, row: Mapping[str, str | None], who: tuple[float, int], where: str
-) -> None:
-    marker, parent, child = ((row.get(c) or "").strip() for c in ("marker", *_LINK))
-    if bool(marker) == bool(parent or child) or bool(parent) != bool(child):
-        raise ConfigError(f"{where}: needs either a marker, or the parent and child of a link")
-    if marker:
-        if (*who, marker) in table.joints:
-            raise ConfigError(f"{where}: {marker} twice at {who[0]} s")
-        table.joints[*who, marker] = _numbers(row, "xyz", where)
-        return
-    xyzw = _numbers(row, _QUATERNION, where)
+def _unit_quaternion(xyzw: list[float], where: str) -> list[float]:
     length = math.hypot(*xyzw)
     if not abs(length - 1.0) <= _UNIT_LENGTH:  # nan, too
         raise ConfigError(f"{where}: the quaternion has the length {length:.3g}, not 1")
-    if (*who, (parent, child)) in table.links:
-        raise ConfigError(f"{where}: link {parent} to {child} twice at {who[0]} s")
-    table.links[*who, (parent, child)] = [q / length for q in xyzw]
-
-
-def _numbers(row: Mapping[str, str | None], columns: Sequence[str], where: str) -> list[float]:
-    return [number_of(row[column], where) for column in columns]
+    return [q / length for q in xyzw]
 
 
 def _truth(

@@ -44,12 +44,7 @@ def find_logs(named: Sequence[str], leave_out: str = "") -> list[str]:
     named : files, folders (searched with all folders below), globs, addresses.
     leave_out : folder of results, which may lie within the others.
 
-    Raises
-    ------
-    ConfigError
-        A folder or a glob has no logs.
-    OSError
-        A file does not exist.
+    Raises ConfigError if a folder or a glob has no logs; OSError if a file does not exist.
     """
     distinct: dict[str, None] = {}
     for text in named:

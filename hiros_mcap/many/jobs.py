@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -17,10 +17,17 @@ from hiros_mcap.config import Config
 from hiros_mcap.defaults import DEFAULT_SYSTEM, LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.leave_one_out import leave_one_out
-from hiros_mcap.evaluate.logs import covered_by, evaluate_channels, find_truth, start_of
+from hiros_mcap.evaluate.logs import (
+    check_scorable,
+    covered_by,
+    evaluate_channels,
+    find_truth,
+    results_of,
+    settings_of,
+    start_of,
+)
 from hiros_mcap.evaluate.measures import CONSISTENCY, MEASURES
 from hiros_mcap.evaluate.remarks import warnings_of
-from hiros_mcap.evaluate.scored import check_scorable, results_of, settings_of
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.export.files import export
 from hiros_mcap.io.export.marker_set import load_marker_set, renamed
@@ -31,8 +38,8 @@ from hiros_mcap.many.find import base_name
 from hiros_mcap.many.manifest import Verdict
 from hiros_mcap.outputs import Kind
 from hiros_mcap.regression.provenance import Provenance
+from hiros_mcap.regression.quantities import Tolerances
 from hiros_mcap.regression.suite import GOLDEN_SUFFIXES, Golden, check_output
-from hiros_mcap.regression.tolerances import Tolerances
 from hiros_mcap.running.pipeline import ProcessOptions, process
 
 TRUTH_SUFFIXES = (".truth.mcap", ".mcap", ".trc", ".csv")
@@ -55,40 +62,39 @@ class Finding:
     """Of the log, if the job knows it."""
 
 
-class Job(Protocol):
+class Job:
     """Does the work of a command for one log."""
 
     command: ClassVar[str]
-    kind: ClassVar[Kind]
+    kind: ClassVar[Kind] = "log"
     """Of the output."""
     counted: ClassVar[frozenset[str]]
     """Columns of which a sum makes sense; of the others the table has means."""
-
-    @property
-    def suffix(self) -> str:
-        """Suffix of the output, "" if there is none."""
+    suffix: str = ""
+    """Suffix of the output, "" if there is none."""
 
     def sides(self, name: str) -> tuple[Path, ...]:
         """Return further files that the result depends on; ``name`` is the base name of the log."""
+        return ()
 
     def run(self, log: Path, target: Path) -> Finding:
         """Do it, and write ``target`` if the job has a suffix.
 
         Raises HirosError or OSError if the log cannot be used.
         """
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)
-class ProcessJob:
+class ProcessJob(Job):
     """Turns recordings into clean motion."""
 
     config: Config
     options: ProcessOptions = field(default_factory=ProcessOptions)
 
     command: ClassVar[str] = "process"
-    kind: ClassVar[Kind] = "log"
     counted: ClassVar[frozenset[str]] = frozenset({"people", "log_s", "messages", "skipped"})
-    suffix: ClassVar[str] = ".hiros.mcap"
+    suffix = ".hiros.mcap"
 
     def sides(self, name: str) -> tuple[Path, ...]:
         """Return the files of poses and limb lengths."""
@@ -115,7 +121,7 @@ class ProcessJob:
 
 
 @dataclass(frozen=True, slots=True)
-class EvalJob:
+class EvalJob(Job):
     """Scores results, or recordings after a run on them."""
 
     config: Config
@@ -133,9 +139,7 @@ class EvalJob:
     """Whether the user named the system or a parameter; otherwise results keep their own."""
 
     command: ClassVar[str] = "eval"
-    kind: ClassVar[Kind] = "log"
     counted: ClassVar[frozenset[str]] = frozenset(m.name for m in MEASURES.values() if not m.digits)
-    suffix: ClassVar[str] = ""
 
     def sides(self, name: str) -> tuple[Path, ...]:
         """Return the file with the truth."""
@@ -173,7 +177,7 @@ class EvalJob:
 
 
 @dataclass(frozen=True, slots=True)
-class CheckJob:
+class CheckJob(Job):
     """Compares results with golden files of the same names."""
 
     golden: Path
@@ -183,13 +187,7 @@ class CheckJob:
     bless: bool = False
 
     command: ClassVar[str] = "check"
-    kind: ClassVar[Kind] = "log"
     counted: ClassVar[frozenset[str]] = frozenset({"differences", "people"})
-    suffix: ClassVar[str] = ""
-
-    def sides(self, name: str) -> tuple[Path, ...]:
-        """Return nothing: checks are repeated."""
-        return ()
 
     def run(self, log: Path, target: Path) -> Finding:
         """Compare, or with ``bless`` make the result the golden file."""
@@ -209,7 +207,7 @@ class CheckJob:
 
 
 @dataclass(frozen=True, slots=True)
-class ExportJob:
+class ExportJob(Job):
     """Writes results as files of other programs."""
 
     suffix: str
@@ -241,20 +239,14 @@ class ExportJob:
 
 
 @dataclass(frozen=True, slots=True)
-class InfoJob:
+class InfoJob(Job):
     """Looks at what logs hold."""
 
     topics: tuple[str, ...] = ()
     extrinsics: Path | None = None
 
     command: ClassVar[str] = "info"
-    kind: ClassVar[Kind] = "log"
     counted: ClassVar[frozenset[str]] = frozenset({"seconds", "megabytes"})
-    suffix: ClassVar[str] = ""
-
-    def sides(self, name: str) -> tuple[Path, ...]:
-        """Return nothing: looks are repeated."""
-        return ()
 
     def run(self, log: Path, target: Path) -> Finding:
         """Look at a log."""

@@ -77,11 +77,6 @@ class LogRecord:
     bug: bool = False
     """Whether the error is a fault of hiros."""
 
-    @property
-    def is_over(self) -> bool:
-        """Whether another run would give the same."""
-        return self.verdict != "failed"
-
 
 @dataclass(frozen=True, slots=True)
 class _Content:
@@ -150,7 +145,7 @@ class Manifest:
         former = self.records.get(record.log)
         same = (
             former is not None
-            and former.is_over
+            and former.verdict != "failed"
             and former.configuration == record.configuration
             and former.version == record.version
             and former.name == record.name

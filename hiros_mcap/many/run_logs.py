@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from threading import Lock
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 from pydantic import BaseModel
 
@@ -35,23 +35,8 @@ from hiros_mcap.many.manifest import Identity, LogRecord, Manifest
 from hiros_mcap.summary import plain_value
 from hiros_mcap.workers import run_tasks
 
-Answer = TypeVar("Answer")
-
-
-class Runner(Protocol):
-    """Calls a function for each task, somewhere; see :func:`hiros_mcap.workers.run_tasks`."""
-
-    def __call__(
-        self,
-        function: Callable[..., Answer],
-        tasks: Sequence[tuple[Any, ...]],
-        *,
-        lost: Callable[[int, str], Answer],
-    ) -> Iterator[tuple[int, Answer]]:
-        """Yield (number of the task, answer) as they get ready.
-
-        ``lost`` gives the answer of a task that killed its process too often.
-        """
+Runner = Callable[..., Iterator[tuple[int, LogRecord]]]
+"""Calls a function for each task, somewhere, with ``lost``: as :func:`workers.run_tasks`."""
 
 
 def in_processes(jobs: int) -> Runner:
@@ -79,12 +64,8 @@ def run_logs(
     Failures do not stop the others. The manifest of the folder has every record; ``logs`` are
     absolute paths or addresses, see :func:`hiros_mcap.many.find.find_logs`.
 
-    Raises
-    ------
-    LogError
-        The folder cannot be written, or a file in it must not be replaced.
-    ConfigError
-        The manifest is damaged.
+    Raises LogError if the folder cannot be written, or a file in it must not be replaced;
+    ConfigError if the manifest is damaged.
     """
     with ExitStack() as stack:
         place = place_of(folder.path) if folder.path else None
@@ -109,9 +90,14 @@ def run_logs(
             place.check(there, job.kind, logs, folder.force)
         for former in done.values():
             yield former, False
+
+        def lost(k: int, why: str) -> LogRecord:
+            error = f"stopped its process more than once: {why}"
+            return replace(todo[k], verdict="failed", error=error)
+
         tasks = [(job, record, folder.path) for record in todo]
         stack.callback(manifest.save)
-        for _, record in runner(run_one, tasks, lost=lambda k, why: _lost(todo[k], why)):
+        for _, record in runner(run_one, tasks, lost=lost):
             manifest.add(record)
             yield record, True
 
@@ -129,7 +115,8 @@ def _planned(job: Job, logs: Sequence[str], manifest: Manifest) -> list[LogRecor
     for log in logs:
         configuration, identity = "", Identity(0, "")
         with suppress(HirosError, OSError):  # the job will say why
-            configuration = _with_sides(settings, job.sides(base_name(log)))
+            contents = (path.read_bytes() for path in job.sides(base_name(log)))
+            configuration = hashlib.sha256(b"".join([settings, *contents])).hexdigest()
             if log in manifest.records:
                 identity = identity_of(log)
         planned.append(
@@ -164,20 +151,12 @@ def _is_same(planned: LogRecord, former: LogRecord) -> bool:
 
 def _settings(job: Job) -> bytes:
     """Return the settings of a job as text."""
-    settings = json.dumps(plain_value(job), default=_as_json, sort_keys=True)
+
+    def as_json(value: object) -> object:
+        return value.model_dump(mode="json") if isinstance(value, BaseModel) else str(value)
+
+    settings = json.dumps(plain_value(job), default=as_json, sort_keys=True)
     return f"{job.command}\n{settings}\n".encode()
-
-
-def _as_json(value: object) -> object:
-    return value.model_dump(mode="json") if isinstance(value, BaseModel) else str(value)
-
-
-def _with_sides(settings: bytes, sides: Sequence[Path]) -> str:
-    """Return the SHA-256 of the settings and of the further files that a job reads."""
-    digest = hashlib.sha256(settings)
-    for path in sides:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
 
 
 _one_at_a_time = Lock()
@@ -245,7 +224,3 @@ def _in_one_line(error: Exception, log: str) -> str:
         names = [str(name) for name in (error.filename, error.filename2) if name is not None]
         text = ": ".join([*names, error.strerror or text])
     return text.removeprefix(f"{log}: ")
-
-
-def _lost(record: LogRecord, why: str) -> LogRecord:
-    return replace(record, verdict="failed", error=f"stopped its process more than once: {why}")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hiros_mcap.body.rotations import Rigid, to_matrix
-from hiros_mcap.evaluate.parts import parts_of
+from hiros_mcap.evaluate.statistics import parts_of
 from hiros_mcap.plan.expected_error import ErrorModel, View
 from hiros_mcap.plan.placing import Placing
 from hiros_mcap.plan.scenes import FloorGrid, make_scenes

@@ -27,12 +27,13 @@ def totals(results: Sequence[CaseResult]) -> str:
 
 def as_dict(results: Sequence[CaseResult]) -> dict[str, Any]:
     """Plain data for JSON."""
-    return {
-        "equal": sum(r.status == "equal" for r in results),
-        "different": sum(r.status == "different" for r in results),
-        "errors": sum(r.status == "error" for r in results),
-        "logs": [plain(r) for r in results],
+    counts = Counter(r.status for r in results)
+    numbers = {
+        "equal": counts["equal"],
+        "different": counts["different"],
+        "errors": counts["error"],
     }
+    return {**numbers, "logs": [plain(r) for r in results]}
 
 
 def lines(result: CaseResult) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -20,12 +20,13 @@ from hiros_mcap.regression.quantities import (
     QUANTITIES,
     Pair,
     QuantityComparison,
+    Tolerances,
+    beside,
     most,
     union,
     widened,
     worst,
 )
-from hiros_mcap.regression.tolerances import Tolerances, beside
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
 
 SAME_PERSON = 0.3
@@ -95,60 +96,37 @@ class ChannelComparison:
 
     def differences(self, tolerances: Tolerances) -> list[Difference]:
         """Return what differs by more than is tolerated; empty if nothing does."""
-        lines = []
+        return [Difference(self.topic, *texts) for texts in self._texts(tolerances)]
+
+    def _texts(self, tolerances: Tolerances) -> Iterator[Sequence[str]]:
+        """Yield what differs, what was, what is, and a detail."""
         if self.missing_frames + self.extra_frames > tolerances.frames * self.frames:
             now = self.frames - self.missing_frames + self.extra_frames
             detail = f"{self.missing_frames} missing, {self.extra_frames} extra"
-            lines.append(self._frames("frames", str(self.frames), str(now), detail))
-        lines += [
-            self._frames("coordinate frame", was, now, f"in {n} frames")
-            for (was, now), n in self.frame_ids.items()
-        ]
+            yield "frames", str(self.frames), str(now), detail
+        for (frame, other), n in self.frame_ids.items():
+            yield "coordinate frame", frame, other, f"in {n} frames"
         wrong = sum((self.missing + self.extra).values()) + sum(self.renamed.values())
         if wrong > tolerances.people * self.skeletons:
-            lines += self._people()
+            for p, n in self.missing.items():
+                yield f"person {p}", f"in {self.seen[p]} frames", f"missing in {n} of them"
+            for i, n in self.extra.items():
+                yield f"id {i}", "not there", f"in {n} frames"
+            for (p, i), n in self.renamed.items():
+                was = f"id {self.ids.get(p, '-')}"
+                yield f"identity of person {p}", was, f"id {i}", f"in {n} frames"
         for compared in self.quantities.values():
-            lines += self._absent(compared)
+            name, shown = compared.quantity.name, compared.quantity.shown
+            if compared.vanished:
+                yield name, "there", "absent", f"skeletons: {most(compared.vanished)}"
+            if compared.appeared:
+                yield name, "absent", "there", f"skeletons: {most(compared.appeared)}"
             if compared.largest > tolerances.of(compared.quantity):
-                lines.append(self._off(compared))
-        return lines
-
-    def _frames(self, what: str, was: str, now: str, detail: str = "") -> Difference:
-        return Difference(self.topic, what, was, now, detail)
-
-    def _people(self) -> list[Difference]:
-        lines = [
-            self._frames(f"person {p}", f"in {self.seen[p]} frames", f"missing in {n} of them")
-            for p, n in self.missing.items()
-        ]
-        lines += [
-            self._frames(f"id {i}", "not there", f"in {n} frames") for i, n in self.extra.items()
-        ]
-        lines += [
-            self._frames(f"identity of person {p}", f"id {self.ids.get(p, '-')}", f"id {i}",
-                         f"in {n} frames")
-            for (p, i), n in self.renamed.items()
-        ]  # fmt: skip
-        return lines
-
-    def _absent(self, compared: QuantityComparison) -> list[Difference]:
-        name = compared.quantity.name
-        return [
-            self._frames(name, was, now, f"skeletons: {most(counts)}")
-            for counts, was, now in (
-                (compared.vanished, "there", "absent"),
-                (compared.appeared, "absent", "there"),
-            )
-            if counts
-        ]
-
-    def _off(self, compared: QuantityComparison) -> Difference:
-        shown = compared.quantity.shown
-        detail = (
-            f"{compared.place}; up to {shown(compared.largest)}, RMS {shown(compared.rms)}; "
-            f"worst {worst(compared.worst, shown)}"
-        )
-        return self._frames(compared.quantity.name, compared.was, compared.now, detail)
+                detail = (
+                    f"{compared.place}; up to {shown(compared.largest)}, RMS {shown(compared.rms)};"
+                    f" worst {worst(compared.worst, shown)}"
+                )
+                yield name, compared.was, compared.now, detail
 
 
 @dataclass(slots=True)
@@ -175,13 +153,9 @@ class Comparison:
             (person, link), (was, now) = max(
                 wrong.items(), key=lambda item: np.nan_to_num(abs(np.diff(item[1])[0]), nan=np.inf)
             )
-            by_channel["calibration"] = [
-                Difference(
-                    *("calibration", f"length of {link} of person {person}"),
-                    *(_metres(was), _metres(now)),
-                    f"{len(wrong)} limbs differ; this is the worst",
-                )
-            ]
+            what = f"length of {link} of person {person}", _metres(was), _metres(now)
+            detail = f"{len(wrong)} limbs differ; this is the worst"
+            by_channel["calibration"] = [Difference("calibration", *what, detail)]
         return by_channel
 
 
@@ -198,12 +172,8 @@ def compare_logs(
     tolerances : of the times that make two frames the same one, and of the first frame that
         differs; None = those beside the golden log.
 
-    Raises
-    ------
-    LogError
-        A log cannot be read, or the golden log holds no output channel.
-    ConfigError
-        The skeleton models differ: there is nothing to compare.
+    Raises LogError if a log cannot be read, or the golden log holds no output channel; ConfigError
+    if the skeleton models differ: there is nothing to compare.
     """
     tolerances = beside(Path(golden)) if tolerances is None else tolerances
     if not has_outputs(golden):
@@ -213,17 +183,13 @@ def compare_logs(
     try:
         there = set(output_channels(output))
     except LogError:
-        there = set()
-    comparison = Comparison([], [topic for topic in topics if topic not in there])
-    if not there:
         fault = f"holds no channel {OUTPUT_PREFIX}/*; there is nothing to compare"
-        raise LogError(fault, path=output)
-    for topic in topics:
-        if topic in there:
-            comparison.channels.append(_compare_channel(topic, output, golden, tolerances))
-    ids = {k: v for channel in comparison.channels for k, v in channel.ids.items()}
-    comparison.lengths = compare_limbs(limbs_of(output), limbs_of(golden), ids)
-    return comparison
+        raise LogError(fault, path=output) from None
+    both = [topic for topic in topics if topic in there]
+    channels = [_compare_channel(topic, output, golden, tolerances) for topic in both]
+    ids = {k: v for channel in channels for k, v in channel.ids.items()}
+    lengths = compare_limbs(limbs_of(output), limbs_of(golden), ids)
+    return Comparison(channels, [topic for topic in topics if topic not in there], lengths)
 
 
 def _compare_channel(
@@ -232,17 +198,16 @@ def _compare_channel(
     golden: str | os.PathLike[str],
     tolerances: Tolerances,
 ) -> ChannelComparison:
-    new, model, _ = read_channel(output, topic)
-    old, golden_model, _ = read_channel(golden, topic)
-    names = model.marker_names, model.link_names
-    if names != (golden_model.marker_names, golden_model.link_names):
-        if not set(model.marker_names) & set(golden_model.marker_names):
+    new, now, _ = read_channel(output, topic)
+    old, model, _ = read_channel(golden, topic)
+    if (now.marker_names, now.link_names) != (model.marker_names, model.link_names):
+        if not set(now.marker_names) & set(model.marker_names):
             fault = f"cannot be compared with {golden}: the skeletons share no marker"
             raise ConfigError(f"{output}: {topic}: {fault}")
-        both = union(golden_model, model)
-        new = [widened(frame, model, both) for frame in new]
-        old, golden_model = [widened(frame, golden_model, both) for frame in old], both
-    return compare_frames(new, old, golden_model, tolerances, topic)
+        was, model = model, union(model, now)
+        new = [widened(frame, now, model) for frame in new]
+        old = [widened(frame, was, model) for frame in old]
+    return compare_frames(new, old, model, tolerances, topic)
 
 
 def compare_frames(
@@ -300,30 +265,23 @@ def _match_people(pairs: Sequence[tuple[Frame, Frame]]) -> dict[int, int]:
             for n, ident in enumerate(new.ids.tolist()):
                 if distance[g, n] < SAME_PERSON and UNTRACKED not in (person, ident):
                     closeness[person, ident] += 1 - float(distance[g, n]) / SAME_PERSON
-    people = sorted({p for p, _ in closeness})
-    ids = sorted({i for _, i in closeness})
-    table = np.array([[closeness[p, i] for i in ids] for p in people]).reshape(
-        len(people), len(ids)
-    )
+    if not closeness:
+        return {}
+    people, ids = (sorted(set(names)) for names in zip(*closeness, strict=True))
+    table = np.array([[closeness[p, i] for i in ids] for p in people])
     matched = best_pairs(np.where(table > 0, table.max(initial=0) - table, np.inf))
     return {people[row]: ids[column] for row, column in matched}
 
 
+@dataclass(slots=True)
 class _DifferenceCollector:
     """Collects the differences of one channel, frame by frame."""
 
-    def __init__(
-        self,
-        model: SkeletonModel,
-        tolerances: Tolerances,
-        result: ChannelComparison,
-        start: int,
-    ) -> None:
-        self.model = model
-        self.tolerances = tolerances
-        self.result = result
-        self.start = start
-        self._pairs: list[Pair] = []
+    model: SkeletonModel
+    tolerances: Tolerances
+    result: ChannelComparison
+    start: int
+    pairs: list[Pair] = field(default_factory=list)
 
     def diverge(self, index: int, stamp: int, what: str) -> None:
         """Note a difference; only the first is kept."""
@@ -351,7 +309,7 @@ class _DifferenceCollector:
             if ident != result.ids.get(person, person):
                 result.renamed[person, ident] += 1
                 self.diverge(index, old.stamp, f"person {person} is now id {ident}")
-            self._pairs.append(Pair(index, old, g, new, row))
+            self.pairs.append(Pair(index, old, g, new, row))
         for row in set(range(new.n_people)) - set(rows):
             ident = int(new.ids[row])
             result.extra[ident] += 1
@@ -383,8 +341,8 @@ class _DifferenceCollector:
         for quantity in QUANTITIES:
             compared = QuantityComparison(quantity)
             self.result.quantities[quantity.name] = compared
-            for k in range(0, len(self._pairs), _BATCH):
-                pairs = self._pairs[k : k + _BATCH]
+            for k in range(0, len(self.pairs), _BATCH):
+                pairs = self.pairs[k : k + _BATCH]
                 tolerance = self.tolerances.of(quantity)
                 first = compared.add(pairs, self.model, tolerance, self.start)
                 if first is not None:
@@ -410,11 +368,8 @@ def compare_limbs(
     for person, limbs in golden.people.items():
         others = new.people.get(ids.get(person, person), {})
         for link in {**limbs, **others}:
-            was, now = limbs.get(link), others.get(link)
-            lengths[person, link] = (
-                np.nan if was is None else was.length,
-                np.nan if now is None else now.length,
-            )
+            was, now = (t[link].length if link in t else np.nan for t in (limbs, others))
+            lengths[person, link] = was, now
     return lengths
 
 

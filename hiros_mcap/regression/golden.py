@@ -18,29 +18,12 @@ from hiros_mcap.io.channels import (
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_reader
-from hiros_mcap.skeletons import (
-    ACCELERATION,
-    ANGULAR_ACCELERATION,
-    ANGULAR_VELOCITY,
-    ORIENTATION,
-    POSITION,
-    STATE,
-    VELOCITY,
-    Floats,
-    Frame,
-)
+from hiros_mcap.skeletons import Floats, Frame
 
-_GRIDS = (
-    (POSITION, 2.0**-23),
-    (ORIENTATION, 2.0**-23),
-    (VELOCITY, 2.0**-16),
-    (ANGULAR_VELOCITY, 2.0**-16),
-    (ACCELERATION, 2.0**-10),
-    (ANGULAR_ACCELERATION, 2.0**-10),
-)
-"""Numbers of a golden log are multiples of these, so that they compress: at most a sixth of the
-default tolerances, such as 0.12 micrometres."""
-_CONFIDENCE_GRID = 2.0**-23
+_GRID = np.repeat([2.0**-23, 2.0**-16, 2.0**-10, 2.0**-23], [7, 6, 6, 3])
+"""Of the columns of a Box: poses, velocities, accelerations, sizes. The numbers of a golden log are
+multiples of these, so that they compress: at most a sixth of the default tolerances, such as 0.12
+micrometres."""
 
 
 def write_golden(
@@ -57,9 +40,9 @@ def write_golden(
     topics : globs of output channels; empty = the last stage's.
     """
     chosen = output_channels(output, topics) if topics else output_channels(output)[-1:]
-    channels = [(topic, *read_channel(output, topic)[:2]) for topic in chosen]
+    channels = {topic: read_channel(output, topic) for topic in chosen}
     with McapWriter(Path(golden), inputs=[output]) as writer:
-        for topic, frames, model in channels:
+        for topic, (frames, model, _) in channels.items():
             encoder = Encoder(model)
             channel = add_skeleton_channel(writer, topic)
             for frame in frames:
@@ -76,20 +59,13 @@ def write_golden(
 
 def compact(frame: Frame) -> Frame:
     """Return a frame with rounded numbers."""
-    markers, links, boxes = frame.markers.copy(), frame.links.copy(), frame.boxes.copy()
-    for columns, grid in _GRIDS:
-        for states in (markers, links, boxes):
-            states[..., columns] = _rounded(states[..., columns], grid)
-    boxes[..., STATE:] = _rounded(boxes[..., STATE:], _CONFIDENCE_GRID)
-    return frame.replace(
-        markers=markers,
-        links=links,
-        confidences=_rounded(frame.confidences, _CONFIDENCE_GRID),
-        marker_confidences=_rounded(frame.marker_confidences, _CONFIDENCE_GRID),
-        link_confidences=_rounded(frame.link_confidences, _CONFIDENCE_GRID),
-        boxes=boxes,
-    )
+    names = "confidences", "marker_confidences", "link_confidences"
+    rounded = {name: _rounded(getattr(frame, name), _GRID[0]) for name in names}
+    for name in ("markers", "links", "boxes"):
+        states = getattr(frame, name)
+        rounded[name] = _rounded(states, _GRID[: states.shape[-1]])
+    return frame.replace(**rounded)
 
 
-def _rounded(numbers: Floats, grid: float) -> Floats:
+def _rounded(numbers: Floats, grid: Floats) -> Floats:
     return np.asarray(np.rint(numbers / grid) * grid)

@@ -1,16 +1,22 @@
-"""The numbers of a skeleton that a check compares, each with its distance, unit and tolerance."""
+"""The numbers of a skeleton that a check compares, and how far two results may differ."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from math import floor, log10
+from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
+from pydantic import ConfigDict, Field, NonNegativeFloat, ValidationError, model_validator
 
 from hiros_mcap.body.rotations import angle
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.outside import read_toml
+from hiros_mcap.params import Params, explain
 from hiros_mcap.skeletons import (
     ACCELERATION,
     ANGULAR_ACCELERATION,
@@ -38,26 +44,27 @@ class Quantity:
     """One kind of number of a skeleton."""
 
     name: str
-    limit: str
-    """Name of its tolerance."""
     tolerance: float
     """Distances up to this do not count, unless a file says so. The defaults forgive another
-    machine, not another algorithm."""
+    machine, not another algorithm. In m, degrees, s and their derivatives."""
     unit: str
-    """Of a distance and its tolerance."""
-    shown_unit: str
     """Of a distance as it is shown."""
-    scale: float
-    """Unit -> unit of a distance as it is shown."""
     values: str
     """Unit of the numbers themselves."""
     read: Read
     distance: Distance
     names: Names
+    scale: float = 1.0
+    """Unit of the tolerance -> unit of a distance as it is shown."""
+
+    @property
+    def limit(self) -> str:
+        """Name of its tolerance: boxes have that of positions."""
+        return "positions" if self.name == "box sizes" else self.name.replace(" ", "_")
 
     def shown(self, distance: float) -> str:
         """Return a distance as text."""
-        return f"{self.scale * distance:.4g} {self.shown_unit}".rstrip()
+        return f"{self.scale * distance:.4g} {self.unit}".rstrip()
 
     def value(self, numbers: Floats, decimals: int) -> str:
         """Return the numbers of one element as text."""
@@ -85,14 +92,6 @@ def _confidences(frame: Frame, row: int) -> Floats:
     return np.concatenate([skeleton, *each])[:, None]
 
 
-def _confidence_names(model: SkeletonModel) -> Sequence[str]:
-    return ("skeleton", *_state_names(model)[:-1])
-
-
-def _box_size(frame: Frame, row: int) -> Floats:
-    return frame.boxes[row : row + 1, STATE:]
-
-
 def _times(frame: Frame, row: int) -> Floats:
     """(2, 1) Source time and log time after the frame's stamp, ns."""
     stamp = int(frame.stamps[row])
@@ -116,41 +115,108 @@ def _seconds(was: Floats, now: Floats) -> Floats:
     return np.asarray(np.abs(now - was)[..., 0] / 1e9)
 
 
-def _kinematic(
-    limit: str, tolerance: float, units: tuple[str, str], columns: slice, distance: Distance
+def _state(
+    name: str, tolerance: float, units: tuple[str, str], columns: slice, distance: Distance = _norm
 ) -> Quantity:
     """Part of the KinematicState; units of a distance, and of the numbers."""
-    unit, values = units
-    name, read = limit.replace("_", " "), _states(columns)
-    return Quantity(name, limit, tolerance, unit, unit, 1.0, values, read, distance, _state_names)
+    return Quantity(name, tolerance, *units, _states(columns), distance, _state_names)
 
 
-_POSITIONS = Quantity(
-    *("positions", "positions", 1e-6, "m", "mm", 1000.0, "m"),
-    *(_states(POSITION), _norm, _state_names),
-)
+_POSITIONS = replace(_state("positions", 1e-6, ("mm", "m"), POSITION), scale=1000.0)
 QUANTITIES = (
     _POSITIONS,
     # 1e-6 m at the end of a limb of 0.5 m.
-    _kinematic("orientations", 1e-4, ("deg", "(x y z w)"), ORIENTATION, _degrees),
-    _kinematic("velocities", 1e-4, ("m/s", "m/s"), VELOCITY, _norm),
-    _kinematic("angular_velocities", 1e-2, ("deg/s", "rad/s"), ANGULAR_VELOCITY, _degree_rates),
-    _kinematic("accelerations", 1e-2, ("m/s2", "m/s2"), ACCELERATION, _norm),
-    _kinematic(
-        *("angular_accelerations", 1.0, ("deg/s2", "rad/s2")),
-        *(ANGULAR_ACCELERATION, _degree_rates),
+    _state("orientations", 1e-4, ("deg", "(x y z w)"), ORIENTATION, _degrees),
+    _state("velocities", 1e-4, ("m/s", "m/s"), VELOCITY),
+    _state("angular velocities", 1e-2, ("deg/s", "rad/s"), ANGULAR_VELOCITY, _degree_rates),
+    _state("accelerations", 1e-2, ("m/s2", "m/s2"), ACCELERATION),
+    _state("angular accelerations", 1.0, ("deg/s2", "rad/s2"), ANGULAR_ACCELERATION, _degree_rates),
+    Quantity(
+        "confidences",
+        1e-6,
+        "",
+        "",
+        _confidences,
+        _norm,
+        lambda model: ("skeleton", *_state_names(model)[:-1]),
+    ),
+    replace(
+        _POSITIONS,
+        name="box sizes",
+        read=lambda frame, row: frame.boxes[row : row + 1, STATE:],
+        names=lambda _: ("box",),
     ),
     Quantity(
-        *("confidences", "confidences", 1e-6, "", "", 1.0, ""),
-        *(_confidences, _norm, _confidence_names),
-    ),
-    replace(_POSITIONS, name="box sizes", read=_box_size, names=lambda _: ("box",)),
-    Quantity(
-        *("times", "times", 1e-6, "s", "ms", 1000.0, "ns after the frame's stamp"),
-        *(_times, _seconds, lambda _: ("source time", "log time")),
+        *("times", 1e-6, "ms", "ns after the frame's stamp"),
+        *(_times, _seconds, lambda _: ("source time", "log time"), 1000.0),
     ),
 )
 """In the order in which reports name them."""
+
+
+SUFFIX = ".tolerances.toml"
+
+
+LIMITS = {quantity.limit: quantity.tolerance for quantity in QUANTITIES}
+
+
+class Tolerances(Params):
+    """Differences that do not count: of :data:`QUANTITIES` by the names of their limits, and these.
+
+    If a change is meant to alter the numbers, compare metrics instead: give the suite a golden file
+    of metrics (``.json``) or thresholds.
+    """
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, NonNegativeFloat]
+
+    lengths: NonNegativeFloat = Field(1e-6, description="m, of a calibrated limb.")
+    frames: NonNegativeFloat = Field(0.0, le=1, description="Share of frames that may be missing.")
+    people: NonNegativeFloat = Field(
+        0.0, le=1, description="Share of a channel's skeletons that may be missing, new or renamed."
+    )
+    metrics: NonNegativeFloat = Field(
+        0.05, description="Share by which a metric may get worse; counts may not at all."
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        for name in self.__pydantic_extra__.keys() - LIMITS:
+            raise ValueError(f"{name}: there is no such key")
+        if not math.isfinite(self.limit("times")):
+            raise ValueError("times: should be a finite number")
+        return self
+
+    def limit(self, name: str) -> float:
+        """Return a limit of :data:`LIMITS`."""
+        return self.__pydantic_extra__.get(name, LIMITS[name])
+
+    def of(self, quantity: Quantity) -> float:
+        """Return the largest distance that does not count."""
+        return self.limit(quantity.limit)
+
+
+def load_tolerances(path: Path) -> Tolerances:
+    """Read tolerances from a TOML file.
+
+    Raises ConfigError if the file cannot be read, or holds something else.
+    """
+    return validated(read_toml(path), str(path))
+
+
+def validated(table: dict[str, Any], origin: str) -> Tolerances:
+    """Return the tolerances of a table; ``origin`` names it in errors."""
+    try:
+        return Tolerances.model_validate(table)
+    except ValidationError as error:
+        where, message = explain(error)
+        raise ConfigError(": ".join([origin, *filter(None, [".".join(where)]), message])) from None
+
+
+def beside(golden: Path) -> Tolerances:
+    """Tolerances from ``GOLDEN.tolerances.toml`` (its suffix replaced), else the defaults."""
+    path = golden.with_suffix(SUFFIX)
+    return load_tolerances(path) if path.is_file() else Tolerances()
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,7 +270,10 @@ class QuantityComparison:
         was = np.stack([self.quantity.read(pair.was, pair.was_row) for pair in pairs])
         now = np.stack([self.quantity.read(pair.now, pair.now_row) for pair in pairs])
         before, after = _present(was), _present(now)
-        self._count_absent(before, after, names)
+        for counts, mask in ((self.vanished, before & ~after), (self.appeared, after & ~before)):
+            counts.update(
+                {names[k]: int(mask[:, k].sum()) for k in np.flatnonzero(mask.any(axis=0)).tolist()}
+            )
         both = before & after
         # Rounding gives two equal orientations a distance above 0.
         differs = both & (was != now).any(axis=-1)
@@ -227,20 +296,11 @@ class QuantityComparison:
             return None
         s = int(wrong.any(axis=1).argmax())
         k = int(distance[s].argmax())
-        what = f"{self._subject(names[k])} of person {pairs[s].person}"
+        kind = "" if self.quantity.name == "positions" else f" ({self.quantity.name})"
+        what = f"{names[k]}{kind} of person {pairs[s].person}"
         if np.isfinite(distance[s, k]):
             return pairs[s], f"{what} is off by {self.quantity.shown(float(distance[s, k]))}"
         return pairs[s], f"{what} is {'absent' if before[s, k] else 'new'}"
-
-    def _count_absent(self, before: Flags, after: Flags, names: Sequence[str]) -> None:
-        for counts, mask in ((self.vanished, before & ~after), (self.appeared, after & ~before)):
-            for k in np.nonzero(mask.any(axis=0))[0].tolist():
-                counts[names[k]] += int(mask[:, k].sum())
-
-    def _subject(self, element: str) -> str:
-        if self.quantity.name == "positions":
-            return element
-        return f"{element} ({self.quantity.name})"
 
 
 def _present(numbers: Floats) -> Flags:
@@ -264,13 +324,8 @@ def most(counts: Counter[str]) -> str:
 
 def union(old: SkeletonModel, new: SkeletonModel) -> SkeletonModel:
     """Return a model with the markers and links of both, by name; the old ones come first."""
-    markers, links = (
-        tuple(dict.fromkeys(chain(*names)))
-        for names in (
-            (old.marker_names, new.marker_names),
-            (old.link_names, new.link_names),
-        )
-    )
+    markers = dict.fromkeys([*old.marker_names, *new.marker_names])
+    links = dict.fromkeys([*old.link_names, *new.link_names])
     return SkeletonModel.of(markers, [(name, -1, -1) for name in links])
 
 
@@ -279,13 +334,12 @@ def widened(frame: Frame, narrow: SkeletonModel, model: SkeletonModel) -> Frame:
     markers = [model.marker_names.index(name) for name in narrow.marker_names]
     links = [model.link_names.index(name) for name in narrow.link_names]
     result = Frame.empty(frame.n_people, model)
-    result.markers[:, markers] = frame.markers
-    result.marker_confidences[:, markers] = frame.marker_confidences
-    result.links[:, links] = frame.links
-    result.link_confidences[:, links] = frame.link_confidences
+    for name, slots in (("marker", markers), ("link", links)):
+        for array in (f"{name}s", f"{name}_confidences"):
+            getattr(result, array)[:, slots] = getattr(frame, array)
     return frame.replace(
-        **{
-            name: getattr(result, name)
-            for name in ("markers", "marker_confidences", "links", "link_confidences")
-        }
+        markers=result.markers,
+        marker_confidences=result.marker_confidences,
+        links=result.links,
+        link_confidences=result.link_confidences,
     )

@@ -44,7 +44,7 @@ from hiros_mcap.regression.metrics import (
     worse,
 )
 from hiros_mcap.regression.provenance import Provenance, changes
-from hiros_mcap.regression.tolerances import Tolerances, beside, validated
+from hiros_mcap.regression.quantities import Tolerances, beside, validated
 from hiros_mcap.running.pipeline import ProcessOptions, Progress, Silent, process
 from hiros_mcap.workers import run_tasks
 
@@ -193,12 +193,8 @@ def run_suite(
 ) -> list[CaseResult]:
     """Process and check every log, several at once; results in the order of the suite.
 
-    Raises
-    ------
-    ConfigError
-        ``options.only`` names a case that does not exist.
-    LogError
-        A file in ``options.keep`` must not be replaced.
+    Raises ConfigError if ``options.only`` names a case that does not exist; LogError if a file in
+    ``options.keep`` must not be replaced.
     """
     only, keep = options.only, options.keep
     titles = [case.title for case in suite.cases]
@@ -297,49 +293,47 @@ class Golden:
                 return replace(result, status="error", error=fault)
             self._replace(result.metrics, output, topic)
             return replace(result, notes=("accepted: a new golden file",))
-        outcome = self._compare(result.metrics, output)
-        changed = changes(Provenance.of_log(output), outcome.provenance)
+        provenance, gains, compared = self._compare(result, output)
+        changed = changes(Provenance.of_log(output), provenance)
         if bless:
-            new = [*outcome.differences, *outcome.gains]
-            if not (new or changed or not outcome.provenance):
+            new = [*compared.differences, *gains]
+            if not (new or changed or not provenance):
                 return replace(result, notes=("unchanged; the golden file is kept",))
             self._replace(result.metrics, output, topic)
             accepted = [f"accepted: {change}" for change in (*changed, *new)]
             return replace(result, notes=tuple(accepted or ["accepted: how the result was made"]))
-        return replace(
-            result,
-            status="different" if outcome.differences else "equal",
-            differences=(*changed, *outcome.differences) if outcome.differences else (),
-            first=tuple(outcome.first),
-            notes=(*outcome.notes, *(f"better: {gain}" for gain in outcome.gains)),
-        )
+        notes = (*compared.notes, *(f"better: {gain}" for gain in gains))
+        if not compared.differences:
+            return replace(compared, notes=notes)
+        differences = (*changed, *compared.differences)
+        return replace(compared, status="different", differences=differences, notes=notes)
 
-    def _compare(self, metrics: Mapping[str, float], output: Path) -> _AgainstGolden:
+    def _compare(
+        self, result: CaseResult, output: Path
+    ) -> tuple[Provenance, list[Difference], CaseResult]:
+        """Return how the golden file was made, metrics that are better, and what differs."""
         tolerances = self.tolerances or beside(self.path)
         if self.path.suffix == ".json":
             golden = load_metrics(self.path)
-            lost, gained = worse(metrics, golden.values, tolerances.metrics)
-            return _AgainstGolden(golden.provenance, lost, gained)
+            lost, gains = worse(result.metrics, golden.values, tolerances.metrics)
+            return golden.provenance, gains, replace(result, differences=tuple(lost))
         comparison = compare_logs(output, self.path, tolerances)
         by_channel = comparison.differences(tolerances)
-        outcome = _AgainstGolden(
-            Provenance.of_log(self.path), [d for lines in by_channel.values() for d in lines]
-        )
+        provenance, notes = Provenance.of_log(self.path), []
         equal = [c.topic for c in comparison.channels if c.topic not in by_channel]
         if by_channel and equal:
             stage = next(iter(by_channel))
-            outcome.notes.append(f"first channel that differs: {stage}; equal: {', '.join(equal)}")
-        if by_channel and not outcome.provenance:
-            outcome.notes.append(
+            notes.append(f"first channel that differs: {stage}; equal: {', '.join(equal)}")
+        if by_channel and not provenance:
+            notes.append(
                 "the golden file does not say how it was made, since an older hiros wrote it; "
                 "--bless adds this"
             )
-        outcome.first += [
-            (c.topic, c.first)
-            for c in comparison.channels
-            if c.topic in by_channel and c.first is not None
-        ]
-        return outcome
+        differ = [c for c in comparison.channels if c.topic in by_channel]
+        first = tuple((c.topic, c.first) for c in differ if c.first is not None)
+        lines = tuple(line for lines in by_channel.values() for line in lines)
+        compared = replace(result, differences=lines, first=first, notes=tuple(notes))
+        return provenance, [], compared
 
     def _replace(self, metrics: Mapping[str, float], output: Path, topic: str) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -348,17 +342,3 @@ class Golden:
             save_metrics(self.path, golden)
         else:
             write_golden(output, self.path, self.channels)
-
-
-@dataclass(slots=True)
-class _AgainstGolden:
-    """An output against its golden file."""
-
-    provenance: Provenance
-    """Of the golden file."""
-    differences: list[Difference]
-    gains: list[Difference] = field(default_factory=list)
-    """Metrics that are better."""
-    first: list[tuple[str, Divergence]] = field(default_factory=list)
-    """Where each channel begins to differ."""
-    notes: list[str] = field(default_factory=list)

@@ -13,7 +13,7 @@ them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -75,38 +75,39 @@ class Recording:
         return replace(self, blocks=self.blocks[: int(np.searchsorted(sizes, messages)) + 1])
 
     def run(
-        self, config: Config, options: ProcessOptions, sources: Collection[str] | None = None
+        self,
+        config: Config,
+        options: ProcessOptions,
+        sources: Collection[str] | None = None,
+        *,
+        last: bool = False,
     ) -> dict[str, list[Frame]]:
-        """Run the stages; return what comes out of each, by the name of its channel.
+        """Return what comes out of each stage, or of the last one, by the name of its channel.
 
-        Parameters
-        ----------
-        config, options : of the stages; the preparation stays as it is.
-        sources : cameras to use, None = all.
+        ``config`` and ``options`` are of the stages; ``sources`` the cameras to use, None = all.
 
         Raises ConfigError for a parameter that does not fit the log.
         """
         chain = chain_of(options.system, options.stages)
-        results: dict[str, list[Frame]] = {name: [] for name in chain}
+        results: dict[str, list[Frame]] = {name: [] for name in (chain[-1:] if last else chain)}
 
         def keep(channel: str, block: Block) -> None:
             if channel in results:
                 results[channel] += _as_written(block, config.output.precision).frames()
 
-        read: Callable[[], Iterator[Block]] = partial(self._blocks_of, sources)
-        run = set_up(self.prepared, config, options, read)
-        for _ in stream(read(), run, chain, [keep], Stopwatch()):
+        run = set_up(self.prepared, config, options, partial(self._blocks_of, sources))
+        for _ in stream(self._blocks_of(sources), run, chain, [keep], Stopwatch()):
             pass
         return results
 
     def _blocks_of(self, sources: Collection[str] | None) -> Iterator[Block]:
         """Yield the detections of some cameras."""
         for block in self.blocks:
-            if sources is None:
+            some = block.names if sources is None else sources
+            wanted = np.array([name in some for name in block.names])[block.sources]
+            if wanted.all():
                 yield block
-                continue
-            wanted = np.array([name in sources for name in block.names])[block.sources]
-            if wanted.any():
+            elif wanted.any():
                 yield block.select(np.flatnonzero(wanted))
 
 

@@ -30,7 +30,6 @@ from hiros_mcap.summary import (
     PoseSummary,
     StageTime,
     Summary,
-    cleaned,
     quantity,
 )
 from hiros_mcap.systems import Run, sections_of
@@ -290,7 +289,7 @@ def _input_notes(account: Account) -> Iterator[str]:
     if account.stale:
         yield f"{topic}: {quantity(account.stale, 'repeated old skeleton')} ignored"
     for kind, n in sorted(account.cleaned.items()):
-        yield f"{topic}: {cleaned(kind, n)}"
+        yield f"{topic}: {counted(kind, n)}"
     if account.untimed:
         yield (
             f"{topic}: {quantity(account.untimed, 'message')} without a time, or with one before "

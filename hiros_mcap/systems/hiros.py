@@ -1,4 +1,4 @@
-"""Hi-ROS (Guidolin et al. 2023): tracker, merger, optimizer, filter."""
+"""Hi-ROS (Guidolin et al. 2023): tracker, merger, optimizer, filter; and our own system."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def hiros(run: Run) -> Stages:
     from hiros_mcap.stages.track.track import track_blocks
 
     config = run.config
-    sides, merging = left_and_right(run)
+    sides, merging = _left_and_right(run)
     merge = run.stage(merge_blocks, merging, fixed_frame=run.fixed_frame, cameras=run.cameras)
     return {
         "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),  # 3.1
@@ -25,7 +25,34 @@ def hiros(run: Run) -> Stages:
     }
 
 
-def left_and_right(run: Run) -> tuple[BlockStage, MergeParams]:
+def fuse(run: Run) -> Stages:
+    """All cameras fused by one smoother per joint: output channel -> the stage that fills it."""
+    from hiros_mcap.stages.filter.filter import filter_blocks
+    from hiros_mcap.stages.fuse.align_links import align_blocks
+    from hiros_mcap.stages.fuse.constrain import constrain_blocks
+    from hiros_mcap.stages.fuse.fuse import fuse_blocks, noise_of
+    from hiros_mcap.stages.track.track import track_blocks
+
+    config = run.config
+    sides, merging = _left_and_right(run)
+    fusion = run.stage(
+        fuse_blocks, config.fuse, merging=merging, fixed_frame=run.fixed_frame,
+        cameras=run.cameras, noise=noise_of(run.model, config.fuse, run.noise, run.to_given),
+    )  # fmt: skip
+    bodies = run.stage(constrain_blocks, config.constrain, limbs=run.limbs)
+    derivatives = run.stage(filter_blocks, config.filter, keep_positions=True)
+    return {
+        "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),
+        # smoothed positions
+        "merged": lambda blocks: fusion(sides(blocks)),
+        # lengths and prior; links along the bones
+        "optimized": lambda blocks: align_blocks(bodies(blocks), run.model),
+        # velocities and accelerations
+        "filtered": derivatives,
+    }
+
+
+def _left_and_right(run: Run) -> tuple[BlockStage, MergeParams]:
     """Return what comes between tracker and merger, and the merger's parameters.
 
     Detections that contradict the person's own body count less; then left and right are decided.

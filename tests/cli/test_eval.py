@@ -14,7 +14,7 @@ import pytest
 from hiros_cli.app import run
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate import load_truth
-from hiros_mcap.evaluate.comparison import Entry, Task, run_task
+from hiros_mcap.evaluate.comparison import Entry, Task, comparison
 from hiros_mcap.evaluate.logs import evaluate_log, fused_topics, start_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.io.channels import add_skeleton_channel
@@ -70,7 +70,7 @@ def test_a_camera_as_the_reference_is_not_in_what_is_compared_with_it(
     for topic, result in expected.items():
         assert channels[topic]["mean"] == pytest.approx(result.scores.mean)
         assert channels[topic]["deviation"] == pytest.approx(result.scores.deviation)
-    outcome = run_task(Task(walking, Entry("fuse"), truth=reference))
+    outcome = comparison([Task(walking, Entry("fuse"), truth=reference)])[0]
     assert outcome.cameras == ("camera_0", "camera_1")
     assert outcome.error == pytest.approx(expected["/hiros/filtered"].scores.mean)
     process(walking, tmp_path / "one.mcap", options=ProcessOptions(stages="T", keep=capture[:1]))

@@ -20,7 +20,6 @@ from hiros_mcap.evaluate.comparison import (
     by_number_of_cameras,
     camera_subsets,
     comparison,
-    run_task,
 )
 from hiros_mcap.evaluate.leave_one_out import leave_one_out
 from hiros_mcap.evaluate.logs import (
@@ -30,8 +29,8 @@ from hiros_mcap.evaluate.logs import (
     find_truth,
     output_channels,
     read_channel,
+    results_of,
 )
-from hiros_mcap.evaluate.scored import results_of
 from hiros_mcap.evaluate.scores import Scores
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
@@ -75,7 +74,7 @@ def test_process_eval_and_compare_give_one_score(faulty: Path, tmp_path: Path, n
     truth = find_truth(faulty)
     assert truth is not None
     expected = numbers(list(evaluate_log(out, truth).values())[-1].scores)
-    compared = run_task(Task(faulty, Entry(name)))
+    compared = comparison([Task(faulty, Entry(name))])[0]
     assert numbers(compared.scores) == expected
     assert compared.milliseconds > 0
     channels = results_of(faulty, config, system=name)
@@ -116,7 +115,7 @@ def test_what_the_first_call_of_a_kernel_costs_is_not_timed(
 
     one_stage = System("", lambda _: {"tracked": slow_at_first}, ("T",), ("associate",))
     monkeypatch.setitem(SYSTEMS, "slow", one_stage)
-    outcome = run_task(Task(walking, Entry("slow")))
+    outcome = comparison([Task(walking, Entry("slow"))])[0]
     assert len(called) == 2
     assert outcome.milliseconds < 0.5
 

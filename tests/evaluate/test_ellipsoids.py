@@ -10,9 +10,9 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from hiros_mcap.config import load_config
-from hiros_mcap.evaluate.ellipsoids import coverage_of
 from hiros_mcap.evaluate.logs import evaluate_log, find_truth
 from hiros_mcap.evaluate.match import Matches
+from hiros_mcap.evaluate.scores import coverage_of
 from hiros_mcap.io.marker_uncertainty import UNCERTAINTY_TOPIC, read_uncertainty
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
@@ -24,9 +24,9 @@ MODEL = SkeletonModel.of(["A", "B"], [])
 
 def matches(error: float, n: int = 4000) -> Matches:
     poses = np.random.default_rng(0).normal(0, error, (n, 2, 3))
-    return Matches(
-        stamps=list(range(n)), ids=[7] * n, poses=list(poses), true_poses=list(np.zeros_like(poses))
-    )
+    stamps, turns = np.arange(n), np.zeros((n, 0, 4))
+    true_poses = np.zeros_like(poses)
+    return Matches(stamps, stamps * 0, np.full(n, 7), poses, true_poses, turns, turns)
 
 
 @pytest.mark.parametrize(("error", "within"), [(0.01, 0.68), (0.02, 0.17), (0.005, 0.997)])

@@ -11,8 +11,7 @@ import pytest
 from stick_figures import MODEL, at, person, seen
 
 from hiros_mcap.evaluate import Scores, Truth, evaluate
-from hiros_mcap.evaluate.match import match
-from hiros_mcap.evaluate.partial_truth import people_without_truth
+from hiros_mcap.evaluate.match import match, people_without_truth
 from hiros_mcap.skeletons import Floats, Frame
 
 

@@ -28,7 +28,7 @@ def test_who_has_nobody_where_it_is_hard_gains_nothing() -> None:
     good[50:] = 300.0
     worse = good + 10
     worse[50:] = np.nan
-    first, second = on_same_detections({"a": [camera(good)], "b": [camera(worse)]}).values()
+    first, second = on_same_detections([[camera(good)], [camera(worse)]], "a")
     assert (first.distance.mean, second.distance.mean) == pytest.approx((20, 30))
     assert (first.disagreement, second.disagreement) == pytest.approx((20, 30))
     assert (first.misses, second.misses) == (0, 50)
@@ -42,27 +42,27 @@ def test_a_joint_that_one_lacks_counts_for_nobody() -> None:
     one, other = random(20, 1), random(20, 2)
     other[:, 0] = np.nan
     one[:, 0] = 900.0
-    scores = on_same_detections({"a": [camera(one)], "b": [camera(other)]})
-    assert scores["a"].distance.mean == pytest.approx(20, abs=1)
-    assert scores["a"].distance.count == scores["b"].distance.count == 400
-    assert scores["b"].misses == 0
-    assert scores["a"].spread == pytest.approx(scores["a"].distance.mean / 2, rel=1e-5)
+    first, second = on_same_detections([[camera(one)], [camera(other)]], "a")
+    assert first.distance.mean == pytest.approx(20, abs=1)
+    assert first.distance.count == second.distance.count == 400
+    assert second.misses == 0
+    assert first.spread == pytest.approx(first.distance.mean / 2, rel=1e-5)
 
 
 def test_a_system_without_a_result_does_not_empty_the_table() -> None:
     nothing = np.full((200, 3), np.nan)
-    scores = on_same_detections({"a": [camera(random(20, 1))], "b": [camera(nothing)]})
-    assert scores["a"].distance.mean == pytest.approx(20, abs=1)
-    assert scores["b"].misses == 200
-    assert np.isnan(scores["b"].distance.mean)
-    assert scores["b"].difference is not None
-    assert scores["b"].difference.seconds == 0
-    assert not scores["b"].difference.is_sure
+    first, second = on_same_detections([[camera(random(20, 1))], [camera(nothing)]], "a")
+    assert first.distance.mean == pytest.approx(20, abs=1)
+    assert second.misses == 200
+    assert np.isnan(second.distance.mean)
+    assert second.difference is not None
+    assert second.difference.seconds == 0
+    assert not second.difference.is_sure
 
 
 def test_all_cameras_count_together() -> None:
     near, far = camera(np.full((100, 2), 10.0)), camera(np.full((300, 2), 50.0))
-    (only,) = on_same_detections({"a": [near, far]}).values()
+    (only,) = on_same_detections([[near, far]], "a")
     assert only.distance.mean == pytest.approx(40)
     assert only.difference is None
 
@@ -73,10 +73,8 @@ def test_the_interval_is_of_seconds_not_of_frames() -> None:
     for seed in range(300):
         rng = np.random.default_rng(seed)
         lasting = rng.normal(0, 5, (20, 1)).repeat(10, axis=0)
-        scores = on_same_detections(
-            {"a": [camera(np.full((200, 1), 30.0))], "b": [camera(30 + lasting)]}
-        )
-        found = scores["b"].difference
+        systems = [camera(np.full((200, 1), 30.0))], [camera(30 + lasting)]
+        found = on_same_detections(systems, "a")[1].difference
         assert found is not None
         held += found.low <= 0 <= found.high
         wide.append(found.high - found.low)
@@ -85,8 +83,8 @@ def test_the_interval_is_of_seconds_not_of_frames() -> None:
 
 
 def test_the_same_numbers_every_time() -> None:
-    systems = {"a": [camera(random(20, 1))], "b": [camera(random(20.4, 2))]}
-    assert on_same_detections(systems) == on_same_detections(systems)
+    systems = [camera(random(20, 1))], [camera(random(20.4, 2))]
+    assert on_same_detections(systems, "a") == on_same_detections(systems, "a")
 
 
 @pytest.mark.parametrize(
@@ -103,4 +101,4 @@ def test_a_difference_in_words(ends: tuple[float, float, float], text: str) -> N
 
 def test_other_detections_cannot_be_compared() -> None:
     with pytest.raises(ValueError, match="different detections"):
-        on_same_detections({"a": [camera(random(1, 1))], "b": [camera(random(1, 1, seconds=3))]})
+        on_same_detections([[camera(random(1, 1))], [camera(random(1, 1, seconds=3))]], "a")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from stick_figures import MODEL, SECOND, START, person, seen
 
 from hiros_mcap.evaluate import Scores, Truth, evaluate
-from hiros_mcap.evaluate.silence import silent_instants
+from hiros_mcap.evaluate.match import silent_instants
 from hiros_mcap.skeletons import Frame
 
 STEP = SECOND // 100

@@ -19,9 +19,9 @@ from lee_2022_gestures import (
 )
 from published import LEE, LEE_CAMERAS, LEE_COLUMNS, LEE_RADII, MALAGUTI, lee_appendix, lee_mean
 
-from hiros_mcap.evaluate.comparison import Entry, Outcome, Task, run_task
-from hiros_mcap.evaluate.parts import PARTS, part_of
+from hiros_mcap.evaluate.comparison import Entry, Outcome, Task, comparison
 from hiros_mcap.evaluate.scores import Scores
+from hiros_mcap.evaluate.statistics import PARTS, part_of
 from hiros_mcap.simulate.body_model import MARKERS
 from hiros_mcap.stages.lee.cluster import LEE_JOINTS
 
@@ -31,7 +31,7 @@ LEE_MARKERS = tuple(dict.fromkeys(joint for _, joint in lee_appendix()))
 @pytest.fixture(scope="module")
 def scores() -> Scores:
     walking = Path(__file__).parents[2] / "sample_data" / "one_person_walking.mcap"
-    found = run_task(Task(walking, Entry("raw"))).scores
+    found = comparison([Task(walking, Entry("raw"))])[0].scores
     assert found is not None
     return found
 

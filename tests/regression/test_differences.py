@@ -15,7 +15,7 @@ from hiros_mcap.regression.differences import (
     compare_frames,
     compare_limbs,
 )
-from hiros_mcap.regression.tolerances import Tolerances
+from hiros_mcap.regression.quantities import Tolerances
 from hiros_mcap.skeletons import Frame
 
 

@@ -38,8 +38,8 @@ from hiros_mcap.regression.metrics import (
     worse,
 )
 from hiros_mcap.regression.provenance import Provenance
+from hiros_mcap.regression.quantities import LIMITS, Tolerances, beside
 from hiros_mcap.regression.suite import CaseResult, Golden, SuiteOptions, load_suite, run_suite
-from hiros_mcap.regression.tolerances import LIMITS, Tolerances, beside
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Frame
 from hiros_mcap.systems import SYSTEMS, Run, Stages

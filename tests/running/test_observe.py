@@ -31,7 +31,7 @@ from hiros_mcap.running.preparation import Prepared
 from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.running.report import Report
 from hiros_mcap.running.stopwatch import Stopwatch
-from hiros_mcap.summary import LimbSummary, cleaned, duration, number, quantity
+from hiros_mcap.summary import LimbSummary, duration, number, quantity
 from hiros_mcap.systems import Run
 
 MS, S = 1_000_000, 1_000_000_000
@@ -161,7 +161,7 @@ def test_numbers_of_things_are_told_in_words() -> None:
     )
     assert counted("not confirmed", 1).startswith("1 detection ignored")
     assert counted("something new", 3) == "something new: 3"
-    assert cleaned("confidence above 1", 2) == "2 confidences above 1 taken as 1"
+    assert counted("confidence above 1", 2) == "2 confidences above 1 taken as 1"
     assert quantity(0, "limb") == "0 limbs"
     assert (number(np.nan, 1), number(2.25, 1, " s")) == ("-", "2.2 s")
 

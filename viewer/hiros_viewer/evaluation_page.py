@@ -52,7 +52,7 @@ def truth_page(
     page.table(*score_tables.angle_table(result.scores), title)
     signed = score_tables.signed_angle_table(result.scores)
     page.table(*signed, "Signed joint angles by marker positions (docs/angles.md): error, degrees")
-    people = sorted(set(result.matches.people))
+    people = np.unique(result.matches.people).tolist()
     for person in people[:_MOST_PEOPLE]:
         caption = f"Person {truth.people[person] if truth.people else person}"
         page.figure(_angle_curves(result, person), f"{caption}, degrees")
@@ -81,10 +81,10 @@ def _joint_bars(joints: Mapping[str, ErrorStats]) -> Figure:
 def _angle_curves(result: ChannelResult, person: int) -> Figure:
     """Truth and result of one true person over time."""
     matches = result.matches
-    rows = [k for k, who in enumerate(matches.people) if who == person]
-    times = np.array([matches.stamps[k] for k in rows])
+    rows = matches.people == person
+    times = matches.stamps[rows]
     angles, true_angles = (
-        angles_of(result.model, *(np.stack([each[k] for k in rows]) for each in pair))
+        angles_of(result.model, *(each[rows] for each in pair))
         for pair in (
             (matches.poses, matches.orientations),
             (matches.true_poses, matches.true_orientations),

@@ -118,8 +118,8 @@ def check(
     elif golden is None:
         raise ConfigError(f"{target}: name the golden log with --golden")
     else:
+        from hiros_mcap.regression.quantities import load_tolerances
         from hiros_mcap.regression.suite import Golden, check_output
-        from hiros_mcap.regression.tolerances import load_tolerances
 
         limits = None if tolerances is None else load_tolerances(tolerances)
         result = check_output(target, Golden(golden, limits, channel or ()), bless=bless)
@@ -134,7 +134,7 @@ def _job(
     golden: Path | None, tolerances: Path | None, channels: list[str] | None, *, bless: bool
 ) -> CheckJob:
     from hiros_mcap.many.jobs import CheckJob
-    from hiros_mcap.regression.tolerances import load_tolerances
+    from hiros_mcap.regression.quantities import load_tolerances
 
     if golden is None or (golden.exists() and not golden.is_dir()):
         raise ConfigError("with many outputs, --golden names a folder with a golden file for each")

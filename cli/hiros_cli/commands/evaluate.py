@@ -143,9 +143,16 @@ def evaluate(
     prepare(quiet=quiet or json, everything=is_many)
 
     from hiros_mcap.config import load_config
-    from hiros_mcap.evaluate.logs import covered_by, evaluate_channels, find_truth, start_of
+    from hiros_mcap.evaluate.logs import (
+        check_scorable,
+        covered_by,
+        evaluate_channels,
+        find_truth,
+        results_of,
+        settings_of,
+        start_of,
+    )
     from hiros_mcap.evaluate.remarks import warnings_of
-    from hiros_mcap.evaluate.scored import check_scorable, results_of, settings_of
     from hiros_mcap.io.log import open_reader
 
     asked = config is not None or assignments or system is not None or preset != "default"

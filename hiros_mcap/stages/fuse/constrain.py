@@ -114,7 +114,7 @@ class _Bodies:
     def __init__(
         self, model: SkeletonModel, params: ConstrainParams, events: Events, limbs: LimbTable
     ) -> None:
-        from hiros_mcap.body.rigid_groups import constant_pairs
+        from hiros_mcap.body.symmetry import constant_pairs
 
         self._params, self._events = params, events
         symmetry = symmetry_of(model)
