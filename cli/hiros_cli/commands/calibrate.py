@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import typer
 
 from hiros_cli.help_page import HelpfulCommand
-from hiros_cli.options import Force, Json, seconds_range
+from hiros_cli.options import FORCE, JSON, argument, flag, option, seconds_range
 from hiros_mcap.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
@@ -34,24 +34,15 @@ def calibrate(context: typer.Context) -> None:
 
 @app.command(cls=HelpfulCommand)
 def people(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Recording of people who walk about.")],
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output", "-o", metavar="FILE", help="Write poses and clocks, for --extrinsics."
-        ),
-    ] = None,
-    write_log: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write a copy of the log with poses and right stamps."),
-    ] = None,
-    topic: Annotated[
-        list[str] | None,
-        typer.Option(metavar="GLOB", help="Cameras to read; may be repeated. Default: all."),
-    ] = None,
-    joints: Annotated[bool, typer.Option("--joints", help="Also print each joint.")] = False,
-    force: Force = False,
-    json: Json = False,
+    log: Path = argument("LOG", "Recording of people who walk about."),
+    output: Path | None = option(
+        "FILE", "Write poses and clocks, for --extrinsics.", "--output", "-o"
+    ),
+    write_log: Path | None = option("FILE", "Write a copy of the log with poses and right stamps."),
+    topic: list[str] | None = option("GLOB", "Cameras to read; may be repeated. Default: all."),
+    joints: bool = flag("--joints", "Also print each joint."),
+    force: bool = FORCE,
+    json: bool = JSON,
 ) -> None:
     """Find the cameras' poses and clocks from the people whom they see.
 
@@ -90,28 +81,18 @@ def people(
 
 @app.command(cls=HelpfulCommand)
 def ball(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Recording of a ball, with images.")],
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Write poses, for --extrinsics."),
-    ] = None,
-    radius: Annotated[
-        float, typer.Option(metavar="M", help="Radius of the ball, m.", min=0.01, max=2.0)
-    ] = 0.24,
-    color: Annotated[
-        str,
-        typer.Option(
-            metavar="H-H:S-S:V-V",
-            help="Range of its colour in OpenCV's HSV. A hue may pass 179.",
-            show_default="red, 170-10:110-255:50-255",
-        ),
-    ] = "170-10:110-255:50-255",
-    topic: Annotated[
-        list[str] | None,
-        typer.Option(metavar="GLOB", help="Channels to read; may be repeated. Default: all."),
-    ] = None,
-    force: Force = False,
-    json: Json = False,
+    log: Path = argument("LOG", "Recording of a ball, with images."),
+    output: Path | None = option("FILE", "Write poses, for --extrinsics.", "--output", "-o"),
+    radius: float = option("M", "Radius of the ball, m.", default=0.24, min=0.01, max=2.0),
+    color: str = option(
+        "H-H:S-S:V-V",
+        "Range of its colour in OpenCV's HSV. A hue may pass 179.",
+        default="170-10:110-255:50-255",
+        show_default="red, 170-10:110-255:50-255",
+    ),
+    topic: list[str] | None = option("GLOB", "Channels to read; may be repeated. Default: all."),
+    force: bool = FORCE,
+    json: bool = JSON,
 ) -> None:
     """Find the cameras' poses from a coloured ball.
 
@@ -138,24 +119,13 @@ def ball(
 
 @app.command(cls=HelpfulCommand)
 def board(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Recording of a board, with images.")],
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Write poses, for --extrinsics."),
-    ] = None,
-    extrinsics: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="The cameras' poses to each other, as by a ball."),
-    ] = None,
-    dictionary: Annotated[
-        str, typer.Option(metavar="NAME", help="The markers' ArUco dictionary.")
-    ] = "DICT_4X4_50",
-    topic: Annotated[
-        list[str] | None,
-        typer.Option(metavar="GLOB", help="Channels to read; may be repeated. Default: all."),
-    ] = None,
-    force: Force = False,
-    json: Json = False,
+    log: Path = argument("LOG", "Recording of a board, with images."),
+    output: Path | None = option("FILE", "Write poses, for --extrinsics.", "--output", "-o"),
+    extrinsics: Path | None = option("FILE", "The cameras' poses to each other, as by a ball."),
+    dictionary: str = option("NAME", "The markers' ArUco dictionary.", default="DICT_4X4_50"),
+    topic: list[str] | None = option("GLOB", "Channels to read; may be repeated. Default: all."),
+    force: bool = FORCE,
+    json: bool = JSON,
 ) -> None:
     """Put the cameras into the frame of a board of four ArUco markers.
 
@@ -195,14 +165,9 @@ def _tell(
 
 @app.command(cls=HelpfulCommand)
 def noise(
-    log: Annotated[
-        Path, typer.Argument(metavar="LOG", help="Recording of people who stand still.")
-    ],
-    window: Annotated[
-        str | None,
-        typer.Option(metavar="START:END", help="Only this part, s from the log's start."),
-    ] = None,
-    json: Json = False,
+    log: Path = argument("LOG", "Recording of people who stand still."),
+    window: str | None = option("START:END", "Only this part, s from the log's start."),
+    json: bool = JSON,
 ) -> None:
     """Measure the detectors' noise; print it as TOML for --config.
 

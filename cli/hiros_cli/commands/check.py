@@ -6,13 +6,23 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from hiros_cli.completing import topics
 from hiros_cli.many_logs import ManyLogs, one_log, run
-from hiros_cli.options import Cluster, Force, Jobs, Json, QuietResult, Table
+from hiros_cli.options import (
+    CLUSTER,
+    FORCE,
+    JOBS,
+    JSON,
+    QUIET_RESULT,
+    TABLE,
+    argument,
+    flag,
+    option,
+)
 from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -24,66 +34,37 @@ EQUAL, DIFFERENT, CANNOT = 0, 1, 2
 
 def check(
     context: typer.Context,
-    targets: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="OUT|SUITE",
-            help="Outputs of `hiros process` (files, folders, globs, URLs), or one suite (.toml) "
-            "of recordings.",
-        ),
-    ],
-    golden: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="With OUT: the golden log to compare with. With many: the folder of golden files "
-            "with the same names.",
-        ),
-    ] = None,
-    tolerances: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="With OUT: TOML file with tolerances. Default: GOLDEN.tolerances.toml beside "
-            "the golden log.",
-        ),
-    ] = None,
-    channel: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="GLOB",
-            help="With OUT and --bless: channels to keep; may be repeated. Default: the last "
-            "stage.",
-            autocompletion=topics,
-        ),
-    ] = None,
-    bless: Annotated[
-        bool,
-        typer.Option(
-            "--bless", help="Accept the result as the new golden file; print what changed."
-        ),
-    ] = False,
-    only: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="With SUITE: this log only; may be repeated."),
-    ] = None,
-    jobs: Jobs = None,
-    cluster: Cluster = None,
-    csv: Table = None,
-    keep: Annotated[
-        Path | None,
-        typer.Option(metavar="FOLDER", help="With SUITE: keep the outputs in this folder."),
-    ] = None,
-    junit: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="With SUITE: also write JUnit XML.")
-    ] = None,
-    markdown: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="With SUITE: also write a summary for a pull request."),
-    ] = None,
-    force: Force = False,
-    json: Json = False,
-    quiet: QuietResult = False,
+    targets: list[str] = argument(
+        "OUT|SUITE",
+        "Outputs of `hiros process` (files, folders, globs, URLs), or one suite (.toml) of "
+        "recordings.",
+    ),
+    golden: Path | None = option(
+        "FILE",
+        "With OUT: the golden log to compare with. With many: the folder of golden files with "
+        "the same names.",
+    ),
+    tolerances: Path | None = option(
+        "FILE",
+        "With OUT: TOML file with tolerances. Default: GOLDEN.tolerances.toml beside the "
+        "golden log.",
+    ),
+    channel: list[str] | None = option(
+        "GLOB",
+        "With OUT and --bless: channels to keep; may be repeated. Default: the last stage.",
+        autocompletion=topics,
+    ),
+    bless: bool = flag("--bless", "Accept the result as the new golden file; print what changed."),
+    only: list[str] | None = option("NAME", "With SUITE: this log only; may be repeated."),
+    jobs: int | None = JOBS,
+    cluster: str | None = CLUSTER,
+    csv: Path | None = TABLE,
+    keep: Path | None = option("FOLDER", "With SUITE: keep the outputs in this folder."),
+    junit: Path | None = option("FILE", "With SUITE: also write JUnit XML."),
+    markdown: Path | None = option("FILE", "With SUITE: also write a summary for a pull request."),
+    force: bool = FORCE,
+    json: bool = JSON,
+    quiet: bool = QUIET_RESULT,
 ) -> int:
     """Compare a result with its golden log, or run a suite of logs.
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import typer
 
+from hiros_cli.options import argument
 from hiros_mcap.errors import ConfigError
 
 
 def completion(
     context: typer.Context,
-    shell: Annotated[str, typer.Argument(metavar="SHELL", help="bash, zsh or fish.")],
+    shell: str = argument("SHELL", "bash, zsh or fish."),
 ) -> int:
     """Print a script that completes commands, options and topics.
 

@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
-from hiros_cli.options import Force, Quiet
+from hiros_cli.options import FORCE, QUIET, argument
 
 SECONDS = 10.0
 
 
 def demo(
-    output: Annotated[Path, typer.Argument(metavar="OUT", help="Log to write.")] = Path(
-        "demo.mcap"
-    ),
-    force: Force = False,
-    quiet: Quiet = False,
+    output: Path = argument("OUT", "Log to write.", default=Path("demo.mcap")),
+    force: bool = FORCE,
+    quiet: bool = QUIET,
 ) -> None:
     """Write a sample log: two people cross before three cameras.
 

@@ -4,25 +4,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from hiros_cli.completing import topics
 from hiros_cli.many_logs import ManyLogs, one_log, run
 from hiros_cli.options import (
+    ASSIGNMENTS,
+    CLUSTER,
+    CONFIG,
+    FORCE,
+    HTML,
+    JOBS,
+    JSON,
     MANY,
-    Assignments,
-    Cluster,
-    ConfigFile,
-    Force,
-    Html,
-    Jobs,
-    Json,
-    Preset,
-    QuietResult,
-    SystemName,
-    Table,
+    PRESET,
+    QUIET_RESULT,
+    SYSTEM,
+    TABLE,
+    argument,
     chosen_system,
     config_file,
     flag,
@@ -40,82 +41,58 @@ if TYPE_CHECKING:
 
 def evaluate(
     context: typer.Context,
-    logs: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="LOG",
-            help="Outputs of `hiros process`, or recordings to process first: files, folders, "
-            "globs, URLs.",
-        ),
-    ],
-    truth: Annotated[
-        str | None,
-        option(
-            "FILE|TOPIC",
-            "MCAP, TRC or CSV file, or a channel of LOG. Default: LOG's /truth channel. With "
-            "many logs: a channel, or a folder of files with the logs' names.",
-        ),
-    ] = None,
-    channel: Annotated[
-        list[str] | None,
-        option(
-            "GLOB",
-            "Output channels to score; may be repeated. Default: all.",
-            autocompletion=topics,
-        ),
-    ] = None,
-    leave_one_out: Annotated[
-        bool,
-        flag(
-            "--leave-one-out",
-            "Score each camera against the result of the others. Default if LOG has no truth.",
-        ),
-    ] = False,
-    truth_covers: Annotated[
-        str,
-        option(
-            "all|partial|auto",
-            "Whether the truth has everybody: skeletons of nobody in a partial truth don't "
-            "count. auto: partial only if the result shows people walking whom it lacks.",
-        ),
-    ] = "auto",
-    match_distance: Annotated[
-        float,
-        option(
-            "M",
-            "Largest mean joint distance, m, at which a skeleton matches a true person.",
-            min=0.01,
-        ),
-    ] = 1.0,
-    shift: Annotated[
-        float,
-        option("S", "Seconds to add to the times of the truth.", min=-4e9, max=4e9),
-    ] = 0.0,
-    up: Annotated[str, option("AXIS", "Axis of the truth that points up: z or y.")] = "z",
-    joints: Annotated[
-        bool, flag("--joints", "Also show every joint and the signed angles.")
-    ] = False,
-    system: SystemName = None,
-    preset: Preset = "default",
-    config: ConfigFile = None,
-    assignments: Assignments = None,
-    html: Html = None,
-    output: Annotated[
-        str,
-        option(
-            "FOLDER",
-            "Keep the scores of many logs there; the same command goes on where it stopped.",
-            "--output",
-            "-o",
-            panel=MANY,
-        ),
-    ] = "",
-    jobs: Jobs = None,
-    cluster: Cluster = None,
-    csv: Table = None,
-    force: Force = False,
-    json: Json = False,
-    quiet: QuietResult = False,
+    logs: list[str] = argument(
+        "LOG",
+        "Outputs of `hiros process`, or recordings to process first: files, folders, globs, URLs.",
+    ),
+    truth: str | None = option(
+        "FILE|TOPIC",
+        "MCAP, TRC or CSV file, or a channel of LOG. Default: LOG's /truth channel. With many "
+        "logs: a channel, or a folder of files with the logs' names.",
+    ),
+    channel: list[str] | None = option(
+        "GLOB", "Output channels to score; may be repeated. Default: all.", autocompletion=topics
+    ),
+    leave_one_out: bool = flag(
+        "--leave-one-out",
+        "Score each camera against the result of the others. Default if LOG has no truth.",
+    ),
+    truth_covers: str = option(
+        "all|partial|auto",
+        "Whether the truth has everybody: skeletons of nobody in a partial truth don't count. "
+        "auto: partial only if the result shows people walking whom it lacks.",
+        default="auto",
+    ),
+    match_distance: float = option(
+        "M",
+        "Largest mean joint distance, m, at which a skeleton matches a true person.",
+        default=1.0,
+        min=0.01,
+    ),
+    shift: float = option(
+        "S", "Seconds to add to the times of the truth.", default=0.0, min=-4e9, max=4e9
+    ),
+    up: str = option("AXIS", "Axis of the truth that points up: z or y.", default="z"),
+    joints: bool = flag("--joints", "Also show every joint and the signed angles."),
+    system: str | None = SYSTEM,
+    preset: str = PRESET,
+    config: Path | None = CONFIG,
+    assignments: list[str] | None = ASSIGNMENTS,
+    html: Path | None = HTML,
+    output: str = option(
+        "FOLDER",
+        "Keep the scores of many logs there; the same command goes on where it stopped.",
+        "--output",
+        "-o",
+        default="",
+        panel=MANY,
+    ),
+    jobs: int | None = JOBS,
+    cluster: str | None = CLUSTER,
+    csv: Path | None = TABLE,
+    force: bool = FORCE,
+    json: bool = JSON,
+    quiet: bool = QUIET_RESULT,
 ) -> None:
     """Score a result: joints, angles, limbs, jitter, lag, people.
 

@@ -3,34 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
-from hiros_cli.options import Force, Quiet
+from hiros_cli.options import FORCE, QUIET, argument, option
 
 
 def import_(
-    sources: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="FILE",
-            help="CSV, TRC or JSON files, or folders of JSON files, one for each camera.",
-        ),
-    ],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="LOG", help="MCAP log to write.")
-    ],
-    mapping: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="TOML file with names, units, axes, cameras and clock of FILE; or openpose, "
-            "mediapipe, freemocap, pose2sim, opencap.",
-        ),
-    ] = None,
-    force: Force = False,
-    quiet: Quiet = False,
+    sources: list[Path] = argument(
+        "FILE", "CSV, TRC or JSON files, or folders of JSON files, one for each camera."
+    ),
+    output: Path = option("LOG", "MCAP log to write.", "--output", "-o", default=...),
+    mapping: Path | None = option(
+        "FILE",
+        "TOML file with names, units, axes, cameras and clock of FILE; or openpose, "
+        "mediapipe, freemocap, pose2sim, opencap.",
+    ),
+    force: bool = FORCE,
+    quiet: bool = QUIET,
 ) -> None:
     """Turn files of joint positions into a log.
 

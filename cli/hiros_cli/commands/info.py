@@ -4,12 +4,23 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from hiros_cli.many_logs import ManyLogs, one_log, run
-from hiros_cli.options import Cameras, Cluster, Extrinsics, Force, Jobs, Json, Quiet, Table
+from hiros_cli.options import (
+    CAMERAS,
+    CLUSTER,
+    EXTRINSICS,
+    FORCE,
+    JOBS,
+    JSON,
+    QUIET,
+    TABLE,
+    argument,
+)
 
 if TYPE_CHECKING:
     from hiros_mcap.io.overview import CameraRow, ChannelRow, Overview
@@ -17,18 +28,15 @@ if TYPE_CHECKING:
 
 def info(
     context: typer.Context,
-    logs: Annotated[
-        list[str],
-        typer.Argument(metavar="LOG", help="MCAP files, ROS bags, folders of them, globs, URLs."),
-    ],
-    topic: Cameras = None,
-    extrinsics: Extrinsics = None,
-    jobs: Jobs = None,
-    cluster: Cluster = None,
-    csv: Table = None,
-    force: Force = False,
-    json: Json = False,
-    quiet: Quiet = False,
+    logs: list[str] = argument("LOG", "MCAP files, ROS bags, folders of them, globs, URLs."),
+    topic: list[str] | None = CAMERAS,
+    extrinsics: Path | None = EXTRINSICS,
+    jobs: int | None = JOBS,
+    cluster: str | None = CLUSTER,
+    csv: Path | None = TABLE,
+    force: bool = FORCE,
+    json: bool = JSON,
+    quiet: bool = QUIET,
 ) -> None:
     """Show what an MCAP file or bag holds.
 

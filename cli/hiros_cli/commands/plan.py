@@ -3,71 +3,42 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
-
-import typer
+from typing import Any
 
 from hiros_cli.commands.simulate import simulate_params
-from hiros_cli.options import OUTPUT, Force, Json, Quiet
+from hiros_cli.options import FORCE, JSON, OUTPUT, QUIET, flag, option
 from hiros_mcap.errors import ConfigError
 
 
 def plan(
-    room: Annotated[
-        str | None,
-        typer.Option(metavar="WxD", help="Width and depth, m, such as 6x5. x is along the width."),
-    ] = None,
-    cameras: Annotated[
-        str,
-        typer.Option(
-            metavar="NUMBER|FILE",
-            help="How many to place. Or a file with the poses of those that stand "
-            "there, as of `hiros calibrate people -o`; z must point up from the floor.",
-        ),
-    ] = "4",
-    people: Annotated[
-        int, typer.Option(metavar="NUMBER", help="In the room at once, at most 10.", min=1)
-    ] = 1,
-    fov: Annotated[
-        str | None,
-        typer.Option(
-            metavar="AxU", help="Field of view across and upright, deg. Default: 75x65, or FILE's."
-        ),
-    ] = None,
-    reach: Annotated[
-        str | None,
-        typer.Option(
-            "--range",
-            metavar="NEAR:FAR",
-            help="Depths that a camera sees, m. Default: 0.5:5.5, or FILE's.",
-        ),
-    ] = None,
-    height: Annotated[
-        float,
-        typer.Option(metavar="M", help="Of cameras above the floor, m.", min=0.3, max=10.0),
-    ] = 2.2,
-    noise: Annotated[
-        float,
-        typer.Option(metavar="SCALE", help="Noise of the detectors, as in `hiros simulate`."),
-    ] = 1.0,
-    joints: Annotated[bool, typer.Option("--joints", help="Also print each joint.")] = False,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="FILE",
-            help="Write the cameras' poses, for --extrinsics and `hiros simulate --cameras`.",
-            rich_help_panel=OUTPUT,
-        ),
-    ] = None,
-    picture: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Also draw the floor as PNG.", rich_help_panel=OUTPUT),
-    ] = None,
-    force: Force = False,
-    json: Json = False,
-    quiet: Quiet = False,
+    room: str | None = option("WxD", "Width and depth, m, such as 6x5. x is along the width."),
+    cameras: str = option(
+        "NUMBER|FILE",
+        "How many to place. Or a file with the poses of those that stand there, as of `hiros "
+        "calibrate people -o`; z must point up from the floor.",
+        default="4",
+    ),
+    people: int = option("NUMBER", "In the room at once, at most 10.", default=1, min=1),
+    fov: str | None = option(
+        "AxU", "Field of view across and upright, deg. Default: 75x65, or FILE's."
+    ),
+    reach: str | None = option(
+        "NEAR:FAR", "Depths that a camera sees, m. Default: 0.5:5.5, or FILE's.", "--range"
+    ),
+    height: float = option("M", "Of cameras above the floor, m.", default=2.2, min=0.3, max=10.0),
+    noise: float = option("SCALE", "Noise of the detectors, as in `hiros simulate`.", default=1.0),
+    joints: bool = flag("--joints", "Also print each joint."),
+    output: Path | None = option(
+        "FILE",
+        "Write the cameras' poses, for --extrinsics and `hiros simulate --cameras`.",
+        "-o",
+        "--output",
+        panel=OUTPUT,
+    ),
+    picture: Path | None = option("FILE", "Also draw the floor as PNG.", panel=OUTPUT),
+    force: bool = FORCE,
+    json: bool = JSON,
+    quiet: bool = QUIET,
 ) -> None:
     """Say where to put cameras in a room, and how exact they are.
 
@@ -93,9 +64,9 @@ def plan(
     given: dict[str, Any] = {"cameras": int(cameras)} if rig is None else rig.settings
     size = None if room is None else _pair("--room", room, "x")
     given["area"] = room_area(size, given.get("area"))
-    for name, option, text, mark in (("fov", "--fov", fov, "x"), ("range", "--range", reach, ":")):
+    for name, text, mark in (("fov", fov, "x"), ("range", reach, ":")):
         if text is not None:
-            given.setdefault("rig", {})[name] = _pair(option, text, mark)
+            given.setdefault("rig", {})[name] = _pair(f"--{name}", text, mark)
     params = simulate_params({**given, "people": people, "noise": noise})
     found = make_plan(params, height, None if rig is None else rig.poses)
     if output is not None:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from hiros_cli.completing import topics
-from hiros_cli.options import Force, Quiet
+from hiros_cli.options import FORCE, QUIET, argument, option
 from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -17,38 +15,22 @@ if TYPE_CHECKING:
 
 
 def plot(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Output of `hiros process`.")],
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="One plot (.png) or all (.html). Default: LOG's name with .html.",
-        ),
-    ] = None,
-    what: Annotated[
-        str,
-        typer.Option(metavar="KIND", help="Plot in a PNG: angles, limbs or error (needs a truth)."),
-    ] = "angles",
-    person: Annotated[
-        int | None,
-        typer.Option(metavar="ID", help="Person in a PNG. Default: the one seen longest."),
-    ] = None,
-    channel: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TOPIC", help="Channel to plot. Default: the last stage.", autocompletion=topics
-        ),
-    ] = None,
-    truth: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE|TOPIC", help="Truth to draw as well. Default: LOG's /truth channel."
-        ),
-    ] = None,
-    force: Force = False,
-    quiet: Quiet = False,
+    log: Path = argument("LOG", "Output of `hiros process`."),
+    output: Path | None = option(
+        "FILE", "One plot (.png) or all (.html). Default: LOG's name with .html.", "--output", "-o"
+    ),
+    what: str = option(
+        "KIND", "Plot in a PNG: angles, limbs or error (needs a truth).", default="angles"
+    ),
+    person: int | None = option("ID", "Person in a PNG. Default: the one seen longest."),
+    channel: str | None = option(
+        "TOPIC", "Channel to plot. Default: the last stage.", autocompletion=topics
+    ),
+    truth: str | None = option(
+        "FILE|TOPIC", "Truth to draw as well. Default: LOG's /truth channel."
+    ),
+    force: bool = FORCE,
+    quiet: bool = QUIET,
 ) -> None:
     """Plot joint angles, limb lengths and errors as PNG or HTML."""
     from hiros_cli.compiling import prepare

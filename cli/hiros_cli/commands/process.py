@@ -6,7 +6,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -20,22 +20,23 @@ from hiros_cli.live_run import (
 )
 from hiros_cli.many_logs import ManyLogs, one_log
 from hiros_cli.options import (
+    ASSIGNMENTS,
+    CAMERAS,
+    CLUSTER,
+    CONFIG,
+    EXTRINSICS,
+    FORCE,
     INPUT,
+    JOBS,
+    JSON,
     LOSSES,
     OUTPUT,
     PARAMETERS,
-    Assignments,
-    Cameras,
-    Cluster,
-    ConfigFile,
-    Extrinsics,
-    Force,
-    Jobs,
-    Json,
-    Preset,
-    Quiet,
-    SystemName,
-    Table,
+    PRESET,
+    QUIET,
+    SYSTEM,
+    TABLE,
+    argument,
     chosen_system,
     config_file,
     flag,
@@ -58,150 +59,100 @@ SUFFIX = ".hiros.mcap"
 
 def process(
     context: typer.Context,
-    logs: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="LOG",
-            help="Recordings: MCAP files, ROS bags, folders of them, globs, URLs; - is a pipe.",
-        ),
-    ],
-    output: Annotated[
-        str | None,
-        option(
-            "OUT",
-            f"Output file, DIR/ for a ROS 2 bag, - for a pipe; with many logs, the folder for "
-            f"all. Default: LOG's name with {SUFFIX}.",
-            "--output",
-            "-o",
-            panel=OUTPUT,
-        ),
-    ] = None,
-    system: SystemName = None,
-    stages: Annotated[
-        str,
-        option(
-            "CHAIN",
-            "Stages to run (track, merge, optimize, filter): T, TM, TO, TF, TMF, TMO or "
-            "TMOF. Default: all stages of the system.",
-            panel=PARAMETERS,
-        ),
-    ] = "",
-    topic: Cameras = None,
-    keep: Annotated[
-        list[str] | None,
-        option(
-            "GLOB",
-            "Input channels to copy; may be repeated; '' copies none. Default: the cameras "
-            "read, the transforms and /truth.",
-            autocompletion=topics,
-            panel=OUTPUT,
-        ),
-    ] = None,
-    preset: Preset = "default",
-    config: ConfigFile = None,
-    assignments: Assignments = None,
-    extrinsics: Extrinsics = None,
-    fixed_frame: Annotated[
-        str | None,
-        option("FRAME", "Frame of the output. Default: root of the transforms.", panel=INPUT),
-    ] = None,
-    model: Annotated[
-        str | None,
-        option(
-            "NAME",
-            "Skeleton of the output: union, azure-kinect, zed-38, ..., or a camera's topic.",
-            panel=INPUT,
-        ),
-    ] = None,
-    unit: Annotated[
-        str | None,
-        option("UNIT", "Unit of the positions: m (default), cm or mm.", panel=INPUT),
-    ] = None,
-    clock: Annotated[
-        list[str] | None,
-        option(
-            "CAMERA=SECONDS", "Add seconds to the stamps of a camera; may be repeated.", panel=INPUT
-        ),
-    ] = None,
-    limbs: Annotated[
-        Path | None,
-        option("FILE", "Use these limb lengths of an earlier session.", panel="Limb lengths"),
-    ] = None,
-    save_limbs: Annotated[
-        Path | None,
-        option("FILE", "Write the limb lengths to this file.", panel="Limb lengths"),
-    ] = None,
-    calibrate: Annotated[
-        str,
-        option(
-            "off|auto|require",
-            "Camera poses: off keeps the log's, auto takes better ones where the people in "
-            "the log prove them, require also refuses poses that they do not confirm.",
-            panel=INPUT,
-        ),
-    ] = "auto",
-    limb_window: Annotated[
-        list[str] | None,
-        option(
-            "START:END",
-            "Calibrate limbs in this time range only, s from the log's start; may be repeated.",
-            panel="Limb lengths",
-        ),
-    ] = None,
-    two_pass: Annotated[
-        bool,
-        flag("--two-pass", "Calibrate limbs on the whole log first.", panel="Limb lengths"),
-    ] = False,
-    solver: Annotated[
-        str | None,
-        option(
-            "NAME", "Optimizer: lm (default) or ceres (slow, for comparison).", panel="Limb lengths"
-        ),
-    ] = None,
-    markers: Annotated[
-        bool,
-        flag(
-            "--markers",
-            "Also write MarkerArray, JointState and Log for RViz and Foxglove.",
-            panel=OUTPUT,
-        ),
-    ] = False,
-    view: Annotated[
-        bool,
-        flag("--view", "Show the run live in the Rerun viewer.", panel=OUTPUT),
-    ] = False,
-    strict: Annotated[
-        bool,
-        flag("--strict", "Fail if any message would be skipped.", panel=INPUT),
-    ] = False,
-    recover: Annotated[
-        bool,
-        flag(
-            "--recover",
-            "Run on what can be read of a damaged log; exit with 3 on losses.",
-            panel=INPUT,
-        ),
-    ] = False,
-    follow: Annotated[
-        bool,
-        flag("--follow", "Process a log while it is being written; Ctrl-C ends it.", panel=INPUT),
-    ] = False,
-    memory: Annotated[
-        float,
-        option(
-            "GIB",
-            "Memory for a log whose chunks overlap in time, GiB; a message of a server may "
-            "take a 16th.",
-            min=0.25,
-            panel=INPUT,
-        ),
-    ] = 1.0,
-    jobs: Jobs = None,
-    cluster: Cluster = None,
-    csv: Table = None,
-    force: Force = False,
-    json: Json = False,
-    quiet: Quiet = False,
+    logs: list[str] = argument(
+        "LOG", "Recordings: MCAP files, ROS bags, folders of them, globs, URLs; - is a pipe."
+    ),
+    output: str | None = option(
+        "OUT",
+        f"Output file, DIR/ for a ROS 2 bag, - for a pipe; with many logs, the folder for "
+        f"all. Default: LOG's name with {SUFFIX}.",
+        "--output",
+        "-o",
+        panel=OUTPUT,
+    ),
+    system: str | None = SYSTEM,
+    stages: str = option(
+        "CHAIN",
+        "Stages to run (track, merge, optimize, filter): T, TM, TO, TF, TMF, TMO or TMOF. "
+        "Default: all stages of the system.",
+        default="",
+        panel=PARAMETERS,
+    ),
+    topic: list[str] | None = CAMERAS,
+    keep: list[str] | None = option(
+        "GLOB",
+        "Input channels to copy; may be repeated; '' copies none. Default: the cameras read, "
+        "the transforms and /truth.",
+        autocompletion=topics,
+        panel=OUTPUT,
+    ),
+    preset: str = PRESET,
+    config: Path | None = CONFIG,
+    assignments: list[str] | None = ASSIGNMENTS,
+    extrinsics: Path | None = EXTRINSICS,
+    fixed_frame: str | None = option(
+        "FRAME", "Frame of the output. Default: root of the transforms.", panel=INPUT
+    ),
+    model: str | None = option(
+        "NAME",
+        "Skeleton of the output: union, azure-kinect, zed-38, ..., or a camera's topic.",
+        panel=INPUT,
+    ),
+    unit: str | None = option("UNIT", "Unit of the positions: m (default), cm or mm.", panel=INPUT),
+    clock: list[str] | None = option(
+        "CAMERA=SECONDS", "Add seconds to the stamps of a camera; may be repeated.", panel=INPUT
+    ),
+    limbs: Path | None = option(
+        "FILE", "Use these limb lengths of an earlier session.", panel="Limb lengths"
+    ),
+    save_limbs: Path | None = option(
+        "FILE", "Write the limb lengths to this file.", panel="Limb lengths"
+    ),
+    calibrate: str = option(
+        "off|auto|require",
+        "Camera poses: off keeps the log's, auto takes better ones where the people in the "
+        "log prove them, require also refuses poses that they do not confirm.",
+        default="auto",
+        panel=INPUT,
+    ),
+    limb_window: list[str] | None = option(
+        "START:END",
+        "Calibrate limbs in this time range only, s from the log's start; may be repeated.",
+        panel="Limb lengths",
+    ),
+    two_pass: bool = flag(
+        "--two-pass", "Calibrate limbs on the whole log first.", panel="Limb lengths"
+    ),
+    solver: str | None = option(
+        "NAME", "Optimizer: lm (default) or ceres (slow, for comparison).", panel="Limb lengths"
+    ),
+    markers: bool = flag(
+        "--markers",
+        "Also write MarkerArray, JointState and Log for RViz and Foxglove.",
+        panel=OUTPUT,
+    ),
+    view: bool = flag("--view", "Show the run live in the Rerun viewer.", panel=OUTPUT),
+    strict: bool = flag("--strict", "Fail if any message would be skipped.", panel=INPUT),
+    recover: bool = flag(
+        "--recover", "Run on what can be read of a damaged log; exit with 3 on losses.", panel=INPUT
+    ),
+    follow: bool = flag(
+        "--follow", "Process a log while it is being written; Ctrl-C ends it.", panel=INPUT
+    ),
+    memory: float = option(
+        "GIB",
+        "Memory for a log whose chunks overlap in time, GiB; a message of a server may take a "
+        "16th.",
+        default=1.0,
+        min=0.25,
+        panel=INPUT,
+    ),
+    jobs: int | None = JOBS,
+    cluster: str | None = CLUSTER,
+    csv: Path | None = TABLE,
+    force: bool = FORCE,
+    json: bool = JSON,
+    quiet: bool = QUIET,
 ) -> None:
     """Track, merge, optimize and filter the skeletons of a log.
 

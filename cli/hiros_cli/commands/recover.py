@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from hiros_cli.options import LOSSES, Force, Json, QuietResult
+from hiros_cli.options import FORCE, JSON, LOSSES, QUIET_RESULT, argument, option
 
 if TYPE_CHECKING:
     from hiros_mcap.io.container import Recovery
@@ -16,21 +16,13 @@ SUFFIX = ".recovered.mcap"
 
 
 def recover(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            metavar="LOG", help="MCAP file, or folder with the MCAP files of one recording."
-        ),
-    ],
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output", "-o", metavar="OUT", help=f"Output file. Default: LOG's name with {SUFFIX}."
-        ),
-    ] = None,
-    force: Force = False,
-    json: Json = False,
-    quiet: QuietResult = False,
+    source: Path = argument("LOG", "MCAP file, or folder with the MCAP files of one recording."),
+    output: Path | None = option(
+        "OUT", f"Output file. Default: LOG's name with {SUFFIX}.", "--output", "-o"
+    ),
+    force: bool = FORCE,
+    json: bool = JSON,
+    quiet: bool = QUIET_RESULT,
 ) -> None:
     """Save what can be read of a damaged or truncated recording.
 

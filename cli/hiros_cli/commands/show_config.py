@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from pathlib import Path
 
-import typer
-
-from hiros_cli.options import Assignments, ConfigFile, Preset, SystemName, chosen_system
+from hiros_cli.options import ASSIGNMENTS, CONFIG, PRESET, SYSTEM, chosen_system, flag
 
 
 def config(
-    system: SystemName = None,
-    preset: Preset = "default",
-    config: ConfigFile = None,
-    assignments: Assignments = None,
-    everything: Annotated[
-        bool, typer.Option("--all", help="Also print the advanced parameters.")
-    ] = False,
+    system: str | None = SYSTEM,
+    preset: str = PRESET,
+    config: Path | None = CONFIG,
+    assignments: list[str] | None = ASSIGNMENTS,
+    everything: bool = flag("--all", "Also print the advanced parameters."),
 ) -> None:
     """Print the parameters of a system as TOML for --config."""
     from hiros_cli.compiling import prepare

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from hiros_cli.options import Force, Quiet
+from hiros_cli.options import FORCE, QUIET, argument, option
 from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -15,55 +13,42 @@ if TYPE_CHECKING:
 
 
 def _scale(what: str) -> Any:
-    return typer.Option(metavar="SCALE", help=f"{what} Default: 1.")
+    return option("SCALE", f"{what} Default: 1.")
 
 
 def _number(what: str, default: str) -> Any:
-    return typer.Option(metavar="NUMBER", help=f"{what} Default: {default}.")
+    return option("NUMBER", f"{what} Default: {default}.")
 
 
 def simulate(
-    output: Annotated[Path, typer.Argument(metavar="OUT", help="Log to write.")],
-    people: Annotated[int | None, _number("Number of people, at most 10.", "1")] = None,
-    cameras: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NUMBER|FILE",
-            help="Number of cameras, at most 32. Or a file with their poses, as of `hiros plan`. "
-            "Default: 5.",
-        ),
-    ] = None,
-    action: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="walk, squat, wave, cross, ...; any unknown name lists all. Default: walk.",
-        ),
-    ] = None,
-    motion: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="FILE", help="AMC or BVH file to play instead; repeat it per person."),
-    ] = None,
-    skeleton: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="FILE", help="ASF skeleton of the AMC files: one for all, or one each."
-        ),
-    ] = None,
-    seconds: Annotated[float | None, _number("Length of the log, s, at most 86400.", "10")] = None,
-    rate: Annotated[float | None, _number("Frames per second, at most 1000.", "30")] = None,
-    seed: Annotated[int | None, _number("The same seed gives the same bytes.", "0")] = None,
-    noise: Annotated[float | None, _scale("Noise and bias of the joints.")] = None,
-    occlusion: Annotated[float | None, _scale("Hidden joints, which the detector guesses.")] = None,
-    flips: Annotated[float | None, _scale("Left-right flips.")] = None,
-    dropouts: Annotated[float | None, _scale("Lost frames and lost people.")] = None,
-    clock_jitter: Annotated[float | None, _scale("Jitter of the frame times.")] = None,
-    calibration_error: Annotated[
-        float | None, _scale("Errors of the published camera poses.")
-    ] = None,
-    phantoms: Annotated[float | None, _scale("Detections of people who are not there.")] = None,
-    force: Force = False,
-    quiet: Quiet = False,
+    output: Path = argument("OUT", "Log to write."),
+    people: int | None = _number("Number of people, at most 10.", "1"),
+    cameras: str | None = option(
+        "NUMBER|FILE",
+        "Number of cameras, at most 32. Or a file with their poses, as of `hiros plan`. "
+        "Default: 5.",
+    ),
+    action: str | None = option(
+        "NAME", "walk, squat, wave, cross, ...; any unknown name lists all. Default: walk."
+    ),
+    motion: list[Path] | None = option(
+        "FILE", "AMC or BVH file to play instead; repeat it per person."
+    ),
+    skeleton: list[Path] | None = option(
+        "FILE", "ASF skeleton of the AMC files: one for all, or one each."
+    ),
+    seconds: float | None = _number("Length of the log, s, at most 86400.", "10"),
+    rate: float | None = _number("Frames per second, at most 1000.", "30"),
+    seed: int | None = _number("The same seed gives the same bytes.", "0"),
+    noise: float | None = _scale("Noise and bias of the joints."),
+    occlusion: float | None = _scale("Hidden joints, which the detector guesses."),
+    flips: float | None = _scale("Left-right flips."),
+    dropouts: float | None = _scale("Lost frames and lost people."),
+    clock_jitter: float | None = _scale("Jitter of the frame times."),
+    calibration_error: float | None = _scale("Errors of the published camera poses."),
+    phantoms: float | None = _scale("Detections of people who are not there."),
+    force: bool = FORCE,
+    quiet: bool = QUIET,
 ) -> None:
     """Write a synthetic log with a known truth.
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 
-from hiros_cli.options import Quiet
+from hiros_cli.options import QUIET
 
 
-def warmup(quiet: Quiet = False) -> None:
+def warmup(quiet: bool = QUIET) -> None:
     """Compile the kernels now, to make the first run fast."""
     from hiros_cli.compiling import prepare
     from hiros_mcap import kernels
