@@ -24,12 +24,12 @@ from hiros_viewer.figures import (
     angles_of,
     entitle,
     limb_figure,
+    limb_links,
     name_above,
     new_axes,
     with_gaps,
 )
 from hiros_viewer.page import Page
-from hiros_viewer.scene import limb_links
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import rerun as rr
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side
@@ -38,9 +39,6 @@ from hiros_viewer.palette import (
 )
 from hiros_viewer.poses import Poses
 from hiros_viewer.presence import HIDDEN, Visit
-
-if TYPE_CHECKING:
-    import rerun as rr
 
 _JOINT_M = 0.03
 _BONE_M = 0.018
@@ -133,16 +131,12 @@ class Entities:
 
     def room(self, *, dim_detections: bool) -> None:
         """Draw the axes, and say what colours and bones each class has."""
-        import rerun as rr
-
         self.recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self.recording.log("/", self._annotations(dim_detections=dim_detections), static=True)
         self.key()
 
     def key(self, *more: str) -> None:
         """Show what the colours mean, Markdown."""
-        import rerun as rr
-
         text = "\n\n".join([*more, _KEY_TEXT])
         self.recording.log(KEY, rr.TextDocument(text, media_type="text/markdown"), static=True)
 
@@ -153,8 +147,6 @@ class Entities:
 
     def no_data(self, times: Stamps, place: Floats) -> None:
         """Say "no data" at a place (3,), m, from the first to the second of times (2, 2)."""
-        import rerun as rr
-
         if self._is_new("/world/no_data"):
             look = rr.Points3D.from_fields(
                 colors=[TRUTH], radii=0.001, labels=["no data"], show_labels=True
@@ -165,8 +157,6 @@ class Entities:
 
     def moves(self, moves: Sequence[CameraMove]) -> None:
         """Draw where cameras were before a calibration, lines to where they are, and a table."""
-        import rerun as rr
-
         for move in moves:
             if move.before is not None and not move.since_s:
                 path = f"/world/before/{path_part(move.name)}"
@@ -180,8 +170,6 @@ class Entities:
 
     def _frustum(self, path: str, pose: Rigid, look: tuple[str, RGB, RGB]) -> None:
         """Draw a camera; ``look`` is its name or "", its colour, and that of the name."""
-        import rerun as rr
-
         name, colour, text_colour = look
         place = rr.Transform3D(
             translation=pose.translation, quaternion=rr.Quaternion(xyzw=pose.xyzw)
@@ -210,7 +198,6 @@ class Entities:
 
     def _annotations(self, *, dim_detections: bool) -> Any:
         """Return the classes: people, people of a second log, and each camera's detections."""
-        import rerun as rr
 
         def looks(number: int, name: str, colour: RGB, left: int) -> list[Any]:
             names = enumerate(self.model.marker_names)
@@ -244,8 +231,6 @@ class Entities:
 
         ``rows`` are times (R, 2) and counts (R,) of people, whose poses follow each other.
         """
-        import rerun as rr
-
         path = f"/detections/{path_part(camera)}"
         if self._is_new(path):
             which = _FIRST_CAMERA_CLASS + number % len(CAMERAS)
@@ -299,8 +284,6 @@ class Entities:
         self, path: str, times: Stamps, labels: Sequence[str], is_predicted: Flags
     ) -> None:
         """Send what seldom changes in rows (R, 2): the label, and whether the person is faint."""
-        import rerun as rr
-
         looks = list(zip(labels, is_predicted.tolist(), strict=True))
         new = [k for k, look in enumerate(looks) if not k or look != looks[k - 1]]
         own, when = self._class_of(path), time_columns(times[new], self.start)
@@ -321,8 +304,6 @@ class Entities:
 
     def marks(self, camera: str, kind: str, poses: Poses, rows: Rows) -> None:
         """Send detections of a camera that are wrong, in a colour that warns, and say how."""
-        import rerun as rr
-
         path = f"/marked/{path_part(camera)}/{fault_part(kind)}"
         colour = FAULTY[kind]
         if self._is_new(path):
@@ -354,8 +335,6 @@ class Entities:
 
     def ellipsoids(self, person: int, times: Stamps, joints: Floats, half_sizes: Floats) -> None:
         """Send pale ellipsoids round joints (T, M, 3), m, of half axes (T, M), m; none for NaN."""
-        import rerun as rr
-
         path = f"{self._layer.prefix}/uncertainty/{person_part(person)}"
         if self._is_new(path):
             red, green, blue = pale(person_hue(person, self._layer))
@@ -377,8 +356,6 @@ class Entities:
 
     def camera_table(self, rows: Sequence[Sequence[str]]) -> None:
         """Show numbers of each camera, in the order of :data:`CAMERA_COLUMNS`."""
-        import rerun as rr
-
         lines = [CAMERA_COLUMNS, ["---"] * len(CAMERA_COLUMNS), *rows]
         text = "\n".join(f"| {' | '.join(line)} |" for line in lines)
         document = rr.TextDocument(f"{text}\n\n{_CAMERA_NOTE}", media_type="text/markdown")
@@ -400,8 +377,6 @@ class Entities:
         self, path: str, times: Stamps, ends: tuple[Floats, Floats], look: tuple[RGB, float]
     ) -> None:
         """Send lines between two (T, M, 3), m, none where either is NaN; colour and radius."""
-        import rerun as rr
-
         if self._is_new(path):
             colour, radius = look
             lines = rr.LineStrips3D.from_fields(colors=[colour], radii=radius)
@@ -422,8 +397,6 @@ class Entities:
         self, joints: Singles, radii: Singles, labels: Floats, has_label: Flags
     ) -> Iterator[tuple[str, Mapping[Any, Any], Any]]:
         """Yield a person's entities: path below theirs, batches, how many of it in each pose."""
-        import rerun as rr
-
         where, size = rr.Points3D.descriptor_positions(), rr.Points3D.descriptor_radii()
         points = rr.components.Position3DBatch
         yield "", {where: points(joints), size: rr.components.RadiusBatch(radii)}, joints.shape[1]
@@ -438,8 +411,6 @@ class Entities:
 
     def _bone_parts(self, joints: Singles) -> Iterator[tuple[str, Mapping[Any, Any], Any]]:
         """Yield bones like :meth:`_parts`: those of left limbs have an entity of their own."""
-        import rerun as rr
-
         for part, ends in self._bones.items():
             bones = np.empty((len(joints) * len(ends), 2, 3), np.float32)
             per_pose = np.empty(len(joints), np.int32)
@@ -448,8 +419,6 @@ class Entities:
 
     def _send_looks(self, path: str, *, is_strong: bool) -> None:
         """Say once how a person's entities look; classes and labels change."""
-        import rerun as rr
-
         which = self._layer.number if self._layer.one_colour else person_of(path)
         colour = TRUTH if self._class_of(path) == _TRUE else person_colour(which)
         keypoints, radius = list(range(self.model.n_markers)), _BONE_M if is_strong else _THIN
@@ -468,8 +437,6 @@ class Entities:
 
     def curves(self, path: str, lines: Sequence[Line], times: Stamps, values: Floats) -> None:
         """Send rows (T, 2) and (T, len(lines)) of the curves of an entity."""
-        import rerun as rr
-
         if self._is_new(path):
             names, colours, widths = map(list, zip(*lines, strict=True))
             look = rr.SeriesLines(names=names, colors=colours, widths=widths)
@@ -480,8 +447,6 @@ class Entities:
 
     def log_lines(self, path: str, rows: TextRows) -> None:
         """Send lines of the log."""
-        import rerun as rr
-
         parts = rr.TextLog.columns(text=rows.texts, level=rows.levels)
         times = np.array(rows.times)
         # The list of events has room for hundredths of a second.
@@ -490,8 +455,6 @@ class Entities:
 
     def lane(self, path: str, rows: TextRows, look: Line) -> None:
         """Send a lane: filled in the first of its states, with a gap where that is gone."""
-        import rerun as rr
-
         if self._is_new(path):
             states = rr.StateConfiguration(
                 values=[rows.texts[0], "gone"],

@@ -7,7 +7,8 @@ import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING
+
+import rerun as rr
 
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
@@ -19,9 +20,6 @@ from hiros_viewer.destinations import new_recording, running_viewer, web_server
 from hiros_viewer.poses import Gatherer
 from hiros_viewer.replay import content_of, describe
 from hiros_viewer.scene import Scene
-
-if TYPE_CHECKING:
-    import rerun as rr
 
 BATCH = 120
 """Frames that are drawn at once: a fifth of a second of five cameras and four stages."""

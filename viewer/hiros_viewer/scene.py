@@ -28,9 +28,10 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import rerun as rr
 
 from hiros_mcap.body.anatomy import (
     ANGLE_NAMES,
@@ -59,15 +60,13 @@ from hiros_viewer.entities import (
     person_hue,
     person_part,
 )
+from hiros_viewer.figures import limb_links
 from hiros_viewer.palette import FAULTY, SIDES, SILENCE, curve_colour, pale
 from hiros_viewer.poses import Channel, Poses
 from hiros_viewer.presence import HIDDEN, Crowd, Visit, Visits
 from hiros_viewer.uncertainties import HALF_SIZE, UNCERTAIN_STAGE, Uncertainties
 from hiros_viewer.view_check import FaultySpan, ViewCheck
 from hiros_viewer.waiting import Compared, Waiting
-
-if TYPE_CHECKING:
-    import rerun as rr
 
 STAGES = ("tracked", "merged", "optimized", "filtered", "truth")
 _ALONE = Layer()
@@ -77,12 +76,6 @@ SILENCE_S = 1.0
 SIDED = ("angles", "limbs")
 """Curves of left and right, whose path ends in a joint or limb."""
 _ROOTS = ("pelvis", "spinebase", "midhip", "hips", "spine_base", "spinemid")
-_LIMBS = {
-    "upper arm": ("shoulder", "elbow"),
-    "forearm": ("elbow", "wrist"),
-    "thigh": ("hip", "knee"),
-    "shin": ("knee", "ankle"),
-}
 
 
 class Scene:
@@ -555,19 +548,6 @@ class _Past:
         if before is None or place is None:
             return times, roots
         return np.insert(times, 0, before, axis=0), np.insert(roots, 0, place, axis=0)
-
-
-def limb_links(model: SkeletonModel) -> dict[str, int]:
-    """Name -> link slot of upper arms, forearms, thighs and shins, as far as the model has them."""
-    slots = {split_side(name): slot for slot, name in enumerate(model.marker_names)}
-    ends = {p: k for k, p in enumerate(zip(model.link_parents, model.link_children, strict=True))}
-    found = {}
-    for side in ("left", "right"):
-        for name, (upper, lower) in _LIMBS.items():
-            link = ends.get((slots.get((upper, side), -2), slots.get((lower, side), -2)))
-            if link is not None:
-                found[f"{side} {name}"] = link
-    return found
 
 
 def _root_slot(model: SkeletonModel) -> int:

@@ -80,7 +80,7 @@ def compare(
         with bar(f"{len(tasks)} runs", quiet=quiet) as progress:
             outcomes = comparison(tasks, jobs=jobs, progress=progress)
         if rrd is not None:
-            from hiros_viewer.comparison_page import save_overlay
+            from hiros_viewer.replay import save_overlay
 
             save_overlay(rrd, paths[0], entries)
     if html is not None:
