@@ -14,8 +14,6 @@ from hiros_cli.commands import (
     calibrate,
     check,
     compare,
-    completion,
-    demo,
     evaluate,
     export,
     import_joints,
@@ -24,11 +22,10 @@ from hiros_cli.commands import (
     plot,
     process,
     recover,
-    show_config,
+    setup,
     simulate,
     systems,
     view,
-    warmup,
 )
 from hiros_cli.help_page import HelpfulCommand
 from hiros_cli.options import flag, option
@@ -88,14 +85,14 @@ app.command(cls=HelpfulCommand)(compare.compare)
 app.command(cls=HelpfulCommand)(info.info)
 app.command("import", cls=HelpfulCommand)(import_joints.import_)
 app.command(cls=HelpfulCommand)(recover.recover)
-app.command(cls=HelpfulCommand)(demo.demo)
+app.command(cls=HelpfulCommand)(simulate.demo)
 app.command(cls=HelpfulCommand)(simulate.simulate)
 app.command(cls=HelpfulCommand)(plan.plan)
 app.command(cls=HelpfulCommand)(systems.systems)
 app.add_typer(calibrate.app, name="calibrate")
-app.command(cls=HelpfulCommand)(show_config.config)
-app.command(cls=HelpfulCommand)(warmup.warmup)
-app.command(cls=HelpfulCommand)(completion.completion)
+app.command(cls=HelpfulCommand)(systems.config)
+app.command(cls=HelpfulCommand)(setup.warmup)
+app.command(cls=HelpfulCommand)(setup.completion)
 
 
 def dispatch(arguments: list[str]) -> int:

@@ -8,9 +8,12 @@ from typing import TYPE_CHECKING, TypeVar
 
 import typer
 
+from hiros_cli.compiling import prepare
 from hiros_cli.help_page import HelpfulCommand
 from hiros_cli.options import FORCE, JSON, argument, flag, option, seconds_range
+from hiros_cli.output import check_outputs, print_json, warn
 from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.running.progress_bar import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.calibrate.ball import BallReport
@@ -48,9 +51,6 @@ def people(
 
     No transforms are needed. Where the log has some, the rig as a whole stays where they put it.
     """
-    from hiros_cli.compiling import prepare
-    from hiros_cli.output import check_outputs, print_json, warn
-
     log.stat()
     check_outputs((output, "camera file"), (write_log, "log"), inputs=(log,), force=force)
     prepare(quiet=json, everything=True)
@@ -59,7 +59,6 @@ def people(
     from hiros_mcap.calibrate.corrected_log import write_corrected_log
     from hiros_mcap.calibrate.people import calibrate_people
     from hiros_mcap.io.log import open_log
-    from hiros_mcap.running.progress_bar import bar
 
     with bar(f"calibrating on {log.name}", quiet=False), open_log(log, topics=topic) as opened:
         found = calibrate_people(opened)
@@ -99,15 +98,13 @@ def ball(
     hiros finds it in their colour and depth images. The images may be missing if the log has the
     ball's centres as PointStamped channels.
     """
-    from hiros_cli.ball_report import show_ball
-    from hiros_cli.output import check_outputs
+    from hiros_cli.calibration_report import show_ball
 
     log.stat()
     check_outputs((output, "camera file"), inputs=(log,), force=force)
     from hiros_mcap.calibrate.ball import BallOptions, calibrate_ball
     from hiros_mcap.calibrate.ball_image import ColorRange
     from hiros_mcap.calibrate.cameras_file import save_cameras
-    from hiros_mcap.running.progress_bar import bar
 
     options = BallOptions(radius, ColorRange.parse(color), tuple(topic or ()))
     with bar(f"calibrating on {log.name}", quiet=False):
@@ -131,14 +128,12 @@ def board(
 
     Marker 1 is the origin, x points to marker 2, y towards marker 0, and z is up.
     """
-    from hiros_cli.ball_report import show_board
-    from hiros_cli.output import check_outputs
+    from hiros_cli.calibration_report import show_board
 
     log.stat()
     check_outputs((output, "camera file"), inputs=(log, extrinsics), force=force)
     from hiros_mcap.calibrate.board import calibrate_board
     from hiros_mcap.calibrate.cameras_file import save_cameras
-    from hiros_mcap.running.progress_bar import bar
 
     with bar(f"calibrating on {log.name}", quiet=False):
         report = calibrate_board(
@@ -153,8 +148,6 @@ def _tell(
     command: str, log: Path, report: _Report, show: Callable[[Path, _Report], None] | None
 ) -> None:
     """Print a report by ``show``, or as JSON without it, and its warnings on stderr."""
-    from hiros_cli.output import print_json, warn
-
     if show is None:
         print_json(command, report.to_dict(), report.warnings)
     else:
@@ -174,15 +167,11 @@ def noise(
     --system malaguti uses [kalman]; --system fuse and fuse-realtime use [noise], the white noise by
     camera, joint, range and confidence.
     """
-    from hiros_cli.compiling import prepare
-    from hiros_cli.output import print_json, warn
-
     log.stat()
     span = None if window is None else seconds_range("--window", window)
     prepare(quiet=json)
     from hiros_mcap.calibrate.noise import measure_noise, measure_noise_model
     from hiros_mcap.io.log import open_log
-    from hiros_mcap.running.progress_bar import bar
     from hiros_mcap.stages.malaguti.associate import associate
     from hiros_mcap.summary import number
 

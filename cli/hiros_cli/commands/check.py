@@ -10,20 +10,15 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from hiros_cli import options as shared
+from hiros_cli.compiling import prepare
 from hiros_cli.completing import topics
 from hiros_cli.many_logs import ManyLogs, one_log, run
-from hiros_cli.options import (
-    CLUSTER,
-    FORCE,
-    JOBS,
-    JSON,
-    QUIET_RESULT,
-    TABLE,
-    argument,
-    flag,
-    option,
-)
+from hiros_cli.options import argument, flag, option
+from hiros_cli.output import check_outputs, print_json
+from hiros_cli.printable import error_line, printable
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.running.progress_bar import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.many.jobs import CheckJob
@@ -56,22 +51,20 @@ def check(
     ),
     bless: bool = flag("--bless", "Accept the result as the new golden file; print what changed."),
     only: list[str] | None = option("NAME", "With SUITE: this log only; may be repeated."),
-    jobs: int | None = JOBS,
-    cluster: str | None = CLUSTER,
-    csv: Path | None = TABLE,
+    jobs: int | None = shared.JOBS,
+    cluster: str | None = shared.CLUSTER,
+    csv: Path | None = shared.TABLE,
     keep: Path | None = option("FOLDER", "With SUITE: keep the outputs in this folder."),
     junit: Path | None = option("FILE", "With SUITE: also write JUnit XML."),
     markdown: Path | None = option("FILE", "With SUITE: also write a summary for a pull request."),
-    force: bool = FORCE,
-    json: bool = JSON,
-    quiet: bool = QUIET_RESULT,
+    force: bool = shared.FORCE,
+    json: bool = shared.JSON,
+    quiet: bool = shared.QUIET_RESULT,
 ) -> int:
     """Compare a result with its golden log, or run a suite of logs.
 
     Exit code: 0 equal within the tolerances, 1 different, 2 cannot be compared.
     """
-    from hiros_cli.compiling import prepare
-
     is_suite = len(targets) == 1 and Path(targets[0]).suffix == ".toml"
     many = ManyLogs(targets, "", jobs, cluster, csv, force, json, quiet)
     is_many = not is_suite and many.wanted
@@ -143,8 +136,6 @@ class _Reports:
 
     def check(self, inputs: Sequence[Path], *, force: bool) -> None:
         """Refuse, before the suite runs, what must not be written."""
-        from hiros_cli.output import check_outputs
-
         check_outputs(
             (self.junit, "JUnit report"),
             (self.markdown, "Markdown summary"),
@@ -167,7 +158,6 @@ def _run_suite(
     path: Path, options: SuiteOptions, reports: _Reports, *, quiet: bool
 ) -> list[CaseResult]:
     from hiros_mcap.regression.suite import kept_path, load_suite, run_suite
-    from hiros_mcap.running.progress_bar import bar
 
     suite, keep = load_suite(path), options.keep
     kept = [] if keep is None else [kept_path(keep, case) for case in suite.cases]
@@ -199,7 +189,6 @@ def _with_hint(result: CaseResult, target: Path, golden: Path) -> CaseResult:
 
 def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:
     if json:
-        from hiros_cli.output import print_json
         from hiros_mcap.regression import check_report
 
         print_json("check", check_report.as_dict(results))
@@ -209,7 +198,6 @@ def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:
         return
     from rich.text import Text
 
-    from hiros_cli.printable import printable
     from hiros_cli.run_report import page
     from hiros_mcap.regression import check_report
 
@@ -225,8 +213,6 @@ def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:
 
 def _show_errors(results: list[CaseResult]) -> None:
     """Print what could not be compared; the exit code says whether there is a difference."""
-    from hiros_cli.printable import error_line
-
     for result in results:
         if result.status == "error":
             fault = ConfigError(f"{result.name}: {result.error}")

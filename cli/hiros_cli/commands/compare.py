@@ -8,8 +8,11 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hiros_cli.compiling import prepare
 from hiros_cli.options import FORCE, HTML, JSON, QUIET_RESULT, argument, option
+from hiros_cli.output import check_outputs, print_json
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.running.progress_bar import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.evaluate.comparison import Outcome
@@ -51,9 +54,6 @@ def compare(
     jitter, limb lengths and ids. Below, each system is compared with the first one named: better or
     worse by so many mm, or no difference, by the 95 % interval over blocks of a second.
     """
-    from hiros_cli.compiling import prepare
-    from hiros_cli.output import check_outputs
-
     paths = list(logs or ())
     for path in paths:
         path.stat()
@@ -67,7 +67,6 @@ def compare(
         check_recording(path)
     prepare(quiet=quiet or json, everything=True)
     from hiros_mcap.evaluate.comparison import DEFAULT, Entry, Task, camera_subsets, comparison
-    from hiros_mcap.running.progress_bar import bar
 
     with ExitStack() as stack:
         if study == "people":
@@ -88,7 +87,6 @@ def compare(
 
         comparison_page(outcomes, study).write(html)
     if json:
-        from hiros_cli.output import print_json
         from hiros_mcap.evaluate.score_tables import notes_on
         from hiros_mcap.summary import plain
 

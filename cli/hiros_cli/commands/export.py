@@ -6,11 +6,14 @@ from pathlib import Path
 
 import typer
 
+from hiros_cli.compiling import prepare
 from hiros_cli.completing import topics
 from hiros_cli.many_logs import ManyLogs, one_log, run
 from hiros_cli.options import CLUSTER, FORCE, JOBS, JSON, MANY, QUIET, TABLE, argument, option
+from hiros_cli.output import check_outputs, print_json
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.running.progress_bar import bar
 
 
 def export(
@@ -67,8 +70,6 @@ def export(
     quiet: bool = QUIET,
 ) -> None:
     """Write joints and angles as CSV, Parquet, TRC, MOT, C3D, BVH."""
-    from hiros_cli.compiling import prepare
-    from hiros_cli.output import check_outputs, print_json
     from hiros_mcap.io.export.files import export as write
     from hiros_mcap.io.export.files import files_of, format_of
     from hiros_mcap.io.export.marker_set import SUFFIXES, load_marker_set, renamed
@@ -91,7 +92,6 @@ def export(
     log = one_log(context, logs[0])
     prepare(quiet=quiet)
     from hiros_mcap.io.result import open_result
-    from hiros_mcap.running.progress_bar import bar
 
     with bar(f"exporting {log.name}", quiet=quiet):
         result = open_result(log, channel).select(person, start, end, rate)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from hiros_cli.compiling import prepare
 from hiros_cli.options import FORCE, QUIET, argument, option
+from hiros_cli.output import check_outputs, warn
 
 
 def import_(
@@ -24,9 +26,6 @@ def import_(
 
     hiros process, view and info read it like any other.
     """
-    from hiros_cli.compiling import prepare
-    from hiros_cli.output import check_outputs, warn
-
     for path in sources:
         path.stat()
     check_outputs((output, "log"), inputs=(*sources, mapping), force=force)

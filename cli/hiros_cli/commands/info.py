@@ -9,18 +9,11 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from hiros_cli import options as shared
+from hiros_cli.compiling import prepare
 from hiros_cli.many_logs import ManyLogs, one_log, run
-from hiros_cli.options import (
-    CAMERAS,
-    CLUSTER,
-    EXTRINSICS,
-    FORCE,
-    JOBS,
-    JSON,
-    QUIET,
-    TABLE,
-    argument,
-)
+from hiros_cli.options import argument
+from hiros_cli.output import print_json, warn
 
 if TYPE_CHECKING:
     from hiros_mcap.io.overview import CameraRow, ChannelRow, Overview
@@ -29,23 +22,20 @@ if TYPE_CHECKING:
 def info(
     context: typer.Context,
     logs: list[str] = argument("LOG", "MCAP files, ROS bags, folders of them, globs, URLs."),
-    topic: list[str] | None = CAMERAS,
-    extrinsics: Path | None = EXTRINSICS,
-    jobs: int | None = JOBS,
-    cluster: str | None = CLUSTER,
-    csv: Path | None = TABLE,
-    force: bool = FORCE,
-    json: bool = JSON,
-    quiet: bool = QUIET,
+    topic: list[str] | None = shared.CAMERAS,
+    extrinsics: Path | None = shared.EXTRINSICS,
+    jobs: int | None = shared.JOBS,
+    cluster: str | None = shared.CLUSTER,
+    csv: Path | None = shared.TABLE,
+    force: bool = shared.FORCE,
+    json: bool = shared.JSON,
+    quiet: bool = shared.QUIET,
 ) -> None:
     """Show what an MCAP file or bag holds.
 
     It lists channels, cameras, people, rates and gaps. Of what hiros wrote, it also shows the
     version, the system and the changed parameters.
     """
-    from hiros_cli.compiling import prepare
-    from hiros_cli.output import warn
-
     many = ManyLogs(logs, "", jobs, cluster, csv, force, json, quiet)
     if many.wanted:
         prepare(quiet=json or quiet, everything=True)
@@ -69,8 +59,6 @@ def info(
     for text in overview.warnings:
         warn(text)
     if json:
-        from hiros_cli.output import print_json
-
         print_json("info", overview.to_dict())
     elif not quiet:
         _show(overview)

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hiros_cli.commands.simulate import simulate_params
+from hiros_cli.compiling import prepare
 from hiros_cli.options import FORCE, JSON, OUTPUT, QUIET, flag, option
+from hiros_cli.output import check_outputs, print_json
 from hiros_mcap.errors import ConfigError
+
+if TYPE_CHECKING:
+    from hiros_mcap.plan.planning import Outlook, RoomPlan
 
 
 def plan(
@@ -45,16 +51,12 @@ def plan(
     The expected error follows from the noise of the detectors and the geometry. Where a file names
     cameras that stand already, nothing is moved.
     """
-    from hiros_cli.output import check_outputs, print_json
-
     placed = None if cameras.isdigit() else Path(cameras)
     if placed is not None:
         placed.stat()
     if picture is not None and picture.suffix != ".png":
         raise ConfigError(f"{picture}: the name of a picture must end in .png")
     check_outputs((output, "camera file"), (picture, "PNG picture"), inputs=(placed,), force=force)
-    from hiros_cli.compiling import prepare
-    from hiros_cli.plan_report import show_plan
 
     prepare(quiet=json or quiet)
     from hiros_mcap.plan.planning import make_plan
@@ -79,7 +81,7 @@ def plan(
     if json:
         print_json("plan", found.to_dict())
     elif not quiet:
-        show_plan(found, [path for path in (output, picture) if path is not None], joints=joints)
+        _show(found, [path for path in (output, picture) if path is not None], joints=joints)
 
 
 def _pair(option: str, text: str, mark: str) -> tuple[float, float]:
@@ -93,3 +95,44 @@ def _pair(option: str, text: str, mark: str) -> tuple[float, float]:
         return float(first), float(second)
     except ValueError:
         raise ConfigError(f"{option}: should be two numbers around {name}, is {text}") from None
+
+
+def _show(plan: RoomPlan, written: Iterable[Path], *, joints: bool) -> None:
+    """Print the cameras, what is expected with all, with one less and with one more."""
+    from hiros_cli.run_report import listing, page
+    from hiros_mcap.summary import number, quantity
+
+    x0, y0, x1, y1 = plan.params.area
+    people = plan.params.people
+    rigs: list[tuple[str, Outlook]] = [("all cameras", plan.expected)]
+    rigs += [(f"without {camera.name}", camera.then) for camera in plan.cameras]
+    rigs += [("with one more", plan.further.then)]
+    errors = {**plan.parts_mm, **(plan.joints_mm if joints else {})}
+    page(
+        f"{x1 - x0:.1f} m x {y1 - y0:.1f} m, {quantity(len(plan.cameras), 'camera')}, "
+        f"{people} {'person' if people == 1 else 'people'}: "
+        f"expected error {number(plan.expected.error_mm, 1, ' mm')}",
+        listing(
+            [*plan.cameras, plan.further],
+            ("Camera", lambda camera: camera.name),
+            (">x, m", lambda camera: number(camera.x, 2)),
+            (">y, m", lambda camera: number(camera.y, 2)),
+            (">Height, m", lambda camera: number(camera.height, 2)),
+            (">Bearing, deg", lambda camera: number(camera.bearing_deg, 0)),
+            (">Tilt, deg", lambda camera: number(camera.tilt_deg, 0)),
+        ),
+        listing(
+            rigs,
+            ("People anywhere on the floor", lambda rig: rig[0]),
+            (">Error, mm", lambda rig: number(rig[1].error_mm, 1)),
+            (">1 camera", lambda rig: number(100 * rig[1].one, 1, " %")),
+            (">2 cameras", lambda rig: number(100 * rig[1].two, 1, " %")),
+            (">3 cameras", lambda rig: number(100 * rig[1].three, 1, " %")),
+        ),
+        listing(
+            errors.items(),
+            ("Joints", lambda row: row[0]),
+            (">Error, mm", lambda row: number(row[1], 1)),
+        ),
+        [f"wrote {path}" for path in written],
+    )

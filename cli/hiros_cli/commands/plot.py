@@ -6,9 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hiros_cli.compiling import prepare
 from hiros_cli.completing import topics
 from hiros_cli.options import FORCE, QUIET, argument, option
+from hiros_cli.output import beside, check_outputs
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.running.progress_bar import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.outputs import Kind
@@ -33,9 +36,6 @@ def plot(
     quiet: bool = QUIET,
 ) -> None:
     """Plot joint angles, limb lengths and errors as PNG or HTML."""
-    from hiros_cli.compiling import prepare
-    from hiros_cli.output import beside, check_outputs
-
     log.stat()
     target = beside(log, ".html") if output is None else output
     if target.suffix not in (".png", ".html"):
@@ -44,7 +44,6 @@ def plot(
     check_outputs((target, kind), inputs=(log, truth), force=force)
     prepare(quiet=quiet)
     from hiros_mcap.evaluate.logs import find_truth, output_channels, read_channel
-    from hiros_mcap.running.progress_bar import bar
     from hiros_viewer import curves
     from hiros_viewer.headline import headline
 

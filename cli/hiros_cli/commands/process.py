@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from hiros_cli import options as shared
+from hiros_cli.compiling import importing, prepare
 from hiros_cli.completing import topics
 from hiros_cli.live_run import (
     STREAM,
@@ -20,22 +22,10 @@ from hiros_cli.live_run import (
 )
 from hiros_cli.many_logs import ManyLogs, one_log
 from hiros_cli.options import (
-    ASSIGNMENTS,
-    CAMERAS,
-    CLUSTER,
-    CONFIG,
-    EXTRINSICS,
-    FORCE,
     INPUT,
-    JOBS,
-    JSON,
     LOSSES,
     OUTPUT,
     PARAMETERS,
-    PRESET,
-    QUIET,
-    SYSTEM,
-    TABLE,
     argument,
     chosen_system,
     config_file,
@@ -43,7 +33,9 @@ from hiros_cli.options import (
     option,
     seconds_range,
 )
+from hiros_cli.output import beside, check_outputs, print_json, warn
 from hiros_mcap.errors import ConfigError, HirosError
+from hiros_mcap.running.progress_bar import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.config import Table as Parameters
@@ -70,7 +62,7 @@ def process(
         "-o",
         panel=OUTPUT,
     ),
-    system: str | None = SYSTEM,
+    system: str | None = shared.SYSTEM,
     stages: str = option(
         "CHAIN",
         "Stages to run (track, merge, optimize, filter): T, TM, TO, TF, TMF, TMO or TMOF. "
@@ -78,7 +70,7 @@ def process(
         default="",
         panel=PARAMETERS,
     ),
-    topic: list[str] | None = CAMERAS,
+    topic: list[str] | None = shared.CAMERAS,
     keep: list[str] | None = option(
         "GLOB",
         "Input channels to copy; may be repeated; '' copies none. Default: the cameras read, "
@@ -86,10 +78,10 @@ def process(
         autocompletion=topics,
         panel=OUTPUT,
     ),
-    preset: str = PRESET,
-    config: Path | None = CONFIG,
-    assignments: list[str] | None = ASSIGNMENTS,
-    extrinsics: Path | None = EXTRINSICS,
+    preset: str = shared.PRESET,
+    config: Path | None = shared.CONFIG,
+    assignments: list[str] | None = shared.ASSIGNMENTS,
+    extrinsics: Path | None = shared.EXTRINSICS,
     fixed_frame: str | None = option(
         "FRAME", "Frame of the output. Default: root of the transforms.", panel=INPUT
     ),
@@ -100,7 +92,9 @@ def process(
     ),
     unit: str | None = option("UNIT", "Unit of the positions: m (default), cm or mm.", panel=INPUT),
     clock: list[str] | None = option(
-        "CAMERA=SECONDS", "Add seconds to the stamps of a camera; may be repeated.", panel=INPUT
+        "CAMERA=SECONDS",
+        "Add seconds to the stamps of a camera; may be repeated.",
+        panel=INPUT,
     ),
     limbs: Path | None = option(
         "FILE", "Use these limb lengths of an earlier session.", panel="Limb lengths"
@@ -134,7 +128,9 @@ def process(
     view: bool = flag("--view", "Show the run live in the Rerun viewer.", panel=OUTPUT),
     strict: bool = flag("--strict", "Fail if any message would be skipped.", panel=INPUT),
     recover: bool = flag(
-        "--recover", "Run on what can be read of a damaged log; exit with 3 on losses.", panel=INPUT
+        "--recover",
+        "Run on what can be read of a damaged log; exit with 3 on losses.",
+        panel=INPUT,
     ),
     follow: bool = flag(
         "--follow", "Process a log while it is being written; Ctrl-C ends it.", panel=INPUT
@@ -147,21 +143,19 @@ def process(
         min=0.25,
         panel=INPUT,
     ),
-    jobs: int | None = JOBS,
-    cluster: str | None = CLUSTER,
-    csv: Path | None = TABLE,
-    force: bool = FORCE,
-    json: bool = JSON,
-    quiet: bool = QUIET,
+    jobs: int | None = shared.JOBS,
+    cluster: str | None = shared.CLUSTER,
+    csv: Path | None = shared.TABLE,
+    force: bool = shared.FORCE,
+    json: bool = shared.JSON,
+    quiet: bool = shared.QUIET,
 ) -> None:
     """Track, merge, optimize and filter the skeletons of a log.
 
     The output holds the input channels and the results: /hiros/tracked, /hiros/merged,
     /hiros/optimized and /hiros/filtered. The command prints a summary.
     """
-    from hiros_cli.compiling import importing, prepare
     from hiros_mcap.io.remote import is_remote
-    from hiros_mcap.running.progress_bar import bar
 
     many = ManyLogs(logs, output or "", jobs, cluster, csv, force, json, quiet)
     source, wanted = Path(logs[0]), STREAM
@@ -265,7 +259,6 @@ def _checked_output(
     force: bool,
 ) -> str:
     """Return where the result of one log goes, after what must not be written was refused."""
-    from hiros_cli.output import beside, check_outputs
     from hiros_mcap.outputs import target_kind
 
     wanted = str(beside(source, SUFFIX)) if output is None else output
@@ -309,7 +302,6 @@ def _live(source: Path, target: str, stack: ExitStack) -> Watcher | None:
 
     None if there is nobody to look or nothing to look with: the result matters more.
     """
-    from hiros_cli.output import warn
     from hiros_viewer.destinations import has_display
     from hiros_viewer.live import live_page, live_view
 
@@ -413,7 +405,6 @@ def _check_effects(system: str, stages: str, given: Mapping[str, object]) -> Non
 
 
 def _show(summary: Summary, *, json: bool, quiet: bool) -> None:
-    from hiros_cli.output import print_json, warn
 
     for text in summary.warnings:
         warn(text, logged=True)

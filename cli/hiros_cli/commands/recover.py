@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from hiros_cli.compiling import prepare
 from hiros_cli.options import FORCE, JSON, LOSSES, QUIET_RESULT, argument, option
+from hiros_cli.output import beside, check_outputs, print_json, warn
+from hiros_mcap.running.progress_bar import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.io.container import Recovery
@@ -28,15 +31,11 @@ def recover(
 
     Exits with 0 if nothing was lost, 3 if something was, and 2 if nothing can be read.
     """
-    from hiros_cli.compiling import prepare
-    from hiros_cli.output import beside, check_outputs, print_json, warn
-
     source.stat()
     target = beside(source, SUFFIX) if output is None else output
     check_outputs((target, "log"), inputs=(source,), force=force)
     prepare(quiet=quiet)
     from hiros_mcap.io.recovering import recover as write
-    from hiros_mcap.running.progress_bar import bar
 
     with bar(f"recovering {source.name}", quiet=quiet):
         recovery = write(source, target, force=force)

@@ -1,12 +1,16 @@
-"""``hiros simulate``: a log whose truth is known."""
+"""``hiros simulate`` and ``hiros demo``: logs whose truth is known."""
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hiros_cli.compiling import prepare
 from hiros_cli.options import FORCE, QUIET, argument, option
+from hiros_cli.output import check_outputs
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.running.progress_bar import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.simulate import SimulateParams
@@ -76,12 +80,9 @@ def simulate(
         path.stat()
     if motion and people is None:
         given["people"] = len(motion)
-    from hiros_cli.compiling import prepare
-    from hiros_cli.output import check_outputs
 
     check_outputs((output, "log"), inputs=(*(motion or ()), *(skeleton or ()), file), force=force)
     prepare(quiet=quiet)
-    from hiros_mcap.running.progress_bar import bar
     from hiros_mcap.simulate.rig_file import read_rig
     from hiros_mcap.simulate.write_log import write_log
 
@@ -112,3 +113,29 @@ def simulate_params(given: dict[str, Any]) -> SimulateParams:
         names = where[1:] if where[:1] == ["rig"] else where
         option = f"--{names[0].replace('_', '-')}: " if names else ""
         raise ConfigError(f"{option}{message}") from None
+
+
+SECONDS = 10.0
+
+
+def demo(
+    output: Path = argument("OUT", "Log to write.", default=Path("demo.mcap")),
+    force: bool = FORCE,
+    quiet: bool = QUIET,
+) -> None:
+    """Write a sample log: two people cross before three cameras.
+
+    It is simulated: skeletons with noise, flips and gaps, the cameras' poses, and the truth.
+    """
+    check_outputs((output, "log"), inputs=(), force=force)
+    prepare(quiet=quiet)
+    from hiros_cli.commands.process import SUFFIX
+    from hiros_mcap.simulate import SimulateParams
+    from hiros_mcap.simulate.write_log import write_log
+
+    params = SimulateParams(people=2, cameras=3, action="cross", seconds=SECONDS)
+    with bar(f"simulating {output.name}", quiet=quiet) as progress:
+        write_log(output, params, progress)
+    if not quiet:
+        log, result = (shlex.quote(str(p)) for p in (output, output.with_suffix(SUFFIX)))
+        print(f"wrote {output}; go on with\n    hiros process {log}\n    hiros view {result}")

@@ -6,8 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hiros_cli.options import EXTRINSICS, FORCE, QUIET, argument, flag, option
+from hiros_cli.compiling import prepare
+from hiros_cli.options import EXTRINSICS, FORCE, QUIET, argument, flag, option, seconds_range
+from hiros_cli.output import check_outputs
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.running.progress_bar import bar
 
 if TYPE_CHECKING:
     from rerun import RecordingStream
@@ -35,10 +38,6 @@ def view(
     quiet: bool = QUIET,
 ) -> int:
     """Show logs in the Rerun viewer: people, angles, limbs, events."""
-    from hiros_cli.compiling import prepare
-    from hiros_cli.options import seconds_range
-    from hiros_cli.output import check_outputs
-
     for log in logs:
         log.stat()
     if len(logs) > 2:
@@ -63,8 +62,6 @@ def view(
         replay(logs, recording, options, is_open)
 
     if save is not None:
-        from hiros_mcap.running.progress_bar import bar
-
         with bar(f"drawing {name}", quiet=quiet):
             destinations.save(save, name, draw)
         if not quiet:

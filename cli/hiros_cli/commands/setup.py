@@ -1,11 +1,25 @@
-"""``hiros completion``: what a shell needs to complete command lines."""
+"""``hiros warmup`` and ``hiros completion``: what is done once after an installation."""
 
 from __future__ import annotations
 
+import time
+
 import typer
 
-from hiros_cli.options import argument
+from hiros_cli.compiling import prepare
+from hiros_cli.options import QUIET, argument
 from hiros_mcap.errors import ConfigError
+
+
+def warmup(quiet: bool = QUIET) -> None:
+    """Compile the kernels now, to make the first run fast."""
+    from hiros_mcap import kernels
+
+    started = time.perf_counter()
+    prepare(quiet=quiet, everything=True)
+    kernels.load(list(kernels.sources()))
+    if not quiet:
+        print(f"kernels ready after {time.perf_counter() - started:.1f} s")
 
 
 def completion(
