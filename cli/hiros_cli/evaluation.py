@@ -66,18 +66,11 @@ def _print_truth(
     last, result = list(results.items())[-1]
     signed = f"Signed joint angles of {last}, degrees: error"
     bending = f"{score_tables.BENDING} of {last}, degrees: error"
-    tables = {
-        **score_tables.truth_tables(scores),
-        bending: score_tables.angle_table(result.scores),
-    }
+    tables = {**score_tables.truth_tables(scores), bending: score_tables.angle_table(result.scores)}
     if output.joints:
         tables[signed] = score_tables.signed_angle_table(result.scores)
         tables[f"Joints of {last}, mm"] = score_tables.joint_table(result.scores.joints)
-    page(
-        f"{output.log}: against the truth, {people}, {seconds} s",
-        *tables.items(),
-        notes=notes,
-    )
+    page(f"{output.log}: against the truth, {people}, {seconds} s", *tables.items(), notes=notes)
 
 
 def show_self(output: Output, scores: SelfScores) -> None:
@@ -108,11 +101,7 @@ def _print_self(output: Output, scores: SelfScores, notes: Iterable[str]) -> Non
             "Disagreement between cameras at one time, median mm",
             (("Cameras", "Median"), differences),
         ),
-        [
-            "Result of all cameras:",
-            f"people: {people}",
-            *score_tables.lines_of(result),
-        ],
+        ["Result of all cameras:", f"people: {people}", *score_tables.lines_of(result)],
         ("Left and right of this result", score_tables.side_table(scores.sides)),
         *((title, score_tables.joint_table(each)) for title, each in tables.items()),
         notes=notes,

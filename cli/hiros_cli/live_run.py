@@ -111,13 +111,6 @@ class _Clock:
         self.shown.label(f"live, {done * 1e-9:.0f} s of log")
 
 
-@contextlib.contextmanager
-def stdout_free(output: str) -> Iterator[None]:
-    """Print on stderr whatever is printed, if stdout is the output itself."""
-    with contextlib.redirect_stdout(sys.stderr) if output == STREAM else contextlib.nullcontext():
-        yield
-
-
 def _name(source: str) -> str:
     return "the standard input" if source == STREAM else source
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 import typer
@@ -88,7 +88,7 @@ def check(
         from hiros_mcap.regression.suite import SuiteOptions
 
         options = SuiteOptions(bless, tuple(only or ()), jobs or 0, keep, force)
-        results = _run_suite(target, options, _Reports(junit, markdown), quiet=quiet)
+        results = _run_suite(target, options, junit, markdown, quiet=quiet)
     elif golden is None:
         raise ConfigError(f"{target}: name the golden log with --golden")
     else:
@@ -127,54 +127,32 @@ def _check_options(
             raise ConfigError(f"{name} has no effect on {what} (see hiros check --help)")
 
 
-@dataclass(frozen=True, slots=True)
-class _Reports:
-    """Where to write what a suite found."""
-
-    junit: Path | None
-    markdown: Path | None
-
-    def check(self, inputs: Sequence[Path], *, force: bool) -> None:
-        """Refuse, before the suite runs, what must not be written."""
-        check_outputs(
-            (self.junit, "JUnit report"),
-            (self.markdown, "Markdown summary"),
-            inputs=inputs,
-            force=force,
-        )
-
-    def write(self, results: list[CaseResult], name: str) -> None:
-        """Write them."""
-        from hiros_mcap.outputs import write_text
-        from hiros_mcap.regression import check_report
-
-        if self.junit is not None:
-            write_text(self.junit, check_report.junit(results, name))
-        if self.markdown is not None:
-            write_text(self.markdown, check_report.markdown(results, name))
-
-
 def _run_suite(
-    path: Path, options: SuiteOptions, reports: _Reports, *, quiet: bool
+    path: Path, options: SuiteOptions, junit: Path | None, markdown: Path | None, *, quiet: bool
 ) -> list[CaseResult]:
+    from hiros_mcap.outputs import write_text
+    from hiros_mcap.regression import check_report
     from hiros_mcap.regression.suite import kept_path, load_suite, run_suite
 
     suite, keep = load_suite(path), options.keep
     kept = [] if keep is None else [kept_path(keep, case) for case in suite.cases]
-    reports.check([*suite.files, *kept], force=options.force)
+    files = [*suite.files, *kept]
+    check_outputs(
+        (junit, "JUnit report"), (markdown, "Markdown summary"), inputs=files, force=options.force
+    )
     if keep is not None:
         keep.mkdir(parents=True, exist_ok=True)
     with bar(f"{path.name}: {len(options.only) or len(suite.cases)} logs", quiet=quiet) as progress:
         results = run_suite(suite, options, progress)
-    reports.write(results, path.stem)
+    if junit is not None:
+        write_text(junit, check_report.junit(results, path.stem))
+    if markdown is not None:
+        write_text(markdown, check_report.markdown(results, path.stem))
     return results
 
 
 def _with_hint(result: CaseResult, target: Path, golden: Path) -> CaseResult:
     """Add the command that shows the first difference."""
-    from dataclasses import replace
-    from shlex import quote
-
     if not result.first:
         return result
     topic, first = result.first[0]
@@ -188,18 +166,19 @@ def _with_hint(result: CaseResult, target: Path, golden: Path) -> CaseResult:
 
 
 def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:
-    if json:
-        from hiros_mcap.regression import check_report
+    from hiros_mcap.regression import check_report
 
+    if json:
         print_json("check", check_report.as_dict(results))
         return
     if quiet:
-        _show_errors(results)
+        for result in results:  # the exit code says whether there is a difference
+            if result.status == "error":
+                print(error_line(ConfigError(f"{result.name}: {result.error}")), file=sys.stderr)
         return
     from rich.text import Text
 
     from hiros_cli.run_report import page
-    from hiros_mcap.regression import check_report
 
     styles = {"equal": "green", "different": "red", "error": "yellow"}
     lines: list[str | Text] = []
@@ -209,11 +188,3 @@ def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:
         lines += [f"  {line}" for line in (*check_report.lines(result), *result.notes)]
     totals = [Text(check_report.totals(results), style="bold")] if len(results) > 1 else None
     page((), lines, totals)
-
-
-def _show_errors(results: list[CaseResult]) -> None:
-    """Print what could not be compared; the exit code says whether there is a difference."""
-    for result in results:
-        if result.status == "error":
-            fault = ConfigError(f"{result.name}: {result.error}")
-            print(error_line(fault), file=sys.stderr)

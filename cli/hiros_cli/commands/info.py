@@ -83,7 +83,10 @@ def _show(overview: Overview) -> None:
         ("Camera", lambda row: row.name),
         (">Rate", lambda row: number(row.rate_hz, 1, " Hz")),
         (">Longest gap", lambda row: number(row.longest_gap_s, 2, " s")),
-        (">People (mean)", _people),
+        (
+            ">People (mean)",
+            _people,
+        ),
         ("Frame", _frame),
     )
     people = listing(

@@ -4,22 +4,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, redirect_stdout
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from hiros_cli import options as shared
 from hiros_cli.compiling import importing, prepare
 from hiros_cli.completing import topics
-from hiros_cli.live_run import (
-    STREAM,
-    check_live,
-    is_live,
-    run_live,
-    stdout_free,
-)
+from hiros_cli.live_run import STREAM, check_live, is_live, run_live
 from hiros_cli.many_logs import ManyLogs, one_log
 from hiros_cli.options import (
     INPUT,
@@ -38,7 +32,6 @@ from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.running.progress_bar import bar
 
 if TYPE_CHECKING:
-    from hiros_mcap.config import Table as Parameters
     from hiros_mcap.running.pipeline import Watcher
     from hiros_mcap.running.process_options import Calibration
     from hiros_mcap.summary import Summary
@@ -92,9 +85,7 @@ def process(
     ),
     unit: str | None = option("UNIT", "Unit of the positions: m (default), cm or mm.", panel=INPUT),
     clock: list[str] | None = option(
-        "CAMERA=SECONDS",
-        "Add seconds to the stamps of a camera; may be repeated.",
-        panel=INPUT,
+        "CAMERA=SECONDS", "Add seconds to the stamps of a camera; may be repeated.", panel=INPUT
     ),
     limbs: Path | None = option(
         "FILE", "Use these limb lengths of an earlier session.", panel="Limb lengths"
@@ -128,9 +119,7 @@ def process(
     view: bool = flag("--view", "Show the run live in the Rerun viewer.", panel=OUTPUT),
     strict: bool = flag("--strict", "Fail if any message would be skipped.", panel=INPUT),
     recover: bool = flag(
-        "--recover",
-        "Run on what can be read of a damaged log; exit with 3 on losses.",
-        panel=INPUT,
+        "--recover", "Run on what can be read of a damaged log; exit with 3 on losses.", panel=INPUT
     ),
     follow: bool = flag(
         "--follow", "Process a log while it is being written; Ctrl-C ends it.", panel=INPUT
@@ -180,11 +169,18 @@ def process(
     system = chosen_system(system, preset, live=live)
     if strict and recover:
         raise ConfigError("--strict refuses what --recover accepts; choose one")
-    shortcuts = _shortcuts(fixed_frame, limb_window, two_pass=two_pass, solver=solver)
-    if model is not None:
-        shortcuts["--model"] = {"input": {"model": model}}
-    if unit is not None:
-        shortcuts["--unit"] = {"input": {"unit": unit}}
+    windows = list(map(_window, limb_window)) if limb_window else None
+    named: tuple[tuple[str, str, str, Any], ...] = (
+        ("--fixed-frame", "input", "fixed_frame", fixed_frame),
+        ("--limb-window", "optimize", "calibration_windows", windows),
+        ("--two-pass", "optimize", "calibration", "two-pass" if two_pass else None),
+        ("--solver", "optimize", "solver", solver),
+        ("--model", "input", "model", model),
+        ("--unit", "input", "unit", unit),
+    )
+    shortcuts = {
+        name: {part: {key: value}} for name, part, key, value in named if value is not None
+    }
     if clock:
         shortcuts["--clock"] = {"clock": dict(map(_clock, clock))}
     with importing():
@@ -196,17 +192,8 @@ def process(
         from hiros_mcap.running.pipeline import process as run
 
     _check_assignments(system, assignments or ())
-    _check_effects(
-        system,
-        stages,
-        {
-            "--limbs": limbs,
-            "--save-limbs": save_limbs,
-            "--limb-window": limb_window,
-            "--two-pass": two_pass,
-            "--solver": solver,
-        },
-    )
+    on_limbs = {"--limbs": limbs, "--save-limbs": save_limbs, "--limb-window": limb_window}
+    _check_effects(system, stages, {**on_limbs, "--two-pass": two_pass, "--solver": solver})
     options = ProcessOptions(
         system=system,
         stages=stages,
@@ -231,7 +218,8 @@ def process(
     with ExitStack() as stack:
         watcher = _live(source, wanted, stack) if view else None
         if live:
-            stack.enter_context(stdout_free(wanted))
+            if wanted == STREAM:  # what is printed must not go into the output
+                stack.enter_context(redirect_stdout(sys.stderr))
             summary = run_live(logs[0], wanted, effective, options, watcher, quiet=quiet)
             _show(summary, json=json, quiet=quiet)
             return
@@ -323,23 +311,6 @@ def _live(source: Path, target: str, stack: ExitStack) -> Watcher | None:
     except HirosError:
         warn(f"--view: the Rerun viewer does not start; {later}")
     return None
-
-
-def _shortcuts(
-    fixed_frame: str | None, windows: list[str] | None, *, two_pass: bool, solver: str | None
-) -> dict[str, Parameters]:
-    """Return the parameters that options with a name of their own set."""
-    named: dict[str, Parameters] = {}
-    if fixed_frame is not None:
-        named["--fixed-frame"] = {"input": {"fixed_frame": fixed_frame}}
-    if windows:
-        spans = [_window(text) for text in windows]
-        named["--limb-window"] = {"optimize": {"calibration_windows": spans}}
-    if two_pass:
-        named["--two-pass"] = {"optimize": {"calibration": "two-pass"}}
-    if solver is not None:
-        named["--solver"] = {"optimize": {"solver": solver}}
-    return named
 
 
 def _calibration(text: str) -> Calibration:

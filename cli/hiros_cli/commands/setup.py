@@ -22,10 +22,7 @@ def warmup(quiet: bool = QUIET) -> None:
         print(f"kernels ready after {time.perf_counter() - started:.1f} s")
 
 
-def completion(
-    context: typer.Context,
-    shell: str = argument("SHELL", "bash, zsh or fish."),
-) -> int:
+def completion(context: typer.Context, shell: str = argument("SHELL", "bash, zsh or fish.")) -> int:
     """Print a script that completes commands, options and topics.
 
     Add one of these lines to your shell's start-up file:
