@@ -84,7 +84,9 @@ class Content:
 
 def overview(content: Content) -> rrb.Container:
     """Show the room with the result, and beside it all curves, who is there, and the events."""
-    moves = [_moves()] if content.has_moves else []
+    moves = []
+    if content.has_moves:
+        moves.append(rrb.TextDocumentView(origin=CALIBRATION, name="Cameras before and after"))
     if content.is_raw:
         lanes = [_lanes(content, "No data")] if content.has_faults else []
         return rrb.Vertical(
@@ -391,11 +393,6 @@ def _sides(content: Content, kind: str, who: int, parts: Sequence[str], unit: st
         for part in parts
     ]
     return rrb.Grid(*views, grid_columns=2, name=f"Person {who}")
-
-
-def _moves() -> Any:
-    """Return the table of cameras before and after a calibration."""
-    return rrb.TextDocumentView(origin=CALIBRATION, name="Cameras before and after")
 
 
 def _error(content: Content, part: str = "**") -> Any:

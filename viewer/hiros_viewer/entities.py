@@ -19,7 +19,7 @@ from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.io.export.colours import RGB, person_colour
 from hiros_mcap.kernels.drawing import Singles, draw_bones, draw_joints, tops
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
-from hiros_viewer.camera_moves import CameraMove, move_table
+from hiros_viewer.camera_moves import CameraMove, markdown, move_table
 from hiros_viewer.columns import Line, TextRows, columns, strips, time_columns
 from hiros_viewer.palette import (
     BEFORE,
@@ -108,17 +108,14 @@ class Entities:
     """
 
     def __init__(
-        self,
-        recording: rr.RecordingStream,
-        model: SkeletonModel,
-        root: int,
-        layer: Layer,
+        self, recording: rr.RecordingStream, model: SkeletonModel, root: int, layer: Layer
     ) -> None:
         self.recording = recording
         self.model = model
         self.start = 0
         """ns; what seconds count from."""
         self._root = root
+        self._above = _LABEL_ABOVE_M + _LABEL_STEP_M * layer.number
         self._layer = layer
         self._begun: set[str] = set()
         self._first_class = _SECOND_LOG if layer.number and not layer.one_colour else 0
@@ -137,8 +134,11 @@ class Entities:
 
     def key(self, *more: str) -> None:
         """Show what the colours mean, Markdown."""
-        text = "\n\n".join([*more, _KEY_TEXT])
-        self.recording.log(KEY, rr.TextDocument(text, media_type="text/markdown"), static=True)
+        self._document(KEY, "\n\n".join([*more, _KEY_TEXT]))
+
+    def _document(self, path: str, text: str) -> None:
+        """Show Markdown."""
+        self.recording.log(path, rr.TextDocument(text, media_type="text/markdown"), static=True)
 
     def camera(self, name: str, number: int, pose: Rigid) -> None:
         """Draw a camera as a frustum at its pose in the fixed frame."""
@@ -165,8 +165,7 @@ class Entities:
                 way = [[move.before.translation, move.after.translation]]
                 line = rr.LineStrips3D(way, colors=[DISPLACEMENT], radii=_ERROR_PX)
                 self.recording.log(f"/world/moved/{path_part(move.name)}", line, static=True)
-        table = rr.TextDocument(move_table(moves), media_type="text/markdown")
-        self.recording.log(CALIBRATION, table, static=True)
+        self._document(CALIBRATION, move_table(moves))
 
     def _frustum(self, path: str, pose: Rigid, look: tuple[str, RGB, RGB]) -> None:
         """Draw a camera; ``look`` is its name or "", its colour, and that of the name."""
@@ -189,10 +188,7 @@ class Entities:
         self.recording.log(f"{path}/view", frustum, static=True)
         if name:
             label = rr.Points3D(
-                [[0.0, -0.3, 0.0]],
-                radii=0.001,
-                labels=[name],
-                colors=[text_colour],
+                [[0.0, -0.3, 0.0]], radii=0.001, labels=[name], colors=[text_colour]
             )
             self.recording.log(f"{path}/name", label, static=True)
 
@@ -272,7 +268,7 @@ class Entities:
         shown = visit.people != HIDDEN
         people = visit.people[shown]
         joints, radii = self._joints(poses, people, _JOINT_M if is_strong else _DETECTION_M)
-        highest = _highest(poses, people) + np.array([0, 0, self._above()])
+        highest = _highest(poses, people) + np.array([0, 0, self._above])
         for part, batches, per_pose in self._parts(joints, radii, highest, np.array(labels) != ""):
             counts = np.zeros(len(shown), np.int32)
             counts[shown] = per_pose
@@ -356,29 +352,17 @@ class Entities:
 
     def camera_table(self, rows: Sequence[Sequence[str]]) -> None:
         """Show numbers of each camera, in the order of :data:`CAMERA_COLUMNS`."""
-        lines = [CAMERA_COLUMNS, ["---"] * len(CAMERA_COLUMNS), *rows]
-        text = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-        document = rr.TextDocument(f"{text}\n\n{_CAMERA_NOTE}", media_type="text/markdown")
-        self.recording.log(CAMERA_TABLE, document, static=True)
+        self._document(CAMERA_TABLE, f"{markdown(CAMERA_COLUMNS, rows)}\n\n{_CAMERA_NOTE}")
 
-    def displacements(self, path: str, times: Stamps, result: Floats, before: Floats) -> None:
-        """Send magnified lines from a person's joints (T, M, 3), m, to where they were before.
-
-        An instant at which ``before`` is NaN shows no line.
-        """
-        tips = result + MAGNIFIED * (before - result)
-        self._joint_lines(path, times, (result, tips), (DISPLACEMENT, _THIN))
-
-    def errors(self, path: str, times: Stamps, result: Floats, true: Floats) -> None:
-        """Send lines, to scale, from a person's joints (T, M, 3), m, to the true ones."""
-        self._joint_lines(path, times, (result, true), (ERROR, _ERROR_PX))
-
-    def _joint_lines(
-        self, path: str, times: Stamps, ends: tuple[Floats, Floats], look: tuple[RGB, float]
+    def joint_lines(
+        self, path: str, times: Stamps, ends: tuple[Floats, Floats], *, is_error: bool
     ) -> None:
-        """Send lines between two (T, M, 3), m, none where either is NaN; colour and radius."""
+        """Send lines between two (T, M, 3), m, none where either is NaN.
+
+        They lead to the true joints, or to where a stage before had them.
+        """
         if self._is_new(path):
-            colour, radius = look
+            colour, radius = (ERROR, _ERROR_PX) if is_error else (DISPLACEMENT, _THIN)
             lines = rr.LineStrips3D.from_fields(colors=[colour], radii=radius)
             self.recording.log(path, lines, static=True)
         known = ~np.isnan(ends[0] - ends[1]).any(axis=2)
@@ -404,10 +388,6 @@ class Entities:
         there = ~np.isnan(labels[:, 0])
         yield "/name", {where: points(labels[there & has_label])}, there & has_label
         yield "/trail", {where: points(joints[there, self._root])}, there
-
-    def _above(self) -> float:
-        """Return how far above the head a name is, m: not on that in another log."""
-        return _LABEL_ABOVE_M + _LABEL_STEP_M * self._layer.number
 
     def _bone_parts(self, joints: Singles) -> Iterator[tuple[str, Mapping[Any, Any], Any]]:
         """Yield bones like :meth:`_parts`: those of left limbs have an entity of their own."""

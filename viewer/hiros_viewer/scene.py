@@ -33,13 +33,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from hiros_mcap.body.anatomy import (
-    ANGLE_NAMES,
-    MAIN_ANGLES,
-    MOST_RAD,
-    anatomical_angles,
-    continued,
-)
+from hiros_mcap.body.anatomy import ANGLE_NAMES, MAIN_ANGLES, MOST_RAD, anatomical_angles, continued
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side, symmetry_of
 from hiros_mcap.evaluate.match import MATCH_DISTANCE
@@ -51,8 +45,8 @@ from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, SkeletonModel, Stamps
 from hiros_viewer.camera_moves import CameraMove
 from hiros_viewer.columns import GONE_NS, CurveRows, Line, TextRows, after_pauses
-from hiros_viewer.displacement import EarlierPoses, mean_distances
 from hiros_viewer.entities import (
+    MAGNIFIED,
     Entities,
     Layer,
     fault_part,
@@ -66,7 +60,7 @@ from hiros_viewer.poses import Channel, Poses
 from hiros_viewer.presence import HIDDEN, Crowd, Visit, Visits
 from hiros_viewer.uncertainties import HALF_SIZE, UNCERTAIN_STAGE, Uncertainties
 from hiros_viewer.view_check import FaultySpan, ViewCheck
-from hiros_viewer.waiting import Compared, Waiting
+from hiros_viewer.waiting import Compared, EarlierPoses, Waiting, mean_distances
 
 STAGES = ("tracked", "merged", "optimized", "filtered", "truth")
 _ALONE = Layer()
@@ -117,7 +111,7 @@ class Scene:
         """Kind of curve, as "speed" or "limbs/thigh" -> where its values are."""
         self.n_true = 0
         """Frames of the last stage whose instant the truth covers."""
-        self._layer, self._prefix = layer, layer.prefix
+        self._layer, self.prefix = layer, layer.prefix
         self._crowds = defaultdict[str, Crowd](Crowd)
         """By camera; in the order in which cameras were first seen."""
         self._marks = defaultdict[Channel, Crowd](Crowd)
@@ -145,11 +139,6 @@ class Scene:
         self._root = _root_slot(model)
         self._entities = Entities(recording, model, self._root, layer)
         self._limbs = limb_links(model)
-
-    @property
-    def prefix(self) -> str:
-        """What stands before the entities of this log."""
-        return self._layer.prefix
 
     @property
     def cameras(self) -> list[str]:
@@ -329,7 +318,7 @@ class Scene:
 
     def _send_visit(self, stage: str, visit: Visit, poses: Poses) -> None:
         """Send what is drawn of one person of a stage."""
-        path = f"{self._prefix}/{stage}/{person_part(visit.person)}"
+        path = f"{self.prefix}/{stage}/{person_part(visit.person)}"
         shown = visit.people != HIDDEN
         people = visit.people[shown]
         is_strong = stage == (self.final or "truth")
@@ -371,7 +360,7 @@ class Scene:
 
     def _states(self, visit: Visit) -> None:
         """Note when somebody comes and goes."""
-        path = f"{self._prefix}/result/{person_part(visit.person)}"
+        path = f"{self.prefix}/result/{person_part(visit.person)}"
         self._lane_looks[path] = self._person_line(visit.person)
         for row in np.flatnonzero(visit.begins | (visit.people == HIDDEN)).tolist():
             self._texts[path].add(visit.times[row], "tracked" if visit.begins[row] else "gone")
@@ -380,7 +369,7 @@ class Scene:
         """Write an event into the log; its time is also its log time unless that is known."""
         level = "WARN" if event.is_warning else "INFO"
         times = np.array([event.stamp, event.stamp if log_time is None else log_time])
-        self._texts[f"{self._prefix}/log"].add(times, self._layer.named(event.text), level)
+        self._texts[f"{self.prefix}/log"].add(times, self._layer.named(event.text), level)
 
     def distances(self, name: str, times: Stamps, millimetres: Floats) -> None:
         """Add to the curve of joint distances between two logs, mm; times (T, 2)."""
@@ -448,20 +437,22 @@ class Scene:
             before = self._earlier[stage, person].at(times[:, 0], self.model.n_markers)
             path = f"{stage}/{person_part(person)}"
             if stage == drawn[0]:
-                whole = f"{self._prefix}/displacement/{path}"
-                self._entities.displacements(whole, times, result, before)
+                whole = f"{self.prefix}/displacement/{path}"
+                tips = result + MAGNIFIED * (before - result)
+                self._entities.joint_lines(whole, times, (result, tips), is_error=False)
             self._extend_apart(f"moved/{path}", person, times, mean_distances(before, result))
         if self.truth is not None:
             true = self._earlier["truth", person].at(times[:, 0], self.model.n_markers)
             part = person_part(person)
-            self._entities.errors(f"{self._prefix}/error_lines/{part}", times, result, true)
+            whole = f"{self.prefix}/error_lines/{part}"
+            self._entities.joint_lines(whole, times, (result, true), is_error=True)
             self._extend_apart(f"error/{part}", person, times, mean_distances(result, true))
 
     def _extend_apart(self, path: str, person: int, times: Stamps, metres: Floats) -> None:
         """Add to a person's curve of distances, mm; NaN is left out."""
         known = ~np.isnan(metres)
         lines = [self._person_line(person)]
-        self._extend(f"{self._prefix}/{path}", lines, times[known], 1000 * metres[known])
+        self._extend(f"{self.prefix}/{path}", lines, times[known], 1000 * metres[known])
 
     def _person_line(self, person: int) -> Line:
         """Return the curve of a person, in its colour."""
@@ -480,7 +471,7 @@ class Scene:
         self, kind: str, person: int, names: Sequence[str], times: Stamps, values: Floats
     ) -> None:
         """Add to curves (T, len(names)); what is left and right of one joint shares an entity."""
-        path = f"{self._prefix}/{kind}/{person_part(person)}"
+        path = f"{self.prefix}/{kind}/{person_part(person)}"
         parts = [split_side(name)[0] for name in names]
         for part in dict.fromkeys(parts):
             columns = [k for k, own in enumerate(parts) if own == part]
@@ -501,7 +492,7 @@ class Scene:
         steps = np.diff(moments[:, 0])
         steady = (steps > 0) & (steps < GONE_NS)
         speeds = np.linalg.norm(np.diff(roots, axis=0), axis=-1)[steady] / (steps[steady] / 1e9)
-        path = f"{self._prefix}/speed/{person_part(person)}"
+        path = f"{self.prefix}/speed/{person_part(person)}"
         self._extend(path, [self._person_line(person)], moments[1:][steady], speeds)
 
     def _extend(self, path: str, lines: Sequence[Line], times: Stamps, values: Floats) -> None:
@@ -511,7 +502,7 @@ class Scene:
             self._entities.curves(path, lines, *curves.ended(times, values))
         known = values[~np.isnan(values)]
         if known.size:
-            parts = path.removeprefix(self._prefix).split("/")[1:]
+            parts = path.removeprefix(self.prefix).split("/")[1:]
             kind = "/".join(parts[::2]) if parts[0] in SIDED else parts[0]
             # Outliers of angles and lengths are the detectors' and not to be seen; errors are.
             spread = [0.5, 99.5] if parts[0] in SIDED else [0.0, 100.0]

@@ -45,7 +45,7 @@ def plot(
     prepare(quiet=quiet)
     from hiros_mcap.evaluate.logs import find_truth, output_channels, read_channel
     from hiros_viewer import curves
-    from hiros_viewer.headline import headline
+    from hiros_viewer.headline import about
 
     if what not in curves.KINDS:
         raise ConfigError(f"--what: {what!r} is none of {', '.join(curves.KINDS)}")
@@ -56,8 +56,8 @@ def plot(
         start = frames[0].stamp if frames else 0
         true = None if its_truth is None else its_truth.moved(start=start)
         collected = curves.collect(f"{log}: {topic}", frames, model, true)
-        about = headline(log).lines(curves.verdict(collected), curves.summary_row(frames, model))
-        collected = replace(collected, about=about)
+        lines = about(log, curves.verdict(collected), curves.summary_row(frames, model))
+        collected = replace(collected, about=lines)
         if target.suffix == ".html":
             curves.page_of(collected).write(target)
         else:
