@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -16,7 +14,7 @@ from hiros_mcap.io.log import Log
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.skeletons import Frame
 from hiros_viewer.blueprint import Content, blueprint
-from hiros_viewer.destinations import new_recording, running_viewer, web_server
+from hiros_viewer.destinations import connected, running_viewer, web_server
 from hiros_viewer.poses import Gatherer
 from hiros_viewer.replay import content_of, describe
 from hiros_viewer.scene import Scene
@@ -96,8 +94,8 @@ def live_view(name: str, closed: Callable[[], None]) -> Iterator[LiveView]:
 
     Raises HirosError if the viewer does not start.
     """
-    with running_viewer() as (url, process), _drawing_into(url, process, name, closed) as view:
-        yield view
+    with running_viewer() as (url, process), connected(url, process, name) as recording:
+        yield LiveView(recording, lambda: process.poll() is None, closed)
 
 
 @contextmanager
@@ -112,25 +110,6 @@ def live_page(
     """
     with web_server() as (page, url, server):
         announce(page)
-        with _drawing_into(url, server, name, closed) as view:
-            yield view
+        with connected(url, server, name) as recording:
+            yield LiveView(recording, lambda: server.poll() is None, closed)
         server.wait()
-
-
-@contextmanager
-def _drawing_into(
-    url: str, process: subprocess.Popen[bytes], name: str, closed: Callable[[], None]
-) -> Iterator[LiveView]:
-    # When the viewer is closed, rerun would print a line per message that it cannot send.
-    os.environ.setdefault("RUST_LOG", "off")
-    recording = new_recording(name)
-    recording.connect_grpc(url)
-    try:
-        yield LiveView(recording, lambda: _runs(process), closed)
-    finally:
-        if _runs(process):
-            recording.disconnect()
-
-
-def _runs(process: subprocess.Popen[bytes]) -> bool:
-    return process.poll() is None
