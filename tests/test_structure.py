@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 FOLDERS = {
     "hiros_mcap": ROOT,
     "hiros_schemas": ROOT / "schemas",
-    "hiros_cli": ROOT / "cli",
+    "hiros_cli": 3945ROOT / "cli",
     "hiros_viewer": ROOT / "viewer",
 }
 MODULES = {
@@ -40,8 +40,8 @@ UPWARDS = {
 }
 """Imports that do not go down the list of CONTRIBUTING.md. This set only shrinks."""
 CEILINGS = {
-    "hiros_cli": 4540,
-    "hiros_viewer": 4720,
+    "hiros_cli": 3945,
+    "hiros_viewer": 4527,
     "hiros_mcap": 2400,
     "body": 1800,
     "calibrate": 5492,

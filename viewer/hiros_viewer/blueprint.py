@@ -227,8 +227,11 @@ def _room(
     overrides: dict[str, Any] = {}
     if len(shown) > 1:
         what += _all(content, f"/displacement/{shown[0]}/**")
-        overrides = _compared_looks(content, *shown)
         earlier = _paths(content, shown[0])
+        grey = rr.LineStrips3D.from_fields(colors=[BEFORE], radii=0.004)
+        # Their bones are millimetres apart.
+        overrides = _thin_looks(content, shown[1])
+        overrides |= {f"{path}/{bones}": grey for path in earlier for bones in _BONES}
         what += [f"- {path}/{part}" for path in earlier for part in ("name", "trail")]
     elif shown and (content.shows_truth or content.shows_uncertainty or seen_by):
         joint = 0.004 if content.shows_uncertainty else _THIN_JOINT_M
@@ -247,12 +250,7 @@ def _room(
             for timeline in (TIMELINE, STAMP, LOGGED)
         ]
     )
-    overrides |= {
-        f"{prefix}/{stage}/{person_part(who)}/trail": trail
-        for prefix in content.prefixes
-        for stage in shown
-        for who in content.people
-    }
+    overrides |= {f"{path}/trail": trail for stage in shown for path in _paths(content, stage)}
     eye, target = _eye(content, aspect)
     if pose := content.camera_poses.get(seen_by):
         ahead = rotate(pose.xyzw, _AHEAD)
@@ -275,14 +273,6 @@ def _room(
     )
 
 
-def _compared_looks(content: Content, before: str, after: str) -> dict[str, Any]:
-    """Return looks of two stages whose bones are millimetres apart: both thin, the first grey."""
-    look = rr.LineStrips3D.from_fields(colors=[BEFORE], radii=0.004)
-    return _thin_looks(content, after) | {
-        f"{path}/{bones}": look for path in _paths(content, before) for bones in _BONES
-    }
-
-
 def _thin_looks(content: Content, stage: str, joint: float = _THIN_JOINT_M) -> dict[str, Any]:
     """Return looks of a stage that lets see what is millimetres away from it."""
     bones, joints = rr.LineStrips3D.from_fields(radii=0.006), rr.Points3D.from_fields(radii=joint)
@@ -293,7 +283,6 @@ def _thin_looks(content: Content, stage: str, joint: float = _THIN_JOINT_M) -> d
 
 
 def _paths(content: Content, stage: str) -> list[str]:
-    """Return the entities of everybody at a stage."""
     return [f"{p}/{stage}/{person_part(who)}" for p in content.prefixes for who in content.people]
 
 
@@ -340,7 +329,6 @@ def _tabs(content: Content, views: Sequence[Any]) -> Any:
 
 
 def _counts(content: Content) -> Any:
-    """Return the curves of how many people each camera reports."""
     return _series(content, "people", "People per camera")
 
 
@@ -396,7 +384,6 @@ def _sides(content: Content, kind: str, who: int, parts: Sequence[str], unit: st
 
 
 def _error(content: Content, part: str = "**") -> Any:
-    """Return the curves of the error, of everybody or of one person."""
     return _series(content, "error", "Error, mm: mean over joints", f"/error/{part}")
 
 

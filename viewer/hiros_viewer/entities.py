@@ -137,7 +137,6 @@ class Entities:
         self._document(KEY, "\n\n".join([*more, _KEY_TEXT]))
 
     def _document(self, path: str, text: str) -> None:
-        """Show Markdown."""
         self.recording.log(path, rr.TextDocument(text, media_type="text/markdown"), static=True)
 
     def camera(self, name: str, number: int, pose: Rigid) -> None:
@@ -248,7 +247,6 @@ class Entities:
         self._send_bones(path, joints, rows)
 
     def _send_bones(self, path: str, joints: Singles, rows: Rows) -> None:
-        """Send the bones of everybody in each row."""
         times, counts = rows
         frames = np.repeat(np.arange(len(counts)), counts)
         for part, batches, per_pose in self._bone_parts(joints):

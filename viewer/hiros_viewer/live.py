@@ -31,11 +31,9 @@ class LiveView:
         recording: rr.RecordingStream,
         is_open: Callable[[], bool],
         closed: Callable[[], None],
-        layout: str = "overview",
     ) -> None:
         self._recording = recording
         self._is_open, self._closed = is_open, closed
-        self._layout = layout
         self._scene: Scene | None = None
         self._names: dict[str, str] = {}
         self._waiting = Gatherer()
@@ -72,7 +70,7 @@ class LiveView:
             self._lay_out(content_of([scene]))
 
     def _lay_out(self, content: Content) -> None:
-        self._recording.send_blueprint(blueprint(content, self._layout))
+        self._recording.send_blueprint(blueprint(content))
 
     def end(self, events: Events) -> None:
         """Draw the events and what is left."""

@@ -192,7 +192,6 @@ class _Replay:
     def _draw_frames(
         self, scene: Scene, log: Log, left_out: Collection[str], is_open: Callable[[], bool]
     ) -> int:
-        """Draw the log; return the number of frames."""
         start, drawn = log.span[0], 0
         unfinished = {kind_of(camera.channel.topic) for camera in log.cameras} - set(left_out)
         for frames in in_time_order(log, left_out, self._step, self._spans(start)):

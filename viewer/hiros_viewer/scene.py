@@ -317,7 +317,6 @@ class Scene:
             self._earlier["truth", person].add(np.array(stamps), np.stack(true_poses))
 
     def _send_visit(self, stage: str, visit: Visit, poses: Poses) -> None:
-        """Send what is drawn of one person of a stage."""
         path = f"{self.prefix}/{stage}/{person_part(visit.person)}"
         shown = visit.people != HIDDEN
         people = visit.people[shown]
@@ -359,7 +358,6 @@ class Scene:
             self._entities.ellipsoids(visit.person, visit.times, joints, HALF_SIZE * sizes)
 
     def _states(self, visit: Visit) -> None:
-        """Note when somebody comes and goes."""
         path = f"{self.prefix}/result/{person_part(visit.person)}"
         self._lane_looks[path] = self._person_line(visit.person)
         for row in np.flatnonzero(visit.begins | (visit.people == HIDDEN)).tolist():
@@ -377,7 +375,6 @@ class Scene:
         self._extend(f"/distance/{path_part(name)}", [line], times, millimetres)
 
     def _extend_camera(self, kind: str, camera: str, times: Stamps, values: Floats) -> None:
-        """Add to a curve of a camera."""
         line = Line(camera, curve_colour(self.cameras.index(camera)))
         self._extend(f"{kind}/{path_part(camera)}", [line], times, values)
 
@@ -399,7 +396,6 @@ class Scene:
         self._send_texts()
 
     def _nobody(self) -> Poses:
-        """Return frames without people."""
         n = self.model.n_markers
         none = np.zeros(0, np.int64)
         return Poses(np.zeros((0, 2), np.int64), none, none, np.zeros((0, n, 3)), np.zeros((0, n)))

@@ -106,8 +106,8 @@ def evaluate(
 
         folder = truth if truth is None or not Path(truth).is_dir() else str(Path(truth).absolute())
         scoring = (leave_one_out, truth_covers, match_distance, shift, up)
-        channels = tuple(channel or ())
-        job = EvalJob(effective, folder, channels, *scoring, default, asked=bool(asked))
+        scored = tuple(channel or ())
+        job = EvalJob(effective, folder, scored, *scoring, default, asked=bool(asked))
         raise typer.Exit(run(job, many))
     from hiros_cli.evaluation import Output, show_self, show_truth
     from hiros_mcap.evaluate.leave_one_out import leave_one_out as score_cameras

@@ -170,7 +170,7 @@ def process(
     if strict and recover:
         raise ConfigError("--strict refuses what --recover accepts; choose one")
     windows = list(map(_window, limb_window)) if limb_window else None
-    named: tuple[tuple[str, str, str, Any], ...] = (
+    settings: tuple[tuple[str, str, str, Any], ...] = (
         ("--fixed-frame", "input", "fixed_frame", fixed_frame),
         ("--limb-window", "optimize", "calibration_windows", windows),
         ("--two-pass", "optimize", "calibration", "two-pass" if two_pass else None),
@@ -179,7 +179,7 @@ def process(
         ("--unit", "input", "unit", unit),
     )
     shortcuts = {
-        name: {part: {key: value}} for name, part, key, value in named if value is not None
+        name: {part: {key: value}} for name, part, key, value in settings if value is not None
     }
     if clock:
         shortcuts["--clock"] = {"clock": dict(map(_clock, clock))}
