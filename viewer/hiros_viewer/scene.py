@@ -380,25 +380,21 @@ class Scene:
 
     def finish(self) -> None:
         """Hide everybody after the last frame, and send what is left."""
+        n, none = self.model.n_markers, np.zeros(0, np.int64)
+        nobody = Poses(none.reshape(0, 2), none, none, np.zeros((0, n, 3)), np.zeros((0, n)))
         for number, (camera, crowd) in enumerate(self._crowds.items()):
             if len(times := crowd.finish()):
-                rows = times, np.zeros(1, np.int64)
-                self._entities.detections(camera, number, self._nobody(), rows)
+                self._entities.detections(camera, number, nobody, (times, np.zeros(1, np.int64)))
         self._compare(self._waiting.rest())
         for (camera, kind), crowd in self._marks.items():
             if len(times := crowd.finish()):
-                self._entities.marks(camera, kind, self._nobody(), (times, np.zeros(1, np.int64)))
+                self._entities.marks(camera, kind, nobody, (times, np.zeros(1, np.int64)))
         for name, visits in self._stages.items():
             for visit in visits.finish():
-                self._send_visit(name, visit, self._nobody())
+                self._send_visit(name, visit, nobody)
         for camera, check in self._checks.items():
             self._tell(camera, check.finish())
         self._send_texts()
-
-    def _nobody(self) -> Poses:
-        n = self.model.n_markers
-        none = np.zeros(0, np.int64)
-        return Poses(np.zeros((0, 2), np.int64), none, none, np.zeros((0, n, 3)), np.zeros((0, n)))
 
     def _send_texts(self) -> None:
         for path, rows in self._texts.items():

@@ -16,7 +16,6 @@ from hiros_cli.commands import (
     compare,
     evaluate,
     export,
-    import_joints,
     info,
     plan,
     plot,
@@ -83,7 +82,7 @@ app.command("eval", cls=HelpfulCommand)(evaluate.evaluate)
 app.command(cls=HelpfulCommand)(check.check)
 app.command(cls=HelpfulCommand)(compare.compare)
 app.command(cls=HelpfulCommand)(info.info)
-app.command("import", cls=HelpfulCommand)(import_joints.import_)
+app.command("import", cls=HelpfulCommand)(export.import_)
 app.command(cls=HelpfulCommand)(recover.recover)
 app.command(cls=HelpfulCommand)(simulate.demo)
 app.command(cls=HelpfulCommand)(simulate.simulate)

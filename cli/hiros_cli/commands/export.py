@@ -1,4 +1,4 @@
-"""``hiros export``: a result as a file of another program."""
+"""``hiros export`` and ``hiros import``: results and joints as files of other programs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hiros_cli.compiling import prepare
 from hiros_cli.completing import topics
 from hiros_cli.many_logs import ManyLogs, one_log, run
 from hiros_cli.options import CLUSTER, FORCE, JOBS, JSON, MANY, QUIET, TABLE, argument, option
-from hiros_cli.output import check_outputs, print_json
+from hiros_cli.output import check_outputs, print_json, warn
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.running.progress_bar import bar
@@ -104,3 +104,31 @@ def export(
         print_json("export", {"log": logs[0], "files": list(map(str, written))})
     for path in () if quiet or json else written:
         print(f"wrote {path}")
+
+
+def import_(
+    sources: list[Path] = argument(
+        "FILE", "CSV, TRC or JSON files, or folders of JSON files, one for each camera."
+    ),
+    output: Path = option("LOG", "MCAP log to write.", "--output", "-o", default=...),
+    mapping: Path | None = option(
+        "FILE",
+        "TOML file with names, units, axes, cameras and clock of FILE; or openpose, "
+        "mediapipe, freemocap, pose2sim, opencap.",
+    ),
+    force: bool = FORCE,
+    quiet: bool = QUIET,
+) -> None:
+    """Turn files of joint positions into a log.
+
+    hiros process, view and info read it like any other.
+    """
+    for path in sources:
+        path.stat()
+    check_outputs((output, "log"), inputs=(*sources, mapping), force=force)
+    prepare(quiet=quiet)
+    from hiros_mcap.io.joints.importing import import_joints
+
+    written = import_joints(sources, output, mapping, warn)
+    if not quiet:
+        print(f"wrote {sum(written.values())} messages on {len(written)} channels to {output}")
