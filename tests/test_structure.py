@@ -16,8 +16,8 @@ ROOT = Path(__file__).parents[1]
 FOLDERS = {
     "hiros_mcap": ROOT,
     "hiros_schemas": ROOT / "schemas",
-    "hiros_cli": 3935ROOT / "cli",
-    "hiros_viewer": 4523ROOT / "viewer",
+    "hiros_cli": ROOT / "cli",
+    "hiros_viewer": ROOT / "viewer",
 }
 MODULES = {
     ".".join(path.relative_to(folder).with_suffix("").parts).removesuffix(".__init__"): path
