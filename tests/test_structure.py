@@ -40,8 +40,8 @@ UPWARDS = {
 }
 """Imports that do not go down the list of CONTRIBUTING.md. This set only shrinks."""
 CEILINGS = {
-    "hiros_cli": 4540,
-    "hiros_viewer": 4720,
+    "hiros_cli": 3935,
+    "hiros_viewer": 4523,
     "hiros_mcap": 2305,
     "body": 1675,
     "calibrate": 5492,

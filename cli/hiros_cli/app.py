@@ -89,11 +89,19 @@ def _run(arguments: list[str]) -> int:
 
 
 def _report(error: Exception, *, debug: bool) -> int:
+    """Print one line about ``error`` and return the exit code that belongs to it."""
     if isinstance(error, BrokenPipeError):
         # The reader has seen enough. Python flushes stdout once more when it exits.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
-    return fail(error, debug=debug)
+    from hiros_cli.printable import error_line, lacks_memory, left_out
+    from hiros_mcap.errors import HirosError
+
+    if debug:
+        _show_traceback(error)
+    bug = not (isinstance(error, HirosError | OSError) or lacks_memory(error) or left_out(error))
+    print(error_line(error, bug=bug), file=sys.stderr)
+    return BUG if bug else BAD_INPUT
 
 
 class Stop:
@@ -202,18 +210,6 @@ def open_missing_streams() -> None:
             setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115, PTH123
         elif hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
-
-
-def fail(error: Exception, *, debug: bool) -> int:
-    """Print one line about ``error`` and return the exit code that belongs to it."""
-    from hiros_cli.printable import error_line, lacks_memory, left_out
-    from hiros_mcap.errors import HirosError
-
-    if debug:
-        _show_traceback(error)
-    bug = not (isinstance(error, HirosError | OSError) or lacks_memory(error) or left_out(error))
-    print(error_line(error, bug=bug), file=sys.stderr)
-    return BUG if bug else BAD_INPUT
 
 
 def _show_traceback(error: BaseException) -> None:

@@ -1,23 +1,26 @@
-"""What was found out about a log's cameras, for a person."""
+"""What was found out about a log's cameras, from people, a ball or a board, for a person."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from rich.table import Table
 
 from hiros_cli.run_report import listing, page, period
+from hiros_mcap.calibrate.ball import BallReport
+from hiros_mcap.calibrate.board import BoardReport
 from hiros_mcap.calibrate.camera_result import CalibratedCamera
 from hiros_mcap.calibrate.people import PeopleCalibration
-from hiros_mcap.summary import number
+from hiros_mcap.summary import number, quantity
 
 GAUGES = {
     "transforms": "The rig as a whole stays where the log's transforms put it.",
     "floor": "z is up from the floor that people stand on; the origin is below the first camera.",
     "first camera": "The first camera gives the fixed frame: nobody stands upright on a floor.",
 }
+_BALL_GAUGES = {**GAUGES, "first camera": "It is the frame of the first camera."}
 DRIFT_PPM = 100.0
 """A smaller drift is not measured reliably."""
 
@@ -66,3 +69,59 @@ def _cameras(cameras: Sequence[CalibratedCamera]) -> Table:
         (">Residual mm", lambda c: number(c.residual_mm, 0)),
         ("Verdict", lambda c: c.verdict),
     )
+
+
+def show_ball(log: Path, report: BallReport) -> None:
+    """Print a line per camera, what the fixed frame is, and notes."""
+    found, radius = report.found, report.radius
+    page(
+        f"{log}: poses from the ball: {found.verdict}",
+        listing(
+            found.cameras,
+            ("Camera", lambda c: c.name),
+            (">Seen", lambda c: c.seen),
+            ("Against", lambda c: c.against or "-"),
+            (">Common", lambda c: c.common if c.against else "-"),
+            (">Used", lambda c: c.used if c.against else "-"),
+            (">SE deg", lambda c: number(c.error_deg, 2) if c.against else "-"),
+            (">mm", lambda c: number(c.error_mm, 1) if c.against else "-"),
+            (">Residual mm", lambda c: number(c.residual_mm, 1) if c.against else "-"),
+            ("Verdict", lambda c: c.verdict),
+        ),
+        [f'Fixed frame "{found.fixed_frame}": {_BALL_GAUGES[found.gauge]}'],
+        notes=[
+            *([] if math.isnan(radius) else [f"the ball's radius as measured: {radius:.3f} m"]),
+            *_skipped(report.skipped),
+        ],
+    )
+
+
+def show_board(log: Path, report: BoardReport) -> None:
+    """Print a line per camera, what the fixed frame is, and notes."""
+    kept = report.gauge == "transforms"
+    page(
+        f"{log}: poses from the board: {report.verdict}",
+        listing(
+            report.cameras,
+            ("Camera", lambda c: c.name),
+            (">Seen", lambda c: c.seen),
+            (">SE deg", lambda c: number(c.error_deg, 2)),
+            (">mm", lambda c: number(c.error_mm, 1)),
+            (">Residual mm", lambda c: number(c.residual_mm, 1)),
+            ("Verdict", lambda c: c.verdict),
+        ),
+        [f'Fixed frame "{report.fixed_frame}": marker 1 of the board; z is up.'],
+        notes=[
+            *(["the cameras stay as the transforms have them to each other"] if kept else []),
+            *_skipped(report.skipped),
+        ],
+    )
+
+
+def _skipped(skipped: Mapping[str, Mapping[str, int]]) -> list[str]:
+    return [
+        f"{name}: {quantity(count, 'depth image')} {reason}"
+        for name, reasons in skipped.items()
+        for reason, count in sorted(reasons.items())
+        if count
+    ]

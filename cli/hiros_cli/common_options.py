@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,7 @@ from hiros_mcap.errors import ConfigError, LogError
 LOGGERS = ("hiros_mcap", "hiros_cli")
 LOG_MARK = "# hiros log\n"
 _VALUED = ("--log-file", "--color")
-_COLOURS = {
+_COLOURS: Mapping[str, Mapping[str, str | None]] = {
     "auto": {},
     "always": {"NO_COLOR": None, "FORCE_COLOR": "1"},
     "never": {"NO_COLOR": "1", "FORCE_COLOR": None},
@@ -36,7 +36,7 @@ class CommonOptions:
     def in_effect(self, arguments: Sequence[str]) -> Iterator[None]:
         """Run a command so; raises LogError if the log file is somebody else's."""
         with ExitStack() as stack:
-            stack.enter_context(_environment(_COLOURS[self.color]))
+            stack.enter_context(environment(_COLOURS[self.color]))
             if self.verbose:
                 stack.enter_context(_handled_by(_Steps(logging.INFO)))
             if self.log_file is not None:
@@ -120,11 +120,11 @@ def _handled_by(handler: logging.Handler) -> Iterator[None]:
 
 
 @contextmanager
-def _environment(values: dict[str, str | None]) -> Iterator[None]:
+def environment(values: Mapping[str, str | None]) -> Iterator[None]:
     """Set variables, None = without it, as long as the block runs."""
     before = {name: os.environ.get(name) for name in values}
 
-    def put(named: dict[str, str | None]) -> None:
+    def put(named: Mapping[str, str | None]) -> None:
         for name, value in named.items():
             if value is None:
                 os.environ.pop(name, None)

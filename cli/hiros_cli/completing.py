@@ -7,14 +7,13 @@ back on file names.
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import typer
 
+from hiros_cli.common_options import environment
 from hiros_mcap.defaults import SYSTEM_NAMES
 
 VARIABLE = "_HIROS_COMPLETE"
@@ -24,7 +23,7 @@ SHELLS = ("bash", "zsh", "fish")
 
 def script_of(shell: str, command: Any) -> int:
     """Print the script that makes a shell ask for completions; return the exit code."""
-    with _environment(**{VARIABLE: f"source_{shell}"}):
+    with environment({VARIABLE: f"source_{shell}"}):
         return answer(command)
 
 
@@ -34,26 +33,12 @@ def answer(command: Any) -> int:
 
     completion_init()
     # In a narrow terminal typer breaks descriptions, and fish offers the rest of the lines, too.
-    with _environment(COLUMNS="10000"):
+    with environment({"COLUMNS": "10000"}):
         try:
             command.main(args=[], prog_name="hiros", complete_var=VARIABLE, standalone_mode=False)
         except SystemExit as end:  # always: typer ends the program when it has answered
             return int(end.code or 0)
     return 0
-
-
-@contextmanager
-def _environment(**values: str) -> Iterator[None]:
-    """Set variables of the environment for a while."""
-    before = {name: os.environ.get(name) for name in values}
-    os.environ.update(values)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            os.environ.pop(name)
-            if value is not None:
-                os.environ[name] = value
 
 
 def systems(incomplete: str) -> list[str]:

@@ -1,26 +1,64 @@
-"""Scores as tables for a person."""
+"""Scores as a page, as JSON, or as tables for a person."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+from hiros_cli.output import print_json, warn
 from hiros_cli.run_report import page
 from hiros_mcap.evaluate import Truth, score_tables
 from hiros_mcap.evaluate.leave_one_out import SelfScores
 from hiros_mcap.evaluate.logs import ChannelResult
-from hiros_mcap.summary import number
+from hiros_mcap.evaluate.remarks import notes_of
+from hiros_mcap.summary import number, plain, plain_value
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """Where the scores of a log go."""
+
+    log: Path
+    html: Path | None
+    json: bool
+    quiet: bool
+    joints: bool
 
 
 def show_truth(
-    log: Path,
+    output: Output,
     truth: Truth,
     results: Mapping[str, ChannelResult],
-    notes: Iterable[str],
-    *,
-    joints: bool,
+    others: Sequence[int],
+    warnings: Sequence[str],
 ) -> None:
-    """Print the scores of every channel, and the angles of the last one."""
+    """Write the page, and print the scores of every channel and the angles of the last one."""
+    notes = notes_of(truth, results)
+    if output.html is not None:
+        from hiros_viewer.evaluation_page import truth_page
+
+        truth_page(output.log, truth, results, [*warnings, *notes]).write(output.html)
+    if output.json:
+        data = {
+            "log": str(output.log),
+            "true_people": list(truth.people),
+            "truth_covers": "partial" if truth.partial else "all",
+            "people_without_truth": list(others),
+            "channels": {topic: plain(result.scores) for topic, result in results.items()},
+            "warnings": warnings,
+            "notes": notes,
+        }
+        print_json("eval", data)
+    elif not output.quiet:
+        _print_truth(output, truth, results, notes)
+    for text in warnings:
+        warn(text)
+
+
+def _print_truth(
+    output: Output, truth: Truth, results: Mapping[str, ChannelResult], notes: Iterable[str]
+) -> None:
     seconds = number((truth.stamps[-1] - truth.stamps[0]) / 1e9, 1)
     n = len(truth.people)
     people = f"{n} of the people" if truth.partial else "1 person" if n == 1 else f"{n} people"
@@ -28,39 +66,43 @@ def show_truth(
     last, result = list(results.items())[-1]
     signed = f"Signed joint angles of {last}, degrees: error"
     bending = f"{score_tables.BENDING} of {last}, degrees: error"
-    tables = {
-        **score_tables.truth_tables(scores),
-        bending: score_tables.angle_table(result.scores),
-    }
-    if joints:
+    tables = {**score_tables.truth_tables(scores), bending: score_tables.angle_table(result.scores)}
+    if output.joints:
         tables[signed] = score_tables.signed_angle_table(result.scores)
         tables[f"Joints of {last}, mm"] = score_tables.joint_table(result.scores.joints)
-    page(
-        f"{log}: against the truth, {people}, {seconds} s",
-        *tables.items(),
-        notes=notes,
-    )
+    page(f"{output.log}: against the truth, {people}, {seconds} s", *tables.items(), notes=notes)
 
 
-def show_self(log: Path, scores: SelfScores, *, joints: bool) -> None:
-    """Print what a log says about itself."""
+def show_self(output: Output, scores: SelfScores) -> None:
+    """Write the page, and print what a log says about itself."""
+    if output.html is not None:
+        from hiros_viewer.evaluation_page import self_page
+
+        self_page(output.log, scores).write(output.html)
+    notes = score_tables.notes_without_truth(scores)
+    if output.json:
+        listed = [{"cameras": list(k), "mm": v} for k, v in scores.disagreement.items()]
+        data = {"log": str(output.log), **plain(scores), "notes": notes}
+        data["disagreement"] = plain_value(listed)
+        print_json("eval.self", data)
+    elif not output.quiet:
+        _print_self(output, scores, notes)
+
+
+def _print_self(output: Output, scores: SelfScores, notes: Iterable[str]) -> None:
     result, pairs = scores.consistency, scores.disagreement.items()
     people = ", ".join(f"{p.id} ({number(p.seconds, 1)} s)" for p in result.people) or "nobody"
     differences = [(f"{a}, {b}", number(mm, 1)) for (a, b), mm in pairs]
-    tables = {f"Joints of {c.topic}, mm": c.joints for c in scores.cameras if joints}
+    tables = {f"Joints of {c.topic}, mm": c.joints for c in scores.cameras if output.joints}
     page(
-        f"{log}: each camera against the result of the others, without a truth",
+        f"{output.log}: each camera against the result of the others, without a truth",
         ("Distance of each left-out camera, mm", score_tables.left_out_table(scores.cameras)),
         (
             "Disagreement between cameras at one time, median mm",
             (("Cameras", "Median"), differences),
         ),
-        [
-            "Result of all cameras:",
-            f"people: {people}",
-            *score_tables.lines_of(result),
-        ],
+        ["Result of all cameras:", f"people: {people}", *score_tables.lines_of(result)],
         ("Left and right of this result", score_tables.side_table(scores.sides)),
         *((title, score_tables.joint_table(each)) for title, each in tables.items()),
-        notes=score_tables.notes_without_truth(scores),
+        notes=notes,
     )

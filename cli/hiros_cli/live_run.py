@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.outputs import target_kind
+from hiros_mcap.running.progress_bar import Bar, bar
 
 if TYPE_CHECKING:
     from hiros_mcap.config import Config
     from hiros_mcap.io.container.live_input import LiveInput
     from hiros_mcap.io.live_log import LiveLog
     from hiros_mcap.running.process_options import ProcessOptions, Watcher
-    from hiros_mcap.running.progress_bar import Bar
     from hiros_mcap.summary import Summary
 
 STREAM = "-"
@@ -81,7 +81,6 @@ def run_live(
 ) -> Summary:
     """Process until the input ends; see :func:`hiros_mcap.running.process_live.process_live`."""
     from hiros_mcap.running.process_live import process_live
-    from hiros_mcap.running.progress_bar import bar
 
     def started(log: LiveLog) -> None:
         cameras = ", ".join(sorted(n for c in log.cameras for n in c.sources.values()))
@@ -110,13 +109,6 @@ class _Clock:
     def update(self, done: int, total: int) -> None:
         """Show the time since the first message."""
         self.shown.label(f"live, {done * 1e-9:.0f} s of log")
-
-
-@contextlib.contextmanager
-def stdout_free(output: str) -> Iterator[None]:
-    """Print on stderr whatever is printed, if stdout is the output itself."""
-    with contextlib.redirect_stdout(sys.stderr) if output == STREAM else contextlib.nullcontext():
-        yield
 
 
 def _name(source: str) -> str:

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 from typer import Context
 
 from hiros_cli.options import LOSSES
+from hiros_cli.output import check_outputs, print_json, warn
+from hiros_cli.printable import printable
 from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -80,7 +82,6 @@ def run(job: Job, many: ManyLogs) -> int:
 
     Raises HirosError or OSError if the logs are not found, or the folder cannot be written.
     """
-    from hiros_cli.output import check_outputs
     from hiros_mcap.many.find import find_logs
     from hiros_mcap.many.run_logs import Folder, run_logs
     from hiros_mcap.outputs import write_text
@@ -152,9 +153,6 @@ class _Follower:
 
     def finished(self, record: LogRecord, *, is_new: bool) -> None:
         """Show what came of a log."""
-        from hiros_cli.output import warn
-        from hiros_cli.printable import printable
-
         self._counts[record.verdict if is_new else "before"] += 1
         self._log_s += float(record.values.get("log_s") or 0.0) if is_new else 0.0
         name = printable(short(record.log))
@@ -209,7 +207,6 @@ def _follower(total: int, *, quiet: bool) -> Iterator[_Follower]:
 
 def _report(job: Job, records: Sequence[LogRecord], many: ManyLogs) -> None:
     if many.json:
-        from hiros_cli.output import print_json
         from hiros_mcap.many.totals import to_dict
 
         warnings = [f"{record.log}: {text}" for record in records for text in record.warnings]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
@@ -17,118 +17,83 @@ PARAMETERS, INPUT, OUTPUT = "Parameters", "Input", "Output"
 """Groups of options in a command's help."""
 
 
-def option(metavar: str, text: str, *names: str, panel: str | None = None, **more: Any) -> Any:
-    """Return an option that takes a value, for a command's signature; see ``typer.Option``."""
-    return typer.Option(*names, metavar=metavar, help=text, rich_help_panel=panel, **more)
+def option(
+    metavar: str, text: str, *names: str, default: Any = None, panel: str | None = None, **more: Any
+) -> Any:
+    """Return an option that takes a value, as a parameter's default; ``...`` = it is required."""
+    more |= {"metavar": metavar, "help": text, "rich_help_panel": panel}
+    return typer.Option(default, *names, **more)
 
 
-def flag(name: str, text: str, *names: str, panel: str | None = None) -> Any:
+def flag(name: str, text: str, *names: str, panel: str | None = None, **more: Any) -> Any:
     """Return an option without a value."""
-    return typer.Option(name, *names, help=text, rich_help_panel=panel)
+    return typer.Option(False, name, *names, help=text, rich_help_panel=panel, **more)
+
+
+def argument(metavar: str, text: str, default: Any = ...) -> Any:
+    """Return an argument; ``...`` = it is required."""
+    return typer.Argument(default, metavar=metavar, help=text)
 
 
 LOSSES = 3
 """Exit code: a damaged log was recovered, and something is lost."""
 
-Cameras = Annotated[
-    list[str] | None,
-    option(
-        "GLOB",
-        "Cameras to read; may be repeated. Default: all.",
-        autocompletion=topics,
-        panel=INPUT,
-    ),
-]
-Extrinsics = Annotated[
-    Path | None,
-    option("FILE", "Camera poses that replace the log's transforms.", panel=INPUT),
-]
-Html = Annotated[
-    Path | None,
-    option("FILE", "Also write an HTML page with plots.", panel=OUTPUT),
-]
-Preset = Annotated[
-    str,
-    option(
-        "NAME",
-        "Start from a preset of hiros: default, realtime, paper or upstream.",
-        autocompletion=presets,
-        panel=PARAMETERS,
-    ),
-]
-ConfigFile = Annotated[
-    Path | None,
-    option(
-        "FILE",
-        "TOML file with parameters, as `hiros config` prints. Default: hiros.toml in the "
-        "folder of the log, if there is one.",
-        "--config",
-        panel=PARAMETERS,
-    ),
-]
-SystemName = Annotated[
-    str | None,
-    option(
-        "NAME",
-        "System to run; `hiros systems` lists them. Default: fuse, on live input "
-        "fuse-realtime; with a preset hiros, on live input hiros-realtime.",
-        "--system",
-        autocompletion=systems,
-        panel=PARAMETERS,
-    ),
-]
-Assignments = Annotated[
-    list[str] | None,
-    option(
-        "STAGE.PARAM=VALUE",
-        "Change one parameter; may be repeated.",
-        "--set",
-        autocompletion=parameters,
-        panel=PARAMETERS,
-    ),
-]
-Json = Annotated[bool, flag("--json", "Print JSON instead.", panel=OUTPUT)]
-Quiet = Annotated[
-    bool,
-    flag("--quiet", "Print only warnings and errors.", "-q", panel=OUTPUT),
-]
-QuietResult = Annotated[
-    bool,
-    flag(
-        "--quiet",
-        "Print only warnings and errors; use the exit code and the files.",
-        "-q",
-        panel=OUTPUT,
-    ),
-]
-Force = Annotated[
-    bool,
-    flag("--force", "Also overwrite files that hiros did not write.", "-f", panel=OUTPUT),
-]
+CAMERAS = option(
+    "GLOB", "Cameras to read; may be repeated. Default: all.", panel=INPUT, autocompletion=topics
+)
+EXTRINSICS = option("FILE", "Camera poses that replace the log's transforms.", panel=INPUT)
+HTML = option("FILE", "Also write an HTML page with plots.", panel=OUTPUT)
+PRESET = option(
+    "NAME",
+    "Start from a preset of hiros: default, realtime, paper or upstream.",
+    default="default",
+    panel=PARAMETERS,
+    autocompletion=presets,
+)
+CONFIG = option(
+    "FILE",
+    "TOML file with parameters, as `hiros config` prints. Default: hiros.toml in the "
+    "folder of the log, if there is one.",
+    panel=PARAMETERS,
+)
+SYSTEM = option(
+    "NAME",
+    "System to run; `hiros systems` lists them. Default: fuse, on live input "
+    "fuse-realtime; with a preset hiros, on live input hiros-realtime.",
+    panel=PARAMETERS,
+    autocompletion=systems,
+)
+ASSIGNMENTS = option(
+    "STAGE.PARAM=VALUE",
+    "Change one parameter; may be repeated.",
+    "--set",
+    panel=PARAMETERS,
+    autocompletion=parameters,
+)
+JSON = flag("--json", "Print JSON instead.", panel=OUTPUT)
+QUIET = flag("--quiet", "Print only warnings and errors.", "-q", panel=OUTPUT)
+QUIET_RESULT = flag(
+    "--quiet",
+    "Print only warnings and errors; use the exit code and the files.",
+    "-q",
+    panel=OUTPUT,
+)
+FORCE = flag("--force", "Also overwrite files that hiros did not write.", "-f", panel=OUTPUT)
 
 MANY = "Many logs"
-Jobs = Annotated[
-    int | None,
-    option(
-        "NUMBER",
-        "Logs at once; 0 = one per core. With it, one log is treated as many are.",
-        min=0,
-        show_default="0",
-        panel=MANY,
-    ),
-]
-Cluster = Annotated[
-    str | None,
-    option(
-        "ADDRESS",
-        "Run on a Dask cluster: its address, a scheduler file (.json), or local to start one.",
-        panel=MANY,
-    ),
-]
-Table = Annotated[
-    Path | None,
-    option("FILE", "Also write the table of all logs as CSV.", "--csv", panel=MANY),
-]
+JOBS = option(
+    "NUMBER",
+    "Logs at once; 0 = one per core. With it, one log is treated as many are.",
+    min=0,
+    show_default="0",
+    panel=MANY,
+)
+CLUSTER = option(
+    "ADDRESS",
+    "Run on a Dask cluster: its address, a scheduler file (.json), or local to start one.",
+    panel=MANY,
+)
+TABLE = option("FILE", "Also write the table of all logs as CSV.", "--csv", panel=MANY)
 
 
 def config_file(given: Path | None, logs: Sequence[str]) -> Path | None:

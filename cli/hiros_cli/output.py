@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from hiros_cli.printable import warning_line
+from hiros_cli.printable import LINE_LIMIT, printable
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.outputs import Kind
 from hiros_mcap.outputs import check_outputs as check
@@ -33,7 +33,7 @@ def warn(text: str, *, logged: bool = False) -> None:
 
     It is logged as well, unless the library has ``logged`` it.
     """
-    print(warning_line(text), file=sys.stderr, flush=True)
+    print(f"hiros: warning: {printable(text, LINE_LIMIT)}", file=sys.stderr, flush=True)
     if not logged:
         _log.warning("%s", text)
 

@@ -64,11 +64,6 @@ def left_out(error: BaseException) -> str:
     return _LEFT_OUT.get(missing.partition(".")[0], "")
 
 
-def warning_line(text: str) -> str:
-    """One line that says what a user must know of a result, ``hiros: warning: ...``."""
-    return f"hiros: warning: {printable(text, LINE_LIMIT)}"
-
-
 def _reason(error: BaseException) -> str:
     from hiros_mcap.errors import LogError
 

@@ -13,13 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from hiros_cli.printable import LINE_LIMIT, printable
-from hiros_mcap.summary import (
-    CameraSummary,
-    LimbSummary,
-    PersonSummary,
-    Summary,
-    number,
-)
+from hiros_mcap.summary import CameraSummary, LimbSummary, PersonSummary, Summary, number
 
 Item = TypeVar("Item")
 Content = tuple[Sequence[str], Sequence[Sequence[str]]]

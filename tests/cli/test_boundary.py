@@ -192,7 +192,7 @@ def as_another_error():
         raise RuntimeError("cannot release un-acquired lock")
 
 def in_the_report():
-    app.fail = lambda error, debug: interrupt()
+    app._report = lambda error, debug: interrupt()
     raise KeyError("tibia")
 
 def with_a_lock():

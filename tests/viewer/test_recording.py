@@ -33,12 +33,12 @@ from hiros_viewer import poses as drawn_poses
 from hiros_viewer import replay as replaying
 from hiros_viewer.blueprint import LAYOUTS, Content, cameras
 from hiros_viewer.columns import LOGGED, TIMELINE, CurveRows, Line
-from hiros_viewer.displacement import EarlierPoses
 from hiros_viewer.palette import SIDES, faint, shade
 from hiros_viewer.poses import Poses
 from hiros_viewer.replay import numbered_axis
 from hiros_viewer.scene import Scene
 from hiros_viewer.uncertainties import HALF_SIZE
+from hiros_viewer.waiting import EarlierPoses
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 CROSSING = SAMPLES / "two_people_crossing.mcap"

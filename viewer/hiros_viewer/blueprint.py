@@ -6,19 +6,17 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
 
 from hiros_mcap.body.rotations import Rigid, rotate
+from hiros_mcap.skeletons import Floats
 from hiros_viewer.columns import LOGGED, STAMP, TIMELINE
 from hiros_viewer.entities import CALIBRATION, CAMERA_TABLE, KEY, MAGNIFIED, person_part
 from hiros_viewer.palette import BEFORE
-
-if TYPE_CHECKING:
-    import rerun.blueprint as rrb
-
-    from hiros_mcap.skeletons import Floats
 
 TRAIL_S = 2.0
 JOINTS = ("shoulder", "elbow", "hip", "knee")
@@ -86,9 +84,9 @@ class Content:
 
 def overview(content: Content) -> rrb.Container:
     """Show the room with the result, and beside it all curves, who is there, and the events."""
-    import rerun.blueprint as rrb
-
-    moves = [_moves()] if content.has_moves else []
+    moves = []
+    if content.has_moves:
+        moves.append(rrb.TextDocumentView(origin=CALIBRATION, name="Cameras before and after"))
     if content.is_raw:
         lanes = [_lanes(content, "No data")] if content.has_faults else []
         return rrb.Vertical(
@@ -124,16 +122,12 @@ def overview(content: Content) -> rrb.Container:
 
 def _lanes(content: Content, name: str) -> Any:
     """Return who is there, when a camera's view is wrong, and when nothing was recorded."""
-    import rerun.blueprint as rrb
-
     what = [*_all(content, "/result/**"), "/wrong_view/**", "/no_data"]
     return rrb.StateTimelineView(origin="/", contents=what, name=name, time_view=_whole())
 
 
 def stages(content: Content) -> rrb.Container:
     """Show what the stages changed: before and after in one room, and how far joints moved."""
-    import rerun.blueprint as rrb
-
     before, after = content.before, content.final
     if not before:
         return overview(content)
@@ -152,8 +146,6 @@ def stages(content: Content) -> rrb.Container:
 
 def person(content: Content) -> rrb.Container:
     """One person's angles and limbs, a tab per person."""
-    import rerun.blueprint as rrb
-
     tabs = [
         rrb.Vertical(
             _key(),
@@ -178,8 +170,6 @@ def person(content: Content) -> rrb.Container:
 
 def cameras(content: Content) -> rrb.Container:
     """Every camera's detections and the result as it sees them, and how far they are apart."""
-    import rerun.blueprint as rrb
-
     rooms = [
         _room(content, camera, shown=[content.final], cameras=[camera], seen_by=camera)
         for camera in content.cameras
@@ -205,8 +195,6 @@ LAYOUTS: dict[str, Callable[[Content], Any]] = {
 
 def blueprint(content: Content, layout: str = "overview") -> rrb.Blueprint:
     """Return a layout by its name in :data:`LAYOUTS`, paused at the start."""
-    import rerun.blueprint as rrb
-
     return rrb.Blueprint(
         LAYOUTS[layout](content),
         rrb.TimePanel(timeline=TIMELINE, state="collapsed", play_state="paused", loop_mode="all"),
@@ -231,9 +219,6 @@ def _room(
     seen beside it.
     Of two stages the first one is thin and grey, and its displacement to the second one is drawn.
     """
-    import rerun as rr
-    import rerun.blueprint as rrb
-
     what = ["+ /world/**"]
     seen = content.cameras if cameras is None else cameras
     what += [f"+ /{kind}/{camera}/**" for kind in ("detections", "marked") for camera in seen]
@@ -242,8 +227,11 @@ def _room(
     overrides: dict[str, Any] = {}
     if len(shown) > 1:
         what += _all(content, f"/displacement/{shown[0]}/**")
-        overrides = _compared_looks(content, *shown)
         earlier = _paths(content, shown[0])
+        grey = rr.LineStrips3D.from_fields(colors=[BEFORE], radii=0.004)
+        # Their bones are millimetres apart.
+        overrides = _thin_looks(content, shown[1])
+        overrides |= {f"{path}/{bones}": grey for path in earlier for bones in _BONES}
         what += [f"- {path}/{part}" for path in earlier for part in ("name", "trail")]
     elif shown and (content.shows_truth or content.shows_uncertainty or seen_by):
         joint = 0.004 if content.shows_uncertainty else _THIN_JOINT_M
@@ -262,12 +250,7 @@ def _room(
             for timeline in (TIMELINE, STAMP, LOGGED)
         ]
     )
-    overrides |= {
-        f"{prefix}/{stage}/{person_part(who)}/trail": trail
-        for prefix in content.prefixes
-        for stage in shown
-        for who in content.people
-    }
+    overrides |= {f"{path}/trail": trail for stage in shown for path in _paths(content, stage)}
     eye, target = _eye(content, aspect)
     if pose := content.camera_poses.get(seen_by):
         ahead = rotate(pose.xyzw, _AHEAD)
@@ -290,20 +273,8 @@ def _room(
     )
 
 
-def _compared_looks(content: Content, before: str, after: str) -> dict[str, Any]:
-    """Return looks of two stages whose bones are millimetres apart: both thin, the first grey."""
-    import rerun as rr
-
-    look = rr.LineStrips3D.from_fields(colors=[BEFORE], radii=0.004)
-    return _thin_looks(content, after) | {
-        f"{path}/{bones}": look for path in _paths(content, before) for bones in _BONES
-    }
-
-
 def _thin_looks(content: Content, stage: str, joint: float = _THIN_JOINT_M) -> dict[str, Any]:
     """Return looks of a stage that lets see what is millimetres away from it."""
-    import rerun as rr
-
     bones, joints = rr.LineStrips3D.from_fields(radii=0.006), rr.Points3D.from_fields(radii=joint)
     paths = _paths(content, stage)
     return {f"{path}/{part}": bones for path in paths for part in _BONES} | dict.fromkeys(
@@ -312,7 +283,6 @@ def _thin_looks(content: Content, stage: str, joint: float = _THIN_JOINT_M) -> d
 
 
 def _paths(content: Content, stage: str) -> list[str]:
-    """Return the entities of everybody at a stage."""
     return [f"{p}/{stage}/{person_part(who)}" for p in content.prefixes for who in content.people]
 
 
@@ -353,15 +323,12 @@ def _all(content: Content, pattern: str) -> list[str]:
 
 def _tabs(content: Content, views: Sequence[Any]) -> Any:
     """Return a tab for each person; that of who is there for longest is open."""
-    import rerun.blueprint as rrb
-
     people = list(content.people)
     first = people.index(content.longest) if content.longest in people else 0
     return rrb.Tabs(*views, active_tab=first if first < len(views) else None)
 
 
 def _counts(content: Content) -> Any:
-    """Return the curves of how many people each camera reports."""
     return _series(content, "people", "People per camera")
 
 
@@ -371,8 +338,6 @@ def _series(content: Content, kind: str, name: str, path: str = "") -> Any:
     The room and the lanes tell the colours; the viewer names the curve under the pointer.
     ``path`` is that of the curves; "" = all of the kind. An axis without a range fits its curves.
     """
-    import rerun.blueprint as rrb
-
     path = path or f"/{kind}/**"
     values = content.ranges.get(kind)
     return rrb.TimeSeriesView(
@@ -390,17 +355,12 @@ def _whole() -> Any:
 
     The viewer's own choice ends where it had read to when it was opened.
     """
-    import rerun as rr
-    import rerun.blueprint as rrb
-
     ever = rr.TimeRangeBoundary.infinite()
     return rrb.TimeAxis(view_range=rr.TimeRange(start=ever, end=ever))
 
 
 def _key() -> Any:
     """Return the lines that say what colours mean, and which log is which."""
-    import rerun.blueprint as rrb
-
     return rrb.TextDocumentView(origin=KEY, name="Colours", titlebar=False)
 
 
@@ -410,8 +370,6 @@ def _angles(content: Content, who: int) -> Any:
 
 def _sides(content: Content, kind: str, who: int, parts: Sequence[str], unit: str) -> Any:
     """Return a view per joint or limb, in each its left and its right curve."""
-    import rerun.blueprint as rrb
-
     parts = [part.replace(" ", "_") for part in parts]
     views = [
         _series(
@@ -425,22 +383,12 @@ def _sides(content: Content, kind: str, who: int, parts: Sequence[str], unit: st
     return rrb.Grid(*views, grid_columns=2, name=f"Person {who}")
 
 
-def _moves() -> Any:
-    """Return the table of cameras before and after a calibration."""
-    import rerun.blueprint as rrb
-
-    return rrb.TextDocumentView(origin=CALIBRATION, name="Cameras before and after")
-
-
 def _error(content: Content, part: str = "**") -> Any:
-    """Return the curves of the error, of everybody or of one person."""
     return _series(content, "error", "Error, mm: mean over joints", f"/error/{part}")
 
 
 def _events(content: Content) -> Any:
     """Return the list of events, so that each is read in full."""
-    import rerun.blueprint as rrb
-
     columns = rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["body"])
     return rrb.TextLogView(
         origin="/", contents=_all(content, "/log"), name="Events", columns=columns

@@ -88,6 +88,11 @@ def _pose(log: Log, frame: str) -> Rigid | None:
 
 def move_table(moves: Sequence[CameraMove]) -> str:
     """Return the poses before and after as Markdown."""
-    lines = [_HEADER, ["---"] * len(_HEADER), *(move.row() for move in moves)]
-    table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    table = markdown(_HEADER, [move.row() for move in moves])
     return f"{table}\n\nGrey cameras: where the log has them. Coloured: where the file has them."
+
+
+def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table as Markdown."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import rerun as rr
 
 from hiros_mcap.io.export.colours import RGB
 from hiros_mcap.skeletons import Floats, Stamps
@@ -92,8 +93,6 @@ class TextRows:
 
 def time_columns(times: Stamps, start: int) -> list[Any]:
     """Return the columns of the rows' times (N, 2); seconds count from ``start``, ns."""
-    import rerun as rr
-
     stamps, logged = np.ascontiguousarray(times.T)
     return [
         rr.TimeColumn(TIMELINE, duration=(stamps - start).view("timedelta64[ns]")),
@@ -104,8 +103,6 @@ def time_columns(times: Stamps, start: int) -> list[Any]:
 
 def columns(batches: Mapping[Any, Any], counts: npt.NDArray[np.integer[Any]]) -> list[Any]:
     """Return columns of components (descriptor -> batch), each row of so many instances."""
-    import rerun as rr
-
     offsets = np.zeros(len(counts) + 1, np.int32)
     np.cumsum(counts, out=offsets[1:])
     return [rr.ComponentColumn(kind, batch, offsets=offsets) for kind, batch in batches.items()]
@@ -114,7 +111,6 @@ def columns(batches: Mapping[Any, Any], counts: npt.NDArray[np.integer[Any]]) ->
 def strips(ends: npt.NDArray[np.float32]) -> Any:
     """Return lines (N, 2, 3), m, as a batch; rerun itself would loop over them in Python."""
     import pyarrow as pa
-    import rerun as rr
 
     kind = rr.components.LineStrip3DBatch([]).as_arrow_array().type
     points = pa.FixedSizeListArray.from_arrays(pa.array(ends.ravel()), type=kind.value_type)

@@ -1,17 +1,14 @@
-"""``hiros compare``: a page with plots, and all systems overlaid in the viewer."""
+"""``hiros compare``: a page with plots."""
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hiros_mcap._version import __version__
-from hiros_mcap.config import load_config
-from hiros_mcap.evaluate.comparison import Entry, Outcome, by_number_of_cameras
+from hiros_mcap.evaluate.comparison import Outcome, by_number_of_cameras
 from hiros_mcap.evaluate.score_tables import (
     best_first,
     camera_table,
@@ -20,20 +17,11 @@ from hiros_mcap.evaluate.score_tables import (
     notes_on,
     system_table,
 )
-from hiros_mcap.io.log import open_log
-from hiros_mcap.running.observe import DETECTIONS
-from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.summary import number
-from hiros_viewer.blueprint import blueprint
-from hiros_viewer.destinations import save
-from hiros_viewer.entities import Layer
 from hiros_viewer.figures import name_ends, new_axes, new_figure, tidy, value_bars
 from hiros_viewer.page import Page
-from hiros_viewer.replay import content_of, describe, in_time_order
-from hiros_viewer.scene import STAGES, Scene
 
 if TYPE_CHECKING:
-    import rerun as rr
     from matplotlib.figure import Figure
 
 
@@ -99,43 +87,3 @@ def _camera_figure(table: dict[str, dict[int, tuple[float, float]]]) -> Figure:
     axes.set_xticks(sorted({size for row in table.values() for size in row}))
     name_ends(axes)
     return figure
-
-
-def save_overlay(target: Path, log: Path, entries: Sequence[Entry]) -> None:
-    """Write a recording with the last stage of every system, each a tree of its own."""
-
-    def draw(recording: rr.RecordingStream) -> None:
-        scenes = []
-        with tempfile.TemporaryDirectory() as folder:
-            for k, entry in enumerate(entries):
-                out = Path(folder) / f"{k}.mcap"
-                config = load_config(None, entry.assignments, "default", entry.system)
-                options = ProcessOptions(system=entry.system, stages=entry.stages)
-                process(log, out, config=config, options=options)
-                part = "".join(c if c.isalnum() else "_" for c in entry.name)
-                layer = Layer(f"/{part}", entry.name, k, one_colour=True)
-                scenes.append(_draw_one(recording, out, layer))
-        recording.send_blueprint(blueprint(content_of(scenes)))
-
-    save(target, log.name, draw)
-
-
-def _draw_one(recording: rr.RecordingStream, out: Path, layer: Layer) -> Scene:
-    with open_log(out, topics=["*"], output_prefix="/none") as opened:
-        source = describe(opened)
-        final = source.stages[-1]
-        # The layouts show "filtered", so the last stage goes by that name.
-        scene = Scene(recording, source.model, final="filtered", layer=layer)
-        scene.start = source.start
-        if not layer.number:
-            scene.begin(source.cameras, source.later)
-        left_out = {*STAGES, *([DETECTIONS] if layer.number else [])} - {final}
-        for frames in in_time_order(opened, left_out):
-            scene.draw(
-                {
-                    ("filtered" if kind == final else kind, source): poses
-                    for (kind, source), poses in frames.items()
-                }
-            )
-        scene.finish()
-        return scene

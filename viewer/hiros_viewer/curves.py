@@ -24,12 +24,12 @@ from hiros_viewer.figures import (
     angles_of,
     entitle,
     limb_figure,
+    limb_links,
     name_above,
     new_axes,
     with_gaps,
 )
 from hiros_viewer.page import Page
-from hiros_viewer.scene import limb_links
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -167,10 +167,9 @@ def summary_row(frames: Sequence[Frame], model: SkeletonModel) -> str:
 
 def _angles(model: SkeletonModel, body: Body, title: Sequence[str] = ()) -> Figure:
     angles = angles_of(model, body.poses, body.orientations)
-    true = None
-    if body.true_poses is not None:
-        true = angles_of(model, body.true_poses, body.true_orientations)
-    return angle_figure(body.seconds, angles, true, title)
+    true = body.true_poses
+    true_angles = None if true is None else angles_of(model, true, body.true_orientations)
+    return angle_figure(body.seconds, angles, true_angles, title)
 
 
 def _limbs(model: SkeletonModel, body: Body, title: Sequence[str] = ()) -> Figure:

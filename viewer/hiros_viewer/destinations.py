@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -122,20 +122,43 @@ def web(name: str, draw: DrawWhile, announce: Callable[[str], None]) -> int:
 
 def _draw_into(url: str, process: subprocess.Popen[bytes], name: str, draw: DrawWhile) -> int:
     """Draw until all is drawn or the viewer ends; wait for its end. It ends if drawing fails."""
-    # When the viewer is closed, rerun would print a line per message that it cannot send.
-    os.environ.setdefault("RUST_LOG", "off")
-    recording = new_recording(name)
-    recording.connect_grpc(url)
     try:
-        draw(recording, lambda: process.poll() is None)
-        if process.poll() is None:
-            recording.flush()
-            recording.disconnect()
+        with connected(url, process, name) as recording:
+            draw(recording, lambda: process.poll() is None)
+            if process.poll() is None:
+                recording.flush()
         return process.wait()
     except BaseException:
         process.terminate()
         process.wait()
         raise
+
+
+@contextmanager
+def connected(
+    url: str, process: subprocess.Popen[bytes], name: str
+) -> Iterator[rr.RecordingStream]:
+    """Yield a recording that goes to a viewer."""
+    # When the viewer is closed, rerun would print a line per message that it cannot send.
+    os.environ.setdefault("RUST_LOG", "off")
+    recording = new_recording(name)
+    recording.connect_grpc(url)
+    try:
+        yield recording
+    finally:
+        if process.poll() is None:
+            recording.disconnect()
+
+
+def _start(command: Sequence[str], folder: str, *, outlives: bool) -> subprocess.Popen[bytes]:
+    """Start a viewer; its own words would stand beside ours, with an address of its own."""
+    return subprocess.Popen(  # noqa: S603
+        command,
+        env=environment(Path(folder)),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=outlives,
+    )
 
 
 @contextmanager
@@ -152,13 +175,7 @@ def web_server() -> Iterator[tuple[str, str, subprocess.Popen[bytes]]]:
         *("--web-viewer-port", str(page), "--port", str(data)),
     ]
     with tempfile.TemporaryDirectory(prefix="hiros-view-") as folder:
-        # Its own words about the server would stand beside ours, with an address of its own.
-        server = subprocess.Popen(  # noqa: S603
-            command,
-            env=environment(Path(folder)),
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
+        server = _start(command, folder, outlives=False)
         try:
             _wait_for(data, server)
             stream = f"rerun%2Bhttp%3A%2F%2F{LOOPBACK}%3A{data}%2Fproxy"
@@ -174,16 +191,6 @@ def viewer_binary() -> Path:
     import rerun_cli
 
     return Path(rerun_cli.__file__).parent / ("rerun.exe" if sys.platform == "win32" else "rerun")
-
-
-def viewer_command(*arguments: str) -> list[str]:
-    """Command line of a viewer's window, whose server listens on the loopback address alone."""
-    return [
-        str(viewer_binary()),
-        *("--bind", LOOPBACK, "--port", str(free_port())),
-        *("--memory-limit", MEMORY_LIMIT),
-        *arguments,
-    ]
 
 
 def environment(folder: Path) -> dict[str, str]:
@@ -223,16 +230,13 @@ def running_viewer(*arguments: str) -> Iterator[tuple[str, subprocess.Popen[byte
 
     Raises HirosError if it does not start (there may be no screen).
     """
-    command = viewer_command("--expect-data-soon", *arguments)
-    port = int(command[command.index("--port") + 1])
+    port = free_port()
+    command = [
+        *(str(viewer_binary()), "--bind", LOOPBACK, "--port", str(port)),
+        *("--memory-limit", MEMORY_LIMIT, "--expect-data-soon", *arguments),
+    ]
     with tempfile.TemporaryDirectory(prefix="hiros-view-") as folder:
-        process = subprocess.Popen(  # noqa: S603
-            command,
-            env=environment(Path(folder)),
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
+        process = _start(command, folder, outlives=True)
         _wait_for(port, process)
         yield f"rerun+http://{LOOPBACK}:{port}/proxy", process
 

@@ -8,17 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import rerun as rr
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.io.export.colours import RGB, person_colour
 from hiros_mcap.kernels.drawing import Singles, draw_bones, draw_joints, tops
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
-from hiros_viewer.camera_moves import CameraMove, move_table
+from hiros_viewer.camera_moves import CameraMove, markdown, move_table
 from hiros_viewer.columns import Line, TextRows, columns, strips, time_columns
 from hiros_viewer.palette import (
     BEFORE,
@@ -38,9 +39,6 @@ from hiros_viewer.palette import (
 )
 from hiros_viewer.poses import Poses
 from hiros_viewer.presence import HIDDEN, Visit
-
-if TYPE_CHECKING:
-    import rerun as rr
 
 _JOINT_M = 0.03
 _BONE_M = 0.018
@@ -110,17 +108,14 @@ class Entities:
     """
 
     def __init__(
-        self,
-        recording: rr.RecordingStream,
-        model: SkeletonModel,
-        root: int,
-        layer: Layer,
+        self, recording: rr.RecordingStream, model: SkeletonModel, root: int, layer: Layer
     ) -> None:
         self.recording = recording
         self.model = model
         self.start = 0
         """ns; what seconds count from."""
         self._root = root
+        self._above = _LABEL_ABOVE_M + _LABEL_STEP_M * layer.number
         self._layer = layer
         self._begun: set[str] = set()
         self._first_class = _SECOND_LOG if layer.number and not layer.one_colour else 0
@@ -133,18 +128,16 @@ class Entities:
 
     def room(self, *, dim_detections: bool) -> None:
         """Draw the axes, and say what colours and bones each class has."""
-        import rerun as rr
-
         self.recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self.recording.log("/", self._annotations(dim_detections=dim_detections), static=True)
         self.key()
 
     def key(self, *more: str) -> None:
         """Show what the colours mean, Markdown."""
-        import rerun as rr
+        self._document(KEY, "\n\n".join([*more, _KEY_TEXT]))
 
-        text = "\n\n".join([*more, _KEY_TEXT])
-        self.recording.log(KEY, rr.TextDocument(text, media_type="text/markdown"), static=True)
+    def _document(self, path: str, text: str) -> None:
+        self.recording.log(path, rr.TextDocument(text, media_type="text/markdown"), static=True)
 
     def camera(self, name: str, number: int, pose: Rigid) -> None:
         """Draw a camera as a frustum at its pose in the fixed frame."""
@@ -153,8 +146,6 @@ class Entities:
 
     def no_data(self, times: Stamps, place: Floats) -> None:
         """Say "no data" at a place (3,), m, from the first to the second of times (2, 2)."""
-        import rerun as rr
-
         if self._is_new("/world/no_data"):
             look = rr.Points3D.from_fields(
                 colors=[TRUTH], radii=0.001, labels=["no data"], show_labels=True
@@ -165,8 +156,6 @@ class Entities:
 
     def moves(self, moves: Sequence[CameraMove]) -> None:
         """Draw where cameras were before a calibration, lines to where they are, and a table."""
-        import rerun as rr
-
         for move in moves:
             if move.before is not None and not move.since_s:
                 path = f"/world/before/{path_part(move.name)}"
@@ -175,13 +164,10 @@ class Entities:
                 way = [[move.before.translation, move.after.translation]]
                 line = rr.LineStrips3D(way, colors=[DISPLACEMENT], radii=_ERROR_PX)
                 self.recording.log(f"/world/moved/{path_part(move.name)}", line, static=True)
-        table = rr.TextDocument(move_table(moves), media_type="text/markdown")
-        self.recording.log(CALIBRATION, table, static=True)
+        self._document(CALIBRATION, move_table(moves))
 
     def _frustum(self, path: str, pose: Rigid, look: tuple[str, RGB, RGB]) -> None:
         """Draw a camera; ``look`` is its name or "", its colour, and that of the name."""
-        import rerun as rr
-
         name, colour, text_colour = look
         place = rr.Transform3D(
             translation=pose.translation, quaternion=rr.Quaternion(xyzw=pose.xyzw)
@@ -201,16 +187,12 @@ class Entities:
         self.recording.log(f"{path}/view", frustum, static=True)
         if name:
             label = rr.Points3D(
-                [[0.0, -0.3, 0.0]],
-                radii=0.001,
-                labels=[name],
-                colors=[text_colour],
+                [[0.0, -0.3, 0.0]], radii=0.001, labels=[name], colors=[text_colour]
             )
             self.recording.log(f"{path}/name", label, static=True)
 
     def _annotations(self, *, dim_detections: bool) -> Any:
         """Return the classes: people, people of a second log, and each camera's detections."""
-        import rerun as rr
 
         def looks(number: int, name: str, colour: RGB, left: int) -> list[Any]:
             names = enumerate(self.model.marker_names)
@@ -244,8 +226,6 @@ class Entities:
 
         ``rows`` are times (R, 2) and counts (R,) of people, whose poses follow each other.
         """
-        import rerun as rr
-
         path = f"/detections/{path_part(camera)}"
         if self._is_new(path):
             which = _FIRST_CAMERA_CLASS + number % len(CAMERAS)
@@ -267,7 +247,6 @@ class Entities:
         self._send_bones(path, joints, rows)
 
     def _send_bones(self, path: str, joints: Singles, rows: Rows) -> None:
-        """Send the bones of everybody in each row."""
         times, counts = rows
         frames = np.repeat(np.arange(len(counts)), counts)
         for part, batches, per_pose in self._bone_parts(joints):
@@ -287,7 +266,7 @@ class Entities:
         shown = visit.people != HIDDEN
         people = visit.people[shown]
         joints, radii = self._joints(poses, people, _JOINT_M if is_strong else _DETECTION_M)
-        highest = _highest(poses, people) + np.array([0, 0, self._above()])
+        highest = _highest(poses, people) + np.array([0, 0, self._above])
         for part, batches, per_pose in self._parts(joints, radii, highest, np.array(labels) != ""):
             counts = np.zeros(len(shown), np.int32)
             counts[shown] = per_pose
@@ -299,8 +278,6 @@ class Entities:
         self, path: str, times: Stamps, labels: Sequence[str], is_predicted: Flags
     ) -> None:
         """Send what seldom changes in rows (R, 2): the label, and whether the person is faint."""
-        import rerun as rr
-
         looks = list(zip(labels, is_predicted.tolist(), strict=True))
         new = [k for k, look in enumerate(looks) if not k or look != looks[k - 1]]
         own, when = self._class_of(path), time_columns(times[new], self.start)
@@ -321,8 +298,6 @@ class Entities:
 
     def marks(self, camera: str, kind: str, poses: Poses, rows: Rows) -> None:
         """Send detections of a camera that are wrong, in a colour that warns, and say how."""
-        import rerun as rr
-
         path = f"/marked/{path_part(camera)}/{fault_part(kind)}"
         colour = FAULTY[kind]
         if self._is_new(path):
@@ -354,8 +329,6 @@ class Entities:
 
     def ellipsoids(self, person: int, times: Stamps, joints: Floats, half_sizes: Floats) -> None:
         """Send pale ellipsoids round joints (T, M, 3), m, of half axes (T, M), m; none for NaN."""
-        import rerun as rr
-
         path = f"{self._layer.prefix}/uncertainty/{person_part(person)}"
         if self._is_new(path):
             red, green, blue = pale(person_hue(person, self._layer))
@@ -377,33 +350,17 @@ class Entities:
 
     def camera_table(self, rows: Sequence[Sequence[str]]) -> None:
         """Show numbers of each camera, in the order of :data:`CAMERA_COLUMNS`."""
-        import rerun as rr
+        self._document(CAMERA_TABLE, f"{markdown(CAMERA_COLUMNS, rows)}\n\n{_CAMERA_NOTE}")
 
-        lines = [CAMERA_COLUMNS, ["---"] * len(CAMERA_COLUMNS), *rows]
-        text = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-        document = rr.TextDocument(f"{text}\n\n{_CAMERA_NOTE}", media_type="text/markdown")
-        self.recording.log(CAMERA_TABLE, document, static=True)
-
-    def displacements(self, path: str, times: Stamps, result: Floats, before: Floats) -> None:
-        """Send magnified lines from a person's joints (T, M, 3), m, to where they were before.
-
-        An instant at which ``before`` is NaN shows no line.
-        """
-        tips = result + MAGNIFIED * (before - result)
-        self._joint_lines(path, times, (result, tips), (DISPLACEMENT, _THIN))
-
-    def errors(self, path: str, times: Stamps, result: Floats, true: Floats) -> None:
-        """Send lines, to scale, from a person's joints (T, M, 3), m, to the true ones."""
-        self._joint_lines(path, times, (result, true), (ERROR, _ERROR_PX))
-
-    def _joint_lines(
-        self, path: str, times: Stamps, ends: tuple[Floats, Floats], look: tuple[RGB, float]
+    def joint_lines(
+        self, path: str, times: Stamps, ends: tuple[Floats, Floats], *, is_error: bool
     ) -> None:
-        """Send lines between two (T, M, 3), m, none where either is NaN; colour and radius."""
-        import rerun as rr
+        """Send lines between two (T, M, 3), m, none where either is NaN.
 
+        They lead to the true joints, or to where a stage before had them.
+        """
         if self._is_new(path):
-            colour, radius = look
+            colour, radius = (ERROR, _ERROR_PX) if is_error else (DISPLACEMENT, _THIN)
             lines = rr.LineStrips3D.from_fields(colors=[colour], radii=radius)
             self.recording.log(path, lines, static=True)
         known = ~np.isnan(ends[0] - ends[1]).any(axis=2)
@@ -422,8 +379,6 @@ class Entities:
         self, joints: Singles, radii: Singles, labels: Floats, has_label: Flags
     ) -> Iterator[tuple[str, Mapping[Any, Any], Any]]:
         """Yield a person's entities: path below theirs, batches, how many of it in each pose."""
-        import rerun as rr
-
         where, size = rr.Points3D.descriptor_positions(), rr.Points3D.descriptor_radii()
         points = rr.components.Position3DBatch
         yield "", {where: points(joints), size: rr.components.RadiusBatch(radii)}, joints.shape[1]
@@ -432,14 +387,8 @@ class Entities:
         yield "/name", {where: points(labels[there & has_label])}, there & has_label
         yield "/trail", {where: points(joints[there, self._root])}, there
 
-    def _above(self) -> float:
-        """Return how far above the head a name is, m: not on that in another log."""
-        return _LABEL_ABOVE_M + _LABEL_STEP_M * self._layer.number
-
     def _bone_parts(self, joints: Singles) -> Iterator[tuple[str, Mapping[Any, Any], Any]]:
         """Yield bones like :meth:`_parts`: those of left limbs have an entity of their own."""
-        import rerun as rr
-
         for part, ends in self._bones.items():
             bones = np.empty((len(joints) * len(ends), 2, 3), np.float32)
             per_pose = np.empty(len(joints), np.int32)
@@ -448,8 +397,6 @@ class Entities:
 
     def _send_looks(self, path: str, *, is_strong: bool) -> None:
         """Say once how a person's entities look; classes and labels change."""
-        import rerun as rr
-
         which = self._layer.number if self._layer.one_colour else person_of(path)
         colour = TRUTH if self._class_of(path) == _TRUE else person_colour(which)
         keypoints, radius = list(range(self.model.n_markers)), _BONE_M if is_strong else _THIN
@@ -468,8 +415,6 @@ class Entities:
 
     def curves(self, path: str, lines: Sequence[Line], times: Stamps, values: Floats) -> None:
         """Send rows (T, 2) and (T, len(lines)) of the curves of an entity."""
-        import rerun as rr
-
         if self._is_new(path):
             names, colours, widths = map(list, zip(*lines, strict=True))
             look = rr.SeriesLines(names=names, colors=colours, widths=widths)
@@ -480,8 +425,6 @@ class Entities:
 
     def log_lines(self, path: str, rows: TextRows) -> None:
         """Send lines of the log."""
-        import rerun as rr
-
         parts = rr.TextLog.columns(text=rows.texts, level=rows.levels)
         times = np.array(rows.times)
         # The list of events has room for hundredths of a second.
@@ -490,8 +433,6 @@ class Entities:
 
     def lane(self, path: str, rows: TextRows, look: Line) -> None:
         """Send a lane: filled in the first of its states, with a gap where that is gone."""
-        import rerun as rr
-
         if self._is_new(path):
             states = rr.StateConfiguration(
                 values=[rows.texts[0], "gone"],

@@ -21,7 +21,7 @@ from hiros_viewer.figures import (
     new_figure,
     value_bars,
 )
-from hiros_viewer.headline import headline
+from hiros_viewer.headline import about
 from hiros_viewer.page import Page
 
 if TYPE_CHECKING:
@@ -36,8 +36,8 @@ def truth_page(
     """Page of a result against the truth: scores, PCK curves, joints, angles over time."""
     last, result = list(results.items())[-1]
     error = number(result.scores.mean, 1, " mm")
-    about = headline(log).lines(f"{last}: mean joint error {error}")
-    page = Page(f"Evaluation of {log}", about)
+    lines = about(log, f"{last}: mean joint error {error}")
+    page = Page(f"Evaluation of {log}", lines)
     scores = {topic: result.scores for topic, result in results.items()}
     page.heading("Scores")
     for title, table in score_tables.truth_tables(scores).items():
@@ -96,8 +96,8 @@ def _angle_curves(result: ChannelResult, person: int) -> Figure:
 def self_page(log: Path, scores: SelfScores) -> Page:
     """Page of a log without truth."""
     result = scores.consistency
-    about = headline(log).lines(*score_tables.lines_of(result))
-    page = Page(f"{log} without truth", about)
+    lines = about(log, *score_tables.lines_of(result))
+    page = Page(f"{log} without truth", lines)
     page.heading("Each camera against the result of the others")
     title = "Joint distance, mm, including the camera's own noise"
     page.table(*score_tables.left_out_table(scores.cameras), title)

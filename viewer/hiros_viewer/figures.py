@@ -9,6 +9,7 @@ import numpy as np
 
 from hiros_mcap.body.anatomy import ANGLE_NAMES, anatomical_angles
 from hiros_mcap.body.segments import SIDES
+from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
@@ -21,6 +22,12 @@ LEFT, RIGHT = "#8a8f98", "#3c56d8"
 """Of the limbs on each side, as in the viewer: pale and strong."""
 _LIMB_RANGE_MM = 60.0
 _PAUSE_S = 0.25
+_LIMBS = {
+    "upper arm": ("shoulder", "elbow"),
+    "forearm": ("elbow", "wrist"),
+    "thigh": ("hip", "knee"),
+    "shin": ("knee", "ankle"),
+}
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -99,6 +106,19 @@ def value_bars(axes: Axes, names: Sequence[str], values: Sequence[float], spread
     axes.set_xlim(0, None)
     axes.invert_yaxis()
     axes.margins(y=0.01)
+
+
+def limb_links(model: SkeletonModel) -> dict[str, int]:
+    """Name -> link slot of upper arms, forearms, thighs and shins, as far as the model has them."""
+    slots = {split_side(name): slot for slot, name in enumerate(model.marker_names)}
+    ends = {p: k for k, p in enumerate(zip(model.link_parents, model.link_children, strict=True))}
+    found = {}
+    for side in ("left", "right"):
+        for name, (upper, lower) in _LIMBS.items():
+            link = ends.get((slots.get((upper, side), -2), slots.get((lower, side), -2)))
+            if link is not None:
+                found[f"{side} {name}"] = link
+    return found
 
 
 def limb_figure(

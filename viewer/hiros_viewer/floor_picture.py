@@ -10,6 +10,7 @@ import numpy as np
 from hiros_mcap.plan.planning import PlannedCamera, RoomPlan
 from hiros_mcap.simulate.settings import RigParams
 from hiros_mcap.skeletons import Flags, Floats
+from hiros_viewer.figures import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,11 +28,9 @@ _ENOUGH = 0.8
 
 def floor_figure(plan: RoomPlan) -> Figure:
     """Draw the plan."""
-    from matplotlib.figure import Figure
-
     x0, y0, x1, y1 = plan.params.area
     height = 1.5 + 0.78 * _WIDTH * (y1 - y0 + 2 * _BESIDE) / (x1 - x0 + 2 * _BESIDE)
-    figure = Figure(figsize=(_WIDTH, float(np.clip(height, 3.5, 16.0))), layout="constrained")
+    figure = new_figure(_WIDTH, float(np.clip(height, 3.5, 16.0)))
     axes = figure.subplots()
     _draw_map(figure, axes, plan)
     axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=_WALL, lw=2.5, zorder=4)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -16,23 +14,11 @@ from hiros_mcap.summary import quantity
 _EPOCH_2001 = 1_000_000_000 * 1_000_000_000  # ns; earlier times are no dates
 
 
-@dataclass(frozen=True, slots=True)
-class Headline:
-    """What stands below a title."""
+def about(path: Path, *verdict: str) -> tuple[str, str]:
+    """Return when a log that hiros wrote was recorded and how it was made, and the verdict.
 
-    facts: tuple[str, ...]
-    """When the log was recorded, and how the result was made."""
-    warnings: tuple[str, ...]
-    """Of the run that made the result."""
-
-    def lines(self, *verdict: str) -> tuple[str, ...]:
-        """Return the facts in a line, and the verdict in another."""
-        doubts = quantity(len(self.warnings), "warning") if self.warnings else "no warnings"
-        return "; ".join(self.facts), "; ".join([*filter(None, verdict), doubts])
-
-
-def headline(path: Path) -> Headline:
-    """Read what a log that hiros wrote says about itself; raises LogError if it is damaged."""
+    Raises LogError if it is damaged.
+    """
     facts = []
     start = start_of(path)
     if start > _EPOCH_2001:
@@ -40,9 +26,7 @@ def headline(path: Path) -> Headline:
     run = Provenance.of_log(path).run
     if "version" in run:
         facts.append(f"hiros {run['version']}, system {run.get('system', '')}")
-    return Headline(tuple(facts), tuple(_warnings(path)))
-
-
-def _warnings(path: Path) -> Sequence[str]:
     with open_reader(path) as reader:
-        return stored_report(reader).warnings
+        n = len(stored_report(reader).warnings)
+    doubts = quantity(n, "warning") if n else "no warnings"
+    return "; ".join(facts), "; ".join([*filter(None, verdict), doubts])

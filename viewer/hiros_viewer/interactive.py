@@ -132,7 +132,6 @@ def _plot(axes: Axes, table: _Table, height: int, shared: Any) -> Any:
 
 
 def _named(axes: Axes) -> Iterator[Line2D]:
-    """Yield the curves that have a name."""
     return (line for line in axes.lines if not str(line.get_label()).startswith("_"))
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING
+
+import rerun as rr
 
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
@@ -15,13 +14,10 @@ from hiros_mcap.io.log import Log
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.skeletons import Frame
 from hiros_viewer.blueprint import Content, blueprint
-from hiros_viewer.destinations import new_recording, running_viewer, web_server
+from hiros_viewer.destinations import connected, running_viewer, web_server
 from hiros_viewer.poses import Gatherer
 from hiros_viewer.replay import content_of, describe
 from hiros_viewer.scene import Scene
-
-if TYPE_CHECKING:
-    import rerun as rr
 
 BATCH = 120
 """Frames that are drawn at once: a fifth of a second of five cameras and four stages."""
@@ -35,11 +31,9 @@ class LiveView:
         recording: rr.RecordingStream,
         is_open: Callable[[], bool],
         closed: Callable[[], None],
-        layout: str = "overview",
     ) -> None:
         self._recording = recording
         self._is_open, self._closed = is_open, closed
-        self._layout = layout
         self._scene: Scene | None = None
         self._names: dict[str, str] = {}
         self._waiting = Gatherer()
@@ -76,7 +70,7 @@ class LiveView:
             self._lay_out(content_of([scene]))
 
     def _lay_out(self, content: Content) -> None:
-        self._recording.send_blueprint(blueprint(content, self._layout))
+        self._recording.send_blueprint(blueprint(content))
 
     def end(self, events: Events) -> None:
         """Draw the events and what is left."""
@@ -98,8 +92,8 @@ def live_view(name: str, closed: Callable[[], None]) -> Iterator[LiveView]:
 
     Raises HirosError if the viewer does not start.
     """
-    with running_viewer() as (url, process), _drawing_into(url, process, name, closed) as view:
-        yield view
+    with running_viewer() as (url, process), connected(url, process, name) as recording:
+        yield LiveView(recording, lambda: process.poll() is None, closed)
 
 
 @contextmanager
@@ -114,25 +108,6 @@ def live_page(
     """
     with web_server() as (page, url, server):
         announce(page)
-        with _drawing_into(url, server, name, closed) as view:
-            yield view
+        with connected(url, server, name) as recording:
+            yield LiveView(recording, lambda: server.poll() is None, closed)
         server.wait()
-
-
-@contextmanager
-def _drawing_into(
-    url: str, process: subprocess.Popen[bytes], name: str, closed: Callable[[], None]
-) -> Iterator[LiveView]:
-    # When the viewer is closed, rerun would print a line per message that it cannot send.
-    os.environ.setdefault("RUST_LOG", "off")
-    recording = new_recording(name)
-    recording.connect_grpc(url)
-    try:
-        yield LiveView(recording, lambda: _runs(process), closed)
-    finally:
-        if _runs(process):
-            recording.disconnect()
-
-
-def _runs(process: subprocess.Popen[bytes]) -> bool:
-    return process.poll() is None

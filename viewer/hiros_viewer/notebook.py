@@ -57,12 +57,12 @@ def show(result: Result, person: int | None = None) -> Picture:
     ConfigError
         There is nobody to draw.
     """
-    from matplotlib.figure import Figure
+    from hiros_viewer.figures import new_figure
 
     if person is not None:
         result = result.select(person)
     _need_people(result)
-    figure = Figure(figsize=(2 * _INCH, _INCH), layout="constrained")
+    figure = new_figure(2 * _INCH, _INCH)
     room: Any = figure.add_subplot(1, 2, 1, projection="3d")
     above = figure.add_subplot(1, 2, 2)
     for who, motion in result.motions.items():

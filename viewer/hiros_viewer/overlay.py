@@ -52,7 +52,6 @@ def draw_distances(first: Path, second: Path, scenes: list[Scene], stage: str) -
 
 
 def _poses(path: Path, stage: str) -> Poses:
-    """Return all frames of a stage."""
     with open_log(path, topics=[f"{OUTPUT_PREFIX}/{stage}"], output_prefix="/none") as log:
         read = log.read(fixed=False).blocks()
         blocks = [Poses.of_block(block, np.arange(len(block))) for block in read]

@@ -38,20 +38,30 @@ BEFORE: RGB = (150, 150, 150)
 _LEFT = 0.55
 """Brightness of left limbs to that of right ones; hue alone would fail the colour-blind."""
 _GREY: RGB = (92, 98, 106)
+_WHITE: RGB = (255, 255, 255)
 CLASSES = 100
 """People have the classes 0..99, by id; greater ids begin anew."""
 
 
+def _mixed(colour: RGB, other: RGB, n: int) -> RGB:
+    """Return one part of a colour and n parts of another."""
+    red, green, blue = ((a + n * b) // (n + 1) for a, b in zip(colour, other, strict=True))
+    return red, green, blue
+
+
 def pale(colour: RGB) -> RGB:
     """Return a colour halfway to white: the second of two logs."""
-    red, green, blue = colour
-    return ((red + 255) // 2, (green + 255) // 2, (blue + 255) // 2)
+    return _mixed(colour, _WHITE, 1)
 
 
 def faint(colour: RGB) -> RGB:
     """Return a colour near the room's grey: of somebody whom no camera sees."""
-    red, green, blue = ((part + 2 * grey) // 3 for part, grey in zip(colour, _GREY, strict=True))
-    return red, green, blue
+    return _mixed(colour, _GREY, 2)
+
+
+def label_colour(colour: RGB) -> RGB:
+    """Return almost white with a trace of the colour: labels have dark or grey boxes by theme."""
+    return _mixed(colour, _WHITE, 4)
 
 
 def shade(colour: RGB) -> RGB:
@@ -63,12 +73,6 @@ def shade(colour: RGB) -> RGB:
 def marker_colour(colour: RGB, marker: str) -> RGB:
     """Colour of one marker of somebody with this colour."""
     return shade(colour) if split_side(marker)[1] == "left" else colour
-
-
-def label_colour(colour: RGB) -> RGB:
-    """Return almost white with a trace of the colour: labels have dark or grey boxes by theme."""
-    red, green, blue = ((part + 4 * 255) // 5 for part in colour)
-    return red, green, blue
 
 
 def curve_colour(index: int) -> RGB:

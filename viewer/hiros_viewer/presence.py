@@ -66,11 +66,7 @@ class Visits:
                 yield visit
 
     def _visit(
-        self,
-        person: int,
-        times: Stamps,
-        seen: tuple[Stamps, Stamps],
-        pauses: tuple[Stamps, Stamps],
+        self, person: int, times: Stamps, seen: tuple[Stamps, Stamps], pauses: tuple[Stamps, Stamps]
     ) -> Visit:
         """Return the rows of one person, who is in the frames ``seen`` with these poses."""
         frames, people = seen

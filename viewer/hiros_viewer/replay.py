@@ -1,39 +1,39 @@
-"""A log, or two, into a Rerun recording."""
+"""A log, or two, or the results of several systems, into a Rerun recording."""
 
 from __future__ import annotations
 
 import math
 import os
+import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import rerun as rr
 
 from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.evaluate.comparison import Entry
 from hiros_mcap.evaluate.logs import find_truth, has_cameras, has_outputs, start_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.events import Event
 from hiros_mcap.io.attachments import stored_events, stored_report
-from hiros_mcap.io.channels import (
-    OUTPUT_PREFIX,
-    TRUTH_PREFIX,
-)
+from hiros_mcap.io.channels import OUTPUT_PREFIX, TRUTH_PREFIX
 from hiros_mcap.io.log import CameraChannel, Log, open_log
 from hiros_mcap.running.observe import DETECTIONS
+from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_viewer.blueprint import LAYOUTS, Content, blueprint
 from hiros_viewer.camera_moves import camera_moves
+from hiros_viewer.destinations import save
 from hiros_viewer.entities import Layer, path_part
 from hiros_viewer.overlay import draw_distances
 from hiros_viewer.poses import HORIZON_NS, Channel, Gatherer, Poses, Thinner
 from hiros_viewer.scene import SIDED, STAGES, Scene
 from hiros_viewer.uncertainties import Uncertainties
-
-if TYPE_CHECKING:
-    import rerun as rr
 
 LONG_S = 180.0
 """Of a longer log only the stages are drawn that the layout shows."""
@@ -192,7 +192,6 @@ class _Replay:
     def _draw_frames(
         self, scene: Scene, log: Log, left_out: Collection[str], is_open: Callable[[], bool]
     ) -> int:
-        """Draw the log; return the number of frames."""
         start, drawn = log.span[0], 0
         unfinished = {kind_of(camera.channel.topic) for camera in log.cameras} - set(left_out)
         for frames in in_time_order(log, left_out, self._step, self._spans(start)):
@@ -433,3 +432,43 @@ def recording_name(logs: list[Path | str], layout: str) -> str:
     """Return the name that a recording goes by in the viewer, which shows each name once."""
     names = " + ".join(os.path.basename(str(log)) for log in logs)  # noqa: PTH119
     return names if layout == ViewOptions().layout else f"{names}, {layout}"
+
+
+def save_overlay(target: Path, log: Path, entries: Sequence[Entry]) -> None:
+    """Write a recording with the last stage of every system, each a tree of its own."""
+
+    def draw(recording: rr.RecordingStream) -> None:
+        scenes = []
+        with tempfile.TemporaryDirectory() as folder:
+            for k, entry in enumerate(entries):
+                out = Path(folder) / f"{k}.mcap"
+                config = load_config(None, entry.assignments, "default", entry.system)
+                options = ProcessOptions(system=entry.system, stages=entry.stages)
+                process(log, out, config=config, options=options)
+                part = "".join(c if c.isalnum() else "_" for c in entry.name)
+                layer = Layer(f"/{part}", entry.name, k, one_colour=True)
+                scenes.append(_draw_one(recording, out, layer))
+        recording.send_blueprint(blueprint(content_of(scenes)))
+
+    save(target, log.name, draw)
+
+
+def _draw_one(recording: rr.RecordingStream, out: Path, layer: Layer) -> Scene:
+    with open_log(out, topics=["*"], output_prefix="/none") as opened:
+        source = describe(opened)
+        final = source.stages[-1]
+        # The layouts show "filtered", so the last stage goes by that name.
+        scene = Scene(recording, source.model, final="filtered", layer=layer)
+        scene.start = source.start
+        if not layer.number:
+            scene.begin(source.cameras, source.later)
+        left_out = {*STAGES, *([DETECTIONS] if layer.number else [])} - {final}
+        for frames in in_time_order(opened, left_out):
+            scene.draw(
+                {
+                    ("filtered" if kind == final else kind, source): poses
+                    for (kind, source), poses in frames.items()
+                }
+            )
+        scene.finish()
+        return scene

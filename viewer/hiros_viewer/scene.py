@@ -28,17 +28,12 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import rerun as rr
 
-from hiros_mcap.body.anatomy import (
-    ANGLE_NAMES,
-    MAIN_ANGLES,
-    MOST_RAD,
-    anatomical_angles,
-    continued,
-)
+from hiros_mcap.body.anatomy import ANGLE_NAMES, MAIN_ANGLES, MOST_RAD, anatomical_angles, continued
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side, symmetry_of
 from hiros_mcap.evaluate.match import MATCH_DISTANCE
@@ -50,8 +45,8 @@ from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, SkeletonModel, Stamps
 from hiros_viewer.camera_moves import CameraMove
 from hiros_viewer.columns import GONE_NS, CurveRows, Line, TextRows, after_pauses
-from hiros_viewer.displacement import EarlierPoses, mean_distances
 from hiros_viewer.entities import (
+    MAGNIFIED,
     Entities,
     Layer,
     fault_part,
@@ -59,15 +54,13 @@ from hiros_viewer.entities import (
     person_hue,
     person_part,
 )
+from hiros_viewer.figures import limb_links
 from hiros_viewer.palette import FAULTY, SIDES, SILENCE, curve_colour, pale
 from hiros_viewer.poses import Channel, Poses
 from hiros_viewer.presence import HIDDEN, Crowd, Visit, Visits
 from hiros_viewer.uncertainties import HALF_SIZE, UNCERTAIN_STAGE, Uncertainties
 from hiros_viewer.view_check import FaultySpan, ViewCheck
-from hiros_viewer.waiting import Compared, Waiting
-
-if TYPE_CHECKING:
-    import rerun as rr
+from hiros_viewer.waiting import Compared, EarlierPoses, Waiting, mean_distances
 
 STAGES = ("tracked", "merged", "optimized", "filtered", "truth")
 _ALONE = Layer()
@@ -77,12 +70,6 @@ SILENCE_S = 1.0
 SIDED = ("angles", "limbs")
 """Curves of left and right, whose path ends in a joint or limb."""
 _ROOTS = ("pelvis", "spinebase", "midhip", "hips", "spine_base", "spinemid")
-_LIMBS = {
-    "upper arm": ("shoulder", "elbow"),
-    "forearm": ("elbow", "wrist"),
-    "thigh": ("hip", "knee"),
-    "shin": ("knee", "ankle"),
-}
 
 
 class Scene:
@@ -124,7 +111,7 @@ class Scene:
         """Kind of curve, as "speed" or "limbs/thigh" -> where its values are."""
         self.n_true = 0
         """Frames of the last stage whose instant the truth covers."""
-        self._layer, self._prefix = layer, layer.prefix
+        self._layer, self.prefix = layer, layer.prefix
         self._crowds = defaultdict[str, Crowd](Crowd)
         """By camera; in the order in which cameras were first seen."""
         self._marks = defaultdict[Channel, Crowd](Crowd)
@@ -152,11 +139,6 @@ class Scene:
         self._root = _root_slot(model)
         self._entities = Entities(recording, model, self._root, layer)
         self._limbs = limb_links(model)
-
-    @property
-    def prefix(self) -> str:
-        """What stands before the entities of this log."""
-        return self._layer.prefix
 
     @property
     def cameras(self) -> list[str]:
@@ -335,8 +317,7 @@ class Scene:
             self._earlier["truth", person].add(np.array(stamps), np.stack(true_poses))
 
     def _send_visit(self, stage: str, visit: Visit, poses: Poses) -> None:
-        """Send what is drawn of one person of a stage."""
-        path = f"{self._prefix}/{stage}/{person_part(visit.person)}"
+        path = f"{self.prefix}/{stage}/{person_part(visit.person)}"
         shown = visit.people != HIDDEN
         people = visit.people[shown]
         is_strong = stage == (self.final or "truth")
@@ -377,8 +358,7 @@ class Scene:
             self._entities.ellipsoids(visit.person, visit.times, joints, HALF_SIZE * sizes)
 
     def _states(self, visit: Visit) -> None:
-        """Note when somebody comes and goes."""
-        path = f"{self._prefix}/result/{person_part(visit.person)}"
+        path = f"{self.prefix}/result/{person_part(visit.person)}"
         self._lane_looks[path] = self._person_line(visit.person)
         for row in np.flatnonzero(visit.begins | (visit.people == HIDDEN)).tolist():
             self._texts[path].add(visit.times[row], "tracked" if visit.begins[row] else "gone")
@@ -387,7 +367,7 @@ class Scene:
         """Write an event into the log; its time is also its log time unless that is known."""
         level = "WARN" if event.is_warning else "INFO"
         times = np.array([event.stamp, event.stamp if log_time is None else log_time])
-        self._texts[f"{self._prefix}/log"].add(times, self._layer.named(event.text), level)
+        self._texts[f"{self.prefix}/log"].add(times, self._layer.named(event.text), level)
 
     def distances(self, name: str, times: Stamps, millimetres: Floats) -> None:
         """Add to the curve of joint distances between two logs, mm; times (T, 2)."""
@@ -395,32 +375,26 @@ class Scene:
         self._extend(f"/distance/{path_part(name)}", [line], times, millimetres)
 
     def _extend_camera(self, kind: str, camera: str, times: Stamps, values: Floats) -> None:
-        """Add to a curve of a camera."""
         line = Line(camera, curve_colour(self.cameras.index(camera)))
         self._extend(f"{kind}/{path_part(camera)}", [line], times, values)
 
     def finish(self) -> None:
         """Hide everybody after the last frame, and send what is left."""
+        n, none = self.model.n_markers, np.zeros(0, np.int64)
+        nobody = Poses(none.reshape(0, 2), none, none, np.zeros((0, n, 3)), np.zeros((0, n)))
         for number, (camera, crowd) in enumerate(self._crowds.items()):
             if len(times := crowd.finish()):
-                rows = times, np.zeros(1, np.int64)
-                self._entities.detections(camera, number, self._nobody(), rows)
+                self._entities.detections(camera, number, nobody, (times, np.zeros(1, np.int64)))
         self._compare(self._waiting.rest())
         for (camera, kind), crowd in self._marks.items():
             if len(times := crowd.finish()):
-                self._entities.marks(camera, kind, self._nobody(), (times, np.zeros(1, np.int64)))
+                self._entities.marks(camera, kind, nobody, (times, np.zeros(1, np.int64)))
         for name, visits in self._stages.items():
             for visit in visits.finish():
-                self._send_visit(name, visit, self._nobody())
+                self._send_visit(name, visit, nobody)
         for camera, check in self._checks.items():
             self._tell(camera, check.finish())
         self._send_texts()
-
-    def _nobody(self) -> Poses:
-        """Return frames without people."""
-        n = self.model.n_markers
-        none = np.zeros(0, np.int64)
-        return Poses(np.zeros((0, 2), np.int64), none, none, np.zeros((0, n, 3)), np.zeros((0, n)))
 
     def _send_texts(self) -> None:
         for path, rows in self._texts.items():
@@ -455,20 +429,22 @@ class Scene:
             before = self._earlier[stage, person].at(times[:, 0], self.model.n_markers)
             path = f"{stage}/{person_part(person)}"
             if stage == drawn[0]:
-                whole = f"{self._prefix}/displacement/{path}"
-                self._entities.displacements(whole, times, result, before)
+                whole = f"{self.prefix}/displacement/{path}"
+                tips = result + MAGNIFIED * (before - result)
+                self._entities.joint_lines(whole, times, (result, tips), is_error=False)
             self._extend_apart(f"moved/{path}", person, times, mean_distances(before, result))
         if self.truth is not None:
             true = self._earlier["truth", person].at(times[:, 0], self.model.n_markers)
             part = person_part(person)
-            self._entities.errors(f"{self._prefix}/error_lines/{part}", times, result, true)
+            whole = f"{self.prefix}/error_lines/{part}"
+            self._entities.joint_lines(whole, times, (result, true), is_error=True)
             self._extend_apart(f"error/{part}", person, times, mean_distances(result, true))
 
     def _extend_apart(self, path: str, person: int, times: Stamps, metres: Floats) -> None:
         """Add to a person's curve of distances, mm; NaN is left out."""
         known = ~np.isnan(metres)
         lines = [self._person_line(person)]
-        self._extend(f"{self._prefix}/{path}", lines, times[known], 1000 * metres[known])
+        self._extend(f"{self.prefix}/{path}", lines, times[known], 1000 * metres[known])
 
     def _person_line(self, person: int) -> Line:
         """Return the curve of a person, in its colour."""
@@ -487,7 +463,7 @@ class Scene:
         self, kind: str, person: int, names: Sequence[str], times: Stamps, values: Floats
     ) -> None:
         """Add to curves (T, len(names)); what is left and right of one joint shares an entity."""
-        path = f"{self._prefix}/{kind}/{person_part(person)}"
+        path = f"{self.prefix}/{kind}/{person_part(person)}"
         parts = [split_side(name)[0] for name in names]
         for part in dict.fromkeys(parts):
             columns = [k for k, own in enumerate(parts) if own == part]
@@ -508,7 +484,7 @@ class Scene:
         steps = np.diff(moments[:, 0])
         steady = (steps > 0) & (steps < GONE_NS)
         speeds = np.linalg.norm(np.diff(roots, axis=0), axis=-1)[steady] / (steps[steady] / 1e9)
-        path = f"{self._prefix}/speed/{person_part(person)}"
+        path = f"{self.prefix}/speed/{person_part(person)}"
         self._extend(path, [self._person_line(person)], moments[1:][steady], speeds)
 
     def _extend(self, path: str, lines: Sequence[Line], times: Stamps, values: Floats) -> None:
@@ -518,7 +494,7 @@ class Scene:
             self._entities.curves(path, lines, *curves.ended(times, values))
         known = values[~np.isnan(values)]
         if known.size:
-            parts = path.removeprefix(self._prefix).split("/")[1:]
+            parts = path.removeprefix(self.prefix).split("/")[1:]
             kind = "/".join(parts[::2]) if parts[0] in SIDED else parts[0]
             # Outliers of angles and lengths are the detectors' and not to be seen; errors are.
             spread = [0.5, 99.5] if parts[0] in SIDED else [0.0, 100.0]
@@ -555,19 +531,6 @@ class _Past:
         if before is None or place is None:
             return times, roots
         return np.insert(times, 0, before, axis=0), np.insert(roots, 0, place, axis=0)
-
-
-def limb_links(model: SkeletonModel) -> dict[str, int]:
-    """Name -> link slot of upper arms, forearms, thighs and shins, as far as the model has them."""
-    slots = {split_side(name): slot for slot, name in enumerate(model.marker_names)}
-    ends = {p: k for k, p in enumerate(zip(model.link_parents, model.link_children, strict=True))}
-    found = {}
-    for side in ("left", "right"):
-        for name, (upper, lower) in _LIMBS.items():
-            link = ends.get((slots.get((upper, side), -2), slots.get((lower, side), -2)))
-            if link is not None:
-                found[f"{side} {name}"] = link
-    return found
 
 
 def _root_slot(model: SkeletonModel) -> int:

@@ -1,4 +1,7 @@
-"""Detections that wait for the result of their time, which looks ahead and is seconds behind."""
+"""Detections and poses that wait for the result of their time, which looks ahead.
+
+It is seconds behind them. What a stage before had is then compared with it.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from hiros_viewer.columns import GONE_NS
 from hiros_viewer.poses import Poses
 
 _MOST = 10_000
-"""Frames of a camera that wait, at most, if the result never comes."""
+"""Frames of a camera, or poses of a person, that wait, at most, if the result never comes."""
 
 
 class Compared(NamedTuple):
@@ -28,15 +31,11 @@ class Compared(NamedTuple):
     """(N, 2) first row of the people of each frame's instant, and the row after the last."""
 
 
-def _no_frames() -> defaultdict[str, list[Poses]]:
-    return defaultdict(list)
-
-
 @dataclass(slots=True)
 class Waiting:
     """Detections of all cameras that the result has not come to."""
 
-    _parts: defaultdict[str, list[Poses]] = field(default_factory=_no_frames)
+    _parts: defaultdict[str, list[Poses]] = field(default_factory=lambda: defaultdict(list))
     _last: Poses | None = None
     """The newest frame of the result."""
 
@@ -68,3 +67,38 @@ class Waiting:
                 if len(chosen):
                     rows = known.rows[near[chosen]]
                     yield Compared(camera, ready.select(chosen), known.positions, rows)
+
+
+@dataclass(slots=True)
+class EarlierPoses:
+    """Poses of one person at one stage, in the order of time, that the result has not reached."""
+
+    stamps: Stamps = field(default_factory=lambda: np.zeros(0, np.int64))
+    """(T,) ns."""
+    poses: Floats | None = None
+    """(T, M, 3) m; None before there are any."""
+
+    def add(self, stamps: Stamps, poses: Floats) -> None:
+        """Append poses (T, M, 3); only the newest are kept if the result never comes."""
+        known = poses if self.poses is None else np.concatenate([self.poses, poses])
+        self.stamps = np.concatenate([self.stamps, stamps])[-_MOST:]
+        self.poses = known[-_MOST:]
+
+    def at(self, stamps: Stamps, n_markers: int) -> Floats:
+        """(T, M, 3) poses at increasing times, NaN where absent; earlier ones are forgotten."""
+        found = np.full((len(stamps), n_markers, 3), np.nan)
+        if self.poses is None or not len(stamps):
+            return found
+        _, own, asked = np.intersect1d(self.stamps, stamps, return_indices=True)
+        found[asked] = self.poses[own]
+        later = self.stamps > stamps[-1]
+        self.stamps, self.poses = self.stamps[later], self.poses[later]
+        return found
+
+
+def mean_distances(first: Floats, second: Floats) -> Floats:
+    """(T,) Mean distance over joints between poses (T, M, 3), m; NaN without a common joint."""
+    apart = np.linalg.norm(first - second, axis=2)
+    known = ~np.isnan(apart)
+    total = np.where(known, apart, 0.0).sum(axis=1)
+    return np.asarray(np.where(known.any(axis=1), total / np.maximum(known.sum(axis=1), 1), np.nan))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from functools import cache
 from itertools import pairwise
-from typing import Annotated, Any, cast
+from typing import Any, cast
 
 import typer
 
@@ -14,23 +14,20 @@ from hiros_cli.commands import (
     calibrate,
     check,
     compare,
-    completion,
-    demo,
     evaluate,
     export,
-    import_joints,
     info,
     plan,
     plot,
     process,
     recover,
-    show_config,
+    setup,
     simulate,
     systems,
     view,
-    warmup,
 )
 from hiros_cli.help_page import HelpfulCommand
+from hiros_cli.options import flag, option
 from hiros_mcap import __version__
 from hiros_mcap.errors import ConfigError
 
@@ -57,32 +54,19 @@ def _show_version(wanted: bool) -> None:
 @app.callback(invoke_without_command=True)
 def hiros(
     context: typer.Context,
-    version: Annotated[
-        bool,
-        typer.Option(
-            "--version", "-V", callback=_show_version, is_eager=True, help="Print the version."
-        ),
-    ] = False,
-    verbose: Annotated[
-        bool, typer.Option("--verbose", help="With any command: show its steps on stderr.")
-    ] = False,
-    log_file: Annotated[
-        str,
-        typer.Option(
-            metavar="FILE", help="With any command: append warnings, steps and events to a file."
-        ),
-    ] = "",
-    color: Annotated[
-        str,
-        typer.Option(
-            metavar="auto|always|never",
-            help="With any command: colours and bold type; auto: on a terminal, without NO_COLOR.",
-        ),
-    ] = "auto",
-    debug: Annotated[
-        bool,
-        typer.Option("--debug", help="With any command: show tracebacks of errors."),
-    ] = False,
+    version: bool = flag(
+        "--version", "Print the version.", "-V", callback=_show_version, is_eager=True
+    ),
+    verbose: bool = flag("--verbose", "With any command: show its steps on stderr."),
+    log_file: str = option(
+        "FILE", "With any command: append warnings, steps and events to a file.", default=""
+    ),
+    color: str = option(
+        "auto|always|never",
+        "With any command: colours and bold type; auto: on a terminal, without NO_COLOR.",
+        default="auto",
+    ),
+    debug: bool = flag("--debug", "With any command: show tracebacks of errors."),
 ) -> None:
     """Options of all commands; their values are read before (:mod:`hiros_cli.common_options`)."""
     if context.invoked_subcommand is None:
@@ -98,16 +82,16 @@ app.command("eval", cls=HelpfulCommand)(evaluate.evaluate)
 app.command(cls=HelpfulCommand)(check.check)
 app.command(cls=HelpfulCommand)(compare.compare)
 app.command(cls=HelpfulCommand)(info.info)
-app.command("import", cls=HelpfulCommand)(import_joints.import_)
+app.command("import", cls=HelpfulCommand)(export.import_)
 app.command(cls=HelpfulCommand)(recover.recover)
-app.command(cls=HelpfulCommand)(demo.demo)
+app.command(cls=HelpfulCommand)(simulate.demo)
 app.command(cls=HelpfulCommand)(simulate.simulate)
 app.command(cls=HelpfulCommand)(plan.plan)
 app.command(cls=HelpfulCommand)(systems.systems)
 app.add_typer(calibrate.app, name="calibrate")
-app.command(cls=HelpfulCommand)(show_config.config)
-app.command(cls=HelpfulCommand)(warmup.warmup)
-app.command(cls=HelpfulCommand)(completion.completion)
+app.command(cls=HelpfulCommand)(systems.config)
+app.command(cls=HelpfulCommand)(setup.warmup)
+app.command(cls=HelpfulCommand)(setup.completion)
 
 
 def dispatch(arguments: list[str]) -> int:

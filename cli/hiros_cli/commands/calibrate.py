@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import typer
 
+from hiros_cli.compiling import prepare
 from hiros_cli.help_page import HelpfulCommand
-from hiros_cli.options import Force, Json, seconds_range
+from hiros_cli.options import FORCE, JSON, argument, flag, option, seconds_range
+from hiros_cli.output import check_outputs, print_json, warn
 from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.running.progress_bar import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.calibrate.ball import BallReport
@@ -34,32 +37,20 @@ def calibrate(context: typer.Context) -> None:
 
 @app.command(cls=HelpfulCommand)
 def people(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Recording of people who walk about.")],
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output", "-o", metavar="FILE", help="Write poses and clocks, for --extrinsics."
-        ),
-    ] = None,
-    write_log: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write a copy of the log with poses and right stamps."),
-    ] = None,
-    topic: Annotated[
-        list[str] | None,
-        typer.Option(metavar="GLOB", help="Cameras to read; may be repeated. Default: all."),
-    ] = None,
-    joints: Annotated[bool, typer.Option("--joints", help="Also print each joint.")] = False,
-    force: Force = False,
-    json: Json = False,
+    log: Path = argument("LOG", "Recording of people who walk about."),
+    output: Path | None = option(
+        "FILE", "Write poses and clocks, for --extrinsics.", "--output", "-o"
+    ),
+    write_log: Path | None = option("FILE", "Write a copy of the log with poses and right stamps."),
+    topic: list[str] | None = option("GLOB", "Cameras to read; may be repeated. Default: all."),
+    joints: bool = flag("--joints", "Also print each joint."),
+    force: bool = FORCE,
+    json: bool = JSON,
 ) -> None:
     """Find the cameras' poses and clocks from the people whom they see.
 
     No transforms are needed. Where the log has some, the rig as a whole stays where they put it.
     """
-    from hiros_cli.compiling import prepare
-    from hiros_cli.output import check_outputs, print_json, warn
-
     log.stat()
     check_outputs((output, "camera file"), (write_log, "log"), inputs=(log,), force=force)
     prepare(quiet=json, everything=True)
@@ -68,7 +59,6 @@ def people(
     from hiros_mcap.calibrate.corrected_log import write_corrected_log
     from hiros_mcap.calibrate.people import calibrate_people
     from hiros_mcap.io.log import open_log
-    from hiros_mcap.running.progress_bar import bar
 
     with bar(f"calibrating on {log.name}", quiet=False), open_log(log, topics=topic) as opened:
         found = calibrate_people(opened)
@@ -90,43 +80,31 @@ def people(
 
 @app.command(cls=HelpfulCommand)
 def ball(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Recording of a ball, with images.")],
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Write poses, for --extrinsics."),
-    ] = None,
-    radius: Annotated[
-        float, typer.Option(metavar="M", help="Radius of the ball, m.", min=0.01, max=2.0)
-    ] = 0.24,
-    color: Annotated[
-        str,
-        typer.Option(
-            metavar="H-H:S-S:V-V",
-            help="Range of its colour in OpenCV's HSV. A hue may pass 179.",
-            show_default="red, 170-10:110-255:50-255",
-        ),
-    ] = "170-10:110-255:50-255",
-    topic: Annotated[
-        list[str] | None,
-        typer.Option(metavar="GLOB", help="Channels to read; may be repeated. Default: all."),
-    ] = None,
-    force: Force = False,
-    json: Json = False,
+    log: Path = argument("LOG", "Recording of a ball, with images."),
+    output: Path | None = option("FILE", "Write poses, for --extrinsics.", "--output", "-o"),
+    radius: float = option("M", "Radius of the ball, m.", default=0.24, min=0.01, max=2.0),
+    color: str = option(
+        "H-H:S-S:V-V",
+        "Range of its colour in OpenCV's HSV. A hue may pass 179.",
+        default="170-10:110-255:50-255",
+        show_default="red, 170-10:110-255:50-255",
+    ),
+    topic: list[str] | None = option("GLOB", "Channels to read; may be repeated. Default: all."),
+    force: bool = FORCE,
+    json: bool = JSON,
 ) -> None:
     """Find the cameras' poses from a coloured ball.
 
     hiros finds it in their colour and depth images. The images may be missing if the log has the
     ball's centres as PointStamped channels.
     """
-    from hiros_cli.ball_report import show_ball
-    from hiros_cli.output import check_outputs
+    from hiros_cli.calibration_report import show_ball
 
     log.stat()
     check_outputs((output, "camera file"), inputs=(log,), force=force)
     from hiros_mcap.calibrate.ball import BallOptions, calibrate_ball
     from hiros_mcap.calibrate.ball_image import ColorRange
     from hiros_mcap.calibrate.cameras_file import save_cameras
-    from hiros_mcap.running.progress_bar import bar
 
     options = BallOptions(radius, ColorRange.parse(color), tuple(topic or ()))
     with bar(f"calibrating on {log.name}", quiet=False):
@@ -138,37 +116,24 @@ def ball(
 
 @app.command(cls=HelpfulCommand)
 def board(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Recording of a board, with images.")],
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Write poses, for --extrinsics."),
-    ] = None,
-    extrinsics: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="The cameras' poses to each other, as by a ball."),
-    ] = None,
-    dictionary: Annotated[
-        str, typer.Option(metavar="NAME", help="The markers' ArUco dictionary.")
-    ] = "DICT_4X4_50",
-    topic: Annotated[
-        list[str] | None,
-        typer.Option(metavar="GLOB", help="Channels to read; may be repeated. Default: all."),
-    ] = None,
-    force: Force = False,
-    json: Json = False,
+    log: Path = argument("LOG", "Recording of a board, with images."),
+    output: Path | None = option("FILE", "Write poses, for --extrinsics.", "--output", "-o"),
+    extrinsics: Path | None = option("FILE", "The cameras' poses to each other, as by a ball."),
+    dictionary: str = option("NAME", "The markers' ArUco dictionary.", default="DICT_4X4_50"),
+    topic: list[str] | None = option("GLOB", "Channels to read; may be repeated. Default: all."),
+    force: bool = FORCE,
+    json: bool = JSON,
 ) -> None:
     """Put the cameras into the frame of a board of four ArUco markers.
 
     Marker 1 is the origin, x points to marker 2, y towards marker 0, and z is up.
     """
-    from hiros_cli.ball_report import show_board
-    from hiros_cli.output import check_outputs
+    from hiros_cli.calibration_report import show_board
 
     log.stat()
     check_outputs((output, "camera file"), inputs=(log, extrinsics), force=force)
     from hiros_mcap.calibrate.board import calibrate_board
     from hiros_mcap.calibrate.cameras_file import save_cameras
-    from hiros_mcap.running.progress_bar import bar
 
     with bar(f"calibrating on {log.name}", quiet=False):
         report = calibrate_board(
@@ -183,8 +148,6 @@ def _tell(
     command: str, log: Path, report: _Report, show: Callable[[Path, _Report], None] | None
 ) -> None:
     """Print a report by ``show``, or as JSON without it, and its warnings on stderr."""
-    from hiros_cli.output import print_json, warn
-
     if show is None:
         print_json(command, report.to_dict(), report.warnings)
     else:
@@ -195,29 +158,20 @@ def _tell(
 
 @app.command(cls=HelpfulCommand)
 def noise(
-    log: Annotated[
-        Path, typer.Argument(metavar="LOG", help="Recording of people who stand still.")
-    ],
-    window: Annotated[
-        str | None,
-        typer.Option(metavar="START:END", help="Only this part, s from the log's start."),
-    ] = None,
-    json: Json = False,
+    log: Path = argument("LOG", "Recording of people who stand still."),
+    window: str | None = option("START:END", "Only this part, s from the log's start."),
+    json: bool = JSON,
 ) -> None:
     """Measure the detectors' noise; print it as TOML for --config.
 
     --system malaguti uses [kalman]; --system fuse and fuse-realtime use [noise], the white noise by
     camera, joint, range and confidence.
     """
-    from hiros_cli.compiling import prepare
-    from hiros_cli.output import print_json, warn
-
     log.stat()
     span = None if window is None else seconds_range("--window", window)
     prepare(quiet=json)
     from hiros_mcap.calibrate.noise import measure_noise, measure_noise_model
     from hiros_mcap.io.log import open_log
-    from hiros_mcap.running.progress_bar import bar
     from hiros_mcap.stages.malaguti.associate import associate
     from hiros_mcap.summary import number
 

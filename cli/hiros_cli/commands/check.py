@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from shlex import quote
+from typing import TYPE_CHECKING
 
 import typer
 
+from hiros_cli import options as shared
+from hiros_cli.compiling import prepare
 from hiros_cli.completing import topics
 from hiros_cli.many_logs import ManyLogs, one_log, run
-from hiros_cli.options import Cluster, Force, Jobs, Json, QuietResult, Table
+from hiros_cli.options import argument, flag, option
+from hiros_cli.output import check_outputs, print_json
+from hiros_cli.printable import error_line, printable
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.running.progress_bar import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.many.jobs import CheckJob
@@ -24,73 +29,42 @@ EQUAL, DIFFERENT, CANNOT = 0, 1, 2
 
 def check(
     context: typer.Context,
-    targets: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="OUT|SUITE",
-            help="Outputs of `hiros process` (files, folders, globs, URLs), or one suite (.toml) "
-            "of recordings.",
-        ),
-    ],
-    golden: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="With OUT: the golden log to compare with. With many: the folder of golden files "
-            "with the same names.",
-        ),
-    ] = None,
-    tolerances: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="With OUT: TOML file with tolerances. Default: GOLDEN.tolerances.toml beside "
-            "the golden log.",
-        ),
-    ] = None,
-    channel: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="GLOB",
-            help="With OUT and --bless: channels to keep; may be repeated. Default: the last "
-            "stage.",
-            autocompletion=topics,
-        ),
-    ] = None,
-    bless: Annotated[
-        bool,
-        typer.Option(
-            "--bless", help="Accept the result as the new golden file; print what changed."
-        ),
-    ] = False,
-    only: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="With SUITE: this log only; may be repeated."),
-    ] = None,
-    jobs: Jobs = None,
-    cluster: Cluster = None,
-    csv: Table = None,
-    keep: Annotated[
-        Path | None,
-        typer.Option(metavar="FOLDER", help="With SUITE: keep the outputs in this folder."),
-    ] = None,
-    junit: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="With SUITE: also write JUnit XML.")
-    ] = None,
-    markdown: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="With SUITE: also write a summary for a pull request."),
-    ] = None,
-    force: Force = False,
-    json: Json = False,
-    quiet: QuietResult = False,
+    targets: list[str] = argument(
+        "OUT|SUITE",
+        "Outputs of `hiros process` (files, folders, globs, URLs), or one suite (.toml) of "
+        "recordings.",
+    ),
+    golden: Path | None = option(
+        "FILE",
+        "With OUT: the golden log to compare with. With many: the folder of golden files with "
+        "the same names.",
+    ),
+    tolerances: Path | None = option(
+        "FILE",
+        "With OUT: TOML file with tolerances. Default: GOLDEN.tolerances.toml beside the "
+        "golden log.",
+    ),
+    channel: list[str] | None = option(
+        "GLOB",
+        "With OUT and --bless: channels to keep; may be repeated. Default: the last stage.",
+        autocompletion=topics,
+    ),
+    bless: bool = flag("--bless", "Accept the result as the new golden file; print what changed."),
+    only: list[str] | None = option("NAME", "With SUITE: this log only; may be repeated."),
+    jobs: int | None = shared.JOBS,
+    cluster: str | None = shared.CLUSTER,
+    csv: Path | None = shared.TABLE,
+    keep: Path | None = option("FOLDER", "With SUITE: keep the outputs in this folder."),
+    junit: Path | None = option("FILE", "With SUITE: also write JUnit XML."),
+    markdown: Path | None = option("FILE", "With SUITE: also write a summary for a pull request."),
+    force: bool = shared.FORCE,
+    json: bool = shared.JSON,
+    quiet: bool = shared.QUIET_RESULT,
 ) -> int:
     """Compare a result with its golden log, or run a suite of logs.
 
     Exit code: 0 equal within the tolerances, 1 different, 2 cannot be compared.
     """
-    from hiros_cli.compiling import prepare
-
     is_suite = len(targets) == 1 and Path(targets[0]).suffix == ".toml"
     many = ManyLogs(targets, "", jobs, cluster, csv, force, json, quiet)
     is_many = not is_suite and many.wanted
@@ -114,7 +88,7 @@ def check(
         from hiros_mcap.regression.suite import SuiteOptions
 
         options = SuiteOptions(bless, tuple(only or ()), jobs or 0, keep, force)
-        results = _run_suite(target, options, _Reports(junit, markdown), quiet=quiet)
+        results = _run_suite(target, options, junit, markdown, quiet=quiet)
     elif golden is None:
         raise ConfigError(f"{target}: name the golden log with --golden")
     else:
@@ -153,57 +127,32 @@ def _check_options(
             raise ConfigError(f"{name} has no effect on {what} (see hiros check --help)")
 
 
-@dataclass(frozen=True, slots=True)
-class _Reports:
-    """Where to write what a suite found."""
-
-    junit: Path | None
-    markdown: Path | None
-
-    def check(self, inputs: Sequence[Path], *, force: bool) -> None:
-        """Refuse, before the suite runs, what must not be written."""
-        from hiros_cli.output import check_outputs
-
-        check_outputs(
-            (self.junit, "JUnit report"),
-            (self.markdown, "Markdown summary"),
-            inputs=inputs,
-            force=force,
-        )
-
-    def write(self, results: list[CaseResult], name: str) -> None:
-        """Write them."""
-        from hiros_mcap.outputs import write_text
-        from hiros_mcap.regression import check_report
-
-        if self.junit is not None:
-            write_text(self.junit, check_report.junit(results, name))
-        if self.markdown is not None:
-            write_text(self.markdown, check_report.markdown(results, name))
-
-
 def _run_suite(
-    path: Path, options: SuiteOptions, reports: _Reports, *, quiet: bool
+    path: Path, options: SuiteOptions, junit: Path | None, markdown: Path | None, *, quiet: bool
 ) -> list[CaseResult]:
+    from hiros_mcap.outputs import write_text
+    from hiros_mcap.regression import check_report
     from hiros_mcap.regression.suite import kept_path, load_suite, run_suite
-    from hiros_mcap.running.progress_bar import bar
 
     suite, keep = load_suite(path), options.keep
     kept = [] if keep is None else [kept_path(keep, case) for case in suite.cases]
-    reports.check([*suite.files, *kept], force=options.force)
+    files = [*suite.files, *kept]
+    check_outputs(
+        (junit, "JUnit report"), (markdown, "Markdown summary"), inputs=files, force=options.force
+    )
     if keep is not None:
         keep.mkdir(parents=True, exist_ok=True)
     with bar(f"{path.name}: {len(options.only) or len(suite.cases)} logs", quiet=quiet) as progress:
         results = run_suite(suite, options, progress)
-    reports.write(results, path.stem)
+    if junit is not None:
+        write_text(junit, check_report.junit(results, path.stem))
+    if markdown is not None:
+        write_text(markdown, check_report.markdown(results, path.stem))
     return results
 
 
 def _with_hint(result: CaseResult, target: Path, golden: Path) -> CaseResult:
     """Add the command that shows the first difference."""
-    from dataclasses import replace
-    from shlex import quote
-
     if not result.first:
         return result
     topic, first = result.first[0]
@@ -217,20 +166,19 @@ def _with_hint(result: CaseResult, target: Path, golden: Path) -> CaseResult:
 
 
 def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:
-    if json:
-        from hiros_cli.output import print_json
-        from hiros_mcap.regression import check_report
+    from hiros_mcap.regression import check_report
 
+    if json:
         print_json("check", check_report.as_dict(results))
         return
     if quiet:
-        _show_errors(results)
+        for result in results:  # the exit code says whether there is a difference
+            if result.status == "error":
+                print(error_line(ConfigError(f"{result.name}: {result.error}")), file=sys.stderr)
         return
     from rich.text import Text
 
-    from hiros_cli.printable import printable
     from hiros_cli.run_report import page
-    from hiros_mcap.regression import check_report
 
     styles = {"equal": "green", "different": "red", "error": "yellow"}
     lines: list[str | Text] = []
@@ -240,13 +188,3 @@ def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:
         lines += [f"  {line}" for line in (*check_report.lines(result), *result.notes)]
     totals = [Text(check_report.totals(results), style="bold")] if len(results) > 1 else None
     page((), lines, totals)
-
-
-def _show_errors(results: list[CaseResult]) -> None:
-    """Print what could not be compared; the exit code says whether there is a difference."""
-    from hiros_cli.printable import error_line
-
-    for result in results:
-        if result.status == "error":
-            fault = ConfigError(f"{result.name}: {result.error}")
-            print(error_line(fault), file=sys.stderr)

@@ -6,12 +6,13 @@ import tempfile
 from contextlib import ExitStack
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from hiros_cli.options import Force, Html, Json, QuietResult
+from hiros_cli.compiling import prepare
+from hiros_cli.options import FORCE, HTML, JSON, QUIET_RESULT, argument, option
+from hiros_cli.output import check_outputs, print_json
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.running.progress_bar import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.evaluate.comparison import Outcome
@@ -22,46 +23,29 @@ CAMERA_STUDY = ("fuse", "hiros", "malaguti", "lee")
 
 
 def compare(
-    logs: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="LOG", help="Recordings; hiros uses a truth on /truth."),
-    ] = None,
-    systems: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--system",
-            metavar="NAME[:CHAIN][,PARAM=VALUE]",
-            help="System to compare, such as hiros:TMF or lee,cluster.radius=0.2; may be "
-            "repeated. Default: fuse, hiros, both realtime, malaguti, lee and the baselines.",
-        ),
-    ] = None,
-    study: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="cameras: run on every subset of the cameras. people: run on simulated logs of "
-            "1 to 4 people instead of LOG.",
-        ),
-    ] = None,
-    truth: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE|TOPIC", help="Truth for a single LOG. Default: its /truth channel."
-        ),
-    ] = None,
-    jobs: Annotated[
-        int, typer.Option(min=0, metavar="NUMBER", help="Runs at once; 0 = one per core.")
-    ] = 0,
-    html: Html = None,
-    rrd: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Also write a Rerun recording that overlays all systems."
-        ),
-    ] = None,
-    force: Force = False,
-    json: Json = False,
-    quiet: QuietResult = False,
+    logs: list[Path] | None = argument(
+        "LOG", "Recordings; hiros uses a truth on /truth.", default=None
+    ),
+    systems: list[str] | None = option(
+        "NAME[:CHAIN][,PARAM=VALUE]",
+        "System to compare, such as hiros:TMF or lee,cluster.radius=0.2; may be repeated. "
+        "Default: fuse, hiros, both realtime, malaguti, lee and the baselines.",
+        "--system",
+    ),
+    study: str | None = option(
+        "NAME",
+        "cameras: run on every subset of the cameras. people: run on simulated logs of 1 to 4 "
+        "people instead of LOG.",
+    ),
+    truth: str | None = option(
+        "FILE|TOPIC", "Truth for a single LOG. Default: its /truth channel."
+    ),
+    jobs: int = option("NUMBER", "Runs at once; 0 = one per core.", default=0, min=0),
+    html: Path | None = HTML,
+    rrd: Path | None = option("FILE", "Also write a Rerun recording that overlays all systems."),
+    force: bool = FORCE,
+    json: bool = JSON,
+    quiet: bool = QUIET_RESULT,
 ) -> None:
     """Run several systems on the same logs.
 
@@ -70,9 +54,6 @@ def compare(
     jitter, limb lengths and ids. Below, each system is compared with the first one named: better or
     worse by so many mm, or no difference, by the 95 % interval over blocks of a second.
     """
-    from hiros_cli.compiling import prepare
-    from hiros_cli.output import check_outputs
-
     paths = list(logs or ())
     for path in paths:
         path.stat()
@@ -86,7 +67,6 @@ def compare(
         check_recording(path)
     prepare(quiet=quiet or json, everything=True)
     from hiros_mcap.evaluate.comparison import DEFAULT, Entry, Task, camera_subsets, comparison
-    from hiros_mcap.running.progress_bar import bar
 
     with ExitStack() as stack:
         if study == "people":
@@ -99,7 +79,7 @@ def compare(
         with bar(f"{len(tasks)} runs", quiet=quiet) as progress:
             outcomes = comparison(tasks, jobs=jobs, progress=progress)
         if rrd is not None:
-            from hiros_viewer.comparison_page import save_overlay
+            from hiros_viewer.replay import save_overlay
 
             save_overlay(rrd, paths[0], entries)
     if html is not None:
@@ -107,7 +87,6 @@ def compare(
 
         comparison_page(outcomes, study).write(html)
     if json:
-        from hiros_cli.output import print_json
         from hiros_mcap.evaluate.score_tables import notes_on
         from hiros_mcap.summary import plain
 

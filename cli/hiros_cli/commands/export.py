@@ -1,89 +1,75 @@
-"""``hiros export``: a result as a file of another program."""
+"""``hiros export`` and ``hiros import``: results and joints as files of other programs."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
+from hiros_cli.compiling import prepare
 from hiros_cli.completing import topics
 from hiros_cli.many_logs import ManyLogs, one_log, run
-from hiros_cli.options import MANY, Cluster, Force, Jobs, Json, Quiet, Table, option
+from hiros_cli.options import CLUSTER, FORCE, JOBS, JSON, MANY, QUIET, TABLE, argument, option
+from hiros_cli.output import check_outputs, print_json, warn
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.running.progress_bar import bar
 
 
 def export(
     context: typer.Context,
-    logs: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="LOG", help="Outputs of `hiros process`: files, folders, globs, URLs."
-        ),
-    ],
-    output: Annotated[
-        str,
-        option(
-            "FILE",
-            "Output file: .csv, .parquet, .jsonl, .npz, .trc, .mot, .c3d or .bvh; with many "
-            "logs, the folder for all.",
-            "-o",
-            "--output",
-        ),
-    ],
-    file_format: Annotated[
-        str,
-        option("SUFFIX", "Format of the files of many logs.", "--format", panel=MANY),
-    ] = "csv",
-    what: Annotated[
-        str,
-        option("PART", "joints, angles or both. Default: all that fits the format."),
-    ] = "",
-    person: Annotated[int | None, option("ID", "One person. Default: everybody.")] = None,
-    channel: Annotated[
-        str,
-        option("TOPIC", "Channel to export. Default: the last stage.", autocompletion=topics),
-    ] = "",
-    rate: Annotated[
-        float | None,
-        option("HZ", "Resample to this rate. Default: only if the format needs it."),
-    ] = None,
-    start: Annotated[
-        float,
-        option("S", "Start, s from the log's start. Default: all.", show_default=False),
-    ] = float("-inf"),
-    end: Annotated[
-        float,
-        option("S", "End, s from the log's start. Default: all.", show_default=False),
-    ] = float("inf"),
-    marker_set: Annotated[
-        str,
-        option(
-            "FILE",
-            "For .trc and .c3d: TOML file of marker names, ours = theirs, or rajagopal for "
-            "the joint centres of that OpenSim model. Default: our names.",
-        ),
-    ] = "",
-    least_confidence: Annotated[
-        float,
-        option(
-            "0..1",
-            "Markers below this confidence are gaps: nobody saw them. 0 writes them all.",
-            min=0,
-            max=1,
-        ),
-    ] = LEAST_CONFIDENCE,
-    jobs: Jobs = None,
-    cluster: Cluster = None,
-    csv: Table = None,
-    force: Force = False,
-    json: Json = False,
-    quiet: Quiet = False,
+    logs: list[str] = argument("LOG", "Outputs of `hiros process`: files, folders, globs, URLs."),
+    output: str = option(
+        "FILE",
+        "Output file: .csv, .parquet, .jsonl, .npz, .trc, .mot, .c3d or .bvh; with many logs, "
+        "the folder for all.",
+        "-o",
+        "--output",
+        default=...,
+    ),
+    file_format: str = option(
+        "SUFFIX", "Format of the files of many logs.", "--format", default="csv", panel=MANY
+    ),
+    what: str = option(
+        "PART", "joints, angles or both. Default: all that fits the format.", default=""
+    ),
+    person: int | None = option("ID", "One person. Default: everybody."),
+    channel: str = option(
+        "TOPIC", "Channel to export. Default: the last stage.", default="", autocompletion=topics
+    ),
+    rate: float | None = option(
+        "HZ", "Resample to this rate. Default: only if the format needs it."
+    ),
+    start: float = option(
+        "S",
+        "Start, s from the log's start. Default: all.",
+        default=float("-inf"),
+        show_default=False,
+    ),
+    end: float = option(
+        "S", "End, s from the log's start. Default: all.", default=float("inf"), show_default=False
+    ),
+    marker_set: str = option(
+        "FILE",
+        "For .trc and .c3d: TOML file of marker names, ours = theirs, or rajagopal for the "
+        "joint centres of that OpenSim model. Default: our names.",
+        default="",
+    ),
+    least_confidence: float = option(
+        "0..1",
+        "Markers below this confidence are gaps: nobody saw them. 0 writes them all.",
+        default=LEAST_CONFIDENCE,
+        min=0,
+        max=1,
+    ),
+    jobs: int | None = JOBS,
+    cluster: str | None = CLUSTER,
+    csv: Path | None = TABLE,
+    force: bool = FORCE,
+    json: bool = JSON,
+    quiet: bool = QUIET,
 ) -> None:
     """Write joints and angles as CSV, Parquet, TRC, MOT, C3D, BVH."""
-    from hiros_cli.compiling import prepare
-    from hiros_cli.output import check_outputs, print_json
     from hiros_mcap.io.export.files import export as write
     from hiros_mcap.io.export.files import files_of, format_of
     from hiros_mcap.io.export.marker_set import SUFFIXES, load_marker_set, renamed
@@ -106,7 +92,6 @@ def export(
     log = one_log(context, logs[0])
     prepare(quiet=quiet)
     from hiros_mcap.io.result import open_result
-    from hiros_mcap.running.progress_bar import bar
 
     with bar(f"exporting {log.name}", quiet=quiet):
         result = open_result(log, channel).select(person, start, end, rate)
@@ -119,3 +104,31 @@ def export(
         print_json("export", {"log": logs[0], "files": list(map(str, written))})
     for path in () if quiet or json else written:
         print(f"wrote {path}")
+
+
+def import_(
+    sources: list[Path] = argument(
+        "FILE", "CSV, TRC or JSON files, or folders of JSON files, one for each camera."
+    ),
+    output: Path = option("LOG", "MCAP log to write.", "--output", "-o", default=...),
+    mapping: Path | None = option(
+        "FILE",
+        "TOML file with names, units, axes, cameras and clock of FILE; or openpose, "
+        "mediapipe, freemocap, pose2sim, opencap.",
+    ),
+    force: bool = FORCE,
+    quiet: bool = QUIET,
+) -> None:
+    """Turn files of joint positions into a log.
+
+    hiros process, view and info read it like any other.
+    """
+    for path in sources:
+        path.stat()
+    check_outputs((output, "log"), inputs=(*sources, mapping), force=force)
+    prepare(quiet=quiet)
+    from hiros_mcap.io.joints.importing import import_joints
+
+    written = import_joints(sources, output, mapping, warn)
+    if not quiet:
+        print(f"wrote {sum(written.values())} messages on {len(written)} channels to {output}")

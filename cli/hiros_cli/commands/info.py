@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
+from hiros_cli import options as shared
+from hiros_cli.compiling import prepare
 from hiros_cli.many_logs import ManyLogs, one_log, run
-from hiros_cli.options import Cameras, Cluster, Extrinsics, Force, Jobs, Json, Quiet, Table
+from hiros_cli.options import argument
+from hiros_cli.output import print_json, warn
 
 if TYPE_CHECKING:
     from hiros_mcap.io.overview import CameraRow, ChannelRow, Overview
@@ -17,27 +21,21 @@ if TYPE_CHECKING:
 
 def info(
     context: typer.Context,
-    logs: Annotated[
-        list[str],
-        typer.Argument(metavar="LOG", help="MCAP files, ROS bags, folders of them, globs, URLs."),
-    ],
-    topic: Cameras = None,
-    extrinsics: Extrinsics = None,
-    jobs: Jobs = None,
-    cluster: Cluster = None,
-    csv: Table = None,
-    force: Force = False,
-    json: Json = False,
-    quiet: Quiet = False,
+    logs: list[str] = argument("LOG", "MCAP files, ROS bags, folders of them, globs, URLs."),
+    topic: list[str] | None = shared.CAMERAS,
+    extrinsics: Path | None = shared.EXTRINSICS,
+    jobs: int | None = shared.JOBS,
+    cluster: str | None = shared.CLUSTER,
+    csv: Path | None = shared.TABLE,
+    force: bool = shared.FORCE,
+    json: bool = shared.JSON,
+    quiet: bool = shared.QUIET,
 ) -> None:
     """Show what an MCAP file or bag holds.
 
     It lists channels, cameras, people, rates and gaps. Of what hiros wrote, it also shows the
     version, the system and the changed parameters.
     """
-    from hiros_cli.compiling import prepare
-    from hiros_cli.output import warn
-
     many = ManyLogs(logs, "", jobs, cluster, csv, force, json, quiet)
     if many.wanted:
         prepare(quiet=json or quiet, everything=True)
@@ -61,8 +59,6 @@ def info(
     for text in overview.warnings:
         warn(text)
     if json:
-        from hiros_cli.output import print_json
-
         print_json("info", overview.to_dict())
     elif not quiet:
         _show(overview)
@@ -87,7 +83,10 @@ def _show(overview: Overview) -> None:
         ("Camera", lambda row: row.name),
         (">Rate", lambda row: number(row.rate_hz, 1, " Hz")),
         (">Longest gap", lambda row: number(row.longest_gap_s, 2, " s")),
-        (">People (mean)", _people),
+        (
+            ">People (mean)",
+            _people,
+        ),
         ("Frame", _frame),
     )
     people = listing(

@@ -2,88 +2,61 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from hiros_cli.commands.simulate import simulate_params
-from hiros_cli.options import OUTPUT, Force, Json, Quiet
+from hiros_cli.compiling import prepare
+from hiros_cli.options import FORCE, JSON, OUTPUT, QUIET, flag, option
+from hiros_cli.output import check_outputs, print_json
 from hiros_mcap.errors import ConfigError
+
+if TYPE_CHECKING:
+    from hiros_mcap.plan.planning import Outlook, RoomPlan
 
 
 def plan(
-    room: Annotated[
-        str | None,
-        typer.Option(metavar="WxD", help="Width and depth, m, such as 6x5. x is along the width."),
-    ] = None,
-    cameras: Annotated[
-        str,
-        typer.Option(
-            metavar="NUMBER|FILE",
-            help="How many to place. Or a file with the poses of those that stand "
-            "there, as of `hiros calibrate people -o`; z must point up from the floor.",
-        ),
-    ] = "4",
-    people: Annotated[
-        int, typer.Option(metavar="NUMBER", help="In the room at once, at most 10.", min=1)
-    ] = 1,
-    fov: Annotated[
-        str | None,
-        typer.Option(
-            metavar="AxU", help="Field of view across and upright, deg. Default: 75x65, or FILE's."
-        ),
-    ] = None,
-    reach: Annotated[
-        str | None,
-        typer.Option(
-            "--range",
-            metavar="NEAR:FAR",
-            help="Depths that a camera sees, m. Default: 0.5:5.5, or FILE's.",
-        ),
-    ] = None,
-    height: Annotated[
-        float,
-        typer.Option(metavar="M", help="Of cameras above the floor, m.", min=0.3, max=10.0),
-    ] = 2.2,
-    noise: Annotated[
-        float,
-        typer.Option(metavar="SCALE", help="Noise of the detectors, as in `hiros simulate`."),
-    ] = 1.0,
-    joints: Annotated[bool, typer.Option("--joints", help="Also print each joint.")] = False,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="FILE",
-            help="Write the cameras' poses, for --extrinsics and `hiros simulate --cameras`.",
-            rich_help_panel=OUTPUT,
-        ),
-    ] = None,
-    picture: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Also draw the floor as PNG.", rich_help_panel=OUTPUT),
-    ] = None,
-    force: Force = False,
-    json: Json = False,
-    quiet: Quiet = False,
+    room: str | None = option("WxD", "Width and depth, m, such as 6x5. x is along the width."),
+    cameras: str = option(
+        "NUMBER|FILE",
+        "How many to place. Or a file with the poses of those that stand there, as of `hiros "
+        "calibrate people -o`; z must point up from the floor.",
+        default="4",
+    ),
+    people: int = option("NUMBER", "In the room at once, at most 10.", default=1, min=1),
+    fov: str | None = option(
+        "AxU", "Field of view across and upright, deg. Default: 75x65, or FILE's."
+    ),
+    reach: str | None = option(
+        "NEAR:FAR", "Depths that a camera sees, m. Default: 0.5:5.5, or FILE's.", "--range"
+    ),
+    height: float = option("M", "Of cameras above the floor, m.", default=2.2, min=0.3, max=10.0),
+    noise: float = option("SCALE", "Noise of the detectors, as in `hiros simulate`.", default=1.0),
+    joints: bool = flag("--joints", "Also print each joint."),
+    output: Path | None = option(
+        "FILE",
+        "Write the cameras' poses, for --extrinsics and `hiros simulate --cameras`.",
+        "-o",
+        "--output",
+        panel=OUTPUT,
+    ),
+    picture: Path | None = option("FILE", "Also draw the floor as PNG.", panel=OUTPUT),
+    force: bool = FORCE,
+    json: bool = JSON,
+    quiet: bool = QUIET,
 ) -> None:
     """Say where to put cameras in a room, and how exact they are.
 
     The expected error follows from the noise of the detectors and the geometry. Where a file names
     cameras that stand already, nothing is moved.
     """
-    from hiros_cli.output import check_outputs, print_json
-
     placed = None if cameras.isdigit() else Path(cameras)
     if placed is not None:
         placed.stat()
     if picture is not None and picture.suffix != ".png":
         raise ConfigError(f"{picture}: the name of a picture must end in .png")
     check_outputs((output, "camera file"), (picture, "PNG picture"), inputs=(placed,), force=force)
-    from hiros_cli.compiling import prepare
-    from hiros_cli.plan_report import show_plan
 
     prepare(quiet=json or quiet)
     from hiros_mcap.plan.planning import make_plan
@@ -93,9 +66,9 @@ def plan(
     given: dict[str, Any] = {"cameras": int(cameras)} if rig is None else rig.settings
     size = None if room is None else _pair("--room", room, "x")
     given["area"] = room_area(size, given.get("area"))
-    for name, option, text, mark in (("fov", "--fov", fov, "x"), ("range", "--range", reach, ":")):
+    for name, text, mark in (("fov", fov, "x"), ("range", reach, ":")):
         if text is not None:
-            given.setdefault("rig", {})[name] = _pair(option, text, mark)
+            given.setdefault("rig", {})[name] = _pair(f"--{name}", text, mark)
     params = simulate_params({**given, "people": people, "noise": noise})
     found = make_plan(params, height, None if rig is None else rig.poses)
     if output is not None:
@@ -108,7 +81,7 @@ def plan(
     if json:
         print_json("plan", found.to_dict())
     elif not quiet:
-        show_plan(found, [path for path in (output, picture) if path is not None], joints=joints)
+        _show(found, [path for path in (output, picture) if path is not None], joints=joints)
 
 
 def _pair(option: str, text: str, mark: str) -> tuple[float, float]:
@@ -122,3 +95,44 @@ def _pair(option: str, text: str, mark: str) -> tuple[float, float]:
         return float(first), float(second)
     except ValueError:
         raise ConfigError(f"{option}: should be two numbers around {name}, is {text}") from None
+
+
+def _show(plan: RoomPlan, written: Iterable[Path], *, joints: bool) -> None:
+    """Print the cameras, what is expected with all, with one less and with one more."""
+    from hiros_cli.run_report import listing, page
+    from hiros_mcap.summary import number, quantity
+
+    x0, y0, x1, y1 = plan.params.area
+    people = plan.params.people
+    rigs: list[tuple[str, Outlook]] = [("all cameras", plan.expected)]
+    rigs += [(f"without {camera.name}", camera.then) for camera in plan.cameras]
+    rigs += [("with one more", plan.further.then)]
+    errors = {**plan.parts_mm, **(plan.joints_mm if joints else {})}
+    page(
+        f"{x1 - x0:.1f} m x {y1 - y0:.1f} m, {quantity(len(plan.cameras), 'camera')}, "
+        f"{people} {'person' if people == 1 else 'people'}: "
+        f"expected error {number(plan.expected.error_mm, 1, ' mm')}",
+        listing(
+            [*plan.cameras, plan.further],
+            ("Camera", lambda camera: camera.name),
+            (">x, m", lambda camera: number(camera.x, 2)),
+            (">y, m", lambda camera: number(camera.y, 2)),
+            (">Height, m", lambda camera: number(camera.height, 2)),
+            (">Bearing, deg", lambda camera: number(camera.bearing_deg, 0)),
+            (">Tilt, deg", lambda camera: number(camera.tilt_deg, 0)),
+        ),
+        listing(
+            rigs,
+            ("People anywhere on the floor", lambda rig: rig[0]),
+            (">Error, mm", lambda rig: number(rig[1].error_mm, 1)),
+            (">1 camera", lambda rig: number(100 * rig[1].one, 1, " %")),
+            (">2 cameras", lambda rig: number(100 * rig[1].two, 1, " %")),
+            (">3 cameras", lambda rig: number(100 * rig[1].three, 1, " %")),
+        ),
+        listing(
+            errors.items(),
+            ("Joints", lambda row: row[0]),
+            (">Error, mm", lambda row: number(row[1], 1)),
+        ),
+        [f"wrote {path}" for path in written],
+    )

@@ -4,48 +4,34 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, redirect_stdout
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Any
 
 import typer
 
+from hiros_cli import options as shared
+from hiros_cli.compiling import importing, prepare
 from hiros_cli.completing import topics
-from hiros_cli.live_run import (
-    STREAM,
-    check_live,
-    is_live,
-    run_live,
-    stdout_free,
-)
+from hiros_cli.live_run import STREAM, check_live, is_live, run_live
 from hiros_cli.many_logs import ManyLogs, one_log
 from hiros_cli.options import (
     INPUT,
     LOSSES,
     OUTPUT,
     PARAMETERS,
-    Assignments,
-    Cameras,
-    Cluster,
-    ConfigFile,
-    Extrinsics,
-    Force,
-    Jobs,
-    Json,
-    Preset,
-    Quiet,
-    SystemName,
-    Table,
+    argument,
     chosen_system,
     config_file,
     flag,
     option,
     seconds_range,
 )
+from hiros_cli.output import beside, check_outputs, print_json, warn
 from hiros_mcap.errors import ConfigError, HirosError
+from hiros_mcap.running.progress_bar import bar
 
 if TYPE_CHECKING:
-    from hiros_mcap.config import Table as Parameters
     from hiros_mcap.running.pipeline import Watcher
     from hiros_mcap.running.process_options import Calibration
     from hiros_mcap.summary import Summary
@@ -58,159 +44,107 @@ SUFFIX = ".hiros.mcap"
 
 def process(
     context: typer.Context,
-    logs: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="LOG",
-            help="Recordings: MCAP files, ROS bags, folders of them, globs, URLs; - is a pipe.",
-        ),
-    ],
-    output: Annotated[
-        str | None,
-        option(
-            "OUT",
-            f"Output file, DIR/ for a ROS 2 bag, - for a pipe; with many logs, the folder for "
-            f"all. Default: LOG's name with {SUFFIX}.",
-            "--output",
-            "-o",
-            panel=OUTPUT,
-        ),
-    ] = None,
-    system: SystemName = None,
-    stages: Annotated[
-        str,
-        option(
-            "CHAIN",
-            "Stages to run (track, merge, optimize, filter): T, TM, TO, TF, TMF, TMO or "
-            "TMOF. Default: all stages of the system.",
-            panel=PARAMETERS,
-        ),
-    ] = "",
-    topic: Cameras = None,
-    keep: Annotated[
-        list[str] | None,
-        option(
-            "GLOB",
-            "Input channels to copy; may be repeated; '' copies none. Default: the cameras "
-            "read, the transforms and /truth.",
-            autocompletion=topics,
-            panel=OUTPUT,
-        ),
-    ] = None,
-    preset: Preset = "default",
-    config: ConfigFile = None,
-    assignments: Assignments = None,
-    extrinsics: Extrinsics = None,
-    fixed_frame: Annotated[
-        str | None,
-        option("FRAME", "Frame of the output. Default: root of the transforms.", panel=INPUT),
-    ] = None,
-    model: Annotated[
-        str | None,
-        option(
-            "NAME",
-            "Skeleton of the output: union, azure-kinect, zed-38, ..., or a camera's topic.",
-            panel=INPUT,
-        ),
-    ] = None,
-    unit: Annotated[
-        str | None,
-        option("UNIT", "Unit of the positions: m (default), cm or mm.", panel=INPUT),
-    ] = None,
-    clock: Annotated[
-        list[str] | None,
-        option(
-            "CAMERA=SECONDS", "Add seconds to the stamps of a camera; may be repeated.", panel=INPUT
-        ),
-    ] = None,
-    limbs: Annotated[
-        Path | None,
-        option("FILE", "Use these limb lengths of an earlier session.", panel="Limb lengths"),
-    ] = None,
-    save_limbs: Annotated[
-        Path | None,
-        option("FILE", "Write the limb lengths to this file.", panel="Limb lengths"),
-    ] = None,
-    calibrate: Annotated[
-        str,
-        option(
-            "off|auto|require",
-            "Camera poses: off keeps the log's, auto takes better ones where the people in "
-            "the log prove them, require also refuses poses that they do not confirm.",
-            panel=INPUT,
-        ),
-    ] = "auto",
-    limb_window: Annotated[
-        list[str] | None,
-        option(
-            "START:END",
-            "Calibrate limbs in this time range only, s from the log's start; may be repeated.",
-            panel="Limb lengths",
-        ),
-    ] = None,
-    two_pass: Annotated[
-        bool,
-        flag("--two-pass", "Calibrate limbs on the whole log first.", panel="Limb lengths"),
-    ] = False,
-    solver: Annotated[
-        str | None,
-        option(
-            "NAME", "Optimizer: lm (default) or ceres (slow, for comparison).", panel="Limb lengths"
-        ),
-    ] = None,
-    markers: Annotated[
-        bool,
-        flag(
-            "--markers",
-            "Also write MarkerArray, JointState and Log for RViz and Foxglove.",
-            panel=OUTPUT,
-        ),
-    ] = False,
-    view: Annotated[
-        bool,
-        flag("--view", "Show the run live in the Rerun viewer.", panel=OUTPUT),
-    ] = False,
-    strict: Annotated[
-        bool,
-        flag("--strict", "Fail if any message would be skipped.", panel=INPUT),
-    ] = False,
-    recover: Annotated[
-        bool,
-        flag(
-            "--recover",
-            "Run on what can be read of a damaged log; exit with 3 on losses.",
-            panel=INPUT,
-        ),
-    ] = False,
-    follow: Annotated[
-        bool,
-        flag("--follow", "Process a log while it is being written; Ctrl-C ends it.", panel=INPUT),
-    ] = False,
-    memory: Annotated[
-        float,
-        option(
-            "GIB",
-            "Memory for a log whose chunks overlap in time, GiB; a message of a server may "
-            "take a 16th.",
-            min=0.25,
-            panel=INPUT,
-        ),
-    ] = 1.0,
-    jobs: Jobs = None,
-    cluster: Cluster = None,
-    csv: Table = None,
-    force: Force = False,
-    json: Json = False,
-    quiet: Quiet = False,
+    logs: list[str] = argument(
+        "LOG", "Recordings: MCAP files, ROS bags, folders of them, globs, URLs; - is a pipe."
+    ),
+    output: str | None = option(
+        "OUT",
+        f"Output file, DIR/ for a ROS 2 bag, - for a pipe; with many logs, the folder for "
+        f"all. Default: LOG's name with {SUFFIX}.",
+        "--output",
+        "-o",
+        panel=OUTPUT,
+    ),
+    system: str | None = shared.SYSTEM,
+    stages: str = option(
+        "CHAIN",
+        "Stages to run (track, merge, optimize, filter): T, TM, TO, TF, TMF, TMO or TMOF. "
+        "Default: all stages of the system.",
+        default="",
+        panel=PARAMETERS,
+    ),
+    topic: list[str] | None = shared.CAMERAS,
+    keep: list[str] | None = option(
+        "GLOB",
+        "Input channels to copy; may be repeated; '' copies none. Default: the cameras read, "
+        "the transforms and /truth.",
+        autocompletion=topics,
+        panel=OUTPUT,
+    ),
+    preset: str = shared.PRESET,
+    config: Path | None = shared.CONFIG,
+    assignments: list[str] | None = shared.ASSIGNMENTS,
+    extrinsics: Path | None = shared.EXTRINSICS,
+    fixed_frame: str | None = option(
+        "FRAME", "Frame of the output. Default: root of the transforms.", panel=INPUT
+    ),
+    model: str | None = option(
+        "NAME",
+        "Skeleton of the output: union, azure-kinect, zed-38, ..., or a camera's topic.",
+        panel=INPUT,
+    ),
+    unit: str | None = option("UNIT", "Unit of the positions: m (default), cm or mm.", panel=INPUT),
+    clock: list[str] | None = option(
+        "CAMERA=SECONDS", "Add seconds to the stamps of a camera; may be repeated.", panel=INPUT
+    ),
+    limbs: Path | None = option(
+        "FILE", "Use these limb lengths of an earlier session.", panel="Limb lengths"
+    ),
+    save_limbs: Path | None = option(
+        "FILE", "Write the limb lengths to this file.", panel="Limb lengths"
+    ),
+    calibrate: str = option(
+        "off|auto|require",
+        "Camera poses: off keeps the log's, auto takes better ones where the people in the "
+        "log prove them, require also refuses poses that they do not confirm.",
+        default="auto",
+        panel=INPUT,
+    ),
+    limb_window: list[str] | None = option(
+        "START:END",
+        "Calibrate limbs in this time range only, s from the log's start; may be repeated.",
+        panel="Limb lengths",
+    ),
+    two_pass: bool = flag(
+        "--two-pass", "Calibrate limbs on the whole log first.", panel="Limb lengths"
+    ),
+    solver: str | None = option(
+        "NAME", "Optimizer: lm (default) or ceres (slow, for comparison).", panel="Limb lengths"
+    ),
+    markers: bool = flag(
+        "--markers",
+        "Also write MarkerArray, JointState and Log for RViz and Foxglove.",
+        panel=OUTPUT,
+    ),
+    view: bool = flag("--view", "Show the run live in the Rerun viewer.", panel=OUTPUT),
+    strict: bool = flag("--strict", "Fail if any message would be skipped.", panel=INPUT),
+    recover: bool = flag(
+        "--recover", "Run on what can be read of a damaged log; exit with 3 on losses.", panel=INPUT
+    ),
+    follow: bool = flag(
+        "--follow", "Process a log while it is being written; Ctrl-C ends it.", panel=INPUT
+    ),
+    memory: float = option(
+        "GIB",
+        "Memory for a log whose chunks overlap in time, GiB; a message of a server may take a "
+        "16th.",
+        default=1.0,
+        min=0.25,
+        panel=INPUT,
+    ),
+    jobs: int | None = shared.JOBS,
+    cluster: str | None = shared.CLUSTER,
+    csv: Path | None = shared.TABLE,
+    force: bool = shared.FORCE,
+    json: bool = shared.JSON,
+    quiet: bool = shared.QUIET,
 ) -> None:
     """Track, merge, optimize and filter the skeletons of a log.
 
     The output holds the input channels and the results: /hiros/tracked, /hiros/merged,
     /hiros/optimized and /hiros/filtered. The command prints a summary.
     """
-    from hiros_cli.compiling import importing, prepare
     from hiros_mcap.io.remote import is_remote
-    from hiros_mcap.running.progress_bar import bar
 
     many = ManyLogs(logs, output or "", jobs, cluster, csv, force, json, quiet)
     source, wanted = Path(logs[0]), STREAM
@@ -235,11 +169,18 @@ def process(
     system = chosen_system(system, preset, live=live)
     if strict and recover:
         raise ConfigError("--strict refuses what --recover accepts; choose one")
-    shortcuts = _shortcuts(fixed_frame, limb_window, two_pass=two_pass, solver=solver)
-    if model is not None:
-        shortcuts["--model"] = {"input": {"model": model}}
-    if unit is not None:
-        shortcuts["--unit"] = {"input": {"unit": unit}}
+    windows = list(map(_window, limb_window)) if limb_window else None
+    settings: tuple[tuple[str, str, str, Any], ...] = (
+        ("--fixed-frame", "input", "fixed_frame", fixed_frame),
+        ("--limb-window", "optimize", "calibration_windows", windows),
+        ("--two-pass", "optimize", "calibration", "two-pass" if two_pass else None),
+        ("--solver", "optimize", "solver", solver),
+        ("--model", "input", "model", model),
+        ("--unit", "input", "unit", unit),
+    )
+    shortcuts = {
+        name: {part: {key: value}} for name, part, key, value in settings if value is not None
+    }
     if clock:
         shortcuts["--clock"] = {"clock": dict(map(_clock, clock))}
     with importing():
@@ -251,17 +192,8 @@ def process(
         from hiros_mcap.running.pipeline import process as run
 
     _check_assignments(system, assignments or ())
-    _check_effects(
-        system,
-        stages,
-        {
-            "--limbs": limbs,
-            "--save-limbs": save_limbs,
-            "--limb-window": limb_window,
-            "--two-pass": two_pass,
-            "--solver": solver,
-        },
-    )
+    on_limbs = {"--limbs": limbs, "--save-limbs": save_limbs, "--limb-window": limb_window}
+    _check_effects(system, stages, {**on_limbs, "--two-pass": two_pass, "--solver": solver})
     options = ProcessOptions(
         system=system,
         stages=stages,
@@ -286,7 +218,8 @@ def process(
     with ExitStack() as stack:
         watcher = _live(source, wanted, stack) if view else None
         if live:
-            stack.enter_context(stdout_free(wanted))
+            if wanted == STREAM:  # what is printed must not go into the output
+                stack.enter_context(redirect_stdout(sys.stderr))
             summary = run_live(logs[0], wanted, effective, options, watcher, quiet=quiet)
             _show(summary, json=json, quiet=quiet)
             return
@@ -314,7 +247,6 @@ def _checked_output(
     force: bool,
 ) -> str:
     """Return where the result of one log goes, after what must not be written was refused."""
-    from hiros_cli.output import beside, check_outputs
     from hiros_mcap.outputs import target_kind
 
     wanted = str(beside(source, SUFFIX)) if output is None else output
@@ -358,7 +290,6 @@ def _live(source: Path, target: str, stack: ExitStack) -> Watcher | None:
 
     None if there is nobody to look or nothing to look with: the result matters more.
     """
-    from hiros_cli.output import warn
     from hiros_viewer.destinations import has_display
     from hiros_viewer.live import live_page, live_view
 
@@ -380,23 +311,6 @@ def _live(source: Path, target: str, stack: ExitStack) -> Watcher | None:
     except HirosError:
         warn(f"--view: the Rerun viewer does not start; {later}")
     return None
-
-
-def _shortcuts(
-    fixed_frame: str | None, windows: list[str] | None, *, two_pass: bool, solver: str | None
-) -> dict[str, Parameters]:
-    """Return the parameters that options with a name of their own set."""
-    named: dict[str, Parameters] = {}
-    if fixed_frame is not None:
-        named["--fixed-frame"] = {"input": {"fixed_frame": fixed_frame}}
-    if windows:
-        spans = [_window(text) for text in windows]
-        named["--limb-window"] = {"optimize": {"calibration_windows": spans}}
-    if two_pass:
-        named["--two-pass"] = {"optimize": {"calibration": "two-pass"}}
-    if solver is not None:
-        named["--solver"] = {"optimize": {"solver": solver}}
-    return named
 
 
 def _calibration(text: str) -> Calibration:
@@ -462,7 +376,6 @@ def _check_effects(system: str, stages: str, given: Mapping[str, object]) -> Non
 
 
 def _show(summary: Summary, *, json: bool, quiet: bool) -> None:
-    from hiros_cli.output import print_json, warn
 
     for text in summary.warnings:
         warn(text, logged=True)

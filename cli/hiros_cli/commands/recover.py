@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from hiros_cli.options import LOSSES, Force, Json, QuietResult
+from hiros_cli.compiling import prepare
+from hiros_cli.options import FORCE, JSON, LOSSES, QUIET_RESULT, argument, option
+from hiros_cli.output import beside, check_outputs, print_json, warn
+from hiros_mcap.running.progress_bar import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.io.container import Recovery
@@ -16,35 +19,23 @@ SUFFIX = ".recovered.mcap"
 
 
 def recover(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            metavar="LOG", help="MCAP file, or folder with the MCAP files of one recording."
-        ),
-    ],
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output", "-o", metavar="OUT", help=f"Output file. Default: LOG's name with {SUFFIX}."
-        ),
-    ] = None,
-    force: Force = False,
-    json: Json = False,
-    quiet: QuietResult = False,
+    source: Path = argument("LOG", "MCAP file, or folder with the MCAP files of one recording."),
+    output: Path | None = option(
+        "OUT", f"Output file. Default: LOG's name with {SUFFIX}.", "--output", "-o"
+    ),
+    force: bool = FORCE,
+    json: bool = JSON,
+    quiet: bool = QUIET_RESULT,
 ) -> None:
     """Save what can be read of a damaged or truncated recording.
 
     Exits with 0 if nothing was lost, 3 if something was, and 2 if nothing can be read.
     """
-    from hiros_cli.compiling import prepare
-    from hiros_cli.output import beside, check_outputs, print_json, warn
-
     source.stat()
     target = beside(source, SUFFIX) if output is None else output
     check_outputs((target, "log"), inputs=(source,), force=force)
     prepare(quiet=quiet)
     from hiros_mcap.io.recovering import recover as write
-    from hiros_mcap.running.progress_bar import bar
 
     with bar(f"recovering {source.name}", quiet=quiet):
         recovery = write(source, target, force=force)

@@ -1,69 +1,58 @@
-"""``hiros simulate``: a log whose truth is known."""
+"""``hiros simulate`` and ``hiros demo``: logs whose truth is known."""
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from hiros_cli.options import Force, Quiet
+from hiros_cli.compiling import prepare
+from hiros_cli.options import FORCE, QUIET, argument, option
+from hiros_cli.output import check_outputs
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.running.progress_bar import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.simulate import SimulateParams
 
 
 def _scale(what: str) -> Any:
-    return typer.Option(metavar="SCALE", help=f"{what} Default: 1.")
+    return option("SCALE", f"{what} Default: 1.")
 
 
 def _number(what: str, default: str) -> Any:
-    return typer.Option(metavar="NUMBER", help=f"{what} Default: {default}.")
+    return option("NUMBER", f"{what} Default: {default}.")
 
 
 def simulate(
-    output: Annotated[Path, typer.Argument(metavar="OUT", help="Log to write.")],
-    people: Annotated[int | None, _number("Number of people, at most 10.", "1")] = None,
-    cameras: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NUMBER|FILE",
-            help="Number of cameras, at most 32. Or a file with their poses, as of `hiros plan`. "
-            "Default: 5.",
-        ),
-    ] = None,
-    action: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="walk, squat, wave, cross, ...; any unknown name lists all. Default: walk.",
-        ),
-    ] = None,
-    motion: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="FILE", help="AMC or BVH file to play instead; repeat it per person."),
-    ] = None,
-    skeleton: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="FILE", help="ASF skeleton of the AMC files: one for all, or one each."
-        ),
-    ] = None,
-    seconds: Annotated[float | None, _number("Length of the log, s, at most 86400.", "10")] = None,
-    rate: Annotated[float | None, _number("Frames per second, at most 1000.", "30")] = None,
-    seed: Annotated[int | None, _number("The same seed gives the same bytes.", "0")] = None,
-    noise: Annotated[float | None, _scale("Noise and bias of the joints.")] = None,
-    occlusion: Annotated[float | None, _scale("Hidden joints, which the detector guesses.")] = None,
-    flips: Annotated[float | None, _scale("Left-right flips.")] = None,
-    dropouts: Annotated[float | None, _scale("Lost frames and lost people.")] = None,
-    clock_jitter: Annotated[float | None, _scale("Jitter of the frame times.")] = None,
-    calibration_error: Annotated[
-        float | None, _scale("Errors of the published camera poses.")
-    ] = None,
-    phantoms: Annotated[float | None, _scale("Detections of people who are not there.")] = None,
-    force: Force = False,
-    quiet: Quiet = False,
+    output: Path = argument("OUT", "Log to write."),
+    people: int | None = _number("Number of people, at most 10.", "1"),
+    cameras: str | None = option(
+        "NUMBER|FILE",
+        "Number of cameras, at most 32. Or a file with their poses, as of `hiros plan`. "
+        "Default: 5.",
+    ),
+    action: str | None = option(
+        "NAME", "walk, squat, wave, cross, ...; any unknown name lists all. Default: walk."
+    ),
+    motion: list[Path] | None = option(
+        "FILE", "AMC or BVH file to play instead; repeat it per person."
+    ),
+    skeleton: list[Path] | None = option(
+        "FILE", "ASF skeleton of the AMC files: one for all, or one each."
+    ),
+    seconds: float | None = _number("Length of the log, s, at most 86400.", "10"),
+    rate: float | None = _number("Frames per second, at most 1000.", "30"),
+    seed: int | None = _number("The same seed gives the same bytes.", "0"),
+    noise: float | None = _scale("Noise and bias of the joints."),
+    occlusion: float | None = _scale("Hidden joints, which the detector guesses."),
+    flips: float | None = _scale("Left-right flips."),
+    dropouts: float | None = _scale("Lost frames and lost people."),
+    clock_jitter: float | None = _scale("Jitter of the frame times."),
+    calibration_error: float | None = _scale("Errors of the published camera poses."),
+    phantoms: float | None = _scale("Detections of people who are not there."),
+    force: bool = FORCE,
+    quiet: bool = QUIET,
 ) -> None:
     """Write a synthetic log with a known truth.
 
@@ -91,12 +80,9 @@ def simulate(
         path.stat()
     if motion and people is None:
         given["people"] = len(motion)
-    from hiros_cli.compiling import prepare
-    from hiros_cli.output import check_outputs
 
     check_outputs((output, "log"), inputs=(*(motion or ()), *(skeleton or ()), file), force=force)
     prepare(quiet=quiet)
-    from hiros_mcap.running.progress_bar import bar
     from hiros_mcap.simulate.rig_file import read_rig
     from hiros_mcap.simulate.write_log import write_log
 
@@ -127,3 +113,29 @@ def simulate_params(given: dict[str, Any]) -> SimulateParams:
         names = where[1:] if where[:1] == ["rig"] else where
         option = f"--{names[0].replace('_', '-')}: " if names else ""
         raise ConfigError(f"{option}{message}") from None
+
+
+SECONDS = 10.0
+
+
+def demo(
+    output: Path = argument("OUT", "Log to write.", default=Path("demo.mcap")),
+    force: bool = FORCE,
+    quiet: bool = QUIET,
+) -> None:
+    """Write a sample log: two people cross before three cameras.
+
+    It is simulated: skeletons with noise, flips and gaps, the cameras' poses, and the truth.
+    """
+    check_outputs((output, "log"), inputs=(), force=force)
+    prepare(quiet=quiet)
+    from hiros_cli.commands.process import SUFFIX
+    from hiros_mcap.simulate import SimulateParams
+    from hiros_mcap.simulate.write_log import write_log
+
+    params = SimulateParams(people=2, cameras=3, action="cross", seconds=SECONDS)
+    with bar(f"simulating {output.name}", quiet=quiet) as progress:
+        write_log(output, params, progress)
+    if not quiet:
+        log, result = (shlex.quote(str(p)) for p in (output, output.with_suffix(SUFFIX)))
+        print(f"wrote {output}; go on with\n    hiros process {log}\n    hiros view {result}")

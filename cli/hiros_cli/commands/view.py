@@ -4,61 +4,40 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from hiros_cli.options import Extrinsics, Force, Quiet, flag, option
+from hiros_cli.compiling import prepare
+from hiros_cli.options import EXTRINSICS, FORCE, QUIET, argument, flag, option, seconds_range
+from hiros_cli.output import check_outputs
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.running.progress_bar import bar
 
 if TYPE_CHECKING:
     from rerun import RecordingStream
 
 
 def view(
-    logs: Annotated[
-        list[Path],
-        typer.Argument(metavar="LOG", help="A recording or a result; a second log is overlaid."),
-    ],
-    layout: Annotated[str, option("NAME", "overview, stages, person or cameras.")] = "overview",
-    time_range: Annotated[
-        str | None,
-        option("START:END", "Only this part, s from the log's start."),
-    ] = None,
-    stage: Annotated[
-        str | None,
-        option("NAME", "Stage to plot. Default: the last."),
-    ] = None,
-    truth: Annotated[
-        str | None,
-        option("FILE|TOPIC", "Truth to overlay, with errors. Default: LOG's /truth channel."),
-    ] = None,
-    extrinsics: Extrinsics = None,
-    calibration: Annotated[
-        Path | None,
-        option("FILE", "Camera poses of `hiros calibrate`, compared with the log's."),
-    ] = None,
-    uncertainty: Annotated[
-        bool,
-        flag("--uncertainty", "Draw 68 % ellipsoids round joints (results of --system fuse)."),
-    ] = False,
-    save: Annotated[
-        Path | None,
-        option("FILE", "Write a Rerun recording (.rrd) instead."),
-    ] = None,
-    web: Annotated[bool, flag("--web", "Serve the viewer to a browser on this machine.")] = False,
-    connect: Annotated[
-        str | None,
-        option("URL", "Send to a running viewer: rerun+http://HOST:PORT/proxy."),
-    ] = None,
-    force: Force = False,
-    quiet: Quiet = False,
+    logs: list[Path] = argument("LOG", "A recording or a result; a second log is overlaid."),
+    layout: str = option("NAME", "overview, stages, person or cameras.", default="overview"),
+    time_range: str | None = option("START:END", "Only this part, s from the log's start."),
+    stage: str | None = option("NAME", "Stage to plot. Default: the last."),
+    truth: str | None = option(
+        "FILE|TOPIC", "Truth to overlay, with errors. Default: LOG's /truth channel."
+    ),
+    extrinsics: Path | None = EXTRINSICS,
+    calibration: Path | None = option(
+        "FILE", "Camera poses of `hiros calibrate`, compared with the log's."
+    ),
+    uncertainty: bool = flag(
+        "--uncertainty", "Draw 68 % ellipsoids round joints (results of --system fuse)."
+    ),
+    save: Path | None = option("FILE", "Write a Rerun recording (.rrd) instead."),
+    web: bool = flag("--web", "Serve the viewer to a browser on this machine."),
+    connect: str | None = option("URL", "Send to a running viewer: rerun+http://HOST:PORT/proxy."),
+    force: bool = FORCE,
+    quiet: bool = QUIET,
 ) -> int:
     """Show logs in the Rerun viewer: people, angles, limbs, events."""
-    from hiros_cli.compiling import prepare
-    from hiros_cli.options import seconds_range
-    from hiros_cli.output import check_outputs
-
     for log in logs:
         log.stat()
     if len(logs) > 2:
@@ -83,8 +62,6 @@ def view(
         replay(logs, recording, options, is_open)
 
     if save is not None:
-        from hiros_mcap.running.progress_bar import bar
-
         with bar(f"drawing {name}", quiet=quiet):
             destinations.save(save, name, draw)
         if not quiet:
