@@ -40,7 +40,7 @@ UPWARDS = {
 }
 """Imports that do not go down the list of CONTRIBUTING.md. This set only shrinks."""
 CEILINGS = {
-    "hiros_cli": 3935,
+    "hiros_cli": 3942,
     "hiros_viewer": 4523,
     "hiros_mcap": 2305,
     "body": 1675,
