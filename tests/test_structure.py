@@ -179,16 +179,26 @@ def test_no_import_circles() -> None:
 AVOIDED = re.compile(
     r"_(found|known|own|said|told|tells?|look(s|ed)?|judge[sd]?|settled?|meets?|met|weighs?|doubts?)_"
 )
-"""Words that no variable, function or class has in the packages that are clean of them."""
-CLEAN = ("evaluate", "regression", "many", "systems", "config", "params")
-"""Layers and modules; this list only grows."""
+"""Words that no variable, function or class has, but for layers that are not yet clean."""
+UNCLEAN = (
+    "detections",
+    "filter",
+    "fuse",
+    "lee",
+    "malaguti",
+    "merge",
+    "optimize",
+    "stages",
+    "track",
+)
+"""Layers that still have some of them; this list only shrinks."""
 
 
 def test_names_are_nouns_of_the_field() -> None:
     avoided = {
         (name, identifier)
         for name, tree in TREES.items()
-        if layer_of(name) in CLEAN
+        if layer_of(name) not in UNCLEAN
         for node in ast.walk(tree)
         for identifier in identifiers(node)
         if AVOIDED.search(re.sub("([A-Z])", r"_\1", f"_{identifier}_").lower())

@@ -19,11 +19,11 @@ GAUGES = {
 
 def show_ball(log: Path, report: BallReport) -> None:
     """Print a line per camera, what the fixed frame is, and notes."""
-    found, radius = report.found, report.radius
+    calibration, radius = report.calibration, report.radius
     page(
-        f"{log}: poses from the ball: {found.verdict}",
+        f"{log}: poses from the ball: {calibration.verdict}",
         listing(
-            found.cameras,
+            calibration.cameras,
             ("Camera", lambda c: c.name),
             (">Seen", lambda c: c.seen),
             ("Against", lambda c: c.against or "-"),
@@ -34,7 +34,7 @@ def show_ball(log: Path, report: BallReport) -> None:
             (">Residual mm", lambda c: number(c.residual_mm, 1) if c.against else "-"),
             ("Verdict", lambda c: c.verdict),
         ),
-        [f'Fixed frame "{found.fixed_frame}": {GAUGES[found.gauge]}'],
+        [f'Fixed frame "{calibration.fixed_frame}": {GAUGES[calibration.gauge]}'],
         notes=[
             *([] if math.isnan(radius) else [f"the ball's radius as measured: {radius:.3f} m"]),
             *_skipped(report.skipped),

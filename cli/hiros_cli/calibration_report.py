@@ -22,17 +22,19 @@ DRIFT_PPM = 100.0
 """A smaller drift is not measured reliably."""
 
 
-def show_calibration(log: Path, found: PeopleCalibration, *, joints: bool) -> None:
+def show_calibration(log: Path, calibration: PeopleCalibration, *, joints: bool) -> None:
     """Print a line per camera, what the fixed frame is, and notes."""
-    gauge = found.gauge and [f'Fixed frame "{found.fixed_frame}": {GAUGES[found.gauge]}']
-    rows = [(name, number(mm, 0)) for name, mm in found.joints.items()]
+    gauge = calibration.gauge and [
+        f'Fixed frame "{calibration.fixed_frame}": {GAUGES[calibration.gauge]}'
+    ]
+    rows = [(name, number(mm, 0)) for name, mm in calibration.joints.items()]
     title = "Distance of each joint to the other cameras' mean, median"
     page(
-        f"{log}: poses and clocks from the people: {found.verdict}",
-        _cameras(found.cameras),
+        f"{log}: poses and clocks from the people: {calibration.verdict}",
+        _cameras(calibration.cameras),
         gauge or None,
         (title, (("Joint", "mm"), rows)) if rows and joints else None,
-        notes=_notes(found.cameras),
+        notes=_notes(calibration.cameras),
     )
 
 

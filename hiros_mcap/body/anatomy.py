@@ -140,11 +140,11 @@ def continued(
     firsts = np.full(n, np.nan) if before is None else before
     limits = np.broadcast_to(most, n).tolist()
     for column, first, limit in zip(out.T, firsts, limits, strict=True):
-        known: npt.NDArray[np.bool_] = ~np.isnan(column)
+        present: npt.NDArray[np.bool_] = ~np.isnan(column)
         if np.isnan(first):
-            column[known] = _continued(column[known], limit)
+            column[present] = _continued(column[present], limit)
         else:
-            column[known] = _continued(np.append(first, column[known]), limit)[1:]
+            column[present] = _continued(np.append(first, column[present]), limit)[1:]
     return out
 
 

@@ -97,14 +97,14 @@ def marker_segments(model: SkeletonModel, positions: Floats) -> dict[str, Floats
     middle = (left + right) / 2
     shoulders = at("shoulder", side="right") - at("shoulder", side="left")
     face = at(*_FACE, side="right") - at(*_FACE, side="left")
-    found = {
+    segments = {
         "pelvis": frame(z=right - left, y=at(*_LOWER_SPINE, *NECK) - middle),
         "thorax": frame(y=at(*NECK) - at(*_PELVIS), z=shoulders, keep="y"),
         "head": frame(y=long_axis_of_head(at), z=face, keep="y"),
     }
     for side in SIDES:
-        found |= _leg(at, side) | _arm(at, side)
-    return found
+        segments |= _leg(at, side) | _arm(at, side)
+    return segments
 
 
 def _leg(at: Finder, side: str) -> dict[str, Floats]:
@@ -149,10 +149,10 @@ def link_axes(model: SkeletonModel, positions: Floats, orientations: Floats) -> 
     axes = {}
     for segment, slot in _link_slots(model).items():
         links, frames = to_matrix(orientations[:, slot]), shown[segment]
-        known = _complete(links) & _complete(frames)
-        if known.sum() < FEWEST:
+        complete = _complete(links) & _complete(frames)
+        if complete.sum() < FEWEST:
             continue
-        relations = np.swapaxes(links[known], -1, -2) @ frames[known]
+        relations = np.swapaxes(links[complete], -1, -2) @ frames[complete]
         mean = _mean_rotation(relations)
         cosines = np.einsum("tij,ij->t", relations, mean)  # 1 + 2 cos of the angle between them
         largest = LARGEST_FOREARM_DEG if segment.endswith("forearm") else LARGEST_DEG
@@ -174,18 +174,18 @@ def segments_of(
 
     Parameters are those of :func:`link_axes`; ``axes`` is its result.
     """
-    found = marker_segments(model, positions)
+    segments = marker_segments(model, positions)
     slots = _link_slots(model)
     for segment, relation in (axes or {}).items():
         if orientations is None or segment not in slots:
             continue
         turned = to_matrix(orientations[:, slots[segment]]) @ relation
         if segment in _TRUNK:
-            known = _complete(turned)
-            found[segment] = np.where(known[:, None, None], turned, found[segment])
+            complete = _complete(turned)
+            segments[segment] = np.where(complete[:, None, None], turned, segments[segment])
         else:
-            found[segment] = limb(found[segment][:, :, 1], turned[:, :, 2])
-    return found
+            segments[segment] = limb(segments[segment][:, :, 1], turned[:, :, 2])
+    return segments
 
 
 def _link_slots(model: SkeletonModel) -> dict[str, int]:
@@ -202,12 +202,12 @@ def _link_slots(model: SkeletonModel) -> dict[str, int]:
                 return k
         return None
 
-    found = {}
+    slots = {}
     for segment, (parents, children) in _LINKS.items():
         for side in ("",) if segment in _TRUNK else SIDES:
             if (k := slot(parents, children, side)) is not None:
-                found[f"{side} {segment}".strip()] = k
-    return found
+                slots[f"{side} {segment}".strip()] = k
+    return slots
 
 
 def _mean_rotation(rotations: Floats) -> Floats:
@@ -236,9 +236,9 @@ def frame(*, y: Floats, z: Floats, keep: str = "z") -> Floats:
 
 def limb(y: Floats, z: Floats) -> Floats:
     """Frames of a limb with the long axis y; x and z are NaN where ``z`` is."""
-    found = frame(y=y, z=z, keep="y")
-    found[:, :, 1] = unit(y)
-    return found
+    axes = frame(y=y, z=z, keep="y")
+    axes[:, :, 1] = unit(y)
+    return axes
 
 
 def unit(vectors: Floats) -> Floats:

@@ -17,8 +17,8 @@ Singles = npt.NDArray[np.float32]
 @kernel
 def _size(largest: float, confidence: float) -> Any:
     """Return a joint's size: half at confidence 0, full at 1 or if it is unknown."""
-    known = 1.0 if isnan(confidence) else min(max(confidence, 0.0), 1.0)
-    return np.float32(largest * (0.5 + 0.5 * known))
+    certainty = 1.0 if isnan(confidence) else min(max(confidence, 0.0), 1.0)
+    return np.float32(largest * (0.5 + 0.5 * certainty))
 
 
 @kernel("void(float64[:,:,::1], float64[:,::1], int64[::1], float64[:,:,::1], float64[:,::1])")
@@ -79,14 +79,14 @@ def draw_bones(joints: Singles, ends: Ints, bones: Singles, counts: Ints) -> int
 def tops(poses: Floats, rows: Stamps, out: Floats) -> None:
     """Write the mean x and y and the largest z of each pose (R, 3), m; NaN if it has no joint."""
     for r in range(rows.shape[0]):
-        n, known = rows[r], 0
+        n, count = rows[r], 0
         x, y, z = 0.0, 0.0, -np.inf
         for m in range(poses.shape[1]):
             if not isnan(poses[n, m, 0]):
                 x += poses[n, m, 0]
                 y += poses[n, m, 1]
                 z = max(z, poses[n, m, 2])
-                known += 1
-        out[r, 0] = x / known if known else np.nan
-        out[r, 1] = y / known if known else np.nan
-        out[r, 2] = z if known else np.nan
+                count += 1
+        out[r, 0] = x / count if count else np.nan
+        out[r, 1] = y / count if count else np.nan
+        out[r, 2] = z if count else np.nan

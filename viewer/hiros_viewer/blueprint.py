@@ -242,12 +242,12 @@ def _room(
     overrides: dict[str, Any] = {}
     if len(shown) > 1:
         what += _all(content, f"/displacement/{shown[0]}/**")
-        overrides = _compared_looks(content, *shown)
+        overrides = _compared_styles(content, *shown)
         earlier = _paths(content, shown[0])
         what += [f"- {path}/{part}" for path in earlier for part in ("name", "trail")]
     elif shown and (content.shows_truth or content.shows_uncertainty or seen_by):
         joint = 0.004 if content.shows_uncertainty else _THIN_JOINT_M
-        overrides = _thin_looks(content, shown[0], joint)
+        overrides = _thin_styles(content, shown[0], joint)
     if content.shows_truth and "truth" not in shown:
         what += _all(content, "/truth/**") + _all(content, "/error_lines/**")
     if content.shows_uncertainty:
@@ -290,17 +290,17 @@ def _room(
     )
 
 
-def _compared_looks(content: Content, before: str, after: str) -> dict[str, Any]:
+def _compared_styles(content: Content, before: str, after: str) -> dict[str, Any]:
     """Return looks of two stages whose bones are millimetres apart: both thin, the first grey."""
     import rerun as rr
 
-    look = rr.LineStrips3D.from_fields(colors=[BEFORE], radii=0.004)
-    return _thin_looks(content, after) | {
-        f"{path}/{bones}": look for path in _paths(content, before) for bones in _BONES
+    lines = rr.LineStrips3D.from_fields(colors=[BEFORE], radii=0.004)
+    return _thin_styles(content, after) | {
+        f"{path}/{bones}": lines for path in _paths(content, before) for bones in _BONES
     }
 
 
-def _thin_looks(content: Content, stage: str, joint: float = _THIN_JOINT_M) -> dict[str, Any]:
+def _thin_styles(content: Content, stage: str, joint: float = _THIN_JOINT_M) -> dict[str, Any]:
     """Return looks of a stage that lets see what is millimetres away from it."""
     import rerun as rr
 

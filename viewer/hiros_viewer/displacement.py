@@ -26,25 +26,25 @@ class EarlierPoses:
 
     def add(self, stamps: Stamps, poses: Floats) -> None:
         """Append poses (T, M, 3); only the newest are kept if the result never comes."""
-        known = poses if self.poses is None else np.concatenate([self.poses, poses])
+        joined = poses if self.poses is None else np.concatenate([self.poses, poses])
         self.stamps = np.concatenate([self.stamps, stamps])[-_MOST:]
-        self.poses = known[-_MOST:]
+        self.poses = joined[-_MOST:]
 
     def at(self, stamps: Stamps, n_markers: int) -> Floats:
         """(T, M, 3) poses at increasing times, NaN where absent; earlier ones are forgotten."""
-        found = np.full((len(stamps), n_markers, 3), np.nan)
+        positions = np.full((len(stamps), n_markers, 3), np.nan)
         if self.poses is None or not len(stamps):
-            return found
-        _, own, asked = np.intersect1d(self.stamps, stamps, return_indices=True)
-        found[asked] = self.poses[own]
+            return positions
+        _, rows, asked = np.intersect1d(self.stamps, stamps, return_indices=True)
+        positions[asked] = self.poses[rows]
         later = self.stamps > stamps[-1]
         self.stamps, self.poses = self.stamps[later], self.poses[later]
-        return found
+        return positions
 
 
 def mean_distances(first: Floats, second: Floats) -> Floats:
     """(T,) Mean distance over joints between poses (T, M, 3), m; NaN without a common joint."""
     apart = np.linalg.norm(first - second, axis=2)
-    known = ~np.isnan(apart)
-    total = np.where(known, apart, 0.0).sum(axis=1)
-    return np.asarray(np.where(known.any(axis=1), total / np.maximum(known.sum(axis=1), 1), np.nan))
+    seen = ~np.isnan(apart)
+    total = np.where(seen, apart, 0.0).sum(axis=1)
+    return np.asarray(np.where(seen.any(axis=1), total / np.maximum(seen.sum(axis=1), 1), np.nan))

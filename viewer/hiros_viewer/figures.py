@@ -60,9 +60,9 @@ def entitle(figure: Figure, lines: Sequence[str]) -> None:
 def name_above(axes: Axes, colours: Mapping[str, str]) -> None:
     """Name curves in their colours above the right end of a plot, where no curve is."""
     x = 1.0
-    look: dict[str, Any] = {"transform": axes.transAxes, "ha": "right", "va": "bottom"}
+    style: dict[str, Any] = {"transform": axes.transAxes, "ha": "right", "va": "bottom"}
     for name, colour in reversed(list(colours.items())):
-        axes.text(x, 1.01, name, color=colour, fontsize=9, **look)
+        axes.text(x, 1.01, name, color=colour, fontsize=9, **style)
         x -= 0.022 * (len(name) + 1)
 
 
@@ -71,10 +71,10 @@ def name_ends(axes: Axes) -> None:
     low, high = axes.get_ylim()
     ends = []
     for line in axes.lines:
-        known = np.asarray(line.get_ydata(), float)
-        known = known[~np.isnan(known)]
-        if len(known):
-            ends.append(((known[-1] - low) / (high - low), line))
+        heights = np.asarray(line.get_ydata(), float)
+        heights = heights[~np.isnan(heights)]
+        if len(heights):
+            ends.append(((heights[-1] - low) / (high - low), line))
     height = axes.get_figure(root=True).get_figheight() * axes.get_position().height  # type: ignore[union-attr]
     apart, below = 0.16 / height, -np.inf
     for end, line in sorted(ends, key=lambda pair: pair[0]):

@@ -27,8 +27,8 @@ class Headline:
 
     def lines(self, *verdict: str) -> tuple[str, ...]:
         """Return the facts in a line, and the verdict in another."""
-        doubts = quantity(len(self.warnings), "warning") if self.warnings else "no warnings"
-        return "; ".join(self.facts), "; ".join([*filter(None, verdict), doubts])
+        warnings = quantity(len(self.warnings), "warning") if self.warnings else "no warnings"
+        return "; ".join(self.facts), "; ".join([*filter(None, verdict), warnings])
 
 
 def headline(path: Path) -> Headline:

@@ -49,22 +49,22 @@ class Waiting:
 
     def reached(self, result: Poses) -> Iterator[Compared]:
         """Yield detections up to the newest frame of the result, each with the nearest one."""
-        known = result if self._last is None else Poses.joined([self._last, result])
-        self._last = known.select(np.array([len(known) - 1]))
-        yield from self._up_to(int(known.stamps[-1]), known)
+        joined = result if self._last is None else Poses.joined([self._last, result])
+        self._last = joined.select(np.array([len(joined) - 1]))
+        yield from self._up_to(int(joined.stamps[-1]), joined)
 
     def rest(self) -> Iterator[Compared]:
         """Yield detections soon after the end of the result."""
         if self._last is not None:
             yield from self._up_to(int(self._last.stamps[-1]) + GONE_NS, self._last)
 
-    def _up_to(self, stamp: int, known: Poses) -> Iterator[Compared]:
+    def _up_to(self, stamp: int, poses: Poses) -> Iterator[Compared]:
         for camera, parts in self._parts.items():
             if parts:
                 ready, later = Poses.joined(parts).split(stamp + 1)
                 self._parts[camera] = [later] if len(later) else []
-                near = nearest_stamps(known.stamps, ready.stamps)
-                chosen = np.flatnonzero(np.abs(known.stamps[near] - ready.stamps) <= GONE_NS)
+                near = nearest_stamps(poses.stamps, ready.stamps)
+                chosen = np.flatnonzero(np.abs(poses.stamps[near] - ready.stamps) <= GONE_NS)
                 if len(chosen):
-                    rows = known.rows[near[chosen]]
-                    yield Compared(camera, ready.select(chosen), known.positions, rows)
+                    rows = poses.rows[near[chosen]]
+                    yield Compared(camera, ready.select(chosen), poses.positions, rows)

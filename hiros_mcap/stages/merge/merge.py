@@ -93,7 +93,7 @@ class ViewMerger:
             carry=params.carry,
             pelvis_link=-1 if params.facing == "sides" else _pelvis_link(model),
             facing_by_sides=params.facing != "pelvis",
-            relabel=params.flips == "relabel" and symmetry.known,
+            relabel=params.flips == "relabel" and symmetry.has_sides,
             past_votes=params.past_votes,
             compensate_motion=params.compensate_motion,
             only_orientations=only_orientations,

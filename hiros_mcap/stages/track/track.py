@@ -119,7 +119,7 @@ class _Tracker:
         self._slots = kernels.SlotOrders(same, symmetry.mirror, np.ascontiguousarray(ends))
         self._settings = kernels.TrackSettings._make(
             getattr(params, name) for name in kernels.TrackSettings._fields
-        )._replace(flip_aware=params.flip_aware and symmetry.known)
+        )._replace(flip_aware=params.flip_aware and symmetry.has_sides)
         self._allocate = partial(
             kernels.TrackWork.allocate, n_markers=model.n_markers, n_links=model.n_links
         )
