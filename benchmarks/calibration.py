@@ -374,7 +374,7 @@ def report(name: str, some: verdict.Limits, rows: Sequence[Mapping[str, Any]]) -
         passed = []
         for row in own:
             evidence = {n: verdict.Evidence(**e) for n, e in row.get("cameras", {}).items()}
-            sure = {n for n, e in evidence.items() if not verdict.doubt_of(e, some)}
+            sure = {n for n, e in evidence.items() if not verdict.weakness_of(e, some)}
             pairs = zip(row.get("pairs", []), row.get("errors", []), strict=True)
             some_errors = [Error(**error) for pair, error in pairs if set(pair) <= sure]
             if some_errors and (group == "hostile" or len(sure) == len(row["reasons"])):

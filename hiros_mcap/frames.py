@@ -71,9 +71,9 @@ class Block:
         """Frame ``i``; its arrays are views."""
         rows = slice(*self.rows[i].tolist())
         stamp, log_time = int(self.stamps[i]), int(self.log_times[i])
-        known = self.uncertainty and self.uncertainty.at(rows)
+        uncertainty = self.uncertainty and self.uncertainty.at(rows)
         frame_id = self.names[int(self.frame_ids[i])]
-        return Frame(stamp, log_time, self.source(i), frame_id, self.people.at(rows), known)
+        return Frame(stamp, log_time, self.source(i), frame_id, self.people.at(rows), uncertainty)
 
     def messages(self) -> Iterator[tuple[int, str, int]]:
         """Stamp, source and log time of every frame, in order."""
@@ -173,8 +173,8 @@ def _joined(packed: Sequence[_Packed], order: Stamps | None) -> Block:
     some = blocks[0].people
     people = People.allocate(int(ends[-1]), some.markers.shape[1], some.links.shape[1])
     for k, (block, *columns) in enumerate(packed):
-        own = of_block == k
-        gather(rows[own], targets[own], block.people, *columns, people)
+        mask = of_block == k
+        gather(rows[mask], targets[mask], block.people, *columns, people)
     names, sources, frame_ids = _common_names(blocks)
     return Block(
         np.concatenate([block.stamps for block in blocks])[wanted],
@@ -215,21 +215,21 @@ class HeldFrames:
         wanted = np.array(numbers)
         first, last = wanted.min(), wanted.max()
         held = [pair for pair in self._blocks if first <= pair[0][-1] and pair[0][0] <= last]
-        every = np.concatenate([own for own, _ in held])
+        every = np.concatenate([ids for ids, _ in held])
         return _joined([packed for _, packed in held], np.searchsorted(every, wanted))
 
     def keep(self, numbers: Sequence[int]) -> None:
         """Let go of all frames but these."""
         kept, blocks = np.array(sorted(numbers), np.int64), self._blocks
         self._blocks = []
-        for own, packed in blocks:
-            begin, end = np.searchsorted(kept, [own[0], own[-1] + 1])
-            if end - begin == len(own):
-                self._blocks.append((own, packed))
+        for ids, packed in blocks:
+            begin, end = np.searchsorted(kept, [ids[0], ids[-1] + 1])
+            if end - begin == len(ids):
+                self._blocks.append((ids, packed))
             elif end > begin:
-                places = np.searchsorted(own, kept[begin:end])
+                places = np.searchsorted(ids, kept[begin:end])
                 some = packed._replace(block=packed.block.select(places))
-                self._blocks.append((own[places], some))
+                self._blocks.append((ids[places], some))
 
 
 def _common_names(blocks: Sequence[Block]) -> tuple[tuple[str, ...], Stamps, Stamps]:

@@ -261,11 +261,11 @@ class Frame:
 
         Raises :class:`TypeError` for a field that does not exist.
         """
-        own = {name: changes.pop(name) for name in _OWN if name in changes}
-        people = own.pop("people", self.people)
+        fields = {name: changes.pop(name) for name in _OWN if name in changes}
+        people = fields.pop("people", self.people)
         if changes.keys() - set(People._fields):
             raise TypeError(f"a frame has no {', '.join(sorted(changes))}")
-        values = {n: own.get(n, getattr(self, n)) for n in _OWN if n != "people"}
+        values = {n: fields.get(n, getattr(self, n)) for n in _OWN if n != "people"}
         return Frame(**values, people=people._replace(**changes) if changes else people)
 
     def select(self, people: npt.NDArray[Any] | list[int]) -> Frame:
@@ -273,8 +273,8 @@ class Frame:
         index = np.asarray(people)
         if index.size == 0:
             index = index.astype(np.intp)
-        known = self.uncertainty and self.uncertainty.at(index)
-        return self.replace(people=self.people.at(index), uncertainty=known)
+        uncertainty = self.uncertainty and self.uncertainty.at(index)
+        return self.replace(people=self.people.at(index), uncertainty=uncertainty)
 
     @classmethod
     def empty(

@@ -24,7 +24,7 @@ from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.export.marker_set import load_marker_set
 from hiros_mcap.io.foxglove import FoxgloveInput
 from hiros_mcap.io.joints.importing import import_joints
-from hiros_mcap.io.overview import look
+from hiros_mcap.io.overview import overview_of
 from hiros_mcap.regression.differences import limbs_of
 from hiros_mcap.regression.metrics import load_metrics
 from hiros_mcap.regression.quantities import load_tolerances
@@ -134,7 +134,7 @@ def test_odd_attachments_are_damaged(data: bytes, tmp_path: Path) -> None:
         path = with_attachment(tmp_path / "x.mcap", name, data)
         with McapReader(path) as reader, pytest.raises(HirosError, match=f"{name} is damaged"):
             read(reader)
-        look(path)  # what it says of itself is left out
+        overview_of(path)  # what it says of itself is left out
 
 
 @pytest.mark.parametrize("data", [b"\xff", b"[" * DEEP, b"[person]\n0 = 3"])
@@ -146,7 +146,7 @@ def test_odd_limb_lengths_of_a_result_are_named(data: bytes, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("text", ["a = " + "[" * DEEP, "[input]\na = 2026-01-01"])
 def test_odd_parameters_of_a_result_are_left_out(text: str, tmp_path: Path) -> None:
-    look(with_attachment(tmp_path / "x.mcap", CONFIG_ATTACHMENT, text.encode()))
+    overview_of(with_attachment(tmp_path / "x.mcap", CONFIG_ATTACHMENT, text.encode()))
 
 
 @pytest.mark.parametrize(

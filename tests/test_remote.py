@@ -172,7 +172,7 @@ def test_a_wrong_key_is_one_line_with_the_remedy(server: str, store: Any) -> Non
     ask_for_keys(server, after=b"0")
     try:
         with pytest.raises(LogError, match="permission denied; sign in as"):
-            remote.look("s3://lab/in/mon/walk.mcap")
+            remote.size_and_date("s3://lab/in/mon/walk.mcap")
     finally:
         ask_for_keys(server, after=b"inf")
 

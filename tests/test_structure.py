@@ -180,19 +180,13 @@ def test_no_import_circles() -> None:
 AVOIDED = re.compile(
     r"_(found|known|own|said|told|tells?|look(s|ed)?|judge[sd]?|settled?|meets?|met|weighs?|doubts?)_"
 )
-"""Words that no variable, function or class has in the packages that are clean of them."""
-CLEAN = (
-    "evaluate", "regression", "many", "systems", "config", "params", "kernels", "stages",
-    "detections", "filter", "fuse", "lee", "malaguti", "merge", "optimize", "track",
-)  # fmt: skip
-"""Layers and modules; this list only grows."""
+"""Words that no variable, attribute, function or class has."""
 
 
 def test_names_are_nouns_of_the_field() -> None:
     avoided = {
         (name, identifier)
         for name, tree in TREES.items()
-        if layer_of(name) in CLEAN
         for node in ast.walk(tree)
         for identifier in identifiers(node)
         if AVOIDED.search(re.sub("([A-Z])", r"_\1", f"_{identifier}_").lower())
@@ -204,6 +198,8 @@ def identifiers(node: ast.AST) -> Iterator[str]:
     """What a node of the tree names."""
     if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
         yield node.id
+    elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+        yield node.attr
     elif isinstance(node, ast.arg):
         yield node.arg
     elif isinstance(node, FUNCTIONS | ast.ClassDef):

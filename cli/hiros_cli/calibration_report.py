@@ -25,17 +25,17 @@ DRIFT_PPM = 100.0
 """A smaller drift is not measured reliably."""
 
 
-def show_calibration(log: Path, found: PeopleCalibration, *, joints: bool) -> None:
+def show_calibration(log: Path, people: PeopleCalibration, *, joints: bool) -> None:
     """Print a line per camera, what the fixed frame is, and notes."""
-    gauge = found.gauge and [f'Fixed frame "{found.fixed_frame}": {GAUGES[found.gauge]}']
-    rows = [(name, number(mm, 0)) for name, mm in found.joints.items()]
+    gauge = people.gauge and [f'Fixed frame "{people.fixed_frame}": {GAUGES[people.gauge]}']
+    rows = [(name, number(mm, 0)) for name, mm in people.joints.items()]
     title = "Distance of each joint to the other cameras' mean, median"
     page(
-        f"{log}: poses and clocks from the people: {found.verdict}",
-        _cameras(found.cameras),
+        f"{log}: poses and clocks from the people: {people.verdict}",
+        _cameras(people.cameras),
         gauge or None,
         (title, (("Joint", "mm"), rows)) if rows and joints else None,
-        notes=_notes(found.cameras),
+        notes=_notes(people.cameras),
     )
 
 
@@ -73,11 +73,11 @@ def _cameras(cameras: Sequence[CalibratedCamera]) -> Table:
 
 def show_ball(log: Path, report: BallReport) -> None:
     """Print a line per camera, what the fixed frame is, and notes."""
-    found, radius = report.found, report.radius
+    balls, radius = report.calibration, report.radius
     page(
-        f"{log}: poses from the ball: {found.verdict}",
+        f"{log}: poses from the ball: {balls.verdict}",
         listing(
-            found.cameras,
+            balls.cameras,
             ("Camera", lambda c: c.name),
             (">Seen", lambda c: c.seen),
             ("Against", lambda c: c.against or "-"),
@@ -88,7 +88,7 @@ def show_ball(log: Path, report: BallReport) -> None:
             (">Residual mm", lambda c: number(c.residual_mm, 1) if c.against else "-"),
             ("Verdict", lambda c: c.verdict),
         ),
-        [f'Fixed frame "{found.fixed_frame}": {_BALL_GAUGES[found.gauge]}'],
+        [f'Fixed frame "{balls.fixed_frame}": {_BALL_GAUGES[balls.gauge]}'],
         notes=[
             *([] if math.isnan(radius) else [f"the ball's radius as measured: {radius:.3f} m"]),
             *_skipped(report.skipped),

@@ -142,9 +142,9 @@ def continued(
     firsts = np.full(n, np.nan) if before is None else before
     limits = np.broadcast_to(most, n).tolist()
     for column, first, limit in zip(out.T, firsts, limits, strict=True):
-        known: Flags = ~np.isnan(column)
+        present: Flags = ~np.isnan(column)
         begin = np.full(int(not np.isnan(first)), first)
-        column[known] = _continued(np.append(begin, column[known]), limit)[len(begin) :]
+        column[present] = _continued(np.append(begin, column[present]), limit)[len(begin) :]
     return out
 
 

@@ -43,10 +43,10 @@ class ForwardCues:
         slots = {split_side(name): slot for slot, name in enumerate(model.marker_names)}
 
         def find(*chain: tuple[str, ...], side: str) -> tuple[int, ...] | None:
-            found = [
+            indices = [
                 next((slots[n, side] for n in names if (n, side) in slots), None) for names in chain
             ]
-            return None if None in found else tuple(slot for slot in found if slot is not None)
+            return None if None in indices else tuple(slot for slot in indices if slot is not None)
 
         def rows() -> Iterator[tuple[int, ...]]:
             if head := find(NECK, HEAD, side=""):

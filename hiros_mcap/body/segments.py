@@ -97,14 +97,14 @@ def marker_segments(model: SkeletonModel, positions: Floats) -> dict[str, Floats
     middle = (left + right) / 2
     shoulders = at("shoulder", side="right") - at("shoulder", side="left")
     face = at(*_FACE, side="right") - at(*_FACE, side="left")
-    found = {
+    segments = {
         "pelvis": frame(z=right - left, y=at(*_LOWER_SPINE, *NECK) - middle),
         "thorax": frame(y=at(*NECK) - at(*_PELVIS), z=shoulders, keep="y"),
         "head": frame(y=long_axis_of_head(at), z=face, keep="y"),
     }
     for side in SIDES:
-        found |= _leg(at, side) | _arm(at, side)
-    return found
+        segments |= _leg(at, side) | _arm(at, side)
+    return segments
 
 
 def _leg(at: Finder, side: str) -> dict[str, Floats]:
@@ -149,10 +149,10 @@ def link_axes(model: SkeletonModel, positions: Floats, orientations: Floats) -> 
     axes = {}
     for segment, slot in _link_slots(model).items():
         links, frames = to_matrix(orientations[:, slot]), shown[segment]
-        known = _complete(links) & _complete(frames)
-        if known.sum() < FEWEST:
+        complete = _complete(links) & _complete(frames)
+        if complete.sum() < FEWEST:
             continue
-        relations = np.swapaxes(links[known], -1, -2) @ frames[known]
+        relations = np.swapaxes(links[complete], -1, -2) @ frames[complete]
         mean = nearest_rotation(relations.sum(axis=0).T)  # projected mean (Moakher 2002)
         cosines = np.einsum("tij,ij->t", relations, mean)  # 1 + 2 cos of the angle between them
         largest = LARGEST_FOREARM_DEG if segment.endswith("forearm") else LARGEST_DEG
@@ -174,31 +174,31 @@ def segments_of(
 
     Parameters are those of :func:`link_axes`; ``axes`` is its result.
     """
-    found = marker_segments(model, positions)
+    segments = marker_segments(model, positions)
     slots = _link_slots(model)
     for segment, relation in (axes or {}).items():
         if orientations is None or segment not in slots:
             continue
         turned = to_matrix(orientations[:, slots[segment]]) @ relation
         if segment in _TRUNK:
-            known = _complete(turned)
-            found[segment] = np.where(known[:, None, None], turned, found[segment])
+            complete = _complete(turned)
+            segments[segment] = np.where(complete[:, None, None], turned, segments[segment])
         else:
-            found[segment] = limb(found[segment][:, :, 1], turned[:, :, 2])
-    return found
+            segments[segment] = limb(segments[segment][:, :, 1], turned[:, :, 2])
+    return segments
 
 
 def _link_slots(model: SkeletonModel) -> dict[str, int]:
     """Segment -> slot of the link that turns with it, as far as there are such links."""
     names = [*map(split_side, model.marker_names), ("", "")]  # slot -1 is no marker
-    found: dict[str, int] = {}
+    slots: dict[str, int] = {}
     for k, (start, end) in enumerate(zip(model.link_parents, model.link_children, strict=True)):
         parent, (child, side) = names[start][0], names[end]
         for segment, (parents, children) in _LINKS.items():
             fits = child in children and (not parents or parent in parents)
             if fits and side in (("",) if segment in _TRUNK else SIDES):
-                found.setdefault(f"{side} {segment}".strip(), k)
-    return found
+                slots.setdefault(f"{side} {segment}".strip(), k)
+    return slots
 
 
 def _complete(frames: Floats) -> Flags:
@@ -222,9 +222,9 @@ def frame(*, y: Floats, z: Floats, keep: str = "z") -> Floats:
 
 def limb(y: Floats, z: Floats) -> Floats:
     """Frames of a limb with the long axis y; x and z are NaN where ``z`` is."""
-    found = frame(y=y, z=z, keep="y")
-    found[:, :, 1] = unit(y)
-    return found
+    axes = frame(y=y, z=z, keep="y")
+    axes[:, :, 1] = unit(y)
+    return axes
 
 
 def unit(vectors: Floats) -> Floats:

@@ -34,7 +34,7 @@ class Symmetry:
     """(K, 2) (left, right) slots of shoulders and hips; empty if no names match."""
 
     @property
-    def known(self) -> bool:
+    def has_sides(self) -> bool:
         """Whether any marker has a counterpart."""
         return bool((self.mirror != np.arange(len(self.mirror))).any())
 

@@ -95,8 +95,8 @@ class _Edge:
         Publishers repeat themselves. A pose that comes back was never replaced: then two
         publishers contradict each other.
         """
-        new, known = Rigid(np.array(numbers[:4]), np.array(numbers[4:])), len(self._stamps)
-        apart = [_distance(new, self._pose(k)) for k in range(max(0, known - 2), known)]
+        new, count = Rigid(np.array(numbers[:4]), np.array(numbers[4:])), len(self._stamps)
+        apart = [_distance(new, self._pose(k)) for k in range(max(0, count - 2), count)]
         same = [metres < _SAME_M and radians < _SAME_RAD for metres, radians in apart]
         if same and same[-1]:
             return ""
@@ -298,8 +298,8 @@ class TransformTree:
             parent = edge.parent if edge is not None and joined else fixed
             above = tree.lookup(parent, fixed, 0).inverse()
             new = tree._edges[name] = _Edge(parent, static=True)
-            for log_time, known in sorted(poses[name].items()):
-                pose = above @ known
+            for log_time, pose_of_time in sorted(poses[name].items()):
+                pose = above @ pose_of_time
                 new.add(log_time, (*pose.xyzw, *pose.translation))
             tree._fixed.clear()
         return tree
@@ -313,8 +313,8 @@ class TransformTree:
     def changes_above(self, frames: Iterable[str]) -> list[PoseChange]:
         """Return how static poses between ``frames`` and their roots change, in order of time."""
         above = dict.fromkeys(name for frame in frames for name in self._path(frame)[:-1])
-        found = [change for name in above for change in self._edges[name].changes]
-        return sorted(found, key=lambda change: (change.log_time, change.child))
+        changes = [change for name in above for change in self._edges[name].changes]
+        return sorted(changes, key=lambda change: (change.log_time, change.child))
 
     def change_times(self, frames: Iterable[str]) -> list[int]:
         """Return the log times, ns, at which static poses between ``frames`` and roots change.
@@ -362,15 +362,15 @@ def parse_tf(data: bytes | bytearray | memoryview) -> list[Transform]:
         order = {b"\0\0": ">", b"\0\1": "<"}[bytes(data[:2])]
         content = memoryview(data)[4:]
         (count,) = struct.unpack_from(order + "I", content, 0)
-        at, found = 4, []
+        at, transforms = 4, []
         for _ in range(count):
             transform, at = _parse_transform(content, at, order)
-            found.append(transform)
+            transforms.append(transform)
     except (KeyError, struct.error, UnicodeDecodeError, ValueError):
         raise LogError("a tf message is damaged or not plain CDR") from None
     if len(content) - at > 3:
         raise LogError("a tf message is longer than its content")
-    return found
+    return transforms
 
 
 def _parse_transform(content: memoryview, at: int, order: str) -> tuple[Transform, int]:
@@ -563,10 +563,10 @@ class Mover:
 
     def _pose(self, name: str, stamp: int, log_time: int) -> PoseArrays:
         pose = self._tree.lookup(name, self._fixed, stamp, log_time)
-        known = self._prepared.get(name)
-        if known is None or known[0] is not pose:
-            known = self._prepared[name] = (pose, pose_arrays([pose]))
-        return known[1]
+        prepared = self._prepared.get(name)
+        if prepared is None or prepared[0] is not pose:
+            prepared = self._prepared[name] = (pose, pose_arrays([pose]))
+        return prepared[1]
 
 
 def pose_arrays(poses: Sequence[Rigid]) -> PoseArrays:

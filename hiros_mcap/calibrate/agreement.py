@@ -84,9 +84,9 @@ def compare_bodies(residuals: RigResiduals, points: Points) -> Bodies:
         if not len(kept):
             continue
         people = np.unique(points.people[kept], return_inverse=True)[1]
-        own = residuals.means[kept] + residuals.offsets[c, kept]
-        other = own - apart
-        spans = [np.sum(sure * (one - _middles(one, people)[people]) ** 2) for one in (own, other)]
+        here = residuals.means[kept] + residuals.offsets[c, kept]
+        other = here - apart
+        spans = [np.sum(sure * (p - _middles(p, people)[people]) ** 2) for p in (here, other)]
         sizes[c] = np.sqrt(spans[0] / spans[1])
         wander[c] = np.median(np.linalg.norm(_middles(apart, people), axis=1))
         speeds = residuals.velocities[c, kept]

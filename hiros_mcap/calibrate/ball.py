@@ -56,7 +56,7 @@ class BallOptions:
 class BallReport(NamedTuple):
     """The poses, and what became of the images."""
 
-    found: BallCalibration
+    calibration: BallCalibration
     radius: float
     """Median radius that was measured, m; NaN without images."""
     skipped: dict[str, dict[str, int]]
@@ -69,7 +69,7 @@ class BallReport(NamedTuple):
             "measured_radius": None if math.isnan(self.radius) else self.radius,
             "skipped": self.skipped,
         }
-        return {**self.found.to_dict(), **radius}
+        return {**self.calibration.to_dict(), **radius}
 
 
 class _BallViews:
@@ -115,7 +115,7 @@ def calibrate_ball(path: Path, options: BallOptions | None = None) -> BallReport
                 seen = _ready_centres(log, points)
             else:
                 require_opencv()
-                seen = _look(log, pair_channels(log, chosen), tree, options)
+                seen = _calibrated_balls(log, pair_channels(log, chosen), tree, options)
     except LogError as error:
         if error.path is None:
             raise LogError(error.fault, path=path, topic=error.topic) from None
@@ -139,7 +139,7 @@ def _ready_centres(log: RosMessages, topics: Sequence[str]) -> list[_BallViews]:
     return [seen[topic] for topic in topics if topic in seen]
 
 
-def _look(
+def _calibrated_balls(
     log: RosMessages, cameras: Sequence[ImageChannels], tree: TransformTree, options: BallOptions
 ) -> list[_BallViews]:
     """Find the ball in all images."""
@@ -152,7 +152,7 @@ def _look(
         one = _BallViews(search.channels.name, search.channels.colour_frame)
         one.skipped = search.skipped
         one.skipped["no ball"] = one.skipped.pop("not seen", 0)
-        for stamp, ball in search.found:
+        for stamp, ball in search.hits:
             one.radii.append(ball.radius)
             one.add(stamp, ball.centre)
         views.append(one)
@@ -175,14 +175,14 @@ def _report(seen: Sequence[_BallViews], tree: TransformTree, options: BallOption
     root = max(sorted(set(roots)), key=roots.count) if roots else WORLD
     given = {t.frame: pose for t in tracks if roots and (pose := tree.at_rest(t.frame, root))}
     given = {frame: pose for frame, pose in given.items() if frame != root}
-    found = calibrate_centres(tracks, fixed_frame=root if given else WORLD, given=given)
+    calibration = calibrate_centres(tracks, fixed_frame=root if given else WORLD, given=given)
     if abs(radius - options.radius) > OTHER_RADIUS * options.radius:
         other = (
             f"the ball looks like one of radius {radius:.3f} m, not {options.radius:g} m; "
             "measure it and pass --radius"
         )
-        reason = "; ".join(filter(None, (other, found.reason)))
-        found = replace(found, verdict="doubtful", reason=reason)
-    warnings = (f"the poses are doubtful: {found.reason}",) if found.reason else ()
+        reason = "; ".join(filter(None, (other, calibration.reason)))
+        calibration = replace(calibration, verdict="doubtful", reason=reason)
+    warnings = (f"the poses are doubtful: {calibration.reason}",) if calibration.reason else ()
     skipped = {one.name: dict(one.skipped) for one in seen}
-    return BallReport(found, radius, skipped, warnings)
+    return BallReport(calibration, radius, skipped, warnings)

@@ -141,26 +141,26 @@ def _in_range(hsv: Any, color: ColorRange) -> Bytes:
 
 def points_of_labels(labels: Labels, depth: Floats, camera: DepthCamera) -> tuple[Floats, Labels]:
     """(N, 3) points in the depth camera's frame that have the colour, and (N,) their regions."""
-    known = np.isfinite(depth)
+    measured = np.isfinite(depth)
     if camera.colour is None:
-        known &= labels > 0
-    z = depth[known]
-    points = np.column_stack([camera.rays[known] * z[:, None], z])
+        measured &= labels > 0
+    z = depth[measured]
+    points = np.column_stack([camera.rays[measured] * z[:, None], z])
     if camera.colour is None:
-        return points, labels[known]
-    found = _labels_of(points, labels, camera.colour, camera.to_colour)
-    return points[found > 0], found[found > 0]
+        return points, labels[measured]
+    of_points = _labels_of(points, labels, camera.colour, camera.to_colour)
+    return points[of_points > 0], of_points[of_points > 0]
 
 
 def _labels_of(points: Floats, labels: Labels, lens: Intrinsics, to_colour: Rigid) -> Labels:
     """Return the label of the colour pixel at which each point of the depth image appears."""
-    found = np.zeros(len(points), np.int32)
+    values = np.zeros(len(points), np.int32)
     moved = rotate(to_colour.xyzw, points) + to_colour.translation
     front = np.flatnonzero(moved[:, 2] > 0.0)
     columns, rows = np.rint(lens.project(moved[front])).T
     inside = (columns >= 0) & (columns < labels.shape[1]) & (rows >= 0) & (rows < labels.shape[0])
-    found[front[inside]] = labels[rows[inside].astype(int), columns[inside].astype(int)]
-    return found
+    values[front[inside]] = labels[rows[inside].astype(int), columns[inside].astype(int)]
+    return values
 
 
 def fit_ball(region: Floats, points: Floats, focal: float, radius: float) -> BallFit | None:

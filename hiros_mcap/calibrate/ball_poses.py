@@ -143,9 +143,9 @@ def calibrate_centres(
         if c:
             camera = _described(camera, tracks[placements[c][0]].camera, placements[c][1])
         cameras.append(camera)
-    doubts = [f"{c.name}: {c.reason}" for c in cameras if c.reason]
-    verdict: Verdict = "doubtful" if doubts else "good"
-    return BallCalibration(fixed_frame, verdict, "; ".join(doubts), tuple(cameras), gauge)
+    reasons = [f"{c.name}: {c.reason}" for c in cameras if c.reason]
+    verdict: Verdict = "doubtful" if reasons else "good"
+    return BallCalibration(fixed_frame, verdict, "; ".join(reasons), tuple(cameras), gauge)
 
 
 def _check(tracks: Sequence[BallTrack]) -> None:
@@ -166,7 +166,7 @@ def _check(tracks: Sequence[BallTrack]) -> None:
 
 
 def _described(camera: BallCamera, against: str, placement: Placement) -> BallCamera:
-    reason = _doubt(placement)
+    reason = _weakness_of(placement)
     return replace(
         camera,
         verdict="doubtful" if reason else "good",
@@ -191,13 +191,13 @@ def _chain(tracks: Sequence[BallTrack]) -> dict[int, tuple[int, Placement]]:
         )
         for a, b in combinations(range(len(tracks)), 2)
     }
-    found: dict[int, tuple[int, Placement]] = {}
+    placements: dict[int, tuple[int, Placement]] = {}
     for a, b in links_from(0, sorted(shared, key=lambda pair: -shared[pair].centres.shape[1])):
         names = tracks[a].camera, tracks[b].camera
         both = shared[min(a, b), max(a, b)].centres[:: 1 if a < b else -1]
         placement = place(both[0], both[1], names)
-        found[b] = a, _after(found[a][1], placement) if a else placement
-    return found
+        placements[b] = a, _after(placements[a][1], placement) if a else placement
+    return placements
 
 
 def _after(first: Placement, second: Placement) -> Placement:
@@ -252,7 +252,7 @@ def place(target: Floats, source: Floats, names: tuple[str, str]) -> Placement:
     return Placement(pose, len(source), used, residual, error_deg, error_m, extents)
 
 
-def _doubt(p: Placement) -> str:
+def _weakness_of(p: Placement) -> str:
     """Why a pose may be worse than it looks, "" if it is good."""
     if p.residual > DOUBTFUL_M:
         return (
@@ -359,10 +359,10 @@ def _in_fixed_frame(
     for c, (_, placement) in placements.items():
         rig.rotations[c] = to_matrix(placement.pose.xyzw)
         rig.shifts[c] = placement.pose.translation
-    known = {c: given[track.frame] for c, track in enumerate(tracks) if track.frame in given}
-    if not known:
+    fixed = {c: given[track.frame] for c, track in enumerate(tracks) if track.frame in given}
+    if not fixed:
         return rig, "first camera"
-    return moved(rig, on_transforms(rig, known)), "transforms"
+    return moved(rig, on_transforms(rig, fixed)), "transforms"
 
 
 def _quaternion(matrix: Floats) -> Floats:

@@ -137,9 +137,9 @@ class BoardFinder:
     def __init__(self, dictionary: str = DICTIONARY) -> None:
         import cv2
 
-        known = [name for name in dir(cv2.aruco) if name.startswith("DICT_")]
-        if dictionary not in known:
-            raise ConfigError(f"--dictionary: there is no {dictionary!r}, only {', '.join(known)}")
+        names = [name for name in dir(cv2.aruco) if name.startswith("DICT_")]
+        if dictionary not in names:
+            raise ConfigError(f"--dictionary: there is no {dictionary!r}, only {', '.join(names)}")
         words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
         self._detector = cv2.aruco.ArucoDetector(words, cv2.aruco.DetectorParameters())
 
@@ -151,11 +151,11 @@ class BoardFinder:
         import cv2
 
         corners, ids, _ = self._detector.detectMarkers(colour)
-        found = [] if ids is None else [int(i) for i in ids.ravel()]
-        if sorted(i for i in found if i < MARKERS) != list(range(MARKERS)):
+        markers = [] if ids is None else [int(i) for i in ids.ravel()]
+        if sorted(i for i in markers if i < MARKERS) != list(range(MARKERS)):
             return None
         labels = np.zeros(colour.shape[:2], np.int32)
-        for marker, quad in zip(found, corners, strict=True):
+        for marker, quad in zip(markers, corners, strict=True):
             if marker < MARKERS:
                 cv2.fillConvexPoly(labels, np.rint(quad[0]).astype(np.int32), marker + 1)
         points, numbers = points_of_labels(labels, depth, camera)
@@ -179,9 +179,9 @@ def _centroid(points: Floats) -> Floats:
 def _report(searches: Sequence[ImageSearch], tree: TransformTree) -> BoardReport:
     """Put the cameras into the board's frame."""
     centres = {
-        search.channels.colour_frame: np.stack([centre for _, centre in search.found])
+        search.channels.colour_frame: np.stack([centre for _, centre in search.hits])
         for search in searches
-        if len(search.found) >= LEAST_FRAMES
+        if len(search.hits) >= LEAST_FRAMES
     }
     if not centres:
         raise RegistrationError(
@@ -195,15 +195,15 @@ def _report(searches: Sequence[ImageSearch], tree: TransformTree) -> BoardReport
     cameras = []
     for search in searches:
         frame = search.channels.colour_frame
-        camera = BoardCamera(search.channels.name, frame, pose=poses[frame], seen=len(search.found))
+        camera = BoardCamera(search.channels.name, frame, pose=poses[frame], seen=len(search.hits))
         if frame in centres:
-            camera = _judged(camera, poses[frame], centres[frame], world)
+            camera = _with_verdict(camera, poses[frame], centres[frame], world)
         cameras.append(camera)
-    doubts = [f"{camera.name}: {camera.reason}" for camera in cameras if camera.reason]
+    reasons = [f"{camera.name}: {camera.reason}" for camera in cameras if camera.reason]
     skipped = {s.channels.name: dict(Counter(s.skipped)) for s in searches}
-    verdict: Verdict = "doubtful" if doubts else "good"
+    verdict: Verdict = "doubtful" if reasons else "good"
     gauge = "transforms" if given else "board"
-    return BoardReport(WORLD, verdict, "; ".join(doubts), tuple(cameras), gauge, skipped)
+    return BoardReport(WORLD, verdict, "; ".join(reasons), tuple(cameras), gauge, skipped)
 
 
 def _joined(
@@ -215,8 +215,8 @@ def _joined(
         return {}
     root = tree.root(next(iter(centres)))
     poses = {frame: tree.at_rest(frame, root) for frame in frames}
-    known = {frame: pose for frame, pose in poses.items() if pose is not None}
-    return known if len(known) == len(frames) else {}
+    placed = {frame: pose for frame, pose in poses.items() if pose is not None}
+    return placed if len(placed) == len(frames) else {}
 
 
 def _by_transforms(middles: Mapping[str, Floats], given: Mapping[str, Rigid]) -> dict[str, Rigid]:
@@ -244,7 +244,7 @@ def _moved(pose: Rigid, points: Floats) -> Floats:
     return np.asarray(rotate(pose.xyzw, points) + pose.translation)
 
 
-def _judged(camera: BoardCamera, pose: Rigid, centres: Floats, world: Floats) -> BoardCamera:
+def _with_verdict(camera: BoardCamera, pose: Rigid, centres: Floats, world: Floats) -> BoardCamera:
     """Compare a camera's markers (K, 4, 3) with the mean of all cameras.
 
     Raises RegistrationError if they are far apart.

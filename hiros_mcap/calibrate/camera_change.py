@@ -127,9 +127,9 @@ def with_times(
     """
     timed = []
     for name in dict.fromkeys(camera.name for camera in cameras):
-        own = [camera for camera in cameras if camera.name == name]
-        if len(own) == 1:
-            timed += own
+        parts = [camera for camera in cameras if camera.name == name]
+        if len(parts) == 1:
+            timed += parts
             continue
         for part, begin, end in stays_of(moves[name]):
             since, until = (
@@ -137,7 +137,7 @@ def with_times(
             )
             timed.append(
                 replace(
-                    own[part],
+                    parts[part],
                     since=since or 0,
                     since_s=np.nan if since is None else (since - span[0]) / 1e9,
                     until_s=np.nan if until is None else (until - span[0]) / 1e9,
@@ -166,8 +166,8 @@ def find_changes(
         return []
     instants = instants_of(pair[:1], CHANGE_INSTANTS)
     table = np.stack([_distances(pair, rig, instants, mirror) for rig in rigs], axis=1)
-    known = ~np.isnan(table).any(axis=1)
-    instants, table = instants[known], table[known]
+    complete = ~np.isnan(table).any(axis=1)
+    instants, table = instants[complete], table[complete]
     step = float(np.median(np.diff(instants))) if len(instants) > 1 else np.inf
     path = _likeliest(table, LEAST_M * LEAST_PART_S / step)
     path = _without_short(_joined(table, path), instants, step)
@@ -216,11 +216,11 @@ def _likeliest(table: Floats, fine: float) -> Stamps:
 def _joined(table: Floats, path: Stamps) -> Stamps:
     """Return the path with as few poses as bring people nearer by :data:`LEAST_M`."""
     for old in sorted(np.unique(path).tolist(), key=lambda pose: np.count_nonzero(path == pose)):
-        own = path == old
+        unchanged = path == old
         rest = np.setdiff1d(path, [old])
-        means = table[own][:, rest].mean(axis=0)
-        if len(rest) and means.min() < table[own, old].mean() + LEAST_M:
-            path = np.where(own, rest[int(means.argmin())], path)
+        means = table[unchanged][:, rest].mean(axis=0)
+        if len(rest) and means.min() < table[unchanged, old].mean() + LEAST_M:
+            path = np.where(unchanged, rest[int(means.argmin())], path)
     return path
 
 
@@ -241,9 +241,9 @@ def located(pair: Sequence[CameraView], early: Rig, late: Rig, mirror: Ints) -> 
     """
     instants = instants_of(pair[:1], CHANGE_INSTANTS)
     before, after = (_distances(pair, rig, instants, mirror) for rig in (early, late))
-    known = ~np.isnan(before + after)
-    edges = np.concatenate([[-np.inf], instants[known], [np.inf]])
-    gains = np.concatenate([[0.0], np.cumsum((before - after)[known])])
+    present = ~np.isnan(before + after)
+    edges = np.concatenate([[-np.inf], instants[present], [np.inf]])
+    gains = np.concatenate([[0.0], np.cumsum((before - after)[present])])
     k = int(gains.argmin())
     return CameraChange(float(edges[k]), float(edges[k + 1]), early, late)
 
@@ -267,10 +267,10 @@ def second_poses(residuals: RigResiduals, points: Points) -> list[SecondPose]:
     """
     start = points.seconds.min(initial=np.inf)
     bins = np.floor((points.seconds - start) / BIN_S)
-    found = []
+    cameras = []
     for c, (seen, apart, weights) in enumerate(residuals.against_others()):
-        own = (residuals.means + residuals.offsets[c])[seen]
-        moments = _moments(own, own - apart, weights)
+        positions = (residuals.means + residuals.offsets[c])[seen]
+        moments = _moments(positions, positions - apart, weights)
         filled, rows = np.unique(bins[seen], return_inverse=True)
         sums = np.zeros((len(filled), moments.shape[1]))
         np.add.at(sums, rows, moments)
@@ -278,13 +278,13 @@ def second_poses(residuals: RigResiduals, points: Points) -> list[SecondPose]:
         both = _misfits(early) + _misfits(total - early)
         whole = float(_misfits(total[None])[0])
         if not len(both) or whole <= 0.0:
-            found.append(SecondPose())
+            cameras.append(SecondPose())
             continue
         k = int(both.argmin())
         better, mass = whole - float(both[k]), min(early[k, 0], total[0] - early[k, 0])
         at = float(start + BIN_S * filled[k + LEAST_BINS])
-        found.append(SecondPose(better / whole, float(np.sqrt(max(better, 0.0) / mass)), at))
-    return found
+        cameras.append(SecondPose(better / whole, float(np.sqrt(max(better, 0.0) / mass)), at))
+    return cameras
 
 
 def _moments(ones: Floats, others: Floats, weights: Floats) -> Floats:
@@ -345,7 +345,7 @@ def _distances(pair: Sequence[CameraView], rig: Rig, instants: Floats, mirror: I
     """
     samples = sample(pair, instants, rig)
     distances = group(samples, placed(samples, rig), mirror, FIT_M).distances
-    found = np.full(len(instants), np.nan)
+    values = np.full(len(instants), np.nan)
     counts = [
         np.bincount(samples.instants[samples.cameras == c], minlength=len(instants)) for c in (0, 1)
     ]
@@ -354,5 +354,5 @@ def _distances(pair: Sequence[CameraView], rig: Rig, instants: Floats, mirror: I
     sums = np.bincount(samples.instants[fitting], distances[fitting], minlength=len(instants))
     matched = np.bincount(samples.instants[fitting], minlength=len(instants))
     both = common > 0
-    found[both] = (sums + FIT_M * np.maximum(common - matched, 0))[both] / common[both]
-    return found
+    values[both] = (sums + FIT_M * np.maximum(common - matched, 0))[both] / common[both]
+    return values

@@ -21,22 +21,22 @@ _ERRORS = {
 """Keys of a camera, of which each is written if it is known."""
 
 
-def save_cameras(path: Path, found: PeopleCalibration | BallCalibration | BoardReport) -> None:
+def save_cameras(path: Path, rig: PeopleCalibration | BallCalibration | BoardReport) -> None:
     """Write the file, or nothing at all; raises LogError if it cannot be written."""
-    write_text(path, CAMERAS_MARK + cameras_toml(found))
+    write_text(path, CAMERAS_MARK + cameras_toml(rig))
 
 
-def cameras_toml(found: PeopleCalibration | BallCalibration | BoardReport) -> str:
+def cameras_toml(rig: PeopleCalibration | BallCalibration | BoardReport) -> str:
     """Return poses and clocks as TOML: every camera with a pose, every clock that is known."""
-    frame = found.fixed_frame
-    lines = [f"# verdict: {_said(found.verdict, found.reason)}"]
-    for camera in found.cameras:
+    frame = rig.fixed_frame
+    lines = [f"# verdict: {_verdict_text(rig.verdict, rig.reason)}"]
+    for camera in rig.cameras:
         if camera.pose is not None:
             lines += ["", *_camera(camera, camera.pose, frame)]
-    known = {c.name: c.clock_s for c in found.cameras if not math.isnan(c.clock_s)}
-    if known:
+    clocks = {c.name: c.clock_s for c in rig.cameras if not math.isnan(c.clock_s)}
+    if clocks:
         lines += ["", "[clock]  # s to add to the stamps of each camera"]
-    lines += [f"{_text(name)} = {seconds:.4f}" for name, seconds in known.items()]
+    lines += [f"{_text(name)} = {seconds:.4f}" for name, seconds in clocks.items()]
     return "\n".join([*lines, ""])
 
 
@@ -63,7 +63,7 @@ def _camera(camera: CameraResult, pose: Rigid, parent: str) -> list[str]:
     return lines
 
 
-def _said(verdict: str, reason: str) -> str:
+def _verdict_text(verdict: str, reason: str) -> str:
     return f"{verdict} ({reason})" if reason else verdict
 
 

@@ -115,15 +115,15 @@ def lag_candidates(ones: list[Signature], others: list[Signature]) -> list[LagCa
         return []
     votes = np.sum(list(table.values()), axis=0)
     votes = np.convolve(votes, [0.5, 1.0, 0.5], "same")
-    found: list[LagCandidate] = []
-    while len(found) < LAGS and votes.max() > 0.0:
+    candidates: list[LagCandidate] = []
+    while len(candidates) < LAGS and votes.max() > 0.0:
         k = int(votes.argmax())
         near = slice(max(0, k - 2), k + 3)
         ranked = sorted(table, key=lambda pair: -float(table[pair][near].max()))
         pairs = [pair for pair in ranked[:PAIRS] if table[pair][near].any()]
-        found.append(LagCandidate(STEP_S * float(lags[k]), pairs))
+        candidates.append(LagCandidate(STEP_S * float(lags[k]), pairs))
         votes[_near(lags, int(lags[k]))] = 0.0
-    return found
+    return candidates
 
 
 def _near(lags: Stamps, lag: int) -> Flags:

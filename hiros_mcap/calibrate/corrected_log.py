@@ -23,7 +23,7 @@ _STATIC = TF_TOPICS[0]
 Item = tuple[int, Frame | None, Message | None]
 
 
-def write_corrected_log(log: Log, found: PeopleCalibration, target: str | os.PathLike[str]) -> None:
+def write_corrected_log(log: Log, rig: PeopleCalibration, target: str | os.PathLike[str]) -> None:
     """Write the log with the cameras' poses on /tf_static and corrected stamps.
 
     All other channels keep their bytes. Log times stay. A camera without a pose keeps what the log
@@ -39,12 +39,12 @@ def write_corrected_log(log: Log, found: PeopleCalibration, target: str | os.Pat
     read = {camera.channel.id for camera in log.cameras}
     static = {info.id for info in log.channels if info.topic == _STATIC}
     kept = [info.id for info in log.channels if info.id not in read | static]
-    by_name = {camera.name: camera for camera in found.cameras}
+    by_name = {camera.name: camera for camera in rig.cameras}
     encoder = Encoder(log.model)
     with McapWriter(target, inputs=[log.path]) as writer:
         writer.copy_definitions(log.reader, kept)
         start = log.span[0]
-        _write_poses(writer, log, found, start)
+        _write_poses(writer, log, rig, start)
         channels = {
             topic: add_skeleton_channel(writer, topic)
             for topic in sorted({topic for topic, _ in topics.values()})
@@ -83,9 +83,9 @@ def _merged(log: Log, kept: list[int]) -> Iterator[tuple[Frame | None, Message |
         yield frame, message
 
 
-def _write_poses(writer: McapWriter, log: Log, found: PeopleCalibration, start: int) -> None:
+def _write_poses(writer: McapWriter, log: Log, rig: PeopleCalibration, start: int) -> None:
     """Write the static poses of the log but the cameras', then those that were found."""
-    ours = {camera.frame for camera in found.cameras if camera.pose is not None}
+    ours = {camera.frame for camera in rig.cameras if camera.pose is not None}
     others: dict[str, dict[str, Rigid]] = {}
     static = [info.id for info in log.channels if info.topic == _STATIC]
     for message in log.reader.messages(static) if static else ():
@@ -95,8 +95,8 @@ def _write_poses(writer: McapWriter, log: Log, found: PeopleCalibration, start: 
                 others.setdefault(transform.parent, {})[transform.child] = pose
     for parent, poses in others.items():
         add_static_poses(writer, poses, parent, start)
-    times = sorted({camera.since for camera in found.cameras})
+    times = sorted({camera.since for camera in rig.cameras})
     for since in times:
-        poses = {c.frame: c.pose for c in found.cameras if c.pose and c.since == since}
+        poses = {c.frame: c.pose for c in rig.cameras if c.pose and c.since == since}
         if poses:
-            add_static_poses(writer, poses, found.fixed_frame, since or start)
+            add_static_poses(writer, poses, rig.fixed_frame, since or start)

@@ -52,13 +52,13 @@ def find_floor(model: SkeletonModel, poses: Floats, velocities: Floats) -> Floor
     """
     names = [split_side(name)[0] for name in model.marker_names]
     at = {
-        part: [m for m, name in enumerate(names) if name in known] for part, known in _PARTS.items()
+        part: [m for m, name in enumerate(names) if name in some] for part, some in _PARTS.items()
     }
     if not (at["ankle"] and at["neck"] and at["pelvis"]):
         return None
     ankle, pelvis, neck = (poses[:, at[part]].mean(axis=1) for part in ("ankle", "pelvis", "neck"))
-    known = ~np.isnan(ankle + pelvis + neck).any(axis=1)
-    up = _upright(ankle[known], pelvis[known], neck[known])
+    complete = ~np.isnan(ankle + pelvis + neck).any(axis=1)
+    up = _upright(ankle[complete], pelvis[complete], neck[complete])
     feet = at["foot"] or at["ankle"]
     places, speeds = poses[:, feet].reshape(-1, 3), velocities[:, feet].reshape(-1, 3)
     slow = np.linalg.norm(speeds, axis=1) < SLOW_M_S  # False for NaN

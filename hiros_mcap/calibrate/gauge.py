@@ -84,10 +84,10 @@ def placement_error(
 
     Returns None if no camera's position is known.
     """
-    known = [name for name, place in places.items() if not np.isnan(place).any()]
-    if not known:
+    complete = [name for name, place in places.items() if not np.isnan(place).any()]
+    if not complete:
         return None
-    refined = [name for name in known if name in to_given]
+    refined = [name for name in complete if name in to_given]
     if refined:
         turns = np.stack([to_vector(to_given[name].xyzw) for name in refined])
         back = [
@@ -96,7 +96,7 @@ def placement_error(
         ]
         angle *= math.sqrt(_observed(turns / angle))
         shift *= math.sqrt(_observed(np.stack(back) / shift))
-    at = np.stack([places[name] for name in known])
+    at = np.stack([places[name] for name in complete])
     middle = at.mean(axis=0)
     arms = at - middle
     # Hessian of the deviations in units of the prior; about the middle it has no mixed part.

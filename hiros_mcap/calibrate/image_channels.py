@@ -63,17 +63,17 @@ def pair_channels(log: RosMessages, types: Mapping[str, str]) -> list[ImageChann
 
 
 def _first_messages(log: RosMessages, topics: Collection[str]) -> dict[str, _Channel]:
-    found: dict[str, _Channel] = {}
+    channels: dict[str, _Channel] = {}
     left = set(topics)
     for message in log.read(left):
         if message.topic in left:
             content = log.decode(message)
             frame = content.header.frame_id.lstrip("/")
-            found[message.topic] = _Channel(message.topic, frame, content)
+            channels[message.topic] = _Channel(message.topic, frame, content)
             left.discard(message.topic)
             if not left:
                 break
-    return found
+    return channels
 
 
 def _kinship(one: _Channel, other: _Channel) -> tuple[bool, int, int]:
@@ -122,5 +122,5 @@ def _info_of(image: _Channel, infos: list[_Channel]) -> Any:
 
 
 def _listing(images: list[_Channel], types: Mapping[str, str]) -> str:
-    found = [f"{c.topic} ({getattr(c.content, 'encoding', types[c.topic])})" for c in images]
-    return ", ".join(sorted(found)) or "no images"
+    listed = [f"{c.topic} ({getattr(c.content, 'encoding', types[c.topic])})" for c in images]
+    return ", ".join(sorted(listed)) or "no images"

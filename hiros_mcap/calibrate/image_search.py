@@ -72,13 +72,13 @@ class ImageSearch:
 
     Attributes
     ----------
-    found : stamp, ns, and what was found, of each depth image.
+    hits : stamp, ns, and what was found, of each depth image.
     skipped : depth images without a result, by reason.
     """
 
     def __init__(self, channels: ImageChannels, tree: TransformTree, find: Finder) -> None:
         self.channels = channels
-        self.found: list[tuple[int, Any]] = []
+        self.hits: list[tuple[int, Any]] = []
         self.skipped: Counter[str] = Counter()
         self._tree, self._find = tree, find
         self._camera: DepthCamera | None = None
@@ -116,11 +116,11 @@ class ImageSearch:
         if self._camera.rays.shape[:2] != depth.shape:
             self.skipped["of another size"] += 1
             return
-        found = self._find(colour, depth, self._camera)
-        if found is None:
+        target = self._find(colour, depth, self._camera)
+        if target is None:
             self.skipped["not seen"] += 1
         else:
-            self.found.append((stamp, found))
+            self.hits.append((stamp, target))
 
 
 def _camera(

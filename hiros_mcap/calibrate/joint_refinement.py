@@ -213,8 +213,8 @@ def residuals_of(points: Points, rig: Rig, sampled: Rig | None = None) -> RigRes
     places = turned + rig.shifts[:, None]
     means, offsets = _about_mean(places, points.weights)
     lengths = np.sqrt(np.einsum("cpi,cpi->cp", offsets, offsets))
-    known = lengths[points.weights > 0.0]
-    scale = CAUCHY * (float(np.median(known)) if len(known) else 0.0) + 1e-9
+    measured = lengths[points.weights > 0.0]
+    scale = CAUCHY * (float(np.median(measured)) if len(measured) else 0.0) + 1e-9
     weights = points.weights / (1.0 + (lengths / scale) ** 2)
     means, offsets = _about_mean(places, weights)
     return RigResiduals(means, offsets, weights, turned, velocities)
@@ -363,10 +363,10 @@ def common_motion(residuals: RigResiduals) -> Floats:
 
     Without motion it is about 0: velocities are then noise, and no clock can be read from them.
     """
-    found, speeds = [], residuals.velocities
+    velocities, speeds = [], residuals.velocities
     relative = residuals._replace(offsets=speeds - residuals.mean_velocities)
-    for own, (seen, apart, weights) in zip(speeds, relative.against_others(), strict=True):
-        ones, others, w = own[seen], own[seen] - apart, weights[:, None]
+    for speed, (seen, apart, weights) in zip(speeds, relative.against_others(), strict=True):
+        ones, others, w = speed[seen], speed[seen] - apart, weights[:, None]
         norm = np.sqrt(np.sum(w * ones**2) * np.sum(w * others**2))
-        found.append(np.sum(w * ones * others) / norm if norm > 0.0 else 0.0)
-    return np.array(found)
+        velocities.append(np.sum(w * ones * others) / norm if norm > 0.0 else 0.0)
+    return np.array(velocities)

@@ -87,8 +87,8 @@ def _scatter(poses: Floats) -> Floats:
 
 
 def _mean(values: Floats) -> float:
-    known = values[~np.isnan(values)]
-    return float(known.mean()) if known.size else float("nan")
+    finite = values[~np.isnan(values)]
+    return float(finite.mean()) if finite.size else float("nan")
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,23 +150,23 @@ def measure_noise_model(
     cells, deviations, counts, log_range = rows
     camera, joint, guessed, _ = cells.T
     # Between cameras, a range cannot be told from the camera's own factor.
-    tells = max(float(np.ptp(log_range[camera == c])) for c in np.unique(camera)) > np.log(WIDE)
-    target = np.log(deviations) - (0.0 if tells else USUAL_POWER) * log_range
+    is_wide = max(float(np.ptp(log_range[camera == c])) for c in np.unique(camera)) > np.log(WIDE)
+    target = np.log(deviations) - (0.0 if is_wide else USUAL_POWER) * log_range
     n, m = len(names), model.n_markers
     design = np.zeros((len(cells), n + m + 2))
     at = np.arange(len(cells))
     design[at, camera], design[at, n + joint] = 1.0, 1.0
     design[:, n + m] = guessed
-    design[:, n + m + 1] = log_range if tells else 0.0
+    design[:, n + m + 1] = log_range if is_wide else 0.0
     root = np.sqrt(counts)
-    found = np.linalg.lstsq(design * root[:, None], target * root, rcond=None)[0]
+    fit = np.linalg.lstsq(design * root[:, None], target * root, rcond=None)[0]
     seen_cameras, seen_joints = np.unique(camera), np.unique(joint)
-    by_camera, by_joint = found[:n], found[n : n + m]
+    by_camera, by_joint = fit[:n], fit[n : n + m]
     middle = np.median(by_camera[seen_cameras]), np.median(by_joint[seen_joints])
     return NoiseModel(
         sigma=float(np.exp(sum(middle))),
-        power=float(found[-1]) if tells else USUAL_POWER,
-        guessed=float(np.exp(found[-2])) if guessed.any() and not guessed.all() else float("nan"),
+        power=float(fit[-1]) if is_wide else USUAL_POWER,
+        guessed=float(np.exp(fit[-2])) if guessed.any() and not guessed.all() else float("nan"),
         joints={model.marker_names[k]: float(np.exp(by_joint[k] - middle[1])) for k in seen_joints},
         cameras={names[k]: float(np.exp(2 * (by_camera[k] - middle[0]))) for k in seen_cameras},
     )
@@ -191,11 +191,11 @@ def _differences(
             if not 0.0 < early + late < LONGEST_S or not 0.8 < early / max(late, 1e-9) < 1.25:
                 continue
             squares = np.sum((a - 2.0 * b + c) ** 2, axis=1) / 6.0
-            known = np.flatnonzero(squares > 0.0)  # False for NaN
-            ranges = np.linalg.norm(b[known] - places[frame.source], axis=1)
-            guessed = (confidence[known] < GUESSED_BELOW).astype(np.float64)
-            camera = np.full(len(known), float(names.index(frame.source)))
-            parts.append([camera, known.astype(np.float64), guessed, ranges, squares[known]])
+            pairs = np.flatnonzero(squares > 0.0)  # False for NaN
+            ranges = np.linalg.norm(b[pairs] - places[frame.source], axis=1)
+            guessed = (confidence[pairs] < GUESSED_BELOW).astype(np.float64)
+            camera = np.full(len(pairs), float(names.index(frame.source)))
+            parts.append([camera, pairs.astype(np.float64), guessed, ranges, squares[pairs]])
     columns = [np.concatenate(each) for each in zip(*parts, strict=True)] or [np.zeros(0)] * 5
     cameras, joints, guesses = (each.astype(np.int64) for each in columns[:3])
     return _Differences(cameras, joints, guesses, columns[3], columns[4])

@@ -188,10 +188,10 @@ def _given_poses(log: Log, views: Sequence[CameraView]) -> tuple[str, dict[int, 
     roots = [log.transforms.root(frame) for frame in frames.values()]
     root = max(sorted(set(roots)), key=roots.count)
     poses = {c: log.transforms.at_rest(frame, root) for c, frame in frames.items()}
-    known = {c: pose for c, pose in poses.items() if pose is not None}
-    named = {str(c): pose for c, pose in known.items()}
+    given = {c: pose for c, pose in poses.items() if pose is not None}
+    named = {str(c): pose for c, pose in given.items()}
     alike = {int(name) for group in same_place(named) for name in group}
-    return root, {c: pose for c, pose in known.items() if c not in alike}
+    return root, {c: pose for c, pose in given.items() if c not in alike}
 
 
 def _register_pairs(
@@ -236,11 +236,11 @@ def _solve(views: Sequence[CameraView], fits: Fits, mirror: Ints) -> Solution:
         if len(cameras) < 2:
             return None
         start = chained(tree, fits, len(views)).select(cameras)
-        found = refine_together([views[c] for c in cameras], start, mirror, FROM_PAIRS)
-        if not len(found.points.seconds):
+        rig = refine_together([views[c] for c in cameras], start, mirror, FROM_PAIRS)
+        if not len(rig.points.seconds):
             return None
         rivals = [_only_ambiguous(c, tree, fits) for c in cameras]
-        return FittingRig(cameras, found, full_evidence(found, mirror, rivals))
+        return FittingRig(cameras, rig, full_evidence(rig, mirror, rivals))
 
     blind = {c: NO_VIEW for c, view in enumerate(views) if not view.tracks}
     seeing = [c for c in range(len(views)) if c not in blind]
@@ -265,16 +265,16 @@ def _placed(
         common = next((c for c in one.cameras if c in fit.cameras), None)
         if common is None:
             continue
-        own = one.refined.rig
+        poses = one.refined.rig
         k, goal = one.cameras.index(common), fit.cameras.index(common)
-        turn = rig.rotations[goal] @ own.rotations[k].T
-        own = moved(own, (turn, rig.shifts[goal] - turn @ own.shifts[k]))
-        every = cameras_of(one, own, [given.get(c) for c in one.cameras])
+        turn = rig.rotations[goal] @ poses.rotations[k].T
+        poses = moved(poses, (turn, rig.shifts[goal] - turn @ poses.shifts[k]))
+        every = cameras_of(one, poses, [given.get(c) for c in one.cameras])
         for c, camera in zip(one.cameras, every, strict=True):
             if one is fit and c not in solved.faults:
                 yield c, camera
-            is_known = camera.verdict != "impossible" and c not in given
-            if one is solved.last.get(c) and is_known:
+            is_placed = camera.verdict != "impossible" and c not in given
+            if one is solved.last.get(c) and is_placed:
                 yield c, replace(camera, verdict="doubtful", reason=solved.faults[c])
 
 
@@ -285,9 +285,9 @@ def _only_ambiguous(c: int, tree: Sequence[Pair], fits: Fits) -> bool:
 def _in_fixed_frame(log: Log, fit: FittingRig, given: Mapping[int, Rigid]) -> tuple[Rig, str]:
     """Return the rig where the log's transforms or the floor put it, and which of both."""
     refined = fit.refined
-    known = {k: given[c] for k, c in enumerate(fit.cameras) if c in given}
-    if known:
-        return moved(refined.rig, on_transforms(refined.rig, known)), "transforms"
+    fixed = {k: given[c] for k, c in enumerate(fit.cameras) if c in given}
+    if fixed:
+        return moved(refined.rig, on_transforms(refined.rig, fixed)), "transforms"
     poses, velocities = _merged(refined, log.model.n_markers)
     floor = find_floor(log.model, poses, velocities)
     placement = on_floor(refined.rig, floor, refined.residuals.means.mean(axis=0))

@@ -46,8 +46,8 @@ from hiros_mcap.calibrate.verdict import (
     NO_VIEW,
     UNLINKED,
     Evidence,
-    judge,
     misfit,
+    verdict_of,
 )
 from hiros_mcap.kernels.rig_equations import CLOCK
 from hiros_mcap.skeletons import Flags, Floats, Ints
@@ -132,18 +132,18 @@ def refine_together(
     instants = instants[::step]
     drifts = effort.drifts and len(instants) > 1 and float(np.ptp(instants)) > DRIFT_S
     timed = common_motion(residuals_of(seen, start)) >= LEAST_MOTION
-    known = seen if step == 1 and len(seen.seconds) else None
+    shared = seen if step == 1 and len(seen.seconds) else None
     rig, gates = start, effort.gates
     for _ in range(2):
         free = free_unknowns(len(views), clocks=timed, drifts=drifts)
         free[~np.broadcast_to(movable, len(views)), :CLOCK] = False
         rig = rig._replace(clocks=np.where(timed, rig.clocks, 0.0))
-        rig, points = refine(views, rig, instants, mirror, free=free, gates=gates, points=known)
+        rig, points = refine(views, rig, instants, mirror, free=free, gates=gates, points=shared)
         residuals = residuals_of(points, rig)
         before, timed = timed, common_motion(residuals) >= LEAST_MOTION
         if (timed == before).all():
             break
-        known, gates = None, effort.gates[1:]
+        shared, gates = None, effort.gates[1:]
     errors = RigErrors(np.full(free.shape, np.inf), np.inf)
     if len(points.seconds) >= LEAST_POINTS:
         errors = standard_errors(residuals, points, free, rig)
@@ -242,7 +242,7 @@ def cameras_of(
         pose, before = rig.pose(k), given[k]
         metres, degrees = (np.nan, np.nan) if before is None else pose.apart(before)
         significant = degrees > MOVED * evidence.error_deg or metres > MOVED * evidence.error_m
-        verdict, reason = judge(evidence, moved=proven and significant)
+        verdict, reason = verdict_of(evidence, moved=proven and significant)
         cameras.append(
             CalibratedCamera(
                 view.name,
@@ -304,9 +304,9 @@ def refine_poses(
             return None
         start = Rig.of([given[c] for c in some])
         free = np.array([movable[c] for c in some])
-        known = points if some == everyone else None
-        found = refine_together([views[c] for c in some], start, mirror, FROM_GIVEN, free, known)
-        return FittingRig(some, found, evidence_of(found, mirror))
+        shared = points if some == everyone else None
+        rig = refine_together([views[c] for c in some], start, mirror, FROM_GIVEN, free, shared)
+        return FittingRig(some, rig, evidence_of(rig, mirror))
 
     everyone = list(range(len(views)))
     instants = instants_of(views, FROM_GIVEN.instants)
@@ -345,8 +345,8 @@ def _better(
     The poses of the cameras ``kept`` are right.
     """
     rig = fit.refined.rig
-    known = {k: given[k] for k in kept or range(len(given))}
-    rig = moved(rig, on_transforms(rig, known))
+    poses = {k: given[k] for k in kept or range(len(given))}
+    rig = moved(rig, on_transforms(rig, poses))
     better = _certainty(fit.refined, mirror) > CERTAIN
     cameras = cameras_of(fit, rig, given, proven=better)
     for k, camera in enumerate(cameras):
@@ -383,9 +383,9 @@ def _held_out(
     differences = np.zeros(len(points.seconds))
     for train, test in _folds(points, mirror):
         some, rest = _part(points, train), _part(points, test)
-        found = solve(some, rig, free, rig, HELD_OUT_STEPS)
+        refined = solve(some, rig, free, rig, HELD_OUT_STEPS)
         kept = solve(some, given._replace(clocks=rig.clocks), clocks, rig, HELD_OUT_STEPS)
-        differences[test] = _loss(rest, kept, rig, scale) - _loss(rest, found, rig, scale)
+        differences[test] = _loss(rest, kept, rig, scale) - _loss(rest, refined, rig, scale)
     return differences
 
 

@@ -87,11 +87,11 @@ def fit_sphere(
         raise RegistrationError(f"points of shape (N, 3) needed, got {points.shape}")
     if not 0.0 < tolerance < radius:
         raise RegistrationError(f"a tolerance of {tolerance} m is not within 0 and {radius} m")
-    known = np.isfinite(points).all(axis=1)
-    if known.sum() < 4:
-        raise RegistrationError(f"at least 4 points of a sphere needed, got {known.sum()}")
-    middle = points[known].mean(axis=0)  # far from the origin the squares would lose digits
-    here = points[known] - middle
+    finite = np.isfinite(points).all(axis=1)
+    if finite.sum() < 4:
+        raise RegistrationError(f"at least 4 points of a sphere needed, got {finite.sum()}")
+    middle = points[finite].mean(axis=0)  # far from the origin the squares would lose digits
+    here = points[finite] - middle
     rng = np.random.default_rng(seed)
     centres = _spheres_through(here[rng.integers(0, len(here), (trials, 3))], radius)
     sample = here if len(here) <= _SAMPLE else rng.choice(here, _SAMPLE, replace=False)
@@ -108,7 +108,7 @@ def fit_sphere(
         )
     residuals = np.linalg.norm(here[inliers] - centre, axis=1) - radius
     on_sphere = np.zeros(len(points), np.bool_)
-    on_sphere[known] = inliers
+    on_sphere[finite] = inliers
     return SphereFit(centre + middle, on_sphere, float(np.sqrt(np.mean(residuals**2))))
 
 
@@ -228,10 +228,10 @@ def rigid_fit(source: Floats, target: Floats) -> Rigid:
         raise RegistrationError(
             f"points of shape (N, 3) needed, got {source.shape} and {target.shape}"
         )
-    known = np.isfinite(source).all(axis=1) & np.isfinite(target).all(axis=1)
-    if known.sum() < 3:
-        raise RegistrationError(f"at least 3 corresponding points needed, got {known.sum()}")
-    source, target = source[known], target[known]
+    finite = np.isfinite(source).all(axis=1) & np.isfinite(target).all(axis=1)
+    if finite.sum() < 3:
+        raise RegistrationError(f"at least 3 corresponding points needed, got {finite.sum()}")
+    source, target = source[finite], target[finite]
     start, goal = source.mean(axis=0), target.mean(axis=0)
     for points in (source - start, target - goal):
         singular = np.linalg.svd(points, compute_uv=False)

@@ -66,18 +66,18 @@ def _distance(series: list[Floats], lag: int) -> float:
         return np.inf
     now = np.concatenate([poses[:-lag] for poses in long])
     later = np.concatenate([poses[lag:] for poses in long])
-    known = ~np.isnan(now[:, :, 0] + later[:, :, 0])
-    moving = np.flatnonzero(known.any(axis=1))
+    present = ~np.isnan(now[:, :, 0] + later[:, :, 0])
+    moving = np.flatnonzero(present.any(axis=1))
     if STEP_S * len(moving) < LEAST_S:
         return np.inf
     some = moving[:: -(-len(moving) // MOST_INSTANTS)]
-    now, later, known = now[some], later[some], known[some]
-    source, goal = now[known], later[known]
+    now, later, present = now[some], later[some], present[some]
+    source, goal = now[present], later[present]
     rotation, shift = robust_kabsch(source, goal, np.ones(len(source)), ROUNDS)
     errors = goal - source @ rotation.T - shift
     sums = np.zeros((len(now), 3))
-    np.add.at(sums, np.nonzero(known)[0], errors)
-    middles = sums / known.sum(axis=1)[:, None]
+    np.add.at(sums, np.nonzero(present)[0], errors)
+    middles = sums / present.sum(axis=1)[:, None]
     return float(np.median(np.linalg.norm(middles, axis=1)))
 
 
@@ -91,11 +91,11 @@ def path_distances(residuals: RigResiduals, points: Points) -> Floats:
     windows = np.floor((points.seconds - points.seconds.min(initial=0.0)) / WINDOW_S)
     n_markers = int(points.joints.max(initial=0)) + 1
     cells = windows.astype(np.int64) * n_markers + points.joints
-    found = []
+    distances = []
     for seen, apart, _ in residuals.against_others():
         kept = moving[seen]
-        found.append(_common_part(_cell_means(cells[seen[kept]], apart[kept], n_markers)))
-    return np.array(found)
+        distances.append(_common_part(_cell_means(cells[seen[kept]], apart[kept], n_markers)))
+    return np.array(distances)
 
 
 def _cell_means(cells: Stamps, vectors: Floats, n_markers: int) -> Floats:

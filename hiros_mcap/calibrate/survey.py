@@ -117,12 +117,12 @@ class Survey:
             for begin, end in spans:
                 inside |= (begin <= block.log_times) & (block.log_times <= end)
             for code in dict.fromkeys(block.sources.tolist()):
-                own, name = np.flatnonzero(inside & (block.sources == code)), block.names[code]
-                rows = rows_of(block, own)
+                frames, name = np.flatnonzero(inside & (block.sources == code)), block.names[code]
+                rows = rows_of(block, frames)
                 some = Seen(
-                    block.stamps[own],
-                    block.log_times[own],
-                    block.sizes[own],
+                    block.stamps[frames],
+                    block.log_times[frames],
+                    block.sizes[frames],
                     block.people.markers[rows, :, POSITION].astype(np.float32),
                     block.people.marker_confidences[rows].astype(np.float32),
                 )

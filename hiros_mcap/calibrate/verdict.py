@@ -102,17 +102,17 @@ class Evidence:
     """The camera with which it has most in common."""
 
 
-def judge(evidence: Evidence, *, moved: bool) -> tuple[Verdict, str]:
+def verdict_of(evidence: Evidence, *, moved: bool) -> tuple[Verdict, str]:
     """Return the verdict on a camera, and what is wrong.
 
     Parameters
     ----------
     moved : whether the log has a pose for it from which the one found differs significantly.
     """
-    doubt = doubt_of(evidence, USABLE)
-    if doubt:
-        return ("impossible" if evidence.residual > WRONG_M else "doubtful"), doubt
-    flaw = doubt_of(evidence, GOOD)
+    weakness = weakness_of(evidence, USABLE)
+    if weakness:
+        return ("impossible" if evidence.residual > WRONG_M else "doubtful"), weakness
+    flaw = weakness_of(evidence, GOOD)
     if flaw:
         return "usable", flaw
     return ("improved" if moved else "good"), ""
@@ -146,7 +146,7 @@ def _uncertain(e: Evidence, limits: Limits) -> str:
     return ""
 
 
-def doubt_of(e: Evidence, limits: Limits) -> str:
+def weakness_of(e: Evidence, limits: Limits) -> str:
     """Return why a pose may be wrong, "" if it keeps to the limits."""
     if fault(e):
         return fault(e)

@@ -222,7 +222,7 @@ def join(
     metadata too. Raises LogError, which names the file, if one is damaged; with ``recover``, only
     if nothing can be read of any.
     """
-    found: list[tuple[str, Recovery]] = []
+    recoveries: list[tuple[str, Recovery]] = []
     failed: LogError | None = None
     for path in parts:
         name = path.name if len(parts) > 1 else ""
@@ -233,17 +233,17 @@ def join(
                 raise
             failed = failed or error
             size = path.stat().st_size if path.is_file() else 0
-            found.append((name, Recovery((Damage(0, size, error.fault),))))
+            recoveries.append((name, Recovery((Damage(0, size, error.fault),))))
             continue
         with part:
             writer.append(part, wanted(part) if wanted else part.channels)
             if wanted is None:
                 writer.append_extras(part)
             if part.recovery is not None:
-                found.append((name, part.recovery))
-    if failed is not None and not any(recovery.recovered for _, recovery in found):
+                recoveries.append((name, part.recovery))
+    if failed is not None and not any(recovery.recovered for _, recovery in recoveries):
         raise failed
-    return joined(found)
+    return joined(recoveries)
 
 
 @contextmanager

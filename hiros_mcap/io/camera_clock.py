@@ -142,7 +142,7 @@ class ClockJudgement:
         return {name: float(np.median(times.lags)) for name, times in self.times.items()}
 
 
-def judge_clocks(
+def clock_verdict(
     cameras: Mapping[str, CameraTimes], given: Mapping[str, float] | None = None
 ) -> ClockJudgement:
     """Judge the clocks of a log by the times of all its messages.
@@ -151,25 +151,25 @@ def judge_clocks(
     as right, their steps and drifts are looked for all the same.
     """
     given = given or {}
-    known = {
+    clocks = {
         name: times.moved(given.get(name, 0.0))
         for name, times in sorted(cameras.items())
         if len(times.stamps)
     }
-    steps = {name: find_steps(times, _but(name, known)) for name, times in known.items()}
-    levels = {name: _usual(times.lags, steps[name]) for name, times in known.items()}
+    steps = {name: find_steps(times, _but(name, clocks)) for name, times in clocks.items()}
+    levels = {name: _usual(times.lags, steps[name]) for name, times in clocks.items()}
     faults: list[ClockFault] = []
     fixed: dict[str, ClockCorrection] = {}
-    for name, times in known.items():
-        others = [levels[other][0] for other in known if other != name]
+    for name, times in clocks.items():
+        others = [levels[other][0] for other in clocks if other != name]
         fixed[name], named = _stepped(name, times, steps[name], levels[name], others)
         faults += named
-    fixed = _level(known, fixed, faults, set(given))
-    fixed = _without_drift(known, fixed, faults)
-    fixed = {name: _with_floor(fixed[name], times) for name, times in known.items()}
-    right = {name: replace(t, stamps=fixed[name].apply(*_pair(t))) for name, t in known.items()}
+    fixed = _level(clocks, fixed, faults, set(given))
+    fixed = _without_drift(clocks, fixed, faults)
+    fixed = {name: _with_floor(fixed[name], times) for name, times in clocks.items()}
+    right = {name: replace(t, stamps=fixed[name].apply(*_pair(t))) for name, t in clocks.items()}
     faults += _late(right)
-    faults += _wrong(known, fixed)
+    faults += _wrong(clocks, fixed)
     for name, seconds in given.items():
         if name in fixed:
             fixed[name] = replace(fixed[name].plus(seconds), floor=fixed[name].floor)
@@ -234,11 +234,11 @@ def find_steps(times: CameraTimes, others: Sequence[CameraTimes]) -> list[_Step]
     logged_alone: Floats = logged - _recorder(others, times.log_times)
     steps: list[_Step] = []
     for _ in range(_ROUNDS):
-        found = _largest_step(stamps, logged_alone)
-        if found is None:
+        largest = _largest_step(stamps, logged_alone)
+        if largest is None:
             break
-        steps.append(found)
-        stamps[found.place :] -= found.seconds
+        steps.append(largest)
+        stamps[largest.place :] -= largest.seconds
     return sorted(steps, key=lambda step: step.place)
 
 
@@ -270,7 +270,7 @@ def _largest_step(stamps: Floats, logged: Floats) -> _Step | None:
     jumps = -np.diff(lags)
     jitter = 1.48 * float(np.median(np.abs(jumps)))
     odd = np.flatnonzero(np.abs(intervals - period) > IRREGULAR) + 1
-    found: list[tuple[float, _Step]] = []
+    steps: list[tuple[float, _Step]] = []
     for k in odd[(odd >= LEAST_AFTER) & (odd <= len(lags) - LEAST_AFTER)].tolist():
         before, after = lags[max(0, k - _NEAR) : k], lags[k : k + _NEAR]
         shift = float(np.median(before) - np.median(after))
@@ -280,8 +280,8 @@ def _largest_step(stamps: Floats, logged: Floats) -> _Step | None:
             error = float(np.hypot(_error(before), _error(after)))
             seconds = _explained(float(intervals[k - 1]), shift, (period, noise, error))
             if seconds:
-                found.append((abs(seconds), _Step(k, seconds)))
-    for _, step in sorted(found, key=lambda pair: -pair[0]):
+                steps.append((abs(seconds), _Step(k, seconds)))
+    for _, step in sorted(steps, key=lambda pair: -pair[0]):
         if _lasts(step, stamps, logged):
             return step
     return None
@@ -415,10 +415,10 @@ def _without_drift(
     faults: list[ClockFault],
 ) -> dict[str, ClockCorrection]:
     """Correct and name clocks that run faster or slower than the others."""
-    known = {name: _followed(times, fixed[name]) for name, times in cameras.items()}
+    followed = {name: _followed(times, fixed[name]) for name, times in cameras.items()}
     result = dict(fixed)
-    for name, slope in find_drifts(known).items():
-        first = int(known[name].stamps[0])
+    for name, slope in find_drifts(followed).items():
+        first = int(followed[name].stamps[0])
         # The log's time is taken as right: a clock ahead by more and more has shrinking lags.
         result[name] = replace(fixed[name], drift=slope / (1 - slope), origin=first)
         faults.append(ClockFault(name, DRIFT, -slope, first, corrected=True))
@@ -444,8 +444,8 @@ def _least_lags(cameras: Sequence[CameraTimes]) -> tuple[Stamps, Floats]:
     logged = [(times.log_times - start) // 1_000_000_000 for times in cameras]
     seconds = np.unique(np.concatenate(logged))
     table = np.full((len(cameras), len(seconds)), np.inf)
-    for row, own, times in zip(table, logged, cameras, strict=True):
-        np.minimum.at(row, np.searchsorted(seconds, own), times.lags)
+    for row, logs, times in zip(table, logged, cameras, strict=True):
+        np.minimum.at(row, np.searchsorted(seconds, logs), times.lags)
     table[np.isinf(table)] = np.nan
     return seconds, table
 
@@ -455,27 +455,27 @@ def _common(seconds: Stamps, table: Floats) -> Floats:
 
     Of two cameras, it is the one whose lags change less.
     """
-    own = table - np.nanmedian(table, axis=1, keepdims=True)
+    lags = table - np.nanmedian(table, axis=1, keepdims=True)
     if len(table) == 2:
-        steady = int(np.argmin([abs(_line(seconds, row)[0]) for row in own]))
-        return np.asarray(own[steady])
-    known = ~np.isnan(own)
-    common = np.full(own.shape[1], np.nan)
-    for k in np.flatnonzero(known.sum(axis=0) > 1):
-        common[k] = np.median(own[known[:, k], k])
+        steady = int(np.argmin([abs(_line(seconds, row)[0]) for row in lags]))
+        return np.asarray(lags[steady])
+    present = ~np.isnan(lags)
+    common = np.full(lags.shape[1], np.nan)
+    for k in np.flatnonzero(present.sum(axis=0) > 1):
+        common[k] = np.median(lags[present[:, k], k])
     return common
 
 
 def _slope(seconds: Stamps, lags: Floats) -> float:
     """Return a drift of (n,) lags at some seconds, 0 if they do not follow a line throughout."""
-    known = np.flatnonzero(~np.isnan(lags))
-    if len(known) < 8:
+    present = np.flatnonzero(~np.isnan(lags))
+    if len(present) < 8:
         return 0.0
     slope, error = _line(seconds, lags)
-    span = float(seconds[known[-1]] - seconds[known[0]])
+    span = float(seconds[present[-1]] - seconds[present[0]])
     if abs(slope) < max(_LEAST_DRIFT, 6 * error) or abs(slope) * span < _LEAST_DRIFTED:
         return 0.0
-    middle = known[len(known) // 2]
+    middle = present[len(present) // 2]
     halves = [_line(seconds[part], lags[part]) for part in (slice(middle), slice(middle, None))]
     worst = max(abs(half - slope) - 2 * sd for half, sd in halves)
     return slope if worst < 0.3 * abs(slope) else 0.0
@@ -483,11 +483,11 @@ def _slope(seconds: Stamps, lags: Floats) -> float:
 
 def _line(seconds: Stamps, values: Floats) -> tuple[float, float]:
     """Return the slope of values at some seconds, some NaN, by Theil and Sen, and its SD."""
-    known = np.flatnonzero(~np.isnan(values))
-    known = known[:: max(1, len(known) // 300)]
-    if len(known) < 3:
+    present = np.flatnonzero(~np.isnan(values))
+    present = present[:: max(1, len(present) // 300)]
+    if len(present) < 3:
         return 0.0, np.inf
-    at, values = seconds[known], values[known]
+    at, values = seconds[present], values[present]
     first, second = np.triu_indices(len(at), 1)
     slope = float(np.median((values[second] - values[first]) / (at[second] - at[first])))
     rest = values - slope * at
@@ -559,10 +559,10 @@ def described(fault: ClockFault, start: int) -> str:
     return f"{fault.camera}: {some} with a wrong time (by up to {size}), {at} of the log"
 
 
-def clocks_in_words(judged: ClockJudgement, start: int) -> tuple[str, ...]:
+def clocks_in_words(verdict: ClockJudgement, start: int) -> tuple[str, ...]:
     """Return everything that times alone say about the clocks of a log, in words."""
-    texts = [described(fault, start) for fault in judged.faults]
-    lags = judged.lags
+    texts = [described(fault, start) for fault in verdict.faults]
+    lags = verdict.lags
     for name, lag in lags.items() if len(lags) > 1 else ():
         ahead = middle_of(lags) - lag
         if abs(ahead) > _TOLD:

@@ -88,10 +88,10 @@ class CameraChannel:
 
 def channels_of(reader: McapReader) -> tuple[ChannelInfo, ...]:
     """List the channels of a file in the order of their topics."""
-    found = []
+    channels = []
     for channel in reader.channels.values():
         schema = reader.schema(channel)
-        found.append(
+        channels.append(
             ChannelInfo(
                 id=channel.id,
                 topic=channel.topic,
@@ -101,7 +101,7 @@ def channels_of(reader: McapReader) -> tuple[ChannelInfo, ...]:
                 metadata=channel.metadata,
             )
         )
-    return tuple(sorted(found, key=lambda info: (info.topic, info.id)))
+    return tuple(sorted(channels, key=lambda info: (info.topic, info.id)))
 
 
 def select_skeletons(
@@ -173,8 +173,8 @@ def add_static_poses(
     writer: McapWriter, poses: Mapping[str, Rigid], parent: str, stamp: int
 ) -> None:
     """Write poses of frames in ``parent`` to /tf_static; ``stamp`` in ns is the log time, too."""
-    known = (ident for ident, each in writer.channels.items() if each.topic == "/tf_static")
-    channel = next(known, None)
+    idents = (ident for ident, each in writer.channels.items() if each.topic == "/tf_static")
+    channel = next(idents, None)
     if channel is None:
         channel = add_ros_channel(writer, "/tf_static", hiros_schemas.TF_MESSAGE, LATCHED_QOS)
     out = CdrWriter()
@@ -190,8 +190,8 @@ def add_static_poses(
 def add_ros_channel(writer: McapWriter, topic: str, name: str, qos: str = _QOS) -> int:
     """Declare a channel of one of hiros_schemas' types as rosbag2 would, return its id."""
     text = hiros_schemas.text(name).encode()
-    known = (s.id for s in writer.schemas.values() if s.name == name and s.data == text)
-    schema = next(known, None) or writer.add_schema(name, text)
+    idents = (s.id for s in writer.schemas.values() if s.name == name and s.data == text)
+    schema = next(idents, None) or writer.add_schema(name, text)
     metadata = {
         "offered_qos_profiles": qos,
         "topic_type_hash": hiros_schemas.type_hash(name),

@@ -96,17 +96,17 @@ class ModelBuilder:
             if is_link:
                 self._add_link(key, (name, parent, child), topic)
                 continue
-            known, where = self._markers.setdefault(key, (name, topic))
-            if known != name:
-                fault = f"marker {key} is {name!r} here and {known!r} on {where}"
+            first, where = self._markers.setdefault(key, (name, topic))
+            if first != name:
+                fault = f"marker {key} is {name!r} here and {first!r} on {where}"
                 raise OtherSkeletonError(fault, topic=topic)
 
     def _add_link(self, key: int, link: tuple[str, int, int], topic: str) -> None:
-        known, where = self._links.setdefault(key, (link, topic))
-        if known != link:
+        first, where = self._links.setdefault(key, (link, topic))
+        if first != link:
             raise OtherSkeletonError(
                 f"link {key} is {link[0]!r} from marker {link[1]} to {link[2]} here "
-                f"and {known[0]!r} from {known[1]} to {known[2]} on {where}",
+                f"and {first[0]!r} from {first[1]} to {first[2]} on {where}",
                 topic=topic,
             )
 
@@ -325,8 +325,8 @@ class Decoder:
         times = np.where(sources > 0, sources, np.where(headers > 0, headers, logged))
         chosen = ~has_header  # whoever decodes them says what is wrong
         for channel in np.unique(rows[:, 0]).tolist():
-            own = np.flatnonzero(has_header & (rows[:, 0] == channel))
-            chosen[own] = kept(channel, times[own], logged[own])
+            stamped = np.flatnonzero(has_header & (rows[:, 0] == channel))
+            chosen[stamped] = kept(channel, times[stamped], logged[stamped])
         ends = np.cumsum([len(records.messages) for records in batch.records])[:-1]
         parts = zip(batch.records, np.split(chosen, ends), strict=True)
         records = [r._replace(messages=r.messages[flags]) for r, flags in parts]
@@ -340,9 +340,9 @@ class Decoder:
         sections = self._sections(batch.records, {})
         for section, records in zip(sections, batch.records, strict=True):
             batch_kernels.read_headers(*section, first, reports)
-            own = slice(section.message, section.message + len(records.messages))
-            rows[own, :2] = records.messages[:, [CHANNEL, LOG_TIME]]
-            rows[own, 3] = _source_times(section, reports[own])
+            places = slice(section.message, section.message + len(records.messages))
+            rows[places, :2] = records.messages[:, [CHANNEL, LOG_TIME]]
+            rows[places, 3] = _source_times(section, reports[places])
         rows[:, 2] = reports[:, cdr.HEADER_STAMP]
         return np.maximum(rows, 0), (reports[:, cdr.FRAME] > 0) & (rows[:, 1] >= 0)
 
@@ -444,13 +444,13 @@ def _source_times(section: _Section, reports: cdr.Table) -> cdr.Table:
     """(n,) src_time of the first person of each message whose header was read, ns; 0 = none."""
     times = np.zeros(len(reports), np.int64)
     at = section.places[:, 0] + ((reports[:, cdr.AT] + 3) & ~3) + 4  # behind the id
-    known = np.flatnonzero((reports[:, cdr.COUNT] > 0) & (at + 8 <= section.places[:, 1]))
-    places = at[known, None] + np.arange(8)
+    timed = np.flatnonzero((reports[:, cdr.COUNT] > 0) & (at + 8 <= section.places[:, 1]))
+    places = at[timed, None] + np.arange(8)
     words = section.data[places].view("<u4").astype(np.int64)
-    swap = section.data[section.places[known, 0] + 1] == 0
+    swap = section.data[section.places[timed, 0] + 1] == 0
     words[swap] = section.data[places[swap]].view(">u4")
     seconds = words[:, 0].astype(np.int32)  # it is signed
-    times[known] = seconds.astype(np.int64) * cdr.NANO + words[:, 1]
+    times[timed] = seconds.astype(np.int64) * cdr.NANO + words[:, 1]
     return times
 
 

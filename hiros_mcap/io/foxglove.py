@@ -117,10 +117,10 @@ class FoxgloveInput:
                 yield from self._advertised(connection, data)
 
     def _advertised(self, connection: Any, text: str) -> Iterator[McapRecord]:
-        """Subscribe to what is wanted of the advertised channels, and yield the definitions."""
+        """Subscribe to what is wanted of the entry channels, and yield the definitions."""
         try:
-            found = parse(text, "JSON", "text")
-            channels = found["channels"] if found.get("op") == "advertise" else []
+            entry = parse(text, "JSON", "text")
+            channels = entry["channels"] if entry.get("op") == "advertise" else []
             news = [c for c in channels if c["id"] not in self._ids]
             wanted = [c for c in news if self._wanted(c["topic"], c["schemaName"])]
             numbers = {c["id"]: len(self._ids) + k for k, c in enumerate(wanted, 1)}
@@ -146,14 +146,14 @@ class FoxgloveInput:
             yield Message(ident, time, data[_DATA.size :], time, self._counts[ident])
 
 
-def _definitions(found: dict[str, Any], ident: int) -> tuple[Schema, Channel]:
+def _definitions(entry: dict[str, Any], ident: int) -> tuple[Schema, Channel]:
     """Return schema and channel, both with our number of the channel."""
-    text, encoding = str(found["schema"]), str(found.get("schemaEncoding") or "ros2msg")
-    schema = Schema(id=ident, name=str(found["schemaName"]), encoding=encoding, data=text.encode())
+    text, encoding = str(entry["schema"]), str(entry.get("schemaEncoding") or "ros2msg")
+    schema = Schema(id=ident, name=str(entry["schemaName"]), encoding=encoding, data=text.encode())
     channel = Channel(
         id=ident,
-        topic=str(found["topic"]),
-        message_encoding=str(found["encoding"]),
+        topic=str(entry["topic"]),
+        message_encoding=str(entry["encoding"]),
         metadata={},
         schema_id=ident,
     )

@@ -91,11 +91,11 @@ def _layout(name: str, encoding: str, data: bytes) -> Layout:
     if encoding != "ros2msg":
         raise hiros_schemas.DefinitionError(f"schema encoding {encoding!r} is not 'ros2msg'")
     definitions = _parse(name, data)
-    found = hiros_schemas.leaves(definitions, name)
-    difference = _difference(found)
+    leaves = hiros_schemas.leaves(definitions, name)
+    difference = _difference(leaves)
     if not difference:
         return PUBLISHED
-    _refuse_missing(found)
+    _refuse_missing(leaves)
     return Layout(_generic_reader(definitions), difference)
 
 
@@ -112,21 +112,21 @@ def _parse(name: str, data: bytes) -> hiros_schemas.Definitions:
     return {_TIME: _PUBLISHED[_TIME], **hiros_schemas.parse(name, text)}
 
 
-def _difference(found: list[tuple[str, str]]) -> str:
+def _difference(leaves: list[tuple[str, str]]) -> str:
     """Name the first field that differs from the published ones, "" if none does."""
-    for (path, kind), (expected_path, expected_kind) in zip(found, _LEAVES, strict=False):
+    for (path, kind), (expected_path, expected_kind) in zip(leaves, _LEAVES, strict=False):
         if path != expected_path:
             return f"field {path} where {expected_path} is expected"
         if kind != expected_kind:
             return f"field {path} is {kind} instead of {expected_kind}"
-    if len(found) == len(_LEAVES):
+    if len(leaves) == len(_LEAVES):
         return ""
-    longer = max(found, _LEAVES, key=len)[min(len(found), len(_LEAVES))][0]
-    return f"field {longer} is {'unknown' if len(found) > len(_LEAVES) else 'missing'}"
+    longer = max(leaves, _LEAVES, key=len)[min(len(leaves), len(_LEAVES))][0]
+    return f"field {longer} is {'unknown' if len(leaves) > len(_LEAVES) else 'missing'}"
 
 
-def _refuse_missing(found: list[tuple[str, str]]) -> None:
-    kinds = {re.sub(r"\[\d*\]", "[]", path): kind for path, kind in found}
+def _refuse_missing(leaves: list[tuple[str, str]]) -> None:
+    kinds = {re.sub(r"\[\d*\]", "[]", path): kind for path, kind in leaves}
     for path, kind in _LEAVES:
         if path not in kinds:
             fault = f"schema lacks the field {path} ({kind}) of {_NAME}"

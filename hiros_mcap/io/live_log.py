@@ -34,7 +34,7 @@ from hiros_mcap.io.container import Message
 from hiros_mcap.io.container.live_input import LiveInput
 from hiros_mcap.io.container.live_reader import LiveReader
 from hiros_mcap.io.detectors.conversion import is_of_other_detector, people_finder
-from hiros_mcap.io.log import look_into
+from hiros_mcap.io.log import skeletons_of
 from hiros_mcap.io.opened_log import Log, Reading
 from hiros_mcap.summary import quantity
 
@@ -70,7 +70,7 @@ class LiveReading(Reading):
         """Messages of other detectors that showed nobody, by channel."""
         self._waiting: Counter[str] = Counter()
         """Messages of cameras that could not be used yet, by topic."""
-        self._look_for_other_detectors()
+        self._refuse_other_detectors()
         log.reader.listeners.append(self._hear)
 
     @property
@@ -104,7 +104,7 @@ class LiveReading(Reading):
         else:
             self._refused[ident] = ""
 
-    def _look_for_other_detectors(self) -> None:
+    def _refuse_other_detectors(self) -> None:
         """Look for people of other detectors in what was heard before the log was open."""
         reader = self.log.reader
         missed = {info.id: info for info in channels_of(reader) if self._may_be_missed(info)}
@@ -135,7 +135,7 @@ class LiveReading(Reading):
         log = self.log
         log.reader.preface = [message]
         try:
-            (camera,), model, _ = look_into(log.reader, log.transforms, [escape(info.topic)])
+            (camera,), model, _ = skeletons_of(log.reader, log.transforms, [escape(info.topic)])
         except LogError as error:
             self._refused[info.id] = f"{info.topic}: not used: {error.fault}"
             return
@@ -221,8 +221,8 @@ def open_live(
     reader = LiveReader(source)
 
     def attempt() -> LiveLog:
-        found = look_into(reader, tree, topics)
-        return LiveLog(reader, *found, fixed_frame, topics=topics, has_extrinsics=tree is not None)
+        parts = skeletons_of(reader, tree, topics)
+        return LiveLog(reader, *parts, fixed_frame, topics=topics, has_extrinsics=tree is not None)
 
     listener = _Listener(reader, attempt)
     reader.listen(listener.has_heard_enough, _MOST, TF_TOPICS)

@@ -55,11 +55,11 @@ __all__ = [
     "Log",
     "Reading",
     "Source",
-    "look_into",
     "open_groups",
     "open_log",
     "open_reader",
     "reading",
+    "skeletons_of",
     "span_of",
 ]
 
@@ -113,18 +113,18 @@ def open_log(
         with naming(file.path):
             reader = converted(file, selection)
         try:
-            found = look_into(reader, tree, topics, output_prefix)
+            contents = skeletons_of(reader, tree, topics, output_prefix)
         except SeveralModelsError:
             with naming(file.path):
                 reader = converted(file, selection._replace(several=True))
-            found = look_into(reader, tree, topics, output_prefix)
+            contents = skeletons_of(reader, tree, topics, output_prefix)
         owns_file = reader is not path
         if reader is file:
             stack.pop_all()
-        return Log(reader, *found, fixed_frame, owns_file=owns_file)
+        return Log(reader, *contents, fixed_frame, owns_file=owns_file)
 
 
-def look_into(
+def skeletons_of(
     reader: McapReader,
     tree: TransformTree | None,
     topics: Sequence[str] | None,

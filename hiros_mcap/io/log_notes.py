@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from hiros_mcap.body.transforms import PoseChange, TransformTree, same_place
 from hiros_mcap.io.channels import OUTPUT_TOPICS, CameraChannel, ChannelInfo
-from hiros_mcap.io.detectors.body_size import unit_doubt
+from hiros_mcap.io.detectors.body_size import unit_warning
 from hiros_mcap.summary import quantity
 
 
@@ -19,7 +19,7 @@ def pose_warnings(
     """
     frames = sorted({name for camera in cameras for name in camera.frames} - {fixed})
     poses = {name: transforms.lookup(name, fixed, 0) for name in frames}
-    yield from filter(None, (unit_doubt(c.channel.topic, c.size) for c in cameras))
+    yield from filter(None, (unit_warning(c.channel.topic, c.size) for c in cameras))
     changes: dict[str, list[PoseChange]] = {}
     for change in transforms.changes_above([*frames, fixed]):
         changes.setdefault(change.child, []).append(change)

@@ -27,14 +27,14 @@ Deviations = Mapping[tuple[int, int], Mapping[int, float]]
 
 def uncertainty_messages(block: Block, model: SkeletonModel) -> Iterator[bytes]:
     """Yield a SkeletonGroupUncertainty in CDR for each frame; of nobody without an uncertainty."""
-    known, n = block.uncertainty, model.n_markers
-    names = known.names if known else ()
+    uncertainty, n = block.uncertainty, model.n_markers
+    names = uncertainty.names if uncertainty else ()
     people = np.full((len(block.people.ids), 3 + 2 * n), n, "<u4")  # id, n, deviations, n, cameras
     people[:, 0] = block.people.ids.astype("<i4").view("<u4")
-    if known:
-        people[:, 2 : 2 + n] = known.deviations.astype("<f4").view("<u4")
-        people[:, 3 + n :] = known.cameras & _CAMERAS
-    rows = block.rows.tolist() if known else [(0, 0)] * len(block)
+    if uncertainty:
+        people[:, 2 : 2 + n] = uncertainty.deviations.astype("<f4").view("<u4")
+        people[:, 3 + n :] = uncertainty.cameras & _CAMERAS
+    rows = block.rows.tolist() if uncertainty else [(0, 0)] * len(block)
     frames = zip(block.stamps.tolist(), block.frame_ids.tolist(), rows, strict=True)
     for stamp, frame_id, (begin, end) in frames:
         out = CdrWriter()
@@ -72,16 +72,16 @@ def read_uncertainty(source: str | os.PathLike[str] | McapReader) -> Deviations:
 
     Raises LogError if the log cannot be read.
     """
-    found: dict[tuple[int, int], Mapping[int, float]] = {}
+    by_marker: dict[tuple[int, int], Mapping[int, float]] = {}
     log = source if isinstance(source, McapReader) else Path(source)
     with open_messages(log) as messages:
         if UNCERTAINTY_TOPIC not in messages.types:
-            return found
+            return by_marker
         for message in messages.read({UNCERTAINTY_TOPIC}):
             group = messages.decode(message)
             time, markers = group.header.stamp, np.asarray(group.markers).tolist()
             stamp = time.sec * 1_000_000_000 + time.nanosec
             for person in group.skeletons:
                 deviations = np.asarray(person.deviations, np.float64).tolist()
-                found[stamp, person.id] = dict(zip(markers, deviations, strict=False))
-    return found
+                by_marker[stamp, person.id] = dict(zip(markers, deviations, strict=False))
+    return by_marker

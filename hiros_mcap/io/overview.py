@@ -17,7 +17,7 @@ import hiros_schemas
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.attachments import stored_parameters, stored_report, values_of
 from hiros_mcap.io.bags import kind_of, open_bag, parts_of
-from hiros_mcap.io.camera_clock import clocks_in_words, judge_clocks
+from hiros_mcap.io.camera_clock import clock_verdict, clocks_in_words
 from hiros_mcap.io.channels import (
     EVENTS_ATTACHMENT,
     OUTPUT_PREFIX,
@@ -189,7 +189,7 @@ class _CameraCounts:
         )
 
 
-def look(
+def overview_of(
     path: str | os.PathLike[str],
     *,
     topics: Sequence[str] | None = None,
@@ -259,7 +259,7 @@ def _with_cameras(overview: Overview, log: Log) -> Overview:
         warnings=log.warnings if fixed else (),
         remarks=log.remarks,
         skipped={t: dict(account.skipped) for t, account in reading.accounts.items()},
-        clocks=clocks_in_words(judge_clocks(log.times()), start),
+        clocks=clocks_in_words(clock_verdict(log.times()), start),
     )
 
 
@@ -272,7 +272,7 @@ def _of_bag(path: Path, kind: str, fault: str) -> Overview:
         for connection, time, _ in bag.messages():
             stamps[connection.topic, connection.msgtype].append(time)
         encoding = "cdr" if bag.is2 else "ros1"
-    times = [time for own in stamps.values() for time in own]
+    times = [time for each in stamps.values() for time in each]
     return Overview(
         path=str(path),
         kind="other",
@@ -280,8 +280,8 @@ def _of_bag(path: Path, kind: str, fault: str) -> Overview:
         megabytes=_size(path) / 1e6,
         has_checksums=False,
         channels=tuple(
-            _channel_row(name, encoding, len(own), (min(own), max(own)) if own else None)
-            for name, own in sorted(stamps.items())
+            _channel_row(name, encoding, len(each), (min(each), max(each)) if each else None)
+            for name, each in sorted(stamps.items())
         ),
         fault=fault,
     )
@@ -417,17 +417,17 @@ def _changed(values: Mapping[str, str], system: str) -> tuple[str, tuple[Paramet
 
     if not values or system not in SYSTEMS:
         return "", ()
-    found: dict[str, tuple[ParameterRow, ...]] = {}
+    rows: dict[str, tuple[ParameterRow, ...]] = {}
     for preset in presets_of(system):
         config = load_config(preset=preset, system=system)
         usual = values_of(to_toml(config, sections_of(system)), "")
-        found[preset] = tuple(
+        rows[preset] = tuple(
             ParameterRow(name, value, usual.get(name, ""))
             for name, value in without_constants(values).items()
             if value != usual.get(name, "")
         )
-    nearest = min(found, key=lambda preset: len(found[preset]))
-    return nearest, found[nearest]
+    nearest = min(rows, key=lambda preset: len(rows[preset]))
+    return nearest, rows[nearest]
 
 
 # Cameras

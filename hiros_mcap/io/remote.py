@@ -105,7 +105,7 @@ def find(address: str) -> list[str]:
         return sorted(before + name for name in system.find(path))
 
 
-def look(address: str) -> tuple[int, str]:
+def size_and_date(address: str) -> tuple[int, str]:
     """Return the size, bytes, and what tells whether a file has changed; of a folder, of its files.
 
     Raises LogError.

@@ -101,32 +101,32 @@ class Motion:
         return replace(self, positions=positions)
 
 
-def _interpolated_all(times: Floats, known_times: Floats, values: Floats) -> Floats:
+def _interpolated_all(times: Floats, samples: Floats, values: Floats) -> Floats:
     """(N, ...) each column of (T, ...) at N times."""
     flat = values.reshape(len(values), -1)
-    columns = [_interpolated(times, known_times, column) for column in flat.T]
+    columns = [_interpolated(times, samples, column) for column in flat.T]
     return np.stack(columns, axis=-1).reshape(len(times), *values.shape[1:])
 
 
-def _interpolated_turns(times: Floats, known_times: Floats, xyzw: Floats) -> Floats:
+def _interpolated_turns(times: Floats, samples: Floats, xyzw: Floats) -> Floats:
     """(N, L, 4) unit quaternions at N times: their components interpolated, made of length 1.
 
     q and -q are the same rotation; neighbours are given the same sign before.
     """
     turns = xyzw.copy()
     for link in range(turns.shape[1]):
-        known = np.flatnonzero(~np.isnan(turns[:, link, 0]))
-        steps = np.sum(turns[known[1:], link] * turns[known[:-1], link], axis=-1)
-        turns[known[1:], link] *= np.cumprod(np.where(steps < 0, -1.0, 1.0))[:, None]
-    found = _interpolated_all(times, known_times, turns)
-    return np.asarray(found / np.linalg.norm(found, axis=-1, keepdims=True))
+        present = np.flatnonzero(~np.isnan(turns[:, link, 0]))
+        steps = np.sum(turns[present[1:], link] * turns[present[:-1], link], axis=-1)
+        turns[present[1:], link] *= np.cumprod(np.where(steps < 0, -1.0, 1.0))[:, None]
+    xyzw_at = _interpolated_all(times, samples, turns)
+    return np.asarray(xyzw_at / np.linalg.norm(xyzw_at, axis=-1, keepdims=True))
 
 
-def _interpolated(times: Floats, known_times: Floats, values: Floats) -> Floats:
+def _interpolated(times: Floats, samples: Floats, values: Floats) -> Floats:
     from scipy.interpolate import CubicSpline
 
-    known = ~np.isnan(values)
-    t, v = known_times[known], values[known]
+    present = ~np.isnan(values)
+    t, v = samples[present], values[present]
     if len(t) < 2:
         return np.full(len(times), np.nan)
     after = np.clip(np.searchsorted(t, times), 1, len(t) - 1)
@@ -291,16 +291,16 @@ def open_result(path: str | os.PathLike[str], channel: str = "") -> Result:
         It has no such channel.
     """
     with open_reader(path) as reader:
-        own = _own_channels(reader)
-        chosen = channel or _last_of(own, path)
+        channels = _hiros_channels(reader)
+        chosen = channel or _last_of(channels, path)
         topics = [info.topic for info in channels_of(reader)]
         if chosen not in topics:
             raise ConfigError(f"{path}: no channel {chosen!r} (there are: {_listed(topics)})")
         start, events = span_of(reader)[0], stored_events(reader)
         with open_log(reader, topics=[escape(chosen)], output_prefix="/none") as log:
             frames, model = list(log.frames()), log.model
-        known = read_uncertainty(reader) if chosen == UNCERTAIN_TOPIC else {}
-    if own.detections == 0 and frames:
+        deviations = read_uncertainty(reader) if chosen == UNCERTAIN_TOPIC else {}
+    if channels.detections == 0 and frames:
         start = frames[0].stamp  # results are logged later than the data that they belong to
     rows: dict[int, list[_Instant]] = {}
     for frame in frames:
@@ -310,7 +310,7 @@ def open_result(path: str | os.PathLike[str], channel: str = "") -> Result:
                 frame.positions[k],
                 frame.marker_confidences[k],
                 frame.orientations[k],
-                _deviations(model, known.get((frame.stamp, person), {})),
+                _deviations(model, deviations.get((frame.stamp, person), {})),
             )
             rows.setdefault(person, []).append(row)
     motions = {person: _motion(person, rows[person], start, model) for person in sorted(rows)}
@@ -327,7 +327,7 @@ def is_result(path: str | os.PathLike[str]) -> bool:
         return False
     try:
         with open_reader(path) as reader:
-            return bool(_own_channels(reader).results)
+            return bool(_hiros_channels(reader).results)
     except LogError:
         return False
 
@@ -341,13 +341,13 @@ def is_truth(path: str | os.PathLike[str]) -> bool:
         return False
     try:
         with open_reader(path) as reader:
-            own = _own_channels(reader)
+            channels = _hiros_channels(reader)
     except LogError:
         return False
-    return bool(own.truths) and not own.results and not own.detections
+    return bool(channels.truths) and not channels.results and not channels.detections
 
 
-class _OwnChannels(NamedTuple):
+class _HirosChannels(NamedTuple):
     """Which skeleton channels a log has."""
 
     results: list[str]
@@ -358,24 +358,24 @@ class _OwnChannels(NamedTuple):
     """Number of skeleton channels with messages that are neither."""
 
 
-def _own_channels(reader: McapReader) -> _OwnChannels:
+def _hiros_channels(reader: McapReader) -> _HirosChannels:
     skeletons = [i for i in channels_of(reader) if i.has_type(hiros_schemas.SKELETON_GROUP)]
     topics = {info.topic for info in skeletons}
     results = [topic for topic in OUTPUT_TOPICS if topic in topics]
     others = sorted({info.topic for info in skeletons if info.count} - {*results})
     truths = [topic for topic in others if topic.startswith(f"{TRUTH_PREFIX}/")]
-    return _OwnChannels(results, truths, len(others) - len(truths))
+    return _HirosChannels(results, truths, len(others) - len(truths))
 
 
-def _last_of(own: _OwnChannels, path: str | os.PathLike[str]) -> str:
+def _last_of(channels: _HirosChannels, path: str | os.PathLike[str]) -> str:
     """Return the last stage, or the truth of a log that holds nothing else.
 
     Raises LogError if there is neither.
     """
-    if own.results:
-        return own.results[-1]
-    if own.truths and not own.detections:
-        return own.truths[0]
+    if channels.results:
+        return channels.results[-1]
+    if channels.truths and not channels.detections:
+        return channels.truths[0]
     raise LogError("holds no results of hiros; run `hiros process` first", path=path)
 
 
@@ -389,9 +389,9 @@ class _Instant(NamedTuple):
     deviations: Floats
 
 
-def _deviations(model: SkeletonModel, known: Mapping[int, float]) -> Floats:
+def _deviations(model: SkeletonModel, deviations: Mapping[int, float]) -> Floats:
     """(M,) of one person at one instant, m; NaN where absent."""
-    return np.array([known.get(marker, np.nan) for marker in model.marker_ids])
+    return np.array([deviations.get(marker, np.nan) for marker in model.marker_ids])
 
 
 def _motion(person: int, rows: Sequence[_Instant], start: int, model: SkeletonModel) -> Motion:

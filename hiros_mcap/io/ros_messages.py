@@ -74,13 +74,13 @@ class _McapMessages(RosMessages):
 
     @staticmethod
     def _types_of(part: McapReader) -> dict[str, str]:
-        known = {name: kind for kind in KINDS for name in (kind, kind.replace("/msg/", "/"))}
-        found = {}
+        kinds = {name: kind for kind in KINDS for name in (kind, kind.replace("/msg/", "/"))}
+        types = {}
         for channel in part.channels.values():
             schema = part.schema(channel)
-            if schema and schema.name in known and channel.message_encoding == "cdr":
-                found[channel.topic] = known[schema.name]
-        return found
+            if schema and schema.name in kinds and channel.message_encoding == "cdr":
+                types[channel.topic] = kinds[schema.name]
+        return types
 
     def read(self, topics: Collection[str]) -> Iterator[RosMessage]:
         for part in self._parts:

@@ -75,10 +75,10 @@ def needs_latching(info: ChannelInfo) -> bool:
     from rosbags.rosbag2.metadata import parse_qos
 
     try:
-        found = parse_qos(profiles)
+        settings = parse_qos(profiles)
     except (ReaderError, KeyError, TypeError):
         return True  # players could not read it either
-    return not found or any(one.durability != QosDurability.TRANSIENT_LOCAL for one in found)
+    return not settings or any(one.durability != QosDurability.TRANSIENT_LOCAL for one in settings)
 
 
 def copy_latched(reader: McapReader, writer: McapWriter, channels: Iterable[ChannelInfo]) -> None:

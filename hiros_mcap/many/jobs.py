@@ -32,7 +32,7 @@ from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.export.files import export
 from hiros_mcap.io.export.marker_set import load_marker_set, renamed
 from hiros_mcap.io.log import open_reader
-from hiros_mcap.io.overview import look
+from hiros_mcap.io.overview import overview_of
 from hiros_mcap.io.result import is_result, is_truth, open_result
 from hiros_mcap.many.find import base_name
 from hiros_mcap.many.manifest import Verdict
@@ -250,7 +250,7 @@ class InfoJob(Job):
 
     def run(self, log: Path, target: Path) -> Finding:
         """Look at a log."""
-        overview = look(log, topics=list(self.topics) or None, extrinsics=self.extrinsics)
+        overview = overview_of(log, topics=list(self.topics) or None, extrinsics=self.extrinsics)
         values = {
             "kind": overview.kind,
             "seconds": overview.seconds,

@@ -128,7 +128,7 @@ def _planned(job: Job, logs: Sequence[str], manifest: Manifest) -> list[LogRecor
 def identity_of(log: str) -> Identity:
     """Return the size and the time of change of a log; raises OSError or LogError."""
     if remote.is_remote(log):
-        return Identity(*remote.look(log))
+        return Identity(*remote.size_and_date(log))
     path = Path(log)
     if not (path.is_file() or path.is_dir()):
         path.stat()

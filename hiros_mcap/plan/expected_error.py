@@ -24,7 +24,7 @@ from hiros_mcap.body.rotations import Rigid, to_matrix
 from hiros_mcap.plan.scenes import Scenes
 from hiros_mcap.simulate.body_model import MODEL
 from hiros_mcap.simulate.detector import EXTREMITY, REFERENCE_RANGE, is_detected
-from hiros_mcap.simulate.occlusion import look
+from hiros_mcap.simulate.occlusion import sight_of
 from hiros_mcap.simulate.settings import SimulateParams
 from hiros_mcap.skeletons import Floats, Stamps
 from hiros_mcap.stages.fuse.fuse_params import FuseParams
@@ -86,7 +86,7 @@ class ErrorModel:
         """Return what a camera at ``pose`` contributes."""
         points = (scenes.markers - pose.translation) @ to_matrix(pose.xyzw)
         params = self._params
-        sight = look(points, params.rig, solid=params.occlusion > 0)
+        sight = sight_of(points, params.rig, solid=params.occlusion > 0)
         detected = is_detected(sight, params.detector)
         guessed = (sight.hidden | ~sight.framed)[..., self.joints] & (params.occlusion > 0)
         distance = np.linalg.norm(points[:, :, 0], axis=-1)

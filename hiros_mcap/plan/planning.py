@@ -130,8 +130,8 @@ def make_plan(
 
 
 def _mean(errors: Floats) -> float:
-    known = errors[np.isfinite(errors)]
-    return float(known.mean()) if len(known) else float("nan")
+    finite = errors[np.isfinite(errors)]
+    return float(finite.mean()) if len(finite) else float("nan")
 
 
 def _camera(name: str, pose: Rigid, then: Outlook) -> PlannedCamera:

@@ -27,8 +27,8 @@ from hiros_mcap.io.camera_clock import (
     OFFSET,
     CameraTimes,
     ClockCorrection,
+    clock_verdict,
     described,
-    judge_clocks,
     longest_wait,
     middle_of,
 )
@@ -144,7 +144,7 @@ class ClockAlignment:
         if offsets:
             self.wait = _wait_for(longest_wait(map(self.corrected_times, self.times)), self.reorder)
 
-    def tell(self, events: Events) -> None:
+    def note_events(self, events: Events) -> None:
         """Note the faults."""
         for fault in self.faults:
             detail = fault.size
@@ -169,13 +169,13 @@ def align_clocks(
         return ClockAlignment(plain, given=given, reorder=reorder)
     if times is None or config.input.clocks == "causal":
         return ClockAlignment(given=given, reorder=reorder, causal=True)
-    judged = judge_clocks(times, given)
+    verdict = clock_verdict(times, given)
     corrections = {
-        name: one for name, one in judged.corrections.items() if one.changes(times[name])
+        name: one for name, one in verdict.corrections.items() if one.changes(times[name])
     }
-    faults = list(judged.faults)
+    faults = list(verdict.faults)
     used = {name: some for name, some in times.items() if len(some.stamps)}
-    wait = _wait_for(judged.wait, reorder)
+    wait = _wait_for(verdict.wait, reorder)
     return ClockAlignment(corrections, faults, wait, given, reorder, used)
 
 
@@ -193,15 +193,15 @@ def given_corrections(log: Log, config: Config) -> dict[str, float]:
     """
     names = [name for camera in log.cameras for name in camera.sources.values()]
     topics = {camera.channel.topic: tuple(camera.sources.values()) for camera in log.cameras}
-    all_known = all(camera.channel.count for camera in log.cameras)
+    complete = all(camera.channel.count for camera in log.cameras)
     given: dict[str, float] = {}
     for name, seconds in config.clock.seconds.items():
-        found = (name,) if name in names else topics.get(name, ())
-        if not found and all_known:
+        sources = (name,) if name in names else topics.get(name, ())
+        if not sources and complete:
             raise ConfigError(
                 f"clock: {log.path} has no camera {name!r} (there are: {', '.join(names)})"
             )
-        given.update(dict.fromkeys(found, seconds))
+        given.update(dict.fromkeys(sources, seconds))
     return given
 
 
@@ -247,6 +247,6 @@ def _corrected(block: Block, corrections: Mapping[str, ClockCorrection]) -> Bloc
         name = block.names[code]
         if name not in corrections:
             continue
-        own = np.flatnonzero(block.sources == code)
-        stamps[own] = corrections[name].apply(block.stamps[own], block.log_times[own])
+        frames = np.flatnonzero(block.sources == code)
+        stamps[frames] = corrections[name].apply(block.stamps[frames], block.log_times[frames])
     return block.restamped(stamps)

@@ -87,8 +87,8 @@ class _FollowedClock:
 
     def is_odd(self, stamp: int) -> bool:
         """Whether a corrected stamp comes at an unusual time."""
-        known = self.period > 0
-        return known and abs(stamp - self.stamps[-1] - self.period) > IRREGULAR * 1e9
+        has_period = self.period > 0
+        return has_period and abs(stamp - self.stamps[-1] - self.period) > IRREGULAR * 1e9
 
     def least_lag(self) -> int:
         """Return the least lag of the last seconds, ns."""
@@ -111,7 +111,7 @@ class ClockFollower:
         self._given, self._reorder = given, max(reorder, _AHEAD / 2)
         self._faults = faults
         self._clocks: dict[str, _FollowedClock] = {}
-        self._looked = 0
+        self._checked = 0
 
     def correct(self, blocks: Iterable[Block]) -> Iterator[Block]:
         """Yield the blocks with right stamps."""
@@ -126,11 +126,11 @@ class ClockFollower:
 
     def _start(self, blocks: Iterator[Block]) -> list[Block]:
         """Compare the clocks by their first messages; return the blocks that were looked at."""
-        looked: list[Block] = []
+        waiting: list[Block] = []
         lags: dict[str, list[float]] = {}
         until = 0
         for block in blocks:
-            looked.append(block)
+            waiting.append(block)
             for stamp, source, log_time in block.messages():
                 until = until or log_time + _FIRST
                 if log_time <= until:
@@ -141,10 +141,10 @@ class ClockFollower:
         least = {source: min(some) for source, some in sorted(lags.items())}
         for source, lag in least.items():
             others = {name: other for name, other in least.items() if name != source}
-            self._meet(source, until - _FIRST, lag, others)
-        return looked
+            self._compare(source, until - _FIRST, lag, others)
+        return waiting
 
-    def _meet(self, source: str, log_time: int, lag: float, others: Mapping[str, float]) -> None:
+    def _compare(self, source: str, log_time: int, lag: float, others: Mapping[str, float]) -> None:
         """Start with a camera at a log time; align it if no delivery explains its lag, s."""
         clock = self._clocks[source] = _FollowedClock(round(self._given.get(source, 0.0) * 1e9))
         if not others or source in self._given:
@@ -152,22 +152,22 @@ class ClockFollower:
         usual = max(others.values()) if len(others) == 1 else middle_of(others)
         if lag < usual - self._reorder or lag > usual + LONGEST_DELAY:
             clock.offset += round((lag - usual) * 1e9)
-            self._tell(source, OFFSET, usual - lag, log_time - round(usual * 1e9))
+            self._note(source, OFFSET, usual - lag, log_time - round(usual * 1e9))
 
     def _take(self, stamp: int, source: str, log_time: int, n_people: int) -> int:
         """Return the corrected stamp of a message."""
         if source not in self._clocks:
-            own = (log_time - stamp) * 1e-9 - self._given.get(source, 0.0)
+            lag = (log_time - stamp) * 1e-9 - self._given.get(source, 0.0)
             lags = {name: c.lag for name, c in self._clocks.items() if c.stamps}
-            self._meet(source, log_time, own, lags)
+            self._compare(source, log_time, lag, lags)
         clock = self._clocks[source]
         right = clock.corrected(stamp)
         if n_people and (not clock.stamps or right != clock.stamps[-1]):
             clock.latest = stamp
-            right = self._judge(clock, source, right, log_time)
+            right = self._check(clock, source, right, log_time)
         return right
 
-    def _judge(self, clock: _FollowedClock, source: str, stamp: int, log_time: int) -> int:
+    def _check(self, clock: _FollowedClock, source: str, stamp: int, log_time: int) -> int:
         """Look for what is wrong with a corrected stamp; return what it shall be."""
         if clock.is_odd(stamp):
             if clock.suspected:
@@ -183,8 +183,8 @@ class ClockFollower:
                 stamp = log_time - clock.least
             if not clock.suspected and clock.again:
                 clock.suspected, clock.again = _CONFIRMED, False
-        if log_time - self._looked > _EVERY:
-            self._looked = log_time
+        if log_time - self._checked > _EVERY:
+            self._checked = log_time
             self._find_drifts()
         return stamp
 
@@ -201,7 +201,7 @@ class ClockFollower:
             shift = round(step.seconds * 1e9)
             times.stamps[step.place :] -= shift
             total -= shift
-            self._tell(source, STEP, step.seconds, int(times.stamps[step.place]))
+            self._note(source, STEP, step.seconds, int(times.stamps[step.place]))
         if total:
             clock.offset += total
             clock.suspected = 0
@@ -210,15 +210,15 @@ class ClockFollower:
 
     def _find_drifts(self) -> None:
         """Follow clocks that run faster or slower than the others."""
-        known = {name: clock.times for name, clock in self._clocks.items() if clock.stamps}
-        for name, slope in find_drifts(known).items():
-            clock, times = self._clocks[name], known[name]
+        camera_times = {name: clock.times for name, clock in self._clocks.items() if clock.stamps}
+        for name, slope in find_drifts(camera_times).items():
+            clock, times = self._clocks[name], camera_times[name]
             passed = times.stamps - times.stamps[0]
             clock.stamps = (times.stamps + np.round(passed * slope).astype(np.int64)).tolist()
             clock.offset, clock.origin = clock.stamps[-1] - clock.latest, clock.latest
             clock.drift += slope
             if not any(f.kind == DRIFT and f.camera == name for f in self._faults):
-                self._tell(name, DRIFT, -slope, clock.stamps[0])
+                self._note(name, DRIFT, -slope, clock.stamps[0])
 
-    def _tell(self, source: str, kind: str, seconds: float, stamp: int) -> None:
+    def _note(self, source: str, kind: str, seconds: float, stamp: int) -> None:
         self._faults.append(ClockFault(source, kind, seconds, stamp, corrected=True))

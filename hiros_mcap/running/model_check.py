@@ -37,12 +37,12 @@ def scatter_by_camera(events: Events, model: SkeletonModel) -> Iterator[ScatterS
         (common,) = medians(events.histograms[COMMON, name], FEWEST).tolist()
         joints = np.nan_to_num(ratios(counts))
         worst = int(joints.argmax())
-        known = joints[worst] > 0
+        seen = joints[worst] > 0
         yield ScatterSummary(
             name=name,
             ratio=ratio,
-            worst_joint=model.marker_names[worst] if known else "",
-            worst_ratio=float(joints[worst]) if known else math.nan,
+            worst_joint=model.marker_names[worst] if seen else "",
+            worst_ratio=float(joints[worst]) if seen else math.nan,
             common=common,
         )
 

@@ -84,7 +84,7 @@ class PosedViews:
     cameras: list[FixedCamera]
     """With the poses that the log gives."""
     views: list[CameraView]
-    found: list[CalibratedCamera]
+    rig: list[CalibratedCamera]
     gains: list[SecondPose]
     """What each would gain by a second pose."""
     moves: tuple[Move, ...] = ()
@@ -118,7 +118,7 @@ def suspects(posed: PosedViews, fixed_frame: str) -> list[str]:
 
     Of two cameras that do not fit each other, it is taken to be the second.
     """
-    rows = zip(posed.cameras, posed.found, posed.gains, strict=True)
+    rows = zip(posed.cameras, posed.rig, posed.gains, strict=True)
     free = [(one, gain) for camera, one, gain in rows if camera.frame != fixed_frame]
     if len(posed.cameras) == 2:
         free = free[-1:]
@@ -157,8 +157,8 @@ class _Splitter:
     def split(self, posed: PosedViews, name: str) -> PosedViews:
         """Return the views with those of a camera in two parts, if it was moved."""
         c = [camera.name for camera in posed.cameras].index(name)
-        others = [k for k in range(len(posed.found)) if k != c]
-        sound = [k for k in others if posed.found[k].fits]
+        others = [k for k in range(len(posed.rig)) if k != c]
+        sound = [k for k in others if posed.rig[k].fits]
         partner = partner_of(posed.views, c, sound or others)
         if partner is None:
             return posed
@@ -215,17 +215,17 @@ class _Splitter:
         """Refine all cameras, one of them in parts; None if its parts do not fit, too."""
         camera = posed.cameras[c]
         rigs = {0: changes[0].early, **{change.part: change.late for change in changes}}
-        n, own = len(rigs), range(c, c + len(rigs))
-        cameras, found = list(posed.cameras), list(posed.found)
+        n, parts = len(rigs), range(c, c + len(rigs))
+        cameras, calibrated = list(posed.cameras), list(posed.rig)
         views = split_views(posed.views, {camera.name: changes})
-        cameras[c : c + 1], found[c : c + 1] = [camera] * n, [found[c]] * n
+        cameras[c : c + 1], calibrated[c : c + 1] = [camera] * n, [calibrated[c]] * n
         ends = [placed(posed, partner) @ rigs[part].pose(1) for part in range(n)]
         kept = c + int(np.argmin([_deviation(pose, camera.pose) for pose in ends]))
         given = [one.pose for one in cameras]
         given[c : c + n] = ends
         given[kept] = camera.pose
-        sound = [k for k, one in enumerate(found) if one.fits or k in own]
-        new = [k for k in own if k != kept]
+        sound = [k for k, one in enumerate(calibrated) if one.fits or k in parts]
+        new = [k for k in parts if k != kept]
         some = [views[k] for k in sound], [given[k] for k in sound]
         refined = self._placed(*some, [sound.index(k) for k in new])
         for k, pose in zip(new, refined, strict=True):
@@ -234,24 +234,24 @@ class _Splitter:
         fixed = self._survey.log.fixed_frame
         anchor = frames.index(fixed) if fixed in frames else None
         movable = [camera.movable for camera in cameras]
-        found, gains = refine_poses(views, given, self._mirror, anchor, movable)
-        if not all(one.fits and one.verdict in SURE for one in found[c : c + n]):
+        calibrated, gains = refine_poses(views, given, self._mirror, anchor, movable)
+        if not all(one.fits and one.verdict in SURE for one in calibrated[c : c + n]):
             return None
         for k in new:
-            metres, degrees = (found[k].pose or given[k]).apart(camera.pose)
-            verdict = found[k].verdict if found[k].verdict == "usable" else "improved"
-            found[k] = replace(
-                found[k], verdict=verdict, moved_mm=1000.0 * metres, moved_deg=degrees
+            metres, degrees = (calibrated[k].pose or given[k]).apart(camera.pose)
+            verdict = calibrated[k].verdict if calibrated[k].verdict == "usable" else "improved"
+            calibrated[k] = replace(
+                calibrated[k], verdict=verdict, moved_mm=1000.0 * metres, moved_deg=degrees
             )
-        return PosedViews(cameras, views, found, gains, posed.moves)
+        return PosedViews(cameras, views, calibrated, gains, posed.moves)
 
     def _placed(
         self, views: Sequence[CameraView], given: Sequence[Rigid], new: Sequence[int]
     ) -> list[Rigid]:
         """Return the refined poses of some cameras; the others' given poses place the rig."""
         refined = refine_together(views, Rig.of(given), self._mirror, FROM_GIVEN)
-        known = {k: pose for k, pose in enumerate(given) if k not in new}
-        rig = moved(refined.rig, on_transforms(refined.rig, known))
+        fixed = {k: pose for k, pose in enumerate(given) if k not in new}
+        rig = moved(refined.rig, on_transforms(refined.rig, fixed))
         return [rig.pose(k) for k in new]
 
     def _first_message(self, name: str, seconds: float) -> tuple[int, int]:
@@ -267,7 +267,7 @@ class _Splitter:
 
 def placed(posed: PosedViews, camera: int) -> Rigid:
     """Return the pose of a camera that is used."""
-    return posed.found[camera].pose or posed.cameras[camera].pose
+    return posed.rig[camera].pose or posed.cameras[camera].pose
 
 
 def _deviation(one: Rigid, other: Rigid) -> float:

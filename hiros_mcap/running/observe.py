@@ -49,7 +49,7 @@ class CommonPauses:
 
     latest: int = 0
     messages: int = 0
-    found: list[tuple[int, int]] = field(default_factory=list)
+    pauses: list[tuple[int, int]] = field(default_factory=list)
     """Start and end of each step of more than a second, ns."""
 
     def add(self, stamps: Stamps) -> None:
@@ -58,22 +58,22 @@ class CommonPauses:
             self.latest = int(stamps[0])
         before = np.maximum.accumulate(np.concatenate([[self.latest], stamps]))
         starts = np.flatnonzero(stamps - before[:-1] > _GAP)
-        self.found += zip(before[starts].tolist(), stamps[starts].tolist(), strict=True)
+        self.pauses += zip(before[starts].tolist(), stamps[starts].tolist(), strict=True)
         self.latest, self.messages = int(before[-1]), self.messages + len(stamps)
 
     def notes(self, start: int) -> Iterator[str]:
         """Yield when nobody sent anything, in seconds from ``start``, ns."""
         # Cameras that send once in some seconds do not pause.
-        if not self.found or len(self.found) > _PAUSES_PER_MESSAGE * self.messages:
+        if not self.pauses or len(self.pauses) > _PAUSES_PER_MESSAGE * self.messages:
             return
-        first, last = max(self.found, key=lambda span: span[1] - span[0])
+        first, last = max(self.pauses, key=lambda span: span[1] - span[0])
         when = f"from {(first - start) * 1e-9:.1f} to {(last - start) * 1e-9:.1f} s"
-        if len(self.found) == 1:
+        if len(self.pauses) == 1:
             yield f"all cameras pause {when}"
         else:
-            seconds = sum(b - a for a, b in self.found) * 1e-9
+            seconds = sum(b - a for a, b in self.pauses) * 1e-9
             yield (
-                f"all cameras pause {len(self.found)} times, {seconds:.1f} s in all; the longest "
+                f"all cameras pause {len(self.pauses)} times, {seconds:.1f} s in all; the longest "
                 f"pause is {when}"
             )
 
@@ -93,9 +93,9 @@ class DetectionSample:
         for i, (_, source, _) in enumerate(block.messages()):
             if self.frames[source] < _SAMPLED_FRAMES and (frame := block.frame(i)).n_people:
                 self.frames[source] += 1
-                known = frame.positions[~np.isnan(frame.positions)]
-                if known.size:
-                    self.sizes.append(float(np.median(np.abs(known))))
+                present = frame.positions[~np.isnan(frame.positions)]
+                if present.size:
+                    self.sizes.append(float(np.median(np.abs(present))))
                     self.all_zero &= bool((frame.marker_confidences == 0).all())
 
     def reasons(self) -> Iterator[str]:
@@ -160,8 +160,8 @@ class Observer:
         if channel == "tracked":
             rows, owners = block.everybody()
             for code in np.unique(block.sources).tolist():
-                own = block.people.ids[rows[block.sources[owners] == code]]
-                self.seen_by[block.names[code]].update(np.unique(own).tolist())
+                ids = block.people.ids[rows[block.sources[owners] == code]]
+                self.seen_by[block.names[code]].update(np.unique(ids).tolist())
         if channel == self.chain[-1]:
             self._count(block)
 
@@ -172,10 +172,10 @@ class Observer:
         _, firsts = np.unique(ids, return_index=True)
         for person in ids[np.sort(firsts)].tolist():
             if person != UNTRACKED:
-                own = ids == person
-                stamps = block.stamps[owners[own]]
+                shown = ids == person
+                stamps = block.stamps[owners[shown]]
                 presence = self.people.setdefault(person, Presence(int(stamps[0]), int(stamps[0])))
-                presence.add(stamps, unseen[own])
+                presence.add(stamps, unseen[shown])
 
     def cameras_of(self, person: int) -> tuple[str, ...]:
         """Return the sorted names of the cameras that saw a person."""

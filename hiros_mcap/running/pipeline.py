@@ -125,13 +125,13 @@ def conclude(report: Report, target: str | None) -> Summary:
 
 def _chosen(options: ProcessOptions, choices: Mapping[str, Any]) -> ProcessOptions:
     """Replace fields; raises TypeError for one that does not exist."""
-    known = [field.name for field in fields(ProcessOptions)]
+    names = [field.name for field in fields(ProcessOptions)]
     for name in choices:
-        if name not in known:
-            near = get_close_matches(name, known, n=1)
+        if name not in names:
+            near = get_close_matches(name, names, n=1)
             guess = f"; did you mean {near[0]!r}?" if near else ""
             raise TypeError(
-                f"process() has no argument {name!r}{guess} (of ProcessOptions: {', '.join(known)})"
+                f"process() has no argument {name!r}{guess} (of ProcessOptions: {', '.join(names)})"
             )
     return replace(options, **choices)
 
@@ -191,8 +191,8 @@ def run_log(
         detections = prepared.detections(reading)
         _consume(stream(detections, run, chain, sinks, watch), log, progress or Silent())
         watch.charge("read", log.reader.cpu_s)
-        prepared.clocks.tell(run.events)
-        prepared.poses.tell(run.events)
+        prepared.clocks.note_events(run.events)
+        prepared.poses.note_events(run.events)
         if options.strict:
             _refuse_skipped(reading, report.summary(None))
         with watch.timing("write"):

@@ -80,7 +80,7 @@ class PoseAlignment:
     """The poses of a run's cameras."""
 
     cameras: list[PoseSummary] = field(default_factory=list)
-    found: PeopleCalibration | None = None
+    calibration: PeopleCalibration | None = None
     """What the people tell, if the poses were found from them alone."""
     misfits: frozenset[str] = frozenset()
     """Cameras whose people are not where the others see them."""
@@ -110,7 +110,7 @@ class PoseAlignment:
     @property
     def from_nothing(self) -> bool:
         """Whether the poses were found from the people alone."""
-        return self.found is not None
+        return self.calibration is not None
 
     @property
     def replaced(self) -> bool:
@@ -142,7 +142,7 @@ class PoseAlignment:
             if kept:
                 yield block if len(kept) == len(block) else block.select(kept)
 
-    def tell(self, events: Events) -> None:
+    def note_events(self, events: Events) -> None:
         """Note the cameras that were moved."""
         for move in self.moves:
             events.note(move.stamp, MOVED, source=move.camera, detail=move.distance)
@@ -166,8 +166,8 @@ class PoseAlignment:
                 f"the log has one pose for {' and '.join(names)}, so that nobody has measured it; "
                 "hiros used the poses that the people show"
             )
-        if self.found is not None:
-            yield from _weak_poses(self.found)
+        if self.calibration is not None:
+            yield from _weak_poses(self.calibration)
         for camera in self.cameras:
             if camera.name in self.misfits:
                 yield (
@@ -260,8 +260,8 @@ def _refined_poses(survey: Survey, clocks: ClockAlignment, mode: Calibration) ->
     posed = split_moved(survey, clocks, posed)
     alignment = _aligned(posed, log.span[0], faults)
     alike = [] if faults else same_place({camera.name: camera.pose for camera in posed.cameras})
-    misfit = any(not one.fits for one in posed.found)
-    if not faults and (misfit or (alike and any(c.verdict == "impossible" for c in posed.found))):
+    misfit = any(not one.fits for one in posed.rig)
+    if not faults and (misfit or (alike and any(c.verdict == "impossible" for c in posed.rig))):
         nowhere = misfit and any(len(group) == len(posed.cameras) for group in alike)
         error = LogError(_NOWHERE, path=log.path) if nowhere else None
         try:
@@ -284,14 +284,14 @@ def _aligned(posed: PosedViews, start: int, faults: Mapping[str, str]) -> PoseAl
 
     ``start`` is that of the log, ns. ``faults`` say why the poses of some cannot be compared.
     """
-    pairs = list(zip(posed.cameras, posed.found, strict=True))
+    pairs = list(zip(posed.cameras, posed.rig, strict=True))
     names = [camera.name for camera in posed.cameras]
     summaries = []
     for camera in dict.fromkeys(names):
         parts = [0, *(move.part for move in posed.moves if move.camera == camera)]
         times = [(m.log_time - start) / 1e9 for m in posed.moves if m.camera == camera]
         for part, since, until in zip(parts, [math.nan, *times], [*times, math.nan], strict=True):
-            stay = posed.found[names.index(camera) + part]
+            stay = posed.rig[names.index(camera) + part]
             stay = replace(stay, since_s=since, until_s=until)
             summaries.append(summary_of(stay, used=_is_better(stay)))
     for k, one in enumerate(summaries):
@@ -310,7 +310,7 @@ def _poses_used(posed: PosedViews) -> dict[str, dict[int, Rigid]]:
     """Frame -> poses other than the log's, by the log times from which on they hold."""
     names = [camera.name for camera in posed.cameras]
     poses: dict[str, dict[int, Rigid]] = {}
-    for k, (camera, one) in enumerate(zip(posed.cameras, posed.found, strict=True)):
+    for k, (camera, one) in enumerate(zip(posed.cameras, posed.rig, strict=True)):
         moves = [move for move in posed.moves if move.camera == camera.name]
         if k == names.index(camera.name) and (moves or _is_better(one)):
             poses[camera.frame] = {0: placed(posed, k)}
@@ -328,7 +328,7 @@ def _to_given(posed: PosedViews) -> dict[str, Rigid]:
     twice = {move.camera for move in posed.moves}
     return {
         camera.name: camera.pose @ placed(posed, k).inverse()
-        for k, (camera, one) in enumerate(zip(posed.cameras, posed.found, strict=True))
+        for k, (camera, one) in enumerate(zip(posed.cameras, posed.rig, strict=True))
         if _is_better(one) and camera.name not in twice
     }
 
@@ -344,7 +344,7 @@ def pose_faults(log: Log) -> list[str]:
         return []
     posed = _refined(Survey(log, CHECKED_S), {}, cameras, {})
     named = []
-    for one in posed.found:
+    for one in posed.rig:
         if not one.fits:
             named.append(f"{one.name}: {one.reason}")
         elif one.moved_deg > WRONG_DEG or one.moved_mm > WRONG_MM:
@@ -392,8 +392,8 @@ def _refined(
 
     def refined(shifts: Sequence[float]) -> PosedViews:
         views = views_at(shifts)
-        found = refine_poses(views, poses, mirror, anchor, [c.movable for c in cameras])
-        return PosedViews(list(cameras), views, *found)
+        fitted = refine_poses(views, poses, mirror, anchor, [c.movable for c in cameras])
+        return PosedViews(list(cameras), views, *fitted)
 
     posed = refined([0.0] * len(cameras))
     hints = [lags.get(camera.name, 0.0) for camera in cameras]
@@ -413,8 +413,8 @@ def _fit(posed: PosedViews) -> tuple[int, float]:
 
     The residual is in mm; 0 unless all of them do.
     """
-    fitting = [one for one in posed.found if one.fits and one.reason != UNLINKED]
-    all_fit = len(fitting) == len(posed.found)
+    fitting = [one for one in posed.rig if one.fits and one.reason != UNLINKED]
+    all_fit = len(fitting) == len(posed.rig)
     return len(fitting), -max(one.residual_mm for one in fitting) if all_fit else 0.0
 
 
@@ -429,51 +429,51 @@ def _from_nothing(
 
     log = survey.log
     try:
-        found = calibrate_people(log, survey, clocks.corrections)
+        calibration = calibrate_people(log, survey, clocks.corrections)
     except LogError as reason:
-        raise LogError(_not_found(error, reason.fault), path=log.path) from None
+        raise LogError(_fault_of_both(error, reason.fault), path=log.path) from None
     wanted = CONFIRMED if mode == "require" else SURE
-    left = {camera.name for camera in found.cameras if camera.verdict not in wanted}
+    left = {camera.name for camera in calibration.cameras if camera.verdict not in wanted}
     poses: dict[str, dict[int, Rigid]] = {}
-    for camera in found.cameras:
+    for camera in calibration.cameras:
         if camera.pose is not None and camera.name not in left:
             poses.setdefault(camera.frame, {})[camera.since] = camera.pose
     if len(poses) < 2 or (left and (error is None or mode == "require")):
-        raise LogError(_not_found(error, f"{found.reason}. {_DOUBTFUL}"), path=log.path)
+        raise LogError(_fault_of_both(error, f"{calibration.reason}. {_DOUBTFUL}"), path=log.path)
     return PoseAlignment(
-        [summary_of(one, used=one.name not in left) for one in found.cameras],
-        found=found,
+        [summary_of(one, used=one.name not in left) for one in calibration.cameras],
+        calibration=calibration,
         left_out=frozenset(left),
-        moves=tuple(_moves_of(found)),
-        better=(poses, found.fixed_frame),
+        moves=tuple(_moves_of(calibration)),
+        better=(poses, calibration.fixed_frame),
     )
 
 
-def _weak_poses(found: PeopleCalibration) -> Iterator[str]:
+def _weak_poses(rig: PeopleCalibration) -> Iterator[str]:
     """Yield what is wrong with poses that come from the people alone."""
-    left = {camera.name: camera for camera in found.cameras if camera.verdict not in SURE}
+    left = {camera.name: camera for camera in rig.cameras if camera.verdict not in SURE}
     for camera in left.values():
         yield (
             f"{camera.name} is left out, because the people do not tell its pose "
             f"({camera.reason}): {camera.remedy}. {_DOUBTFUL}"
         )
-    weak = [camera for camera in found.cameras if camera.verdict == "usable"]
+    weak = [camera for camera in rig.cameras if camera.verdict == "usable"]
     if weak:
         worst = max(reversed(weak), key=lambda camera: camera.uncertainty)
         yield (
-            f"the cameras' poses are usable only: expect joints to be {found.people_mm:.0f} mm off "
+            f"the cameras' poses are usable only: expect joints to be {rig.people_mm:.0f} mm off "
             f"by them ({worst.name}: {worst.reason}); for better ones, {worst.remedy}"
         )
 
 
-def _moves_of(found: PeopleCalibration) -> Iterator[Move]:
+def _moves_of(calibration: PeopleCalibration) -> Iterator[Move]:
     """Yield how cameras were moved."""
-    for before, after in pairwise(found.cameras):
+    for before, after in pairwise(calibration.cameras):
         if before.name == after.name and before.pose is not None and after.pose is not None:
             yield Move(after.name, after.since, after.since, *before.pose.apart(after.pose))
 
 
-def _not_found(error: LogError | None, reason: str) -> str:
+def _fault_of_both(error: LogError | None, reason: str) -> str:
     first = "the poses do not fit the people" if error is None else error.fault
     return f"{first}. The people do not tell them: {reason}"
 

@@ -30,7 +30,7 @@ from hiros_mcap.io.log import Reading
 from hiros_mcap.kernels.transforming import PoseArrays, move
 from hiros_mcap.running.pose_alignment import PoseAlignment, summary_of
 
-_LOOKS_S = (10, 15, 20, 30, 40)
+_MOMENTS_S = (10, 15, 20, 30, 40)
 """When the poses are compared, s after the first message."""
 _EVERY_S = 60
 """Afterwards at all multiples of this."""
@@ -105,7 +105,7 @@ class PoseFollower:
         if tick <= self._tick:
             return
         before, self._tick = self._tick, tick
-        if _looks(tick) > _looks(before):
+        if _refinements_until(tick) > _refinements_until(before):
             self._compare()
         if any(self._poses[name] is not goal for name, goal in self._goals.items()):
             self._step(tick - before)
@@ -122,29 +122,29 @@ class PoseFollower:
         if len(cameras) < 2:
             return
         anchors = [k for k, one in enumerate(cameras) if one.frame == log.fixed_frame]
-        found = refine_poses(
+        rig = refine_poses(
             [seen_by(camera, self._seen[camera.name], self._mirror) for camera in cameras],
             [camera.pose for camera in cameras],
             self._mirror,
             anchors[0] if anchors else None,
         ).cameras
-        for camera, one in zip(cameras, found, strict=True):
+        for camera, one in zip(cameras, rig, strict=True):
             if one.pose is not None and not math.isnan(one.moved_mm):
                 self._given[camera.name] = camera.pose
                 self._goals[camera.name] = one.pose
                 self._poses.setdefault(camera.name, camera.pose)
         self._alignment.cameras = [
             summary_of(self._kept(camera, one), used=camera.name in self._goals)
-            for camera, one in zip(cameras, found, strict=True)
+            for camera, one in zip(cameras, rig, strict=True)
         ]
 
-    def _kept(self, camera: FixedCamera, found: CalibratedCamera) -> CalibratedCamera:
+    def _kept(self, camera: FixedCamera, calibrated: CalibratedCamera) -> CalibratedCamera:
         """Return what was found with the pose that is used: one that was proven stays."""
         goal = self._goals.get(camera.name)
         if goal is None:
-            return found
+            return calibrated
         metres, degrees = goal.apart(camera.pose)
-        return replace(found, verdict="improved", moved_mm=1000.0 * metres, moved_deg=degrees)
+        return replace(calibrated, verdict="improved", moved_mm=1000.0 * metres, moved_deg=degrees)
 
     def _step(self, ticks: int) -> None:
         """Move all cameras by the same share of their ways, so far as the steps allow."""
@@ -159,7 +159,7 @@ class PoseFollower:
             self._moves[name] = pose_arrays([pose @ self._given[name].inverse()])
 
 
-def _looks(tick: int) -> int:
+def _refinements_until(tick: int) -> int:
     """Return how often the poses are compared up to a tick."""
     seconds = tick * _TICK_NS / 1e9
-    return sum(seconds >= look for look in _LOOKS_S) + int(seconds // _EVERY_S)
+    return sum(seconds >= moment for moment in _MOMENTS_S) + int(seconds // _EVERY_S)

@@ -149,13 +149,13 @@ def _joints(
     root_angles = np.stack([factor * column[axis] for axis in ("RX", "RY", "RZ")], axis=-1)
     rotations = {"root": euler(root_angles[:, ::-1], "ZYX").as_matrix()}
     for name, bone in skeleton.bones.items():
-        own = np.zeros((len(frames), 3))
+        angles = np.zeros((len(frames), 3))
         if bone.dofs:
             values = _series(path, frames, name, len(bone.dofs))
             for k, dof in enumerate(bone.dofs):
                 if dof in _DOFS:
-                    own[:, _DOFS.index(dof)] = factor * values[:, k]
-        local = bone.frame @ euler(own[:, ::-1], "ZYX").as_matrix() @ bone.frame.T
+                    angles[:, _DOFS.index(dof)] = factor * values[:, k]
+        local = bone.frame @ euler(angles[:, ::-1], "ZYX").as_matrix() @ bone.frame.T
         rotations[name] = rotations[bone.parent] @ local
         ends[name] = ends[bone.parent] + rotations[name] @ bone.direction
     return {name: end @ Y_UP_TO_Z_UP.T for name, end in ends.items()}

@@ -93,13 +93,13 @@ def _positions(joints: list[_BvhJoint], rows: Floats) -> dict[str, Floats]:
             else:
                 angles.append(np.radians(values[:, k : k + 1]))
                 axes += channel[0].upper()
-        own = euler(np.concatenate(angles, axis=1), axes).as_matrix()
+        turns = euler(np.concatenate(angles, axis=1), axes).as_matrix()
         if joint.parent < 0:
             places.append(shift)
-            rotations.append(own)
+            rotations.append(turns)
         else:
             places.append(
                 places[joint.parent] + np.einsum("fij,fj->fi", rotations[joint.parent], shift)
             )
-            rotations.append(rotations[joint.parent] @ own)
+            rotations.append(rotations[joint.parent] @ turns)
     return {joint.name: place @ Y_UP_TO_Z_UP.T for joint, place in zip(joints, places, strict=True)}

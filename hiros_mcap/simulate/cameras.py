@@ -109,11 +109,11 @@ def _ticks(params: SimulateParams, index: int) -> Ticks:
     delay = rng.uniform(*rig.delay, n)
     captured = params.start + _nanoseconds(seconds)
     logged = np.maximum.accumulate(captured + _nanoseconds(delay))
-    own_clock = _nanoseconds(np.array(offset))
+    clock = _nanoseconds(np.array(offset))
     return Ticks(
         captured=captured,
-        stamped=captured + own_clock,
-        sent=logged + own_clock,
+        stamped=captured + clock,
+        sent=logged + clock,
         logged=logged,
         kept=rng.random(n) >= min(1.0, params.dropouts * rig.lost_frames),
     )

@@ -15,7 +15,7 @@ from hiros_mcap.body.rotations import conjugate, multiply, rotate
 from hiros_mcap.simulate.body_model import LINK_SEGMENTS, MARKERS, MODEL, SLOT, SYMMETRY, BodyModel
 from hiros_mcap.simulate.cameras import SimulatedCamera, seconds_since
 from hiros_mcap.simulate.motion import Person, standing
-from hiros_mcap.simulate.occlusion import Mask, Sight, look
+from hiros_mcap.simulate.occlusion import Mask, Sight, sight_of
 from hiros_mcap.simulate.paths import Spot
 from hiros_mcap.simulate.performer import Performer
 from hiros_mcap.simulate.randomness import coloured, episodes, stream
@@ -110,7 +110,7 @@ def observe(
 def _hide(detections: SimulatedDetections, params: SimulateParams) -> None:
     """Decide which bodies are detected and which of their joints are guessed."""
     detector, solid = params.detector, params.occlusion > 0
-    sight = look(detections.positions, params.rig, solid=solid)
+    sight = sight_of(detections.positions, params.rig, solid=solid)
     detections.present &= is_detected(sight, detector)
     if solid:
         detections.guessed[:] = sight.hidden | ~sight.framed
@@ -259,12 +259,12 @@ def phantoms(
 ) -> list[SimulatedDetections]:
     """Report people who are not there: a static one, and brief ones, some beside a real person."""
     detector, rate, n = params.detector, params.rig.rate, len(detections.present)
-    found = []
+    people = []
     if camera.index < detector.static_phantoms and params.phantoms > 0:
         rng = stream(params.seed, "static phantom", camera.index)
         static = _standing_phantom(n, camera, params, rng)
         static.present[:, 0] = rng.random(n) < _STATIC_PRESENCE
-        found.append(static)
+        people.append(static)
     rng = stream(params.seed, "phantoms", camera.index)
     often = params.phantoms * detector.phantoms_per_minute / (60 * rate)
     for start, stop in episodes(rng, n, often, detector.phantom_frames):
@@ -279,8 +279,8 @@ def phantoms(
             )
             phantom.orientations[:, 0] = detections.orientations[:, owner]
         phantom.present[:start] = phantom.present[stop:] = False
-        found.append(phantom)
-    return found
+        people.append(phantom)
+    return people
 
 
 def _standing_phantom(

@@ -339,12 +339,12 @@ def _raise_toes(posture: Posture, angle: Floats) -> None:
     posture.foot_pitch -= angle[:, None]
 
 
-def _rotate(posture: Posture, back: Floats, own: Floats) -> None:
-    """Rotate somebody upright about the pelvis: ``back``, then ``own`` about the spine, rad."""
+def _rotate(posture: Posture, back: Floats, turn: Floats) -> None:
+    """Rotate somebody upright about the pelvis: ``back``, then ``turn`` about the spine, rad."""
     upright = facing(posture.heading)
-    rotation = upright @ rotation_zxy(angles(back, 0.0, own)) @ upright.swapaxes(-1, -2)
+    rotation = upright @ rotation_zxy(angles(back, 0.0, turn)) @ upright.swapaxes(-1, -2)
     relative = posture.toes - posture.pelvis[:, None]
     posture.toes = posture.pelvis[:, None] + np.einsum("nij,nkj->nki", rotation, relative)
     posture.foot_pitch -= back[:, None]
-    posture.foot_turn += own[:, None]
-    posture.add("pelvis", angles(back, 0.0, own))
+    posture.foot_turn += turn[:, None]
+    posture.add("pelvis", angles(back, 0.0, turn))

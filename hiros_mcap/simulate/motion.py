@@ -256,20 +256,20 @@ class Walker:
         posture.pelvis = beside(posture.pelvis, posture.heading, 0.0, sway)
         posture.pelvis[:, 2] += scale * (gait.bob * np.cos(2 * middle) - gait.drop)
         for side in range(2):
-            own = stride + 0.5 * side
-            posture.toes[:, side], posture.foot_heading[:, side] = self._foot(t, own, side)
-            posture.foot_pitch[:, side] = _foot_pitch(gait, own)
+            phase = stride + 0.5 * side
+            posture.toes[:, side], posture.foot_heading[:, side] = self._foot(t, phase, side)
+            posture.foot_pitch[:, side] = _foot_pitch(gait, phase)
         _swing_upper_body(posture, gait, TURN * stride)
         return posture
 
-    def _foot(self, t: Floats, own: Floats, side: int) -> tuple[Floats, Floats]:
-        """Toes (n, 3) and heading (n,) of the foot that lands whenever ``own`` is whole."""
-        count, duty = np.floor(own), self.gait.duty
-        swing = (own - count - duty) / (1 - duty)
+    def _foot(self, t: Floats, phase: Floats, side: int) -> tuple[Floats, Floats]:
+        """Toes (n, 3) and heading (n,) of the foot that lands whenever ``phase`` is whole."""
+        count, duty = np.floor(phase), self.gait.duty
+        swing = (phase - count - duty) / (1 - duty)
         w = smoothstep(swing)
-        here, heading = self._print(t + (count + duty / 2 - own) / self.gait.cadence, side)
+        here, heading = self._print(t + (count + duty / 2 - phase) / self.gait.cadence, side)
         there, next_heading = self._print(
-            t + (count + 1 + duty / 2 - own) / self.gait.cadence, side
+            t + (count + 1 + duty / 2 - phase) / self.gait.cadence, side
         )
         toes = here + w[:, None] * (there - here)
         toes[:, 2] += self.gait.clearance * bump(swing, 0.0, 1.0)
@@ -292,9 +292,9 @@ def beside(points: Floats, heading: Floats, ahead: float, left: Floats | float) 
     return moved
 
 
-def _foot_pitch(gait: Gait, own: Floats) -> Floats:
+def _foot_pitch(gait: Gait, phase: Floats) -> Floats:
     """Plantar flexion: the heel rises before the toes leave, the toes rise before landing."""
-    x = own - np.floor(own)
+    x = phase - np.floor(phase)
     leave = gait.duty
     heel = bump(x, leave - 0.30, leave + 0.26)
     return gait.heel_rise * heel - 0.2 * bump(x, leave + 0.20, 1.0)

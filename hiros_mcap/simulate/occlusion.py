@@ -58,7 +58,7 @@ class Sight:
     """Another person or the person's own body is in front of the joint."""
 
 
-def look(points: Floats, rig: RigParams, *, solid: bool = True) -> Sight:
+def sight_of(points: Floats, rig: RigParams, *, solid: bool = True) -> Sight:
     """Tell what a camera sees of joints (n, P, M, 3) in its own coordinates, m.
 
     Bodies that are not ``solid`` hide nothing.
@@ -68,18 +68,18 @@ def look(points: Floats, rig: RigParams, *, solid: bool = True) -> Sight:
     half = np.tan(np.radians(rig.fov) / 2)
     framed = (np.abs(image) <= half).all(axis=-1)
     framed &= (points[..., 2] >= rig.range[0]) & (points[..., 2] <= rig.range[1])
-    covered, own = np.zeros_like(framed), np.zeros_like(framed)
+    covered, by_self = np.zeros_like(framed), np.zeros_like(framed)
     for start in range(0, len(points) if solid else 0, _CHUNK):
         part = slice(start, start + _CHUNK)
-        _cover(image[part], depth[part], covered[part], own[part])
-    return Sight(framed=framed, covered=covered, hidden=covered | own)
+        _cover(image[part], depth[part], covered[part], by_self[part])
+    return Sight(framed=framed, covered=covered, hidden=covered | by_self)
 
 
-def _cover(image: Floats, depth: Floats, covered: Mask, own: Mask) -> None:
+def _cover(image: Floats, depth: Floats, covered: Mask, by_self: Mask) -> None:
     """Fill in which joints people hide from the camera, their own and each other's."""
     people = range(depth.shape[1])
     for person in people:
-        own[:, person] = (_in_front(image, depth, person, person) & ~_OWN).any(axis=-1)
+        by_self[:, person] = (_in_front(image, depth, person, person) & ~_OWN).any(axis=-1)
         for other in people:
             if other == person:
                 continue
@@ -106,6 +106,6 @@ def _in_front(image: Floats, depth: Floats, person: int, other: int) -> Mask:
     inverse = inverse_a[:, None] + along * (inverse_b - inverse_a)[:, None]
     off_x = to_joint[..., 0] - along * axis[:, None, :, 0]
     off_y = to_joint[..., 1] - along * axis[:, None, :, 1]
-    meets = off_x**2 + off_y**2 < (_RADIUS * inverse) ** 2
-    before: Mask = meets & (inverse * (depth[:, person, :, None] - _BEHIND) > 1.0)
+    hits = off_x**2 + off_y**2 < (_RADIUS * inverse) ** 2
+    before: Mask = hits & (inverse * (depth[:, person, :, None] - _BEHIND) > 1.0)
     return before

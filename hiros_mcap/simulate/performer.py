@@ -93,11 +93,11 @@ class Performer:
             np.linalg.norm(roles["left hip"] - roles["left knee"], axis=-1)
             + np.linalg.norm(roles["left knee"] - roles["left ankle"], axis=-1)
         )
-        own = sum(np.linalg.norm(body.offset(f"{part}_LEFT")) for part in ("KNEE", "ANKLE"))
+        leg = sum(np.linalg.norm(body.offset(f"{part}_LEFT")) for part in ("KNEE", "ANKLE"))
         hips = (roles["left hip"] + roles["right hip"]) / 2
         centre = np.array([*hips[:, :2].mean(axis=0), 0.0])
         paths = {role: _catmull_rom(path) for role, path in roles.items()}
-        draft = cls(body, clip, paths, centre, float(own / recorded))
+        draft = cls(body, clip, paths, centre, float(leg / recorded))
         feet = [SLOT["FOOT_LEFT"], SLOT["FOOT_RIGHT"]]
         toes = draft.pose(np.arange(clip.frames) / clip.rate)[0][:, feet, 2]
         ground = float(body.toe_height - np.percentile(toes.min(axis=1), 5))
@@ -173,12 +173,12 @@ def _roles(clip: Clip, name: str) -> dict[str, Floats]:
     """Role -> (F, 3): "left knee", "neck", ..."""
     by_name = {_bare(joint): path for joint, path in clip.joints.items()}
     is_bones = "lfemur" in by_name
-    found = {}
+    roles = {}
     for role, names in _MIDDLE.items():
         path = next((by_name[n] for n in names if n in by_name), None)
         if path is None:
             raise ConfigError(f"{name}: has no {role} (its joints: {_some(clip)})")
-        found[role] = path
+        roles[role] = path
     for side in ("left", "right"):
         for role, names in _LIMBS.items():
             options = [_BONES[role]] if is_bones and role in _BONES else list(names)
@@ -186,8 +186,8 @@ def _roles(clip: Clip, name: str) -> dict[str, Floats]:
             path = next((by_name[key] for key in keys if key in by_name), None)
             if path is None:
                 raise ConfigError(f"{name}: has no {side} {role} (its joints: {_some(clip)})")
-            found[f"{side} {role}"] = path
-    return found
+            roles[f"{side} {role}"] = path
+    return roles
 
 
 def _bare(name: str) -> str:

@@ -133,14 +133,14 @@ def _bare(key: str) -> str:
     return "".join(f"{line}\n" for line in lines if line)
 
 
-def _closure(key: str, found: dict[str, None] | None = None) -> list[str]:
+def _closure(key: str, keys: dict[str, None] | None = None) -> list[str]:
     """Find the type and all that it uses, each once, in the order of first use."""
-    found = {} if found is None else found
-    found[key] = None
+    keys = {} if keys is None else keys
+    keys[key] = None
     for field in parse_fields(key, _definition(key)):
-        if field.is_message and field.type not in found:
-            _closure(field.type, found)
-    return list(found)
+        if field.is_message and field.type not in keys:
+            _closure(field.type, keys)
+    return list(keys)
 
 
 def _description(key: str) -> dict[str, object]:

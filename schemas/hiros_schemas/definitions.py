@@ -92,16 +92,16 @@ def parse(name: str, text: str) -> dict[str, tuple[Field, ...]]:
     differently. A type that the text uses and does not define is found by :func:`leaves`.
     """
     first, *others = _SEPARATOR.split(text)
-    found = {short_name(name): parse_fields(name, first)}
+    definitions = {short_name(name): parse_fields(name, first)}
     for block in others:
         title = _TITLE.match(block)
         if title is None:
             raise DefinitionError("a definition lacks its line 'MSG: package/Type'")
         key = short_name(title[1])
         fields = parse_fields(key, block[title.end() :])
-        if found.setdefault(key, fields) != fields:
+        if definitions.setdefault(key, fields) != fields:
             raise DefinitionError(f"{key} is defined twice, differently")
-    return found
+    return definitions
 
 
 def leaves(definitions: Definitions, name: str) -> list[tuple[str, str]]:
@@ -113,12 +113,12 @@ def leaves(definitions: Definitions, name: str) -> list[tuple[str, str]]:
 
     Raises :class:`DefinitionError` where a definition is missing, recursive or absurdly large.
     """
-    found: list[tuple[str, str]] = []
+    fields: list[tuple[str, str]] = []
     for leaf in _walk(definitions, short_name(name), "", 0):
-        found.append(leaf)
-        if len(found) > MAX_LEAVES:
+        fields.append(leaf)
+        if len(fields) > MAX_LEAVES:
             raise DefinitionError(f"{name} has more than {MAX_LEAVES} fields")
-    return found
+    return fields
 
 
 def _walk(

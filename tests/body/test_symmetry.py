@@ -30,7 +30,7 @@ def test_sides_by_name(left: str, right: str) -> None:
 
 @pytest.mark.parametrize("name", ["Head", "Pelvis", "Lumbar", "Root", "SPINE_NAVAL", "", "3"])
 def test_names_without_a_counterpart_have_no_side(name: str) -> None:
-    assert not symmetry_of(SkeletonModel.of([name, "Neck"], [])).known
+    assert not symmetry_of(SkeletonModel.of([name, "Neck"], [])).has_sides
 
 
 def test_links_mirror_as_their_ends_do() -> None:

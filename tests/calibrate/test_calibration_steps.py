@@ -22,7 +22,7 @@ from hiros_mcap.calibrate.people import _only_ambiguous
 from hiros_mcap.calibrate.registration import kabsch
 from hiros_mcap.calibrate.sampling import Rig, instants_of, lines_of
 from hiros_mcap.calibrate.tracklets import Sighting, find_tracklets
-from hiros_mcap.calibrate.verdict import Evidence, judge
+from hiros_mcap.calibrate.verdict import Evidence, verdict_of
 from hiros_mcap.kernels.local_line import Tracklet
 from hiros_mcap.skeletons import Floats
 
@@ -219,10 +219,10 @@ def test_weights_leave_outliers_out_of_a_rigid_fit() -> None:
 def test_the_verdict_names_its_reason(change: dict[str, float], verdict: str, reason: str) -> None:
     from dataclasses import replace
 
-    found, why = judge(replace(GOOD, **change), moved=False)
+    found, why = verdict_of(replace(GOOD, **change), moved=False)
     assert found == verdict
     assert reason in why
 
 
 def test_a_pose_that_differs_from_the_log_is_an_improvement() -> None:
-    assert judge(GOOD, moved=True) == ("improved", "")
+    assert verdict_of(GOOD, moved=True) == ("improved", "")

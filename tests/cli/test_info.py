@@ -13,7 +13,7 @@ from hiros_cli.app import run
 from hiros_mcap.config import load_config
 from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.log import open_log
-from hiros_mcap.io.overview import Overview, look
+from hiros_mcap.io.overview import Overview, overview_of
 from hiros_mcap.regression.golden import write_golden
 from hiros_mcap.running.pipeline import ProcessOptions, process
 
@@ -69,7 +69,7 @@ def test_channels_have_rates_and_times(kind: str, tmp_path: Path) -> None:
             for k in range(5 if topic == "/p" else 1):
                 writer.add_message(channel, 3 * 10**9 + k * 500_000_000, b"{}", 0)
         writer.finish()
-    j, p = look(tmp_path / "log.mcap").channels
+    j, p = overview_of(tmp_path / "log.mcap").channels
     assert (p.topic, p.type, p.encoding, p.messages) == ("/p", "foxglove.Pose", "protobuf", 5)
     assert (p.rate_hz, p.seconds) == (2.0, 2.0)
     assert (j.type, j.encoding, j.messages, j.seconds) == ("", "json", 1, 0.0)
@@ -101,7 +101,7 @@ def test_foreign_channels_beside_skeletons_do_no_harm(crossing: Path, tmp_path: 
             writer.add_message(own, message.log_time, bytes(message.data), message.log_time)
             writer.add_message(pose, message.log_time, b"{}", message.log_time)
         writer.finish()
-    assert look(log).kind == "recording"
+    assert overview_of(log).kind == "recording"
     assert run(["process", str(log), "-o", str(tmp_path / "out.mcap"), "-q"]) == 0
 
 
@@ -123,7 +123,7 @@ def assert_two_people(overview: Overview, topic: str) -> None:
 
 
 def test_a_result_tells_how_it_was_made(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    overview = look(result)
+    overview = overview_of(result)
     assert overview.kind == "result"
     assert_two_people(overview, "/hiros/filtered")
     assert overview.run is not None
@@ -150,7 +150,7 @@ def test_results_alone_golden_files_and_truths_say_what_they_are(
         for message in reader.messages({ident}):
             writer.write(ident, message.log_time, bytes(message.data))
         writer.commit()
-    found = [look(path) for path in (alone, golden, true)]
+    found = [overview_of(path) for path in (alone, golden, true)]
     assert [overview.kind for overview in found] == ["result", "golden", "truth"]
     for overview, topic in zip(
         found, ("/hiros/filtered", "/hiros/filtered", "/truth/skeletons"), strict=True
@@ -167,7 +167,7 @@ def test_warnings_of_the_run_are_kept_in_the_result(tmp_path: Path, crossing: Pa
         tmp_path / "o.mcap",
         options=ProcessOptions(extrinsics=extrinsics, calibrate="off"),
     )
-    run_row = look(tmp_path / "o.mcap").run
+    run_row = overview_of(tmp_path / "o.mcap").run
     assert run_row is not None
     assert any("stand at the same place" in text for text in run_row.warnings)
 
@@ -187,7 +187,7 @@ def test_a_folder_shows_its_true_size(crossing: Path, tmp_path: Path) -> None:
     folder = tmp_path / "bag"
     folder.mkdir()
     (folder / "bag_0.mcap").write_bytes(crossing.read_bytes())
-    assert look(folder).megabytes == pytest.approx(crossing.stat().st_size / 1e6)
+    assert overview_of(folder).megabytes == pytest.approx(crossing.stat().st_size / 1e6)
 
 
 def results_of(path: Path) -> dict[str, list[bytes]]:
@@ -225,7 +225,7 @@ def test_markers_for_rviz_span_the_time_of_the_skeletons(tmp_path: Path) -> None
     out = tmp_path / "out.mcap"
     source = Path(__file__).parents[2] / "sample_data/one_person_walking.mcap"
     process(source, out, options=ProcessOptions(markers=True))
-    rows = {row.topic: row for row in look(out).channels}
+    rows = {row.topic: row for row in overview_of(out).channels}
     skeletons = rows["/hiros/filtered"]
     for name in ("markers", "labels", "joint_states"):
         assert rows[f"/hiros/{name}"].seconds == skeletons.seconds

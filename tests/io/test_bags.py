@@ -26,7 +26,7 @@ from hiros_cli.app import run
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.log import open_log
-from hiros_mcap.io.overview import look
+from hiros_mcap.io.overview import overview_of
 from hiros_mcap.running.pipeline import process
 
 SKELETONS, TF = hiros_schemas.SKELETON_GROUP, hiros_schemas.TF_MESSAGE
@@ -159,7 +159,7 @@ def test_a_bag_without_skeletons_says_what_it_has(
     ) as bad:
         open_log(path)
     assert "/tf_static" in str(bad.value)
-    overview = look(path)
+    overview = overview_of(path)
     rows = {row.topic: (row.type, row.messages) for row in overview.channels}
     assert rows["/chatter"] == ("std_msgs/msg/String", 1)
     assert rows["/tf_static"][1] == 1

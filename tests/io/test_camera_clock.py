@@ -17,8 +17,8 @@ from hiros_mcap.io.camera_clock import (
     WRONG,
     CameraTimes,
     ClockJudgement,
+    clock_verdict,
     clocks_in_words,
-    judge_clocks,
 )
 from hiros_mcap.skeletons import Floats
 from hiros_mcap.summary import ClockFault
@@ -67,55 +67,55 @@ def three(**faulty: object) -> dict[str, CameraTimes]:
     return {"a": camera(1), "b": camera(2, **faulty), "c": camera(3)}  # type: ignore[arg-type]
 
 
-def only(judged: ClockJudgement) -> ClockFault:
-    (fault,) = judged.faults
+def only(verdicts: ClockJudgement) -> ClockFault:
+    (fault,) = verdicts.faults
     return fault
 
 
-def worst(cameras: dict[str, CameraTimes], judged: ClockJudgement, right: CameraTimes) -> float:
+def worst(cameras: dict[str, CameraTimes], verdicts: ClockJudgement, right: CameraTimes) -> float:
     """Largest error of a corrected stamp of camera b, s."""
-    stamps = judged.corrections["b"].apply(cameras["b"].stamps, cameras["b"].log_times)
+    stamps = verdicts.corrections["b"].apply(cameras["b"].stamps, cameras["b"].log_times)
     return float(np.abs(stamps - right.stamps).max() * 1e-9)
 
 
 @pytest.mark.parametrize("seconds", [-5, -2, -0.5, -0.1, 0.1, 0.5, 1, 2, 10, 30, 86400])
 def test_a_step_is_found_at_its_message_and_corrected(seconds: float) -> None:
     cameras = three(clock=lambda t: np.where(t > 10, seconds, 0.0))
-    judged = judge_clocks(cameras)
-    fault = only(judged)
+    verdicts = clock_verdict(cameras)
+    fault = only(verdicts)
     assert (fault.camera, fault.kind) == ("b", STEP)
     assert fault.seconds == pytest.approx(seconds, abs=0.005)
     assert fault.at_ns == pytest.approx(START + 10**10, abs=10**8)
-    assert worst(cameras, judged, camera(2)) < 0.005
-    assert not judged.corrections["a"].changes(cameras["a"])
+    assert worst(cameras, verdicts, camera(2)) < 0.005
+    assert not verdicts.corrections["a"].changes(cameras["a"])
 
 
 def test_a_step_is_found_behind_random_delays() -> None:
     cameras = {name: camera(k, delay=wifi) for k, name in enumerate("ac")}
     cameras["b"] = camera(7, delay=wifi, clock=lambda t: np.where(t > 10, 0.5, 0.0))
-    assert only(judge_clocks(cameras)).seconds == pytest.approx(0.5, abs=0.05)
+    assert only(clock_verdict(cameras)).seconds == pytest.approx(0.5, abs=0.05)
 
 
 def test_two_steps_are_both_corrected() -> None:
     cameras = three(clock=lambda t: np.where(t > 6, 2.0, 0.0) - np.where(t > 12, 1.0, 0.0))
-    judged = judge_clocks(cameras)
-    assert [round(fault.seconds, 1) for fault in judged.faults] == [2.0, -1.0]
-    assert worst(cameras, judged, camera(2)) < 0.005
+    verdicts = clock_verdict(cameras)
+    assert [round(fault.seconds, 1) for fault in verdicts.faults] == [2.0, -1.0]
+    assert worst(cameras, verdicts, camera(2)) < 0.005
 
 
 def test_the_part_that_agrees_with_the_other_cameras_keeps_its_stamps() -> None:
     cameras = three(clock=lambda t: np.where(t < 10, 3.0, 0.0))
-    assert worst(cameras, judge_clocks(cameras), camera(2)) < 0.005
+    assert worst(cameras, clock_verdict(cameras), camera(2)) < 0.005
 
 
 @pytest.mark.parametrize("rate", [-5e-3, -1e-3, 1e-3, 5e-3])
 def test_a_drift_is_followed(rate: float) -> None:
     cameras = three(clock=lambda t: rate * t)
-    judged = judge_clocks(cameras)
-    fault = only(judged)
+    verdicts = clock_verdict(cameras)
+    fault = only(verdicts)
     assert (fault.camera, fault.kind) == ("b", DRIFT)
     assert fault.seconds == pytest.approx(rate, rel=0.1)
-    assert worst(cameras, judged, camera(2)) < 0.004
+    assert worst(cameras, verdicts, camera(2)) < 0.004
 
 
 @pytest.mark.parametrize(("begin", "end"), [(0.0, 28.0), (12.0, 40.0)])
@@ -123,22 +123,22 @@ def test_what_changes_in_a_part_of_the_log_only_is_no_drift(begin: float, end: f
     """The line through all of the log fits one of its halves, but not the other."""
     cameras = {name: camera(k, seconds=40.0) for k, name in enumerate("ac")}
     cameras["b"] = camera(2, seconds=40.0, clock=lambda t: 5e-3 * (np.clip(t, begin, end) - begin))
-    assert judge_clocks(cameras).faults == ()
+    assert clock_verdict(cameras).faults == ()
 
 
 @pytest.mark.parametrize("seconds", [-7200.0, 20.0])
 def test_clocks_that_no_delivery_explains_are_aligned(seconds: float) -> None:
     cameras = three(clock=lambda t: np.full_like(t, seconds))
-    judged = judge_clocks(cameras)
-    assert (only(judged).kind, only(judged).camera) == (OFFSET, "b")
-    assert worst(cameras, judged, camera(2)) < 0.01
+    verdicts = clock_verdict(cameras)
+    assert (only(verdicts).kind, only(verdicts).camera) == (OFFSET, "b")
+    assert worst(cameras, verdicts, camera(2)) < 0.01
 
 
 @pytest.mark.parametrize("seconds", [-1.5, 0.1])
 def test_other_constant_offsets_are_told_and_not_corrected(seconds: float) -> None:
-    judged = judge_clocks(three(clock=lambda t: np.full_like(t, seconds)))
-    assert judged.faults == ()
-    (text,) = clocks_in_words(judged, START)
+    verdicts = clock_verdict(three(clock=lambda t: np.full_like(t, seconds)))
+    assert verdicts.faults == ()
+    (text,) = clocks_in_words(verdicts, START)
     assert text.startswith("b: messages come ")
     assert ("1.50 s later" if seconds < 0 else " ms sooner") in text
 
@@ -158,25 +158,25 @@ LATE_ONES = {
 @pytest.mark.parametrize("name", LATE_ONES)
 def test_a_late_delivery_is_no_fault_of_the_clock(name: str) -> None:
     cameras = {**three(), "b": LATE_ONES[name]}
-    judged = judge_clocks(cameras)
-    assert (only(judged).kind, only(judged).camera) == (LATE, "b")
-    assert not any(judged.corrections[name].changes(cameras[name]) for name in cameras)
-    assert judged.wait == pytest.approx(only(judged).seconds, abs=0.1)
+    verdicts = clock_verdict(cameras)
+    assert (only(verdicts).kind, only(verdicts).camera) == (LATE, "b")
+    assert not any(verdicts.corrections[name].changes(cameras[name]) for name in cameras)
+    assert verdicts.wait == pytest.approx(only(verdicts).seconds, abs=0.1)
 
 
 def test_single_wrong_times_are_replaced() -> None:
     cameras = three()
     cameras["b"].stamps[100] += 10**17
-    judged = judge_clocks(cameras)
-    assert (only(judged).kind, only(judged).messages) == (WRONG, 1)
-    assert worst(cameras, judged, camera(2)) < 0.04
+    verdicts = clock_verdict(cameras)
+    assert (only(verdicts).kind, only(verdicts).messages) == (WRONG, 1)
+    assert worst(cameras, verdicts, camera(2)) < 0.04
 
 
 def test_what_the_recorder_does_to_all_cameras_is_no_fault() -> None:
     cameras = three()
     for times in cameras.values():
         times.log_times[times.log_times > START + 10**10] += 2 * 10**9
-    assert judge_clocks(cameras).faults == ()
+    assert clock_verdict(cameras).faults == ()
 
 
 HEALTHY: dict[str, list[CameraTimes]] = {
@@ -197,16 +197,16 @@ HEALTHY: dict[str, list[CameraTimes]] = {
 @pytest.mark.parametrize("name", HEALTHY)
 def test_healthy_clocks_are_left_alone(name: str) -> None:
     cameras = {f"camera {k}": times for k, times in enumerate(HEALTHY[name])}
-    judged = judge_clocks(cameras)
-    assert judged.faults == ()
-    assert not any(judged.corrections[c].changes(cameras[c]) for c in cameras)
+    verdicts = clock_verdict(cameras)
+    assert verdicts.faults == ()
+    assert not any(verdicts.corrections[c].changes(cameras[c]) for c in cameras)
 
 
 def test_a_camera_may_pause() -> None:
     cameras = three()
     kept = (cameras["b"].stamps < START + 5 * 10**9) | (cameras["b"].stamps > START + 9 * 10**9)
     cameras["b"] = CameraTimes(cameras["b"].stamps[kept], cameras["b"].log_times[kept])
-    assert judge_clocks(cameras).faults == ()
+    assert clock_verdict(cameras).faults == ()
 
 
 def test_a_slow_delivery_that_ends_with_a_loss_is_no_step() -> None:
@@ -215,27 +215,27 @@ def test_a_slow_delivery_that_ends_with_a_loss_is_no_step() -> None:
     times.log_times[(sent > 8) & (sent < 10.7)] += 300_000_000
     kept = (sent < 10.7) | (sent > 11)
     cameras = {**three(), "b": CameraTimes(times.stamps[kept], times.log_times[kept])}
-    assert judge_clocks(cameras).faults == ()
+    assert clock_verdict(cameras).faults == ()
 
 
 def test_nothing_is_known_of_nobody() -> None:
-    assert judge_clocks({}).wait == 0.0
+    assert clock_verdict({}).wait == 0.0
     empty = CameraTimes(np.empty(0, np.int64), np.empty(0, np.int64))
-    assert judge_clocks({"a": empty}).faults == ()
+    assert clock_verdict({"a": empty}).faults == ()
 
 
 def test_what_the_user_gives_is_added_and_not_judged() -> None:
     cameras = three(clock=lambda t: np.full_like(t, 1.5))
-    judged = judge_clocks(cameras, {"b": -1.5})
-    assert judged.faults == ()
-    assert worst(cameras, judged, camera(2)) < 1e-6
+    verdicts = clock_verdict(cameras, {"b": -1.5})
+    assert verdicts.faults == ()
+    assert worst(cameras, verdicts, camera(2)) < 1e-6
 
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10**6), st.sampled_from([usual, wifi, bursts]), st.sampled_from([5, 15, 60]))
 def test_no_delay_makes_a_clock_wrong(seed: int, delay: Delay, rate: float) -> None:
     cameras = {n: camera(seed + k, delay=delay, rate=rate) for k, n in enumerate("abc")}
-    assert [fault for fault in judge_clocks(cameras).faults if fault.kind != LATE] == []
+    assert [fault for fault in clock_verdict(cameras).faults if fault.kind != LATE] == []
 
 
 def test_a_fault_has_a_sign_and_a_unit() -> None:

@@ -31,7 +31,7 @@ from hiros_mcap.io.detectors.joint_names import joints_of
 from hiros_mcap.io.detectors.model_fitting import union_of
 from hiros_mcap.io.detectors.registry import detector_readers
 from hiros_mcap.io.log import open_log
-from hiros_mcap.io.overview import look
+from hiros_mcap.io.overview import overview_of
 from hiros_mcap.running.pipeline import process
 
 EXACT = {"skeleton groups", "stamped skeletons", "ros1 in mcap"}
@@ -331,7 +331,7 @@ def test_messages_that_cannot_be_decoded_are_counted(tmp_path: Path, scene: Scen
             yield topic, name, time, data[: len(data) // 2] if i in (40, 50) else data
 
     path = write_ros2(tmp_path / "log.mcap", scene, damaged)
-    skipped = look(path).skipped
+    skipped = overview_of(path).skipped
     assert sum(n for reasons in skipped.values() for n in reasons.values()) == 2
     assert run(["process", str(path), "-o", str(tmp_path / "o.mcap"), "--strict", "-q"]) == 2
 

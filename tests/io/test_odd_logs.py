@@ -17,7 +17,7 @@ from hiros_mcap.config import load_config
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import Channel, McapReader, McapWriter
 from hiros_mcap.io.log import open_log
-from hiros_mcap.io.overview import look
+from hiros_mcap.io.overview import overview_of
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Frame
 from hiros_mcap.summary import Summary
@@ -105,7 +105,7 @@ def test_channels_that_name_no_frame_are_told(crossing: Path, tmp_path: Path) ->
     (note,) = noted(summary, "without a coordinate frame")
     assert "/camera_0/skeletons, /camera_1/skeletons, /camera_2/skeletons" in note
     assert "does not use the log's transforms" in note
-    overview = look(tmp_path / "odd.mcap")
+    overview = overview_of(tmp_path / "odd.mcap")
     assert overview.remarks == (note,)
     assert [camera.fault for camera in overview.cameras] == ["", "", ""]
     assert not noted(process(crossing), "name no")
@@ -158,7 +158,7 @@ def test_a_latched_transform_of_time_0_makes_the_log_no_longer(
 ) -> None:
     source = changed(crossing, tmp_path / "odd.mcap", plain, latched=0)
     assert process(source).log_s == pytest.approx(process(crossing).log_s) == pytest.approx(5, 0.1)
-    assert look(source).seconds == pytest.approx(5, 0.1)
+    assert overview_of(source).seconds == pytest.approx(5, 0.1)
 
 
 @pytest.mark.parametrize("schema", ["foxglove.Pose", "Example", "a/b/c/d", ""])
@@ -258,6 +258,6 @@ def test_a_message_logged_at_time_0_needs_no_more_memory(walking: Path, tmp_path
             writer.write(m.channel_id, 0 if is_first else m.log_time, m.data)
         writer.commit()
     tracemalloc.start()
-    look(source)
+    overview_of(source)
     assert tracemalloc.get_traced_memory()[1] < 2**27
     tracemalloc.stop()

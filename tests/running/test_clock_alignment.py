@@ -21,7 +21,7 @@ from hiros_mcap.io.channels import EVENTS_ATTACHMENT, add_static_poses
 from hiros_mcap.io.codec import Decoder, Encoder
 from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.log import open_log
-from hiros_mcap.io.overview import look
+from hiros_mcap.io.overview import overview_of
 from hiros_mcap.running.clock_alignment import ClockAlignment
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
@@ -161,9 +161,9 @@ def test_a_fault_is_an_event_and_in_info(walk: Path, tmp_path: Path) -> None:
         events = events_from_json((reader.attachment(EVENTS_ATTACHMENT) or b"").decode())
     (event,) = (event for event in events if event.kind == "clock step")
     assert (event.source, event.detail) == ("camera_1", "+2.00 s")
-    (text,) = look(tmp_path / "wrong.mcap").clocks
+    (text,) = overview_of(tmp_path / "wrong.mcap").clocks
     assert summary.warnings[0].startswith(f"{text}; ")
-    assert look(walk).clocks == ()
+    assert overview_of(walk).clocks == ()
 
 
 def shifted_whole(walk: Path, target: Path, seconds: Mapping[str, float]) -> Path:

@@ -230,12 +230,12 @@ def _room(
         earlier = _paths(content, shown[0])
         grey = rr.LineStrips3D.from_fields(colors=[BEFORE], radii=0.004)
         # Their bones are millimetres apart.
-        overrides = _thin_looks(content, shown[1])
+        overrides = _thin_styles(content, shown[1])
         overrides |= {f"{path}/{bones}": grey for path in earlier for bones in _BONES}
         what += [f"- {path}/{part}" for path in earlier for part in ("name", "trail")]
     elif shown and (content.shows_truth or content.shows_uncertainty or seen_by):
         joint = 0.004 if content.shows_uncertainty else _THIN_JOINT_M
-        overrides = _thin_looks(content, shown[0], joint)
+        overrides = _thin_styles(content, shown[0], joint)
     if content.shows_truth and "truth" not in shown:
         what += _all(content, "/truth/**") + _all(content, "/error_lines/**")
     if content.shows_uncertainty:
@@ -273,7 +273,7 @@ def _room(
     )
 
 
-def _thin_looks(content: Content, stage: str, joint: float = _THIN_JOINT_M) -> dict[str, Any]:
+def _thin_styles(content: Content, stage: str, joint: float = _THIN_JOINT_M) -> dict[str, Any]:
     """Return looks of a stage that lets see what is millimetres away from it."""
     bones, joints = rr.LineStrips3D.from_fields(radii=0.006), rr.Points3D.from_fields(radii=joint)
     paths = _paths(content, stage)

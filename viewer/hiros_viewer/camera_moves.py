@@ -34,7 +34,7 @@ class CameraMove:
     def row(self) -> tuple[str, ...]:
         """Return name, how far it moved and turned, and what the file says, as text."""
         name = f"{self.name}, from {self.since_s:.1f} s on" if self.since_s else self.name
-        return name, *self._difference(), *_told(self.entry)
+        return name, *self._difference(), *_columns_of(self.entry)
 
     def _difference(self) -> tuple[str, str]:
         if self.before is None:
@@ -44,7 +44,7 @@ class CameraMove:
         return f"{moved:.0f} mm", f"{np.degrees(2 * np.arccos(cosine)):.2f}°"
 
 
-def _told(entry: CameraEntry) -> tuple[str, str, str]:
+def _columns_of(entry: CameraEntry) -> tuple[str, str, str]:
     """Return verdict, standard errors and residual; "-" where the file has none."""
     verdict = f"{entry.verdict} ({entry.reason})" if entry.reason else entry.verdict
     degrees, error, residual = entry.errors

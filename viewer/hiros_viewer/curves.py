@@ -74,8 +74,8 @@ class Curves:
         if person is None:
             person = max(self.people, key=lambda who: len(self.people[who].seconds))
         if person not in self.people:
-            known = ", ".join(map(str, self.people))
-            raise ConfigError(f"{self.title}: no person {person} (there are: {known})")
+            people = ", ".join(map(str, self.people))
+            raise ConfigError(f"{self.title}: no person {person} (there are: {people})")
         return person, self.people[person]
 
 
@@ -94,13 +94,13 @@ def collect(
     people = {}
     for person, track in sorted(rows.items()):
         stamps = np.array([stamp for stamp, _, _ in track])
-        known = [true.get((person, stamp), absent) for stamp, _, _ in track]
+        true_poses = [true.get((person, stamp), absent) for stamp, _, _ in track]
         people[person] = Body(
             (stamps - start) / 1e9,
             np.stack([pose for _, pose, _ in track]),
             np.stack([turns for _, _, turns in track]),
-            np.stack([pose for pose, _ in known]) if true else None,
-            np.stack([turns for _, turns in known]) if true else None,
+            np.stack([pose for pose, _ in true_poses]) if true else None,
+            np.stack([turns for _, turns in true_poses]) if true else None,
         )
     return Curves(title, model, people)
 
@@ -151,17 +151,17 @@ def verdict(curves: Curves) -> str:
         for body in curves.people.values()
         if body.true_poses is not None
     ]
-    known = np.concatenate(errors) if errors else np.zeros(0)
-    known = known[~np.isnan(known)]
-    return f"mean joint error {number(float(known.mean()), 1)} mm" if known.size else ""
+    metres = np.concatenate(errors) if errors else np.zeros(0)
+    metres = metres[~np.isnan(metres)]
+    return f"mean joint error {number(float(metres.mean()), 1)} mm" if metres.size else ""
 
 
 def summary_row(frames: Sequence[Frame], model: SkeletonModel) -> str:
     """One line about the channel: people, limb constancy, jitter."""
-    own = consistency(frames, model)
+    scores = consistency(frames, model)
     return (
-        f"{len(own.people)} people, limb lengths vary by {number(own.limb_variation, 4)} (CV), "
-        f"jitter {number(own.jitter, 1)} mm"
+        f"{len(scores.people)} people, limb lengths vary by "
+        f"{number(scores.limb_variation, 4)} (CV), jitter {number(scores.jitter, 1)} mm"
     )
 
 
@@ -182,11 +182,11 @@ def _limbs(model: SkeletonModel, body: Body, title: Sequence[str] = ()) -> Figur
 
 def _error(body: Body, true_poses: Floats, title: Sequence[str] = ()) -> Figure:
     errors = 1000 * np.linalg.norm(body.poses - true_poses, axis=-1)
-    known = ~np.isnan(errors).all(axis=1)
+    present = ~np.isnan(errors).all(axis=1)
     mean, largest = np.full(len(errors), np.nan), np.full(len(errors), np.nan)
-    mean[known], largest[known] = (
-        np.nanmean(errors[known], axis=1),
-        np.nanmax(errors[known], axis=1),
+    mean[present], largest[present] = (
+        np.nanmean(errors[present], axis=1),
+        np.nanmax(errors[present], axis=1),
     )
     figure, axes = new_axes(11, 2.6)
     entitle(figure, title)

@@ -141,16 +141,16 @@ class Entities:
 
     def camera(self, name: str, number: int, pose: Rigid) -> None:
         """Draw a camera as a frustum at its pose in the fixed frame."""
-        look = name, camera_colour(number), label_colour(curve_colour(number))
-        self._frustum(f"/world/cameras/{path_part(name)}", pose, look)
+        style = name, camera_colour(number), label_colour(curve_colour(number))
+        self._frustum(f"/world/cameras/{path_part(name)}", pose, style)
 
     def no_data(self, times: Stamps, place: Floats) -> None:
         """Say "no data" at a place (3,), m, from the first to the second of times (2, 2)."""
         if self._is_new("/world/no_data"):
-            look = rr.Points3D.from_fields(
+            style = rr.Points3D.from_fields(
                 colors=[TRUTH], radii=0.001, labels=["no data"], show_labels=True
             )
-            self.recording.log("/world/no_data", look, static=True)
+            self.recording.log("/world/no_data", style, static=True)
         parts = {rr.Points3D.descriptor_positions(): rr.components.Position3DBatch([place])}
         self._send("/world/no_data", times, parts, np.array([1, 0]))
 
@@ -159,16 +159,16 @@ class Entities:
         for move in moves:
             if move.before is not None and not move.since_s:
                 path = f"/world/before/{path_part(move.name)}"
-                look = "", BEFORE, BEFORE  # a name would cover that of the pose after
-                self._frustum(path, move.before, look)
+                style = "", BEFORE, BEFORE  # a name would cover that of the pose after
+                self._frustum(path, move.before, style)
                 way = [[move.before.translation, move.after.translation]]
                 line = rr.LineStrips3D(way, colors=[DISPLACEMENT], radii=_ERROR_PX)
                 self.recording.log(f"/world/moved/{path_part(move.name)}", line, static=True)
         self._document(CALIBRATION, move_table(moves))
 
-    def _frustum(self, path: str, pose: Rigid, look: tuple[str, RGB, RGB]) -> None:
-        """Draw a camera; ``look`` is its name or "", its colour, and that of the name."""
-        name, colour, text_colour = look
+    def _frustum(self, path: str, pose: Rigid, style: tuple[str, RGB, RGB]) -> None:
+        """Draw a camera; ``style`` is its name or "", its colour, and that of the name."""
+        name, colour, text_colour = style
         place = rr.Transform3D(
             translation=pose.translation, quaternion=rr.Quaternion(xyzw=pose.xyzw)
         )
@@ -194,7 +194,7 @@ class Entities:
     def _annotations(self, *, dim_detections: bool) -> Any:
         """Return the classes: people, people of a second log, and each camera's detections."""
 
-        def looks(number: int, name: str, colour: RGB, left: int) -> list[Any]:
+        def keypoints(number: int, name: str, colour: RGB, left: int) -> list[Any]:
             names = enumerate(self.model.marker_names)
             joints = [
                 rr.AnnotationInfo(k, joint, _packed(marker_colour(colour, joint)))
@@ -207,16 +207,16 @@ class Entities:
                 rr.ClassDescription(info=(left, name, _packed(shade(colour)))),
             ]
 
-        classes = looks(_TRUE, "truth", TRUTH, _LEFT + _TRUE)
+        classes = keypoints(_TRUE, "truth", TRUTH, _LEFT + _TRUE)
         for k in range(CLASSES):
             hue, second, hidden = person_colour(k), _SECOND_LOG + k, _FAINT + k
-            classes += looks(k, f"person {k}", hue, _LEFT + k)
-            classes += looks(second, f"person {k}", pale(hue), _LEFT + second)
-            classes += looks(hidden, f"person {k}", faint(hue), _LEFT + hidden)
+            classes += keypoints(k, f"person {k}", hue, _LEFT + k)
+            classes += keypoints(second, f"person {k}", pale(hue), _LEFT + second)
+            classes += keypoints(hidden, f"person {k}", faint(hue), _LEFT + hidden)
         for camera in range(len(CAMERAS)):
             colour = camera_colour(camera) if dim_detections else curve_colour(camera)
             number = _FIRST_CAMERA_CLASS + camera
-            classes += looks(number, "", colour, number + len(CAMERAS))
+            classes += keypoints(number, "", colour, number + len(CAMERAS))
         return rr.AnnotationContext(classes)
 
     # -- skeletons -----------------------------------------------------------------------------
@@ -229,10 +229,10 @@ class Entities:
         path = f"/detections/{path_part(camera)}"
         if self._is_new(path):
             which = _FIRST_CAMERA_CLASS + number % len(CAMERAS)
-            look = rr.Points3D.from_fields(class_ids=[which], show_labels=False)
-            self.recording.log(path, look, static=True)
-            for part, own in zip(self._bones, (which, which + len(CAMERAS)), strict=True):
-                bones = rr.LineStrips3D.from_fields(class_ids=[own], radii=_THIN, show_labels=False)
+            style = rr.Points3D.from_fields(class_ids=[which], show_labels=False)
+            self.recording.log(path, style, static=True)
+            for part, code in zip(self._bones, (which, which + len(CAMERAS)), strict=True):
+                bones = rr.LineStrips3D.from_fields(radii=_THIN, class_ids=code, show_labels=False)
                 self.recording.log(f"{path}{part}", bones, static=True)
         people = np.arange(len(poses.ids))
         joints, radii = self._joints(poses, people, _DETECTION_M)
@@ -262,7 +262,7 @@ class Entities:
         result; what it was made of is thin beside it.
         """
         if self._is_new(path):
-            self._send_looks(path, is_strong=is_strong)
+            self._send_styles(path, is_strong=is_strong)
         shown = visit.people != HIDDEN
         people = visit.people[shown]
         joints, radii = self._joints(poses, people, _JOINT_M if is_strong else _DETECTION_M)
@@ -278,10 +278,10 @@ class Entities:
         self, path: str, times: Stamps, labels: Sequence[str], is_predicted: Flags
     ) -> None:
         """Send what seldom changes in rows (R, 2): the label, and whether the person is faint."""
-        looks = list(zip(labels, is_predicted.tolist(), strict=True))
-        new = [k for k, look in enumerate(looks) if not k or look != looks[k - 1]]
-        own, when = self._class_of(path), time_columns(times[new], self.start)
-        classes = np.where(is_predicted[new], _FAINT + own % CLASSES, own)
+        states = list(zip(labels, is_predicted.tolist(), strict=True))
+        new = [k for k, state in enumerate(states) if not k or state != states[k - 1]]
+        code, when = self._class_of(path), time_columns(times[new], self.start)
+        classes = np.where(is_predicted[new], _FAINT + code % CLASSES, code)
         for part, shift in (("", 0), *zip(self._bones, (0, _LEFT), strict=True)):
             kind = rr.LineStrips3D if part in self._bones else rr.Points3D
             column = kind.columns(class_ids=classes + shift)
@@ -301,9 +301,9 @@ class Entities:
         path = f"/marked/{path_part(camera)}/{fault_part(kind)}"
         colour = FAULTY[kind]
         if self._is_new(path):
-            look = rr.LineStrips3D.from_fields(colors=[colour], radii=_DETECTION_M)
+            style = rr.LineStrips3D.from_fields(colors=[colour], radii=_DETECTION_M)
             for part in self._bones:
-                self.recording.log(f"{path}{part}", look, static=True)
+                self.recording.log(f"{path}{part}", style, static=True)
             name = rr.Points3D.from_fields(
                 colors=[label_colour(colour)], radii=0.001, labels=[f"{camera} {kind}"],
                 show_labels=True,
@@ -332,21 +332,21 @@ class Entities:
         path = f"{self._layer.prefix}/uncertainty/{person_part(person)}"
         if self._is_new(path):
             red, green, blue = pale(person_hue(person, self._layer))
-            look = rr.Ellipsoids3D.from_fields(
+            style = rr.Ellipsoids3D.from_fields(
                 colors=[(red, green, blue, _ELLIPSOID_ALPHA)],
                 fill_mode=rr.components.FillMode.TransparentFillMajorWireframe,
                 line_radii=_ELLIPSOID_LINE,
                 show_labels=False,
             )
-            self.recording.log(path, look, static=True)
-        known = ~(np.isnan(joints).any(axis=2) | np.isnan(half_sizes))
-        sizes = np.repeat(half_sizes[known][:, None], 3, axis=1).astype(np.float32)
-        centers = joints[known].astype(np.float32)
+            self.recording.log(path, style, static=True)
+        present = ~(np.isnan(joints).any(axis=2) | np.isnan(half_sizes))
+        sizes = np.repeat(half_sizes[present][:, None], 3, axis=1).astype(np.float32)
+        centers = joints[present].astype(np.float32)
         parts = {
             rr.Ellipsoids3D.descriptor_half_sizes(): rr.components.HalfSize3DBatch(sizes),
             rr.Ellipsoids3D.descriptor_centers(): rr.components.Translation3DBatch(centers),
         }
-        self._send(path, times, parts, known.sum(axis=1))
+        self._send(path, times, parts, present.sum(axis=1))
 
     def camera_table(self, rows: Sequence[Sequence[str]]) -> None:
         """Show numbers of each camera, in the order of :data:`CAMERA_COLUMNS`."""
@@ -363,10 +363,10 @@ class Entities:
             colour, radius = (ERROR, _ERROR_PX) if is_error else (DISPLACEMENT, _THIN)
             lines = rr.LineStrips3D.from_fields(colors=[colour], radii=radius)
             self.recording.log(path, lines, static=True)
-        known = ~np.isnan(ends[0] - ends[1]).any(axis=2)
-        strokes = np.stack([end[known] for end in ends], axis=1).astype(np.float32)
+        present = ~np.isnan(ends[0] - ends[1]).any(axis=2)
+        strokes = np.stack([end[present] for end in ends], axis=1).astype(np.float32)
         parts = {rr.LineStrips3D.descriptor_strips(): strips(strokes)}
-        self._send(path, times, parts, known.sum(axis=1))
+        self._send(path, times, parts, present.sum(axis=1))
 
     def _joints(self, poses: Poses, people: Stamps, largest: float) -> tuple[Singles, Singles]:
         """Return joints (K, M, 3) and radii (K, M), m, of some of the poses."""
@@ -395,13 +395,13 @@ class Entities:
             n_bones = draw_bones(joints, ends, bones, per_pose)
             yield part, {rr.LineStrips3D.descriptor_strips(): strips(bones[:n_bones])}, per_pose
 
-    def _send_looks(self, path: str, *, is_strong: bool) -> None:
+    def _send_styles(self, path: str, *, is_strong: bool) -> None:
         """Say once how a person's entities look; classes and labels change."""
         which = self._layer.number if self._layer.one_colour else person_of(path)
         colour = TRUTH if self._class_of(path) == _TRUE else person_colour(which)
         keypoints, radius = list(range(self.model.n_markers)), _BONE_M if is_strong else _THIN
         bones = rr.LineStrips3D.from_fields(radii=radius, show_labels=False)
-        for part, look in (
+        for part, style in (
             ("", rr.Points3D.from_fields(keypoint_ids=keypoints, show_labels=False)),
             ("/name", rr.Points3D.from_fields(
                 colors=[label_colour(colour)], radii=0.001, show_labels=True)),
@@ -409,7 +409,7 @@ class Entities:
                 class_ids=[self._class_of(path)], radii=0.005, show_labels=False)),
             *((part, bones) for part in self._bones),
         ):  # fmt: skip
-            self.recording.log(f"{path}{part}", look, static=True)
+            self.recording.log(f"{path}{part}", style, static=True)
 
     # -- curves, lanes and the log ---------------------------------------------------------------
 
@@ -417,8 +417,8 @@ class Entities:
         """Send rows (T, 2) and (T, len(lines)) of the curves of an entity."""
         if self._is_new(path):
             names, colours, widths = map(list, zip(*lines, strict=True))
-            look = rr.SeriesLines(names=names, colors=colours, widths=widths)
-            self.recording.log(path, look, static=True)
+            style = rr.SeriesLines(names=names, colors=colours, widths=widths)
+            self.recording.log(path, style, static=True)
         parts = rr.Scalars.columns(scalars=values.ravel())
         counts = np.full(len(times), len(lines))
         self.recording.send_columns(path, time_columns(times, self.start), parts.partition(counts))
@@ -431,13 +431,13 @@ class Entities:
         times[:, 0] = self.start + (times[:, 0] - self.start + 5_000_000) // 10**7 * 10**7
         self.recording.send_columns(path, time_columns(times, self.start), parts)
 
-    def lane(self, path: str, rows: TextRows, look: Line) -> None:
+    def lane(self, path: str, rows: TextRows, style: Line) -> None:
         """Send a lane: filled in the first of its states, with a gap where that is gone."""
         if self._is_new(path):
             states = rr.StateConfiguration(
                 values=[rows.texts[0], "gone"],
-                labels=[look.name, "gone"],
-                colors=[_packed(look.colour)] * 2,
+                labels=[style.name, "gone"],
+                colors=[_packed(style.colour)] * 2,
                 visible=[True, False],
             )
             self.recording.log(path, states, static=True)

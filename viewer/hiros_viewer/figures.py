@@ -67,9 +67,9 @@ def entitle(figure: Figure, lines: Sequence[str]) -> None:
 def name_above(axes: Axes, colours: Mapping[str, str]) -> None:
     """Name curves in their colours above the right end of a plot, where no curve is."""
     x = 1.0
-    look: dict[str, Any] = {"transform": axes.transAxes, "ha": "right", "va": "bottom"}
+    style: dict[str, Any] = {"transform": axes.transAxes, "ha": "right", "va": "bottom"}
     for name, colour in reversed(list(colours.items())):
-        axes.text(x, 1.01, name, color=colour, fontsize=9, **look)
+        axes.text(x, 1.01, name, color=colour, fontsize=9, **style)
         x -= 0.022 * (len(name) + 1)
 
 
@@ -78,10 +78,10 @@ def name_ends(axes: Axes) -> None:
     low, high = axes.get_ylim()
     ends = []
     for line in axes.lines:
-        known = np.asarray(line.get_ydata(), float)
-        known = known[~np.isnan(known)]
-        if len(known):
-            ends.append(((known[-1] - low) / (high - low), line))
+        heights = np.asarray(line.get_ydata(), float)
+        heights = heights[~np.isnan(heights)]
+        if len(heights):
+            ends.append(((heights[-1] - low) / (high - low), line))
     height = axes.get_figure(root=True).get_figheight() * axes.get_position().height  # type: ignore[union-attr]
     apart, below = 0.16 / height, -np.inf
     for end, line in sorted(ends, key=lambda pair: pair[0]):
@@ -112,13 +112,13 @@ def limb_links(model: SkeletonModel) -> dict[str, int]:
     """Name -> link slot of upper arms, forearms, thighs and shins, as far as the model has them."""
     slots = {split_side(name): slot for slot, name in enumerate(model.marker_names)}
     ends = {p: k for k, p in enumerate(zip(model.link_parents, model.link_children, strict=True))}
-    found = {}
+    links = {}
     for side in ("left", "right"):
         for name, (upper, lower) in _LIMBS.items():
             link = ends.get((slots.get((upper, side), -2), slots.get((lower, side), -2)))
             if link is not None:
-                found[f"{side} {name}"] = link
-    return found
+                links[f"{side} {name}"] = link
+    return links
 
 
 def limb_figure(

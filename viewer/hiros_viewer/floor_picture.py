@@ -60,8 +60,8 @@ def _title(plan: RoomPlan) -> str:
 def _draw_map(figure: Figure, axes: Axes, plan: RoomPlan) -> None:
     floor, errors = plan.map.floor, plan.map.errors_mm
     x, y = _edges(floor.x), _edges(floor.y)
-    known = errors[np.isfinite(errors)]
-    low, high = (known.min(), np.percentile(known, 98)) if len(known) else (0.0, 1.0)
+    finite = errors[np.isfinite(errors)]
+    low, high = (finite.min(), np.percentile(finite, 98)) if len(finite) else (0.0, 1.0)
     high = max(high, low + 1.0)
     axes.set_facecolor("#ffffff")
     mesh = axes.pcolormesh(x, y, errors, cmap="YlOrRd", vmin=low, vmax=high, zorder=1)

@@ -28,5 +28,5 @@ def about(path: Path, *verdict: str) -> tuple[str, str]:
         facts.append(f"hiros {run['version']}, system {run.get('system', '')}")
     with open_reader(path) as reader:
         n = len(stored_report(reader).warnings)
-    doubts = quantity(n, "warning") if n else "no warnings"
-    return "; ".join(facts), "; ".join([*filter(None, verdict), doubts])
+    warnings = quantity(n, "warning") if n else "no warnings"
+    return "; ".join(facts), "; ".join([*filter(None, verdict), warnings])

@@ -58,9 +58,9 @@ class LiveView:
         self._waiting.add([(channel, camera)], Block.of(frame))
         if self._waiting.size >= BATCH:
             scene.draw(self._waiting.rest())
-            self._look(scene)
+            self._follow(scene)
 
-    def _look(self, scene: Scene) -> None:
+    def _follow(self, scene: Scene) -> None:
         """Stop when the viewer was closed; lay the views out anew once people are known."""
         if not self._is_open():
             self._scene = None

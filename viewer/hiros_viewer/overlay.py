@@ -39,13 +39,13 @@ def draw_distances(first: Path, second: Path, scenes: list[Scene], stage: str) -
     shared = [name for name in names[0] if name in names[1]]
     if not shared:
         raise ConfigError(f"{first} and {second} share no marker")
-    slots = [[own.index(name) for name in shared] for own in names]
+    slots = [[each.index(name) for name in shared] for each in names]
     a, b = (_poses(path, common[-1]) for path in (first, second))
     mine, theirs = simultaneous(a.stamps, b.stamps)
     people = _people(a, mine, slots[0]), _people(b, theirs, slots[1])
     apart = [joint_distances(*both) for both in zip(*people, strict=True)]
-    known = np.array([len(distances) > 0 for distances in apart], bool)
-    times = a.times[mine][known]
+    present = np.array([len(distances) > 0 for distances in apart], bool)
+    times = a.times[mine][present]
     for name, of in (("mean", np.mean), ("largest", np.max)):
         values = np.array([of(distances) for distances in apart if len(distances)])
         scenes[0].distances(name, times, 1000 * values)
@@ -78,10 +78,10 @@ def simultaneous(first: Stamps, second: Stamps) -> tuple[Stamps, Stamps]:
 def joint_distances(mine: Floats, theirs: Floats) -> Floats:
     """Distances, m, of all joints of people (P, K, 3) and (Q, K, 3), matched by place."""
     each = np.linalg.norm(mine[:, None] - theirs[None], axis=-1)
-    known = ~np.isnan(each)
-    mean = np.where(known, each, 0).sum(axis=-1) / np.maximum(known.sum(axis=-1), 1)
-    mean[~known.any(axis=-1) | (mean > SAME_PERSON)] = np.inf
+    present = ~np.isnan(each)
+    mean = np.where(present, each, 0).sum(axis=-1) / np.maximum(present.sum(axis=-1), 1)
+    mean[~present.any(axis=-1) | (mean > SAME_PERSON)] = np.inf
     rows = assign(np.ascontiguousarray(mean)).tolist()
-    found = [each[row, column] for column, row in enumerate(rows) if row >= 0]
-    flat = np.concatenate(found) if found else np.zeros(0)
+    distances = [each[row, column] for column, row in enumerate(rows) if row >= 0]
+    flat = np.concatenate(distances) if distances else np.zeros(0)
     return np.asarray(flat[~np.isnan(flat)])

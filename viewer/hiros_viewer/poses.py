@@ -55,12 +55,12 @@ class Poses:
     def of_block(cls, block: Block, frames: Stamps) -> Poses:
         """Copy what is drawn of some frames of a block, by their numbers."""
         rows = block.rows[frames]
-        own, people = ranges(rows), block.people
-        positions = np.empty((len(own), people.markers.shape[1], 3))
+        indices, people = ranges(rows), block.people
+        positions = np.empty((len(indices), people.markers.shape[1], 3))
         confidences = np.empty(positions.shape[:2])
-        pick(people.markers, people.marker_confidences, own, positions, confidences)
+        pick(people.markers, people.marker_confidences, indices, positions, confidences)
         times = np.stack([block.stamps[frames], block.log_times[frames]], axis=1)
-        return cls(times, rows[:, 1] - rows[:, 0], people.ids[own], positions, confidences)
+        return cls(times, rows[:, 1] - rows[:, 0], people.ids[indices], positions, confidences)
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
@@ -85,9 +85,9 @@ class Poses:
     @property
     def is_predicted(self) -> Flags:
         """(P,) whether no camera saw the person, as the summary counts it."""
-        known = ~np.isnan(self.confidences)
-        total = np.where(known, self.confidences, 0.0).sum(axis=1)
-        return np.asarray(known.any(axis=1) & (total < LEAST_CONFIDENCE * known.sum(axis=1)))
+        present = ~np.isnan(self.confidences)
+        total = np.where(present, self.confidences, 0.0).sum(axis=1)
+        return np.asarray(present.any(axis=1) & (total < LEAST_CONFIDENCE * present.sum(axis=1)))
 
     @property
     def rows(self) -> Stamps:
@@ -148,9 +148,9 @@ class Gatherer:
         for k, channel in enumerate(channels):
             if channel is not None:
                 frames[channel].append(k)
-        for channel, own in frames.items():
-            self._parts[channel].append(Poses.of_block(block, np.array(own)))
-            self.size += len(own)
+        for channel, held in frames.items():
+            self._parts[channel].append(Poses.of_block(block, np.array(held)))
+            self.size += len(held)
         self._newest = max(self._newest, int(block.log_times.max(initial=0)))
 
     @property
@@ -160,24 +160,24 @@ class Gatherer:
 
     def ready(self) -> Mapping[Channel, Poses]:
         """Take out the frames that hardly any earlier one will follow."""
-        found = self._before(self._newest - HORIZON_NS)
-        self._is_first &= not found
-        return found
+        poses = self._before(self._newest - HORIZON_NS)
+        self._is_first &= not poses
+        return poses
 
     def rest(self) -> Mapping[Channel, Poses]:
         """Take out all frames."""
         return self._before(2**63 - 1)
 
     def _before(self, stamp: int) -> Mapping[Channel, Poses]:
-        found: dict[Channel, Poses] = {}
+        poses: dict[Channel, Poses] = {}
         for channel, parts in self._parts.items():
             if parts:
                 early, late = Poses.joined(parts).split(stamp)
                 self._parts[channel] = [late] if len(late) else []
                 if len(early):
-                    found[channel] = early
+                    poses[channel] = early
         self.size = 0
-        return found
+        return poses
 
 
 class Thinner:

@@ -57,10 +57,10 @@ class Visits:
         order = np.argsort(poses.ids, kind="stable")
         ids, starts = np.unique(poses.ids[order], return_index=True)
         ends = np.append(starts, len(order))[1:]
-        own = {i: order[a:b] for i, a, b in zip(ids.tolist(), starts, ends, strict=True)}
+        of_person = {i: order[a:b] for i, a, b in zip(ids.tolist(), starts, ends, strict=True)}
         nobody = np.zeros(0, np.int64)
-        for person in sorted({*own, *self.shown} - {UNTRACKED}):
-            people = own.get(person, nobody)
+        for person in sorted({*of_person, *self.shown} - {UNTRACKED}):
+            people = of_person.get(person, nobody)
             visit = self._visit(person, poses.times, (frames[people], people), pauses)
             if len(visit.times):
                 yield visit
@@ -70,14 +70,14 @@ class Visits:
     ) -> Visit:
         """Return the rows of one person, who is in the frames ``seen`` with these poses."""
         frames, people = seen
-        own = times[frames]
+        stamps = times[frames]
         earlier = self.shown.pop(person, None)
         if earlier is not None:  # as if shown in a frame before the first
             frames, people = np.insert(frames, 0, -1), np.insert(people, 0, 0)
-            own = np.insert(own, 0, earlier, axis=0)
+            stamps = np.insert(stamps, 0, earlier, axis=0)
         n = len(times)
         following = np.append(frames[1:], n)
-        lacking = np.searchsorted(times[:, 0], own[:, 0] + self.patience)
+        lacking = np.searchsorted(times[:, 0], stamps[:, 0] + self.patience)
         lacking = np.maximum(lacking, frames + 1)
         pause = np.searchsorted(pauses[0], frames, side="right")
         paused = np.append(pauses[0], n + 1)[pause]
@@ -86,12 +86,12 @@ class Visits:
         when = times[np.minimum(lacking, n - 1)]
         when[at_pause] = pauses[1][pause[at_pause]] + GONE_NS
         if not hidden[-1]:
-            self.shown[person] = own[-1]
+            self.shown[person] = stamps[-1]
         after = np.flatnonzero(hidden) + 1
         people = np.insert(people, after, HIDDEN)
         begins = (people != HIDDEN) & (np.append(HIDDEN, people[:-1]) == HIDDEN)
         new = slice(earlier is not None, None)
-        rows = np.insert(own, after, when[hidden], axis=0)
+        rows = np.insert(stamps, after, when[hidden], axis=0)
         return Visit(person, rows[new], people[new], begins[new])
 
     def finish(self) -> Iterator[Visit]:

@@ -120,10 +120,10 @@ def replay(
         scenes.append(_Replay(path, recording, options, layer).draw(first, is_open))
     if logs[1:]:
         draw_distances(logs[0], logs[1], scenes, options.stage)
-        looks = ("strong colours", "pale colours")
+        colours = ("strong colours", "pale colours")
         names = [
-            f"**{layer.name}** is {path.name}: {look}."
-            for layer, path, look in zip(layers, logs, looks, strict=True)
+            f"**{layer.name}** is {path.name}: {colour}."
+            for layer, path, colour in zip(layers, logs, colours, strict=True)
         ]
         scenes[0].explain("  \n".join(names))
     content = content_of(scenes)
@@ -241,13 +241,13 @@ class _Replay:
 
     def _truth(self, log: Log) -> Truth | None:
         """Return the truth on the log's markers, at the log's time."""
-        own = any(info.topic.startswith(f"{TRUTH_PREFIX}/") for info in log.channels)
-        if self.options.truth is None and not own:
+        has_truth = any(info.topic.startswith(f"{TRUTH_PREFIX}/") for info in log.channels)
+        if self.options.truth is None and not has_truth:
             return None  # looking for it in a long log takes a while
-        found = find_truth(self.path, self.options.truth)
-        if found is None:
+        truth = find_truth(self.path, self.options.truth)
+        if truth is None:
             return None
-        return found.moved(start=start_of(self.path)).seen_by(log.model)
+        return truth.moved(start=start_of(self.path)).seen_by(log.model)
 
     def _draw_truth(self, scene: Scene, truth: Truth) -> int:
         """Draw the true people, once if logs are overlaid; return the number of instants."""
@@ -406,8 +406,8 @@ def axis_ranges(scenes: Sequence[Scene]) -> dict[str, tuple[float, float]]:
     """
     axes = {}
     for kind in {kind for scene in scenes for kind in scene.ranges}:
-        found = [scene.ranges[kind] for scene in scenes if kind in scene.ranges]
-        low, high = min(low for low, _ in found), max(high for _, high in found)
+        ranges = [scene.ranges[kind] for scene in scenes if kind in scene.ranges]
+        low, high = min(low for low, _ in ranges), max(high for _, high in ranges)
         if not kind.startswith(SIDED):
             axes[kind] = numbered_axis(high, MOST_NUMBERS.get(kind, 3.3))
             continue

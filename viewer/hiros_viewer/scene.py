@@ -120,7 +120,7 @@ class Scene:
         self._curves: dict[str, CurveRows] = {}
         """By path."""
         self._texts = defaultdict[str, TextRows](TextRows)
-        self._lane_looks: dict[str, Line] = {}
+        self._lane_styles: dict[str, Line] = {}
         """By path."""
         self._earlier = defaultdict[tuple[str, int], EarlierPoses](EarlierPoses)
         """By stage and person."""
@@ -148,7 +148,7 @@ class Scene:
     @property
     def has_faults(self) -> bool:
         """Whether a camera's view was wrong, or nothing was recorded, for a while."""
-        return any(path.startswith(("/wrong_view/", "/no_data")) for path in self._lane_looks)
+        return any(path.startswith(("/wrong_view/", "/no_data")) for path in self._lane_styles)
 
     @property
     def longest(self) -> int:
@@ -202,10 +202,10 @@ class Scene:
         for kind, _ in sorted(frames, key=lambda channel: channel[0] == self.final):
             if kind != DETECTIONS:
                 self.stage(kind, frames[kind, ""])
-        self._tell_silence([p for (kind, _), p in frames.items() if kind == DETECTIONS])
+        self._mark_silence([p for (kind, _), p in frames.items() if kind == DETECTIONS])
         self._send_texts()
 
-    def _tell_silence(self, some: Sequence[Poses]) -> None:
+    def _mark_silence(self, some: Sequence[Poses]) -> None:
         """Say where nothing was recorded: in the room, in a lane and in the list of events."""
         if not some:
             return
@@ -218,11 +218,11 @@ class Scene:
             seconds = float(end[0] - start[0]) / 1e9
             if seconds < SILENCE_S:
                 continue
-            self._lane_looks["/no_data"] = Line("no data", SILENCE)
+            self._lane_styles["/no_data"] = Line("no data", SILENCE)
             self._texts["/no_data"].add(start, "no data")
             self._texts["/no_data"].add(end, "gone")
-            told = Event(int(start[0]), "no data", UNTRACKED, "", f"for {seconds:.2f} s")
-            self.event(told, int(start[1]))
+            silence = Event(int(start[0]), "no data", UNTRACKED, "", f"for {seconds:.2f} s")
+            self.event(silence, int(start[1]))
             if self.bounds:
                 place = np.mean(self.bounds, axis=(0, 1))
                 self._entities.no_data(np.stack([start + GONE_NS, end]), place)
@@ -243,12 +243,12 @@ class Scene:
         for camera, detections, people, rows in some:
             check = self._checks[camera]
             distances, faults = check.compare(detections, people, rows)
-            known = ~np.isnan(distances)
-            self._extend_camera("/residual", camera, detections.times[known], distances[known])
+            present = ~np.isnan(distances)
+            self._extend_camera("/residual", camera, detections.times[present], distances[present])
             for kind, wrong in faults.items():
                 if wrong.any() or (camera, kind) in self._marks:
                     self._mark(camera, kind, detections.only(wrong))
-            self._tell(camera, check.spans(detections, faults))
+            self._mark_faults(camera, check.spans(detections, faults))
 
     def _mark(self, camera: str, kind: str, wrong: Poses) -> None:
         """Draw the detections of frames that are wrong, if there are any."""
@@ -258,16 +258,16 @@ class Scene:
             wrong = wrong.select(kept)
             self._entities.marks(camera, kind, wrong, crowd.rows(wrong))
 
-    def _tell(self, camera: str, spans: Iterable[FaultySpan]) -> None:
+    def _mark_faults(self, camera: str, spans: Iterable[FaultySpan]) -> None:
         """Show when a camera's view was wrong: a lane, and a line in the list of events."""
         for span in spans:
             path = f"/wrong_view/{path_part(camera)}/{fault_part(span.kind)}"
-            self._lane_looks[path] = Line(f"{camera} {span.kind}", FAULTY[span.kind])
+            self._lane_styles[path] = Line(f"{camera} {span.kind}", FAULTY[span.kind])
             self._texts[path].add(span.start, span.kind)
             self._texts[path].add(span.end, "gone")
             detail = f"for {span.seconds:.2f} s"
-            told = Event(int(span.start[0]), f"view {span.kind}", UNTRACKED, camera, detail)
-            self.event(told, int(span.start[1]))
+            event = Event(int(span.start[0]), f"view {span.kind}", UNTRACKED, camera, detail)
+            self.event(event, int(span.start[1]))
 
     def describe_cameras(self, report: Mapping[str, Mapping[str, Any]]) -> None:
         """Show the numbers of each camera: those of the run, by camera, and what was drawn."""
@@ -297,7 +297,7 @@ class Scene:
 
     def _match(self, poses: Poses, truth: Truth) -> None:
         """Note the true pose of everybody in a frame who is near a true person."""
-        found = defaultdict[int, list[tuple[int, Floats]]](list)
+        matches = defaultdict[int, list[tuple[int, Floats]]](list)
         self._true_ids.clear()
         frames = zip(poses.stamps.tolist(), poses.rows.tolist(), strict=True)
         for stamp, (begin, end) in frames:
@@ -310,9 +310,9 @@ class Scene:
             near = np.where(distances < MATCH_DISTANCE, distances, np.inf)
             for row, column in best_pairs(near):
                 person = int(poses.ids[begin + column])
-                found[person].append((stamp, true[row]))
+                matches[person].append((stamp, true[row]))
                 self._true_ids[person][stamp] = truth.people[row] if truth.people else row
-        for person, noted in found.items():
+        for person, noted in matches.items():
             stamps, true_poses = zip(*noted, strict=True)
             self._earlier["truth", person].add(np.array(stamps), np.stack(true_poses))
 
@@ -324,18 +324,18 @@ class Scene:
         seen = zip(visit.times[shown, 0].tolist(), poses.is_predicted[people], strict=True)
         labels = [self._label(stage, visit.person, stamp, gone) for stamp, gone in seen]
         self._entities.person(path, visit, poses, labels, is_strong=is_strong)
-        own = poses.positions[people]
-        self._extend_bounds(own)
+        positions = poses.positions[people]
+        self._extend_bounds(positions)
         if stage == UNCERTAIN_STAGE:
-            self._show_uncertainty(visit, shown, own)
+            self._show_uncertainty(visit, shown, positions)
         if stage == self.final:
             self._states(visit)
             self._lengths[visit.person] += int(shown.sum())
-            self._show_displacements(visit, shown, own)
+            self._show_displacements(visit, shown, positions)
             if shown.any():
-                self._derive_curves(visit.person, visit.times[shown], own)
+                self._derive_curves(visit.person, visit.times[shown], positions)
         elif stage in self._before():
-            self._earlier[stage, visit.person].add(visit.times[shown, 0], own)
+            self._earlier[stage, visit.person].add(visit.times[shown, 0], positions)
 
     def _label(self, stage: str, person: int, stamp: int, is_predicted: bool) -> str:
         """Return what is written above somebody; the true person beside the one of the result."""
@@ -345,8 +345,8 @@ class Scene:
         if stage != self.final:
             return name
         true = self._true_ids[person].get(stamp) if self.shows_truth else None
-        known = "" if true is None else f" = truth {true}"
-        return f"{name}{known}{', predicted' if is_predicted else ''}"
+        truth = "" if true is None else f" = truth {true}"
+        return f"{name}{truth}{', predicted' if is_predicted else ''}"
 
     def _show_uncertainty(self, visit: Visit, shown: Flags, poses: Floats) -> None:
         """Draw how well the joints ``poses`` (K, M, 3) of the rows shown are known."""
@@ -359,7 +359,7 @@ class Scene:
 
     def _states(self, visit: Visit) -> None:
         path = f"{self.prefix}/result/{person_part(visit.person)}"
-        self._lane_looks[path] = self._person_line(visit.person)
+        self._lane_styles[path] = self._person_line(visit.person)
         for row in np.flatnonzero(visit.begins | (visit.people == HIDDEN)).tolist():
             self._texts[path].add(visit.times[row], "tracked" if visit.begins[row] else "gone")
 
@@ -393,14 +393,14 @@ class Scene:
             for visit in visits.finish():
                 self._send_visit(name, visit, nobody)
         for camera, check in self._checks.items():
-            self._tell(camera, check.finish())
+            self._mark_faults(camera, check.finish())
         self._send_texts()
 
     def _send_texts(self) -> None:
         for path, rows in self._texts.items():
             if rows.times:
-                if path in self._lane_looks:
-                    self._entities.lane(path, rows, self._lane_looks[path])
+                if path in self._lane_styles:
+                    self._entities.lane(path, rows, self._lane_styles[path])
                 else:
                     self._entities.log_lines(path, rows)
                 rows.sent()
@@ -442,9 +442,9 @@ class Scene:
 
     def _extend_apart(self, path: str, person: int, times: Stamps, metres: Floats) -> None:
         """Add to a person's curve of distances, mm; NaN is left out."""
-        known = ~np.isnan(metres)
+        present = ~np.isnan(metres)
         lines = [self._person_line(person)]
-        self._extend(f"{self.prefix}/{path}", lines, times[known], 1000 * metres[known])
+        self._extend(f"{self.prefix}/{path}", lines, times[present], 1000 * metres[present])
 
     def _person_line(self, person: int) -> Line:
         """Return the curve of a person, in its colour."""
@@ -466,7 +466,7 @@ class Scene:
         path = f"{self.prefix}/{kind}/{person_part(person)}"
         parts = [split_side(name)[0] for name in names]
         for part in dict.fromkeys(parts):
-            columns = [k for k, own in enumerate(parts) if own == part]
+            columns = [k for k, side in enumerate(parts) if side == part]
             lines = self._side_lines([names[k] for k in columns])
             self._extend(f"{path}/{part.replace(' ', '_')}", lines, times, values[:, columns])
 
@@ -492,13 +492,13 @@ class Scene:
         if len(times):
             curves = self._curves.setdefault(path, CurveRows(lines))
             self._entities.curves(path, lines, *curves.ended(times, values))
-        known = values[~np.isnan(values)]
-        if known.size:
+        present = values[~np.isnan(values)]
+        if present.size:
             parts = path.removeprefix(self.prefix).split("/")[1:]
             kind = "/".join(parts[::2]) if parts[0] in SIDED else parts[0]
             # Outliers of angles and lengths are the detectors' and not to be seen; errors are.
             spread = [0.5, 99.5] if parts[0] in SIDED else [0.0, 100.0]
-            low, high = np.percentile(known, spread)
+            low, high = np.percentile(present, spread)
             past = self.ranges.get(kind, (low, high))
             self.ranges[kind] = min(past[0], float(low)), max(past[1], float(high))
 

@@ -22,35 +22,35 @@ class Uncertainties:
 
     Parameters
     ----------
-    told : what a result says. model : of its skeletons.
+    deviations : what a result says. model : of its skeletons.
     """
 
-    def __init__(self, told: Deviations, model: SkeletonModel) -> None:
+    def __init__(self, deviations: Deviations, model: SkeletonModel) -> None:
         stamps: dict[int, list[int]] = {}
-        for stamp, person in sorted(told):
+        for stamp, person in sorted(deviations):
             stamps.setdefault(person, []).append(stamp)
-        self._stamps = {person: np.array(own, np.int64) for person, own in stamps.items()}
+        self._stamps = {person: np.array(times, np.int64) for person, times in stamps.items()}
         self._deviations = {
             person: np.array(
-                [[told[stamp, person].get(i, np.nan) for i in model.marker_ids] for stamp in own]
+                [[deviations[t, person].get(i, np.nan) for i in model.marker_ids] for t in times]
             )
-            for person, own in stamps.items()
+            for person, times in stamps.items()
         }
 
     @classmethod
     def of_result(cls, path: Path, model: SkeletonModel) -> Self:
         """Read what a result says; raises ConfigError if it says nothing, LogError if damaged."""
-        if not (told := read_uncertainty(path)):
+        if not (deviations := read_uncertainty(path)):
             raise ConfigError(
                 f"{path}: does not say how well its markers are known; results of `hiros process "
                 "--system fuse` do"
             )
-        return cls(told, model)
+        return cls(deviations, model)
 
     def at(self, person: int, stamps: Stamps) -> Floats:
         """(T, M) standard deviations along each axis, m, at some times; NaN = unknown."""
         if person not in self._stamps:
             return np.full((len(stamps), 1), np.nan)
-        known, deviations = self._stamps[person], self._deviations[person]
-        rows = np.minimum(np.searchsorted(known, stamps), len(known) - 1)
-        return np.where((known[rows] == stamps)[:, None], deviations[rows], np.nan)
+        times, deviations = self._stamps[person], self._deviations[person]
+        rows = np.minimum(np.searchsorted(times, stamps), len(times) - 1)
+        return np.where((times[rows] == stamps)[:, None], deviations[rows], np.nan)

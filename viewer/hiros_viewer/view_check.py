@@ -75,11 +75,11 @@ class ViewCheck:
         nearest(poses, people, rows[frames], plain)
         nearest(np.ascontiguousarray(poses[:, self.mirror]), people, rows[frames], swapped)
         expected = rows[:, 1] - rows[:, 0]
-        found = np.empty(int(expected.sum()))
-        own = np.repeat(detections.rows, expected, axis=0)
-        nearest(people[ranges(rows)], poses, own, found)
-        self.seen += int((found < SAME_PERSON_M).sum())
-        self.people += len(found)
+        metres = np.empty(int(expected.sum()))
+        indices = np.repeat(detections.rows, expected, axis=0)
+        nearest(people[ranges(rows)], poses, indices, metres)
+        self.seen += int((metres < SAME_PERSON_M).sum())
+        self.people += len(metres)
         same = plain < SAME_PERSON_M
         total, n = (
             np.bincount(frames[same], weights, len(rows)) for weights in (1000 * plain[same], None)
@@ -120,6 +120,6 @@ class ViewCheck:
     def row(self) -> tuple[str, ...]:
         """Return coverage, median distance, and how long the view was wrong, as text."""
         coverage = f"{self.seen / self.people:.0%}" if self.people else "-"
-        known = np.concatenate([*self.distances, np.zeros(0)])
-        distance = f"{np.median(known):.0f} mm" if len(known) else "-"
+        distances = np.concatenate([*self.distances, np.zeros(0)])
+        distance = f"{np.median(distances):.0f} mm" if len(distances) else "-"
         return (coverage, distance, *(f"{self.seconds.get(kind, 0.0):.1f} s" for kind in FAULTS))

@@ -48,25 +48,25 @@ class Waiting:
 
     def reached(self, result: Poses) -> Iterator[Compared]:
         """Yield detections up to the newest frame of the result, each with the nearest one."""
-        known = result if self._last is None else Poses.joined([self._last, result])
-        self._last = known.select(np.array([len(known) - 1]))
-        yield from self._up_to(int(known.stamps[-1]), known)
+        joined = result if self._last is None else Poses.joined([self._last, result])
+        self._last = joined.select(np.array([len(joined) - 1]))
+        yield from self._up_to(int(joined.stamps[-1]), joined)
 
     def rest(self) -> Iterator[Compared]:
         """Yield detections soon after the end of the result."""
         if self._last is not None:
             yield from self._up_to(int(self._last.stamps[-1]) + GONE_NS, self._last)
 
-    def _up_to(self, stamp: int, known: Poses) -> Iterator[Compared]:
+    def _up_to(self, stamp: int, poses: Poses) -> Iterator[Compared]:
         for camera, parts in self._parts.items():
             if parts:
                 ready, later = Poses.joined(parts).split(stamp + 1)
                 self._parts[camera] = [later] if len(later) else []
-                near = nearest_stamps(known.stamps, ready.stamps)
-                chosen = np.flatnonzero(np.abs(known.stamps[near] - ready.stamps) <= GONE_NS)
+                near = nearest_stamps(poses.stamps, ready.stamps)
+                chosen = np.flatnonzero(np.abs(poses.stamps[near] - ready.stamps) <= GONE_NS)
                 if len(chosen):
-                    rows = known.rows[near[chosen]]
-                    yield Compared(camera, ready.select(chosen), known.positions, rows)
+                    rows = poses.rows[near[chosen]]
+                    yield Compared(camera, ready.select(chosen), poses.positions, rows)
 
 
 @dataclass(slots=True)
@@ -80,25 +80,25 @@ class EarlierPoses:
 
     def add(self, stamps: Stamps, poses: Floats) -> None:
         """Append poses (T, M, 3); only the newest are kept if the result never comes."""
-        known = poses if self.poses is None else np.concatenate([self.poses, poses])
+        joined = poses if self.poses is None else np.concatenate([self.poses, poses])
         self.stamps = np.concatenate([self.stamps, stamps])[-_MOST:]
-        self.poses = known[-_MOST:]
+        self.poses = joined[-_MOST:]
 
     def at(self, stamps: Stamps, n_markers: int) -> Floats:
         """(T, M, 3) poses at increasing times, NaN where absent; earlier ones are forgotten."""
-        found = np.full((len(stamps), n_markers, 3), np.nan)
+        poses = np.full((len(stamps), n_markers, 3), np.nan)
         if self.poses is None or not len(stamps):
-            return found
-        _, own, asked = np.intersect1d(self.stamps, stamps, return_indices=True)
-        found[asked] = self.poses[own]
+            return poses
+        _, kept, asked = np.intersect1d(self.stamps, stamps, return_indices=True)
+        poses[asked] = self.poses[kept]
         later = self.stamps > stamps[-1]
         self.stamps, self.poses = self.stamps[later], self.poses[later]
-        return found
+        return poses
 
 
 def mean_distances(first: Floats, second: Floats) -> Floats:
     """(T,) Mean distance over joints between poses (T, M, 3), m; NaN without a common joint."""
     apart = np.linalg.norm(first - second, axis=2)
-    known = ~np.isnan(apart)
-    total = np.where(known, apart, 0.0).sum(axis=1)
-    return np.asarray(np.where(known.any(axis=1), total / np.maximum(known.sum(axis=1), 1), np.nan))
+    counts = (~np.isnan(apart)).sum(axis=1)
+    mean = np.nansum(apart, axis=1) / np.maximum(counts, 1)
+    return np.asarray(np.where(counts, mean, np.nan))

@@ -61,19 +61,19 @@ def people(
     from hiros_mcap.io.log import open_log
 
     with bar(f"calibrating on {log.name}", quiet=False), open_log(log, topics=topic) as opened:
-        found = calibrate_people(opened)
-        if write_log is not None and found.verdict != "impossible":
-            write_corrected_log(opened, found, write_log)
-    weak = found.verdict in ("usable", "doubtful")
-    warnings = [f"{log}: the poses are {found.verdict}: {found.reason}"] if weak else []
-    if found.verdict == "impossible":
-        raise LogError(f"no poses can be found: {found.reason}", path=log)
+        calibration = calibrate_people(opened)
+        if write_log is not None and calibration.verdict != "impossible":
+            write_corrected_log(opened, calibration, write_log)
+    weak = calibration.verdict in ("usable", "doubtful")
+    warnings = [f"{log}: the poses are {calibration.verdict}: {calibration.reason}"] if weak else []
+    if calibration.verdict == "impossible":
+        raise LogError(f"no poses can be found: {calibration.reason}", path=log)
     if output is not None:
-        save_cameras(output, found)
+        save_cameras(output, calibration)
     if json:
-        print_json("calibrate.people", found.to_dict(), warnings)
+        print_json("calibrate.people", calibration.to_dict(), warnings)
     else:
-        show_calibration(log, found, joints=joints)
+        show_calibration(log, calibration, joints=joints)
     for text in warnings:
         warn(text)
 
@@ -110,8 +110,8 @@ def ball(
     with bar(f"calibrating on {log.name}", quiet=False):
         report = calibrate_ball(log, options)
     if output is not None:
-        save_cameras(output, report.found)
-    _tell("calibrate.ball", log, report, None if json else show_ball)
+        save_cameras(output, report.calibration)
+    _print("calibrate.ball", log, report, None if json else show_ball)
 
 
 @app.command(cls=HelpfulCommand)
@@ -141,10 +141,10 @@ def board(
         )
     if output is not None:
         save_cameras(output, report)
-    _tell("calibrate.board", log, report, None if json else show_board)
+    _print("calibrate.board", log, report, None if json else show_board)
 
 
-def _tell(
+def _print(
     command: str, log: Path, report: _Report, show: Callable[[Path, _Report], None] | None
 ) -> None:
     """Print a report by ``show``, or as JSON without it, and its warnings on stderr."""
@@ -183,7 +183,7 @@ def noise(
             for frame in associate(detections, opened.model)
             if span is None or span[0] <= (frame.stamp - start) / 1e9 <= span[1]
         ]
-        found = measure_noise(frames, opened.model)
+        model = measure_noise(frames, opened.model)
         places = {
             name: pose.translation
             for camera in opened.cameras
@@ -191,12 +191,12 @@ def noise(
             for name in camera.sources.values()
         }
         white = measure_noise_model(frames, opened.model, places)
-    if not found.cameras:
+    if not model.cameras:
         raise ConfigError(f"{log}: no camera sees anybody twice; there is no noise to measure")
     warnings = []
-    if found.deviation > STILL_M:
+    if model.deviation > STILL_M:
         warnings.append(
-            f"joints scatter by {number(100 * found.deviation, 0)} cm about their "
+            f"joints scatter by {number(100 * model.deviation, 0)} cm about their "
             "mean, so somebody moved; choose a part without motion with --window START:END"
         )
     for text in warnings:
@@ -204,14 +204,14 @@ def noise(
     if json:
         from hiros_mcap.summary import plain
 
-        print_json("calibrate.noise", {**plain(found), "white": plain(white)}, warnings)
+        print_json("calibrate.noise", {**plain(model), "white": plain(white)}, warnings)
         return
-    print(f"# {found.detections} detections; SD per axis of a joint about its mean, mm")
-    for kind, table in (("camera", found.cameras), ("joint", found.joints)):
+    print(f"# {model.detections} detections; SD per axis of a joint about its mean, mm")
+    for kind, table in (("camera", model.cameras), ("joint", model.joints)):
         for name, deviation in table.items():
             print(f"# {kind} {name}: {number(1000 * deviation, 1)}")
     if white.joints:
         print(f"# White noise, which is new in every frame\n{white.toml()}\n")
-    if found.deviation > STILL_M:  # stdout may go into a file without the warning
+    if model.deviation > STILL_M:  # stdout may go into a file without the warning
         print("# more than 10 cm: somebody moved; choose a part without motion with --window")
-    print(f"[kalman]\nmeasurement_noise = {found.deviation:.5f}")
+    print(f"[kalman]\nmeasurement_noise = {model.deviation:.5f}")

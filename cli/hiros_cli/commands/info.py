@@ -46,9 +46,9 @@ def info(
     many.refuse_alone()
     source = one_log(context, logs[0])
     prepare(quiet=json or quiet)
-    from hiros_mcap.io.overview import look
+    from hiros_mcap.io.overview import overview_of
 
-    overview = look(source, topics=topic, extrinsics=extrinsics)
+    overview = overview_of(source, topics=topic, extrinsics=extrinsics)
     if overview.kind == "recording" and not overview.fault:
         from hiros_mcap.io.log import open_log
         from hiros_mcap.running.pose_alignment import pose_faults

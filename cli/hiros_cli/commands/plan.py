@@ -70,18 +70,18 @@ def plan(
         if text is not None:
             given.setdefault("rig", {})[name] = _pair(f"--{name}", text, mark)
     params = simulate_params({**given, "people": people, "noise": noise})
-    found = make_plan(params, height, None if rig is None else rig.poses)
+    rig_plan = make_plan(params, height, None if rig is None else rig.poses)
     if output is not None:
-        save_rig(output, found.params)
+        save_rig(output, rig_plan.params)
     if picture is not None:
         from hiros_viewer.curves import save_png
         from hiros_viewer.floor_picture import floor_figure
 
-        save_png(floor_figure(found), picture)
+        save_png(floor_figure(rig_plan), picture)
     if json:
-        print_json("plan", found.to_dict())
+        print_json("plan", rig_plan.to_dict())
     elif not quiet:
-        _show(found, [path for path in (output, picture) if path is not None], joints=joints)
+        _show(rig_plan, [path for path in (output, picture) if path is not None], joints=joints)
 
 
 def _pair(option: str, text: str, mark: str) -> tuple[float, float]:

@@ -33,7 +33,7 @@ class LogFile:
             self._file = self.path.open("rb", buffering=0)
         except (OSError, ValueError) as error:
             raise _refused(self.path, error) from None
-        self._state = self._look()
+        self._state = self._size_and_time()
         self.size = self._state[0]
 
     def close(self) -> None:
@@ -71,15 +71,15 @@ class LogFile:
 
     def check_unchanged(self) -> None:
         """Raise LogError if somebody wrote to the file since it was opened."""
-        if self._look() != self._state:
+        if self._size_and_time() != self._state:
             raise LogError("changed while it was being read", path=self.path)
 
-    def _look(self) -> tuple[int, int]:
+    def _size_and_time(self) -> tuple[int, int]:
         try:
-            found = os.fstat(self._file.fileno())
+            state = os.fstat(self._file.fileno())
         except (OSError, ValueError) as error:
             raise _refused(self.path, error) from None
-        return found.st_size, found.st_mtime_ns
+        return state.st_size, state.st_mtime_ns
 
 
 def _refused(path: Path, error: Exception) -> LogError:

@@ -205,8 +205,8 @@ class McapReader:
 
     def attachment(self, name: str) -> bytes | None:
         """Bytes of the first attachment of a name, which the walk has checked; None = no such."""
-        found = (index for index in self._contents.attachments if index.name == name)
-        index = next(found, None)
+        indexes = (index for index in self._contents.attachments if index.name == name)
+        index = next(indexes, None)
         return None if index is None else self.data_of(index)
 
     def data_of(self, index: AttachmentIndex) -> bytes:
@@ -398,17 +398,17 @@ class McapReader:
     def _accepted(self, chunk: Chunk, table: Table) -> Table:
         """Return the messages if they are what the chunk record and its indexes claim of them."""
         if not len(table):
-            found: dict[int, int] = {}
+            counts: dict[int, int] = {}
         else:
             times = table[:, LOG_TIME]
             if times.min() < chunk.start_time or times.max() > chunk.end_time:
                 raise FormatError("a message lies outside of the times that the chunk claims")
             numbers = np.bincount(table[:, CHANNEL].astype(np.intp))
-            found = {i: n for i, n in enumerate(numbers.tolist()) if n}
+            counts = {i: n for i, n in enumerate(numbers.tolist()) if n}
         claimed = {i: n for i, n in (chunk.counts or {}).items() if n}
-        if chunk.counts is not None and found != claimed:
+        if chunk.counts is not None and counts != claimed:
             raise FormatError("the messages do not match the message indexes")
-        if unknown := [i for i in found if i not in self._contents.channels]:
+        if unknown := [i for i in counts if i not in self._contents.channels]:
             raise FormatError(f"a message belongs to channel {unknown[0]}, which is not defined")
         return table
 
@@ -416,12 +416,12 @@ class McapReader:
         """Look into chunks for the definitions and counts that the walk could not see."""
         chunks, channels = self._contents.chunks, self._contents.channels
         schemas = self._contents.schemas
-        known = all(i in channels for chunk in chunks for i in chunk.counts or ())
+        complete = all(i in channels for chunk in chunks for i in chunk.counts or ())
         # The summary may repeat the channels and not their schemas.
-        known &= all(c.schema_id in schemas for c in channels.values() if c.schema_id)
-        unseen = [i for i, c in enumerate(chunks) if c.counts is None or not known]
-        found = (self.load(chunks[i]).messages[:, CHANNEL] for i in unseen)
-        for i, numbers in zip(unseen, self.ahead(found), strict=True):
+        complete &= all(c.schema_id in schemas for c in channels.values() if c.schema_id)
+        unseen = [i for i, c in enumerate(chunks) if c.counts is None or not complete]
+        used = (self.load(chunks[i]).messages[:, CHANNEL] for i in unseen)
+        for i, numbers in zip(unseen, self.ahead(used), strict=True):
             chunks[i] = replace(chunks[i], counts=dict(Counter(numbers.tolist())))
         for channel in channels.values():
             if channel.schema_id and channel.schema_id not in schemas:

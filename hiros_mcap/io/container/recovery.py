@@ -61,8 +61,8 @@ class ChannelLoss:
         if self.lost is None:
             return f"{self.topic}: an unknown number of messages in {seconds}"
         size = self.lost_bytes
-        known = "an unknown number of bytes" if size is None else quantity(size, "byte")
-        return f"{self.topic}: {quantity(self.lost, 'message')}, {known}, {seconds}"
+        amount = "an unknown number of bytes" if size is None else quantity(size, "byte")
+        return f"{self.topic}: {quantity(self.lost, 'message')}, {amount}, {seconds}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,8 +188,8 @@ def joined(parts: Sequence[tuple[str, Recovery]]) -> Recovery:
 def _total(numbers: Iterable[Number | None]) -> Number | int | None:
     """Return the sum of numbers; None if one of them is unknown."""
     numbers = list(numbers)
-    known = [n for n in numbers if n is not None]
-    return sum(known) if len(known) == len(numbers) else None
+    counted = [n for n in numbers if n is not None]
+    return sum(counted) if len(counted) == len(numbers) else None
 
 
 class SeenMessages(NamedTuple):

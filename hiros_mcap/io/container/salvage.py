@@ -161,10 +161,10 @@ class RecoveringWalk(Walk):
         alone = stop > start and self._plausible(stop)
         end = stop if alone else self._resync(start + 1)
         extra = opcode in (Opcode.ATTACHMENT, Opcode.METADATA) and not self._data_ended
-        known = self._data_ended or (alone and (extra or opcode in _HARMLESS))
+        harmless = self._data_ended or (alone and (extra or opcode in _HARMLESS))
         is_chunk = opcode == Opcode.CHUNK
         span = self._claimed_times(start) if is_chunk else None
-        text, counts = str(fault), dict[int, int]() if known else None
+        text, counts = str(fault), dict[int, int]() if harmless else None
         self.damages.append(Damage(start, end, text, counts, None, span, extra))
         self.has_chunks |= is_chunk
         if is_chunk and alone:
@@ -213,7 +213,7 @@ class RecoveringWalk(Walk):
         entries = {i: self._entries(where.start, where.number) for i, where in index.items()}
         if records is None:
             if whole:
-                self.damages[-1] = self._told(self.damages[-1], entries)
+                self.damages[-1] = self._with_entries(self.damages[-1], entries)
         elif self._exact and _agrees(records.messages, entries):
             self.contents.chunks[-1] = replace(self.contents.chunks[-1], index_end=self._index_end)
         elif whole:
@@ -224,7 +224,7 @@ class RecoveringWalk(Walk):
         """(n, 2) log times, ns, and places in the chunk of the messages that an index lists."""
         return np.frombuffer(self.file.read(start, 16 * n), "<u8").reshape(-1, 2)
 
-    def _told(self, damage: Damage, entries: Mapping[int, Table]) -> Damage:
+    def _with_entries(self, damage: Damage, entries: Mapping[int, Table]) -> Damage:
         """Return what the message indexes behind a lost chunk tell of it, if that can be."""
         _, _, size, _ = self._fields(damage.offset + r.HEAD.size, r.CHUNK_HEAD)
         channels = [i for i, some in entries.items() for _ in range(len(some))]
@@ -335,14 +335,14 @@ class RecoveringWalk(Walk):
 
     def recovery(self) -> Recovery:
         """Complete the contents and return what is lost; raises LogError if there is nothing."""
-        found = self.contents
-        found.schemas = {**self._definitions.schemas, **found.schemas}
-        channels = {**self._definitions.channels, **found.channels}
-        found.channels = {
-            i: c for i, c in channels.items() if not c.schema_id or c.schema_id in found.schemas
+        contents = self.contents
+        contents.schemas = {**self._definitions.schemas, **contents.schemas}
+        channels = {**self._definitions.channels, **contents.channels}
+        contents.channels = {
+            i: c for i, c in channels.items() if not c.schema_id or c.schema_id in contents.schemas
         }
-        found.chunks = [self._known(chunk) for chunk in found.chunks]
-        recovered = sum(sum((chunk.counts or {}).values()) for chunk in found.chunks)
+        contents.chunks = [self._defined(chunk) for chunk in contents.chunks]
+        recovered = sum(sum((chunk.counts or {}).values()) for chunk in contents.chunks)
         if self.damages and not recovered:
             first = self.damages[0]
             fault = (
@@ -351,13 +351,13 @@ class RecoveringWalk(Walk):
                 else f"no message of it can be read: {first.fault} at byte {first.offset}"
             )
             raise LogError(fault, path=self.file.path)
-        plain = [chunk for chunk in found.chunks if not chunk.crc]
+        plain = [chunk for chunk in contents.chunks if not chunk.crc]
         unchecked = sum(sum((chunk.counts or {}).values()) for chunk in plain)
-        remains = Remains(found.channels, self._seen, self.damages, self._claimed)
-        checked = found.has_data_crc
+        remains = Remains(contents.channels, self._seen, self.damages, self._claimed)
+        checked = contents.has_data_crc
         return Recovery(tuple(self.damages), remains.losses(), 0 if checked else unchecked)
 
-    def _known(self, chunk: r.Chunk) -> r.Chunk:
+    def _defined(self, chunk: r.Chunk) -> r.Chunk:
         """Return the chunk without messages whose channel is not defined anywhere."""
         counts = {i: n for i, n in (chunk.counts or {}).items() if i in self.contents.channels}
         return chunk if counts == chunk.counts else chunk.indexed(chunk.end, counts)

@@ -167,9 +167,9 @@ class StrictWalk(Walk):
         stats = self.contents.statistics
         if stats is None:
             return
-        found = (len(chunks), len(self.contents.attachments), len(self.contents.metadata))
-        if (stats.chunk_count, stats.attachment_count, stats.metadata_count) != found:
+        counts = (len(chunks), len(self.contents.attachments), len(self.contents.metadata))
+        if (stats.chunk_count, stats.attachment_count, stats.metadata_count) != counts:
             raise FormatError(
                 "the statistics of the summary claim other numbers of chunks, attachments or "
-                f"metadata than {found[0]}, {found[1]} and {found[2]}"
+                f"metadata than {counts[0]}, {counts[1]} and {counts[2]}"
             )

@@ -164,9 +164,9 @@ class McapWriter:
         self._define(self.schemas if isinstance(new, r.Schema) else self.channels, new)
 
     def _define(self, table: dict[int, Any], new: Any) -> None:
-        known = table.setdefault(new.id, new)
-        if known is not new:
-            if known != new:
+        present = table.setdefault(new.id, new)
+        if present is not new:
+            if present != new:
                 raise ValueError(f"id {new.id} is taken by another definition")
             return
         self._submit(self._out.write, r.build(new))
@@ -304,9 +304,9 @@ class McapWriter:
                 channel, id=0, schema_id=0
             )
 
-        for known in sorted(self.channels.values(), key=lambda other: other.id != ident):
-            if equal(known):
-                return known.id
+        for present in sorted(self.channels.values(), key=lambda other: other.id != ident):
+            if equal(present):
+                return present.id
         if schema is not None and self.schemas.get(schema.id, schema) != schema:
             schema = replace(schema, id=self._free(self.schemas, self._reserved[0]))
         if ident in self.channels:

@@ -46,24 +46,24 @@ class AzureKinectMarkers(DetectorReader):
 
     def read(self, message: DetectorMessage) -> Iterable[SeenPeople] | None:
         """Group the markers by body; an empty message names no frame, so the last one counts."""
-        found = _gathered(message.cdr) or _decoded(message.fields.markers)
-        if found is None:
+        gathered = _gathered(message.cdr) or _decoded(message.fields.markers)
+        if gathered is None:
             if message.topic.rpartition("/")[2] != TOPIC:
                 return None
             return [self._nobody(message)]
-        ids, kinds, poses = found.ids, found.kinds, found.poses
+        ids, kinds, poses = gathered.ids, gathered.kinds, gathered.poses
         if not self._are_joints(ids) or (kinds != (_SPHERE, _ADD)).any():
             return None
-        self._frames[message.topic] = found.frame_id
+        self._frames[message.topic] = gathered.frame_id
         bodies, rows = np.unique(ids // _FACTOR, return_inverse=True)
         joints = np.full((len(bodies), self._model.n_markers, 7), np.nan)
         joints[rows, ids % _FACTOR] = poses
         people = seen_people(
             self._model,
             message,
-            found.frame_id,
+            gathered.frame_id,
             joints[:, :, :3],
-            stamp=found.stamp,
+            stamp=gathered.stamp,
             ids=bodies.tolist(),
         )
         turned = (joints[:, :, 3:] != 0).any(axis=-1)

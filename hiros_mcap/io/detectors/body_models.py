@@ -164,10 +164,10 @@ def linked(names: Sequence[str]) -> SkeletonModel:
     slots = {joint: slot for slot, joint in reversed([*enumerate(joints)])}
     above: dict[Joint, Joint] = {}
     models = [body_model(name) for name in BODY_MODELS]
-    for model in sorted(models, key=lambda own: -len({*names} & {*own.marker_names})):
-        known = joints_of(model.marker_names)
+    for model in sorted(models, key=lambda candidate: -len({*names} & {*candidate.marker_names})):
+        indices = joints_of(model.marker_names)
         for parent, child in model.links.tolist():
-            above.setdefault(known[child], known[parent])
+            above.setdefault(indices[child], indices[parent])
     links = []
     for joint, slot in slots.items():
         parent, passed = above.get(joint), {joint}

@@ -37,7 +37,7 @@ def unit_of(size: float) -> str:
     return "mm" if size > _MILLIMETRES else "cm"
 
 
-def unit_doubt(topic: str, size: float) -> str:
+def unit_warning(topic: str, size: float) -> str:
     """Return a warning if people of a channel have a size, m, that nobody has; "" otherwise."""
     unit = unit_of(size)
     if unit == "m":

@@ -99,8 +99,8 @@ class _Source(NamedTuple):
 
 def is_of_other_detector(info: ChannelInfo) -> bool:
     """Whether a channel has a type that a reader converts; transforms do not count."""
-    known = {name for kind in detector_readers() for name in kind.types}
-    return _short(info) in known - {_SKELETONS, _TRANSFORMS, _OLD_TRANSFORMS}
+    types = {name for kind in detector_readers() for name in kind.types}
+    return _short(info) in types - {_SKELETONS, _TRANSFORMS, _OLD_TRANSFORMS}
 
 
 def people_finder(reader: McapReader, info: ChannelInfo) -> Callable[[Message], bool]:
@@ -113,8 +113,8 @@ def people_finder(reader: McapReader, info: ChannelInfo) -> Callable[[Message], 
 
     def shows_people(message: Message) -> bool:
         with suppress(LogError):
-            found = _read(readers, source.message(message)) or ()
-            return any(one.frame.n_people for one in found)
+            people = _read(readers, source.message(message)) or ()
+            return any(one.frame.n_people for one in people)
         return False
 
     return shows_people
@@ -128,15 +128,15 @@ def converted(reader: McapReader, selection: Selection) -> McapReader:
     sources = _sources(reader, selection)
     if selection.is_usual and not any(source.is_new for source in sources):
         return reader
-    found_people = _probe(reader, sources)
+    layouts = _probe(reader, sources)
     chosen = [
-        s._replace(selected=s.selected and s.info.topic in found_people)
+        s._replace(selected=s.selected and s.info.topic in layouts)
         for s in sources
-        if s.info.topic in found_people or not s.selected or s.type == _TRANSFORMS
+        if s.info.topic in layouts or not s.selected or s.type == _TRANSFORMS
     ]
-    if not found_people or (selection.is_usual and not any(source.is_new for source in chosen)):
+    if not layouts or (selection.is_usual and not any(source.is_new for source in chosen)):
         return reader
-    return ConvertedReader(reader, _Conversion(reader, selection, chosen, found_people))
+    return ConvertedReader(reader, _Conversion(reader, selection, chosen, layouts))
 
 
 class ConvertedReader(BagReader):
@@ -161,19 +161,19 @@ def _short(info: ChannelInfo) -> str:
 
 def _sources(reader: McapReader, selection: Selection) -> list[_Source]:
     """Return the channels that may show people, and those that are copied as they are."""
-    known = {name for kind in detector_readers() for name in kind.types}
-    infos = [i for i in channels_of(reader) if i.count and _short(i) in known]
-    found = []
+    types = {name for kind in detector_readers() for name in kind.types}
+    infos = [i for i in channels_of(reader) if i.count and _short(i) in types]
+    sources = []
     for info in infos:
         is_transforms = _short(info) in (_TRANSFORMS, _OLD_TRANSFORMS)
         selected = not is_transforms and selection.selects(info.topic)
         if selected or (is_transforms and info.topic in TF_TOPICS) or _short(info) == _SKELETONS:
-            found.append(_source(reader, info, selected=selected))
+            sources.append(_source(reader, info, selected=selected))
     # Every log has transforms. Those of humans are looked for where something hints at them.
     hints = any(i.schema.startswith(_HUMANS) for i in channels_of(reader))
-    if hints or not any(source.selected for source in found):
-        found = [s._replace(selected=True) if s.type == _TRANSFORMS else s for s in found]
-    return found
+    if hints or not any(source.selected for source in sources):
+        sources = [s._replace(selected=True) if s.type == _TRANSFORMS else s for s in sources]
+    return sources
 
 
 def _source(reader: McapReader, info: ChannelInfo, *, selected: bool) -> _Source:
@@ -193,11 +193,11 @@ def _source(reader: McapReader, info: ChannelInfo, *, selected: bool) -> _Source
     return _Source(info, kind, selected, stays=False, cdr=cdr, decode=decoder_of(store, name))
 
 
-def _published(found: dict[str, Layout], schema: Schema, topic: str, data: Any) -> Any:
+def _published(layouts: dict[str, Layout], schema: Schema, topic: str, data: Any) -> Any:
     """Return a message in the published layout; the schema is compared when the first one comes."""
-    if topic not in found:
-        found[topic] = check_schema(schema.name, schema.encoding, schema.data, topic=topic)
-    return found[topic](data, topic)
+    if topic not in layouts:
+        layouts[topic] = check_schema(schema.name, schema.encoding, schema.data, topic=topic)
+    return layouts[topic](data, topic)
 
 
 def _same(data: Any) -> Any:
@@ -210,9 +210,9 @@ def _read(
     """Return what the first reader that does not decline finds; None if all do."""
     for reader in readers:
         if message.type in reader.types:
-            found = reader.read(message)
-            if found is not None:
-                return found
+            people = reader.read(message)
+            if people is not None:
+                return people
     return None
 
 
@@ -225,12 +225,12 @@ def _probe(reader: McapReader, sources: Iterable[_Source]) -> dict[str, dict[str
     selected = [source for source in sources if source.selected]
     groups = [[s] for s in selected if s.type != _TRANSFORMS]
     transforms = [s for s in selected if s.type == _TRANSFORMS]
-    found: dict[str, dict[str, SkeletonModel]] = {}
+    layouts: dict[str, dict[str, SkeletonModel]] = {}
     for group in [*groups, transforms] if transforms else groups:
         models = _models_of(reader, group)
         if models:
-            found |= {source.info.topic: models for source in group}
-    return found
+            layouts |= {source.info.topic: models for source in group}
+    return layouts
 
 
 def _models_of(reader: McapReader, group: Iterable[_Source]) -> dict[str, SkeletonModel]:
@@ -267,12 +267,12 @@ class _Conversion:
         reader: McapReader,
         selection: Selection,
         sources: Iterable[_Source],
-        found: Mapping[str, Mapping[str, SkeletonModel]],
+        layouts: Mapping[str, Mapping[str, SkeletonModel]],
     ) -> None:
-        self._reader, self._found = reader, found
+        self._reader, self._layouts = reader, layouts
         self._selects, self._choice, _ = selection
         self._sources = {source.info.id: source for source in sources}
-        self._models = {t: m for models in found.values() for t, m in models.items()}
+        self._models = {t: m for models in layouts.values() for t, m in models.items()}
         self.target = chosen_model(self._choice.model, self._models)
         self._readers = [kind() for kind in detector_readers()]
         self._fits: dict[SkeletonModel, Fit] = {}
@@ -345,7 +345,7 @@ class _Conversion:
         """Say what was converted, and what was left out."""
         topics: dict[tuple[str, str], dict[str, None]] = {}
         for source in self._sources.values():
-            for topic, model in self._found.get(source.info.topic, {}).items():
+            for topic, model in self._layouts.get(source.info.topic, {}).items():
                 if source.is_new:
                     key = source.info.schema, _named(model)
                     topics.setdefault(key, {})[topic] = None

@@ -69,7 +69,7 @@ class HumanFrames(DetectorReader):
     def read(self, message: DetectorMessage) -> Iterable[SeenPeople] | None:
         """Take note of the frames; return the bodies whose instant is over."""
         done: list[SeenPeople] = []
-        found = False
+        is_new = False
         for transform in parse_tf(message.cdr):
             match = _LINK.fullmatch(transform.child.lstrip("/"))
             if match is None:
@@ -78,9 +78,9 @@ class HumanFrames(DetectorReader):
             body = self._bodies.setdefault(name, _Human(len(self._bodies)))
             if part in self._parts and message.topic != "/tf_static":
                 done += self._advance(body, transform.stamp, message)
-                found |= body.is_human(self._parts)
+                is_new |= body.is_human(self._parts)
             body.frames[part] = transform
-        return done if found else None
+        return done if is_new else None
 
     def rest(self) -> Iterator[SeenPeople]:
         """Return the last instant of every camera."""

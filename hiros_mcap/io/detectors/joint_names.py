@@ -52,14 +52,14 @@ def joints_of(names: Sequence[str]) -> list[Joint]:
     """
     split = [split_side(_PREFIX.sub("", name)) for name in names]
     pairs = {(_plain(part), side) for part, side in split}
-    found = []
+    joints = []
     for name, (part, side) in zip(names, split, strict=True):
         other = {"left": "right", "right": "left"}.get(side, "")
         part = _plain(part)
         if side and side not in name.lower() and (part, other) not in pairs:
             part, side = _plain(name), ""
-        found.append((_CANONICAL.get(part, part), side))
-    return found
+        joints.append((_CANONICAL.get(part, part), side))
+    return joints
 
 
 def _plain(text: str) -> str:

@@ -60,11 +60,11 @@ def _leads(links: Mapping[Joint, tuple[str, Joint]], joint: Joint, to: Joint) ->
 def _unique(names: Iterable[str]) -> list[str]:
     """Add a number to names that come twice: detectors may call different links alike."""
     counts: Counter[str] = Counter()
-    found = []
+    free = []
     for name in names:
         counts[name] += 1
-        found.append(name if counts[name] == 1 else f"{name}_{counts[name]}")
-    return found
+        free.append(name if counts[name] == 1 else f"{name}_{counts[name]}")
+    return free
 
 
 def chosen_model(wanted: str, models: Mapping[str, SkeletonModel]) -> SkeletonModel:
@@ -89,8 +89,8 @@ def chosen_model(wanted: str, models: Mapping[str, SkeletonModel]) -> SkeletonMo
     elif wanted in BODY_MODELS:
         model = body_model(wanted)
     else:
-        known = ", ".join([UNION, *BODY_MODELS, *sorted(models)])
-        raise ConfigError(f"there is no skeleton model {wanted!r} (there are: {known})")
+        choices = ", ".join([UNION, *BODY_MODELS, *sorted(models)])
+        raise ConfigError(f"there is no skeleton model {wanted!r} (there are: {choices})")
     _check_common(wanted or UNION, model, models)
     return model
 
@@ -99,12 +99,12 @@ def _check_common(wanted: str, model: SkeletonModel, models: Mapping[str, Skelet
     """Raise LogError for a topic whose skeletons cannot be compared with the others'."""
     target = set(joints_of(model.marker_names))
     joints = {topic: set(joints_of(m.marker_names)) for topic, m in models.items()}
-    for topic, own in joints.items():
-        others = [known for t, known in joints.items() if models[t] != models[topic]]
+    for topic, of_topic in joints.items():
+        others = [other for t, other in joints.items() if models[t] != models[topic]]
         if wanted == UNION and not others:
             continue
-        known = set[Joint]().union(*others) if wanted == UNION else target
-        if len(own & known) < min(_COMMON, len(own)):
+        other = set[Joint]().union(*others) if wanted == UNION else target
+        if len(of_topic & other) < min(_COMMON, len(of_topic)):
             names = ", ".join(models[topic].marker_names[:_COMMON])
             raise LogError(
                 f"its markers ({names}, ...) have fewer than {_COMMON} names in common with the "
@@ -121,12 +121,12 @@ class Fit:
         self.target = target
         self._factor = factor
         self._same = source == target
-        known, joints = _slots(target), joints_of(source.marker_names)
+        slots, joints = _slots(target), joints_of(source.marker_names)
         # Of two names for one joint, the first counts.
-        first = {known[j]: i for i, j in reversed([*enumerate(joints)]) if j in known}
+        first = {slots[j]: i for i, j in reversed([*enumerate(joints)]) if j in slots}
         self._from, self._to = list(first.values()), list(first)
         self._names = source.marker_names
-        self._missing = [i for i, joint in enumerate(joints) if joint not in known]
+        self._missing = [i for i, joint in enumerate(joints) if joint not in slots]
 
     def __call__(self, frame: Frame) -> Frame:
         """Return the frame with the target's markers; without orientations unless models agree.
@@ -137,13 +137,13 @@ class Fit:
         if self._same:
             return frame.replace(people=people)
         target = self.target
-        found = People.absent(frame.n_people, target.n_markers, target.n_links)
+        output = People.absent(frame.n_people, target.n_markers, target.n_links)
         for name in ("ids", "stamps", "confidences", "boxes"):
-            getattr(found, name)[:] = getattr(people, name)
-        found.markers[:, self._to] = people.markers[:, self._from]
-        found.markers[:, :, ORIENTATION] = np.nan
-        found.marker_confidences[:, self._to] = people.marker_confidences[:, self._from]
-        fitted = frame.replace(people=found)
+            getattr(output, name)[:] = getattr(people, name)
+        output.markers[:, self._to] = people.markers[:, self._from]
+        output.markers[:, :, ORIENTATION] = np.nan
+        output.marker_confidences[:, self._to] = people.marker_confidences[:, self._from]
+        fitted = frame.replace(people=output)
         add_links(fitted, target)
         return fitted
 

@@ -39,12 +39,12 @@ def detector_readers() -> tuple[type[DetectorReader], ...]:
 
 @cache
 def _installed() -> tuple[type[DetectorReader], ...]:
-    found = []
+    readers = []
     for point in entry_points(group=GROUP):
         try:
-            found.append(point.load())
+            readers.append(point.load())
         except Exception as error:  # anything can go wrong in it
             raise ConfigError(
                 f"the detector reader {point.name} ({point.value}) cannot be loaded: {error}"
             ) from error
-    return tuple(found)
+    return tuple(readers)

@@ -95,20 +95,20 @@ def _rest_offsets(points: Floats, tree: Tree) -> dict[int, Floats]:
 
 def _rotations(points: Floats, tree: Tree, rest: dict[int, Floats], root: int) -> dict[int, Floats]:
     """(T, 3, 3) rotation of each joint in its parent's frame."""
-    own: dict[int, Floats] = {}
-    found = {root: np.broadcast_to(np.eye(3), (len(points), 3, 3))}
+    rests: dict[int, Floats] = {}
+    rotations = {root: np.broadcast_to(np.eye(3), (len(points), 3, 3))}
     for slot in [root, *_descendants(tree, root)]:
         children = tree.get(slot, [])
         if not children:
             continue
-        above = found[slot]
+        above = rotations[slot]
         reference = np.stack([rest[child] for child in children])
         world = np.stack([points[:, child] - points[:, slot] for child in children], axis=1)
         local = np.einsum("tij,tki->tkj", above, world)
-        own[slot] = _aligned(reference, local)
+        rests[slot] = _aligned(reference, local)
         for child in children:
-            found[child] = above @ own[slot]
-    return own
+            rotations[child] = above @ rests[slot]
+    return rests
 
 
 def _aligned(reference: Floats, local: Floats) -> Floats:

@@ -83,8 +83,8 @@ def write_mot(result: Result, target: Path, parts: tuple[str, ...]) -> int:
             ", ".join(sorted(absent)),
             "; ".join(lacking),
         )
-    known = {name: bridged(column) for name, column in columns.items() if name not in absent}
-    numbers = np.stack([motion.times, *known.values()], axis=-1)
+    present = {name: bridged(column) for name, column in columns.items() if name not in absent}
+    numbers = np.stack([motion.times, *present.values()], axis=-1)
     head = [
         safe_name(result.path.name),
         EXPORT_MARK,
@@ -93,7 +93,7 @@ def write_mot(result: Result, target: Path, parts: tuple[str, ...]) -> int:
         f"nColumns={numbers.shape[1]}",
         "inDegrees=yes",
         "endheader",
-        "\t".join(["time", *known]),
+        "\t".join(["time", *present]),
     ]
     rows = ["\t".join(f"{value:.6f}" for value in row) for row in numbers.tolist()]
     return write_lines(target, [*head, *rows])

@@ -85,10 +85,10 @@ def format_of(target: Path) -> ExportFormat:
 
     Raises ConfigError if there is none with this suffix.
     """
-    found = FORMATS.get(target.suffix.lower())
-    if found is None:
+    chosen = FORMATS.get(target.suffix.lower())
+    if chosen is None:
         raise ConfigError(f"{target}: ends in none of {', '.join(FORMATS)}")
-    return found
+    return chosen
 
 
 def export(

@@ -55,10 +55,10 @@ def load_marker_set(name: str, model: SkeletonModel) -> dict[str, str]:
     """
     if name == BUILT_IN:
         ours = {split_side(marker): marker for marker in model.marker_names}
-        found = {ours[key]: theirs for key, theirs in RAJAGOPAL.items() if key in ours}
-        if not found:
+        names = {ours[key]: theirs for key, theirs in RAJAGOPAL.items() if key in ours}
+        if not names:
             raise ConfigError("the marker names reveal no joint of the marker set rajagopal")
-        return found
+        return names
     path = Path(name)
     try:
         path.stat()
@@ -73,8 +73,8 @@ def _checked(path: Path, table: Mapping[str, object], model: SkeletonModel) -> d
         if ours not in names:
             raise ConfigError(f'{path}: {ours} has no name of the form {ours} = "NAME"')
         if ours not in model.marker_names:
-            known = ", ".join(model.marker_names)
-            raise ConfigError(f"{path}: the log has no marker {ours} (there are: {known})")
+            listed = ", ".join(model.marker_names)
+            raise ConfigError(f"{path}: the log has no marker {ours} (there are: {listed})")
     if not names:
         raise ConfigError(f"{path}: names no marker")
     if len(set(names.values())) < len(names):

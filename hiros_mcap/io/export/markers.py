@@ -118,10 +118,10 @@ def marker_array(frame: Frame, chains: tuple[tuple[int, ...], ...]) -> bytes:
 def label_array(frame: Frame) -> bytes:
     """visualization_msgs/MarkerArray: everybody's id above the head."""
     tops = [(who, _top(frame.positions[row])) for row, who in frame.tracked()]
-    known = [(person, top) for person, top in tops if top is not None]
+    labelled = [(person, top) for person, top in tops if top is not None]
     out = CdrWriter()
-    out.uint32(len(known))
-    for person, top in known:
+    out.uint32(len(labelled))
+    for person, top in labelled:
         _put(out, frame, _Marker(person, "names", person, _TEXT, position=top, text=str(person)))
     return out.finish()
 
@@ -133,17 +133,17 @@ def _pieces(positions: Floats, chains: tuple[tuple[int, ...], ...]) -> list[Floa
         points = positions[list(chain)]
         gaps = np.nonzero(np.isnan(points).any(axis=1))[0]
         for piece in np.split(points, gaps):
-            known = piece[~np.isnan(piece).any(axis=1)]
-            if len(known) > 1:
-                pieces.append(known)
+            present = piece[~np.isnan(piece).any(axis=1)]
+            if len(present) > 1:
+                pieces.append(present)
     return pieces
 
 
 def _top(positions: Floats) -> Floats | None:
-    known = positions[~np.isnan(positions).any(axis=1)]
-    if not len(known):
+    present = positions[~np.isnan(positions).any(axis=1)]
+    if not len(present):
         return None
-    return np.array([*known[:, :2].mean(axis=0), known[:, 2].max() + _ABOVE_M])
+    return np.array([*present[:, :2].mean(axis=0), present[:, 2].max() + _ABOVE_M])
 
 
 class _Marker(NamedTuple):
@@ -191,9 +191,9 @@ def joint_state(frame: Frame, angles: Floats) -> bytes:
     names: list[str] = []
     values: list[float] = []
     for row, person in frame.tracked():
-        known = np.flatnonzero(~np.isnan(angles[row])).tolist()
-        names += [f"person_{person}/{ANGLE_NAMES[k].replace(' ', '_')}" for k in known]
-        values += angles[row, known].tolist()
+        present = np.flatnonzero(~np.isnan(angles[row])).tolist()
+        names += [f"person_{person}/{ANGLE_NAMES[k].replace(' ', '_')}" for k in present]
+        values += angles[row, present].tolist()
     out = CdrWriter()
     out.header(frame.stamp, frame.frame_id)
     out.strings(names)

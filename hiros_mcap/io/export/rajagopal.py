@@ -128,18 +128,18 @@ def coordinates(model: SkeletonModel, motion: Motion) -> dict[str, Floats]:
     middle = (at("hip", side="left") + at("hip", side="right")) / 2
     origin = (middle - pelvis @ HIPS) @ Y_UP.T
     torso = pelvis @ _torso(at, pelvis, middle)
-    found = [*zxy(Y_UP.T, pelvis), *zxy(pelvis, torso)]
+    values = [*zxy(Y_UP.T, pelvis), *zxy(pelvis, torso)]
     names = [*PELVIS[:3], *LUMBAR]
     for side in SIDES:
         names += [f"{name}_{side[0]}" for name in (*LEG, *ARM)]
         joints = [at(name, side=side) for name in ("hip", "knee", "ankle")]
         leg = _limb(side, pelvis, KNEE, joints, shown[f"{side} thigh"][:, :, 0])
-        found += [*leg.angles, ANKLE.towards(_into(leg.last, toes(at, side)))]
+        values += [*leg.angles, ANKLE.towards(_into(leg.last, toes(at, side)))]
         joints = [at(name, side=side) for name in ("shoulder", "elbow", "wrist")]
-        found += _limb(side, torso, ELBOW, joints, shown[f"{side} upper arm"][:, :, 0]).angles
+        values += _limb(side, torso, ELBOW, joints, shown[f"{side} upper arm"][:, :, 0]).angles
     # Only a whole person turns round and round.
     most = np.where([name in PELVIS for name in names], np.inf, 1.5 * np.pi)
-    angles = np.degrees(continued(np.stack(found, axis=-1), most=most))
+    angles = np.degrees(continued(np.stack(values, axis=-1), most=most))
     columns = dict(zip(names, angles.T, strict=True))
     return columns | dict(zip(PELVIS[3:], origin.T, strict=True))
 
@@ -153,8 +153,8 @@ def _torso(at: Finder, pelvis: Floats, hips: Floats) -> Floats:
     far = along + np.sqrt(along**2 - _BACK @ _BACK + _SHOULDERS @ _SHOULDERS)
     spine = far[:, None] * trunk - _BACK
     across = _into(pelvis, right - left)
-    own = frame(y=_SHOULDERS[None], z=_Z[None], keep="y")
-    return np.asarray(frame(y=spine, z=across, keep="y") @ np.swapaxes(own, -1, -2))
+    rest = frame(y=_SHOULDERS[None], z=_Z[None], keep="y")
+    return np.asarray(frame(y=spine, z=across, keep="y") @ np.swapaxes(rest, -1, -2))
 
 
 class _Limb(NamedTuple):
@@ -268,8 +268,8 @@ def rotations(axes: Floats, angles: Floats) -> Floats:
 
 def bridged(values: Floats, *, unwrap: bool = False) -> Floats:
     """Fill gaps of (T,) linearly, and at both ends with the nearest value; 0 if all is a gap."""
-    known = np.flatnonzero(~np.isnan(values))
-    if not len(known):
+    present = np.flatnonzero(~np.isnan(values))
+    if not len(present):
         return np.zeros(len(values))
-    some = np.unwrap(values[known]) if unwrap else values[known]
-    return np.asarray(np.interp(np.arange(len(values)), known, some))
+    some = np.unwrap(values[present]) if unwrap else values[present]
+    return np.asarray(np.interp(np.arange(len(values)), present, some))

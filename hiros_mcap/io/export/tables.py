@@ -27,28 +27,28 @@ def table(result: Result, parts: tuple[str, ...]) -> pd.DataFrame:
     """
     import pandas as pd
 
-    found = []
+    columns = []
     if "joints" in parts:
         names = result.model.marker_names
         joints = result.joints()
         index = joints.index
         joints.columns = pd.Index([f"{name} {axis} (m)" for name in names for axis in "xyz"])
-        found.append(joints)
+        columns.append(joints)
         for values, text in _certainties(result):
-            found.append(pd.DataFrame(values, index, [f"{name} {text}" for name in names]))
+            columns.append(pd.DataFrame(values, index, [f"{name} {text}" for name in names]))
     if "angles" in parts:
         angles = result.angles()
-        found.append(angles.rename(columns=lambda name: f"{name} (deg)"))
-    return pd.concat(found, axis=1).rename_axis(index=["person", "time (s)"])
+        columns.append(angles.rename(columns=lambda name: f"{name} (deg)"))
+    return pd.concat(columns, axis=1).rename_axis(index=["person", "time (s)"])
 
 
 def _certainties(result: Result) -> list[tuple[Floats, str]]:
     """(T, M) of everybody, and what it is."""
     motions = result.motions.values()
-    found = [(np.concatenate([m.confidences for m in motions]), "confidence")]
+    certainties = [(np.concatenate([m.confidences for m in motions]), "confidence")]
     if any(m.deviations is not None for m in motions):
-        found.append((np.concatenate([deviations_of(m) for m in motions]), "SD (m)"))
-    return found
+        certainties.append((np.concatenate([deviations_of(m) for m in motions]), "SD (m)"))
+    return certainties
 
 
 def deviations_of(motion: Motion) -> Floats:

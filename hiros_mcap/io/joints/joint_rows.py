@@ -89,8 +89,8 @@ def _csv_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
 def _wide_names(columns: Sequence[str], mapping: ColumnMapping) -> list[str]:
     """Joints that have a column for x, in the order of the file; none if rows name the joint."""
     pattern = mapping.position or ("" if mapping.joint in columns else "{joint}_{axis}")
-    before, found, after = pattern.format(joint="\0", axis=mapping.x).partition("\0")
-    if not found:
+    before, joint, after = pattern.format(joint="\0", axis=mapping.x).partition("\0")
+    if not joint:
         return []
     return [
         column[len(before) : len(column) - len(after)]
@@ -123,9 +123,9 @@ def _json_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
         if people and isinstance(people[0], dict) and c.x in people[0]:
             people = [people]  # the joints of the only person
         for index, person in enumerate(people):
-            own = _object({c.joints: person} if isinstance(person, list) else person, where)
-            who = str(own.get(c.person, own.get("id", index)))
-            for name, values in _named(own.get(c.joints), mapping, where):
+            joints = _object({c.joints: person} if isinstance(person, list) else person, where)
+            who = str(joints.get(c.person, joints.get("id", index)))
+            for name, values in _named(joints.get(c.joints), mapping, where):
                 x, y, z, sure = _four(values, c, where)
                 yield _row(time, who, name, (x, y, z), sure, mapping)
 
@@ -185,8 +185,8 @@ def _four(values: Any, columns: ColumnMapping, where: str) -> list[float]:
     numbers = values if isinstance(values, list) else [None] * 3 if values is None else []
     if len(numbers) not in (3, 4):
         raise ConfigError(f"{where}: a joint is no list of x, y, z and perhaps a confidence")
-    found = [number_of("" if v is None else str(v), where) for v in numbers]
-    return [*found, math.nan][:4]
+    quaternion = [number_of("" if v is None else str(v), where) for v in numbers]
+    return [*quaternion, math.nan][:4]
 
 
 def _time(text: str | None, number: int, mapping: FileMapping, where: str) -> float:

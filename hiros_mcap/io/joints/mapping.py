@@ -206,8 +206,8 @@ def read_mapping(path: Path | None) -> Mapping:
     table: dict[str, Any] = {"detector": path.name} if is_named else read_toml(path)
     detector = str(table.pop("detector", ""))
     if detector and detector not in DETECTOR_FILES:
-        known = ", ".join(DETECTOR_FILES)
-        raise ConfigError(f"{path}: detector: {detector!r} is none of {known}")
+        detectors = ", ".join(DETECTOR_FILES)
+        raise ConfigError(f"{path}: detector: {detector!r} is none of {detectors}")
     table = _merged(DETECTOR_FILES.get(detector, {}), table)
     try:
         files = table.pop("files", {})
@@ -215,17 +215,17 @@ def read_mapping(path: Path | None) -> Mapping:
             raise ConfigError(f'{path}: files: should be tables [files."NAME"]')
         return Mapping(
             default=FileMapping.model_validate(table),
-            files={n: FileMapping.model_validate(_merged(table, own)) for n, own in files.items()},
+            files={n: FileMapping.model_validate(_merged(table, f)) for n, f in files.items()},
         )
     except ValidationError as error:
         where, message = explain(error)
         raise ConfigError(f"{path}: {'.'.join(where) or 'file'}: {message}") from None
 
 
-def _merged(table: dict[str, Any], own: Any) -> dict[str, Any]:
+def _merged(table: dict[str, Any], entry: Any) -> dict[str, Any]:
     """Return a table with the entries of another one put over it, also within its tables."""
     merged = dict(table)
-    for key, value in (own if isinstance(own, dict) else {}).items():
+    for key, value in (entry if isinstance(entry, dict) else {}).items():
         both = isinstance(value, dict) and isinstance(merged.get(key), dict)
         merged[key] = {**merged[key], **value} if both else value
     return merged

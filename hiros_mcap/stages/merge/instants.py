@@ -45,7 +45,7 @@ class Instants:
         self._cameras, self._span, self._events = cameras, max_delta_time * 1e9, events
         self._buffer: dict[str, tuple[int, int]] = {}
         """Source to the stamp and number of its message."""
-        self._known: set[str] = set()
+        self._sources: set[str] = set()
         self._newest = 0
         self._first = self._last = 0
         """Times of the oldest and the newest message in the buffer."""
@@ -60,7 +60,7 @@ class Instants:
     def add(self, stamp: int, source: str, log_time: int, number: int) -> list[Instant]:
         """Take a message; return the instants that it completes: none, one or two."""
         done: list[Instant] = []
-        self._known.add(source)
+        self._sources.add(source)
         if stamp < self._newest:
             self._events.count(TOO_LATE, source)
             return done
@@ -76,7 +76,7 @@ class Instants:
         else:
             self._log_time, self._first, self._last = log_time, stamp, stamp
         buffer[source] = stamp, number
-        if len(self._buffer) >= (self._cameras or len(self._known)):
+        if len(self._buffer) >= (self._cameras or len(self._sources)):
             done.append(self._close(log_time))
         return done
 

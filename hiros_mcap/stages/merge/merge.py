@@ -84,7 +84,7 @@ class ViewMerger:
             merging.MergerSettings, params,
             pelvis_link=-1 if params.facing == "sides" else _pelvis_link(model),
             facing_by_sides=params.facing != "pelvis",
-            relabel=params.flips == "relabel" and symmetry.known,
+            relabel=params.flips == "relabel" and symmetry.has_sides,
             only_orientations=only_orientations,
         )  # fmt: skip
         self.bank = Bank(merging.MergerPast.empty(*self._slots))

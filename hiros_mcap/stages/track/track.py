@@ -112,7 +112,7 @@ class _Tracker:
         same = np.arange(model.n_markers, dtype=np.int32)
         ends = model.links if params.reidentify > 0 else np.empty((0, 2), np.int32)
         self._slots = kernels.SlotOrders(same, symmetry.mirror, np.ascontiguousarray(ends))
-        flip_aware = params.flip_aware and symmetry.known
+        flip_aware = params.flip_aware and symmetry.has_sides
         self._settings = settings_of(kernels.TrackSettings, params, flip_aware=flip_aware)
         self._allocate = partial(
             kernels.TrackWork.allocate, n_markers=model.n_markers, n_links=model.n_links
