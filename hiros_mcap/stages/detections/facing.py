@@ -388,7 +388,7 @@ def measure(
 
     Parameters
     ----------
-    looks : cells, stamps, cameras and rows are given; the others are written.
+    measured : cells, stamps, cameras and rows are given; the others are written.
     """
     for i in range(len(views)):
         _measure(people, views[i], markers, measured, i, past, tables)
@@ -642,7 +642,7 @@ def follow(
 
     Parameters
     ----------
-    people, views, markers, looks : as in :func:`measure`; views of anybody, in order.
+    people, views, markers, measured : as in :func:`measure`; views of anybody, in order.
     past : brought to the last view.
     work : (2 * BINS,) scratch.
     """
