@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +28,7 @@ class Room:
     truth: Truth
 
 
-def room(**params: object) -> Room:
+def room(**params):
     """Simulate a room with the given :class:`SimulateParams`."""
     simulation = simulate(SimulateParams.model_validate(params))
     tree = TransformTree()
@@ -48,7 +47,7 @@ def room(**params: object) -> Room:
     )
 
 
-def moved(frames: Sequence[Frame], turn: Rotation, shift: Floats) -> list[Frame]:
+def moved(frames, turn, shift):
     """Turn and shift the room: every vector turns, every position is shifted, too."""
     result = []
     for frame in frames:
@@ -66,14 +65,14 @@ def moved(frames: Sequence[Frame], turn: Rotation, shift: Floats) -> list[Frame]
     return result
 
 
-def same(one: Frame, other: Frame, *, but_ids: bool = False) -> bool:
+def same(one, other, *, but_ids=False):
     """Whether two frames hold the same bytes (NaN = NaN)."""
     names = (*(n for n in Frame.__slots__ if n != "people"), *People._fields)
     fields = [name for name in names if not (but_ids and name == "ids")]
     return all(_equal(getattr(one, name), getattr(other, name)) for name in fields)
 
 
-def _equal(a: object, b: object) -> bool:
+def _equal(a, b):
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
         return a.shape == b.shape and bool(np.array_equal(a, b, equal_nan=a.dtype.kind == "f"))
     if isinstance(a, tuple) and isinstance(b, tuple):

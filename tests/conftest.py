@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -13,7 +12,7 @@ from whole_commands import first_seconds
 SAMPLES = Path(__file__).parent.parent / "sample_data"
 
 
-def pytest_configure() -> None:
+def pytest_configure():
     """Ignore what the parent ignores (nohup, a background job) by a handler, not by SIG_IGN.
 
     Programs that tests start and stop would inherit SIG_IGN.
@@ -24,7 +23,7 @@ def pytest_configure() -> None:
 
 
 @pytest.fixture(autouse=True)
-def _signals() -> Iterator[None]:
+def _signals():
     """Give pytest its signal handlers back after a command was run in its process."""
     names = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM)
     before = {name: signal.getsignal(name) for name in names}
@@ -36,18 +35,18 @@ def _signals() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def crossing() -> Path:
+def crossing():
     """Two people who cross, three cameras, 5 s."""
     return SAMPLES / "two_people_crossing.mcap"
 
 
 @pytest.fixture(scope="session")
-def walking() -> Path:
+def walking():
     """One person who walks, three cameras, 3 s."""
     return SAMPLES / "one_person_walking.mcap"
 
 
 @pytest.fixture(scope="session")
-def short(walking: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def short(walking, tmp_path_factory):
     """The first second of one person who walks."""
     return first_seconds(walking, 1.0, tmp_path_factory.mktemp("short") / "walk.mcap")

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +10,6 @@ import numpy as np
 from hiros_mcap.io.detectors.body_models import body_model
 from hiros_mcap.io.detectors.joint_names import joints_of
 from hiros_mcap.io.log import open_log
-from hiros_mcap.skeletons import Floats, Frame
 
 CAMERA = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """Rows: x right, y down, z ahead, for somebody who looks along the room's y axis."""
@@ -27,13 +24,13 @@ OPENCAP = (
 )
 
 
-def truth_of(log: Path) -> tuple[list[Frame], tuple[str, ...]]:
+def truth_of(log):
     """Frames of the true people of a log, and the names of their markers."""
     with open_log(log, topics=["/truth/*"]) as opened:
         return list(opened.frames()), opened.model.marker_names
 
 
-def seen(frame: Frame, markers: Sequence[str], names: Sequence[str]) -> Floats:
+def seen(frame, markers, names):
     """(P, K, 3) joints of these names, m, z up; NaN for those that the frame lacks."""
     slots = {joint: slot for slot, joint in enumerate(joints_of(markers))}
     found = np.full((frame.n_people, len(names), 3), np.nan)
@@ -44,7 +41,7 @@ def seen(frame: Frame, markers: Sequence[str], names: Sequence[str]) -> Floats:
     return found
 
 
-def openpose(folder: Path, frames: Sequence[Frame], markers: Sequence[str]) -> None:
+def openpose(folder, frames, markers):
     """``--3d --write_json``: a file per instant; a joint that was not triangulated is 0 0 0 0."""
     folder.mkdir()
     for number, frame in enumerate(frames):
@@ -61,7 +58,7 @@ def openpose(folder: Path, frames: Sequence[Frame], markers: Sequence[str]) -> N
         path.write_text(json.dumps({"version": 1.3, "people": people}))
 
 
-def mediapipe(path: Path, frames: Sequence[Frame], markers: Sequence[str]) -> None:
+def mediapipe(path, frames, markers):
     """``PoseLandmarkerResult`` of each image: 33 landmarks from the middle of the hips."""
     instants = []
     for number, frame in enumerate(frames):
@@ -85,7 +82,7 @@ def mediapipe(path: Path, frames: Sequence[Frame], markers: Sequence[str]) -> No
     path.write_text(json.dumps(instants))
 
 
-def freemocap(path: Path, frames: Sequence[Frame], markers: Sequence[str]) -> None:
+def freemocap(path, frames, markers):
     """``mediapipe_body_3d_xyz.csv``: mm, z up, no times."""
     names = body_model("mediapipe-33").marker_names
     lines = [",".join(f"body_{name}_{axis}" for name in names for axis in "xyz")]
@@ -95,9 +92,7 @@ def freemocap(path: Path, frames: Sequence[Frame], markers: Sequence[str]) -> No
     path.write_text("\n".join(lines) + "\n")
 
 
-def trc(
-    path: Path, frames: Sequence[Frame], markers: Sequence[str], names: Sequence[str], person: int
-) -> None:
+def trc(path, frames, markers, names, person):
     """A TRC file as Pose2Sim and OpenCap write it: m, y up, one person."""
     head = [
         f"PathFileType\t4\t(X/Y/Z)\t{path.name}",
@@ -113,7 +108,7 @@ def trc(
     path.write_text("\n".join(head) + "\n")
 
 
-def write_all(folder: Path, log: Path) -> None:
+def write_all(folder, log):
     """Write what docs/detectors.md imports, of the true people of a log of two."""
     frames, markers = truth_of(log)
     openpose(folder / "openpose", frames, markers)

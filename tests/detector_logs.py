@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,6 @@ import numpy as np
 from mcap.writer import Writer
 from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
 from scipy.spatial.transform import Rotation
 
 import hiros_schemas
@@ -23,7 +22,7 @@ from hiros_mcap.io.detectors.joint_names import joints_of
 from hiros_mcap.io.log import open_log
 from hiros_mcap.simulate.settings import SimulateParams
 from hiros_mcap.simulate.write_log import write_log
-from hiros_mcap.skeletons import Floats, Frame
+from hiros_mcap.skeletons import Frame
 
 NANO = 1_000_000_000
 MARKERS, OBJECTS = hiros_schemas.MARKER_ARRAY, hiros_schemas.OBJECTS_STAMPED
@@ -95,7 +94,7 @@ class Scene:
     """Topic, type, log time and CDR of the transforms and the truth."""
 
 
-def scene(path: Path, **params: object) -> Scene:
+def scene(path, **params):
     """Simulate a scene; orientations of the links are left out, since others have none."""
     write_log(path, SimulateParams.model_validate(params))
     with open_log(path) as log:
@@ -112,7 +111,7 @@ def scene(path: Path, **params: object) -> Scene:
     return Scene(path, found, names, others)
 
 
-def store_of(texts: dict[str, str], base: Stores = Stores.ROS2_HUMBLE) -> Typestore:
+def store_of(texts, base=Stores.ROS2_HUMBLE):
     store = get_typestore(base)
     for name, text in texts.items():
         types = get_types_from_msg(text, name)
@@ -127,7 +126,7 @@ Made = Iterator[tuple[str, str, int, bytes]]
 """Topic, type, log time, CDR."""
 
 
-def default(name: str, store: Typestore = ROS2, **values: Any) -> Any:
+def default(name, store=ROS2, **values):
     """Make a message whose other fields are 0, "" and empty."""
     kinds = {"string": "", "bool": False}
     made = {}
@@ -152,16 +151,16 @@ def default(name: str, store: Typestore = ROS2, **values: Any) -> Any:
     return store.types[name](**made)
 
 
-def header(stamp: int, frame_id: str, store: Typestore = ROS2) -> Any:
+def header(stamp, frame_id, store=ROS2):
     time = store.types["builtin_interfaces/msg/Time"](stamp // NANO, stamp % NANO)
     return default("std_msgs/msg/Header", store, stamp=time, frame_id=frame_id)
 
 
-def stamp_of(frame: Frame) -> int:
+def stamp_of(frame):
     return max(frame.stamps.tolist(), default=frame.stamp)
 
 
-def points_in(frame: Frame, names: Sequence[str], model: str) -> Floats:
+def points_in(frame, names, model):
     """(P, M, 3) positions in the order of another model; NaN where the scene has no such joint."""
     slots = {joint: slot for slot, joint in enumerate(joints_of(names))}
     wanted = joints_of(body_model(model).marker_names)
@@ -172,7 +171,7 @@ def points_in(frame: Frame, names: Sequence[str], model: str) -> Floats:
     return points
 
 
-def azure_message(frame: Frame, store: Typestore = ROS2) -> Any:
+def azure_message(frame, store=ROS2):
     """Make the MarkerArray of one capture."""
     marker = "visualization_msgs/msg/Marker"
     point, turn = (
@@ -195,18 +194,18 @@ def azure_message(frame: Frame, store: Typestore = ROS2) -> Any:
     return store.types[MARKERS](markers)
 
 
-def azure(scene: Scene) -> Made:
+def azure(scene):
     """The Azure Kinect ROS driver on ROS 2."""
     for topic, frame in scene.detections:
         data = ROS2.serialize_cdr(azure_message(frame), MARKERS)
         yield topic.replace("skeletons", "body_tracking_data"), MARKERS, frame.log_time, bytes(data)
 
 
-def zed(model: str) -> Callable[[Scene], Made]:
+def zed(model):
     """The ZED ROS 2 wrapper with a body format."""
     body_format = ("zed-18", "zed-34", "zed-38", "zed-70").index(model)
 
-    def make(scene: Scene) -> Made:
+    def make(scene):
         keypoint, skeleton = "zed_msgs/msg/Keypoint3D", "zed_msgs/msg/Skeleton3D"
         for topic, frame in scene.detections:
             objects = []
@@ -235,7 +234,7 @@ def zed(model: str) -> Callable[[Scene], Made]:
     return make
 
 
-def stamped(scene: Scene) -> Made:
+def stamped(scene):
     """One StampedSkeleton per person."""
     for topic, data, log_time in groups(scene):
         group = ROS2.deserialize_cdr(data, GROUP)
@@ -245,7 +244,7 @@ def stamped(scene: Scene) -> Made:
             yield topic, STAMPED, log_time, bytes(ROS2.serialize_cdr(one, STAMPED))
 
 
-def humans(scene: Scene) -> Made:
+def humans(scene):
     """ROS4HRI: the frames of human_description below body_<id>, and the ids that are tracked."""
     model = body_model("ros4hri")
     parents = {child: parent for parent, child in model.links.tolist()}
@@ -265,7 +264,7 @@ def humans(scene: Scene) -> Made:
             yield "/tf", TF, frame.log_time, tf_message(stamp_of(frame), rows)
 
 
-def tf_message(stamp: int, rows: Sequence[tuple[str, str, Floats, Floats]]) -> bytes:
+def tf_message(stamp, rows):
     types = [ROS2.types[f"geometry_msgs/msg/{name}"] for name in ("Vector3", "Quaternion")]
     transform, pose = (ROS2.types[f"geometry_msgs/msg/Transform{s}"] for s in ("Stamped", ""))
     found = [
@@ -279,14 +278,14 @@ def tf_message(stamp: int, rows: Sequence[tuple[str, str, Floats, Floats]]) -> b
     return bytes(ROS2.serialize_cdr(ROS2.types[TF](found), TF))
 
 
-def groups(scene: Scene) -> Iterator[tuple[str, bytes, int]]:
+def groups(scene):
     with McapReader(scene.path) as reader:
         topics = {i: c.topic for i, c in reader.channels.items() if c.topic.startswith("/camera")}
         for m in reader.messages(topics):
             yield topics[m.channel_id], bytes(m.data), m.log_time
 
 
-def write_ros2(path: Path, scene: Scene, make: Callable[[Scene], Made]) -> Path:
+def write_ros2(path, scene, make):
     """Write a log in MCAP by the mcap library."""
     with path.open("wb") as file:
         writer = Writer(file)
@@ -302,7 +301,7 @@ def write_ros2(path: Path, scene: Scene, make: Callable[[Scene], Made]) -> Path:
     return path
 
 
-def ros1_messages(scene: Scene) -> Iterator[tuple[str, str, int, bytes]]:
+def ros1_messages(scene):
     """SkeletonGroups and transforms as ROS 1 writes them, with the Header's seq."""
     for topic, data, log_time in groups(scene):
         yield topic, GROUP, log_time, bytes(ROS2.cdr_to_ros1(data, GROUP))
@@ -310,7 +309,7 @@ def ros1_messages(scene: Scene) -> Iterator[tuple[str, str, int, bytes]]:
         yield topic, name, log_time, bytes(ROS2.cdr_to_ros1(data, name))
 
 
-def write_ros1_mcap(path: Path, scene: Scene) -> Path:
+def write_ros1_mcap(path, scene):
     """ROS 1 messages in MCAP, as ``mcap convert`` makes them of a bag."""
     with path.open("wb") as file:
         writer = Writer(file)
@@ -326,7 +325,7 @@ def write_ros1_mcap(path: Path, scene: Scene) -> Path:
     return path
 
 
-def write_ros1_bag(path: Path, scene: Scene) -> Path:
+def write_ros1_bag(path, scene):
     """MarkerArrays of the Azure Kinect's original driver in a ROS 1 bag."""
     texts = {MARKERS: MARKERS_ROS1, **{name: hiros_schemas.text(name) for name in (TF, GROUP)}}
     store = store_of(texts, Stores.ROS1_NOETIC)
@@ -345,7 +344,7 @@ def write_ros1_bag(path: Path, scene: Scene) -> Path:
     return path
 
 
-def write_native(path: Path, scene: Scene) -> Path:
+def write_native(path, scene):
     return scene.path
 
 
@@ -364,7 +363,7 @@ KINDS: dict[str, Callable[[Path, Scene], Path]] = {
 """Writers of the scene's log, by kind."""
 
 
-def kinect_v2(scene: Scene) -> Made:
+def kinect_v2(scene):
     """SkeletonGroups with the joints of a Kinect v2."""
     model = body_model("kinect-v2")
     encoder = Encoder(model)
@@ -378,15 +377,15 @@ def kinect_v2(scene: Scene) -> Made:
         yield topic, GROUP, frame.log_time, encoder.encode(made)
 
 
-def only(camera: str, make: Callable[[Scene], Made]) -> Callable[[Scene], Made]:
+def only(camera, make):
     """One camera of a scene."""
 
-    def made(scene: Scene) -> Made:
+    def made(scene):
         yield from (row for row in make(scene) if row[0].startswith(f"/{camera}/"))
 
     return made
 
 
-def together(*makers: Callable[[Scene], Made]) -> Callable[[Scene], Made]:
+def together(*makers):
     """Several detectors in one log."""
     return lambda scene: (row for make in makers for row in make(scene))

@@ -22,14 +22,14 @@ STATE_FIELDS = (
 QUIET, PAYLOAD, NEGATIVE = 0x7FF8000000000000, 0x7FF8DEADBEEF0001, 0xFFF8000000000042
 
 
-def random_ids(rng: np.random.Generator, n: int) -> tuple[int, ...]:
+def random_ids(rng, n):
     """Distinct int32, the extremes among them."""
     wide = rng.integers(-(2**31), 2**31, 2 * n + 2).tolist()
     pool = dict.fromkeys([-(2**31), 2**31 - 1, -1, 0, *wide])
     return tuple(sorted(list(pool)[:n] if rng.random() < 0.3 else list(pool)[-n:])) if n else ()
 
 
-def random_model(rng: np.random.Generator, n_markers: int, n_links: int) -> SkeletonModel:
+def random_model(rng, n_markers, n_links):
     """Any names, sparse ids, links between any markers, some to a marker that is not there."""
     ends = rng.integers(-1, max(n_markers, 1) if n_markers else 0, (2, n_links)).tolist()
     return SkeletonModel(
@@ -44,7 +44,7 @@ def random_model(rng: np.random.Generator, n_markers: int, n_links: int) -> Skel
     )
 
 
-def random_numbers(rng: np.random.Generator, *shape: int) -> np.ndarray:
+def random_numbers(rng, *shape):
     """Numbers of every size, with NaN of several bit patterns, infinities and -0."""
     bits = (rng.normal(size=shape) * 10.0 ** rng.integers(-300, 300, shape)).view(np.uint64)
     odd = [QUIET, PAYLOAD, NEGATIVE, 0x7FF0000000000000, 0x8000000000000000]
@@ -52,7 +52,7 @@ def random_numbers(rng: np.random.Generator, *shape: int) -> np.ndarray:
     return chosen.view(np.float64)
 
 
-def random_frame(rng: np.random.Generator, model: SkeletonModel, n_people: int) -> Frame:
+def random_frame(rng, model, n_people):
     """A frame with random numbers; a third of the markers and links are absent."""
     p, m, n = n_people, model.n_markers, model.n_links
     frame = Frame.empty(p, model, source="camera ٣", frame_id="map")
@@ -72,14 +72,14 @@ def random_frame(rng: np.random.Generator, model: SkeletonModel, n_people: int) 
     )
 
 
-def random_case(seed: int, most: int = 12) -> tuple[SkeletonModel, Frame]:
+def random_case(seed, most=12):
     """A model and a frame of it, small enough for the generic library."""
     rng = np.random.default_rng(seed)
     model = random_model(rng, int(rng.integers(most + 1)), int(rng.integers(most + 1)))
     return model, random_frame(rng, model, int(rng.integers(7)))
 
 
-def state(values: np.ndarray) -> dict[str, Any]:
+def state(values):
     """A KinematicState as the generic writer takes it."""
     numbers = iter(values.tolist())
     message: dict[str, Any] = {}
@@ -88,18 +88,18 @@ def state(values: np.ndarray) -> dict[str, Any]:
     return message
 
 
-def time(stamp: int) -> dict[str, int]:
+def time(stamp):
     return {"sec": stamp // 10**9, "nanosec": stamp % 10**9}
 
 
-def message_of(frame: Frame, model: SkeletonModel) -> dict[str, Any]:
+def message_of(frame, model):
     """The frame as a SkeletonGroup for the generic writer."""
     people = [skeleton(frame, model, p) for p in range(frame.n_people)]
     header = {"stamp": time(frame.stamp), "frame_id": frame.frame_id}
     return {"header": header, "skeletons": people}
 
 
-def skeleton(frame: Frame, model: SkeletonModel, p: int) -> dict[str, Any]:
+def skeleton(frame, model, p):
     ids = (*model.marker_ids, next(k for k in range(-1, -9, -1) if k not in model.marker_ids))
     given = (~np.isnan(frame.markers[p]).all(-1)) | ~np.isnan(frame.marker_confidences[p])
     given_links = (~np.isnan(frame.links[p]).all(-1)) | ~np.isnan(frame.link_confidences[p])
@@ -139,7 +139,7 @@ def skeleton(frame: Frame, model: SkeletonModel, p: int) -> dict[str, Any]:
 
 
 @cache
-def generic_writer(text: str = "") -> Any:
+def generic_writer(text=""):
     """mcap-ros2-support's encoder for a schema text, the published one by default."""
     from mcap_ros2._dynamic import serialize_dynamic
 
@@ -148,7 +148,7 @@ def generic_writer(text: str = "") -> Any:
 
 
 @cache
-def generic_reader() -> Any:
+def generic_reader():
     """mcap-ros2-support's decoder for the published schema."""
     from mcap_ros2._dynamic import generate_dynamic
 
@@ -157,7 +157,7 @@ def generic_reader() -> Any:
 
 
 @cache
-def rosbags_types() -> Any:
+def rosbags_types():
     """rosbags' store of ROS 2 types with ours."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -168,14 +168,14 @@ def rosbags_types() -> Any:
     return store
 
 
-def big_endian(data: bytes) -> bytes:
+def big_endian(data):
     """The same message with its bytes the other way round, written by rosbags."""
     store, name = rosbags_types(), hiros_schemas.SKELETON_GROUP
     message = store.deserialize_cdr(data, name)
     return bytes(store.serialize_cdr(message, name, little_endian=False))
 
 
-def numbers(message: Any) -> list[float]:
+def numbers(message):
     """The numbers of a KinematicState that a generic decoder gave."""
     return [
         getattr(getattr(getattr(message, outer), inner), axis)
@@ -184,7 +184,7 @@ def numbers(message: Any) -> list[float]:
     ]
 
 
-def frame_of(message: Any, model: SkeletonModel) -> Frame:
+def frame_of(message, model):
     """What a generic decoder gave, as a frame."""
     header, people = message.header, message.skeletons
     sources = {person.src_frame for person in people}
@@ -211,7 +211,7 @@ def frame_of(message: Any, model: SkeletonModel) -> Frame:
     return frame
 
 
-def same(a: Frame, b: Frame) -> bool:
+def same(a, b):
     """Whether two frames agree to the bit, log times apart."""
     arrays = ("confidences", "markers", "marker_confidences", "links", "link_confidences", "boxes")
     return (

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 import zlib
-from pathlib import Path
 
 import lz4.frame
 import zstandard
@@ -37,7 +36,7 @@ def make_messages(n=40):
     return [(1 + k % 2, 1000 + 10 * k, bytes([k]) * (20 + 7 * (k % 5))) for k in range(n)]
 
 
-def write_log(path: Path, messages=None, *, attachment=True, chunk_size=500, **options) -> Path:
+def write_log(path, messages=None, *, attachment=True, chunk_size=500, **options):
     """Write a log of two channels by the mcap library."""
     options = {"enable_data_crcs": True, "chunk_size": chunk_size, **options}
     with path.open("wb") as file:
@@ -55,7 +54,7 @@ def write_log(path: Path, messages=None, *, attachment=True, chunk_size=500, **o
     return path
 
 
-def by_library(path: Path):
+def by_library(path):
     """Messages of a file as the mcap library's streaming reader has them, by time."""
     with path.open("rb") as file:
         reader = NonSeekingReader(file, validate_crcs=True)
@@ -97,7 +96,7 @@ def index(ident, entries, extra=b""):
     return r.record(r.Opcode.MESSAGE_INDEX, body, extra)
 
 
-def mcap_file(path: Path, *data, header_extra=b"", tail=b"") -> Path:
+def mcap_file(path, *data, header_extra=b"", tail=b""):
     """A file with the given data section and no summary."""
     start = r.MAGIC + r.record(r.Opcode.HEADER, r.text(""), r.text("test"), header_extra)
     start += b"".join(data)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 from hiros_mcap.io.codec import Decoder, Encoder
 from hiros_mcap.io.container import McapWriter
@@ -14,9 +13,7 @@ Change = Callable[[Frame, int], Frame]
 """(what a camera says, how many messages it has sent before) -> what it says instead."""
 
 
-def changed(
-    source: Path, target: Path, change: Change, *, latched: int | None = None, keep: bool = True
-) -> Path:
+def changed(source, target, change, *, latched=None, keep=True):
     """Copy a log with other detections; ``latched`` is the log time of its transforms, if given.
 
     Without ``keep``, the channels of the cameras have no message.
@@ -40,19 +37,19 @@ def changed(
     return target
 
 
-def later(frame: Frame, ns: int) -> Frame:
+def later(frame, ns):
     """The same at another time of the camera's clock."""
     return frame.replace(stamp=frame.stamp + ns, stamps=frame.stamps + ns)
 
 
-def scaled(frame: Frame, factor: float) -> Frame:
+def scaled(frame, factor):
     """The same in another unit."""
     markers = frame.markers.copy()
     markers[:, :, :3] *= factor
     return frame.replace(markers=markers)
 
 
-def believed(frame: Frame, confidence: float) -> Frame:
+def believed(frame, confidence):
     """The same with another confidence of every marker."""
     confidences = frame.marker_confidences.copy()
     confidences[:] = confidence

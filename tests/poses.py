@@ -20,7 +20,7 @@ SIGN = {"right": 1.0, "left": -1.0}
 Triple = tuple[float, float, float]
 
 
-def turned(**joints: Triple) -> Floats:
+def turned(**joints):
     """(S, 3, 3) the segments of a person with these ISB angles z x y, degrees, all others 0."""
     rotations: dict[str, Floats] = {}
     for segment in SEGMENTS:
@@ -36,12 +36,12 @@ def turned(**joints: Triple) -> Floats:
     return np.stack([rotations[segment] for segment in SEGMENTS])
 
 
-def posed(**joints: Triple) -> Floats:
+def posed(**joints):
     """(1, M, 3) the markers of such a person, m."""
     return BODY.markers(np.zeros((1, 3)), turned(**joints)[None])
 
 
-def links(*convention: float, **joints: Triple) -> Floats:
+def links(*convention, **joints):
     """(1, L, 4) x y z w of the person's links, by a detector of its own convention.
 
     ``convention`` are Euler angles, degrees, from the ISB axes of a segment to those of its link.

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import cv2
@@ -23,7 +22,7 @@ STORE = get_typestore(Stores.ROS2_HUMBLE)
 RED, WALL, BRICK, FLOOR = (30, 30, 200), (190, 185, 180), (40, 60, 150), (90, 110, 80)  # BGR
 
 
-def camera_at(angle: float, distance: float = 2.2) -> Rigid:
+def camera_at(angle, distance=2.2):
     """Optical frame (z forward, y down) in the world, looking at (0, 0, 1) from all around."""
     place = np.array([distance * np.cos(angle), distance * np.sin(angle), 1.6])
     z = np.array([0, 0, 1.0]) - place
@@ -34,15 +33,7 @@ def camera_at(angle: float, distance: float = 2.2) -> Rigid:
     return Rigid(Rotation.from_matrix(matrix).as_quat(), place)
 
 
-def render(
-    ball: Floats | None,
-    seed: int = 0,
-    *,
-    noise: float = 0.005,
-    wrong: float = 0.1,
-    radius: float = RADIUS,
-    clutter: bool = True,
-) -> tuple[Any, Floats]:
+def render(ball, seed=0, *, noise=0.005, wrong=0.1, radius=RADIUS, clutter=True):
     """Ray-cast a ball (centre in the camera's frame) before a wall: BGR (H, W, 3), depth (H, W), m.
 
     ``wrong`` is the share of depth pixels that are holes, and again that of stray depths. The
@@ -74,12 +65,12 @@ def render(
     return np.clip(color, 0, 255).astype(np.uint8), depth
 
 
-def header(stamp: int, frame: str) -> Any:
+def header(stamp, frame):
     time = STORE.types["builtin_interfaces/msg/Time"](stamp // 10**9, stamp % 10**9)
     return STORE.types["std_msgs/msg/Header"](time, frame)
 
 
-def image(head: Any, pixels: Any, encoding: str) -> Any:
+def image(head, pixels, encoding):
     """Image with rows padded by 4 bytes."""
     height, width = pixels.shape[:2]
     rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(height, -1)
@@ -88,16 +79,16 @@ def image(head: Any, pixels: Any, encoding: str) -> Any:
     return kind(head, height, width, encoding, 0, rows.shape[1], rows.reshape(-1))
 
 
-def compressed(head: Any, pixels: Any, form: str, extension: str, start: bytes = b"") -> Any:
+def compressed(head, pixels, form, extension, start=b""):
     data = np.frombuffer(start + cv2.imencode(extension, pixels)[1].tobytes(), np.uint8)
     return STORE.types["sensor_msgs/msg/CompressedImage"](head, form, data)
 
 
-def millimetres(depth: Floats) -> Any:
+def millimetres(depth):
     return np.nan_to_num(1000 * depth).round().astype("<u2")
 
 
-def camera_info(head: Any, matrix: Floats = K) -> Any:
+def camera_info(head, matrix=K):
     roi = STORE.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
     kind = STORE.types["sensor_msgs/msg/CameraInfo"]
     p = np.hstack([matrix, np.zeros((3, 1))]).reshape(-1)
@@ -106,14 +97,12 @@ def camera_info(head: Any, matrix: Floats = K) -> Any:
     return kind(*args, 0, 0, roi)
 
 
-def point(head: Any, place: Floats) -> Any:
+def point(head, place):
     kind = STORE.types["geometry_msgs/msg/PointStamped"]
     return kind(head, STORE.types["geometry_msgs/msg/Point"](*map(float, place)))
 
 
-def write_messages(
-    path: Path, messages: Sequence[tuple[str, int, Any]], *, static: bytes = b""
-) -> Path:
+def write_messages(path, messages, *, static=b""):
     """Write (topic, log time, message) by the mcap library, and the bytes of a /tf_static."""
     with path.open("wb") as file:
         writer = Writer(file)
@@ -135,7 +124,7 @@ def write_messages(
     return path
 
 
-def ball_path(n: int) -> Floats:
+def ball_path(n):
     """(n, 3) where somebody carries the ball about (0, 0, 1)."""
     t = np.linspace(0, 9, n)[:, None]
     return np.sin(t * [1.0, 0.73, 1.9] + [0, 1, 2]) * [0.5, 0.5, 0.3] + [0, 0, 1.0]
@@ -145,12 +134,12 @@ Encoder = Callable[[Any, Floats], Any]
 
 
 def images_of(
-    k: int,
-    camera: Rigid,
-    path: Floats,
-    colour: Encoder = lambda head, pixels: image(head, pixels[:, :, ::-1], "rgb8"),
-    depth: Encoder = lambda head, metres: image(head, millimetres(metres), "16UC1"),
-) -> list[tuple[str, int, Any]]:
+    k,
+    camera,
+    path,
+    colour=lambda head, pixels: image(head, pixels[:, :, ::-1], "rgb8"),
+    depth=lambda head, metres: image(head, millimetres(metres), "16UC1"),
+):
     """Return the messages of camera k, whose images come 2 ms apart."""
     frame, found = f"camera_{k}_optical", []
     for i, place in enumerate(path):
@@ -172,7 +161,7 @@ def images_of(
     return found
 
 
-def centres_of(cameras: list[Rigid], path: Any, noise: float = 0.002) -> list[tuple[str, int, Any]]:
+def centres_of(cameras, path, noise=0.002):
     rng, found = np.random.default_rng(0), []
     for k, camera in enumerate(cameras):
         back = camera.inverse()
@@ -183,7 +172,7 @@ def centres_of(cameras: list[Rigid], path: Any, noise: float = 0.002) -> list[tu
     return found
 
 
-def write_bag(path: Path, messages: Sequence[tuple[str, int, Any]]) -> None:
+def write_bag(path, messages):
     """Write a ROS 1 bag (path ends in .bag) or a SQLite bag by the rosbags library."""
     from rosbags import rosbag1, rosbag2
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import Frame, SkeletonModel
 
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND
@@ -29,19 +27,12 @@ POSE = np.array([
 MIRROR = [0, 1, 3, 2, 5, 4, 7, 6]
 
 
-def person(x: float = 0.0, y: float = 0.0) -> Floats:
+def person(x=0.0, y=0.0):
     """Markers (8, 3) of somebody who stands at (x, y)."""
     return POSE + np.array([x, y, 0.0])
 
 
-def seen(
-    people: Sequence[Floats],
-    stamp: int,
-    source: str = "a",
-    *,
-    ids: Sequence[int] | None = None,
-    turns: bool = False,
-) -> Frame:
+def seen(people, stamp, source="a", *, ids=None, turns=False):
     """What a camera reports; ``turns`` fills link orientations with the identity."""
     frame = Frame.empty(
         len(people), MODEL, stamp=stamp, log_time=stamp, source=source, frame_id="world"
@@ -56,6 +47,6 @@ def seen(
     return frame
 
 
-def at(k: float, camera: int = 0) -> int:
+def at(k, camera=0):
     """Stamp of frame ``k`` of a camera; cameras are 3 ms apart."""
     return START + round(k * PERIOD) + camera * 3_000_000

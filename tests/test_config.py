@@ -11,7 +11,6 @@ from typing import cast
 import pytest
 from pydantic import Field
 from pydantic.fields import FieldInfo
-from pytest import MonkeyPatch
 from stick_figures import MODEL
 
 import hiros_mcap
@@ -23,19 +22,19 @@ from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.systems import SYSTEMS, Run, sections_of, system
 
 
-def test_without_anything_the_defaults_hold() -> None:
+def test_without_anything_the_defaults_hold():
     assert load_config() == Config()
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_every_preset_is_valid_and_reads_back(preset: str, tmp_path: Path) -> None:
+def test_every_preset_is_valid_and_reads_back(preset, tmp_path):
     config = load_config(preset=preset, system="hiros")
     path = tmp_path / "hiros.toml"
     path.write_text(to_toml(config))
     assert load_config(path, preset=preset, system="hiros") == config
 
 
-def test_every_parameter_is_printed_with_its_documentation() -> None:
+def test_every_parameter_is_printed_with_its_documentation():
     text = to_toml(Config())
     printed = tomllib.loads(text)
     for section in Config.model_fields:
@@ -49,7 +48,7 @@ def test_every_parameter_is_printed_with_its_documentation() -> None:
             assert not re.search(r"\b[A-Z]\d{2}\b|the peer", field.description), field.description
 
 
-def test_times_noises_and_rates_have_finite_bounds() -> None:
+def test_times_noises_and_rates_have_finite_bounds():
     """Squared and summed, a number without a bound is infinite, and a run ends in the middle."""
     bounded = set()
     for section in Config.model_fields:
@@ -69,7 +68,7 @@ def test_times_noises_and_rates_have_finite_bounds() -> None:
     "assignment",
     ["fuse.acceleration=1e9", "fuse.offset=1e9", "noise.sigma=1e9", "filter.cutoff=1e-12"],
 )
-def test_numbers_beyond_physics_are_one_line(assignment: str) -> None:
+def test_numbers_beyond_physics_are_one_line(assignment):
     name = assignment.partition("=")[0]
     with pytest.raises(ConfigError, match=f"^--set: {name}.*: should be (less|greater) than"):
         load_config(overrides=[assignment])
@@ -78,16 +77,16 @@ def test_numbers_beyond_physics_are_one_line(assignment: str) -> None:
 class Reads:
     """A configuration that notes which sections are read."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config):
         self.config, self.sections = config, set[str]()
 
-    def __getattr__(self, name: str) -> object:
+    def __getattr__(self, name):
         self.sections.add(name)
         return getattr(self.config, name)
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_a_system_states_the_sections_that_it_reads(name: str) -> None:
+def test_a_system_states_the_sections_that_it_reads(name):
     reads = Reads(load_config(system=name))
     stages = system(name).stages(Run(MODEL, config=cast(Config, reads)))
     left_out = {"predict"} if len(stages) > len(system(name).chains[-1]) else set()  # of lee
@@ -96,7 +95,7 @@ def test_a_system_states_the_sections_that_it_reads(name: str) -> None:
     assert sections_of(name) == ("input", "clock", *noise, "output", *system(name).sections)
 
 
-def test_only_the_sections_asked_for_are_printed() -> None:
+def test_only_the_sections_asked_for_are_printed():
     printed = tomllib.loads(to_toml(Config(), ["filter", "input"]))
     assert [*printed] == ["input", "filter"]
 
@@ -116,8 +115,8 @@ class _Section(Params):
     ],
 )
 def test_advanced_parameters_are_printed_if_asked_for_or_changed(
-    values: dict[str, int], everything: bool, printed: dict[str, int], monkeypatch: MonkeyPatch
-) -> None:
+    values, everything, printed, monkeypatch
+):
     fields = {"input": FieldInfo(annotation=_Section, description="A section.")}
     monkeypatch.setattr(Config, "__pydantic_fields__", fields)
     config = SimpleNamespace(input=_Section(**values))
@@ -127,14 +126,14 @@ def test_advanced_parameters_are_printed_if_asked_for_or_changed(
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_what_config_prints_gives_the_same_configuration(name: str, tmp_path: Path) -> None:
+def test_what_config_prints_gives_the_same_configuration(name, tmp_path):
     config = load_config(overrides=["output.precision=full"], system=name)
     printed = to_toml(config, sections_of(name), everything=False, fixed=False)
     (tmp_path / "hiros.toml").write_text(printed)
     assert load_config(tmp_path / "hiros.toml", system=name) == config
 
 
-def test_an_assignment_beats_the_file_and_the_file_beats_the_preset(tmp_path: Path) -> None:
+def test_an_assignment_beats_the_file_and_the_file_beats_the_preset(tmp_path):
     path = tmp_path / "hiros.toml"
     path.write_text("[merge]\nmax_delta_time = 0.02\n[filter]\ncutoff = 7\n")
     config = load_config(path, ["filter.cutoff=8"], "paper", "hiros")
@@ -159,7 +158,7 @@ def test_an_assignment_beats_the_file_and_the_file_beats_the_preset(tmp_path: Pa
         ),
     ],
 )
-def test_assignments(assignment: str, section: str, name: str, value: object) -> None:
+def test_assignments(assignment, section, name, value):
     assert getattr(getattr(load_config(overrides=[assignment]), section), name) == value
 
 
@@ -179,7 +178,7 @@ def test_assignments(assignment: str, section: str, name: str, value: object) ->
         ("filter.cutoff", "--set: 'filter.cutoff' is not of the form stage.param=value"),
     ],
 )
-def test_a_wrong_assignment_says_what_would_be_right(assignment: str, said: str) -> None:
+def test_a_wrong_assignment_says_what_would_be_right(assignment, said):
     with pytest.raises(ConfigError) as caught:
         load_config(overrides=[assignment])
     assert str(caught.value).startswith(said)
@@ -193,9 +192,7 @@ FORMER = [
 
 
 @pytest.mark.parametrize(("name", "value", "other", "said"), FORMER, ids=str)
-def test_a_parameter_that_went_may_be_repeated_but_not_changed(
-    name: str, value: object, other: object, said: str, tmp_path: Path
-) -> None:
+def test_a_parameter_that_went_may_be_repeated_but_not_changed(name, value, other, said, tmp_path):
     path = tmp_path / "hiros.toml"
     path.write_text(f"{name} = {toml_value(value)}\n")
     assert load_config(path) == Config()
@@ -207,7 +204,7 @@ def test_a_parameter_that_went_may_be_repeated_but_not_changed(
         assert str(caught.value) == f"{origin}: {message}"
 
 
-def test_what_a_preset_sets_may_be_repeated_with_it_only(tmp_path: Path) -> None:
+def test_what_a_preset_sets_may_be_repeated_with_it_only(tmp_path):
     config = load_config(preset="paper", system="hiros")
     path = tmp_path / "hiros.toml"
     path.write_text(to_toml(config))
@@ -216,13 +213,13 @@ def test_what_a_preset_sets_may_be_repeated_with_it_only(tmp_path: Path) -> None
         load_config(path, system="hiros")
 
 
-def test_the_account_of_a_run_gives_its_configuration_again() -> None:
+def test_the_account_of_a_run_gives_its_configuration_again():
     config = load_config(preset="paper", system="hiros")
     stored = tomllib.loads(to_toml(config))
     assert load_config(system="hiros", named={"out.mcap": stored}) == config
 
 
-def test_every_table_of_values_is_of_a_preset_or_a_system() -> None:
+def test_every_table_of_values_is_of_a_preset_or_a_system():
     named = {path.stem for path in (Path(hiros_mcap.__file__).parent / "systems/presets").iterdir()}
     assert named - {"as_published"} <= {*PRESETS, *SYSTEMS}
 
@@ -239,7 +236,7 @@ def test_every_table_of_values_is_of_a_preset_or_a_system() -> None:
         (b"#" * (1 << 25), "is larger than 16 MiB"),
     ],
 )
-def test_a_wrong_file_is_named_with_its_fault(content: bytes, said: str, tmp_path: Path) -> None:
+def test_a_wrong_file_is_named_with_its_fault(content, said, tmp_path):
     path = tmp_path / "hiros.toml"
     path.write_bytes(content)
     with pytest.raises(ConfigError) as caught:
@@ -247,7 +244,7 @@ def test_a_wrong_file_is_named_with_its_fault(content: bytes, said: str, tmp_pat
     assert str(caught.value).startswith(f"{path}: {said}")
 
 
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
+def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(ConfigError, match=r"missing\.toml: cannot be read: No such file"):
         load_config(tmp_path / "missing.toml")
 
@@ -261,7 +258,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         ("paper", True, "hiros-realtime"),
     ],
 )
-def test_what_runs_if_no_system_is_named(preset: str, live: bool, name: str) -> None:
+def test_what_runs_if_no_system_is_named(preset, live, name):
     assert default_system(preset, live=live) == name
     load_config(preset=preset, system=name)
     assert ProcessOptions().system == default_system()
@@ -269,22 +266,22 @@ def test_what_runs_if_no_system_is_named(preset: str, live: bool, name: str) -> 
 
 @pytest.mark.parametrize("name", ["fuse", "fuse-realtime"])
 @pytest.mark.parametrize("preset", [name for name in PRESETS if name != "default"])
-def test_a_preset_of_hiros_is_refused_where_it_means_nothing(preset: str, name: str) -> None:
+def test_a_preset_of_hiros_is_refused_where_it_means_nothing(preset, name):
     with pytest.raises(ConfigError, match=f"preset {preset} is of hiros and means nothing to"):
         load_config(preset=preset, system=name)
 
 
-def test_an_unknown_preset_lists_the_known_ones() -> None:
+def test_an_unknown_preset_lists_the_known_ones():
     with pytest.raises(ConfigError, match=r"did you mean paper\? .there are: default, realtime"):
         load_config(preset="papr")
 
 
-def test_a_changed_parameter_shows_its_default_too() -> None:
+def test_a_changed_parameter_shows_its_default_too():
     text = to_toml(load_config(overrides=["filter.cutoff=8"]))
     assert "# Default: 4.5.\ncutoff = 8.0\n" in text
 
 
-def test_the_table_of_clocks_has_a_camera_of_any_name(tmp_path: Path) -> None:
+def test_the_table_of_clocks_has_a_camera_of_any_name(tmp_path):
     path = tmp_path / "hiros.toml"
     path.write_text('[clock]\n"camera_1" = -1.5\n"/kinect.2/skeletons" = 2\n')
     config = load_config(path, ["clock.camera_3=0.1"])
@@ -295,6 +292,6 @@ def test_the_table_of_clocks_has_a_camera_of_any_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("value", ["nan", "inf", "'soon'"])
-def test_a_correction_of_a_clock_is_a_number(value: str) -> None:
+def test_a_correction_of_a_clock_is_a_number(value):
     with pytest.raises(ConfigError, match="camera_1"):
         load_config(overrides=[f"clock.camera_1={value}"])

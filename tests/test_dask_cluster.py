@@ -9,9 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from distributed import Client
@@ -27,7 +25,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="kills by a signal")
 
 
 @pytest.fixture(scope="module")
-def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def cluster(tmp_path_factory):
     """Start a scheduler and two workers, each below a nanny that replaces it; yield its file."""
     folder = tmp_path_factory.mktemp("cluster")
     file = folder / "scheduler.json"
@@ -59,23 +57,21 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture
-def client(cluster: Path) -> Iterator[Any]:
+def client(cluster):
     wait_for(cluster.exists)
     with Client(scheduler_file=str(cluster), timeout=PATIENCE_S) as client:
         client.wait_for_workers(2, timeout=PATIENCE_S)
         yield client
 
 
-def wait_for(condition: Any) -> None:
+def wait_for(condition):
     end = time.monotonic() + PATIENCE_S
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.02)
 
 
-def test_a_killed_workers_logs_are_done_by_others(
-    cluster: Path, client: Any, walking: Path, tmp_path: Path
-) -> None:
+def test_a_killed_workers_logs_are_done_by_others(cluster, client, walking, tmp_path):
     (tmp_path / "in").mkdir()
     for k in range(5):
         shutil.copy(walking, tmp_path / "in" / f"{k}.mcap")
@@ -98,32 +94,26 @@ def test_a_killed_workers_logs_are_done_by_others(
     assert len({(out / f"{k}.hiros.mcap").read_bytes() for k in range(5)}) == 1
 
 
-def kill_at(number: int) -> int:
+def kill_at(number):
     if number == 1:
         os.kill(os.getpid(), signal.SIGKILL)
     return number
 
 
-def test_a_task_that_kills_workers_is_given_up_and_the_others_are_not(
-    cluster: Path, client: Any
-) -> None:
+def test_a_task_that_kills_workers_is_given_up_and_the_others_are_not(cluster, client):
     runner = on_cluster(str(cluster), [])
     answers = dict(runner(kill_at, [(n,) for n in range(3)], lost=lambda k, why: -k))
     assert answers == {0: 0, 1: -1, 2: 2}
 
 
-def test_workers_that_do_not_see_the_logs_are_refused(
-    cluster: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_workers_that_do_not_see_the_logs_are_refused(cluster, capsys):
     from hiros_mcap.errors import ConfigError
 
     with pytest.raises(ConfigError, match="does not see /nowhere/lab.mcap; logs and results"):
         list(on_cluster(str(cluster), ["/nowhere/lab.mcap"])(kill_at, [(0,)], lost=max))
 
 
-def test_a_scheduler_that_is_not_there_is_one_line(
-    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_scheduler_that_is_not_there_is_one_line(walking, tmp_path, capsys):
     command = ["process", str(walking), "-o", str(tmp_path / "out")]
     assert run([*command, "--cluster", "nonsense"]) == 2
     assert "no scheduler answers there" in capsys.readouterr().err

@@ -32,7 +32,7 @@ ELSEWHERE = {"--cluster"}
 """Options that need other machines."""
 
 
-def hook() -> Any:
+def hook():
     """Return the module with the site's hooks."""
     spec = importlib.util.spec_from_file_location("pages", DOCS / "pages.py")
     assert spec is not None
@@ -42,26 +42,26 @@ def hook() -> Any:
     return module
 
 
-def generated() -> dict[str, str]:
+def generated():
     """Return the pages that the site's hook makes."""
     pages: dict[str, str] = hook().generated()
     return pages
 
 
-def test_names_in_docstrings_are_shown_as_code() -> None:
+def test_names_in_docstrings_are_shown_as_code():
     html = "<p>:func:<code>hiros_mcap.process</code>, :class:<code>~a.Frame</code>, :mod:`~b`</p>"
     shown = "<p><code>hiros_mcap.process</code>, <code>a.Frame</code>, b</p>"
     assert hook().on_page_content(html, page=None) == shown
 
 
-def test_no_two_pages_have_one_title() -> None:
+def test_no_two_pages_have_one_title():
     texts = [*generated().values(), *(p.read_text(encoding="utf-8") for p in DOCS.glob("*.md"))]
     titles = [text.removeprefix("# ").splitlines()[0] for text in texts]
     assert len(titles) > 25
     assert len(set(titles)) == len(titles)
 
 
-def test_the_reference_holds_every_command_parameter_and_public_name() -> None:
+def test_the_reference_holds_every_command_parameter_and_public_name():
     pages = generated()
     for name in program().commands:
         assert f"## hiros {name}" in pages["reference/commands.md"]
@@ -74,19 +74,19 @@ def test_the_reference_holds_every_command_parameter_and_public_name() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_links_lead_to_files(page: Path) -> None:
+def test_links_lead_to_files(page):
     for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", page.read_text(encoding="utf-8")):
         path = page.parent / target
         assert path.exists() or target in generated(), f"{page.name}: {target}"
 
 
-def commands(page: Path) -> list[str]:
+def commands(page):
     """Return the commands of a page's indented blocks, without `hiros` and remarks."""
     lines = re.findall(r"^    (?:\$ )?hiros (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
     return [line.split("  #")[0].strip() for line in lines]
 
 
-def parse(arguments: list[str]) -> None:
+def parse(arguments):
     """Take the arguments apart as the program does, and run nothing."""
     command: Any = program()
     while hasattr(command, "commands"):
@@ -95,7 +95,7 @@ def parse(arguments: list[str]) -> None:
 
 
 @pytest.fixture(scope="module")
-def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def laboratory(tmp_path_factory):
     """Return a folder with every file that the pages' commands read."""
     folder = tmp_path_factory.mktemp("laboratory")
     shutil.copytree(ROOT / "sample_data", folder / "sample_data")
@@ -117,7 +117,7 @@ def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def write_suite(folder: Path) -> None:
+def write_suite(folder):
     """Write the suite that docs/golden.md shows, with its recordings."""
     page = (DOCS / "golden.md").read_text(encoding="utf-8")
     suite = re.search(r"```toml\n(# suite\.toml.*?)```", page, re.DOTALL)
@@ -127,7 +127,7 @@ def write_suite(folder: Path) -> None:
     shutil.copy(folder / "sample_data" / "one_person_walking.mcap", folder / "kitchen.mcap")
 
 
-def write_import(folder: Path) -> None:
+def write_import(folder):
     """Write the mapping files that docs/detectors.md shows, and the files that they describe."""
     page = (DOCS / "detectors.md").read_text(encoding="utf-8")
     for name, mapping in re.findall(r"```toml\n# (\w+\.toml)\n(.*?)```", page, re.DOTALL):
@@ -139,7 +139,7 @@ def write_import(folder: Path) -> None:
         (folder / name).write_text("\n".join([f"timestamp,id,{head}", *rows]))
 
 
-def test_every_detector_has_a_recipe() -> None:
+def test_every_detector_has_a_recipe():
     (mapping,) = (one for one in program().commands["import"].params if one.name == "mapping")
     recipes = [line for line in commands(DOCS / "detectors.md") if line.startswith("import")]
     for detector in DETECTOR_FILES:
@@ -147,12 +147,12 @@ def test_every_detector_has_a_recipe() -> None:
         assert detector in mapping.help, detector
 
 
-def test_at_least_one_page_has_commands() -> None:
+def test_at_least_one_page_has_commands():
     assert sum(len(commands(page)) for page in PAGES) > 20
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_commands_run(page: Path, laboratory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_run(page, laboratory, monkeypatch):
     monkeypatch.chdir(laboratory)
     for line in commands(page):
         if " < " in line:
@@ -175,7 +175,7 @@ def test_commands_run(page: Path, laboratory: Path, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_python_runs(page: Path, laboratory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_runs(page, laboratory, monkeypatch):
     monkeypatch.chdir(laboratory)
     for code in re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL):
         exec(compile(code, page.name, "exec"), {})

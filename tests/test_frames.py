@@ -9,7 +9,7 @@ from hiros_mcap.skeletons import UNTRACKED, Frame, People, SkeletonModel
 MODEL = SkeletonModel.of("ab", [("ab", 0, 1)])
 
 
-def numbered(n: int, start: int) -> Frame:
+def numbered(n, start):
     """A frame of people whose ids and markers count up."""
     frame = Frame.empty(n, MODEL, stamp=start, source="camera", frame_id="map")
     frame.ids[:] = start + np.arange(n)
@@ -17,12 +17,12 @@ def numbered(n: int, start: int) -> Frame:
     return frame
 
 
-def test_the_fields_of_people_are_those_of_the_frame() -> None:
+def test_the_fields_of_people_are_those_of_the_frame():
     frame = numbered(3, 5)
     assert all(getattr(frame, name) is getattr(frame.people, name) for name in People._fields)
 
 
-def test_nothing_is_known_of_the_people_of_an_empty_frame() -> None:
+def test_nothing_is_known_of_the_people_of_an_empty_frame():
     frame = Frame.empty(2, MODEL, stamp=7)
     assert (frame.ids.tolist(), frame.stamps.tolist(), frame.log_time) == (
         [UNTRACKED] * 2,
@@ -32,7 +32,7 @@ def test_nothing_is_known_of_the_people_of_an_empty_frame() -> None:
     assert all(np.isnan(numbers).all() for numbers in frame.people[2:])
 
 
-def test_replace_changes_fields_of_the_frame_and_of_its_people_and_shares_the_rest() -> None:
+def test_replace_changes_fields_of_the_frame_and_of_its_people_and_shares_the_rest():
     frame = numbered(2, 5)
     other = frame.replace(stamp=9, ids=np.array([1, 2], np.int32))
     assert (other.stamp, other.source, other.ids.tolist()) == (9, "camera", [1, 2])
@@ -45,7 +45,7 @@ def test_replace_changes_fields_of_the_frame_and_of_its_people_and_shares_the_re
 @pytest.mark.parametrize(
     ("rows", "ids"), [([2, 0], [7, 5]), ([], []), ([True, False, True], [5, 7])]
 )
-def test_selected_people_are_copies(rows: list[int], ids: list[int]) -> None:
+def test_selected_people_are_copies(rows, ids):
     frame = numbered(3, 5)
     chosen = frame.select(rows)
     assert chosen.ids.tolist() == ids
@@ -53,14 +53,14 @@ def test_selected_people_are_copies(rows: list[int], ids: list[int]) -> None:
     assert frame.markers.min() == 5
 
 
-def test_people_are_reordered_in_every_array_from_a_row_on() -> None:
+def test_people_are_reordered_in_every_array_from_a_row_on():
     frame = numbered(4, 5)
     frame.people.reorder(1, [2, 0, 1])
     assert frame.ids.tolist() == [5, 8, 6, 7]
     assert frame.markers[:, 0, 0].tolist() == [5, 8, 6, 7]
 
 
-def test_joined_frames_keep_their_people_in_this_order() -> None:
+def test_joined_frames_keep_their_people_in_this_order():
     blocks = [Block.of(numbered(n, 10 * n)) for n in (2, 0, 3)]
     joined = join([blocks[k] for k in (2, 1, 0, 2)])
     assert joined.rows.tolist() == [[0, 3], [3, 3], [3, 5], [5, 8]]
@@ -70,7 +70,7 @@ def test_joined_frames_keep_their_people_in_this_order() -> None:
 
 @pytest.mark.parametrize("packed", [False, True])
 @pytest.mark.parametrize("width", [7, 19])
-def test_held_frames_come_back_with_all_columns(packed: bool, width: int) -> None:
+def test_held_frames_come_back_with_all_columns(packed, width):
     held, frames = HeldFrames(packed=packed), [numbered(n, 10 * n) for n in (2, 1, 3)]
     for frame in frames:
         frame.markers[:, :, 3:7] = frame.markers[:, :, 8:] = np.nan

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import cache
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,14 +14,14 @@ from scipy.spatial.transform import Rotation
 from stick_figures import MODEL, SECOND, START, person, seen
 
 from hiros_mcap.config import load_config
-from hiros_mcap.evaluate import Scores, evaluate
+from hiros_mcap.evaluate import evaluate
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, by_frame, frames_of, join
 from hiros_mcap.skeletons import UNTRACKED, Frame, People, SkeletonModel
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.merge.merge import MergeParams, merge_blocks
 from hiros_mcap.stages.track.track import track_blocks
-from hiros_mcap.systems import SYSTEMS, Run, Stages, chain_of
+from hiros_mcap.systems import SYSTEMS, Run, chain_of
 
 track = by_frame(track_blocks)
 merge = by_frame(merge_blocks)
@@ -34,19 +34,19 @@ every_system = pytest.mark.parametrize("name", SYSTEMS)
 
 
 @cache
-def crossing() -> Room:
+def crossing():
     """Two people who cross, three cameras with every fault of real ones."""
     return room(people=2, cameras=3, action="cross", seconds=3, seed=11)
 
 
-def table(name: str, where: Room) -> Stages:
+def table(name, where):
     """Stages of a system, set up for a new run."""
     config = load_config(system=name)
     run = Run(where.model, config, cameras=where.cameras, fixed_frame="world", system=name)
     return SYSTEMS[name].stages(run)
 
 
-def run_system(name: str, frames: Iterable[Frame], where: Room, stages: str = "") -> list[Frame]:
+def run_system(name, frames, where, stages=""):
     """Run the stages of a system, or some of them, one after the other, each to its end."""
     result, ready = list(frames), table(name, where)
     for channel in chain_of(name, stages):
@@ -54,25 +54,25 @@ def run_system(name: str, frames: Iterable[Frame], where: Room, stages: str = ""
     return result
 
 
-def through(chain: str, frames: Iterable[Frame], where: Room) -> list[Frame]:
+def through(chain, frames, where):
     return run_system("hiros", frames, where, chain)
 
 
 @cache
-def result(name: str) -> tuple[Frame, ...]:
+def result(name):
     return tuple(run_system(name, crossing().frames, crossing()))
 
 
 @cache
-def tracked() -> list[Frame]:
+def tracked():
     return through("T", crossing().frames, crossing())
 
 
-def copies(frames: Sequence[Frame]) -> list[Frame]:
+def copies(frames):
     return [frame.select(np.arange(frame.n_people)) for frame in frames]
 
 
-def all_same(some: Sequence[Frame], others: Sequence[Frame]) -> bool:
+def all_same(some, others):
     return len(some) == len(others) and all(map(same, some, others))
 
 
@@ -80,7 +80,7 @@ def all_same(some: Sequence[Frame], others: Sequence[Frame]) -> bool:
 
 
 @every_system
-def test_people_have_one_id_each_and_no_id_comes_twice(name: str) -> None:
+def test_people_have_one_id_each_and_no_id_comes_twice(name):
     frames = result(name)
     assert {i for f in frames for i in f.ids.tolist() if i != UNTRACKED} == {0, 1}
     for frame in frames:
@@ -92,7 +92,7 @@ def test_people_have_one_id_each_and_no_id_comes_twice(name: str) -> None:
 
 
 @every_system
-def test_the_input_is_unchanged_and_the_output_reproducible(name: str) -> None:
+def test_the_input_is_unchanged_and_the_output_reproducible(name):
     given = copies(crossing().frames)
     again = run_system(name, given, crossing())
     assert all_same(given, crossing().frames)
@@ -100,7 +100,7 @@ def test_the_input_is_unchanged_and_the_output_reproducible(name: str) -> None:
 
 
 @every_system
-def test_no_stage_changes_its_input(name: str) -> None:
+def test_no_stage_changes_its_input(name):
     frames, stages = list(crossing().frames), table(name, crossing())
     for channel in chain_of(name):
         before = copies(frames)
@@ -110,7 +110,7 @@ def test_no_stage_changes_its_input(name: str) -> None:
 
 
 @every_system
-def test_moving_the_room_moves_the_result(name: str) -> None:
+def test_moving_the_room_moves_the_result(name):
     where, turn, shift = crossing(), LEVEL_TURN, LEVEL_SHIFT
     cameras = {c: turn.apply(p) + shift for c, p in where.cameras.items()}
     elsewhere = Room(moved(where.frames, turn, shift), where.model, cameras, where.truth)
@@ -126,7 +126,7 @@ def test_moving_the_room_moves_the_result(name: str) -> None:
 
 
 @every_system
-def test_the_order_of_people_in_a_message_only_changes_ids(name: str) -> None:
+def test_the_order_of_people_in_a_message_only_changes_ids(name):
     """One renaming fits all frames, and the rest of the result is the same."""
     reversed_people = [f.select(list(range(f.n_people))[::-1]) for f in crossing().frames]
     out = run_system(name, reversed_people, crossing())
@@ -135,7 +135,7 @@ def test_the_order_of_people_in_a_message_only_changes_ids(name: str) -> None:
     assert any(map(all, fits))
 
 
-def _is_renamed(one: Frame, other: Frame, new: dict[int, int]) -> bool:
+def _is_renamed(one, other, new):
     ids = [new[i] for i in one.ids.tolist()]
     rows = [
         np.lexsort((np.nan_to_num(f.positions[:, 0, 0]), i))
@@ -150,7 +150,7 @@ def _is_renamed(one: Frame, other: Frame, new: dict[int, int]) -> bool:
 
 @every_system
 @pytest.mark.parametrize("seed", range(2))
-def test_it_does_not_matter_how_frames_are_cut_into_blocks(name: str, seed: int) -> None:
+def test_it_does_not_matter_how_frames_are_cut_into_blocks(name, seed):
     """Also where cameras fall silent, people come and go, and time makes a leap."""
     rng = np.random.default_rng(seed)
     frames = [frame for k, frame in enumerate(crossing().frames) if not 40 < k < 40 + 15 * seed]
@@ -174,7 +174,7 @@ def test_it_does_not_matter_how_frames_are_cut_into_blocks(name: str, seed: int)
 
 
 @every_system
-def test_the_origin_of_time_does_not_matter(name: str) -> None:
+def test_the_origin_of_time_does_not_matter(name):
     hour = 3_600_000_000_000
     later = [
         f.replace(stamp=f.stamp + hour, log_time=f.log_time + hour, stamps=f.stamps + hour)
@@ -186,7 +186,7 @@ def test_the_origin_of_time_does_not_matter(name: str) -> None:
 
 
 @every_system
-def test_nobody_and_nothing_pass(name: str) -> None:
+def test_nobody_and_nothing_pass(name):
     model = SkeletonModel.of(["A", "B"], [("AB", 0, 1)])
     where = Room([], model, {}, crossing().truth)
     assert run_system(name, [], where) == []
@@ -197,12 +197,12 @@ def test_nobody_and_nothing_pass(name: str) -> None:
 
 
 @every_system
-def test_people_who_left_are_forgotten(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_people_who_left_are_forgotten(name, monkeypatch):
     """Twelve people come one after the other, a minute apart; every bank knows the last two."""
     banks: list[Bank[Any]] = []
     plain: Callable[..., None] = Bank.__init__
 
-    def recording(self: Bank[Any], *args: Any, **options: Any) -> None:
+    def recording(self, *args, **options):
         plain(self, *args, **options)
         banks.append(self)
 
@@ -221,7 +221,7 @@ def test_people_who_left_are_forgotten(name: str, monkeypatch: pytest.MonkeyPatc
 # -- the stages of Hi-ROS --------------------------------------------------------------------------
 
 
-def test_stages_stream() -> None:
+def test_stages_stream():
     """A stage that is pulled frame by frame, behind another, gives what it gives in one go."""
     frames: Iterator[Frame] = iter(crossing().frames)
     for stage in table("hiros", crossing()).values():
@@ -230,9 +230,7 @@ def test_stages_stream() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_tracker_gives_the_same_message_by_message(
-    seed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_tracker_gives_the_same_message_by_message(seed, monkeypatch):
     """With and without the compiled loop over many messages: ids, states, order and log times."""
     rng = np.random.default_rng(seed)
     frames = [f.select([]) if rng.random() < 0.05 else f for f in crossing().frames]
@@ -245,7 +243,7 @@ def test_the_tracker_gives_the_same_message_by_message(
     assert [frame.log_time for frame in at_once] == times
 
 
-def test_tracks_move_with_the_room() -> None:
+def test_tracks_move_with_the_room():
     cameras = {name: TURN.apply(place) + SHIFT for name, place in crossing().cameras.items()}
     turned = moved(crossing().frames, TURN, SHIFT)
     result = list(track(turned, crossing().model, cameras=cameras))
@@ -257,7 +255,7 @@ def test_tracks_move_with_the_room() -> None:
         )
 
 
-def test_merged_people_move_with_the_room() -> None:
+def test_merged_people_move_with_the_room():
     result = list(merge(moved(tracked(), TURN, SHIFT), crossing().model))
     expected = moved(list(merge(tracked(), crossing().model)), TURN, SHIFT)
     for here, there in zip(expected, result, strict=True):
@@ -266,7 +264,7 @@ def test_merged_people_move_with_the_room() -> None:
         assert np.nanmin(dots, initial=1.0) > 1 - 1e-9
 
 
-def names_of(one: Sequence[Frame], other: Sequence[Frame], rows: Sequence[list[int]]) -> set[tuple]:
+def names_of(one, other, rows):
     """Pairs of ids that the same detections have in two results."""
     return {
         (a, b)
@@ -275,7 +273,7 @@ def names_of(one: Sequence[Frame], other: Sequence[Frame], rows: Sequence[list[i
     }
 
 
-def test_the_order_of_detections_only_changes_names() -> None:
+def test_the_order_of_detections_only_changes_names():
     rows = [list(range(frame.n_people))[::-1] for frame in crossing().frames]
     turned = [frame.select(order) for frame, order in zip(crossing().frames, rows, strict=True)]
     result = through("T", turned, crossing())
@@ -285,7 +283,7 @@ def test_the_order_of_detections_only_changes_names() -> None:
     assert all((a == -1) == (b == -1) for a, b in names)
 
 
-def test_the_order_of_cameras_at_one_instant_does_not_matter() -> None:
+def test_the_order_of_cameras_at_one_instant_does_not_matter():
     fixed = room(people=2, cameras=3, seconds=2, seed=2, rig={"synchronised": True, "jitter": 0.0})
     period: dict[int, list[Frame]] = {}
     for frame in fixed.frames:
@@ -296,11 +294,11 @@ def test_the_order_of_cameras_at_one_instant_does_not_matter() -> None:
     assert all_same(through("TMOF", forwards, fixed), through("TMOF", backwards, fixed))
 
 
-def aside(frames: Sequence[Frame], metres: float) -> list[Frame]:
+def aside(frames, metres):
     return moved(frames, Rotation.identity(), np.array([metres, 0.0, 0.0]))
 
 
-def both(one: Frame, other: Frame) -> Frame:
+def both(one, other):
     """One message with the people of two."""
     arrays = {
         name: np.concatenate([getattr(one, name), getattr(other, name)]) for name in People._fields
@@ -308,7 +306,7 @@ def both(one: Frame, other: Frame) -> Frame:
     return one.replace(**arrays)
 
 
-def test_people_far_from_each_other_are_two_runs() -> None:
+def test_people_far_from_each_other_are_two_runs():
     single = room(people=1, cameras=3, action="wave", seconds=2, seed=8)
     near, far = single.frames, aside(single.frames, 50.0)
     together = [both(a, b) for a, b in zip(near, far, strict=True)]
@@ -321,7 +319,7 @@ def test_people_far_from_each_other_are_two_runs() -> None:
     assert {i for frame in result for i in frame.ids.tolist()} == {0, 1}
 
 
-def scores_of(chain: str, where: Room) -> Scores:
+def scores_of(chain, where):
     return evaluate(through(chain, where.frames, where), where.truth, where.model)
 
 
@@ -337,13 +335,13 @@ def scores_of(chain: str, where: Room) -> Scores:
     ],
     ids=lambda scene: f"{scene['people']}x{scene['cameras']}-{scene['action']}",
 )
-def test_people_keep_their_ids_and_nobody_is_false(scene: dict[str, object]) -> None:
+def test_people_keep_their_ids_and_nobody_is_false(scene):
     scores = scores_of("TM", room(seconds=4, **scene))
     assert (scores.switches, scores.false) == (0, 0)
 
 
 @pytest.mark.parametrize("seed", [31, 32, 38, 41])
-def test_a_static_phantom_of_one_camera_of_four_is_never_anybody(seed: int) -> None:
+def test_a_static_phantom_of_one_camera_of_four_is_never_anybody(seed):
     where = room(people=2, cameras=4, seconds=3, seed=seed, detector={"static_phantoms": 1})
     events = Events()
     frames = list(track(where.frames, where.model, events=events, cameras=where.cameras))
@@ -352,14 +350,14 @@ def test_a_static_phantom_of_one_camera_of_four_is_never_anybody(seed: int) -> N
     assert events.total("not confirmed") > 40  # the phantom was there all the time
 
 
-def test_a_static_phantom_at_the_edge_of_the_views_loses_its_id_in_the_end() -> None:
+def test_a_static_phantom_at_the_edge_of_the_views_loses_its_id_in_the_end():
     where = room(people=2, cameras=4, seconds=7, seed=33, detector={"static_phantoms": 1})
     frames = list(track(where.frames, where.model, cameras=where.cameras))
     assert {i for frame in frames[-120:] for i in frame.ids.tolist()} == {0, 1, -1}
 
 
 @pytest.mark.parametrize("way", ["relabel", "drop"])
-def test_every_flip_is_found_and_undone(way: Literal["relabel", "drop"]) -> None:
+def test_every_flip_is_found_and_undone(way):
     """With the majority of the cameras right, no merged person faces the wrong way."""
     flips = {"flips_per_minute": 20.0, "flip_seconds": (0.3, 1.0), "reversal_share": 0.0}
     where = room(
@@ -371,19 +369,19 @@ def test_every_flip_is_found_and_undone(way: Literal["relabel", "drop"]) -> None
     merged = list(merge(tracked, where.model, MergeParams(flips=way), events))
     sides = [where.model.marker_names.index(f"SHOULDER_{side}") for side in ("LEFT", "RIGHT")]
 
-    def is_right(frame: Frame) -> bool:
+    def is_right(frame):
         true = where.truth.at(frame.stamp)[0][0]
         across = np.diff(frame.positions[0, sides], axis=0) @ np.diff(true[sides], axis=0).T
         return bool(across > 0)
 
-    def facing_right(frames: Iterable[Frame]) -> list[bool]:
+    def facing_right(frames):
         return [is_right(f) for f in frames if f.n_people and where.truth.covers(f.stamp)]
 
     assert events.total("flip") == facing_right(where.frames).count(False) > 20
     assert all(facing_right(merged))
 
 
-def test_wrong_first_poses_of_a_camera_hardly_reach_the_merged_one() -> None:
+def test_wrong_first_poses_of_a_camera_hardly_reach_the_merged_one():
     """The first five frames of a person whom a camera finds again are wrong (section 4.2).
 
     The merged error at these times is below half of the tracker's.
@@ -409,7 +407,7 @@ def test_wrong_first_poses_of_a_camera_hardly_reach_the_merged_one() -> None:
     assert after < 0.5 * before
 
 
-def found_again(frames: Sequence[Frame], source: str) -> list[Frame]:
+def found_again(frames, source):
     """First five frames of the only person after each absence in one camera."""
     own = [frame for frame in frames if frame.source == source]
     here = [frame.n_people > 0 for frame in own]
@@ -417,7 +415,7 @@ def found_again(frames: Sequence[Frame], source: str) -> list[Frame]:
     return [frame for k in starts for frame in own[k : k + 5] if frame.n_people]
 
 
-def error(frame: Frame, where: Room) -> float:
+def error(frame, where):
     """Mean joint error, m, of the only person."""
     true = where.truth.at(frame.stamp)[0][0]
     return float(np.nanmean(np.linalg.norm(frame.positions[0] - true, axis=-1)))

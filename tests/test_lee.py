@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from functools import cache
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
-from builders import Room, moved, room, same
+from builders import moved, room, same
 from scipy.spatial.transform import Rotation
 
 from hiros_mcap.config import load_config
@@ -16,7 +15,6 @@ from hiros_mcap.evaluate import evaluate
 from hiros_mcap.evaluate.logs import read_channel
 from hiros_mcap.frames import by_frame
 from hiros_mcap.running.pipeline import ProcessOptions, process
-from hiros_mcap.skeletons import Frame
 from hiros_mcap.stages.lee.cluster import cluster_blocks
 from hiros_mcap.systems import SYSTEMS, Run, chain_of
 
@@ -27,18 +25,18 @@ TURN, SHIFT = Rotation.from_euler("xyz", [0.3, -0.5, 1.2]), np.array([3.0, -1.0,
 
 
 @cache
-def pair() -> Room:
+def pair():
     """Two people, four cameras with every fault of real ones."""
     return room(people=2, cameras=4, action="free_dynamic", seconds=6, seed=5)
 
 
 @cache
-def tracked() -> list[Frame]:
+def tracked():
     stages = SYSTEMS["lee"].stages(Run(pair().model, cameras=pair().cameras, fixed_frame="world"))
     return list(by_frame(stages["tracked"])(pair().frames))
 
 
-def after_tracking(system: str, frames: list[Frame], *overrides: str) -> list[Frame]:
+def after_tracking(system, frames, *overrides):
     """Run what follows the tracker."""
     config = load_config(None, overrides, system=system)
     stages = SYSTEMS[system].stages(Run(pair().model, config, fixed_frame="world"))
@@ -47,31 +45,31 @@ def after_tracking(system: str, frames: list[Frame], *overrides: str) -> list[Fr
     return frames
 
 
-def upper_limbs(system: str, *overrides: str) -> float:
+def upper_limbs(system, *overrides):
     """Mean error, mm."""
     frames = after_tracking(system, tracked(), *overrides)
     return evaluate(frames, pair().truth, pair().model).parts["upper limbs"].mean
 
 
-def test_each_variant_gives_something_else() -> None:
+def test_each_variant_gives_something_else():
     results = {name: after_tracking(name, tracked()) for name in VARIANTS}
     for one, two in pairwise(VARIANTS):
         assert not all(map(same, results[one], results[two]))
 
 
-def test_clustering_beats_averaging_on_the_upper_limbs() -> None:
+def test_clustering_beats_averaging_on_the_upper_limbs():
     a1, a2, a3, a4 = (upper_limbs(name) for name in VARIANTS[:4])
     assert a3 < 0.9 * a2 < 0.9 * a1
     assert a4 == pytest.approx(a3, rel=0.03)
 
 
-def test_ten_centimetres_is_the_best_of_the_radii() -> None:
+def test_ten_centimetres_is_the_best_of_the_radii():
     errors = {r: upper_limbs("lee-a4", f"cluster.radius={r}") for r in (0.05, 0.1, 0.15, 0.2)}
     assert min(errors, key=lambda r: errors[r]) in (0.1, 0.15)
     assert errors[0.2] > errors[0.1] < errors[0.05]
 
 
-def test_two_people_by_the_trackers_ids(crossing: Path, tmp_path: Path) -> None:
+def test_two_people_by_the_trackers_ids(crossing, tmp_path):
     out = tmp_path / "out.mcap"
     summary = process(crossing, out, options=ProcessOptions(system="lee"))
     assert len(summary.people) == 2
@@ -79,7 +77,7 @@ def test_two_people_by_the_trackers_ids(crossing: Path, tmp_path: Path) -> None:
     assert {int(i) for frame in frames for i in frame.ids} == {0, 1}
 
 
-def test_one_person_is_merged_as_in_the_paper(walking: Path, tmp_path: Path) -> None:
+def test_one_person_is_merged_as_in_the_paper(walking, tmp_path):
     """With one person there is one id, and each instant is one merge of all cameras."""
     out = tmp_path / "out.mcap"
     process(walking, out, options=ProcessOptions(system="lee-a4"))
@@ -90,7 +88,7 @@ def test_one_person_is_merged_as_in_the_paper(walking: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("system", VARIANTS)
-def test_the_room_may_turn_and_shift(system: str) -> None:
+def test_the_room_may_turn_and_shift(system):
     expected = moved(after_tracking(system, tracked()), TURN, SHIFT)
     result = after_tracking(system, moved(tracked(), TURN, SHIFT))
     for here, there in zip(expected, result, strict=True):
@@ -98,14 +96,14 @@ def test_the_room_may_turn_and_shift(system: str) -> None:
 
 
 @pytest.mark.parametrize("system", VARIANTS)
-def test_the_input_is_unchanged_and_the_result_repeats(system: str) -> None:
+def test_the_input_is_unchanged_and_the_result_repeats(system):
     before = [frame.select(np.arange(frame.n_people)) for frame in tracked()]
     first = after_tracking(system, tracked())
     assert all(map(same, tracked(), before))
     assert all(map(same, first, after_tracking(system, tracked())))
 
 
-def test_merging_streams() -> None:
+def test_merging_streams():
     """Pulled one by one, instants come as early as in one go."""
     pulled = []
     for frame in cluster(iter(tracked()), pair().model):

@@ -12,7 +12,6 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -24,7 +23,7 @@ from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.places import place_of
 from hiros_mcap.many.find import are_many, distinct_names, find_logs
 from hiros_mcap.many.jobs import Finding, ProcessJob
-from hiros_mcap.many.manifest import Identity, LogRecord, Manifest, Verdict
+from hiros_mcap.many.manifest import Identity, LogRecord, Manifest
 from hiros_mcap.many.run_logs import Folder, in_processes, run_logs, run_one
 from hiros_mcap.many.totals import ColumnTotal, column_totals
 
@@ -33,7 +32,7 @@ BAG = "rosbag2_bagfile_information:\n  version: 8\n"
 
 
 @pytest.fixture
-def recordings(tmp_path: Path, walking: Path, crossing: Path) -> Path:
+def recordings(tmp_path, walking, crossing):
     """Return a folder with three logs, two of which have the same name, and one that is cut off."""
     folder = tmp_path / "in"
     for name, source in (("a/lab", walking), ("b/lab", crossing), ("walk", walking)):
@@ -44,24 +43,24 @@ def recordings(tmp_path: Path, walking: Path, crossing: Path) -> Path:
     return folder
 
 
-def touch(folder: Path, *names: str) -> None:
+def touch(folder, *names):
     for name in names:
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(BAG if path.name == "metadata.yaml" else "")
 
 
-def found(folder: Path, *named: str) -> list[str]:
+def found(folder, *named):
     logs = find_logs([str(folder / name) for name in named])
     return [str(Path(log).relative_to(folder)) for log in logs]
 
 
-def test_a_folder_is_searched_with_those_below_it(tmp_path: Path) -> None:
+def test_a_folder_is_searched_with_those_below_it(tmp_path):
     touch(tmp_path, "b.mcap", "a/c.bag", "a/d/e.db3", "notes.txt", ".hidden/x.mcap")
     assert found(tmp_path, ".") == ["a/c.bag", "a/d/e.db3", "b.mcap"]
 
 
-def test_a_bag_folder_is_one_log_and_so_are_its_files(tmp_path: Path) -> None:
+def test_a_bag_folder_is_one_log_and_so_are_its_files(tmp_path):
     touch(tmp_path, "lab/metadata.yaml", "lab/lab_0.mcap", "lab/lab_1.mcap", "x.mcap")
     assert found(tmp_path, "") == ["lab", "x.mcap"]
     assert found(tmp_path, "*/*.mcap") == ["lab"]
@@ -69,18 +68,18 @@ def test_a_bag_folder_is_one_log_and_so_are_its_files(tmp_path: Path) -> None:
     assert not are_many([str(tmp_path / "lab")])
 
 
-def test_parts_of_a_recording_without_its_metadata_stay_one_log(tmp_path: Path) -> None:
+def test_parts_of_a_recording_without_its_metadata_stay_one_log(tmp_path):
     touch(tmp_path, "lab/lab_0.mcap", "lab/lab_1.mcap", "day/walk_0.mcap", "day/walk_1.mcap")
     assert found(tmp_path, "") == ["day/walk_0.mcap", "day/walk_1.mcap", "lab"]
 
 
-def test_other_metadata_do_not_make_a_folder_one_log(tmp_path: Path) -> None:
+def test_other_metadata_do_not_make_a_folder_one_log(tmp_path):
     touch(tmp_path, "a.mcap", "b.mcap")
     (tmp_path / "metadata.yaml").write_text("title: our data\n")
     assert found(tmp_path, "") == ["a.mcap", "b.mcap"]
 
 
-def test_nothing_found_is_an_error(tmp_path: Path) -> None:
+def test_nothing_found_is_an_error(tmp_path):
     with pytest.raises(ConfigError, match="there is no log"):
         find_logs([str(tmp_path)])
     with pytest.raises(FileNotFoundError):
@@ -89,7 +88,7 @@ def test_nothing_found_is_an_error(tmp_path: Path) -> None:
         find_logs(["-", str(tmp_path)])
 
 
-def test_a_folder_with_nothing_but_one_file_is_that_log(tmp_path: Path) -> None:
+def test_a_folder_with_nothing_but_one_file_is_that_log(tmp_path):
     touch(tmp_path, "lab/walk.mcap")
     assert not are_many([str(tmp_path / "lab")])
     assert are_many([str(tmp_path)])
@@ -97,14 +96,14 @@ def test_a_folder_with_nothing_but_one_file_is_that_log(tmp_path: Path) -> None:
     assert are_many([str(tmp_path / "lab")])
 
 
-def test_one_file_a_missing_file_and_a_pipe_are_not_many(tmp_path: Path) -> None:
+def test_one_file_a_missing_file_and_a_pipe_are_not_many(tmp_path):
     assert not any(are_many([name]) for name in ("-", str(tmp_path / "x.mcap"), "s3://b/x.mcap"))
     assert all(
         are_many(names) for names in ([str(tmp_path)], ["*.mcap"], ["s3://b/d/"], ["a", "b"])
     )
 
 
-def test_names_are_as_short_as_they_can_be_and_never_the_same() -> None:
+def test_names_are_as_short_as_they_can_be_and_never_the_same():
     logs = ["/d/mon/lab.mcap", "/d/tue/lab.mcap", "/d/walk.mcap", "/d/WALK.bag", "/d/mon_lab.mcap"]
     names = distinct_names(logs, {})
     assert names["/d/tue/lab.mcap"] == "tue_lab"
@@ -113,23 +112,23 @@ def test_names_are_as_short_as_they_can_be_and_never_the_same() -> None:
     assert len({name.casefold() for name in names.values()}) == len(logs)
 
 
-def test_a_log_keeps_its_name_when_others_come() -> None:
+def test_a_log_keeps_its_name_when_others_come():
     first = distinct_names(["/a/lab.mcap"], {})
     second = distinct_names(["/a/lab.mcap", "/b/lab.mcap"], first)
     assert second == {"/a/lab.mcap": "lab", "/b/lab.mcap": "b_lab"}
 
 
-def records_of(folder: Path) -> dict[str, dict[str, object]]:
+def records_of(folder):
     data = json.loads((folder / "hiros-process.json").read_text())
     return {row["name"]: row for row in data["logs"]}
 
 
-def process(*named: object, jobs: int = 1) -> int:
+def process(*named, jobs=1):
     *logs, out = map(str, named)
     return run(["process", *logs, "-o", out, "--jobs", str(jobs), "--quiet"])
 
 
-def test_failures_do_not_stop_the_others(recordings: Path, tmp_path: Path) -> None:
+def test_failures_do_not_stop_the_others(recordings, tmp_path):
     assert process(recordings, tmp_path / "out") == 2
     records = records_of(tmp_path / "out")
     verdicts = {name: row["verdict"] for name, row in records.items()}
@@ -139,14 +138,14 @@ def test_failures_do_not_stop_the_others(recordings: Path, tmp_path: Path) -> No
     assert names == {"a_lab.hiros.mcap", "b_lab.hiros.mcap", "walk.hiros.mcap"}
 
 
-def test_a_result_is_that_of_the_same_command_on_one_log(walking: Path, tmp_path: Path) -> None:
+def test_a_result_is_that_of_the_same_command_on_one_log(walking, tmp_path):
     assert process(walking, tmp_path / "out") == 0
     assert run(["process", str(walking), "-o", str(tmp_path / "one.mcap"), "-q"]) == 0
     result = tmp_path / "out" / "one_person_walking.hiros.mcap"
     assert result.read_bytes() == (tmp_path / "one.mcap").read_bytes()
 
 
-def test_a_second_run_does_only_what_is_left(recordings: Path, tmp_path: Path) -> None:
+def test_a_second_run_does_only_what_is_left(recordings, tmp_path):
     out = tmp_path / "out"
     process(recordings, out)
     before = {path.name: path.stat().st_mtime_ns for path in out.glob("*.mcap")}
@@ -159,7 +158,7 @@ def test_a_second_run_does_only_what_is_left(recordings: Path, tmp_path: Path) -
     assert {name for name in after if after[name] == before.get(name)} == {"a_lab.hiros.mcap"}
 
 
-def test_another_log_of_the_same_size_is_done(tmp_path: Path) -> None:
+def test_another_log_of_the_same_size_is_done(tmp_path):
     log, out = tmp_path / "lab.mcap", Folder(str(tmp_path / "out"))
     job, done = Nothing(), []
     for k, content in enumerate((b"one", b"one", b"two")):
@@ -170,7 +169,7 @@ def test_another_log_of_the_same_size_is_done(tmp_path: Path) -> None:
     assert done == [True, False, True]
 
 
-def test_a_result_that_was_cut_is_made_again(walking: Path, tmp_path: Path) -> None:
+def test_a_result_that_was_cut_is_made_again(walking, tmp_path):
     out = tmp_path / "out"
     process(walking, out)
     result = out / "one_person_walking.hiros.mcap"
@@ -180,7 +179,7 @@ def test_a_result_that_was_cut_is_made_again(walking: Path, tmp_path: Path) -> N
     assert result.read_bytes() == whole
 
 
-def test_other_parameters_do_everything_again(walking: Path, tmp_path: Path) -> None:
+def test_other_parameters_do_everything_again(walking, tmp_path):
     out = tmp_path / "out"
     process(walking, out)
     (first,) = records_of(out).values()
@@ -190,7 +189,7 @@ def test_other_parameters_do_everything_again(walking: Path, tmp_path: Path) -> 
     assert first["files"] != second["files"]
 
 
-def test_a_stopped_run_has_its_manifest(recordings: Path, tmp_path: Path) -> None:
+def test_a_stopped_run_has_its_manifest(recordings, tmp_path):
     job, out = ProcessJob(Config()), str(tmp_path / "out")
     runs = run_logs(job, find_logs([str(recordings)]), Folder(out), in_processes(1))
     done = [next(runs)[0], next(runs)[0]]
@@ -198,7 +197,7 @@ def test_a_stopped_run_has_its_manifest(recordings: Path, tmp_path: Path) -> Non
     assert set(Manifest("process", place_of(out)).records) == {record.log for record in done}
 
 
-def test_a_log_that_kills_its_process_is_reported(recordings: Path) -> None:
+def test_a_log_that_kills_its_process_is_reported(recordings):
     def deadly(function, tasks, *, lost):  # type: ignore[no-untyped-def]
         yield 0, lost(0, "a process was killed by signal 9")
         yield 1, function(*tasks[1])
@@ -214,23 +213,23 @@ class Nothing:
 
     command, kind, counted, suffix = "info", "log", frozenset[str](), ""
 
-    def sides(self, name: str) -> tuple[Path, ...]:
+    def sides(self, name):
         return ()
 
-    def run(self, log: Path, target: Path) -> Finding:
+    def run(self, log, target):
         return Finding()
 
 
-def test_a_fault_of_hiros_is_named_so(walking: Path) -> None:
+def test_a_fault_of_hiros_is_named_so(walking):
     class Broken(Nothing):
-        def run(self, log: Path, target: Path) -> Finding:
+        def run(self, log, target):
             raise KeyError("tibia")
 
     record = run_one(Broken(), LogRecord(str(walking), "walk", "failed"), "")
     assert (record.verdict, record.bug, record.error) == ("failed", True, "bug: KeyError: 'tibia'")
 
 
-def test_foreign_files_are_kept(walking: Path, tmp_path: Path) -> None:
+def test_foreign_files_are_kept(walking, tmp_path):
     out = tmp_path / "out"
     touch(out, "x")
     (out / "one_person_walking.hiros.mcap").write_text("mine")
@@ -238,13 +237,13 @@ def test_foreign_files_are_kept(walking: Path, tmp_path: Path) -> None:
     assert (out / "one_person_walking.hiros.mcap").read_text() == "mine"
 
 
-def test_two_runs_do_not_share_a_folder(tmp_path: Path) -> None:
+def test_two_runs_do_not_share_a_folder(tmp_path):
     place = place_of(str(tmp_path))
     with place.locked(), pytest.raises(LogError, match="another run"), place.locked():
         pass
 
 
-def test_results_among_the_recordings_are_no_recordings(walking: Path, tmp_path: Path) -> None:
+def test_results_among_the_recordings_are_no_recordings(walking, tmp_path):
     shutil.copy(walking, tmp_path / "walk.mcap")
     assert process(tmp_path, tmp_path / "out") == 0
     assert process(tmp_path, tmp_path / "out") == 0
@@ -254,7 +253,7 @@ def test_results_among_the_recordings_are_no_recordings(walking: Path, tmp_path:
     assert (record["verdict"], record["files"]) == ("skipped", {})
 
 
-def test_a_truth_among_the_recordings_is_no_recording(walking: Path, tmp_path: Path) -> None:
+def test_a_truth_among_the_recordings_is_no_recording(walking, tmp_path):
     shutil.copy(walking, tmp_path / "walk.mcap")
     keep(walking, tmp_path / "walk.truth.mcap", "/truth")
     keep(walking, tmp_path / "detector_off.mcap", "/tf_static")
@@ -263,7 +262,7 @@ def test_a_truth_among_the_recordings_is_no_recording(walking: Path, tmp_path: P
     assert verdicts == {"walk": "done", "walk.truth": "skipped", "detector_off": "failed"}
 
 
-def keep(source: Path, target: Path, prefix: str) -> None:
+def keep(source, target, prefix):
     """Copy the channels of a log that begin with ``prefix``."""
     with McapReader(source) as reader, McapWriter(target) as writer:
         for message in reader.messages():
@@ -278,15 +277,13 @@ DAMAGED = ["{}", "[1]", "no", HEAD.replace("1", "9") + "[]}", HEAD + '[{"log": 1
 
 
 @pytest.mark.parametrize("text", DAMAGED)
-def test_a_damaged_manifest_is_one_line(text: str, walking: Path, tmp_path: Path) -> None:
+def test_a_damaged_manifest_is_one_line(text, walking, tmp_path):
     (tmp_path / "hiros-process.json").write_text(text)
     assert process(walking, tmp_path) == 2
 
 
 @pytest.mark.parametrize("name", ["../evil/mine", "/tmp/mine", "..", "a/b", ""])
-def test_a_manifest_does_not_choose_where_results_go(
-    name: str, walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_manifest_does_not_choose_where_results_go(name, walking, tmp_path, capsys):
     out = tmp_path / "out"
     process(walking, out)
     manifest = out / "hiros-process.json"
@@ -299,7 +296,7 @@ def test_a_manifest_does_not_choose_where_results_go(
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_a_foreign_file_that_a_manifest_names_is_kept(walking: Path, tmp_path: Path) -> None:
+def test_a_foreign_file_that_a_manifest_names_is_kept(walking, tmp_path):
     out = tmp_path / "out"
     process(walking, out)
     result, manifest = out / "one_person_walking.hiros.mcap", out / "hiros-process.json"
@@ -311,9 +308,7 @@ def test_a_foreign_file_that_a_manifest_names_is_kept(walking: Path, tmp_path: P
     assert result.read_text() == "mine"
 
 
-def test_what_cannot_be_read_in_a_folder_is_named(
-    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_read_in_a_folder_is_named(walking, tmp_path, capsys):
     folder = tmp_path / "in"
     folder.mkdir()
     shutil.copy(walking, folder)
@@ -328,7 +323,7 @@ def test_what_cannot_be_read_in_a_folder_is_named(
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs process groups")
-def test_ctrl_c_leaves_no_part_of_a_result(recordings: Path, tmp_path: Path) -> None:
+def test_ctrl_c_leaves_no_part_of_a_result(recordings, tmp_path):
     out = tmp_path / "out"
     command = [sys.executable, "-m", "hiros_cli", "process", str(recordings), "-o", str(out)]
     with subprocess.Popen([*command, "--jobs", "2", "-q"], start_new_session=True) as hiros:
@@ -339,9 +334,7 @@ def test_ctrl_c_leaves_no_part_of_a_result(recordings: Path, tmp_path: Path) -> 
     assert not list(out.glob(".*"))
 
 
-def test_what_is_for_one_log_is_refused(
-    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_for_one_log_is_refused(walking, tmp_path, capsys):
     two = [str(walking), str(walking)]
     assert run(["process", *two]) == 2
     assert run(["process", *two, "-o", str(tmp_path / "o"), "--save-limbs", "l.toml"]) == 2
@@ -356,14 +349,14 @@ def test_what_is_for_one_log_is_refused(
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory, walking: Path, crossing: Path) -> Path:
+def results(tmp_path_factory, walking, crossing):
     """Return a folder with two results."""
     out = tmp_path_factory.mktemp("many") / "results"
     assert process(walking, crossing, out) == 0
     return out
 
 
-def printed(capsys: pytest.CaptureFixture[str], *command: object) -> dict[str, Any]:
+def printed(capsys, *command):
     """Run a command on many logs with --json; return what became of each, by its name."""
     capsys.readouterr()
     run([*map(str, command), "--jobs", "1", "--json"])
@@ -371,9 +364,7 @@ def printed(capsys: pytest.CaptureFixture[str], *command: object) -> dict[str, A
     return {Path(row["log"]).name.partition(".")[0]: row for row in data["logs"]}
 
 
-def test_eval_of_many_says_what_it_says_of_one(
-    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_eval_of_many_says_what_it_says_of_one(results, tmp_path, capsys):
     rows = printed(capsys, "eval", results, "-o", tmp_path / "scores")
     run(["eval", str(results / "one_person_walking.hiros.mcap"), "--json"])
     one = list(json.loads(capsys.readouterr().out)["channels"].values())[-1]
@@ -384,9 +375,7 @@ def test_eval_of_many_says_what_it_says_of_one(
     assert (tmp_path / "scores/hiros-eval.json").read_text() == before
 
 
-def test_eval_finds_the_truth_of_each_log_by_its_name(
-    results: Path, walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_eval_finds_the_truth_of_each_log_by_its_name(results, walking, tmp_path, capsys):
     shutil.copy(walking, tmp_path / "one_person_walking.truth.mcap")
     rows = printed(capsys, "eval", results, "--truth", tmp_path)
     assert rows["one_person_walking"]["values"]["people"] == 1
@@ -394,9 +383,7 @@ def test_eval_finds_the_truth_of_each_log_by_its_name(
     assert "has no truth two_people_crossing.truth.mcap (or .mcap, .trc, .csv)" in error
 
 
-def test_check_of_many_compares_each_with_its_golden_file(
-    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_of_many_compares_each_with_its_golden_file(results, tmp_path, capsys):
     golden = tmp_path / "golden"
     command = ["check", str(results), "--golden", str(golden), "--jobs", "1", "-q"]
     assert run([*command, "--bless"]) == 0
@@ -409,9 +396,7 @@ def test_check_of_many_compares_each_with_its_golden_file(
     assert run(["check", str(tmp_path / "new"), *command[2:]]) == 1
 
 
-def test_export_of_many_does_not_replace_foreign_files(
-    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_export_of_many_does_not_replace_foreign_files(results, tmp_path, capsys):
     command = ["export", str(results), "-o", str(tmp_path), "--format", "trc", "--jobs", "1", "-q"]
     (tmp_path / "two_people_crossing.hiros.1.trc").write_text("")
     (tmp_path / "two_people_crossing.1.trc").write_text("mine")
@@ -432,7 +417,7 @@ def test_export_of_many_does_not_replace_foreign_files(
     assert (tmp_path / "one_person_walking.trc").read_text() == "corrected by hand"
 
 
-def test_a_log_is_known_if_nothing_has_changed() -> None:
+def test_a_log_is_known_if_nothing_has_changed():
     record = LogRecord("/a.mcap", "a", "done", files={"a.mcap": 3}, input=Identity(7, ""))
     manifest = Manifest("process")
     manifest.add(record)
@@ -443,16 +428,14 @@ def test_a_log_is_known_if_nothing_has_changed() -> None:
         assert manifest.knows(replace(record, **{field: value}), {"a.mcap": 3}) is None, field
 
 
-def test_totals_are_those_of_the_numbers_that_are_known() -> None:
+def test_totals_are_those_of_the_numbers_that_are_known():
     values = [1.0, 2, 6.0, float("nan"), "text"]
     records = [LogRecord(f"/{v}", "x", "done", values={"n": v}) for v in values]
     totals = column_totals(records, ProcessJob(Config()))
     assert totals == {"n": ColumnTotal(3, mean=3.0, median=2.0, least=1.0, most=6.0, sum=None)}
 
 
-def test_the_table_of_many_logs_as_csv(
-    recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_table_of_many_logs_as_csv(recordings, tmp_path, capsys):
     table = tmp_path / "table.csv"
     assert run(["info", str(recordings), "--jobs", "1", "--csv", str(table)]) == 2
     said = capsys.readouterr()
@@ -473,7 +456,7 @@ def test_the_table_of_many_logs_as_csv(
         (["failed", "different"], 2),
     ],
 )
-def test_the_exit_code_says_the_worst(verdicts: list[Verdict], code: int) -> None:
+def test_the_exit_code_says_the_worst(verdicts, code):
     records = [LogRecord(name, name, verdict) for name, verdict in zip("abcd", verdicts)]  # noqa: B905
     assert exit_code(records) == code
     assert exit_code([*records, LogRecord("e", "e", "failed", bug=True)]) == 70

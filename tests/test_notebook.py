@@ -7,7 +7,6 @@ import os
 import sys
 import warnings
 from pathlib import Path
-from typing import Any
 
 import nbformat
 import pytest
@@ -16,7 +15,7 @@ NOTEBOOK = Path(__file__).parents[1] / "docs" / "walkthrough.ipynb"
 
 
 @pytest.fixture(scope="module")
-def cells(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
+def cells(tmp_path_factory):
     """The code cells, executed outside of any checkout."""
     book = nbformat.read(NOTEBOOK, as_version=4)
     with warnings.catch_warnings(action="ignore"), pytest.MonkeyPatch.context() as patch:
@@ -28,20 +27,20 @@ def cells(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
     return [cell for cell in book.cells if cell.cell_type == "code"]
 
 
-def shown(cells: list[Any], source: str, kind: str = "text/plain") -> str:
+def shown(cells, source, kind="text/plain"):
     """What the cell with this source displays or prints."""
     (cell,) = (cell for cell in cells if source in cell.source)
     texts = [out["text"] if "text" in out else out["data"][kind] for out in cell.outputs]
     return str(texts[-1])
 
 
-def test_the_repository_holds_no_outputs() -> None:
+def test_the_repository_holds_no_outputs():
     book = nbformat.read(NOTEBOOK, as_version=4)
     assert 10 <= len(book.cells) <= 14
     assert not any(cell.get("outputs") for cell in book.cells)
 
 
-def test_objects_are_one_line(cells: list[Any]) -> None:
+def test_objects_are_one_line(cells):
     assert shown(cells, "summary.result()") == (
         "<Result demo.hiros.mcap /hiros/filtered: 2 people, 10.0 s, 32 markers>"
     )
@@ -50,17 +49,17 @@ def test_objects_are_one_line(cells: list[Any]) -> None:
 
 
 @pytest.mark.parametrize("source", ["hiros_viewer.show(", "hiros_viewer.plot("])
-def test_pictures_are_drawn(cells: list[Any], source: str) -> None:
+def test_pictures_are_drawn(cells, source):
     png = base64.b64decode(shown(cells, source, "image/png"))
     assert png.startswith(b"\x89PNG")
     assert len(png) > 20_000
 
 
-def test_tables_are_tables(cells: list[Any]) -> None:
+def test_tables_are_tables(cells):
     assert "WRIST_RIGHT" in shown(cells, "result.joints()", "text/html")
     assert "left knee flexion" in shown(cells, "result.angles()", "text/html")
     assert "track born" in shown(cells, "result.events()", "text/html")
 
 
-def test_the_motion_leaves_as_trc(cells: list[Any]) -> None:
+def test_the_motion_leaves_as_trc(cells):
     assert shown(cells, "hiros_mcap.export(").startswith("PathFileType\t4\t(X/Y/Z)")

@@ -35,11 +35,11 @@ DEEP = 200_000
 MODEL = SkeletonModel.of(["HEAD"], [])
 
 
-def imported(path: Path) -> object:
+def imported(path):
     return import_joints([path], path.with_suffix(".mcap"))
 
 
-def mapped(path: Path) -> object:
+def mapped(path):
     (path.parent / "a.csv").write_text("time,joint,x,y,z\n0,HEAD,0,0,0\n")
     return import_joints([path.parent / "a.csv"], path.with_suffix(".mcap"), path)
 
@@ -86,7 +86,7 @@ ODD = {
 @pytest.mark.parametrize(
     ("reader", "text"), [(name, odd) for name, (kind, _) in READERS.items() for odd in ODD[kind]]
 )
-def test_odd_text_is_an_error_of_one_line(reader: str, text: str, tmp_path: Path) -> None:
+def test_odd_text_is_an_error_of_one_line(reader, text, tmp_path):
     kind, read = READERS[reader]
     path = tmp_path / f"x.{reader.rpartition('.')[2] if '.' in reader else kind.lower()}"
     path.write_bytes(ODD[kind][text].encode(errors="surrogateescape"))
@@ -97,7 +97,7 @@ def test_odd_text_is_an_error_of_one_line(reader: str, text: str, tmp_path: Path
 
 
 @pytest.mark.parametrize("reader", READERS)
-def test_a_pipe_is_refused_at_once(reader: str, tmp_path: Path) -> None:
+def test_a_pipe_is_refused_at_once(reader, tmp_path):
     kind, read = READERS[reader]
     path = tmp_path / f"x.{kind.lower()}"
     os.mkfifo(path)
@@ -106,12 +106,12 @@ def test_a_pipe_is_refused_at_once(reader: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["[" * DEEP, "9" * 5000, "a.b=[" * 20_000])
-def test_an_assignment_may_be_anything(text: str) -> None:
+def test_an_assignment_may_be_anything(text):
     with pytest.raises(HirosError, match="track.max_gap"):
         load_config(overrides=[f"track.max_gap={text}"])
 
 
-def with_attachment(path: Path, name: str, data: bytes) -> Path:
+def with_attachment(path, name, data):
     with McapWriter(path) as writer:
         writer.add_attachment(name, data, "application/json")
         writer.commit()
@@ -129,7 +129,7 @@ def with_attachment(path: Path, name: str, data: bytes) -> Path:
         b'{"cameras": [null], "warnings": 3}',
     ],
 )
-def test_odd_attachments_are_damaged(data: bytes, tmp_path: Path) -> None:
+def test_odd_attachments_are_damaged(data, tmp_path):
     for name, read in ((EVENTS_ATTACHMENT, stored_events), (REPORT_ATTACHMENT, stored_report)):
         path = with_attachment(tmp_path / "x.mcap", name, data)
         with McapReader(path) as reader, pytest.raises(HirosError, match=f"{name} is damaged"):
@@ -138,14 +138,14 @@ def test_odd_attachments_are_damaged(data: bytes, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("data", [b"\xff", b"[" * DEEP, b"[person]\n0 = 3"])
-def test_odd_limb_lengths_of_a_result_are_named(data: bytes, tmp_path: Path) -> None:
+def test_odd_limb_lengths_of_a_result_are_named(data, tmp_path):
     path = with_attachment(tmp_path / "x.mcap", LIMBS_ATTACHMENT, data)
     with pytest.raises(HirosError, match=r"x\.mcap: "):
         limbs_of(path)
 
 
 @pytest.mark.parametrize("text", ["a = " + "[" * DEEP, "[input]\na = 2026-01-01"])
-def test_odd_parameters_of_a_result_are_left_out(text: str, tmp_path: Path) -> None:
+def test_odd_parameters_of_a_result_are_left_out(text, tmp_path):
     overview_of(with_attachment(tmp_path / "x.mcap", CONFIG_ATTACHMENT, text.encode()))
 
 
@@ -166,7 +166,7 @@ def test_odd_parameters_of_a_result_are_left_out(text: str, tmp_path: Path) -> N
         ),
     ],
 )
-def test_odd_messages_of_a_server_are_named(text: str) -> None:
+def test_odd_messages_of_a_server_are_named(text):
     source = FoxgloveInput("ws://127.0.0.1:1", lambda topic, kind: True)
     with pytest.raises(HirosError, match="ws://127.0.0.1:1: "):
         list(source._advertised(None, text))

@@ -7,7 +7,6 @@ import sys
 import tomllib
 from pathlib import Path
 
-import pytest
 from ruamel.yaml import YAML
 
 from hiros_cli.app import run
@@ -18,7 +17,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 VIEWER = {"bokeh", "matplotlib", "rerun-sdk"}
 
 
-def test_links_of_the_readme_lead_to_the_repository() -> None:
+def test_links_of_the_readme_lead_to_the_repository():
     source = PROJECT["urls"]["Source"]
     text = absolute((ROOT / "README.md").read_text(encoding="utf-8"), source)
     assert f"![Two people crossing, three cameras, in the Rerun viewer]({source}/raw/main/" in text
@@ -28,7 +27,7 @@ def test_links_of_the_readme_lead_to_the_repository() -> None:
     assert absolute("[a](https://b.c) [d](#e)", source) == "[a](https://b.c) [d](#e)"
 
 
-def test_the_address_of_the_repository_stands_in_one_place() -> None:
+def test_the_address_of_the_repository_stands_in_one_place():
     texts = [*ROOT.glob("*.md"), *ROOT.glob("*.cff"), *(ROOT / "docs").glob("*.md")]
     owner = PROJECT["urls"]["Source"].split("/")[3]
     assert owner in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
@@ -36,7 +35,7 @@ def test_the_address_of_the_repository_stands_in_one_place() -> None:
     assert named == []
 
 
-def test_the_small_installation_is_all_but_viewer_and_plots() -> None:
+def test_the_small_installation_is_all_but_viewer_and_plots():
     lines = (ROOT / "requirements-small.txt").read_text(encoding="utf-8").splitlines()
     small = [line for line in lines if not line.startswith("#")]
     left_out = [line for line in PROJECT["dependencies"] if re.split("[><=]", line)[0] in VIEWER]
@@ -44,12 +43,7 @@ def test_the_small_installation_is_all_but_viewer_and_plots() -> None:
     assert small == [line for line in PROJECT["dependencies"] if line not in left_out]
 
 
-def test_the_small_installation_names_what_it_lacks(
-    crossing: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_small_installation_names_what_it_lacks(crossing, tmp_path, monkeypatch, capsys):
     for name in [*sys.modules]:
         if name.partition(".")[0] in ("rerun", "bokeh", "matplotlib", "hiros_viewer"):
             monkeypatch.delitem(sys.modules, name)
@@ -65,7 +59,7 @@ def test_the_small_installation_names_what_it_lacks(
     assert capsys.readouterr().err.endswith("lacks: pip install matplotlib\n")
 
 
-def test_a_release_is_built_checked_and_not_published() -> None:
+def test_a_release_is_built_checked_and_not_published():
     path = ROOT / ".github" / "workflows" / "release.yml"
     workflow = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
     assert workflow["permissions"] == {"contents": "read"}

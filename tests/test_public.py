@@ -23,14 +23,14 @@ PACKAGES = ("hiros_mcap", "hiros_viewer", "hiros_schemas")
 DOCUMENTED = (Path(__file__).parents[1] / "docs" / "python.md").read_text(encoding="utf-8")
 
 
-def section(package: str) -> str:
+def section(package):
     """The table of a package in the documentation."""
     start = DOCUMENTED.index(f"| `{package}` |")
     return DOCUMENTED[start:].split("\n\n")[0]
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_public_names_exist_and_are_documented_once(package: str) -> None:
+def test_public_names_exist_and_are_documented_once(package):
     module = import_module(package)
     names = set(module.__all__)
     assert all(getattr(module, name) is not None for name in names)
@@ -42,7 +42,7 @@ def test_public_names_exist_and_are_documented_once(package: str) -> None:
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_public_functions_are_typed_and_described(package: str) -> None:
+def test_public_functions_are_typed_and_described(package):
     module = import_module(package)
     assert Path(str(module.__file__)).with_name("py.typed").is_file()
     for name in module.__all__:
@@ -56,7 +56,7 @@ def test_public_functions_are_typed_and_described(package: str) -> None:
             assert "return" in typed, name
 
 
-def test_frames_and_blocks_print_one_line() -> None:
+def test_frames_and_blocks_print_one_line():
     frame = seen([person(), person(2)], at(0), ids=[3, -1])
     assert repr(frame) == "<Frame a in world at 1700000000.000 s: 2 people (3, ?), 8 markers>"
     assert repr(Block.of(frame)) == "<Block 1 frames, 2 people>"
@@ -64,7 +64,7 @@ def test_frames_and_blocks_print_one_line() -> None:
     assert repr(MODEL) == "<SkeletonModel 8 markers, 7 links>"
 
 
-def result(people: int) -> Result:
+def result(people):
     """Somebody who stands still for a second."""
     times = np.arange(30) / 30
     still = np.repeat(person()[None], 30, axis=0)
@@ -72,7 +72,7 @@ def result(people: int) -> Result:
     return Result(Path("lab.mcap"), "/hiros/filtered", MODEL, "world", 0, motions)
 
 
-def test_results_print_one_line_and_are_drawn() -> None:
+def test_results_print_one_line_and_are_drawn():
     one = result(1)
     assert repr(one) == "<Result lab.mcap /hiros/filtered: 1 person, 1.0 s, 8 markers>"
     assert repr(one.motions[0]) == "<Motion person 0: 0.0 to 1.0 s, 30 instants, 8 markers>"
@@ -83,13 +83,13 @@ def test_results_print_one_line_and_are_drawn() -> None:
     assert [text.get_text() for text in above.get_legend().get_texts()] == ["person 0", "person 1"]
 
 
-def test_nobody_is_no_picture() -> None:
+def test_nobody_is_no_picture():
     for draw in (hiros_viewer.show, hiros_viewer.plot):
         with pytest.raises(ConfigError, match="holds no people"):
             draw(result(0))
 
 
-def test_a_summary_leads_to_its_result(walking: Path, tmp_path: Path) -> None:
+def test_a_summary_leads_to_its_result(walking, tmp_path):
     summary = hiros_mcap.process(walking, tmp_path / "out.mcap")
     assert summary.result().people == (0,)
     assert summary.result("/hiros/merged").channel == "/hiros/merged"
@@ -100,9 +100,7 @@ def test_a_summary_leads_to_its_result(walking: Path, tmp_path: Path) -> None:
         hiros_mcap.process(walking).result()
 
 
-def test_who_imports_process_is_told_of_a_compilation(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_who_imports_process_is_told_of_a_compilation(monkeypatch, caplog):
     monkeypatch.setattr(kernels, "compiled", set)
     monkeypatch.setattr(shipped, "usable", lambda: False)
     for _ in range(2):

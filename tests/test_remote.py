@@ -11,9 +11,6 @@ import sys
 import tempfile
 import time
 import urllib.request
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import fsspec
 import pytest
@@ -26,7 +23,7 @@ from hiros_mcap.io.remote import local_copy
 
 
 @pytest.fixture(scope="module")
-def server() -> Iterator[str]:
+def server():
     """Start moto's server; yield its address."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
@@ -44,7 +41,7 @@ def server() -> Iterator[str]:
 
 
 @pytest.fixture
-def store(server: str, walking: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def store(server, walking, monkeypatch):
     """Yield a file system with the bucket ``lab``, which has two logs."""
     for name, value in {
         "AWS_ENDPOINT_URL": server,
@@ -63,9 +60,7 @@ def store(server: str, walking: Path, monkeypatch: pytest.MonkeyPatch) -> Iterat
     system.clear_instance_cache()
 
 
-def test_from_the_store_to_the_store(
-    store: Any, walking: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_from_the_store_to_the_store(store, walking, tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     command = ["process", "s3://lab/in/", "-o", "s3://lab/out/", "--jobs", "1", "-q"]
     assert run(command) == 0
@@ -77,7 +72,7 @@ def test_from_the_store_to_the_store(
     assert [path.name for path in tmp_path.iterdir()] == ["here.mcap"]  # no copy is left
 
 
-def test_a_second_run_takes_up_where_the_first_stopped(store: Any) -> None:
+def test_a_second_run_takes_up_where_the_first_stopped(store):
     command = ["process", "s3://lab/in/*/*.mcap", "-o", "s3://lab/out", "--jobs", "1", "-q"]
     assert run(command) == 0
     before = {row["name"]: row["LastModified"] for row in store.ls("lab/out", detail=True)}
@@ -92,9 +87,7 @@ def test_a_second_run_takes_up_where_the_first_stopped(store: Any) -> None:
     assert all(len(row["input"]["sha256"]) == 64 for row in manifest["logs"])
 
 
-def test_one_log_of_the_store(
-    store: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_log_of_the_store(store, tmp_path, capsys):
     assert run(["info", "s3://lab/in/mon/walk.mcap", "--json"]) == 0
     assert len(json.loads(capsys.readouterr().out)["cameras"]) == 3
     out = tmp_path / "out.mcap"
@@ -102,7 +95,7 @@ def test_one_log_of_the_store(
     assert out.stat().st_size > 1_000_000
 
 
-def test_an_error_names_the_address_and_not_the_copy(walking: Path) -> None:
+def test_an_error_names_the_address_and_not_the_copy(walking):
     fsspec.filesystem("memory").pipe_file("/lab/cut.mcap", walking.read_bytes()[:300_000])
     address = "memory://lab/cut.mcap"
     with pytest.raises(LogError) as caught, local_copy(address) as path, McapReader(path):
@@ -113,20 +106,20 @@ def test_an_error_names_the_address_and_not_the_copy(walking: Path) -> None:
         raise ConfigError(f"{path}: no camera")
 
 
-def test_a_failed_log_leaves_nothing_in_the_store(store: Any, walking: Path) -> None:
+def test_a_failed_log_leaves_nothing_in_the_store(store, walking):
     store.pipe_file("lab/cut/walk.mcap", walking.read_bytes()[:300_000])
     assert run(["process", "s3://lab/cut/", "-o", "s3://lab/out", "--jobs", "1", "-q"]) == 2
     assert store.ls("lab/out") == ["lab/out/hiros-process.json"]
 
 
-def test_foreign_files_in_the_store_are_kept(store: Any) -> None:
+def test_foreign_files_in_the_store_are_kept(store):
     store.pipe_file("lab/out/walk.hiros.mcap", b"mine")
     command = ["process", "s3://lab/in/mon/walk.mcap", "-o", "s3://lab/out", "-q"]
     assert run(command) == 2
     assert store.cat_file("lab/out/walk.hiros.mcap") == b"mine"
 
 
-def test_a_bag_folder_of_the_store_is_one_log(store: Any, walking: Path, tmp_path: Path) -> None:
+def test_a_bag_folder_of_the_store_is_one_log(store, walking, tmp_path):
     bag = tmp_path / "walk"
     assert run(["process", str(walking), "-o", f"{bag}/", "-q"]) == 0
     for path in bag.iterdir():
@@ -144,23 +137,19 @@ def test_a_bag_folder_of_the_store_is_one_log(store: Any, walking: Path, tmp_pat
         ("http://127.0.0.1:1/walk.mcap", "cannot be reached; check the network"),
     ],
 )
-def test_a_log_that_is_not_there_is_one_line(
-    address: str, said: str, store: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_log_that_is_not_there_is_one_line(address, said, store, capsys):
     assert run(["info", address]) == 2
     stderr = capsys.readouterr().err
     assert stderr.startswith(f"hiros: error: {address}: {said}")
     assert stderr.count("\n") == 1
 
 
-def test_a_bucket_for_results_that_is_not_there_is_one_line(
-    store: Any, walking: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bucket_for_results_that_is_not_there_is_one_line(store, walking, capsys):
     assert run(["process", str(walking), "-o", "s3://nowhere/out/"]) == 2
     assert "s3://nowhere/out: does not exist" in capsys.readouterr().err
 
 
-def ask_for_keys(server: str, *, after: bytes) -> None:
+def ask_for_keys(server, *, after):
     """Have the server accept a number of requests with any key, and then none."""
     headers = {"Content-Type": "text/plain"}
     address = f"{server}/moto-api/reset-auth"
@@ -168,7 +157,7 @@ def ask_for_keys(server: str, *, after: bytes) -> None:
     urllib.request.urlopen(request).read()
 
 
-def test_a_wrong_key_is_one_line_with_the_remedy(server: str, store: Any) -> None:
+def test_a_wrong_key_is_one_line_with_the_remedy(server, store):
     ask_for_keys(server, after=b"0")
     try:
         with pytest.raises(LogError, match="permission denied; sign in as"):
@@ -177,7 +166,7 @@ def test_a_wrong_key_is_one_line_with_the_remedy(server: str, store: Any) -> Non
         ask_for_keys(server, after=b"inf")
 
 
-def test_a_copy_needs_room(store: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_copy_needs_room(store, monkeypatch):
     usage = shutil.disk_usage(os.curdir)._replace(free=1000)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
     with (
@@ -187,10 +176,10 @@ def test_a_copy_needs_room(store: Any, monkeypatch: pytest.MonkeyPatch) -> None:
         pass
 
 
-def test_a_copy_that_is_cut_off_is_no_log(store: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_copy_that_is_cut_off_is_no_log(store, monkeypatch):
     opened = type(store).open
 
-    def cut(self: Any, path: str, *args: Any, **settings: Any) -> Any:
+    def cut(self, path, *args, **settings):
         file = opened(self, path, *args, **settings)
         monkeypatch.setattr(file, "size", file.size + 1)
         return file
@@ -203,8 +192,6 @@ def test_a_copy_that_is_cut_off_is_no_log(store: Any, monkeypatch: pytest.Monkey
         pass
 
 
-def test_results_cannot_go_to_a_web_server(
-    walking: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_results_cannot_go_to_a_web_server(walking, capsys):
     assert run(["process", str(walking), "-o", "https://lab.org/out/"]) == 2
     assert "can only be read; choose another output" in capsys.readouterr().err

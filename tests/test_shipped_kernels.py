@@ -10,7 +10,6 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -50,25 +49,25 @@ print("compiled", *names)
 """
 
 
-def is_shipped(python: str) -> bool:
+def is_shipped(python):
     code = "from hiros_mcap.kernels import shipped; print(shipped.usable())"
     done = subprocess.run([python, "-c", code], capture_output=True, text=True, check=True)
     return done.stdout == "True\n"
 
 
-def files(folder: Path) -> dict[Path, int]:
+def files(folder):
     return {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.suffix != ".pyc"}
 
 
 @pytest.fixture(autouse=True)
-def _decided_anew() -> Iterator[None]:
+def _decided_anew():
     shipped.usable.cache_clear()
     yield
     shipped.usable.cache_clear()
 
 
 @pytest.fixture
-def manifest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def manifest(tmp_path, monkeypatch):
     """The manifest of kernels that fit, as far as one says."""
     path = tmp_path / "manifest.json"
     path.write_text(json.dumps(FITTING))
@@ -82,7 +81,7 @@ def manifest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.skipif(
     not (WHEEL or is_shipped(PYTHON)), reason="no compiled kernels; .ci/run has a wheel"
 )
-def test_no_system_and_no_command_compiles_or_writes_beside_its_results(tmp_path: Path) -> None:
+def test_no_system_and_no_command_compiles_or_writes_beside_its_results(tmp_path):
     assert is_shipped(PYTHON)
     code = "import hiros_mcap; print(hiros_mcap.__file__)"
     where = subprocess.run([PYTHON, "-c", code], capture_output=True, text=True, check=True)
@@ -105,7 +104,7 @@ def test_no_system_and_no_command_compiles_or_writes_beside_its_results(tmp_path
 
 
 @pytest.mark.skipif(not shipped.usable(), reason="no compiled kernels; .ci/run has a wheel")
-def test_kernels_of_another_numba_are_compiled_again(tmp_path: Path) -> None:
+def test_kernels_of_another_numba_are_compiled_again(tmp_path):
     package = tmp_path / "hiros_mcap"
     shutil.copytree(ROOT / "hiros_mcap", package)
     manifest = package / shipped.FOLDER.name / shipped.MANIFEST.name
@@ -126,34 +125,34 @@ def test_kernels_of_another_numba_are_compiled_again(tmp_path: Path) -> None:
     assert list(Path(done.stdout.strip()).glob("local_line.*.nbc"))
 
 
-def test_kernels_that_fit_are_used(manifest: Path) -> None:
+def test_kernels_that_fit_are_used(manifest):
     assert shipped.usable()
 
 
 @pytest.mark.parametrize("what", FITTING)
-def test_kernels_of_another_kind_are_not_used(what: str, manifest: Path) -> None:
+def test_kernels_of_another_kind_are_not_used(what, manifest):
     manifest.write_text(json.dumps({**FITTING, what: "other"}))
     assert not shipped.usable()
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]"])
-def test_a_damaged_manifest_is_none(text: str, manifest: Path) -> None:
+def test_a_damaged_manifest_is_none(text, manifest):
     manifest.write_text(text)
     assert not shipped.usable()
 
 
-def test_a_processor_without_avx2_compiles(manifest: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_processor_without_avx2_compiles(manifest, monkeypatch):
     features = {**dict.fromkeys(shipped.NEEDS, True), "avx2": False}
     monkeypatch.setattr(shipped, "_features", lambda: features)
     assert not shipped.usable()
 
 
-def test_who_wants_to_compile_does(manifest: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_wants_to_compile_does(manifest, monkeypatch):
     monkeypatch.setenv(shipped.CHOICE, "compile")
     assert not shipped.usable()
 
 
-def test_an_edited_source_is_another_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_edited_source_is_another_one(tmp_path, monkeypatch):
     package = tmp_path / "hiros_mcap"
     shutil.copytree(ROOT / "hiros_mcap", package)
     monkeypatch.setattr(kernels, "_PACKAGE", package)
@@ -169,7 +168,7 @@ def test_an_edited_source_is_another_one(tmp_path: Path, monkeypatch: pytest.Mon
     assert digests[2] == digests[3], "a page has no kernels"
 
 
-def test_the_library_leaves_the_settings_of_the_process_alone() -> None:
+def test_the_library_leaves_the_settings_of_the_process_alone():
     code = (
         "import gc, os, sys, signal, numba\n"
         "def settings():\n"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import re
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -68,13 +67,13 @@ CEILINGS = {
 """Most lines of each folder; "hiros_mcap" are the modules that are in none."""
 
 
-def parameters(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+def parameters(function):
     """Number of parameters, without self and cls."""
     given = [*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs]
     return len([one for one in given if one.arg not in ("self", "cls")])
 
 
-def imported(tree: ast.AST) -> Iterator[str]:
+def imported(tree):
     """Names of modules that are imported when the code runs, wherever the statement stands."""
     for node in ast.iter_child_nodes(tree):
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test):
@@ -89,7 +88,7 @@ def imported(tree: ast.AST) -> Iterator[str]:
             yield from imported(node)
 
 
-def layer_of(name: str) -> str:
+def layer_of(name):
     """The row of the list of layers in which a module belongs."""
     package, *rest = name.split(".")
     if rest[:1] == ["stages"] and ".".join([package, *rest[:2]]) in STEPS:
@@ -97,7 +96,7 @@ def layer_of(name: str) -> str:
     return rest[0] if rest and package == "hiros_mcap" else package
 
 
-def layers() -> list[str]:
+def layers():
     """The rows of CONTRIBUTING.md, from above."""
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     part = text.partition("## The layers")[2].partition("\n## ")[0]
@@ -105,7 +104,7 @@ def layers() -> list[str]:
     return [row.rpartition("/")[2].removesuffix(".py") for row in rows]
 
 
-def test_imports_go_down_the_list_of_layers() -> None:
+def test_imports_go_down_the_list_of_layers():
     order = {name: k for k, name in enumerate(layers())}
     assert {layer_of(name) for name in MODULES} == set(order)
     upwards = {
@@ -117,7 +116,7 @@ def test_imports_go_down_the_list_of_layers() -> None:
     assert upwards == UPWARDS
 
 
-def test_no_folder_grows_above_its_ceiling() -> None:
+def test_no_folder_grows_above_its_ceiling():
     sizes: Counter[str] = Counter()
     for name, path in MODULES.items():
         folder = layer_of(name)
@@ -129,44 +128,44 @@ def test_no_folder_grows_above_its_ceiling() -> None:
 
 
 @pytest.mark.parametrize("name", LIBRARY)
-def test_few_parameters(name: str) -> None:
+def test_few_parameters(name):
     kernels = re.search("@(kernel|entry)", MODULES[name].read_text(encoding="utf-8"))
     most = 10 if kernels else 8
     functions = [node for node in ast.walk(TREES[name]) if isinstance(node, FUNCTIONS)]
     assert {f.name: parameters(f) for f in functions if parameters(f) > most} == {}
 
 
-def test_few_parameters_are_for_users() -> None:
+def test_few_parameters_are_for_users():
     assert sum(len(settable(field.default)) for field in Config.model_fields.values()) <= 70
 
 
-def test_no_parameter_is_read_by_its_number() -> None:
+def test_no_parameter_is_read_by_its_number():
     for name in LIBRARY:
         assert re.findall(r"numbers\[\d+\]", MODULES[name].read_text()) == [], name
 
 
-def test_no_two_modules_share_a_name() -> None:
+def test_no_two_modules_share_a_name():
     names = Counter(name.rpartition(".")[2] for name, p in MODULES.items() if p.stem[:2] != "__")
     assert [name for name, n in names.items() if n > 1] == []
 
 
-def test_no_two_classes_share_a_name() -> None:
+def test_no_two_classes_share_a_name():
     names = Counter(
         node.name for t in TREES.values() for node in ast.walk(t) if isinstance(node, ast.ClassDef)
     )
     assert [name for name, n in names.items() if n > 1] == []
 
 
-def test_the_top_of_the_library_is_short() -> None:
+def test_the_top_of_the_library_is_short():
     public = [path.stem for path in (ROOT / "hiros_mcap").glob("*.py") if path.stem[0] != "_"]
     assert len(public) <= 15, public
 
 
-def test_no_import_circles() -> None:
+def test_no_import_circles():
     edges = {name: {i for i in imported(TREES[name]) if i in MODULES} for name in MODULES}
     done: set[str] = set()
 
-    def visit(name: str, path: list[str]) -> None:
+    def visit(name, path):
         assert name not in path, " -> ".join([*path[path.index(name) :], name])
         if name not in done:
             for other in sorted(edges[name]):
@@ -183,7 +182,7 @@ AVOIDED = re.compile(
 """Words that no variable, attribute, function or class has."""
 
 
-def test_names_are_nouns_of_the_field() -> None:
+def test_names_are_nouns_of_the_field():
     avoided = {
         (name, identifier)
         for name, tree in TREES.items()
@@ -194,7 +193,7 @@ def test_names_are_nouns_of_the_field() -> None:
     assert avoided == set()
 
 
-def identifiers(node: ast.AST) -> Iterator[str]:
+def identifiers(node):
     """What a node of the tree names."""
     if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
         yield node.id
@@ -206,7 +205,7 @@ def identifiers(node: ast.AST) -> Iterator[str]:
         yield node.name
 
 
-def test_references_can_be_looked_up() -> None:
+def test_references_can_be_looked_up():
     """A requirement's number means nothing to a reader of the repository."""
     text = [*MODULES.values(), *ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]
     found = {p.name: re.findall(r"\b[HMLX]\d{2}\b", p.read_text(encoding="utf-8")) for p in text}

@@ -17,25 +17,25 @@ MODEL = SkeletonModel.of(["A", "B"], [("AB", 0, 1)])
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_the_chains_are_the_table(name: str) -> None:
+def test_the_chains_are_the_table(name):
     table = list(system(name).stages(Run(MODEL, load_config(system=name), system=name)))
     assert list(chain_of(name)) == [LETTERS[letter] for letter in SYSTEMS[name].chains[-1]]
     assert [stage for stage in table if stage in chain_of(name)] == list(chain_of(name))
     assert all(chain.startswith("T") for chain in SYSTEMS[name].chains)
 
 
-def test_some_of_the_stages_can_be_chosen() -> None:
+def test_some_of_the_stages_can_be_chosen():
     assert chain_of("hiros", "tmf") == ("tracked", "merged", "filtered")
     with pytest.raises(ConfigError, match="system raw cannot run the stages 'TM'"):
         chain_of("raw", "TM")
 
 
-def test_an_unknown_system_is_named_with_those_that_exist() -> None:
+def test_an_unknown_system_is_named_with_those_that_exist():
     with pytest.raises(ConfigError, match=r"no system 'hirso' \(there are: fuse, fuse-realtime"):
         system("hirso")
 
 
-def test_a_stage_gets_what_the_run_has() -> None:
+def test_a_stage_gets_what_the_run_has():
     run = Run(MODEL, cameras={"a": np.zeros(3)}, fixed_frame="world")
     for name in SYSTEMS:
         for stage in system(name).stages(run).values():
@@ -46,7 +46,7 @@ def test_a_stage_gets_what_the_run_has() -> None:
 
 
 @pytest.mark.parametrize("preset", ["paper", "upstream"])
-def test_the_optimizer_of_the_published_presets_acts(preset: str) -> None:
+def test_the_optimizer_of_the_published_presets_acts(preset):
     """Good detections pass the paper's quality gate; then the lengths vary three times less."""
     scene = room(people=1, cameras=4, seconds=8, noise=0.3, flips=0.0, phantoms=0.0, seed=3)
     run = Run(
@@ -66,7 +66,7 @@ def test_the_optimizer_of_the_published_presets_acts(preset: str) -> None:
     assert spread["optimized"] < spread["merged"] / 3
 
 
-def test_the_order_of_merging_names_the_steps_that_are_on() -> None:
+def test_the_order_of_merging_names_the_steps_that_are_on():
     assert merging_order(MergeParams()) == ("flips", "outliers", "mean")
     off = MergeParams(max_facing_delta=0.0, max_position_delta=0.0, max_orientation_delta=0.0)
     assert merging_order(off) == ("mean",)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import html
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -33,7 +32,7 @@ NO_MESSAGE = {
 }
 
 
-def text(node: ast.expr) -> str:
+def text(node):
     """Return a string with ``...`` for what is not fixed."""
     match node:
         case ast.Constant(value=str(value)):
@@ -43,7 +42,7 @@ def text(node: ast.expr) -> str:
     return "..."
 
 
-def errors(tree: ast.Module) -> Iterator[str]:
+def errors(tree):
     """Yield the text of every error that is made with a literal."""
     for node in ast.walk(tree):
         match node:
@@ -51,7 +50,7 @@ def errors(tree: ast.Module) -> Iterator[str]:
                 yield text(message)
 
 
-def notes(tree: ast.Module) -> Iterator[str]:
+def notes(tree):
     """Yield every string of some words that is neither a docstring nor a part of another."""
     strings = [n for n in ast.walk(tree) if isinstance(n, ast.Constant | ast.JoinedStr)]
     inside = {part for n in strings if isinstance(n, ast.JoinedStr) for part in n.values}
@@ -61,19 +60,19 @@ def notes(tree: ast.Module) -> Iterator[str]:
             yield from [found] if found.count(" ") > 2 else []
 
 
-def fixed_part(message: str) -> str:
+def fixed_part(message):
     """Return the first words of a message that are always the same, three or more if it can."""
     parts = [part.strip(" :,.()") for part in re.split(r"\.\.\.|\{\w+\}|[`;]|\. ", message)]
     return next((part for part in parts if part.count(" ") > 1), max(parts, key=len))
 
 
-def sources() -> list[Path]:
+def sources():
     folders = (ROOT / name for name in ("hiros_mcap", "cli", "viewer"))
     return sorted(path for folder in folders for path in folder.rglob("*.py"))
 
 
 @pytest.mark.parametrize("path", sources(), ids=lambda path: path.stem)
-def test_the_page_has_every_message(path: Path) -> None:
+def test_the_page_has_every_message(path):
     page = html.unescape(PAGE.read_text(encoding="utf-8"))
     tree = ast.parse(path.read_text(encoding="utf-8"))
     found = list(errors(tree))
@@ -83,6 +82,6 @@ def test_the_page_has_every_message(path: Path) -> None:
     assert [part for part in parts if part.count(" ") and part not in page] == []
 
 
-def test_messages_are_found() -> None:
+def test_messages_are_found():
     found = [text for path in sources() for text in errors(ast.parse(path.read_text("utf-8")))]
     assert len(found) > 150

@@ -18,34 +18,34 @@ from hiros_mcap.workers import run_tasks
 SAMPLES = Path(__file__).parent.parent / "sample_data"
 
 
-def square(number: int) -> int:
+def square(number):
     return number * number
 
 
-def where(_: int) -> int:
+def where(_):
     return os.getpid()
 
 
-def refuse(number: int) -> int:
+def refuse(number):
     if number == 3:
         raise LogError("is damaged", path="lab.mcap", topic="/camera")
     return number
 
 
-def die(number: int) -> int:
+def die(number):
     if number == 2:
         os.kill(os.getpid(), signal.SIGKILL)
     return number
 
 
-def dies_once(flag: str) -> int:
+def dies_once(flag):
     if not Path(flag).exists():
         Path(flag).touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return os.getpid()
 
 
-def hold(folder: str) -> None:
+def hold(folder):
     """Hold a temporary folder until somebody stops it."""
     with tempfile.TemporaryDirectory() as temporary:
         (Path(folder) / f"{os.getpid()}.started").write_text(temporary)
@@ -53,35 +53,35 @@ def hold(folder: str) -> None:
 
 
 @pytest.mark.parametrize("jobs", [1, 9])
-def test_every_task_is_done_once(jobs: int) -> None:
+def test_every_task_is_done_once(jobs):
     found = dict(run_tasks(square, [(n,) for n in range(5)], jobs))
     assert found == {n: n * n for n in range(5)}
 
 
-def test_nothing_to_do() -> None:
+def test_nothing_to_do():
     assert list(run_tasks(square, [], 2)) == []
 
 
-def test_one_job_is_done_in_this_process_and_two_in_others() -> None:
+def test_one_job_is_done_in_this_process_and_two_in_others():
     assert {pid for _, pid in run_tasks(where, [(0,), (1,)], 1)} == {os.getpid()}
     others = {pid for _, pid in run_tasks(where, [(0,), (1,)], 2)}
     assert os.getpid() not in others
 
 
-def test_an_error_is_raised_as_it_was() -> None:
+def test_an_error_is_raised_as_it_was():
     with pytest.raises(LogError, match="is damaged") as caught:
         list(run_tasks(refuse, [(n,) for n in range(5)], 2))
     assert (caught.value.path, caught.value.topic) == ("lab.mcap", "/camera")
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills by a signal")
-def test_a_killed_process_is_an_error_that_says_so() -> None:
+def test_a_killed_process_is_an_error_that_says_so():
     with pytest.raises(HirosError, match="killed by signal 9; is there enough memory"):
         list(run_tasks(die, [(n,) for n in range(5)], 2))
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills by a signal")
-def test_a_task_whose_process_was_killed_is_tried_again(tmp_path: Path) -> None:
+def test_a_task_whose_process_was_killed_is_tried_again(tmp_path):
     tasks = [(str(tmp_path / "a"),), (str(tmp_path / "b"),), (str(tmp_path / "c"),)]
     answers = dict(run_tasks(dies_once, tasks, 2, lost=lambda k, why: -1))
     assert sorted(answers) == [0, 1, 2]
@@ -89,14 +89,14 @@ def test_a_task_whose_process_was_killed_is_tried_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills by a signal")
-def test_a_task_that_kills_every_process_is_lost_and_the_others_are_not() -> None:
+def test_a_task_that_kills_every_process_is_lost_and_the_others_are_not():
     tasks = [(n,) for n in range(6)]
     answers = dict(run_tasks(die, tasks, 2, lost=lambda k, why: f"{k}: {why}"))
     assert answers.pop(2).startswith("2: a process was killed by signal 9")
     assert answers == {n: n for n in range(6) if n != 2}
 
 
-def test_whoever_stops_asking_stops_the_processes(tmp_path: Path) -> None:
+def test_whoever_stops_asking_stops_the_processes(tmp_path):
     tasks = run_tasks(hold_second, [(str(tmp_path), 0), (str(tmp_path), 1)], 2)
     assert next(tasks)[0] == 0
     while not (held := [path.read_text() for path in tmp_path.glob("*.started")]) or not held[0]:
@@ -107,7 +107,7 @@ def test_whoever_stops_asking_stops_the_processes(tmp_path: Path) -> None:
     assert not Path(held[0]).parent.exists()
 
 
-def hold_second(folder: str, number: int) -> None:
+def hold_second(folder, number):
     if number == 1:
         hold(folder)
 
@@ -117,9 +117,7 @@ def hold_second(folder: str, number: int) -> None:
     ("name", "seconds"),
     [("SIGINT", 0.2), ("SIGTERM", 0.7), ("SIGHUP", 1.0), ("SIGINT", 1.3), ("SIGTERM", 1.8)],
 )
-def test_a_signal_to_all_processes_ends_them_silently(
-    name: str, seconds: float, tmp_path: Path
-) -> None:
+def test_a_signal_to_all_processes_ends_them_silently(name, seconds, tmp_path):
     suite = SAMPLES / "suite.toml"
     command = [sys.executable, "-m", "hiros_cli", "check", str(suite), "--jobs", "2"]
     with subprocess.Popen(
@@ -139,7 +137,7 @@ def test_a_signal_to_all_processes_ends_them_silently(
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills by a signal")
-def test_the_processes_end_with_the_first_however_that_ends(tmp_path: Path) -> None:
+def test_the_processes_end_with_the_first_however_that_ends(tmp_path):
     code = (
         f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
         "from test_workers import hold; from hiros_mcap.workers import run_tasks\n"
@@ -157,7 +155,7 @@ def test_the_processes_end_with_the_first_however_that_ends(tmp_path: Path) -> N
         time.sleep(0.01)
 
 
-def is_running(pid: int) -> bool:
+def is_running(pid):
     try:
         os.kill(pid, 0)
     except ProcessLookupError:

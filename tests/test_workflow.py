@@ -12,7 +12,6 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -27,7 +26,7 @@ golden = "golden/walk.mcap"
 """
 
 
-def documented_job() -> dict[str, Any]:
+def documented_job():
     from ruamel.yaml import YAML
 
     blocks = re.findall(r"```yaml\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
@@ -36,7 +35,7 @@ def documented_job() -> dict[str, Any]:
     return dict(job)
 
 
-def shell(command: str, folder: Path, **variables: str) -> subprocess.CompletedProcess[str]:
+def shell(command, folder, **variables):
     """Run a command as a step of a workflow runs, with ``hiros`` on the path."""
     path = f"{folder.parent / 'bin'}{os.pathsep}{os.environ['PATH']}"
     return subprocess.run(
@@ -49,7 +48,7 @@ def shell(command: str, folder: Path, **variables: str) -> subprocess.CompletedP
     )
 
 
-def run_steps(checkout: Path) -> tuple[int, str]:
+def run_steps(checkout):
     """Run the job's shell steps until one fails; return its exit code, and the summaries."""
     job = documented_job()
     variables = {**job["env"], "HIROS": WHEEL}
@@ -67,7 +66,7 @@ def run_steps(checkout: Path) -> tuple[int, str]:
 
 
 @pytest.fixture(scope="module")
-def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def checkout(tmp_path_factory):
     """A clone of a repository with a recording, a suite and a golden log."""
     folder = tmp_path_factory.mktemp("workflow")
     (folder / "bin").mkdir()
@@ -90,7 +89,7 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "checkout"
 
 
-def test_the_documented_workflow_runs_as_written(checkout: Path) -> None:
+def test_the_documented_workflow_runs_as_written(checkout):
     code, summary = run_steps(checkout)
     assert code == 0, summary
     assert "1 of 1 logs as expected" in summary
@@ -99,7 +98,7 @@ def test_the_documented_workflow_runs_as_written(checkout: Path) -> None:
     assert (checkout / artifact).stat().st_size > 0
 
 
-def test_a_changed_parameter_fails_the_job_and_is_named_first(checkout: Path) -> None:
+def test_a_changed_parameter_fails_the_job_and_is_named_first(checkout):
     (checkout / "suite.toml").write_text(SUITE + 'set = ["fuse.acceleration=300"]\n')
     code, summary = run_steps(checkout)
     assert code == 1

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from hypothesis import strategies as st
 
@@ -26,32 +25,32 @@ from hiros_mcap.skeletons import SkeletonModel
 MODEL = SkeletonModel.of(["HEAD"], [])
 
 
-def imported(path: Path) -> object:
+def imported(path):
     return import_joints([path], path.with_suffix(".mcap"))
 
 
-def mapped(path: Path) -> object:
+def mapped(path):
     rows = path.with_name("a.csv")
     rows.write_text("time,joint,x,y,z\n0,HEAD,0,0,1\n0,FOOT_LEFT,0,0,0\n")
     return import_joints([rows], path.with_suffix(".mcap"), path)
 
 
-def heard(path: Path) -> object:
+def heard(path):
     source = FoxgloveInput("ws://127.0.0.1:1", lambda topic, kind: True)
     text = path.read_bytes().decode(errors="replace")
 
     class Connection:
-        def send(self, answer: str) -> None:
+        def send(self, answer):
             json.loads(answer)
 
     return list(source._advertised(Connection(), text))
 
 
-def told(path: Path) -> object:
+def told(path):
     return events_from_json(path.read_bytes().decode())
 
 
-def reported(path: Path) -> object:
+def reported(path):
     return StoredReport.model_validate_json(path.read_bytes())
 
 
@@ -151,7 +150,7 @@ _CHANNEL = st.fixed_dictionaries(
 _ADVERTISED = st.fixed_dictionaries({"op": st.just("advertise"), "channels": st.lists(_CHANNEL)})
 
 
-def _toml(value: Any) -> str:
+def _toml(value):
     match value:
         case dict():
             return "{" + ", ".join(f"{_toml(k)} = {_toml(v)}" for k, v in value.items()) + "}"
@@ -164,12 +163,12 @@ def _toml(value: Any) -> str:
     return json.dumps(value).replace("NaN", "nan").replace("Infinity", "inf")
 
 
-def _table(tree: Any) -> str:
+def _table(tree):
     rows = tree.items() if isinstance(tree, dict) else [("a", tree)]
     return "\n".join(f"{_toml(key)} = {_toml(value)}" for key, value in rows)
 
 
-def _cells(separator: str) -> st.SearchStrategy[str]:
+def _cells(separator):
     rows = st.lists(st.lists(_NUMBERS.map(str) | _WORDS, min_size=1, max_size=8), max_size=6)
     return rows.map(lambda found: "\n".join(map(separator.join, found)))
 
@@ -189,7 +188,7 @@ _KINDS: dict[str, st.SearchStrategy[str]] = {
 
 
 @st.composite
-def odd_text(draw: st.DrawFn, kind: str) -> bytes:
+def odd_text(draw, kind):
     """Text of a kind with something odd in it: its values, its depth, its end, its bytes."""
     data = draw(_KINDS[kind]).encode(errors="surrogatepass")
     match draw(st.sampled_from(["as it is", "cut", "byte", "deep"])):

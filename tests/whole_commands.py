@@ -14,12 +14,10 @@ import shutil
 import signal
 import struct
 import tempfile
-from collections.abc import Iterator
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import tomli_w
@@ -88,7 +86,7 @@ COMMANDS = {
 }
 
 
-def write_files(folder: Path) -> None:
+def write_files(folder):
     """Write every input as it is without a fault."""
     _write(_content(SAMPLES / "one_person_walking.mcap", LENGTH_S), folder / "log.mcap")
     shutil.copy(SAMPLES / "one_person_walking.mcap", folder / "walk.mcap")
@@ -116,11 +114,11 @@ def write_files(folder: Path) -> None:
     shutil.rmtree(folder / "many")
 
 
-def _done(*arguments: object) -> None:
+def _done(*arguments):
     assert run([*map(str, arguments), "-q"]) == 0, arguments
 
 
-def _write_joints(folder: Path) -> None:
+def _write_joints(folder):
     joints = {"HEAD": [0.0, 0.0, 1.7], "PELVIS": [0.0, 0.0, 1.0], "ANKLE_LEFT": [0.1, 0.0, 0.1]}
     people = [{"id": 1, "joints": joints}]
     times = [0.1 * k for k in range(9)]
@@ -130,7 +128,7 @@ def _write_joints(folder: Path) -> None:
     (folder / "joints.csv").write_text("\n".join(["time,joint,x,y,z", *rows]))
 
 
-def _write_cameras(folder: Path) -> None:
+def _write_cameras(folder):
     pose = {"translation": [0.0, -2.0, 2.0], "quaternion_xyzw": [-0.6, 0.0, 0.0, 0.8]}
     cameras = [{"frame": f"camera_{k}", "parent": "world", **pose} for k in range(3)]
     (folder / "cameras.json").write_text(json.dumps({"camera": cameras}))
@@ -148,7 +146,7 @@ _ODD_WORDS = st.sampled_from(
 
 
 @st.composite
-def altered_text(draw: st.DrawFn, data: bytes) -> bytes:
+def altered_text(draw, data):
     """A text with some other words, fewer or more lines, or an end before its end."""
     text = data.decode()
     for _ in range(draw(st.integers(1, 3))):
@@ -171,7 +169,7 @@ _Content = dict[str, Any]
 
 
 @cache
-def _content(path: Path, seconds: float = 1e9) -> _Content:
+def _content(path, seconds=1000000000.0):
     """What a log holds, as plain lists."""
     with path.open("rb") as file:
         reader = make_reader(file)
@@ -192,13 +190,13 @@ def _content(path: Path, seconds: float = 1e9) -> _Content:
     }  # fmt: skip
 
 
-def first_seconds(log: Path, seconds: float, path: Path) -> Path:
+def first_seconds(log, seconds, path):
     """Write the beginning of a log; return its path."""
     _write(_content(log, seconds), path)
     return path
 
 
-def _write(content: _Content, path: Path) -> bytes:
+def _write(content, path):
     with path.open("wb") as file:
         writer = Writer(file, enable_data_crcs=True)
         writer.start("ros2", "test")
@@ -218,7 +216,7 @@ def _write(content: _Content, path: Path) -> bytes:
 
 
 @st.composite
-def altered_log(draw: st.DrawFn, source: Path) -> bytes:
+def altered_log(draw, source):
     """A log whose messages, definitions or attachments say something else, or a damaged one."""
     content = deepcopy(_content(source))
     for _ in range(draw(st.integers(0, 3))):
@@ -235,7 +233,7 @@ def altered_log(draw: st.DrawFn, source: Path) -> bytes:
     return bytes(data)
 
 
-def _alter(draw: st.DrawFn, content: _Content) -> None:
+def _alter(draw, content):
     """Alter one thing of a log."""
     messages = content["messages"]
     at = draw(st.integers(0, len(messages) - 1))
@@ -260,7 +258,7 @@ def _alter(draw: st.DrawFn, content: _Content) -> None:
 _DEFINITIONS = ["topic", "encoding", "type", "definition", "metadata", "attachment"]
 
 
-def _define_anew(draw: st.DrawFn, content: _Content, what: str) -> None:
+def _define_anew(draw, content, what):
     """Alter a channel, a schema, the metadata or an attachment."""
     channel = draw(st.sampled_from(list(content["channels"].values())))
     schema = draw(st.sampled_from(list(content["schemas"].values())))
@@ -286,7 +284,7 @@ def _define_anew(draw: st.DrawFn, content: _Content, what: str) -> None:
             one[2] = draw(altered_text(one[2]) | odd_text(kind))
 
 
-def altered(name: str, files: Path) -> st.SearchStrategy[bytes]:
+def altered(name, files):
     """Return the strategy of a command's altered file."""
     source = files / COMMANDS[name].altered
     if source.suffix == ".mcap":
@@ -303,9 +301,7 @@ class TooSlow(BaseException):
     """A command took more time than any of these files is worth."""
 
 
-def faults_of(
-    name: str, files: Path, data: bytes, folder: Path, codes: frozenset[int] = frozenset()
-) -> list[str]:
+def faults_of(name, files, data, folder, codes=frozenset()):
     """Run a command in an empty folder; return what it did that no command may do.
 
     Parameters
@@ -341,7 +337,7 @@ def faults_of(
     return faults
 
 
-def _wrong_words(stdout: str, stderr: str) -> Iterator[str]:
+def _wrong_words(stdout, stderr):
     if "Traceback" in stderr or "hiros: bug" in stdout + stderr:
         yield f"a fault of hiros: {stderr[-300:]}"
     if any(char < " " and char not in "\n\t" for char in stdout + stderr):
@@ -350,15 +346,15 @@ def _wrong_words(stdout: str, stderr: str) -> Iterator[str]:
         yield f"more than lines of hiros: {stderr[-300:]}"
 
 
-def _snapshot(folder: Path) -> dict[str, bytes]:
+def _snapshot(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def _run(words: list[str], here: Path) -> tuple[int, str, str, int]:
+def _run(words, here):
     """Run a command in a folder; return its code, what it printed and how memory grew, bytes."""
     stdout, stderr = io.StringIO(), io.StringIO()
 
-    def end(*_: int | FrameType | None) -> None:
+    def end(*_):
         raise TooSlow(f"hiros {' '.join(words)}")
 
     former = signal.signal(signal.SIGPROF, end)
@@ -377,7 +373,7 @@ def _run(words: list[str], here: Path) -> tuple[int, str, str, int]:
     return code, stdout.getvalue(), stderr.getvalue(), _peak() - memory
 
 
-def _peak(*, reset: bool = False) -> int:
+def _peak(*, reset=False):
     """Most memory of this process so far, or since it was reset, bytes; 0 where not known."""
     status = Path("/proc/self/status")
     if not status.exists():

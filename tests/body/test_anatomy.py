@@ -11,12 +11,11 @@ from scipy.spatial.transform import Rotation
 from hiros_mcap.body.anatomy import ANGLE_NAMES, anatomical_angles, continued
 from hiros_mcap.body.segments import link_axes
 from hiros_mcap.simulate.body_model import MODEL
-from hiros_mcap.skeletons import Floats
 
 SEQUENCE = np.linspace(0.0, 340.0, 35)
 
 
-def degrees(name: str, **joints: tuple[float, float, float]) -> float:
+def degrees(name, **joints):
     angles = np.degrees(anatomical_angles(MODEL, posed(**joints)))
     return float(angles[0, ANGLE_NAMES.index(name)])
 
@@ -38,9 +37,7 @@ def degrees(name: str, **joints: tuple[float, float, float]) -> float:
         ("shoulder elevation", "upper_arm", (0, -80, 0), 80),
     ],
 )
-def test_limbs(
-    side: str, angle: str, segment: str, isb: tuple[float, float, float], expected: float
-) -> None:
+def test_limbs(side, angle, segment, isb, expected):
     z, x, y = isb
     sign = SIGN[side]
     found = degrees(f"{side} {angle}", **{f"{segment}_{side}": (z, sign * x, sign * y)})
@@ -51,7 +48,7 @@ def test_limbs(
 
 
 @pytest.mark.parametrize("side", SIGN)
-def test_the_plane_of_elevation_tells_forwards_from_sideways(side: str) -> None:
+def test_the_plane_of_elevation_tells_forwards_from_sideways(side):
     plane, arm = f"{side} shoulder plane", f"upper_arm_{side}"
     assert degrees(plane, **{arm: (90, 0, 0)}) == pytest.approx(90, abs=1)
     assert degrees(plane, **{arm: (0, -90 * SIGN[side], 0)}) == pytest.approx(0, abs=1)
@@ -59,7 +56,7 @@ def test_the_plane_of_elevation_tells_forwards_from_sideways(side: str) -> None:
 
 
 @pytest.mark.parametrize("side", SIGN)
-def test_axial_rotation_shows_in_the_bent_joint_only(side: str) -> None:
+def test_axial_rotation_shows_in_the_bent_joint_only(side):
     sign = SIGN[side]
     thigh = {f"thigh_{side}": (20.0, -10 * sign, 25 * sign)}
     arm = {f"upper_arm_{side}": (20.0, -10 * sign, 30 * sign)}
@@ -80,13 +77,11 @@ def test_axial_rotation_shows_in_the_bent_joint_only(side: str) -> None:
         ("trunk rotation", "abdomen", (0, 0, 20), 20),
     ],
 )
-def test_pelvis_and_trunk(
-    angle: str, segment: str, isb: tuple[float, float, float], expected: float
-) -> None:
+def test_pelvis_and_trunk(angle, segment, isb, expected):
     assert degrees(angle, **{segment: isb}) == pytest.approx(expected, abs=0.5)
 
 
-def test_bending_has_the_sign_of_its_side() -> None:
+def test_bending_has_the_sign_of_its_side():
     assert degrees("trunk flexion", abdomen=(-30, 0, 0)) > degrees("trunk flexion") + 15
     assert degrees("trunk side bend", abdomen=(0, 20, 0)) > 10
     assert degrees("neck flexion", neck=(-20, 0, 0)) == pytest.approx(
@@ -96,13 +91,13 @@ def test_bending_has_the_sign_of_its_side() -> None:
 
 
 @pytest.mark.parametrize("side", SIGN)
-def test_dorsiflexion_lifts_the_toes(side: str) -> None:
+def test_dorsiflexion_lifts_the_toes(side):
     neutral = degrees(f"{side} ankle dorsiflexion")
     lifted = degrees(f"{side} ankle dorsiflexion", **{f"foot_{side}": (20.0, 0, 0)})
     assert lifted - neutral == pytest.approx(20, abs=0.5)
 
 
-def test_turning_on_the_spot_is_continued_over_180_degrees() -> None:
+def test_turning_on_the_spot_is_continued_over_180_degrees():
     poses = np.concatenate([posed(pelvis=(0, 0, y)) for y in SEQUENCE])
     column = ANGLE_NAMES.index("pelvis rotation")
     assert np.degrees(anatomical_angles(MODEL, poses))[:, column] == pytest.approx(SEQUENCE)
@@ -110,7 +105,7 @@ def test_turning_on_the_spot_is_continued_over_180_degrees() -> None:
     assert np.abs(np.diff(jumping)).max() > 300
 
 
-def test_a_distorted_skeleton_leaves_no_turn_behind() -> None:
+def test_a_distorted_skeleton_leaves_no_turn_behind():
     """By the shortest way, 10 -> 150 -> -100 -> 10 would end at 370 degrees."""
     distorted = np.radians([[8.0], [10.0], [150.0], [-100.0], [10.0], [np.nan], [12.0]])
     assert np.degrees(continued(distorted)).ravel() == pytest.approx(
@@ -126,7 +121,7 @@ def test_a_distorted_skeleton_leaves_no_turn_behind() -> None:
     assert continued(np.full((3, 2), np.nan)).shape == (3, 2)
 
 
-def test_a_limb_does_not_go_round() -> None:
+def test_a_limb_does_not_go_round():
     """It seems to, step by step, where a skeleton is distorted; a person may turn for real."""
     spinning = (np.radians(np.arange(0.0, 800.0, 40.0)) + np.pi) % (2 * np.pi) - np.pi
     both = np.degrees(continued(np.stack([spinning, spinning], 1), most=np.array([4.7, np.inf])))
@@ -135,7 +130,7 @@ def test_a_limb_does_not_go_round() -> None:
     np.testing.assert_allclose(np.cos(np.radians(both[:, 0])), np.cos(spinning), atol=1e-9)
 
 
-def test_other_angles_do_not_depend_on_where_a_person_stands_and_looks() -> None:
+def test_other_angles_do_not_depend_on_where_a_person_stands_and_looks():
     here = posed(thigh_left=(30, 10, 0), upper_arm_right=(50, -20, 0), shank_left=(-40, 0, 0))
     there = here @ Rotation.from_euler("z", 100, degrees=True).as_matrix().T + [3.0, -2.0, 0.5]
     columns = [k for k, name in enumerate(ANGLE_NAMES) if not name.startswith("pelvis")]
@@ -143,7 +138,7 @@ def test_other_angles_do_not_depend_on_where_a_person_stands_and_looks() -> None
     np.testing.assert_allclose(a[:, columns], b[:, columns], atol=1e-9)
 
 
-def test_a_missing_marker_spoils_its_own_angles_only() -> None:
+def test_a_missing_marker_spoils_its_own_angles_only():
     poses = posed(shank_left=(-60, 0, 0))
     poses[:, MODEL.marker_names.index("ANKLE_LEFT")] = np.nan
     angles = dict(zip(ANGLE_NAMES, anatomical_angles(MODEL, poses)[0], strict=True))
@@ -158,7 +153,7 @@ CONVENTION = (70.0, -20.0, 130.0)
 """Of a detector whose link axes nobody documented."""
 
 
-def moving(*convention: float) -> tuple[Floats, Floats]:
+def moving(*convention):
     """Somebody who bends elbow and knee, then keeps them straight while the limbs turn."""
     poses, turns = [], []
     for k in range(60):
@@ -176,9 +171,7 @@ def moving(*convention: float) -> tuple[Floats, Floats]:
 
 @pytest.mark.parametrize("convention", [(0.0, 0.0, 0.0), CONVENTION])
 @pytest.mark.parametrize("side", SIGN)
-def test_links_show_the_rotation_of_straight_limbs(
-    side: str, convention: tuple[float, ...]
-) -> None:
+def test_links_show_the_rotation_of_straight_limbs(side, convention):
     poses, turns = moving(*convention)
     angles = dict(
         zip(ANGLE_NAMES, np.degrees(anatomical_angles(MODEL, poses, turns)).T, strict=True)
@@ -195,7 +188,7 @@ def test_links_show_the_rotation_of_straight_limbs(
     )
 
 
-def test_links_that_do_not_turn_with_their_segments_are_not_used() -> None:
+def test_links_that_do_not_turn_with_their_segments_are_not_used():
     poses, _ = moving()
     turned = poses @ Rotation.from_euler("z", 90, degrees=True).as_matrix().T
     both = np.concatenate([poses, turned])
@@ -205,7 +198,7 @@ def test_links_that_do_not_turn_with_their_segments_are_not_used() -> None:
     np.testing.assert_array_equal(with_links, anatomical_angles(MODEL, both))
 
 
-def test_a_moment_does_not_tell_the_axes_of_links() -> None:
+def test_a_moment_does_not_tell_the_axes_of_links():
     poses, turns = moving()
     assert link_axes(MODEL, poses[:10], turns[:10]) == {}
     assert len(link_axes(MODEL, poses, turns)) == 11
@@ -217,7 +210,7 @@ STRIDE = np.arange(120) / 40.0
 """Three strides."""
 
 
-def textbook(stride: Floats) -> tuple[Floats, Floats]:
+def textbook(stride):
     """Flexion of hip and knee, degrees, over strides that begin with the heel's contact.
 
     Level walking as in Perry and Burnfield (2010), chapters 5 and 6: the hip goes from 25 to -15
@@ -231,7 +224,7 @@ def textbook(stride: Floats) -> tuple[Floats, Floats]:
 
 
 @pytest.fixture(scope="module")
-def gait() -> dict[str, Floats]:
+def gait():
     """Angles, degrees, of somebody who walks by the textbook, from markers alone."""
     flexed = {"right": textbook(STRIDE), "left": textbook(STRIDE + 0.5)}
     poses = []
@@ -244,14 +237,14 @@ def gait() -> dict[str, Floats]:
 
 
 @pytest.mark.parametrize("side", SIGN)
-def test_walking_has_the_textbook_shape(side: str, gait: dict[str, Floats]) -> None:
+def test_walking_has_the_textbook_shape(side, gait):
     hip, knee = textbook(STRIDE + 0.5 * (side == "left"))
     np.testing.assert_allclose(gait[f"{side} hip flexion"], hip, atol=0.5)
     np.testing.assert_allclose(gait[f"{side} knee flexion"], knee, atol=0.5)
 
 
 @pytest.mark.parametrize("side", SIGN)
-def test_a_hip_has_one_peak_a_stride_and_a_knee_two(side: str, gait: dict[str, Floats]) -> None:
+def test_a_hip_has_one_peak_a_stride_and_a_knee_two(side, gait):
     hip, knee = gait[f"{side} hip flexion"], gait[f"{side} knee flexion"]
     two = slice(8, 88)  # strides that begin and end between the hip's peaks
     assert len(find_peaks(hip[two], prominence=5)[0]) == 2

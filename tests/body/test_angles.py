@@ -11,7 +11,7 @@ from hiros_mcap.simulate.body_model import MODEL
 from hiros_mcap.skeletons import SkeletonModel
 
 
-def test_known_rotations_are_recovered() -> None:
+def test_known_rotations_are_recovered():
     rng = np.random.default_rng(0)
     angles = rng.uniform([-3.1, -1.5, -3.1], [3.1, 1.5, 3.1], (1000, 3))
     xyzw = Rotation.from_euler("ZXY", angles).as_quat()
@@ -19,18 +19,18 @@ def test_known_rotations_are_recovered() -> None:
     assert np.abs(euler_zxy(-xyzw) - angles).max() < 1e-9
 
 
-def test_angles_wrap_at_half_a_turn() -> None:
+def test_angles_wrap_at_half_a_turn():
     assert np.degrees(wrapped(np.radians([179.0 - -179.0, -358.0, 10.0, 180.0]))) == pytest.approx(
         [-2, 2, 10, -180]
     )
 
 
-def test_exactly_eight_angles() -> None:
+def test_exactly_eight_angles():
     joints = ("shoulder", "elbow", "hip", "knee")
     assert tuple(f"{side} {joint}" for side in ("left", "right") for joint in joints) == ANGLES
 
 
-def test_the_links_of_the_joints() -> None:
+def test_the_links_of_the_joints():
     """Upper arm seen from the upper trunk, thigh from the pelvis, and so on."""
     markers = MODEL.marker_names
     ends = [
@@ -47,7 +47,7 @@ def test_the_links_of_the_joints() -> None:
     assert ends[4] == ("PELVIS", "SPINE_NAVAL")
 
 
-def test_eq21_is_the_z_angle_of_the_distal_link_in_the_proximal_one() -> None:
+def test_eq21_is_the_z_angle_of_the_distal_link_in_the_proximal_one():
     model = SkeletonModel.of(
         ["RShoulder", "RElbow", "RWrist"], [("upper arm", 0, 1), ("forearm", 1, 2)]
     )

@@ -21,7 +21,7 @@ from hiros_mcap.skeletons import SkeletonModel
         ("l_shoulder", "r_shoulder"),
     ],
 )
-def test_sides_by_name(left: str, right: str) -> None:
+def test_sides_by_name(left, right):
     assert (split_side(left), split_side(right)) == (("shoulder", "left"), ("shoulder", "right"))
     symmetry = symmetry_of(SkeletonModel.of(["Head", left, right], []))
     assert symmetry.mirror.tolist() == [0, 2, 1]
@@ -29,11 +29,11 @@ def test_sides_by_name(left: str, right: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["Head", "Pelvis", "Lumbar", "Root", "SPINE_NAVAL", "", "3"])
-def test_names_without_a_counterpart_have_no_side(name: str) -> None:
+def test_names_without_a_counterpart_have_no_side(name):
     assert not symmetry_of(SkeletonModel.of([name, "Neck"], [])).has_sides
 
 
-def test_links_mirror_as_their_ends_do() -> None:
+def test_links_mirror_as_their_ends_do():
     symmetry = symmetry_of(MODEL)
     assert symmetry.mirror.tolist() == MIRROR
     assert symmetry.link_mirror.tolist() == [0, 2, 1, 4, 3, 6, 5]

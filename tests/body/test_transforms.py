@@ -362,7 +362,7 @@ def test_a_moving_camera_is_taken_at_the_time_of_the_frame():
     np.testing.assert_allclose(shift, [2, 7])
 
 
-def test_a_marker_of_which_only_the_position_is_known_moves() -> None:
+def test_a_marker_of_which_only_the_position_is_known_moves():
     frame = Frame.empty(1, MODEL, frame_id="camera")
     frame.markers[0, 0, :3] = 1.0
     tree = tree_of(("camera", "world", (1.0, 2.0, 3.0), NONE))

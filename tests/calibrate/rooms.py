@@ -2,43 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-
 import numpy as np
 
-from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.io.channels import add_skeleton_channel, add_static_poses
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
-from hiros_mcap.simulate import SimulateParams, Simulation, simulate
-from hiros_mcap.skeletons import Frame, SkeletonModel
+from hiros_mcap.simulate import SimulateParams, simulate
 
 
-def simulated(**params: object) -> Simulation:
+def simulated(**params):
     return simulate(SimulateParams.model_validate({"people": 1, "seconds": 12.0, **params}))
 
 
-def late(frame: Frame, seconds: float) -> Frame:
+def late(frame, seconds):
     """The frame of a camera whose clock, and whose recorder's clock, is fast."""
     ns = round(1e9 * seconds)
     times = {"stamp": frame.stamp + ns, "log_time": frame.log_time + ns}
     return frame.replace(**times, stamps=frame.stamps + ns)
 
 
-def mirrored(frame: Frame, mirror: np.ndarray) -> Frame:
+def mirrored(frame, mirror):
     """The frame of a detector that takes left for right."""
     confidences = np.ascontiguousarray(frame.marker_confidences[:, mirror])
     markers = np.ascontiguousarray(frame.markers[:, mirror])
     return frame.replace(markers=markers, marker_confidences=confidences)
 
 
-def write(
-    path: Path,
-    frames: Sequence[Frame],
-    model: SkeletonModel,
-    transforms: Mapping[str, Rigid] | None = None,
-) -> Path:
+def write(path, frames, model, transforms=None):
     """Write a log, by default without transforms."""
     encoder = Encoder(model)
     with McapWriter(path) as writer:

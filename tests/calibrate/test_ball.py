@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +20,7 @@ from rendered_ball import (
 )
 
 from hiros_cli.app import run
-from hiros_mcap.body.rotations import Rigid, angle
+from hiros_mcap.body.rotations import angle
 from hiros_mcap.body.transforms import read_extrinsics
 from hiros_mcap.calibrate.ball import BallOptions, calibrate_ball
 from hiros_mcap.errors import LogError, RegistrationError
@@ -33,20 +31,20 @@ OPTIONS = ["--radius", "0.12"]
 PNG = "16UC1; compressedDepth png"
 
 
-def as_jpeg(head: Any, pixels: Any) -> Any:
+def as_jpeg(head, pixels):
     return compressed(head, pixels, "rgb8; jpeg compressed bgr8", ".png")
 
 
-def as_png(head: Any, metres: Any) -> Any:
+def as_png(head, metres):
     return compressed(head, millimetres(metres), PNG, ".png", bytes(12))
 
 
-def as_float(head: Any, metres: Any) -> Any:
+def as_float(head, metres):
     return image(head, metres.astype("<f4"), "32FC1")
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def log(tmp_path_factory):
     """Two cameras: one raw in mm, the other one compressed and in m."""
     path = ball_path(FRAMES)
     messages = images_of(0, CAMERAS[0], path)
@@ -54,12 +52,12 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_messages(tmp_path_factory.mktemp("ball") / "ball.mcap", messages)
 
 
-def assert_pose(found: Rigid, true: Rigid, degrees: float, metres: float) -> None:
+def assert_pose(found, true, degrees, metres):
     assert np.degrees(angle(found.xyzw, true.xyzw)) < degrees
     assert np.linalg.norm(found.translation - true.translation) < metres
 
 
-def test_poses_from_images(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_poses_from_images(log, tmp_path, capsys):
     """48 images, 5 mm of noise, 10 % strays and holes, clutter of the same colour."""
     target = tmp_path / "cameras.toml"
     assert run(["calibrate", "ball", str(log), "-o", str(target), *OPTIONS]) == 0
@@ -69,7 +67,7 @@ def test_poses_from_images(log: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     assert_pose(found, CAMERAS[0].inverse() @ CAMERAS[1], 0.3, 0.01)
 
 
-def test_what_is_counted_and_measured(log: Path) -> None:
+def test_what_is_counted_and_measured(log):
     report = calibrate_ball(log, BallOptions(radius=0.12))
     camera = report.calibration.cameras[1]
     assert camera.seen > 0.9 * FRAMES
@@ -79,13 +77,13 @@ def test_what_is_counted_and_measured(log: Path) -> None:
     assert report.warnings == ()
 
 
-def test_another_radius_is_noticed(log: Path) -> None:
+def test_another_radius_is_noticed(log):
     report = calibrate_ball(log, BallOptions(radius=0.13))
     assert "looks like one of radius 0.12" in report.warnings[0]
     assert report.calibration.verdict == "doubtful"
 
 
-def test_compressed_depth(tmp_path: Path) -> None:
+def test_compressed_depth(tmp_path):
     path = ball_path(24)
     messages = [m for k in (0, 1) for m in images_of(k, CAMERAS[k], path, depth=as_png)]
     found = calibrate_ball(
@@ -94,7 +92,7 @@ def test_compressed_depth(tmp_path: Path) -> None:
     assert_pose(found.cameras[1].pose, CAMERAS[0].inverse() @ CAMERAS[1], 0.6, 0.02)
 
 
-def test_the_log_s_transforms_place_ready_centres(tmp_path: Path) -> None:
+def test_the_log_s_transforms_place_ready_centres(tmp_path):
     from mcap_logs import tf_bytes
 
     rows = [(0, "room", f"camera_{k}", c.translation, c.xyzw) for k, c in enumerate(CAMERAS)]
@@ -106,7 +104,7 @@ def test_the_log_s_transforms_place_ready_centres(tmp_path: Path) -> None:
         assert_pose(camera.pose, true, 0.2, 0.005)
 
 
-def test_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json(tmp_path, capsys):
     path = write_messages(tmp_path / "a.mcap", centres_of(CAMERAS, ball_path(100)))
     assert run(["calibrate", "ball", str(path), "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
@@ -116,16 +114,14 @@ def test_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert data["cameras"][1]["against"] == "/ball_0"
 
 
-def failure(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+def failure(arguments, capsys):
     assert run(["calibrate", "ball", *arguments]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     return error
 
 
-def test_what_fails_says_why_in_one_line_and_writes_nothing(
-    log: Path, walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_fails_says_why_in_one_line_and_writes_nothing(log, walking, tmp_path, capsys):
     target = tmp_path / "out.toml"
     here = [str(log), "-o", str(target)]
     assert "never saw a ball of radius 0.24 m" in failure(here, capsys)
@@ -137,21 +133,19 @@ def test_what_fails_says_why_in_one_line_and_writes_nothing(
     assert not target.exists()
 
 
-def test_without_opencv_the_line_names_the_extra(
-    log: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_opencv_the_line_names_the_extra(log, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "cv2", None)
     assert "pip install opencv-python-headless" in failure([str(log), *OPTIONS], capsys)
 
 
-def test_ready_centres_need_no_opencv(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ready_centres_need_no_opencv(tmp_path, monkeypatch):
     path = write_messages(tmp_path / "a.mcap", centres_of(CAMERAS, ball_path(100)))
     monkeypatch.setitem(sys.modules, "cv2", None)
     assert calibrate_ball(path).calibration.verdict == "good"
 
 
 @pytest.mark.parametrize("storage", ["sqlite", "ros1", "split"])
-def test_other_kinds_of_logs(storage: str, tmp_path: Path) -> None:
+def test_other_kinds_of_logs(storage, tmp_path):
     messages = centres_of(CAMERAS, ball_path(60))
     path = tmp_path / ("a.bag" if storage == "ros1" else "a")
     if storage == "split":
@@ -166,7 +160,7 @@ def test_other_kinds_of_logs(storage: str, tmp_path: Path) -> None:
     assert_pose(found.cameras[1].pose, CAMERAS[0].inverse() @ CAMERAS[1], 0.2, 0.005)
 
 
-def test_images_without_camera_info_or_joined_frames_are_refused(tmp_path: Path) -> None:
+def test_images_without_camera_info_or_joined_frames_are_refused(tmp_path):
     messages = images_of(0, CAMERAS[0], ball_path(1))
     bare = write_messages(tmp_path / "a.mcap", [m for m in messages if "info" not in m[0]])
     with pytest.raises(LogError, match="record the camera_info channels"):
@@ -178,7 +172,7 @@ def test_images_without_camera_info_or_joined_frames_are_refused(tmp_path: Path)
         calibrate_ball(write_messages(tmp_path / "b.mcap", messages))
 
 
-def test_cameras_whose_clocks_differ_are_refused(tmp_path: Path) -> None:
+def test_cameras_whose_clocks_differ_are_refused(tmp_path):
     messages = centres_of(CAMERAS, ball_path(300))
     for topic, _, message in messages:
         message.header.stamp.sec += topic == "/ball_1"

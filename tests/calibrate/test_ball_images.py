@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
 import pytest
@@ -19,12 +17,12 @@ CAMERA = DepthCamera(LENS.rays(120, 160), K[0, 0], None, Rigid.identity())
 HEAD = header(10**18, "camera")
 
 
-def error_of(ball: Any, seed: int, **options: Any) -> float:
+def error_of(ball, seed, **options):
     found = find_ball(*render(ball, seed, **options), CAMERA, RADIUS, ColorRange())
     return np.inf if found is None else float(np.linalg.norm(found.centre - ball))
 
 
-def test_centre_with_noise_holes_and_strays() -> None:
+def test_centre_with_noise_holes_and_strays():
     """5 mm of noise, 30 % strays, 30 % holes, a box of the same colour: 3 mm."""
     rng = np.random.default_rng(3)
     balls = rng.uniform([-0.3, -0.3, 0.9], [0.3, 0.1, 1.7], (30, 3))
@@ -34,14 +32,14 @@ def test_centre_with_noise_holes_and_strays() -> None:
     assert np.percentile(np.array(errors)[np.isfinite(errors)], 95) < 0.003
 
 
-def test_measured_radius() -> None:
+def test_measured_radius():
     found = find_ball(*render(np.array([0, 0, 1.2]), 1), CAMERA, RADIUS, ColorRange())
     assert found is not None
     assert found.radius == pytest.approx(RADIUS, abs=0.004)
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_things_of_the_same_colour_are_no_ball(seed: int) -> None:
+def test_things_of_the_same_colour_are_no_ball(seed):
     """A flat box of the ball's colour, a ball of another size, two balls."""
     assert find_ball(*render(None, seed), CAMERA, RADIUS, ColorRange()) is None
     small = render(np.array([0, 0, 1.2]), seed, radius=0.5 * RADIUS)
@@ -52,7 +50,7 @@ def test_things_of_the_same_colour_are_no_ball(seed: int) -> None:
     assert find_ball(*both, CAMERA, RADIUS, ColorRange()) is None
 
 
-def test_a_flat_patch_is_no_ball_at_any_size() -> None:
+def test_a_flat_patch_is_no_ball_at_any_size():
     rng = np.random.default_rng(0)
     for half in range(4, 40, 4):
         pixels, depth = render(None, half, clutter=False)
@@ -61,7 +59,7 @@ def test_a_flat_patch_is_no_ball_at_any_size() -> None:
         assert find_ball(pixels, depth, CAMERA, RADIUS, ColorRange()) is None, half
 
 
-def test_the_middle_of_the_ball_hidden_by_an_arm() -> None:
+def test_the_middle_of_the_ball_hidden_by_an_arm():
     ball = np.array([0.05, 0, 1.1])
     pixels, depth = render(ball, 4)
     pixels[:, 83:87], depth[:, 83:87] = (120, 150, 200), 0.9
@@ -70,7 +68,7 @@ def test_the_middle_of_the_ball_hidden_by_an_arm() -> None:
     assert np.linalg.norm(found.centre - ball) < 0.004
 
 
-def test_depth_camera_beside_the_colour_camera() -> None:
+def test_depth_camera_beside_the_colour_camera():
     """Depth in its own frame, 3 cm to the left and of another focal length; centre in colour's."""
     ball, beside = np.array([0.1, 0.0, 1.2]), np.array([0.03, 0.0, 0.0])
     pixels = cv2.resize(render(ball, 7)[0], (320, 240), interpolation=cv2.INTER_NEAREST)
@@ -85,13 +83,13 @@ def test_depth_camera_beside_the_colour_camera() -> None:
     assert np.linalg.norm(found.centre - ball) < 0.003
 
 
-def test_lens_distortion_is_undone() -> None:
+def test_lens_distortion_is_undone():
     lens = Intrinsics(K, np.array([-0.2, 0.05, 0.001, -0.001, 0.0]))
     rays = lens.rays(120, 160)[40, 20]
     assert lens.project(np.array([[*rays, 1.0]]))[0] == pytest.approx([20, 40], abs=1e-3)
 
 
-def test_a_green_ball() -> None:
+def test_a_green_ball():
     pixels, depth = render(np.array([0, 0, 1.2]), 2, clutter=False)
     green = np.ascontiguousarray(pixels[:, :, [0, 2, 1]])
     assert find_ball(green, depth, CAMERA, RADIUS, ColorRange()) is None
@@ -101,7 +99,7 @@ def test_a_green_ball() -> None:
 @pytest.mark.parametrize(
     "text", ["red", "1-2:3-4", "0-180:0-1:0-1", "0-9:9-1:0-1", "0-9:0-1:0-256"]
 )
-def test_a_wrong_color_names_the_option(text: str) -> None:
+def test_a_wrong_color_names_the_option(text):
     with pytest.raises(ConfigError, match="--color: "):
         ColorRange.parse(text)
 
@@ -121,13 +119,13 @@ CONFIG = b"\0\0\0\0" + np.array([10000.0, 5.0], "<f4").tobytes()
     ],
     ids=["16UC1", "32FC1", "png", "quantised"],
 )
-def test_depth_in_metres(message: Any) -> None:
+def test_depth_in_metres(message):
     assert is_depth(message)
     assert not is_colour(message)
     assert np.allclose(depth_image(message), METRES, atol=1e-3, equal_nan=True)
 
 
-def test_colour_is_blue_green_red() -> None:
+def test_colour_is_blue_green_red():
     pixels = np.full((4, 4, 3), (10, 200, 90), np.uint8)
     for message in (
         image(HEAD, pixels, "bgr8"),
@@ -140,7 +138,7 @@ def test_colour_is_blue_green_red() -> None:
         assert np.abs(colour_image(message).astype(int) - pixels).max() <= 3
 
 
-def test_damaged_images() -> None:
+def test_damaged_images():
     short = image(HEAD, millimetres(METRES), "16UC1")
     short.height = 3
     with pytest.raises(LogError, match="2 x 3 pixels has only 16 bytes"):

@@ -9,42 +9,41 @@ from scipy.spatial.transform import Rotation
 from hiros_mcap.body.rotations import Rigid, angle
 from hiros_mcap.calibrate.ball_poses import BallTrack, calibrate_centres, robust_fit
 from hiros_mcap.errors import RegistrationError
-from hiros_mcap.skeletons import Floats
 
 PERIOD = 33_333_333
 
 
-def pose_of(k: int) -> Rigid:
+def pose_of(k):
     """Camera k stands 2.5 m from the middle of the room."""
     turn = Rotation.random(random_state=k)
     return Rigid(turn.as_quat(), turn.apply([0.0, 0.0, -2.5]))
 
 
-def path(n: int, seed: int = 0) -> Floats:
+def path(n, seed=0):
     """Where somebody carried the ball, smoothly."""
     t, rng = np.linspace(0, 12, n)[:, None], np.random.default_rng(seed)
     return np.sin(t * [1.0, 0.73, 1.9] + rng.uniform(0, 6, 3)) * [1.5, 1.2, 0.9]
 
 
-def track(k: int, points: Floats, noise: float, seed: int = 0) -> BallTrack:
+def track(k, points, noise, seed=0):
     """What camera k at pose_of(k) saw of points in the world."""
     seen = Rotation.from_quat(pose_of(k).xyzw).inv().apply(points - pose_of(k).translation)
     seen += np.random.default_rng([seed, k]).normal(0, noise, seen.shape)
     return BallTrack(f"camera_{k}", f"frame_{k}", np.arange(len(points)) * PERIOD + k, seen)
 
 
-def errors(pose: Rigid, true: Rigid) -> tuple[float, float]:
+def errors(pose, true):
     """Degrees and m."""
     turn = float(np.degrees(angle(pose.xyzw, true.xyzw)))
     return turn, float(np.linalg.norm(pose.translation - true.translation))
 
 
-def between(a: int, b: int) -> Rigid:
+def between(a, b):
     return pose_of(a).inverse() @ pose_of(b)
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_a_thousand_centres_with_five_mm_of_noise(seed: int) -> None:
+def test_a_thousand_centres_with_five_mm_of_noise(seed):
     tracks = [track(k, path(1000, seed), 0.005, seed) for k in range(3)]
     found = calibrate_centres(tracks)
     for k in (1, 2):
@@ -54,7 +53,7 @@ def test_a_thousand_centres_with_five_mm_of_noise(seed: int) -> None:
     assert found.verdict == "good"
 
 
-def test_a_third_of_gross_outliers() -> None:
+def test_a_third_of_gross_outliers():
     rng, first, second = np.random.default_rng(5), *(track(k, path(300), 0.004) for k in (0, 1))
     wrong = rng.permutation(300)[:100]
     second.centres[wrong] += rng.normal(0, 0.8, (100, 3))
@@ -65,7 +64,7 @@ def test_a_third_of_gross_outliers() -> None:
     assert set(np.flatnonzero(~kept)) <= set(wrong)
 
 
-def test_the_standard_errors_hold() -> None:
+def test_the_standard_errors_hold():
     """As stated, 90 % of the errors lie within twice the standard error."""
     within = []
     for seed in range(30):
@@ -76,7 +75,7 @@ def test_the_standard_errors_hold() -> None:
     assert np.mean(within) >= 0.9
 
 
-def test_cameras_that_share_no_view_with_the_first_hang_on_another() -> None:
+def test_cameras_that_share_no_view_with_the_first_hang_on_another():
     one, two, three = (track(k, path(200), 0.002) for k in range(3))
     one.centres[100:] = np.nan
     three.centres[:100] = np.nan
@@ -88,7 +87,7 @@ def test_cameras_that_share_no_view_with_the_first_hang_on_another() -> None:
     assert found.cameras[2].error_deg > found.cameras[1].error_deg
 
 
-def test_given_poses_place_the_rig() -> None:
+def test_given_poses_place_the_rig():
     tracks = [track(k, path(200), 0.001) for k in range(3)]
     given = {f"frame_{k}": pose_of(k) for k in range(3)}
     found = calibrate_centres(tracks, given=given)
@@ -96,7 +95,7 @@ def test_given_poses_place_the_rig() -> None:
     assert max(errors(found.cameras[k].pose, pose_of(k))[1] for k in range(3)) < 0.003
 
 
-def test_a_path_in_a_plane_is_doubtful_and_right() -> None:
+def test_a_path_in_a_plane_is_doubtful_and_right():
     flat = path(200) * [1, 1, 0]
     found = calibrate_centres([track(k, flat, 0.003) for k in (0, 1)])
     assert found.verdict == "doubtful"
@@ -104,7 +103,7 @@ def test_a_path_in_a_plane_is_doubtful_and_right() -> None:
     assert errors(found.cameras[1].pose, between(0, 1))[0] < 0.3
 
 
-def disturbed(one: BallTrack, kind: int, rng: np.random.Generator) -> BallTrack:
+def disturbed(one, kind, rng):
     """What can be wrong: nothing, the clock, or the ball for some or all of the time."""
     n = len(one.stamps)
     wrong = rng.random(n) < rng.uniform(0.1, 0.8)
@@ -121,7 +120,7 @@ def disturbed(one: BallTrack, kind: int, rng: np.random.Generator) -> BallTrack:
     return one
 
 
-def test_no_wrong_pose_is_called_good() -> None:
+def test_no_wrong_pose_is_called_good():
     """100 scenes: short, narrow or flat paths, noise, and what :func:`disturbed` does."""
     verdicts = []
     for seed in range(100):
@@ -142,14 +141,14 @@ def test_no_wrong_pose_is_called_good() -> None:
     assert min(verdicts.count(v) for v in ("good", "doubtful", "refused")) > 4
 
 
-def refusal(points: Floats, noise: float = 0.002, late: int = 0) -> str:
+def refusal(points, noise=0.002, late=0):
     tracks = [track(0, points, noise), track(1, np.roll(points, late, axis=0), noise)]
     with pytest.raises(RegistrationError) as error:
         calibrate_centres(tracks)
     return str(error.value)
 
 
-def test_what_does_not_tell_a_pose_is_refused() -> None:
+def test_what_does_not_tell_a_pose_is_refused():
     line = np.linspace(-1, 1, 200)[:, None] * [1.0, 0.5, 0.2]
     assert "only 19 common times, 20 needed; carry the ball" in refusal(path(19))
     assert "nearly a line" in refusal(line)
@@ -158,11 +157,11 @@ def test_what_does_not_tell_a_pose_is_refused() -> None:
     assert "check the cameras' clocks" in refusal(path(200), late=15)
 
 
-def test_a_ball_that_stands_still_is_refused() -> None:
+def test_a_ball_that_stands_still_is_refused():
     assert "nearly a line" in refusal(np.ones((200, 3)))
 
 
-def test_cameras_without_the_ball_or_without_a_frame_of_their_own_are_named() -> None:
+def test_cameras_without_the_ball_or_without_a_frame_of_their_own_are_named():
     one, two = (track(k, path(50), 0.001) for k in (0, 1))
     with pytest.raises(RegistrationError, match="camera_0 and camera_1 share the frame 'frame_0'"):
         calibrate_centres([one, two._replace(frame="frame_0")])

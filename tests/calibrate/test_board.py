@@ -6,7 +6,6 @@ import io
 import json
 from contextlib import redirect_stderr
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -31,7 +30,7 @@ MARKERS = np.array([[0.0, 0.35], [0.0, 0.0], [0.35, 0.0], [0.35, 0.35]])
 PLATE = 1000  # pixels per m of the board's picture
 
 
-def plate() -> Any:
+def plate():
     """A picture of the board, 0.7 m wide, whose row 0 is at y = -0.175 m."""
     picture = np.full((700, 700), 255, np.uint8)
     words = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
@@ -42,7 +41,7 @@ def plate() -> Any:
     return picture
 
 
-def see(camera: Rigid, seed: int, board: bool = True) -> tuple[Any, Any]:
+def see(camera, seed, board=True):
     """Ray-cast the board: BGR (H, W, 3) and depth (H, W), m, with noise."""
     rng = np.random.default_rng(seed)
     columns, rows = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
@@ -59,7 +58,7 @@ def see(camera: Rigid, seed: int, board: bool = True) -> tuple[Any, Any]:
     return np.repeat(pixels[..., None], 3, axis=2), depth
 
 
-def info(head: Any) -> Any:
+def info(head):
     roi = STORE.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
     kind = STORE.types["sensor_msgs/msg/CameraInfo"]
     p = np.hstack([K, np.zeros((3, 1))]).reshape(-1)
@@ -67,7 +66,7 @@ def info(head: Any) -> Any:
     return kind(head, HEIGHT, WIDTH, "plumb_bob", *lens, 0, 0, roi)
 
 
-def above(angle: float) -> Rigid:
+def above(angle):
     """A camera 1.2 m above the board that looks at its middle from the side."""
     middle = np.array([0.175, 0.175, TOP])
     place = middle + np.array([np.cos(angle), np.sin(angle), 1.2])
@@ -80,7 +79,7 @@ def above(angle: float) -> Rigid:
 CAMERAS = [above(0.3), above(1.8)]
 
 
-def write_board(path: Path, sees: tuple[bool, ...] = (True, True), n: int = 6) -> Path:
+def write_board(path, sees=(True, True), n=6):
     messages = []
     for k, camera in enumerate(CAMERAS):
         frame = f"camera_{k}_optical"
@@ -100,25 +99,25 @@ def write_board(path: Path, sees: tuple[bool, ...] = (True, True), n: int = 6) -
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def log(tmp_path_factory):
     return write_board(tmp_path_factory.mktemp("board") / "board.mcap")
 
 
-def assert_right(poses: list[Rigid]) -> None:
+def assert_right(poses):
     for pose, camera in zip(poses, CAMERAS, strict=True):
         wanted = camera.translation - [0, 0, TOP]
         assert np.linalg.norm(pose.translation - wanted) < 0.015
         assert np.degrees(angle(pose.xyzw, camera.xyzw)) < 0.5
 
 
-def test_each_camera_sees_the_board(log: Path) -> None:
+def test_each_camera_sees_the_board(log):
     found = calibrate_board(log)
     assert (found.verdict, found.gauge) == ("good", "board"), found.reason
     assert [camera.seen for camera in found.cameras] == [6, 6]
     assert_right([camera.pose for camera in found.cameras])
 
 
-def of_the_ball() -> bytes:
+def of_the_ball():
     """Poses of the cameras in another frame, as TOML."""
     turn = Rigid(np.array([0.0, 0.0, np.sin(0.2), np.cos(0.2)]), np.array([1.0, 2.0, 0.3]))
     lines = []
@@ -134,13 +133,13 @@ def of_the_ball() -> bytes:
 
 
 @pytest.fixture(scope="module")
-def brief(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def brief(tmp_path_factory):
     return write_board(tmp_path_factory.mktemp("board") / "brief.mcap", n=1)
 
 
 @settings(max_examples=4, deadline=None, derandomize=True, database=None)
 @given(data=altered_text(of_the_ball()))
-def test_altered_poses_are_taken_or_refused_in_one_line(brief: Path, data: bytes) -> None:
+def test_altered_poses_are_taken_or_refused_in_one_line(brief, data):
     poses = brief.with_name("ball.toml")
     poses.write_bytes(data)
     with redirect_stderr(io.StringIO()) as stderr:
@@ -150,7 +149,7 @@ def test_altered_poses_are_taken_or_refused_in_one_line(brief: Path, data: bytes
     assert "Traceback" not in stderr.getvalue()
 
 
-def test_with_known_poses_one_camera_is_enough(tmp_path: Path) -> None:
+def test_with_known_poses_one_camera_is_enough(tmp_path):
     log = write_board(tmp_path / "board.mcap", sees=(True, False))
     ball = tmp_path / "ball.toml"
     ball.write_bytes(of_the_ball())
@@ -161,9 +160,7 @@ def test_with_known_poses_one_camera_is_enough(tmp_path: Path) -> None:
         calibrate_board(log)
 
 
-def test_the_file_and_what_is_printed(
-    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_file_and_what_is_printed(log, tmp_path, capsys):
     target = tmp_path / "cameras.toml"
     assert run(["calibrate", "board", str(log), "-o", str(target)]) == 0
     assert "marker 1 of the board" in capsys.readouterr().out
@@ -173,7 +170,7 @@ def test_the_file_and_what_is_printed(
     assert json.loads(capsys.readouterr().out)["verdict"] == "good"
 
 
-def test_no_board_and_no_such_dictionary(tmp_path: Path) -> None:
+def test_no_board_and_no_such_dictionary(tmp_path):
     log = write_board(tmp_path / "board.mcap", sees=(False, False))
     with pytest.raises(RegistrationError, match="no camera sees markers 0 to 3"):
         calibrate_board(log)
@@ -181,9 +178,7 @@ def test_no_board_and_no_such_dictionary(tmp_path: Path) -> None:
         calibrate_board(log, dictionary="DICT_9")
 
 
-def test_every_field_of_the_json_is_documented(
-    log: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_field_of_the_json_is_documented(log, capsys):
     assert run(["calibrate", "board", str(log), "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     page = (Path(__file__).parents[2] / "docs/json.md").read_text(encoding="utf-8")

@@ -24,13 +24,12 @@ from hiros_mcap.calibrate.sampling import Rig, instants_of, lines_of
 from hiros_mcap.calibrate.tracklets import Sighting, find_tracklets
 from hiros_mcap.calibrate.verdict import Evidence, verdict_of
 from hiros_mcap.kernels.local_line import Tracklet
-from hiros_mcap.skeletons import Floats
 
 SIDES = symmetry_of(MODEL).mirror
 GOOD = Evidence(share=1.0, residual=0.03, seconds=20.0, spread=1.0)
 
 
-def walk(seconds: Floats) -> Floats:
+def walk(seconds):
     """(T, 8, 3) somebody who goes to and fro, and swings his arms."""
     poses = np.tile(POSE, (len(seconds), 1, 1))
     poses[:, :, 0] += (1.2 * np.sin(0.9 * seconds))[:, None]
@@ -40,7 +39,7 @@ def walk(seconds: Floats) -> Floats:
     return poses
 
 
-def view(name: str, turn: Rotation, shift: Floats, clock: float = 0.0) -> CameraView:
+def view(name, turn, shift, clock=0.0):
     """The walk as an exact camera sees it; its stamps are early by ``clock``."""
     seconds = np.arange(0.0, 10.0, 1 / 30)
     poses = walk(seconds)
@@ -49,7 +48,7 @@ def view(name: str, turn: Rotation, shift: Floats, clock: float = 0.0) -> Camera
     return CameraView(name, name, [tracklet], 0.0, 0.1)
 
 
-def test_a_tracklet_follows_each_of_two_people_and_ends_in_a_gap() -> None:
+def test_a_tracklet_follows_each_of_two_people_and_ends_in_a_gap():
     seconds = [*np.arange(0, 1, 1 / 30), *np.arange(2, 3, 1 / 30)]
     frames = [Sighting(t, np.stack([person(t), person(-2 - t)]), np.ones((2, 8))) for t in seconds]
     swapped = [
@@ -60,14 +59,14 @@ def test_a_tracklet_follows_each_of_two_people_and_ends_in_a_gap() -> None:
     assert all(np.abs(np.diff(track.positions[:, 0, 0])).max() < 0.1 for track in tracks)
 
 
-def test_a_tracklet_undoes_swapped_sides() -> None:
+def test_a_tracklet_undoes_swapped_sides():
     frames = [Sighting(k / 30, person(0.01 * k)[None], np.ones((1, 8))) for k in range(30)]
     frames[10:20] = [f._replace(positions=f.positions[:, MIRROR]) for f in frames[10:20]]
     (track,) = find_tracklets(frames, SIDES)
     assert np.abs(np.diff(track.positions[:, 6], axis=0)).max() < 0.02
 
 
-def test_a_line_gives_position_and_velocity_at_any_time() -> None:
+def test_a_line_gives_position_and_velocity_at_any_time():
     seconds = np.arange(0.0, 1.0, 1 / 30)
     poses = POSE + np.array([0.5, -0.2, 0.1]) * seconds[:, None, None]
     weights = np.ones(poses.shape[:2])
@@ -80,7 +79,7 @@ def test_a_line_gives_position_and_velocity_at_any_time() -> None:
     assert lines.weights[0, 0] > 1.0
 
 
-def test_the_lag_of_two_clocks_needs_no_pose() -> None:
+def test_the_lag_of_two_clocks_needs_no_pose():
     turn, shift = Rotation.from_euler("xyz", [0.3, 1.2, -0.8]), np.array([1.0, 2.0, 3.0])
     landmarks = landmarks_of(MODEL)
     cameras = [view("a", Rotation.identity(), np.zeros(3)), view("b", turn, shift, clock=1.4)]
@@ -90,7 +89,7 @@ def test_the_lag_of_two_clocks_needs_no_pose() -> None:
 
 
 @pytest.mark.parametrize(("clock", "hint"), [(1.4, 0.0), (6.0, 6.05), (0.0, 0.2)])
-def test_at_given_poses_the_lag_is_where_people_fit(clock: float, hint: float) -> None:
+def test_at_given_poses_the_lag_is_where_people_fit(clock, hint):
     turn, shift = Rotation.from_euler("xyz", [0.3, 1.2, -0.8]), np.array([1.0, 2.0, 3.0])
     cameras = [view("a", Rotation.identity(), np.zeros(3)), view("b", turn, shift, clock=clock)]
     rig = Rig.alone(2)
@@ -99,7 +98,7 @@ def test_at_given_poses_the_lag_is_where_people_fit(clock: float, hint: float) -
     assert found == pytest.approx([0.0, clock], abs=0.06)
 
 
-def test_people_who_stand_still_fit_at_any_lag_and_the_stamps_stay() -> None:
+def test_people_who_stand_still_fit_at_any_lag_and_the_stamps_stay():
     seconds = np.arange(0.0, 10.0, 1 / 30)
     poses = POSE + np.random.default_rng(1).normal(0, 0.01, (len(seconds), *POSE.shape))
     track = Tracklet(seconds, poses, np.ones(poses.shape[:2]))
@@ -111,7 +110,7 @@ def test_people_who_stand_still_fit_at_any_lag_and_the_stamps_stay() -> None:
 @settings(max_examples=10, deadline=None)
 @given(st.integers(0, 1000))
 @example(158)  # the start puts people 0.43 m off
-def test_exact_cameras_are_found_exactly(seed: int) -> None:
+def test_exact_cameras_are_found_exactly(seed):
     rng = np.random.default_rng(seed)
     turn, shift = Rotation.random(random_state=seed), rng.normal(0, 2, 3)
     cameras = [view("a", Rotation.identity(), np.zeros(3)), view("b", turn, shift, clock=0.08)]
@@ -129,7 +128,7 @@ def test_exact_cameras_are_found_exactly(seed: int) -> None:
     assert rig.clocks[1] == pytest.approx(0.08, abs=1e-3)
 
 
-def test_a_rival_is_a_pose_that_is_as_near_not_one_that_also_fits() -> None:
+def test_a_rival_is_a_pose_that_is_as_near_not_one_that_also_fits():
     near, far = np.full(50, 0.03), np.full(50, 0.07)
     turned = Rig.alone(2)
     turned.rotations[1] = np.diag([-1.0, -1.0, 1.0])
@@ -138,14 +137,14 @@ def test_a_rival_is_a_pose_that_is_as_near_not_one_that_also_fits() -> None:
     assert rival.quality < 0.2 * best.quality
 
 
-def test_cameras_need_no_common_view_of_all() -> None:
+def test_cameras_need_no_common_view_of_all():
     link = [PairFit(Rig.alone(2), np.full(50, 0.03), 50, quality=40.0)]
     tree, cameras = spanning_tree({(0, 1): link, (1, 2): link, (0, 2): []}, [0, 1, 2, 3])
     assert tree == [(0, 1), (1, 2)]
     assert cameras == [0, 1, 2]
 
 
-def test_a_link_leads_back_to_a_camera_with_a_smaller_number() -> None:
+def test_a_link_leads_back_to_a_camera_with_a_smaller_number():
     link = Rig.alone(2)
     link.shifts[1], link.clocks[1] = [1.0, 0.0, 0.0], 0.5
     fits = {pair: [PairFit(link, np.full(50, 0.03), 50, quality=40.0)] for pair in ((0, 2), (1, 2))}
@@ -157,7 +156,7 @@ def test_a_link_leads_back_to_a_camera_with_a_smaller_number() -> None:
     assert not _only_ambiguous(1, tree, fits)
 
 
-def test_the_rig_stays_though_one_camera_was_moved() -> None:
+def test_the_rig_stays_though_one_camera_was_moved():
     rng = np.random.default_rng(1)
     turns = Rotation.random(5, random_state=2)
     rig = Rig(turns.as_matrix(), rng.normal(0, 3, (5, 3)), np.zeros(5), np.zeros(5))
@@ -170,7 +169,7 @@ def test_the_rig_stays_though_one_camera_was_moved() -> None:
     assert placed.shifts[others] == pytest.approx(wanted, abs=0.003)
 
 
-def test_up_is_where_standing_people_point() -> None:
+def test_up_is_where_standing_people_point():
     names = ["PELVIS", "NECK", "ANKLE_LEFT", "ANKLE_RIGHT", "FOOT_LEFT", "FOOT_RIGHT"]
     model = type(MODEL).of(names, [])
     body = np.array(
@@ -186,7 +185,7 @@ def test_up_is_where_standing_people_point() -> None:
     assert find_floor(MODEL, np.tile(POSE, (3, 1, 1)), np.zeros((3, 8, 3))) is None  # no ankles
 
 
-def test_weights_leave_outliers_out_of_a_rigid_fit() -> None:
+def test_weights_leave_outliers_out_of_a_rigid_fit():
     points = np.random.default_rng(3).normal(0, 1, (20, 3))
     turn = Rotation.from_euler("xyz", [1.0, 0.5, -2.0])
     goal = turn.apply(points) + np.array([1.0, 2.0, 3.0])
@@ -216,7 +215,7 @@ def test_weights_leave_outliers_out_of_a_rigid_fit() -> None:
         ({"spread": 0.1}, "doubtful", "spread by 10 cm only"),
     ],
 )
-def test_the_verdict_names_its_reason(change: dict[str, float], verdict: str, reason: str) -> None:
+def test_the_verdict_names_its_reason(change, verdict, reason):
     from dataclasses import replace
 
     found, why = verdict_of(replace(GOOD, **change), moved=False)
@@ -224,5 +223,5 @@ def test_the_verdict_names_its_reason(change: dict[str, float], verdict: str, re
     assert reason in why
 
 
-def test_a_pose_that_differs_from_the_log_is_an_improvement() -> None:
+def test_a_pose_that_differs_from_the_log_is_an_improvement():
     assert verdict_of(GOOD, moved=True) == ("improved", "")

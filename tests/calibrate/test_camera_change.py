@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.calibrate.camera_change import CameraChange, located
+from hiros_mcap.calibrate.camera_change import located
 from hiros_mcap.calibrate.camera_views import HALF_WIDTH_S, CameraView
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.kernels.local_line import Tracklet
@@ -17,7 +17,7 @@ CLOCK_S = 0.5
 """The second camera's clock is slow."""
 
 
-def change_of(moved_s: float) -> CameraChange:
+def change_of(moved_s):
     """What two cameras with 1 cm of noise tell of a second pose that holds from a time on.
 
     They see one person walk for 20 s; the time is that of the second camera.
@@ -38,13 +38,13 @@ def change_of(moved_s: float) -> CameraChange:
     return located(views, early, late_rig, MIRROR)
 
 
-def test_the_time_is_that_of_the_camera_that_was_moved() -> None:
+def test_the_time_is_that_of_the_camera_that_was_moved():
     change = change_of(2.0)
     assert change.seconds == pytest.approx(2.0, abs=0.15)
     assert change.end - change.begin < 0.2
 
 
 @pytest.mark.parametrize("moved_s", [-20.0, 20.0])
-def test_a_pose_that_fits_throughout_is_never_replaced(moved_s: float) -> None:
+def test_a_pose_that_fits_throughout_is_never_replaced(moved_s):
     change = change_of(moved_s)
     assert not np.isfinite([change.begin, change.end]).all()

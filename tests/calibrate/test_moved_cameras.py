@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import numpy as np
 import pytest
 from rooms import simulated, write
@@ -18,9 +15,6 @@ from hiros_mcap.io.channels import EVENTS_ATTACHMENT
 from hiros_mcap.io.log import open_log
 from hiros_mcap.kernels.transforming import move
 from hiros_mcap.running.pipeline import ProcessOptions, process
-from hiros_mcap.simulate import Simulation
-from hiros_mcap.skeletons import Frame
-from hiros_mcap.summary import Summary
 
 STEP = Rigid(from_vector(np.radians([3.0, -4.0, 0.0])), np.array([0.16, 0.0, 0.12]))
 """5 degrees and 20 cm, in the camera's own frame."""
@@ -28,16 +22,16 @@ AT_S = 10.6
 
 
 @pytest.fixture(scope="module")
-def scene() -> Simulation:
+def scene():
     return simulated(cameras=3, seed=8, action="eight", seconds=20.0, rig={"rate": 20.0})
 
 
 @pytest.fixture(scope="module")
-def healthy(scene: Simulation) -> list[Frame]:
+def healthy(scene):
     return list(scene.detections)
 
 
-def moved(frame: Frame, start: int) -> Frame:
+def moved(frame, start):
     """The frame of a camera that somebody moves."""
     if frame.source != "camera_2" or frame.stamp < start + AT_S * 1e9:
         return frame
@@ -46,30 +40,30 @@ def moved(frame: Frame, start: int) -> Frame:
     return frame.replace(people=people)
 
 
-def logged(path: Path, scene: Simulation, frames: Sequence[Frame]) -> Path:
+def logged(path, scene, frames):
     return write(path, frames, scene.model, {c.name: c.pose for c in scene.cameras})
 
 
 @pytest.fixture(scope="module")
-def log(scene: Simulation, healthy: list[Frame], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def log(scene, healthy, tmp_path_factory):
     start = min(frame.stamp for frame in healthy)
     frames = [moved(frame, start) for frame in healthy]
     return logged(tmp_path_factory.mktemp("moved") / "lab.mcap", scene, frames)
 
 
 @pytest.fixture(scope="module")
-def done(log: Path) -> tuple[Summary, Path]:
+def done(log):
     out = log.with_name("out.mcap")
     return process(log, out), out
 
 
-def people(path: Path) -> dict[int, np.ndarray]:
+def people(path):
     """Stamp -> markers of the only person."""
     with open_log(path, topics=["/hiros/filtered"], output_prefix="/none") as result:
         return {f.stamp: f.positions[0] for f in result.frames() if f.n_people == 1}
 
 
-def distance(one: Path, other: Path) -> float:
+def distance(one, other):
     """Mean distance of the joints of two results, m."""
     a, b = people(one), people(other)
     both = sorted(a.keys() & b.keys())
@@ -77,20 +71,14 @@ def distance(one: Path, other: Path) -> float:
     return float(np.nanmean([np.linalg.norm(a[t] - b[t], axis=1) for t in both]))
 
 
-def test_each_part_of_the_log_gets_its_own_pose(
-    log: Path,
-    done: tuple[Summary, Path],
-    scene: Simulation,
-    healthy: list[Frame],
-    tmp_path: Path,
-) -> None:
+def test_each_part_of_the_log_gets_its_own_pose(log, done, scene, healthy, tmp_path):
     never, off = tmp_path / "never.mcap", tmp_path / "off.mcap"
     process(logged(tmp_path / "lab.mcap", scene, healthy), never)
     process(log, off, options=ProcessOptions(calibrate="off"))
     assert distance(done[1], never) < 0.003 < 0.005 < distance(off, never)
 
 
-def test_the_summary_names_camera_and_time(done: tuple[Summary, Path]) -> None:
+def test_the_summary_names_camera_and_time(done):
     before, after = done[0].poses[2:]
     assert (before.name, after.name) == ("camera_2", "camera_2")
     assert before.until_s == after.since_s == pytest.approx(AT_S, abs=0.25)
@@ -104,9 +92,7 @@ def test_the_summary_names_camera_and_time(done: tuple[Summary, Path]) -> None:
     assert len(done[0].to_dict()["poses"]) == 4
 
 
-def test_the_result_holds_both_poses_and_an_event(
-    done: tuple[Summary, Path], scene: Simulation
-) -> None:
+def test_the_result_holds_both_poses_and_an_event(done, scene):
     with open_log(done[1]) as log:
         early, late = (log.transforms.lookup("camera_2", "lab", t, t) for t in log.span)
         events = events_from_json((log.reader.attachment(EVENTS_ATTACHMENT) or b"").decode())
@@ -118,7 +104,7 @@ def test_the_result_holds_both_poses_and_an_event(
     assert (event.source, event.is_warning) == ("camera_2", True)
 
 
-def test_the_viewer_draws_both_poses(done: tuple[Summary, Path]) -> None:
+def test_the_viewer_draws_both_poses(done):
     import rerun.chunk
 
     drawn = done[1].with_suffix(".rrd")
@@ -129,7 +115,7 @@ def test_the_viewer_draws_both_poses(done: tuple[Summary, Path]) -> None:
     assert {"/world/cameras/camera_2", f"/world/cameras/{name}"} <= paths
 
 
-def test_the_terminal_lists_both_parts(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_terminal_lists_both_parts(log, capsys):
     assert run(["process", str(log), "-o", str(log.with_name("again.mcap"))]) == 0
     printed = capsys.readouterr()
     assert "camera_2 to 10." in printed.out
@@ -137,18 +123,14 @@ def test_the_terminal_lists_both_parts(log: Path, capsys: pytest.CaptureFixture[
     assert "hiros: warning: camera_2 was moved" in printed.err
 
 
-def test_the_time_is_found_in_parts_of_the_log_that_were_not_read_at_first(
-    log: Path, done: tuple[Summary, Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_time_is_found_in_parts_of_the_log_that_were_not_read_at_first(log, done, monkeypatch):
     monkeypatch.setattr(survey, "MOST_S", 17.0)
     monkeypatch.setattr(survey, "STRETCHES", 2)  # 0.75 to 9.25 s, and 10.75 to 19.25 s
     summary = process(log)
     assert summary.poses[2].until_s == pytest.approx(AT_S, abs=0.25)
 
 
-def test_the_time_is_that_of_the_log_though_the_clock_is_ahead(
-    scene: Simulation, healthy: list[Frame], tmp_path: Path
-) -> None:
+def test_the_time_is_that_of_the_log_though_the_clock_is_ahead(scene, healthy, tmp_path):
     ahead_ns, start = 1_500_000_000, min(frame.stamp for frame in healthy)
     frames = [
         f.replace(stamp=f.stamp + ahead_ns, stamps=f.stamps + ahead_ns)
@@ -162,9 +144,7 @@ def test_the_time_is_that_of_the_log_though_the_clock_is_ahead(
 
 
 @pytest.mark.parametrize("first", [True, False])
-def test_somebody_who_stands_still_is_no_camera_that_was_moved(
-    first: bool, scene: Simulation, healthy: list[Frame], tmp_path: Path
-) -> None:
+def test_somebody_who_stands_still_is_no_camera_that_was_moved(first, scene, healthy, tmp_path):
     middle = min(frame.stamp for frame in healthy) + 10_000_000_000
     frozen = {f.source: f for f in healthy if f.n_people == 1 and f.stamp < middle}
     rng = np.random.default_rng(3)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -20,7 +18,7 @@ from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 MODEL = SkeletonModel.of(["HIP", "HAND"], [("arm", 0, 1)])
 
 
-def standing(distance: float, seed: int, confidence: float = 1.0) -> list[Frame]:
+def standing(distance, seed, confidence=1.0):
     """One person in camera_0, whose hand is twice as noisy: 4 mm at 2 m, growing with r^1.5."""
     rng, frames = np.random.default_rng(seed), []
     guess = 3.0 if confidence < 0.5 else 1.0
@@ -34,7 +32,7 @@ def standing(distance: float, seed: int, confidence: float = 1.0) -> list[Frame]
     return frames
 
 
-def test_range_joint_and_confidence() -> None:
+def test_range_joint_and_confidence():
     frames = standing(1.5, 1) + standing(4.0, 2) + standing(2.0, 3, confidence=0.3)
     found = measure_noise_model(frames, MODEL, {"camera_0": np.zeros(3)})
     assert found.power == pytest.approx(1.5, abs=0.15)
@@ -43,23 +41,23 @@ def test_range_joint_and_confidence() -> None:
     assert found.sigma * found.joints["HIP"] == pytest.approx(0.004, rel=0.15)
 
 
-def test_one_range_does_not_tell_the_power() -> None:
+def test_one_range_does_not_tell_the_power():
     found = measure_noise_model(standing(2.0, 1), MODEL, {"camera_0": np.zeros(3)})
     assert found.power == USUAL_POWER
     assert np.isnan(found.guessed)
 
 
-def test_a_camera_without_a_pose_tells_nothing() -> None:
+def test_a_camera_without_a_pose_tells_nothing():
     assert measure_noise_model(standing(2.0, 1), MODEL, {}).joints == {}
 
 
-def test_between_cameras_the_range_cannot_be_told_from_the_camera() -> None:
+def test_between_cameras_the_range_cannot_be_told_from_the_camera():
     frames = [f.replace(source=f"camera_{k}") for k in (0, 1) for f in standing(2.0 + 2 * k, k)]
     places = {f"camera_{k}": np.zeros(3) for k in (0, 1)}
     assert measure_noise_model(frames, MODEL, places).power == USUAL_POWER
 
 
-def test_cameras_are_compared_with_the_median_one() -> None:
+def test_cameras_are_compared_with_the_median_one():
     frames = [f.replace(source=f"camera_{k}") for k in range(3) for f in standing(2.0, k)]
     for frame in frames:
         if frame.source == "camera_2":
@@ -70,14 +68,14 @@ def test_cameras_are_compared_with_the_median_one() -> None:
 
 
 @pytest.fixture
-def measured(tmp_path: Path) -> Path:
+def measured(tmp_path):
     frames = standing(1.5, 1) + standing(4.0, 2)
     text = measure_noise_model(frames, MODEL, {"camera_0": np.zeros(3)}).toml()
     (tmp_path / "noise.toml").write_text(text.replace("HIP", "PELVIS").replace("HAND", "HEAD"))
     return tmp_path / "noise.toml"
 
 
-def test_fuse_reads_what_is_written(measured: Path, walking: Path) -> None:
+def test_fuse_reads_what_is_written(measured, walking):
     config = load_config(measured, system="fuse")
     with open_log(walking) as log:
         prepared = prepare(log, config, ProcessOptions("fuse"), Stopwatch())
@@ -92,7 +90,7 @@ def test_fuse_reads_what_is_written(measured: Path, walking: Path) -> None:
     assert noise.cameras == {"camera_0": 1.0}
 
 
-def test_the_table_comes_back_from_the_configuration(measured: Path, tmp_path: Path) -> None:
+def test_the_table_comes_back_from_the_configuration(measured, tmp_path):
     config = load_config(measured, system="fuse")
     (tmp_path / "again.toml").write_text(to_toml(config))
     assert load_config(tmp_path / "again.toml").noise == config.noise
@@ -107,9 +105,7 @@ def test_the_table_comes_back_from_the_configuration(measured: Path, tmp_path: P
         ("[noise.joints]\nTAIL = 2.0", "the skeleton has no joint 'TAIL'"),
     ],
 )
-def test_a_faulty_table_is_refused(
-    text: str, fault: str, walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_faulty_table_is_refused(text, fault, walking, tmp_path, capsys):
     (tmp_path / "noise.toml").write_text(text)
     options = ["--system", "fuse", "--config", str(tmp_path / "noise.toml")]
     assert run(["process", str(walking), "-o", str(tmp_path / "out.mcap"), *options]) == 2

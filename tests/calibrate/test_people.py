@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,35 +22,33 @@ from hiros_mcap.calibrate.joint_refinement import (
     residuals_of,
     standard_errors,
 )
-from hiros_mcap.calibrate.people import PeopleCalibration, calibrate_people
+from hiros_mcap.calibrate.people import calibrate_people
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.log import open_log
-from hiros_mcap.simulate import Simulation
-from hiros_mcap.skeletons import Frame
 
 CLOCKS = {"camera_0": 0.0, "camera_1": 0.8, "camera_2": -1.3}
 """s by which the stamps are late."""
 
 
 @pytest.fixture(scope="module")
-def scene() -> Simulation:
+def scene():
     return simulated(cameras=3, seed=3, action="eight")
 
 
 @pytest.fixture(scope="module")
-def nothing(scene: Simulation, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def nothing(scene, tmp_path_factory):
     """A log without transforms, of three cameras with wrong clocks."""
     frames = [late(frame, CLOCKS[frame.source]) for frame in scene.detections]
     return write(tmp_path_factory.mktemp("log") / "lab.mcap", frames, scene.model)
 
 
-def calibrated(path: Path) -> PeopleCalibration:
+def calibrated(path):
     with open_log(path) as log:
         return calibrate_people(log)
 
 
-def errors(scene: Simulation, found: PeopleCalibration) -> list[tuple[float, float]]:
+def errors(scene, found):
     """Degrees and m of each camera in the first one's frame."""
     true = {camera.name: camera.pose for camera in scene.cameras}
     first = found.cameras[0]
@@ -64,7 +61,7 @@ def errors(scene: Simulation, found: PeopleCalibration) -> list[tuple[float, flo
     return rows
 
 
-def test_poses_and_clocks_from_nothing(scene: Simulation, nothing: Path) -> None:
+def test_poses_and_clocks_from_nothing(scene, nothing):
     found = calibrated(nothing)
     assert (found.verdict, found.gauge, found.fixed_frame) == ("good", "floor", "world")
     for degrees, metres in errors(scene, found):
@@ -74,7 +71,7 @@ def test_poses_and_clocks_from_nothing(scene: Simulation, nothing: Path) -> None
         assert camera.clock_s == pytest.approx(-CLOCKS[camera.name], abs=0.005)
 
 
-def test_without_transforms_the_people_stand_on_the_floor(nothing: Path) -> None:
+def test_without_transforms_the_people_stand_on_the_floor(nothing):
     found = calibrated(nothing)
     first = found.cameras[0].pose
     assert first.translation == pytest.approx([0.0, 0.0, 2.0], abs=0.08)
@@ -82,9 +79,7 @@ def test_without_transforms_the_people_stand_on_the_floor(nothing: Path) -> None
     assert level == pytest.approx([2.0] * 3, abs=0.15)
 
 
-def test_a_detector_that_takes_left_for_right_does_not_matter(
-    scene: Simulation, tmp_path: Path
-) -> None:
+def test_a_detector_that_takes_left_for_right_does_not_matter(scene, tmp_path):
     mirror = symmetry_of(scene.model).mirror
     frames = [
         mirrored(frame, mirror) if frame.source == "camera_1" else frame
@@ -95,9 +90,7 @@ def test_a_detector_that_takes_left_for_right_does_not_matter(
     assert max(degrees for degrees, _ in errors(scene, found)) < 0.7
 
 
-def test_a_camera_that_was_moved_is_put_right_and_the_others_stay(
-    scene: Simulation, tmp_path: Path
-) -> None:
+def test_a_camera_that_was_moved_is_put_right_and_the_others_stay(scene, tmp_path):
     true = {camera.name: camera.pose for camera in scene.cameras}
     turn = np.array([0.0, np.sin(np.radians(2.0)), 0.0, np.cos(np.radians(2.0))])
     moved = Rigid(multiply(turn, true["camera_2"].xyzw), true["camera_2"].translation + 0.06)
@@ -111,9 +104,7 @@ def test_a_camera_that_was_moved_is_put_right_and_the_others_stay(
     assert max(by_name[name].moved_deg for name in ("camera_0", "camera_1")) < 0.5
 
 
-def test_cameras_that_see_people_one_after_the_other_give_no_pose(
-    scene: Simulation, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_cameras_that_see_people_one_after_the_other_give_no_pose(scene, tmp_path, capsys):
     frames = list(scene.detections)
     half = np.median([frame.stamp for frame in frames])
     apart = [
@@ -128,7 +119,7 @@ def test_cameras_that_see_people_one_after_the_other_give_no_pose(
     assert not target.exists()
 
 
-def test_a_camera_that_sees_nobody_leaves_the_others(scene: Simulation, tmp_path: Path) -> None:
+def test_a_camera_that_sees_nobody_leaves_the_others(scene, tmp_path):
     frames = [
         frame.select([]) if frame.source == "camera_0" else frame for frame in scene.detections
     ]
@@ -139,7 +130,7 @@ def test_a_camera_that_sees_nobody_leaves_the_others(scene: Simulation, tmp_path
     assert found.cameras[0].pose is None
 
 
-def test_another_person_in_each_camera_is_not_believed(scene: Simulation, tmp_path: Path) -> None:
+def test_another_person_in_each_camera_is_not_believed(scene, tmp_path):
     other = simulated(cameras=3, seed=502)
     frames = [frame for frame in scene.detections if frame.source == "camera_0"]
     frames += [frame for frame in other.detections if frame.source == "camera_1"]
@@ -147,7 +138,7 @@ def test_another_person_in_each_camera_is_not_believed(scene: Simulation, tmp_pa
     assert {camera.verdict for camera in found.cameras} <= {"doubtful", "impossible"}
 
 
-def test_who_walks_round_and_round_on_another_clock_may_be_a_stranger(tmp_path: Path) -> None:
+def test_who_walks_round_and_round_on_another_clock_may_be_a_stranger(tmp_path):
     round_and_round = simulated(cameras=2, seed=3, action="walk")
     for seconds, verdict in ((0.0, "good"), (0.8, "doubtful")):
         frames = [
@@ -158,7 +149,7 @@ def test_who_walks_round_and_round_on_another_clock_may_be_a_stranger(tmp_path: 
         assert found.verdict == verdict, found.reason
 
 
-def test_standard_errors_hold_where_errors_last() -> None:
+def test_standard_errors_hold_where_errors_last():
     rng = np.random.default_rng(0)
     ratios = []
     for _ in range(20):
@@ -177,7 +168,7 @@ def test_standard_errors_hold_where_errors_last() -> None:
     assert 0.5 < np.sqrt(np.mean(np.square(ratios))) < 1.3
 
 
-def test_somebody_who_stands_still_tells_no_clock(scene: Simulation, tmp_path: Path) -> None:
+def test_somebody_who_stands_still_tells_no_clock(scene, tmp_path):
     rng = np.random.default_rng(5)
     pose = next(scene.truth).markers
     cameras = {camera.name: camera for camera in scene.cameras}
@@ -193,21 +184,19 @@ def test_somebody_who_stands_still_tells_no_clock(scene: Simulation, tmp_path: P
     assert all(np.isnan(camera.clock_s) for camera in found.cameras)
 
 
-def test_one_camera_is_refused(scene: Simulation, tmp_path: Path) -> None:
+def test_one_camera_is_refused(scene, tmp_path):
     frames = [frame for frame in scene.detections if frame.source == "camera_0"]
     with pytest.raises(LogError, match="one camera only"):
         calibrated(write(tmp_path / "lab.mcap", frames, scene.model))
 
 
-def test_cameras_in_one_frame_are_refused(scene: Simulation, tmp_path: Path) -> None:
+def test_cameras_in_one_frame_are_refused(scene, tmp_path):
     frames = [frame.replace(frame_id="world") for frame in scene.detections]
     with pytest.raises(LogError, match="same frame 'world'"):
         calibrated(write(tmp_path / "lab.mcap", frames, scene.model))
 
 
-def test_a_log_without_transforms_is_processed_with_the_poses_found(
-    nothing: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_log_without_transforms_is_processed_with_the_poses_found(nothing, tmp_path, capsys):
     target, out = tmp_path / "cameras.toml", tmp_path / "out.mcap"
     assert run(["calibrate", "people", str(nothing), "-o", str(target)]) == 0
     text = capsys.readouterr().out
@@ -218,9 +207,7 @@ def test_a_log_without_transforms_is_processed_with_the_poses_found(
     assert run([*arguments, "--stages", "T"]) == 0
 
 
-def test_json_has_poses_clocks_and_errors(
-    nothing: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_json_has_poses_clocks_and_errors(nothing, capsys):
     assert run(["calibrate", "people", str(nothing), "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert data["verdict"] == "good"
@@ -231,14 +218,14 @@ def test_json_has_poses_clocks_and_errors(
     assert data["joints"]["PELVIS"] < 60.0
 
 
-def test_a_file_of_somebody_else_is_not_overwritten(nothing: Path, tmp_path: Path) -> None:
+def test_a_file_of_somebody_else_is_not_overwritten(nothing, tmp_path):
     target = tmp_path / "cameras.toml"
     target.write_text("mine = 1\n")
     assert run(["calibrate", "people", str(nothing), "-o", str(target)]) == 2
     assert target.read_text() == "mine = 1\n"
 
 
-def jolted(frame: Frame, shift: float) -> Frame:
+def jolted(frame, shift):
     """The frame of a camera that was moved by some m."""
     markers = np.array(frame.markers)
     markers[:, :, :3] += [0.0, shift, 0.0]
@@ -246,7 +233,7 @@ def jolted(frame: Frame, shift: float) -> Frame:
 
 
 @pytest.fixture(scope="module")
-def moved(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, float]:
+def moved(tmp_path_factory):
     """A log whose third camera is moved by 0.3 m, and when."""
     scene = simulated(cameras=3, seed=3, action="eight", seconds=24.0)
     frames = list(scene.detections)
@@ -260,7 +247,7 @@ def moved(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, float]:
     return path, (at - start) / 1e9
 
 
-def test_a_camera_that_was_moved_gets_two_poses(moved: tuple[Path, float]) -> None:
+def test_a_camera_that_was_moved_gets_two_poses(moved):
     path, at = moved
     found = calibrated(path)
     before, after = (camera for camera in found.cameras if camera.name == "camera_2")
@@ -271,7 +258,7 @@ def test_a_camera_that_was_moved_gets_two_poses(moved: tuple[Path, float]) -> No
     assert sum(camera.name == "camera_1" for camera in found.cameras) == 1
 
 
-def test_the_file_and_the_copy_hold_both_poses(moved: tuple[Path, float], tmp_path: Path) -> None:
+def test_the_file_and_the_copy_hold_both_poses(moved, tmp_path):
     toml, copy = tmp_path / "cameras.toml", tmp_path / "copy.mcap"
     arguments = ["calibrate", "people", str(moved[0]), "-o", str(toml)]
     assert run([*arguments, "--write-log", str(copy)]) == 0
@@ -284,7 +271,7 @@ def test_the_file_and_the_copy_hold_both_poses(moved: tuple[Path, float], tmp_pa
         assert step.translation == pytest.approx([0.0, -0.3, 0.0], abs=0.02)
 
 
-def test_the_copy_has_right_stamps_and_everything_else(nothing: Path, tmp_path: Path) -> None:
+def test_the_copy_has_right_stamps_and_everything_else(nothing, tmp_path):
     copy = tmp_path / "copy.mcap"
     assert run(["calibrate", "people", str(nothing), "--write-log", str(copy), "--json"]) == 0
     with open_log(nothing) as old, open_log(copy) as new:
@@ -297,7 +284,7 @@ def test_the_copy_has_right_stamps_and_everything_else(nothing: Path, tmp_path: 
 
 
 @pytest.mark.parametrize(("names", "who"), [("ab", "b (or the other camera)"), ("abc", "c")])
-def test_of_two_cameras_either_may_have_been_moved(names: str, who: str) -> None:
+def test_of_two_cameras_either_may_have_been_moved(names, who):
     cameras = [CalibratedCamera(name, name) for name in names]
     cameras += [replace(cameras[-1], since_s=3.0)]
     assert f"{who} was moved 3.0 s after the start" in list(_notes(cameras))

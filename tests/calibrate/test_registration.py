@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,25 +11,19 @@ from scipy.spatial.transform import Rotation
 from hiros_mcap.body.rotations import rotate, to_matrix
 from hiros_mcap.calibrate.registration import board_frame, common_frames, fit_sphere, rigid_fit
 from hiros_mcap.errors import HirosError, RegistrationError
-from hiros_mcap.skeletons import Floats, Stamps
+from hiros_mcap.skeletons import Floats
 
 TURN = Rotation.from_euler("xyz", [0.4, -0.9, 2.1])
 SHIFT = np.array([1.5, -2.0, 0.7])
 RADIUS = 0.24  # m, the paper's ball
 
 
-def ball(n: int, seed: int = 1) -> Floats:
+def ball(n, seed=1):
     """Where somebody carried a ball."""
     return np.random.default_rng(seed).uniform([-1.5, -1.5, 0.2], [1.5, 1.5, 2.0], (n, 3))
 
 
-def seen_ball(
-    centre: Floats,
-    rng: np.random.Generator,
-    n: int = 2000,
-    outliers: float = 0.3,
-    noise: float = 0.004,
-) -> Floats:
+def seen_ball(centre, rng, n=2000, outliers=0.3, noise=0.004):
     """Points (n, 3) of the side of the ball that faces a sensor at the origin, and outliers."""
     directions = rng.normal(size=(40 * n, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -44,7 +36,7 @@ def seen_ball(
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_partial_sphere_with_outliers(seed: int) -> None:
+def test_partial_sphere_with_outliers(seed):
     """One side only, 30 % outliers, 4 mm of noise: the centre within 3 mm."""
     rng = np.random.default_rng(seed)
     centre = rng.uniform([-1.0, -1.0, 1.5], [1.0, 1.0, 4.0])
@@ -55,7 +47,7 @@ def test_partial_sphere_with_outliers(seed: int) -> None:
     assert 0.003 < fit.rms < 0.005
 
 
-def test_outliers_of_one_kind() -> None:
+def test_outliers_of_one_kind():
     """A wall behind the ball, the arm that holds it, and half of the ball hidden by somebody."""
     rng = np.random.default_rng(7)
     centre = np.array([0.3, -0.2, 2.5])
@@ -67,7 +59,7 @@ def test_outliers_of_one_kind() -> None:
     assert np.linalg.norm(fit.centre - centre) < 0.003
 
 
-def test_without_noise_it_is_exact() -> None:
+def test_without_noise_it_is_exact():
     """Far from the origin as well, and absent points are no inliers."""
     rng = np.random.default_rng(3)
     centre = np.array([20.0, -30.0, 40.0])
@@ -80,12 +72,12 @@ def test_without_noise_it_is_exact() -> None:
     assert fit.rms < 1e-9
 
 
-def test_no_centre_fits_the_inliers_better() -> None:
+def test_no_centre_fits_the_inliers_better():
     rng = np.random.default_rng(4)
     points = seen_ball(np.array([0.1, 0.4, 2.0]), rng)
     fit = fit_sphere(points, RADIUS)
 
-    def cost(centre: Floats) -> float:
+    def cost(centre):
         rest = np.linalg.norm(points[fit.inliers] - centre, axis=1) - RADIUS
         return float(np.sqrt(np.mean(rest**2)))
 
@@ -94,14 +86,14 @@ def test_no_centre_fits_the_inliers_better() -> None:
         assert cost(fit.centre + rng.normal(0, 0.0005, 3)) > fit.rms
 
 
-def test_the_same_seed_gives_the_same_centre() -> None:
+def test_the_same_seed_gives_the_same_centre():
     points = seen_ball(np.array([0.0, 0.0, 2.0]), np.random.default_rng(5))
     first, again, other = (fit_sphere(points, RADIUS, seed=seed) for seed in (1, 1, 2))
     assert (first.centre == again.centre).all()
     assert other.centre == pytest.approx(first.centre, abs=1e-4)
 
 
-def test_the_sphere_moves_with_the_points() -> None:
+def test_the_sphere_moves_with_the_points():
     points = seen_ball(np.array([0.0, 0.0, 2.0]), np.random.default_rng(6))
     moved = fit_sphere(TURN.apply(points) + SHIFT, RADIUS)
     assert moved.centre == pytest.approx(
@@ -123,22 +115,22 @@ def test_the_sphere_moves_with_the_points() -> None:
         (np.outer(np.arange(9.0), [1.0, 2.0, 3.0]), {}, "no sphere"),
     ],
 )
-def test_no_sphere(points: Floats, options: dict[str, Any], fault: str) -> None:
+def test_no_sphere(points, options, fault):
     with pytest.raises(RegistrationError, match=fault):
         fit_sphere(points, RADIUS, **options)
     assert issubclass(RegistrationError, HirosError)
 
 
-def stamps_of(*milliseconds: float) -> Stamps:
+def stamps_of(*milliseconds):
     return 1_700_000_000_000_000_000 + np.array([round(ms * 1e6) for ms in milliseconds], np.int64)
 
 
-def marked(stamps: Stamps, sensor: int) -> Floats:
+def marked(stamps, sensor):
     """Centres that tell the sensor and the frame that they come from."""
     return np.stack([np.full(len(stamps), float(sensor)), np.arange(len(stamps)), stamps * 0], 1)
 
 
-def test_only_frames_seen_by_all_sensors() -> None:
+def test_only_frames_seen_by_all_sensors():
     """Three sensors a few ms apart; one misses the ball, one a message, one starts late."""
     stamps = [
         stamps_of(0, 33, 67, 100, 133, 167),
@@ -153,7 +145,7 @@ def test_only_frames_seen_by_all_sensors() -> None:
     assert (common.stamps - stamps_of(0)).tolist() == [99_666_667, 166_666_667]
 
 
-def test_the_order_of_frames_and_sensors_does_not_matter() -> None:
+def test_the_order_of_frames_and_sensors_does_not_matter():
     rng = np.random.default_rng(8)
     stamps = [stamps_of(*np.sort(33.3 * rng.permutation(50)[:40] + 2.0 * s)) for s in range(3)]
     centres = [marked(times, sensor) for sensor, times in enumerate(stamps)]
@@ -171,7 +163,7 @@ def test_the_order_of_frames_and_sensors_does_not_matter() -> None:
     assert (turned.stamps == common.stamps).all()
 
 
-def test_each_frame_is_used_once() -> None:
+def test_each_frame_is_used_once():
     """A sensor of twice the rate, and one that repeats a time stamp."""
     stamps = [stamps_of(0, 16, 33, 50, 67), stamps_of(1, 34, 34, 68)]
     for order in (slice(None), slice(None, None, -1)):
@@ -182,7 +174,7 @@ def test_each_frame_is_used_once() -> None:
         assert slow[:, 1].tolist() == [0.0, 1.0, 3.0]
 
 
-def test_the_span_of_an_instant_is_bounded() -> None:
+def test_the_span_of_an_instant_is_bounded():
     """Each of two sensors is near enough to the first, but not to each other."""
     stamps = [stamps_of(10), stamps_of(0), stamps_of(20)]
     centres = [marked(times, sensor) for sensor, times in enumerate(stamps)]
@@ -190,7 +182,7 @@ def test_the_span_of_an_instant_is_bounded() -> None:
     assert common_frames(stamps, centres, max_delta_time=0.02).centres.shape == (3, 1, 3)
 
 
-def test_nothing_in_common() -> None:
+def test_nothing_in_common():
     stamps = [stamps_of(0, 33), stamps_of(), stamps_of(0, 33)]
     common = common_frames(stamps, [marked(times, 0) for times in stamps])
     assert common.stamps.shape == (0,)
@@ -207,14 +199,12 @@ def test_nothing_in_common() -> None:
         ([stamps_of(0)] * 2, [np.zeros((1, 3)), np.zeros((2, 3))], "stamps"),
     ],
 )
-def test_stamps_and_centres_must_fit(
-    stamps: list[Stamps], centres: list[Floats], fault: str
-) -> None:
+def test_stamps_and_centres_must_fit(stamps, centres, fault):
     with pytest.raises(RegistrationError, match=fault):
         common_frames(stamps, centres)
 
 
-def test_from_clouds_to_poses() -> None:
+def test_from_clouds_to_poses():
     """A ball held at 40 places in front of three sensors, hidden from one of them now and then.
 
     Each sensor's pose in the first one's frame: rotation within 0.1 degrees, translation within
@@ -248,7 +238,7 @@ def test_from_clouds_to_poses() -> None:
         assert np.linalg.norm(pose.translation - shift) < 0.003
 
 
-def test_thousand_noisy_points() -> None:
+def test_thousand_noisy_points():
     """1000 points with 5 mm of noise: rotation within 0.1 degrees, translation within 2 mm."""
     points = ball(1000)
     noise = np.random.default_rng(2).normal(0, 0.005, points.shape)
@@ -268,12 +258,12 @@ def test_thousand_noisy_points() -> None:
         (ball(4)[:, :2], "shape"),
     ],
 )
-def test_too_few_or_collinear_points(points: Floats, fault: str) -> None:
+def test_too_few_or_collinear_points(points, fault):
     with pytest.raises(RegistrationError, match=fault):
         rigid_fit(points, points)
 
 
-def test_pairs_that_one_sensor_missed_are_left_out() -> None:
+def test_pairs_that_one_sensor_missed_are_left_out():
     points = ball(10)
     goal = TURN.apply(points) + SHIFT
     goal[4] = np.nan
@@ -281,7 +271,7 @@ def test_pairs_that_one_sensor_missed_are_left_out() -> None:
 
 
 @given(st.integers(0, 10_000))
-def test_never_a_reflection(seed: int) -> None:
+def test_never_a_reflection(seed):
     """Flat points with noise, and mirrored ones, tempt the decomposition to a reflection."""
     rng = np.random.default_rng(seed)
     flat = rng.normal(0, [1.0, 1.0, 1e-6], (5, 3))
@@ -291,7 +281,7 @@ def test_never_a_reflection(seed: int) -> None:
         assert matrix @ matrix.T == pytest.approx(np.eye(3))
 
 
-def test_not_the_printed_formula() -> None:
+def test_not_the_printed_formula():
     """The printed R is the inverse rotation, and the printed T lacks R."""
     points = ball(20)
     pose = rigid_fit(points, TURN.apply(points) + SHIFT)
@@ -299,13 +289,13 @@ def test_not_the_printed_formula() -> None:
     assert rotate(pose.xyzw, points) + pose.translation == pytest.approx(TURN.apply(points) + SHIFT)
 
 
-def test_no_rigid_transform_fits_better() -> None:
+def test_no_rigid_transform_fits_better():
     rng = np.random.default_rng(5)
     points = ball(30)
     goal = TURN.apply(points) + SHIFT + rng.normal(0, 0.1, points.shape)
     pose = rigid_fit(points, goal)
 
-    def cost(turn: Rotation, shift: Floats) -> float:
+    def cost(turn, shift):
         return float(np.sum((goal - turn.apply(points) - shift) ** 2))
 
     best = cost(Rotation.from_quat(pose.xyzw), pose.translation)
@@ -314,7 +304,7 @@ def test_no_rigid_transform_fits_better() -> None:
         assert cost(turn, pose.translation + rng.normal(0, 0.01, 3)) > best
 
 
-def test_board_pose() -> None:
+def test_board_pose():
     """Markers 0, 1, 2 of a board that lies on the floor, seen from a camera; y a little askew."""
     board = np.array([[0.02, 0.3, 0.0], [0.0, 0.0, 0.0], [0.4, 0.0, 0.0], [0.4, 0.3, 0.0]])
     pose = board_frame(TURN.apply(board) + SHIFT)
@@ -328,6 +318,6 @@ def test_board_pose() -> None:
 @pytest.mark.parametrize(
     "centres", [np.eye(3)[:2], np.full((4, 3), np.nan), np.outer([1, 2, 3], [1, 1, 0])]
 )
-def test_not_a_board(centres: Floats) -> None:
+def test_not_a_board(centres):
     with pytest.raises(RegistrationError, match="markers"):
         board_frame(centres)

@@ -16,22 +16,22 @@ from hiros_mcap import __version__
 HIROS = [sys.executable, "-m", "hiros_cli"]
 
 
-def hiros(*arguments: str, **options: object) -> subprocess.CompletedProcess[str]:
+def hiros(*arguments, **options):
     return subprocess.run(  # type: ignore[call-overload, no-any-return]
         [*HIROS, *arguments], capture_output=True, text=True, check=False, **options
     )
 
 
-def test_version() -> None:
+def test_version():
     assert hiros("--version").stdout == f"hiros {__version__}\n"
 
 
-def python(code: str) -> str:
+def python(code):
     command = [sys.executable, "-c", code]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
-def test_help_names_every_command_and_imports_nothing_heavy() -> None:
+def test_help_names_every_command_and_imports_nothing_heavy():
     code = "import sys; from hiros_cli.app import run; run(['--help']); print(sorted(sys.modules))"
     text = python(code)
     assert all(name in text for name in ("process", "info", "simulate", "config", "warmup"))
@@ -50,9 +50,7 @@ def test_help_names_every_command_and_imports_nothing_heavy() -> None:
         (["process", "/"], "with many logs, name a folder for the results: -o FOLDER"),
     ],
 )
-def test_wrong_usage_is_one_line_and_exit_code_2(
-    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_usage_is_one_line_and_exit_code_2(arguments, said, capsys):
     assert app.run(arguments) == 2
     out, err = capsys.readouterr()
     assert out == ""
@@ -61,13 +59,13 @@ def test_wrong_usage_is_one_line_and_exit_code_2(
     assert err.count("\n") == 1
 
 
-def test_no_description_of_a_command_is_cut_at_80_columns() -> None:
+def test_no_description_of_a_command_is_cut_at_80_columns():
     text = hiros("--help", env={**os.environ, "COLUMNS": "80"}).stdout
     assert "..." not in text.partition("Commands:")[2]
     assert max(map(len, text.splitlines())) <= 80
 
 
-def test_no_command_shows_the_help() -> None:
+def test_no_command_shows_the_help():
     result = hiros()
     assert result.returncode == 2
     assert result.stdout.startswith("Usage: hiros")
@@ -82,14 +80,8 @@ def test_no_command_shows_the_help() -> None:
         (KeyError("tibia"), 70, "(this is a fault of hiros, not of your input; "),
     ],
 )
-def test_every_fault_ends_as_one_line(
-    error: Exception,
-    code: int,
-    said: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    def dispatch(_: list[str]) -> int:
+def test_every_fault_ends_as_one_line(error, code, said, monkeypatch, capsys):
+    def dispatch(_):
         raise error
 
     monkeypatch.setattr("hiros_cli.commands.dispatch", dispatch)
@@ -100,7 +92,7 @@ def test_every_fault_ends_as_one_line(
 
 
 @pytest.mark.parametrize("kib", [60_000, 100_000, 180_000, 300_000, 450_000])
-def test_too_little_memory_is_one_line(kib: int, walking: Path, tmp_path: Path) -> None:
+def test_too_little_memory_is_one_line(kib, walking, tmp_path):
     limited = f'ulimit -v {kib}; exec "$@"'
     command = ["bash", "-c", limited, "bash", *HIROS, "process", str(walking), "-o", "out.mcap"]
     result = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
@@ -110,21 +102,21 @@ def test_too_little_memory_is_one_line(kib: int, walking: Path, tmp_path: Path) 
     assert not list(tmp_path.iterdir())
 
 
-def test_a_pipe_is_refused_at_once(tmp_path: Path) -> None:
+def test_a_pipe_is_refused_at_once(tmp_path):
     os.mkfifo(tmp_path / "fifo.mcap")
     result = hiros("process", str(tmp_path / "fifo.mcap"), timeout=20)
     assert result.returncode == 2
     assert "is not a regular file" in result.stderr
 
 
-def test_debug_shows_where_an_error_comes_from() -> None:
+def test_debug_shows_where_an_error_comes_from():
     result = hiros("process", "missing.mcap", "--debug")
     assert result.returncode == 2
     assert "Traceback" in result.stderr
     assert result.stderr.splitlines()[-1].startswith("hiros: error: ")
 
 
-def test_a_reader_that_leaves_is_no_error() -> None:
+def test_a_reader_that_leaves_is_no_error():
     reader, writer = os.pipe()
     os.close(reader)
     result = subprocess.run([*HIROS, "--help"], stdout=writer, stderr=subprocess.PIPE, check=False)
@@ -133,7 +125,7 @@ def test_a_reader_that_leaves_is_no_error() -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_disk_behind_stdout_is_one_line() -> None:
+def test_a_full_disk_behind_stdout_is_one_line():
     with Path("/dev/full").open("w") as full:
         result = subprocess.run(
             [*HIROS, "--version"], stdout=full, stderr=subprocess.PIPE, text=True, check=False
@@ -142,7 +134,7 @@ def test_a_full_disk_behind_stdout_is_one_line() -> None:
     assert result.stderr == "hiros: error: No space left on device\n"
 
 
-def test_closed_standard_streams_are_no_error() -> None:
+def test_closed_standard_streams_are_no_error():
     result = subprocess.run(
         ["sh", "-c", '"$0" -m hiros_cli --version <&- >&- 2>&-', sys.executable], check=False
     )
@@ -150,7 +142,7 @@ def test_closed_standard_streams_are_no_error() -> None:
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
-def test_a_signal_stops_the_compilation_without_a_traceback(name: str, tmp_path: Path) -> None:
+def test_a_signal_stops_the_compilation_without_a_traceback(name, tmp_path):
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "HIROS_KERNELS": "compile"}
     with subprocess.Popen([*HIROS, "warmup"], stderr=subprocess.PIPE, env=environment) as run:
         assert run.stderr is not None
@@ -160,7 +152,7 @@ def test_a_signal_stops_the_compilation_without_a_traceback(name: str, tmp_path:
     assert run.returncode == 128 + getattr(signal, name)
 
 
-def test_a_signal_that_the_parent_ignores_stays_ignored() -> None:
+def test_a_signal_that_the_parent_ignores_stays_ignored():
     code = (
         "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
         "from hiros_cli.app import Stop; Stop().catch()\n"
@@ -225,7 +217,7 @@ sys.exit(code)
 
 
 @pytest.mark.parametrize("where", ["in_del", "as_another_error", "in_the_report", "with_a_lock"])
-def test_a_signal_anywhere_ends_the_program_silently(where: str) -> None:
+def test_a_signal_anywhere_ends_the_program_silently(where):
     command = [sys.executable, "-c", INTERRUPTED, where]
     result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=20)
     assert (result.returncode, result.stdout, result.stderr) == (129, "", "")

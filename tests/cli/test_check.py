@@ -15,7 +15,7 @@ from odd_logs import changed
 from hiros_cli.app import run
 from hiros_mcap.config import load_config
 from hiros_mcap.running.pipeline import process
-from hiros_mcap.skeletons import Frame, People
+from hiros_mcap.skeletons import People
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 
@@ -24,7 +24,7 @@ RECORDING = SAMPLES / "one_person_walking.mcap"
 
 
 @pytest.fixture(scope="module")
-def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def output(tmp_path_factory):
     out = tmp_path_factory.mktemp("check") / "out.mcap"
     exact = load_config(overrides=["output.precision=full"])
     process(SAMPLES / "one_person_walking.mcap", out, config=exact)
@@ -32,15 +32,15 @@ def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def suite(tmp_path: Path) -> Path:
+def suite(tmp_path):
     shutil.copy(SAMPLES / "one_person_walking.mcap", tmp_path)
     path = tmp_path / "suite.toml"
     path.write_text('[[log]]\ninput = "one_person_walking.mcap"\nrequire = ["people = 1"]\n')
     return path
 
 
-def test_a_result_without_orientations_equals_its_golden_log(tmp_path: Path) -> None:
-    def position_only(frame: Frame, _: int) -> Frame:
+def test_a_result_without_orientations_equals_its_golden_log(tmp_path):
+    def position_only(frame, _):
         return frame.replace(links=np.full_like(frame.links, np.nan))
 
     log = changed(SAMPLES / "one_person_walking.mcap", tmp_path / "log.mcap", position_only)
@@ -50,7 +50,7 @@ def test_a_result_without_orientations_equals_its_golden_log(tmp_path: Path) -> 
     assert run(["check", str(out), "--golden", str(golden)]) == 0
 
 
-def test_a_result_in_the_folder_of_a_bag_is_a_result(output: Path, tmp_path: Path) -> None:
+def test_a_result_in_the_folder_of_a_bag_is_a_result(output, tmp_path):
     folder, golden = tmp_path / "bag", tmp_path / "golden.mcap"
     exact = load_config(overrides=["output.precision=full"])
     process(RECORDING, f"{folder}/", config=exact)
@@ -60,10 +60,8 @@ def test_a_result_in_the_folder_of_a_bag_is_a_result(output: Path, tmp_path: Pat
 
 
 @pytest.mark.parametrize("keep", [True, False])
-def test_the_result_of_an_empty_room_is_checked_and_scored_against_a_truth(
-    keep: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def nobody(frame: Frame, _: int) -> Frame:
+def test_the_result_of_an_empty_room_is_checked_and_scored_against_a_truth(keep, tmp_path, capsys):
+    def nobody(frame, _):
         return frame.replace(people=People(*(array[:0] for array in frame.people)))
 
     log = changed(RECORDING, tmp_path / "log.mcap", nobody, keep=keep)
@@ -81,13 +79,11 @@ def test_the_result_of_an_empty_room_is_checked_and_scored_against_a_truth(
     assert "there is nobody in /hiros/filtered" in capsys.readouterr().err
 
 
-def test_a_result_of_full_precision_equals_itself(output: Path) -> None:
+def test_a_result_of_full_precision_equals_itself(output):
     assert run(["check", str(output), "--golden", str(output)]) == 0
 
 
-def test_bless_check_and_differ(
-    output: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bless_check_and_differ(output, tmp_path, capsys):
     golden, tolerances = tmp_path / "golden.mcap", tmp_path / "t.toml"
     assert run(["check", str(output), "--golden", str(golden), "--bless"]) == 0
     assert "accepted: a new golden file" in capsys.readouterr().out
@@ -106,9 +102,7 @@ def test_bless_check_and_differ(
     assert 0 < float(largest[1]) <= 1.1e-4  # golden files have 0.1 um
 
 
-def test_a_suite_with_reports(
-    suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_suite_with_reports(suite, tmp_path, capsys):
     junit, markdown, kept = tmp_path / "j.xml", tmp_path / "m.md", tmp_path / "kept"
     reports = ["--junit", str(junit), "--markdown", str(markdown), "--keep", str(kept)]
     assert run(["check", str(suite), *reports]) == 0
@@ -123,9 +117,7 @@ def test_a_suite_with_reports(
     assert run(["check", str(suite)]) == 2
 
 
-def test_quiet_leaves_the_exit_code_and_errors(
-    suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_quiet_leaves_the_exit_code_and_errors(suite, tmp_path, capsys):
     assert run(["check", str(suite), "-q"]) == 0
     assert capsys.readouterr() == ("", "")
     assert run(["check", str(suite), "-q", "--json"]) == 0
@@ -156,13 +148,7 @@ def test_quiet_leaves_the_exit_code_and_errors(
         (["/nowhere/suite.toml"], "/nowhere/suite.toml"),
     ],
 )
-def test_faults_are_one_line(
-    output: Path,
-    suite: Path,
-    capsys: pytest.CaptureFixture[str],
-    arguments: list[str],
-    fault: str,
-) -> None:
+def test_faults_are_one_line(output, suite, capsys, arguments, fault):
     assert (
         run(
             [

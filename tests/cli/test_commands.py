@@ -34,9 +34,7 @@ from hiros_mcap.kernels import shipped
 from hiros_mcap.simulate import SimulateParams
 
 
-def test_info_tells_cameras_frames_and_skeleton(
-    crossing: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_info_tells_cameras_frames_and_skeleton(crossing, capsys):
     assert run(["info", str(crossing)]) == 0
     text = capsys.readouterr().out
     assert "32 markers, 31 links" in text
@@ -44,7 +42,7 @@ def test_info_tells_cameras_frames_and_skeleton(
     assert text.count("(resolved)") == 3
 
 
-def test_info_as_json(crossing: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_as_json(crossing, capsys):
     assert run(["info", str(crossing), "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert data["fixed_frame"] == "world"
@@ -55,9 +53,7 @@ def test_info_as_json(crossing: Path, capsys: pytest.CaptureFixture[str]) -> Non
         assert camera["frame"] == camera["name"]
 
 
-def test_info_says_which_frame_does_not_resolve(
-    crossing: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_info_says_which_frame_does_not_resolve(crossing, tmp_path, capsys):
     extrinsics = tmp_path / "cameras.toml"
     poses = "translation = [0.0, 0.0, 2.5]\nquaternion_xyzw = [0.0, 0.0, 0.0, 1.0]\n"
     names = ("camera_0", "camera_1")
@@ -68,7 +64,7 @@ def test_info_says_which_frame_does_not_resolve(
     assert "camera_2" in data["fault"]
 
 
-def test_simulate_twice_gives_the_same_bytes_and_a_readable_log(tmp_path: Path) -> None:
+def test_simulate_twice_gives_the_same_bytes_and_a_readable_log(tmp_path):
     options = ["--seconds", "0.5", "--people", "1", "--cameras", "2", "--seed", "3", "-q"]
     for name in ("a.mcap", "b.mcap"):
         assert run(["simulate", str(tmp_path / name), *options]) == 0
@@ -92,18 +88,14 @@ def test_simulate_twice_gives_the_same_bytes_and_a_readable_log(tmp_path: Path) 
         (["--rate", "1000", "--seconds", "3600"], "GB of memory, more than 16; make it shorter"),
     ],
 )
-def test_simulate_refuses_in_one_line(
-    options: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_simulate_refuses_in_one_line(options, said, tmp_path, capsys):
     assert run(["simulate", str(tmp_path / "out.mcap"), *options]) == 2
     error = capsys.readouterr().err
     assert said in error
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_help_of_simulate_states_the_defaults_that_hold(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_help_of_simulate_states_the_defaults_that_hold(capsys):
     assert run(["simulate", "--help"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     stated = dict(re.findall(r"--([a-z-]+) (?:(?!--).)*?Default: (\w+)\.", text))
@@ -115,9 +107,7 @@ def test_the_help_of_simulate_states_the_defaults_that_hold(
     assert len(stated) == 12
 
 
-def test_the_help_of_simulate_states_the_bounds_that_hold(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_help_of_simulate_states_the_bounds_that_hold(capsys):
     assert run(["simulate", "--help"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     stated = re.findall(r"--([a-z-]+) (?:(?!--).)*?at most (\d+)\.", text)
@@ -128,9 +118,7 @@ def test_the_help_of_simulate_states_the_bounds_that_hold(
     assert "real depth camera has, at most 100." in text
 
 
-def test_config_prints_what_config_reads(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_config_prints_what_config_reads(tmp_path, capsys):
     assert run(["config", "--preset", "paper", "--set", "filter.cutoff=5"]) == 0
     path = tmp_path / "hiros.toml"
     path.write_text(capsys.readouterr().out)
@@ -138,16 +126,14 @@ def test_config_prints_what_config_reads(
     assert as_printed == load_config(overrides=["filter.cutoff=5"], preset="paper", system="hiros")
 
 
-def test_config_prints_the_sections_of_the_system(capsys: pytest.CaptureFixture[str]) -> None:
+def test_config_prints_the_sections_of_the_system(capsys):
     assert run(["config", "--system", "malaguti", "--all"]) == 0
     sections = tomllib.loads(capsys.readouterr().out).keys()
     assert [*sections] == ["input", "output", "associate", "kalman", "straighten"]
     assert run(["config", "--system", "nobody"]) == 2
 
 
-def test_config_shows_advanced_parameters_if_asked_or_changed(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_config_shows_advanced_parameters_if_asked_or_changed(capsys):
     printed = []
     for options in ([], ["--all"]):
         assert run(["config", *options]) == 0
@@ -160,12 +146,12 @@ def test_config_shows_advanced_parameters_if_asked_or_changed(
         assert f"# {n} advanced parameters have their defaults; --all shows them." in printed[0]
 
 
-def test_warmup_says_when_it_is_done(capsys: pytest.CaptureFixture[str]) -> None:
+def test_warmup_says_when_it_is_done(capsys):
     assert run(["warmup"]) == 0
     assert capsys.readouterr().out.startswith("kernels ready after ")
 
 
-def test_every_kernel_with_a_signature_is_found() -> None:
+def test_every_kernel_with_a_signature_is_found():
     for name, source in kernels.sources().items():
         module = import_module(name)
         compiled = [kernel for kernel in vars(module).values() if getattr(kernel, "signatures", ())]
@@ -175,7 +161,7 @@ def test_every_kernel_with_a_signature_is_found() -> None:
     assert not {"bytes", "compile", "__init__", "track"} & names
 
 
-def test_imports_at_the_top_level_are_found() -> None:
+def test_imports_at_the_top_level_are_found():
     source = (
         "from hiros_mcap.kernels import cdr, batch as b  # both\n"
         "from hiros_mcap.frames import (\n    Block,\n    join,\n)\n"
@@ -187,7 +173,7 @@ def test_imports_at_the_top_level_are_found() -> None:
     assert not any("drawing" in name for name in names)
 
 
-def test_no_kernel_is_compiled_by_two_processes() -> None:
+def test_no_kernel_is_compiled_by_two_processes():
     sources = kernels.sources()
     groups = independent(sources)
     assert sorted(chain(*groups)) == sorted(sources)
@@ -196,22 +182,20 @@ def test_no_kernel_is_compiled_by_two_processes() -> None:
             assert sources.keys() & kernels.imported(sources[name]) <= {*group}
 
 
-def test_modules_that_share_a_third_are_compiled_together() -> None:
+def test_modules_that_share_a_third_are_compiled_together():
     use, other = "from hiros_mcap.a import f", "longer than all others" * 9
     texts = {"hiros_mcap.a": "", "hiros_mcap.b": use, "hiros_mcap.c": use, "hiros_mcap.d": other}
     groups = [["hiros_mcap.d"], ["hiros_mcap.a", "hiros_mcap.b", "hiros_mcap.c"]]
     assert independent(texts) == groups
 
 
-def test_two_cores_share_the_compilation() -> None:
+def test_two_cores_share_the_compilation():
     sources = kernels.sources()
     largest = sum(len(sources[name]) for name in independent(sources)[0])
     assert largest < 0.6 * sum(map(len, sources.values()))
 
 
-def test_what_is_compiled_in_advance_is_not_compiled_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_compiled_in_advance_is_not_compiled_again(tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     monkeypatch.setenv("HIROS_KERNELS", "compile")
     found, module = [], "hiros_mcap.kernels.local_line"
@@ -227,9 +211,7 @@ def test_what_is_compiled_in_advance_is_not_compiled_again(
     assert any(path.name.startswith("local_line.") for path in found[0])
 
 
-def test_a_changed_callee_is_compiled_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_changed_callee_is_compiled_again(tmp_path, monkeypatch):
     package = tmp_path / "hiros_mcap"
     shutil.copytree(Path(kernels.__file__).parent.parent, package)
     monkeypatch.setattr(kernels, "_PACKAGE", package)
@@ -244,13 +226,13 @@ def test_a_changed_callee_is_compiled_again(
     assert [a == b for a, b in zip(*folders, strict=True)] == [False, True]
 
 
-def test_a_configuration_needs_no_kernels() -> None:
+def test_a_configuration_needs_no_kernels():
     code = "import sys, hiros_mcap.config; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not {"numba", "scipy", "hiros_mcap.kernels"} & {*done.stdout.split()}
 
 
-def test_a_run_imports_its_own_stages_only(tmp_path: Path) -> None:
+def test_a_run_imports_its_own_stages_only(tmp_path):
     log, out = "sample_data/one_person_walking.mcap", str(tmp_path / "o.mcap")
     code = (
         "import sys; from hiros_cli.app import run; "
@@ -264,16 +246,14 @@ def test_a_run_imports_its_own_stages_only(tmp_path: Path) -> None:
     assert not {"hiros_mcap.kernels.drawing", *(f"{prefix}{name}" for name in others)} & modules
 
 
-def test_nothing_is_collected_while_a_command_imports() -> None:
+def test_nothing_is_collected_while_a_command_imports():
     with importing():
         assert not gc.isenabled()
     assert gc.isenabled()
     gc.unfreeze()
 
 
-def test_where_the_disk_is_full_kernels_go_to_a_folder_of_the_process(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_the_disk_is_full_kernels_go_to_a_folder_of_the_process(tmp_path, monkeypatch):
     monkeypatch.setenv("HIROS_KERNELS", "compile")
     shipped.usable.cache_clear()
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels"))
@@ -286,7 +266,7 @@ def test_where_the_disk_is_full_kernels_go_to_a_folder_of_the_process(
     assert folder.is_dir()
 
 
-def test_nothing_is_taken_from_the_folder_in_which_one_stands(tmp_path: Path) -> None:
+def test_nothing_is_taken_from_the_folder_in_which_one_stands(tmp_path):
     (tmp_path / "multiprocessing.py").write_text("raise SystemExit('taken')")
     for name in ("a.mcap", "b.mcap"):
         (tmp_path / name).write_bytes(b"no log")
@@ -297,7 +277,7 @@ def test_nothing_is_taken_from_the_folder_in_which_one_stands(tmp_path: Path) ->
     assert "taken" not in done.stdout + done.stderr
 
 
-def test_systems_are_listed_once_with_their_chains(capsys: pytest.CaptureFixture[str]) -> None:
+def test_systems_are_listed_once_with_their_chains(capsys):
     assert run(["systems"]) == 0
     rows = [line.split() for line in capsys.readouterr().out.splitlines()[1:]]
     assert sorted(row[0] for row in rows) == sorted(SYSTEM_NAMES)
@@ -307,9 +287,7 @@ def test_systems_are_listed_once_with_their_chains(capsys: pytest.CaptureFixture
     assert [row[0] for row in rows[lee + 1 :]] == ["lee-a1", "lee-a2", "lee-a3", "lee-a4"]
 
 
-def test_calibrate_noise_prints_what_config_reads(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_calibrate_noise_prints_what_config_reads(tmp_path, capsys):
     from hiros_mcap.simulate.write_log import write_log
 
     log, config = tmp_path / "still.mcap", tmp_path / "noise.toml"
@@ -325,9 +303,7 @@ def test_calibrate_noise_prints_what_config_reads(
 
 
 @pytest.mark.parametrize("options", [[], ["--json"]], ids=["toml", "json"])
-def test_calibrate_noise_warns_beside_its_output_when_people_walk(
-    options: list[str], walking: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_calibrate_noise_warns_beside_its_output_when_people_walk(options, walking, capsys):
     assert run(["calibrate", "noise", str(walking), *options]) == 0
     captured = capsys.readouterr()
     assert "hiros: warning: joints scatter by 55 cm about their mean" in captured.err
@@ -341,7 +317,7 @@ COMMANDS = (
 )
 
 
-def test_options_of_a_run_are_in_groups(capsys: pytest.CaptureFixture[str]) -> None:
+def test_options_of_a_run_are_in_groups(capsys):
     assert run(["process", "--help"]) == 0
     text = capsys.readouterr().out
     titles = ["Arguments:", "Output:", "Parameters:", "Input:", "Limb lengths:", "Many logs:"]
@@ -350,7 +326,7 @@ def test_options_of_a_run_are_in_groups(capsys: pytest.CaptureFixture[str]) -> N
 
 
 @pytest.mark.parametrize("line", [line for lines in EXAMPLES.values() for line in lines])
-def test_examples_are_commands(line: str) -> None:
+def test_examples_are_commands(line):
     command: Any = program()
     arguments = shlex.split(line.split(" > ")[0])[1:] if line.startswith("hiros") else []
     while arguments and hasattr(command, "commands"):
@@ -360,16 +336,14 @@ def test_examples_are_commands(line: str) -> None:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_help_names_no_python_types(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_names_no_python_types(command, capsys):
     assert run([*command.split(), "--help"]) == 0
     text = capsys.readouterr().out
     assert not re.findall(r"<\w+|\bPath\b|\{[A-Z]|[<>]=|\[default: \(", text)
     assert max(map(len, text.splitlines())) <= 100
 
 
-def test_the_version_and_help_have_the_spellings_that_people_try(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_version_and_help_have_the_spellings_that_people_try(capsys):
     assert run(["-V"]) == 0
     assert capsys.readouterr().out == f"hiros {__version__}\n"
     assert run(["export", "--help"]) == 0
@@ -382,9 +356,7 @@ def test_the_version_and_help_have_the_spellings_that_people_try(
     assert "people" in capsys.readouterr().out
 
 
-def test_demo_writes_a_log_and_names_what_comes_next(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_demo_writes_a_log_and_names_what_comes_next(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert run(["demo"]) == 0
     first, process, view = capsys.readouterr().out.splitlines()

@@ -19,12 +19,12 @@ LATE = ["--clock", "camera_0=100", "--calibrate", "off"]
 
 
 @pytest.fixture
-def lab(crossing: Path, tmp_path: Path) -> Path:
+def lab(crossing, tmp_path):
     """A log in a folder of its own."""
     return Path(shutil.copy(crossing, tmp_path / "lab.mcap"))
 
 
-def test_a_warning_is_shown_once_whatever_is_logged(lab: Path, capsys: Captured) -> None:
+def test_a_warning_is_shown_once_whatever_is_logged(lab, capsys):
     log_file = lab.with_name("run.log")
     assert run(["process", str(lab), *LATE, "-q", "--verbose", "--log-file", str(log_file)]) == 0
     told = capsys.readouterr().err
@@ -37,13 +37,13 @@ def test_a_warning_is_shown_once_whatever_is_logged(lab: Path, capsys: Captured)
     assert f"{lab}: 0.073 s: track born person 0" in logged
 
 
-def test_without_the_options_nothing_more_is_told(lab: Path, capsys: Captured) -> None:
+def test_without_the_options_nothing_more_is_told(lab, capsys):
     assert run(["process", str(lab), *LATE, "-q"]) == 0
     assert all(line.startswith("hiros: warning: ") for line in capsys.readouterr().err.splitlines())
     assert logging.getLogger("hiros_mcap").level == logging.NOTSET
 
 
-def test_errors_are_logged_and_logs_grow(tmp_path: Path, capsys: Captured) -> None:
+def test_errors_are_logged_and_logs_grow(tmp_path, capsys):
     log_file = tmp_path / "run.log"
     for _ in range(2):
         assert run([f"--log-file={log_file}", "info", str(tmp_path / "missing.mcap")]) == 2
@@ -51,7 +51,7 @@ def test_errors_are_logged_and_logs_grow(tmp_path: Path, capsys: Captured) -> No
     assert log_file.read_text().count("# hiros log") == 1
 
 
-def test_a_log_is_never_appended_to_another_file(lab: Path, capsys: Captured) -> None:
+def test_a_log_is_never_appended_to_another_file(lab, capsys):
     before = lab.read_bytes()
     assert run(["info", str(lab), "--log-file", str(lab)]) == 2
     assert capsys.readouterr().err == (
@@ -71,14 +71,7 @@ def test_a_log_is_never_appended_to_another_file(lab: Path, capsys: Captured) ->
         (["--color=never"], {"FORCE_COLOR": "1"}, False),
     ],
 )
-def test_color_is_as_asked(
-    arguments: list[str],
-    environment: dict[str, str],
-    colored: bool,
-    crossing: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: Captured,
-) -> None:
+def test_color_is_as_asked(arguments, environment, colored, crossing, monkeypatch, capsys):
     for name in ("NO_COLOR", "FORCE_COLOR"):
         monkeypatch.delenv(name, raising=False)
     for name, value in environment.items():
@@ -96,17 +89,17 @@ def test_color_is_as_asked(
         (["--log-file=", "info"], "--log-file: its value is missing"),
     ],
 )
-def test_wrong_values_are_one_line(arguments: list[str], fault: str, capsys: Captured) -> None:
+def test_wrong_values_are_one_line(arguments, fault, capsys):
     assert run(arguments) == 2
     assert capsys.readouterr().err == f"hiros: error: {fault}\n"
 
 
-def test_after_two_dashes_all_is_an_argument(capsys: Captured) -> None:
+def test_after_two_dashes_all_is_an_argument(capsys):
     assert run(["info", "--", "--color"]) == 2
     assert capsys.readouterr().err == "hiros: error: --color: No such file or directory\n"
 
 
-def test_parameters_beside_a_log_count_and_are_named(lab: Path, capsys: Captured) -> None:
+def test_parameters_beside_a_log_count_and_are_named(lab, capsys):
     beside = lab.with_name("hiros.toml")
     beside.write_text("[filter]\ncutoff = 7.0\n")
     assert run(["process", str(lab), "--calibrate", "off", "--json"]) == 0
@@ -121,7 +114,7 @@ def test_parameters_beside_a_log_count_and_are_named(lab: Path, capsys: Captured
     assert f"; parameters of {own}\n" in capsys.readouterr().out
 
 
-def test_parameters_of_a_folder_count_for_its_logs(lab: Path, capsys: Captured) -> None:
+def test_parameters_of_a_folder_count_for_its_logs(lab, capsys):
     logs = lab.parent / "logs"
     (logs / "bag").mkdir(parents=True)
     (logs / "bag" / "metadata.yaml").touch()
@@ -138,13 +131,13 @@ def test_parameters_of_a_folder_count_for_its_logs(lab: Path, capsys: Captured) 
     assert "not all logs have the same hiros.toml beside them" in capsys.readouterr().err
 
 
-def test_wrong_parameters_beside_a_log_are_named(lab: Path) -> None:
+def test_wrong_parameters_beside_a_log_are_named(lab):
     lab.with_name("hiros.toml").write_text("[fuse]\nofset = 1\n")
     with pytest.raises(ConfigError, match=r"hiros\.toml: no parameter fuse\.ofset; did you mean"):
         hiros_mcap.process(lab)
 
 
-def test_an_output_without_a_suffix_asks_what_it_is(lab: Path, capsys: Captured) -> None:
+def test_an_output_without_a_suffix_asks_what_it_is(lab, capsys):
     assert run(["process", str(lab), "-o", str(lab.with_name("new"))]) == 2
     assert capsys.readouterr().err.endswith("new.mcap, or " + str(lab.with_name("new")) + "/ for a "
                                             "ROS 2 bag in a new folder\n")  # fmt: skip
@@ -159,6 +152,6 @@ def test_an_output_without_a_suffix_asks_what_it_is(lab: Path, capsys: Captured)
         (["calibrate"], "Usage: hiros calibrate [OPTIONS] COMMAND"),
     ],
 )
-def test_help_of_a_command(arguments: list[str], shown: str, capsys: Captured) -> None:
+def test_help_of_a_command(arguments, shown, capsys):
     run(arguments)
     assert shown in capsys.readouterr().out

@@ -7,7 +7,6 @@ import re
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -19,9 +18,7 @@ from hiros_mcap.systems import SYSTEMS
 SHELLS = ("bash", "zsh", "fish")
 
 
-def offered(
-    line: str, shell: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> list[str]:
+def offered(line, shell, monkeypatch, capsys):
     """Press Tab at the end of a line; return the offers without their descriptions."""
     monkeypatch.setenv(VARIABLE, f"complete_{shell}")
     monkeypatch.setenv("COMP_WORDS", line)
@@ -36,9 +33,7 @@ def offered(
 
 
 @pytest.mark.parametrize("shell", SHELLS)
-def test_commands_options_systems_and_presets(
-    shell: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_commands_options_systems_and_presets(shell, monkeypatch, capsys):
     assert offered("hiros exp", shell, monkeypatch, capsys) == ["export"]
     assert offered("hiros export --mark", shell, monkeypatch, capsys) == ["--marker-set"]
     assert offered("hiros process --system ", shell, monkeypatch, capsys) == list(SYSTEMS)
@@ -46,18 +41,14 @@ def test_commands_options_systems_and_presets(
 
 
 @pytest.mark.parametrize("shell", SHELLS)
-def test_parameters(
-    shell: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_parameters(shell, monkeypatch, capsys):
     found = offered("hiros process a.mcap --set track.max_", shell, monkeypatch, capsys)
     assert set(found) >= {"track.max_distance=", "track.max_gap=", "track.max_jump="}
     assert all(name.startswith("track.max_") for name in found)
 
 
 @pytest.mark.parametrize("shell", SHELLS)
-def test_topics_of_the_log(
-    shell: str, crossing: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_topics_of_the_log(shell, crossing, monkeypatch, capsys):
     line = f"hiros process {crossing} --topic "
     cameras = [f"/camera_{k}/skeletons" for k in range(3)]
     expected = [*cameras, "/truth/skeletons"]
@@ -66,32 +57,26 @@ def test_topics_of_the_log(
 
 
 @pytest.mark.parametrize("command", ["process", "info", "eval", "check", "export", "plot"])
-def test_every_command_with_channels_offers_those_of_its_log(
-    command: str, walking: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_command_with_channels_offers_those_of_its_log(command, walking, monkeypatch, capsys):
     option = "--topic" if command in ("process", "info") else "--channel"
     line = f"hiros {command} {walking} {option} /camera_0"
     assert offered(line, "bash", monkeypatch, capsys) == ["/camera_0/skeletons"]
 
 
-def test_a_damaged_or_missing_log_offers_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_damaged_or_missing_log_offers_nothing(tmp_path, monkeypatch, capsys):
     (tmp_path / "bad.mcap").write_bytes(b"no log at all")
     for name in ("bad.mcap", "missing.mcap"):
         line = f"hiros process {tmp_path / name} --topic "
         assert offered(line, "bash", monkeypatch, capsys) == []
 
 
-def test_the_parameters_are_those_of_the_configuration() -> None:
+def test_the_parameters_are_those_of_the_configuration():
     assert len(parameters("")) == len(set(parameters(""))) > 50
     load_config(None, [f"{parameters('track.max_g')[0]}0.5"])
 
 
 @pytest.mark.parametrize("shell", SHELLS)
-def test_a_script_for_every_shell(
-    shell: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_script_for_every_shell(shell, tmp_path, capsys):
     assert run(["completion", shell]) == 0
     script = capsys.readouterr().out
     assert f"{VARIABLE}=complete_{shell}" in script
@@ -100,7 +85,7 @@ def test_a_script_for_every_shell(
         subprocess.run([found, "-n", str(tmp_path / "script")], check=True)
 
 
-def test_bash_completes(crossing: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bash_completes(crossing, tmp_path, capsys):
     """The whole way: bash calls the function of the script, which calls the program."""
     assert run(["completion", "bash"]) == 0
     program = tmp_path / "hiros"
@@ -119,7 +104,7 @@ def test_bash_completes(crossing: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert done.stdout.split() == ["/camera_1/skeletons"]
 
 
-def test_nothing_slow_is_imported() -> None:
+def test_nothing_slow_is_imported():
     """Compiled kernels, pandas and the like would make every Tab wait; it takes 0.3 s so."""
     code = (
         "import os, sys; from hiros_cli.commands import dispatch; code = dispatch([]);"
@@ -136,6 +121,6 @@ def test_nothing_slow_is_imported() -> None:
     subprocess.run([sys.executable, "-c", code], env=environment, check=True, capture_output=True)
 
 
-def test_an_unknown_shell_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_shell_is_refused(capsys):
     assert run(["completion", "tcsh"]) == 2
     assert "'tcsh' is none of bash, zsh, fish" in capsys.readouterr().err

@@ -16,7 +16,6 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate import load_truth
 from hiros_mcap.evaluate.comparison import Entry, Task, comparison
 from hiros_mcap.evaluate.logs import evaluate_log, fused_topics, start_of
-from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
@@ -26,20 +25,20 @@ from hiros_mcap.simulate.write_log import write_log
 
 
 @pytest.fixture(scope="module")
-def processed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def processed(tmp_path_factory):
     out = tmp_path_factory.mktemp("eval") / "out.mcap"
     process(Path(__file__).parents[2] / "sample_data" / "one_person_walking.mcap", out)
     return out
 
 
-def test_scores_of_a_result(processed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_scores_of_a_result(processed, capsys):
     assert run(["eval", str(processed), "--joints"]) == 0
     text = capsys.readouterr().out
     for word in ("/hiros/tracked", "/hiros/filtered", "HOTA", "left elbow", "WRIST_RIGHT"):
         assert word in text
 
 
-def test_scores_as_json(processed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_scores_as_json(processed, capsys):
     assert run(["eval", str(processed), "--json", "--channel", "/hiros/f*"]) == 0
     data = json.loads(capsys.readouterr().out)
     scores = data["channels"]["/hiros/filtered"]
@@ -49,18 +48,14 @@ def test_scores_as_json(processed: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert len(scores["joints"]) == 32
 
 
-def test_a_recording_is_processed_first(
-    walking: Path, processed: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recording_is_processed_first(walking, processed, capsys):
     assert run(["eval", str(walking), "--json"]) == 0
     raw = json.loads(capsys.readouterr().out)["channels"]
     assert run(["eval", str(processed), "--json"]) == 0
     assert raw == json.loads(capsys.readouterr().out)["channels"]
 
 
-def test_a_camera_as_the_reference_is_not_in_what_is_compared_with_it(
-    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_camera_as_the_reference_is_not_in_what_is_compared_with_it(walking, tmp_path, capsys):
     """Two cameras capture, the third is the truth: as if these two alone had been processed."""
     reference, capture = "/camera_2/skeletons", ("/camera_0/*", "/camera_1/*")
     process(walking, tmp_path / "two.mcap", options=ProcessOptions(topics=capture))
@@ -78,9 +73,7 @@ def test_a_camera_as_the_reference_is_not_in_what_is_compared_with_it(
         fused_topics(tmp_path / "one.mcap", "/camera_0/skeletons")
 
 
-def test_markers_without_a_truth_are_named(
-    processed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_markers_without_a_truth_are_named(processed, tmp_path, capsys):
     table = tmp_path / "truth.csv"
     rows = [f"{t},0,{name},0,0,1" for t in np.arange(0, 3.6, 0.4) for name in ("PELVIS", "NECK")]
     table.write_text("\n".join(["time,person,marker,x,y,z", *rows]))
@@ -93,8 +86,8 @@ def test_markers_without_a_truth_are_named(
 
 
 def test_a_result_without_its_cameras_is_scored_if_a_truth_is_given(
-    walking: Path, processed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    walking, processed, tmp_path, capsys
+):
     """`process --keep ''`, and a truth in a file of motion capture: times count from the start."""
     bare, whole = tmp_path / "bare.mcap", json_of(processed, capsys)["channels"]
     process(walking, bare, options=ProcessOptions(keep=()))
@@ -106,13 +99,13 @@ def test_a_result_without_its_cameras_is_scored_if_a_truth_is_given(
     assert scores["lag"] == pytest.approx(whole["/hiros/filtered"]["lag"], abs=0.1)
 
 
-def json_of(log: Path, capsys: pytest.CaptureFixture[str], *options: str) -> dict[str, Any]:
+def json_of(log, capsys, *options):
     assert run(["eval", str(log), "--json", *options]) == 0
     data: dict[str, Any] = json.loads(capsys.readouterr().out)
     return data
 
 
-def write_csv(path: Path, truth: Truth, scale: float = 1.0, seconds_from: int = 0) -> Path:
+def write_csv(path, truth, scale=1.0, seconds_from=0):
     assert truth.model is not None
     rows = [
         f"{(stamp - seconds_from) / 1e9:.9f},0,{name},{','.join(f'{scale * x:.4f}' for x in point)}"
@@ -123,9 +116,7 @@ def write_csv(path: Path, truth: Truth, scale: float = 1.0, seconds_from: int = 
     return path
 
 
-def test_without_cameras_and_truth_there_is_one_line_with_the_remedy(
-    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_cameras_and_truth_there_is_one_line_with_the_remedy(walking, tmp_path, capsys):
     camera = ("/camera_0/*",)
     process(walking, tmp_path / "bare.mcap", options=ProcessOptions(keep=(), topics=camera))
     only_truth = ProcessOptions(keep=("/truth/*",), topics=camera, stages="T")
@@ -140,9 +131,7 @@ def test_without_cameras_and_truth_there_is_one_line_with_the_remedy(
     assert run(["eval", str(tmp_path / "both.mcap"), "-q"]) == 0
 
 
-def test_a_truth_is_perfect_against_itself(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_truth_is_perfect_against_itself(tmp_path, capsys):
     truth = tmp_path / "truth.mcap"
     simulation = simulate(SimulateParams(seconds=1.0, cameras=1))
     with McapWriter(truth) as writer:
@@ -156,9 +145,7 @@ def test_a_truth_is_perfect_against_itself(
     assert "holds a truth but no result" in capsys.readouterr().err
 
 
-def test_a_channel_without_any_message_misses_everybody(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_channel_without_any_message_misses_everybody(tmp_path, capsys):
     simulation, log = simulate(SimulateParams(seconds=1.0, cameras=1)), tmp_path / "empty.mcap"
     with McapWriter(log) as writer:
         add_skeleton_channel(writer, "/hiros/filtered")
@@ -172,9 +159,7 @@ def test_a_channel_without_any_message_misses_everybody(
     assert run(["eval", str(log), "--html", str(tmp_path / "empty.html")]) == 0
 
 
-def test_silence_is_a_warning_also_when_quiet(
-    walking: Path, processed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_silence_is_a_warning_also_when_quiet(walking, processed, tmp_path, capsys):
     """The truth goes on for 2 s after the result has ended."""
     truth = load_truth(walking)
     late = np.concatenate([truth.stamps, truth.stamps[-1] + np.arange(1, 61) * 33_333_333])
@@ -190,7 +175,7 @@ def test_silence_is_a_warning_also_when_quiet(
     assert len(data["warnings"]) == 1
 
 
-def test_a_truth_of_one_of_two_people(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_truth_of_one_of_two_people(tmp_path, capsys):
     log, one = tmp_path / "two.mcap", tmp_path / "one.csv"
     scene = {"people": 2, "action": "cross", "seconds": 3.0, "cameras": 2}
     write_log(log, SimulateParams.model_validate(scene))
@@ -214,7 +199,7 @@ def test_a_truth_of_one_of_two_people(tmp_path: Path, capsys: pytest.CaptureFixt
     assert found["all"]["warnings"] == []
 
 
-def test_without_truth(walking: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_truth(walking, capsys):
     assert run(["eval", str(walking), "--leave-one-out", "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert len(data["cameras"]) == len(data["disagreement"]) == 3
@@ -224,13 +209,8 @@ def test_without_truth(walking: Path, capsys: pytest.CaptureFixture[str]) -> Non
 
 @pytest.mark.parametrize(("away", "wrong"), [(0.0, False), (800.0, True)])
 def test_a_truth_that_nobody_is_near_to_may_have_another_frame(
-    processed: Path,
-    walking: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    away: float,
-    wrong: bool,
-) -> None:
+    processed, walking, tmp_path, capsys, away, wrong
+):
     truth = load_truth(walking)
     table = write_csv(
         tmp_path / "truth.csv", replace(truth, positions=truth.positions + np.array([0, 0, away]))
@@ -241,17 +221,13 @@ def test_a_truth_that_nobody_is_near_to_may_have_another_frame(
     assert not wrong or re.search(r"truth \(.*, 80\d\.\d\), result \(.*, 0\.8\d*\)", out)
 
 
-def test_a_truth_in_millimetres_is_refused(
-    processed: Path, walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_truth_in_millimetres_is_refused(processed, walking, tmp_path, capsys):
     table = write_csv(tmp_path / "truth.csv", load_truth(walking), scale=1000.0)
     assert run(["eval", str(processed), "--truth", str(table)]) == 2
     assert "the coordinates look like millimetres" in capsys.readouterr().err
 
 
-def test_joints_that_the_result_lacks_are_listed(
-    processed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_joints_that_the_result_lacks_are_listed(processed, tmp_path, capsys):
     table = tmp_path / "truth.csv"
     names = ("PELVIS", "C7", "jRightT4")
     rows = [f"{t},0,{name},0,0,1" for t in np.arange(0, 3.6, 0.4) for name in names]
@@ -267,9 +243,7 @@ def test_joints_that_the_result_lacks_are_listed(
     "command",
     ["eval {log}", "eval {log} --leave-one-out", "compare {raw} --system raw --jobs 1"],
 )
-def test_quiet_prints_nothing(
-    command: str, processed: Path, walking: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_quiet_prints_nothing(command, processed, walking, capsys):
     arguments = command.format(log=processed, raw=walking).split()
     assert run([*arguments, "-q"]) == 0
     assert capsys.readouterr() == ("", "")
@@ -278,7 +252,7 @@ def test_quiet_prints_nothing(
 
 
 @pytest.mark.parametrize("options", [[], ["--leave-one-out"]], ids=["truth", "no truth"])
-def test_the_page_is_one_file(processed: Path, tmp_path: Path, options: list[str]) -> None:
+def test_the_page_is_one_file(processed, tmp_path, options):
     page = tmp_path / "report.html"
     assert run(["eval", str(processed), "--html", str(page), *options]) == 0
     text = page.read_text(encoding="utf-8")
@@ -303,9 +277,7 @@ def test_the_page_is_one_file(processed: Path, tmp_path: Path, options: list[str
         (["{log}", "--shift", "nan"], "'--shift'"),
     ],
 )
-def test_faults_are_one_line(
-    processed: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], fault: str
-) -> None:
+def test_faults_are_one_line(processed, capsys, arguments, fault):
     given = [a.format(log=processed) for a in arguments]
     assert run(["eval", *given]) == 2
     captured = capsys.readouterr()

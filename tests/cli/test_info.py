@@ -13,7 +13,7 @@ from hiros_cli.app import run
 from hiros_mcap.config import load_config
 from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.log import open_log
-from hiros_mcap.io.overview import Overview, overview_of
+from hiros_mcap.io.overview import overview_of
 from hiros_mcap.regression.golden import write_golden
 from hiros_mcap.running.pipeline import ProcessOptions, process
 
@@ -23,7 +23,7 @@ FEATURES = (
 )  # fmt: skip
 
 
-def foreign(path: Path, messages: int = 10, **features: bool) -> Path:
+def foreign(path, messages=10, **features):
     """Write a log of no skeletons by the mcap library, with and without features of the format."""
     own = {name: features.pop(name, True) for name in ("attachment", "metadata", "schema")}
     indexes = IndexType.ALL if features.get("use_summary_offsets", True) else IndexType.NONE
@@ -44,9 +44,7 @@ def foreign(path: Path, messages: int = 10, **features: bool) -> Path:
 
 
 @pytest.mark.parametrize("messages", [0, 1, 10])
-def test_any_mcap_is_shown_and_none_without_skeletons_processed(
-    messages: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_any_mcap_is_shown_and_none_without_skeletons_processed(messages, tmp_path, capsys):
     log, out = tmp_path / "log.mcap", tmp_path / "out.mcap"
     combinations = list(itertools.product((False, True), repeat=len(FEATURES)))
     for chosen in combinations[messages::29]:  # all of them take a minute
@@ -59,7 +57,7 @@ def test_any_mcap_is_shown_and_none_without_skeletons_processed(
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_channels_have_rates_and_times(kind: str, tmp_path: Path) -> None:
+def test_channels_have_rates_and_times(kind, tmp_path):
     with (tmp_path / "log.mcap").open("wb") as file:
         writer = Writer(file, **KINDS[kind])
         writer.start()
@@ -75,14 +73,14 @@ def test_channels_have_rates_and_times(kind: str, tmp_path: Path) -> None:
     assert (j.type, j.encoding, j.messages, j.seconds) == ("", "json", 1, 0.0)
 
 
-def test_an_empty_mcap_is_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_empty_mcap_is_shown(tmp_path, capsys):
     with McapWriter(tmp_path / "empty.mcap") as writer:
         writer.commit()
     assert run(["info", str(tmp_path / "empty.mcap")]) == 0
     assert "nothing to process" in capsys.readouterr().out
 
 
-def test_foreign_channels_beside_skeletons_do_no_harm(crossing: Path, tmp_path: Path) -> None:
+def test_foreign_channels_beside_skeletons_do_no_harm(crossing, tmp_path):
     log = tmp_path / "mixed.mcap"
     with McapReader(crossing) as reader, log.open("wb") as file:
         writer = Writer(file)
@@ -106,7 +104,7 @@ def test_foreign_channels_beside_skeletons_do_no_harm(crossing: Path, tmp_path: 
 
 
 @pytest.fixture(scope="module")
-def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def result(tmp_path_factory):
     """What a run with one changed parameter wrote of the crossing."""
     path = tmp_path_factory.mktemp("info") / "out.mcap"
     source = Path(__file__).parents[2] / "sample_data/two_people_crossing.mcap"
@@ -117,12 +115,12 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def assert_two_people(overview: Overview, topic: str) -> None:
+def assert_two_people(overview, topic):
     assert [(p.topic, p.id) for p in overview.people] == [(topic, 0), (topic, 1)]
     assert all(4.5 < p.seconds < 5.5 and 140 <= p.frames <= 155 for p in overview.people)
 
 
-def test_a_result_tells_how_it_was_made(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_result_tells_how_it_was_made(result, capsys):
     overview = overview_of(result)
     assert overview.kind == "result"
     assert_two_people(overview, "/hiros/filtered")
@@ -138,9 +136,7 @@ def test_a_result_tells_how_it_was_made(result: Path, capsys: pytest.CaptureFixt
     assert "changed: merge.max_position_delta = 0.4 (preset: 0.2)" in capsys.readouterr().out
 
 
-def test_results_alone_golden_files_and_truths_say_what_they_are(
-    result: Path, crossing: Path, tmp_path: Path
-) -> None:
+def test_results_alone_golden_files_and_truths_say_what_they_are(result, crossing, tmp_path):
     alone, golden, true = (tmp_path / f"{name}.mcap" for name in ("alone", "golden", "true"))
     process(crossing, alone, options=ProcessOptions(keep=()))
     write_golden(result, golden)
@@ -158,7 +154,7 @@ def test_results_alone_golden_files_and_truths_say_what_they_are(
         assert_two_people(overview, topic)
 
 
-def test_warnings_of_the_run_are_kept_in_the_result(tmp_path: Path, crossing: Path) -> None:
+def test_warnings_of_the_run_are_kept_in_the_result(tmp_path, crossing):
     extrinsics = tmp_path / "cameras.toml"
     pose = "translation = [0.0, 0.0, 2.5]\nquaternion_xyzw = [0.0, 0.0, 0.0, 1.0]\n"
     extrinsics.write_text("".join(f'[[camera]]\nframe = "camera_{k}"\n{pose}' for k in range(3)))
@@ -172,7 +168,7 @@ def test_warnings_of_the_run_are_kept_in_the_result(tmp_path: Path, crossing: Pa
     assert any("stand at the same place" in text for text in run_row.warnings)
 
 
-def test_missing_checksums_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_checksums_are_told(tmp_path, capsys):
     for name, checked in (("with", True), ("without", False)):
         with (tmp_path / name).open("wb") as file:
             writer = Writer(file, enable_crcs=checked, enable_data_crcs=checked)
@@ -183,14 +179,14 @@ def test_missing_checksums_are_told(tmp_path: Path, capsys: pytest.CaptureFixtur
         assert ("no checksums" in capsys.readouterr().out) is not checked
 
 
-def test_a_folder_shows_its_true_size(crossing: Path, tmp_path: Path) -> None:
+def test_a_folder_shows_its_true_size(crossing, tmp_path):
     folder = tmp_path / "bag"
     folder.mkdir()
     (folder / "bag_0.mcap").write_bytes(crossing.read_bytes())
     assert overview_of(folder).megabytes == pytest.approx(crossing.stat().st_size / 1e6)
 
 
-def results_of(path: Path) -> dict[str, list[bytes]]:
+def results_of(path):
     with McapReader(path) as reader:
         found: dict[str, list[bytes]] = {}
         for message in reader.messages():
@@ -199,9 +195,7 @@ def results_of(path: Path) -> dict[str, list[bytes]]:
         return found
 
 
-def test_processing_a_result_gives_that_of_the_recording(
-    crossing: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_processing_a_result_gives_that_of_the_recording(crossing, tmp_path, capsys):
     one, two = tmp_path / "one.mcap", tmp_path / "two.mcap"
     assert run(["process", str(crossing), "-o", str(one), "-q"]) == 0
     assert run(["process", str(one), "-o", str(two), "--topic", "*camera*", "--topic", "/*o*"]) == 0
@@ -212,16 +206,14 @@ def test_processing_a_result_gives_that_of_the_recording(
         assert len(log.cameras) == 3
 
 
-def test_results_are_never_taken_for_cameras(
-    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_results_are_never_taken_for_cameras(result, tmp_path, capsys):
     out = tmp_path / "out.mcap"
     assert run(["process", str(result), "-o", str(out), "--topic", "/hiros/*"]) == 2
     assert "names only results of hiros" in capsys.readouterr().err
     assert not out.exists()
 
 
-def test_markers_for_rviz_span_the_time_of_the_skeletons(tmp_path: Path) -> None:
+def test_markers_for_rviz_span_the_time_of_the_skeletons(tmp_path):
     out = tmp_path / "out.mcap"
     source = Path(__file__).parents[2] / "sample_data/one_person_walking.mcap"
     process(source, out, options=ProcessOptions(markers=True))

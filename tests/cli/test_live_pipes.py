@@ -22,19 +22,19 @@ from hiros_mcap.io.container import McapReader
 HIROS = [sys.executable, "-m", "hiros_cli"]
 
 
-def topics(data: bytes) -> set[str]:
+def topics(data):
     reader = NonSeekingReader(io.BytesIO(data), validate_crcs=True)
     return {channel.topic for _, channel, _ in reader.iter_messages(log_time_order=False)}
 
 
-def messages_of(path: Path) -> dict[str, int]:
+def messages_of(path):
     """Messages of each camera."""
     with McapReader(path) as reader:
         topics = {i: channel.topic for i, channel in reader.channels.items()}
         return {topics[i]: n for i, n in reader.counts.items() if "camera" in topics[i]}
 
 
-def test_a_pipe_in_and_a_pipe_out(crossing: Path) -> None:
+def test_a_pipe_in_and_a_pipe_out(crossing):
     with crossing.open("rb") as file:
         done = subprocess.run(
             [*HIROS, "process", "-", "-o", "-"], stdin=file, capture_output=True, check=True
@@ -43,7 +43,7 @@ def test_a_pipe_in_and_a_pipe_out(crossing: Path) -> None:
     assert b"camera_0" in done.stderr  # the summary
 
 
-def test_quiet_prints_nothing(crossing: Path) -> None:
+def test_quiet_prints_nothing(crossing):
     with crossing.open("rb") as file:
         done = subprocess.run(
             [*HIROS, "process", "-", "-o", "-", "-q"], stdin=file, capture_output=True, check=True
@@ -51,7 +51,7 @@ def test_quiet_prints_nothing(crossing: Path) -> None:
     assert done.stderr == b""
 
 
-def test_a_reader_that_has_seen_enough(crossing: Path) -> None:
+def test_a_reader_that_has_seen_enough(crossing):
     with crossing.open("rb") as file:
         run = subprocess.Popen(
             [*HIROS, "process", "-", "-o", "-", "-q"],
@@ -68,7 +68,7 @@ def test_a_reader_that_has_seen_enough(crossing: Path) -> None:
         run.stderr.close()
 
 
-def is_read(path: Path) -> bool:
+def is_read(path):
     """Whether this process has read an open file to its end."""
     for link in Path("/proc/self/fd").iterdir():
         with contextlib.suppress(OSError):
@@ -79,12 +79,12 @@ def is_read(path: Path) -> bool:
 
 
 @pytest.mark.skipif(not Path("/proc/self/fdinfo").exists(), reason="no /proc")
-def test_a_file_that_grows_is_read_to_its_end(walking: Path, tmp_path: Path) -> None:
+def test_a_file_that_grows_is_read_to_its_end(walking, tmp_path):
     growing, out, data = tmp_path / "growing.mcap", tmp_path / "out.mcap", walking.read_bytes()
     growing.write_bytes(data[:1000])
     latest = time.monotonic() + 60
 
-    def grow() -> None:
+    def grow():
         while not is_read(growing) and time.monotonic() < latest:
             time.sleep(0.01)
         time.sleep(0.2)
@@ -99,7 +99,7 @@ def test_a_file_that_grows_is_read_to_its_end(walking: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_the_input(number: int, crossing: Path, tmp_path: Path) -> None:
+def test_a_signal_ends_the_input(number, crossing, tmp_path):
     growing, out = tmp_path / "growing.mcap", tmp_path / "out.mcap"
     shutil.copy(crossing, growing)
     os.truncate(growing, crossing.stat().st_size - 100)  # the end mark is still to come
@@ -132,9 +132,7 @@ def test_a_signal_ends_the_input(number: int, crossing: Path, tmp_path: Path) ->
         (["-", "-o", "-", "--recover"], "are for files"),
     ],
 )
-def test_what_cannot_be_live(
-    arguments: list[str], fault: str, crossing: Path, tmp_path: Path
-) -> None:
+def test_what_cannot_be_live(arguments, fault, crossing, tmp_path):
     given = [str(crossing) if text == "LOG" else text for text in arguments]
     done = subprocess.run(
         [*HIROS, "process", *given],
@@ -151,9 +149,7 @@ def test_what_cannot_be_live(
 @pytest.mark.parametrize(
     ("redirection", "fault"), [("<&-", "standard input is closed"), (">&-", "output is closed")]
 )
-def test_a_stream_that_is_closed_is_named(
-    redirection: str, fault: str, crossing: Path, tmp_path: Path
-) -> None:
+def test_a_stream_that_is_closed_is_named(redirection, fault, crossing, tmp_path):
     command = f'"$0" -m hiros_cli process - -o - {redirection}'
     done = subprocess.run(
         ["sh", "-c", command, sys.executable],
@@ -189,7 +185,7 @@ with serve(publish, "127.0.0.1", 0) as server:
 """
 
 
-def test_a_run_that_fails_ends_though_the_server_goes_on(tmp_path: Path) -> None:
+def test_a_run_that_fails_ends_though_the_server_goes_on(tmp_path):
     pytest.importorskip("websockets")
     server = subprocess.Popen(
         [sys.executable, "-c", SERVER], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True

@@ -16,28 +16,28 @@ from hiros_cli.app import run
 from hiros_cli.output import check_outputs
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import McapWriter
-from hiros_mcap.outputs import Kind, replacing, write_text
+from hiros_mcap.outputs import replacing, write_text
 from hiros_mcap.running.pipeline import ProcessOptions
 
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "one_person_walking.mcap"
 SUITE = '[[log]]\ninput = "walk.mcap"\nrequire = ["people = 1"]\n'
 
 
-def check(target: Path, *inputs: Path, force: bool = False, kind: Kind = "log") -> None:
+def check(target, *inputs, force=False, kind="log"):
     check_outputs((target, kind), inputs=inputs, force=force)
 
 
-def test_a_new_file_may_be_written(tmp_path: Path) -> None:
+def test_a_new_file_may_be_written(tmp_path):
     check(tmp_path / "new.mcap")
 
 
-def test_an_empty_file_may_be_replaced(tmp_path: Path) -> None:
+def test_an_empty_file_may_be_replaced(tmp_path):
     target = tmp_path / "made-by-mktemp"
     target.touch()
     check(target)
 
 
-def test_a_recording_is_not_replaced_without_force(tmp_path: Path) -> None:
+def test_a_recording_is_not_replaced_without_force(tmp_path):
     target = tmp_path / "recording.mcap"
     target.write_bytes(b"\x89MCAP0\r\n" + bytes(100))
     with pytest.raises(LogError, match="--force"):
@@ -45,23 +45,23 @@ def test_a_recording_is_not_replaced_without_force(tmp_path: Path) -> None:
     check(target, force=True)
 
 
-def test_a_folder_is_refused(tmp_path: Path) -> None:
+def test_a_folder_is_refused(tmp_path):
     with pytest.raises(LogError, match="is a folder"):
         check(tmp_path, force=True)
 
 
-def test_a_missing_folder_is_named(tmp_path: Path) -> None:
+def test_a_missing_folder_is_named(tmp_path):
     with pytest.raises(LogError, match="no such folder"):
         check(tmp_path / "missing" / "out.mcap")
 
 
-def test_a_pipe_is_refused_even_with_force(tmp_path: Path) -> None:
+def test_a_pipe_is_refused_even_with_force(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(LogError, match="pipe"):
         check(tmp_path / "pipe", force=True)
 
 
-def test_an_input_is_refused_even_with_force_and_by_another_name(tmp_path: Path) -> None:
+def test_an_input_is_refused_even_with_force_and_by_another_name(tmp_path):
     source, link = tmp_path / "in.mcap", tmp_path / "link.mcap"
     shutil.copy(SAMPLE, source)
     link.symlink_to(source)
@@ -72,14 +72,14 @@ def test_an_input_is_refused_even_with_force_and_by_another_name(tmp_path: Path)
             check(name, tmp_path, force=True)
 
 
-def test_two_outputs_must_differ(tmp_path: Path) -> None:
+def test_two_outputs_must_differ(tmp_path):
     one, other = tmp_path / "a", tmp_path / "x" / ".." / "a"
     (tmp_path / "x").mkdir()
     with pytest.raises(LogError, match="written twice"):
         check_outputs((one, "log"), (other, "limb table"), inputs=(), force=True)
 
 
-def test_a_failed_write_leaves_the_former_file(tmp_path: Path) -> None:
+def test_a_failed_write_leaves_the_former_file(tmp_path):
     target = tmp_path / "page.html"
     target.write_text("before")
     with pytest.raises(KeyboardInterrupt), replacing(target) as temporary:
@@ -89,7 +89,7 @@ def test_a_failed_write_leaves_the_former_file(tmp_path: Path) -> None:
     assert target.read_text() == "before"
 
 
-def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_written_is_named(tmp_path):
     target = tmp_path / "nowhere" / "a.html"
     fault = r"nowhere/a\.html: cannot be written: No such file"
     with pytest.raises(LogError, match=fault), replacing(target) as temporary:
@@ -97,14 +97,14 @@ def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def processed(short: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def processed(short, tmp_path_factory):
     out = tmp_path_factory.mktemp("output") / "walk.hiros.mcap"
     hiros_mcap.process(short, out)
     return out
 
 
 @pytest.fixture
-def lab(short: Path, processed: Path, tmp_path: Path) -> Path:
+def lab(short, processed, tmp_path):
     """A folder with a recording, its result, a suite, and somebody's notes."""
     shutil.copy(short, tmp_path / "walk.mcap")
     shutil.copy(processed, tmp_path / "result.mcap")
@@ -115,7 +115,7 @@ def lab(short: Path, processed: Path, tmp_path: Path) -> Path:
     return tmp_path
 
 
-def contents(folder: Path) -> dict[str, str]:
+def contents(folder):
     return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()}
 
 
@@ -153,13 +153,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("command", "said"), REFUSED, ids=[command for command, _ in REFUSED])
-def test_what_must_stay_is_named_and_stays(
-    command: str,
-    said: str,
-    lab: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_what_must_stay_is_named_and_stays(command, said, lab, monkeypatch, capsys):
     monkeypatch.chdir(lab)
     if " --config" in command or " --limbs" in command:
         (lab / "c.toml").touch()
@@ -186,9 +180,7 @@ AGAIN = [
 
 
 @pytest.mark.parametrize("command", AGAIN)
-def test_what_hiros_wrote_is_replaced_by_the_next_run(
-    command: str, lab: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_hiros_wrote_is_replaced_by_the_next_run(command, lab, monkeypatch):
     monkeypatch.chdir(lab)
     before = {path.name for path in lab.iterdir()}
     assert run(command.split()) == 0
@@ -198,13 +190,13 @@ def test_what_hiros_wrote_is_replaced_by_the_next_run(
     assert {path.name for path in lab.iterdir()} == after
 
 
-def test_force_replaces_a_foreign_file(lab: Path) -> None:
+def test_force_replaces_a_foreign_file(lab):
     page = lab / "notes.html"
     assert run(["eval", str(lab / "result.mcap"), "--html", str(page), "--force"]) == 0
     assert "Joints of" in page.read_text(encoding="utf-8")
 
 
-def test_the_library_does_not_replace_a_foreign_file_either(tmp_path: Path) -> None:
+def test_the_library_does_not_replace_a_foreign_file_either(tmp_path):
     target, limbs = tmp_path / "notes.txt", tmp_path / "limbs.toml"
     target.write_text("the only copy")
     limbs.write_text("the only copy")
@@ -219,14 +211,14 @@ def test_the_library_does_not_replace_a_foreign_file_either(tmp_path: Path) -> N
     assert target.read_bytes().startswith(b"\x89MCAP0")
 
 
-def test_an_unfinished_log_leaves_no_page(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unfinished_log_leaves_no_page(lab, capsys):
     page = lab / "page.html"
     (lab / "bad.mcap").write_bytes(b"no log at all")
     assert run(["eval", str(lab / "bad.mcap"), "--html", str(page)]) == 2
     assert not page.exists()
 
 
-def test_what_a_killed_run_left_is_removed_by_the_next_and_nothing_else(tmp_path: Path) -> None:
+def test_what_a_killed_run_left_is_removed_by_the_next_and_nothing_else(tmp_path):
     code = (
         "import sys, time; from pathlib import Path\n"
         "from hiros_mcap.io.container import McapWriter; from hiros_mcap.outputs import replacing\n"
@@ -253,7 +245,7 @@ def test_what_a_killed_run_left_is_removed_by_the_next_and_nothing_else(tmp_path
     assert sorted(path.name for path in tmp_path.iterdir()) == ["c.mcap", "notes.md"]
 
 
-def test_own_temporary_files_are_not_removed(tmp_path: Path) -> None:
+def test_own_temporary_files_are_not_removed(tmp_path):
     with replacing(tmp_path / "a.csv") as first, McapWriter(tmp_path / "b.mcap") as writer:
         write_text(tmp_path / "notes.md", "text")
         writer.commit()

@@ -25,30 +25,30 @@ from hiros_mcap.errors import ConfigError, LogError
         ("\udcff.mcap", "\\udcff.mcap"),
     ],
 )
-def test_unsafe_characters_become_escapes(raw: str, safe: str) -> None:
+def test_unsafe_characters_become_escapes(raw, safe):
     assert printable(raw) == safe
 
 
 @given(st.text())
-def test_any_text_is_one_short_line_without_controls(raw: str) -> None:
+def test_any_text_is_one_short_line_without_controls(raw):
     safe = printable(raw)
     assert len(safe) <= LIMIT
     assert not any(unicodedata.category(char) in {"Cc", "Cf", "Zl", "Zp", "Cs"} for char in safe)
 
 
-def test_a_long_string_says_that_it_was_cut() -> None:
+def test_a_long_string_says_that_it_was_cut():
     assert printable("x" * 1_000_000) == "x" * (LIMIT - 1) + "…"
 
 
-def test_an_error_line_escapes_each_part() -> None:
+def test_an_error_line_escapes_each_part():
     error = LogError("no such\nthing", path="in.mcap", topic="/a\x1bb")
     assert error_line(error) == "hiros: error: in.mcap: /a\\x1bb: no such\\nthing"
 
 
-def test_an_os_error_names_the_file_and_not_the_number() -> None:
+def test_an_os_error_names_the_file_and_not_the_number():
     error = PermissionError(13, "Permission denied", "/root/x.mcap")
     assert error_line(error) == "hiros: error: /root/x.mcap: Permission denied"
 
 
-def test_a_config_error_is_its_own_line() -> None:
+def test_a_config_error_is_its_own_line():
     assert error_line(ConfigError("no preset 'x'")) == "hiros: error: no preset 'x'"

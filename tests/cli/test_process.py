@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
@@ -23,7 +22,7 @@ CHANNELS = [
 ]
 
 
-def counts(path: Path) -> dict[str, int]:
+def counts(path):
     with path.open("rb") as file:
         summary = make_reader(file, validate_crcs=True).get_summary()
     assert summary is not None
@@ -35,7 +34,7 @@ def counts(path: Path) -> dict[str, int]:
 HIROS = ("--system", "hiros")
 
 
-def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+def refused(capsys, *arguments):
     """Run a command that must fail, and return its one line."""
     assert run([str(argument) for argument in arguments]) == 2
     captured = capsys.readouterr()
@@ -46,7 +45,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     return lines[0]
 
 
-def test_all_four_channels_and_the_read_ones(crossing: Path, tmp_path: Path) -> None:
+def test_all_four_channels_and_the_read_ones(crossing, tmp_path):
     assert run(["process", str(crossing), "-o", str(tmp_path / "out.mcap"), "-q"]) == 0
     written, read = counts(tmp_path / "out.mcap"), counts(crossing)
     assert [topic for topic in sorted(written) if topic.startswith("/hiros/")] == CHANNELS
@@ -55,9 +54,7 @@ def test_all_four_channels_and_the_read_ones(crossing: Path, tmp_path: Path) -> 
     assert written["/truth/skeletons"] == read["/truth/skeletons"]
 
 
-def test_the_summary_accounts_for_every_message(
-    crossing: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_summary_accounts_for_every_message(crossing, tmp_path, capsys):
     assert run(["process", str(crossing), "-o", str(tmp_path / "out.mcap"), "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)
     assert [person["id"] for person in summary["people"]] == [0, 1]
@@ -68,9 +65,7 @@ def test_the_summary_accounts_for_every_message(
     assert summary["written"] == {topic: written[topic] for topic in summary["written"]}
 
 
-def test_the_summary_for_a_person_names_cameras_people_and_channels(
-    crossing: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_summary_for_a_person_names_cameras_people_and_channels(crossing, tmp_path, capsys):
     assert run(["process", str(crossing), "-o", str(tmp_path / "out.mcap")]) == 0
     captured = capsys.readouterr()
     assert all(word in captured.out for word in (*CHANNELS[:4], "/camera_0/skeletons", "Person"))
@@ -78,16 +73,14 @@ def test_the_summary_for_a_person_names_cameras_people_and_channels(
     assert "\x1b" not in captured.out
 
 
-def test_the_default_output_lies_beside_the_input(walking: Path, tmp_path: Path) -> None:
+def test_the_default_output_lies_beside_the_input(walking, tmp_path):
     source = tmp_path / "lab.mcap"
     source.write_bytes(walking.read_bytes())
     assert run(["process", str(source), "-q", "--stages", "T"]) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["lab.hiros.mcap", "lab.mcap"]
 
 
-def test_the_same_run_again_replaces_the_output_by_the_same_bytes(
-    walking: Path, tmp_path: Path
-) -> None:
+def test_the_same_run_again_replaces_the_output_by_the_same_bytes(walking, tmp_path):
     target = tmp_path / "out.mcap"
     assert run(["process", str(walking), "-o", str(target), "-q"]) == 0
     first = target.read_bytes()
@@ -95,9 +88,7 @@ def test_the_same_run_again_replaces_the_output_by_the_same_bytes(
     assert target.read_bytes() == first
 
 
-def test_the_output_of_the_current_folder_lies_beside_it(
-    walking: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_output_of_the_current_folder_lies_beside_it(walking, tmp_path, monkeypatch):
     bag = tmp_path / "bag"
     bag.mkdir()
     (bag / "bag_0.mcap").write_bytes(walking.read_bytes())
@@ -113,21 +104,19 @@ def test_the_output_of_the_current_folder_lies_beside_it(
         ("tmf", ["/hiros/filtered", "/hiros/merged", "/hiros/tracked", "/hiros/uncertainty"]),
     ],
 )
-def test_stages_chooses_the_chain(
-    stages: str, channels: list[str], walking: Path, tmp_path: Path
-) -> None:
+def test_stages_chooses_the_chain(stages, channels, walking, tmp_path):
     target = tmp_path / "out.mcap"
     assert run(["process", str(walking), "-o", str(target), "--stages", stages, "-q"]) == 0
     assert [topic for topic in sorted(counts(target)) if topic.startswith("/hiros/")] == channels
 
 
-def test_keep_nothing_copies_nothing(walking: Path, tmp_path: Path) -> None:
+def test_keep_nothing_copies_nothing(walking, tmp_path):
     target = tmp_path / "out.mcap"
     assert run(["process", str(walking), "-o", str(target), "--keep", "", "-q"]) == 0
     assert sorted(counts(target)) == CHANNELS
 
 
-def test_saved_limbs_can_be_loaded(walking: Path, tmp_path: Path) -> None:
+def test_saved_limbs_can_be_loaded(walking, tmp_path):
     limbs, target = tmp_path / "limbs.toml", tmp_path / "out.mcap"
     assert run(["process", str(walking), "-o", str(target), "--save-limbs", str(limbs), "-q"]) == 0
     assert run(["process", str(walking), "-o", str(target), "--limbs", str(limbs), "-q"]) == 0
@@ -144,17 +133,13 @@ def test_saved_limbs_can_be_loaded(walking: Path, tmp_path: Path) -> None:
         ["--topic", "/c*"],
     ],
 )
-def test_options_with_a_name_of_their_own(
-    options: list[str], walking: Path, tmp_path: Path
-) -> None:
+def test_options_with_a_name_of_their_own(options, walking, tmp_path):
     target = tmp_path / "out.mcap"
     assert run(["process", str(walking), "-o", str(target), "-q", *options]) == 0
     assert target.exists()
 
 
-def test_malaguti_saves_the_limbs_that_it_finds_and_uses_those_of_a_file(
-    crossing: Path, tmp_path: Path
-) -> None:
+def test_malaguti_saves_the_limbs_that_it_finds_and_uses_those_of_a_file(crossing, tmp_path):
     limbs, again = tmp_path / "limbs.toml", tmp_path / "again.toml"
     command = ["process", str(crossing), "-o", str(tmp_path / "out.mcap"), "--system", "malaguti"]
     assert run([*command, "--save-limbs", str(limbs), "-q"]) == 0
@@ -175,20 +160,14 @@ def test_malaguti_saves_the_limbs_that_it_finds_and_uses_those_of_a_file(
         (["--system", "hiros", "--limb-window", "0:2"], ""),
     ],
 )
-def test_what_an_option_did_not_find_is_noted(
-    options: list[str],
-    said: str,
-    walking: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_what_an_option_did_not_find_is_noted(options, said, walking, tmp_path, capsys):
     assert run(["process", str(walking), "-o", str(tmp_path / "out.mcap"), "--json", *options]) == 0
     notes = json.loads(capsys.readouterr().out)["notes"]
     asked = [note for note in notes if note.startswith(("keep", "limb lengths"))]
     assert asked == ([said] if said else [])
 
 
-def an_mcap(path: Path, schema: str = "std_msgs/msg/String") -> Path:
+def an_mcap(path, schema="std_msgs/msg/String"):
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start("ros2", "somebody else")
@@ -210,9 +189,7 @@ BAD_INPUTS = {
 
 
 @pytest.mark.parametrize("kind", BAD_INPUTS)
-def test_bad_input_is_one_line_and_no_output(
-    kind: str, walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_is_one_line_and_no_output(kind, walking, tmp_path, capsys):
     make, said = BAD_INPUTS[kind]
     source = tmp_path / "in.mcap"
     make(source, walking)
@@ -222,9 +199,7 @@ def test_bad_input_is_one_line_and_no_output(
     assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
 
 
-def test_no_transforms_is_one_line_that_names_the_way_out(
-    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_no_transforms_is_one_line_that_names_the_way_out(walking, tmp_path, capsys):
     source, target = tmp_path / "in.mcap", tmp_path / "out.mcap"
     with walking.open("rb") as old, source.open("wb") as file:
         reader, writer = make_reader(old), Writer(file)
@@ -297,20 +272,12 @@ def test_no_transforms_is_one_line_that_names_the_way_out(
         (["--config", "missing.toml"], "missing.toml"),
     ],
 )
-def test_a_wrong_option_is_one_line_and_no_output(
-    options: list[str],
-    said: str,
-    walking: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_wrong_option_is_one_line_and_no_output(options, said, walking, tmp_path, capsys):
     assert said in refused(capsys, "process", walking, "-o", tmp_path / "out.mcap", *options)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_input_is_never_the_output(
-    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_input_is_never_the_output(walking, tmp_path, capsys):
     source = tmp_path / "in.mcap"
     source.write_bytes(walking.read_bytes())
     (tmp_path / "link.mcap").symlink_to(source)
@@ -318,9 +285,7 @@ def test_the_input_is_never_the_output(
     assert source.read_bytes() == walking.read_bytes()
 
 
-def test_somebody_elses_file_is_not_replaced(
-    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_somebody_elses_file_is_not_replaced(walking, tmp_path, capsys):
     target = an_mcap(tmp_path / "precious.mcap")
     before = target.read_bytes()
     assert "--force" in refused(capsys, "process", walking, "-o", target)
@@ -330,14 +295,12 @@ def test_somebody_elses_file_is_not_replaced(
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write anywhere")
-def test_a_folder_that_cannot_be_written_is_one_line(
-    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_that_cannot_be_written_is_one_line(walking, tmp_path, capsys):
     tmp_path.chmod(0o500)
     assert "Permission denied" in refused(capsys, "process", walking, "-o", tmp_path / "out.mcap")
 
 
-def test_a_full_disk_is_one_line_and_no_output(walking: Path, tmp_path: Path) -> None:
+def test_a_full_disk_is_one_line_and_no_output(walking, tmp_path):
     target = tmp_path / "out.mcap"
     limited = f'ulimit -f 100; trap "" XFSZ; exec "$0" -m hiros_cli process {walking} -o {target}'
     command = ["sh", "-c", limited, sys.executable]
@@ -348,7 +311,7 @@ def test_a_full_disk_is_one_line_and_no_output(walking: Path, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
-def test_a_signal_leaves_nothing_behind(name: str, crossing: Path, tmp_path: Path) -> None:
+def test_a_signal_leaves_nothing_behind(name, crossing, tmp_path):
     command = [sys.executable, "-m", "hiros_cli", "process", str(crossing)]
     command += ["-o", str(tmp_path / "out.mcap")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
@@ -361,9 +324,7 @@ def test_a_signal_leaves_nothing_behind(name: str, crossing: Path, tmp_path: Pat
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_result_is_not_processed_again_by_accident(
-    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_result_is_not_processed_again_by_accident(walking, tmp_path, capsys):
     source = tmp_path / "walk.mcap"
     shutil.copy(walking, source)
     assert run(["process", str(source), "-q"]) == 0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -26,12 +25,12 @@ COMMANDS = {
 class Terminal(io.StringIO):
     """A stderr that somebody looks at."""
 
-    def isatty(self) -> bool:
+    def isatty(self):
         return True
 
 
 @pytest.fixture(scope="module")
-def logs(walking: Path, short: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def logs(walking, short, tmp_path_factory):
     """A recording, a short one and the result of that."""
     folder = tmp_path_factory.mktemp("progress")
     result = folder / "result.mcap"
@@ -40,16 +39,10 @@ def logs(walking: Path, short: Path, tmp_path_factory: pytest.TempPathFactory) -
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_a_terminal_shows_a_bar_and_a_pipe_nothing(
-    name: str,
-    logs: dict[str, str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_terminal_shows_a_bar_and_a_pipe_nothing(name, logs, tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("TERM", "xterm")
 
-    def told(folder: Path) -> str:
+    def told(folder):
         folder.mkdir()
         arguments = [
             logs.get(text, str(folder / text) if text.startswith("OUT") else text)

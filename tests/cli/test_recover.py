@@ -6,7 +6,6 @@ import json
 import re
 import shlex
 import shutil
-from pathlib import Path
 
 import pytest
 from mcap_logs import by_library, write_log
@@ -16,7 +15,7 @@ from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.log import open_log
 
 
-def damaged(source: Path, target: Path) -> Path:
+def damaged(source, target):
     """Copy a log with one byte changed in the middle of a chunk in the middle."""
     data = bytearray(source.read_bytes())
     with McapReader(source) as reader:
@@ -27,7 +26,7 @@ def damaged(source: Path, target: Path) -> Path:
     return target
 
 
-def cut(source: Path, target: Path, share: float = 0.6) -> Path:
+def cut(source, target, share=0.6):
     """Copy a log as far as it was written when the power went."""
     data = source.read_bytes()
     target.write_bytes(data[: int(share * len(data))])
@@ -35,7 +34,7 @@ def cut(source: Path, target: Path, share: float = 0.6) -> Path:
 
 
 @pytest.fixture
-def log(crossing: Path, tmp_path: Path) -> Path:
+def log(crossing, tmp_path):
     """The crossing in many chunks."""
     path = tmp_path / "lab.mcap"
     with McapReader(crossing) as reader, McapWriter(path, chunk_size=150_000) as writer:
@@ -47,14 +46,12 @@ def log(crossing: Path, tmp_path: Path) -> Path:
     return path
 
 
-def mark(path: Path) -> dict[str, str]:
+def mark(path):
     with McapReader(path) as reader:
         return dict(reader.contents.metadata).get("hiros.recovery", {})
 
 
-def test_what_is_left_is_a_healthy_log_with_a_mark(
-    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_left_is_a_healthy_log_with_a_mark(log, tmp_path, capsys):
     bad, out = damaged(log, tmp_path / "bad.mcap"), tmp_path / "out.mcap"
     assert run(["recover", str(bad), "-o", str(out)]) == 3
     said = capsys.readouterr()
@@ -72,9 +69,7 @@ def test_what_is_left_is_a_healthy_log_with_a_mark(
     assert f"wrote {len(left)} messages" in said.out
 
 
-def test_a_healthy_log_is_copied_and_nothing_is_lost(
-    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_healthy_log_is_copied_and_nothing_is_lost(log, tmp_path, capsys):
     out = tmp_path / "out.mcap"
     assert run(["recover", str(log), "-o", str(out)]) == 0
     said = capsys.readouterr()
@@ -84,9 +79,7 @@ def test_a_healthy_log_is_copied_and_nothing_is_lost(
     assert mark(out) == {}
 
 
-def test_a_log_that_lost_its_summary_only_is_complete(
-    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_log_that_lost_its_summary_only_is_complete(log, tmp_path, capsys):
     bad, data = tmp_path / "bad.mcap", log.read_bytes()
     summary = int.from_bytes(data[-28:-20], "little")
     bad.write_bytes(data[: summary + 50])
@@ -95,9 +88,7 @@ def test_a_log_that_lost_its_summary_only_is_complete(
     assert by_library(tmp_path / "out.mcap") == by_library(log)
 
 
-def test_messages_that_nothing_checked_are_a_loss_though_all_are_there(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_messages_that_nothing_checked_are_a_loss_though_all_are_there(tmp_path, capsys):
     codes = []
     for name, checked in (("checked", True), ("unchecked", False)):
         path = tmp_path / f"{name}.mcap"
@@ -108,7 +99,7 @@ def test_messages_that_nothing_checked_are_a_loss_though_all_are_there(
     assert codes == [0, 3]
 
 
-def test_the_loss_as_json(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_loss_as_json(log, tmp_path, capsys):
     bad = cut(log, tmp_path / "bad.mcap")
     assert run(["recover", str(bad), "--json"]) == 3
     said = json.loads(capsys.readouterr().out)
@@ -117,18 +108,14 @@ def test_the_loss_as_json(log: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 @pytest.mark.parametrize("data", [b"", b"no log", b"\x89MCAP0\r\n"])
-def test_where_nothing_can_be_read_nothing_is_written(
-    data: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_where_nothing_can_be_read_nothing_is_written(data, tmp_path, capsys):
     (tmp_path / "bad.mcap").write_bytes(data)
     assert run(["recover", str(tmp_path / "bad.mcap"), "-o", str(tmp_path / "out.mcap")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert not (tmp_path / "out.mcap").exists()
 
 
-def test_the_refusal_of_a_damaged_log_names_the_command(
-    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_refusal_of_a_damaged_log_names_the_command(log, tmp_path, capsys):
     for bad in (cut(log, tmp_path / "cut.mcap"), damaged(log, tmp_path / "bad.mcap")):
         assert run(["process", str(bad), "-o", str(tmp_path / "out.mcap")]) == 2
         error = capsys.readouterr().err
@@ -136,9 +123,7 @@ def test_the_refusal_of_a_damaged_log_names_the_command(
         assert run(shlex.split(command)) == 3
 
 
-def test_a_run_on_what_is_left_is_marked_and_warns(
-    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_on_what_is_left_is_marked_and_warns(log, tmp_path, capsys):
     bad, out = cut(log, tmp_path / "bad.mcap"), tmp_path / "out.mcap"
     assert run(["process", str(bad), "-o", str(out), "--recover", "-q"]) == 3
     assert "hiros: warning: the recording is damaged; lost: " in capsys.readouterr().err
@@ -149,7 +134,7 @@ def test_a_run_on_what_is_left_is_marked_and_warns(
     assert mark(tmp_path / "two.mcap") == mark(out)
 
 
-def test_a_run_on_a_healthy_log_is_the_same_with_the_option(log: Path, tmp_path: Path) -> None:
+def test_a_run_on_a_healthy_log_is_the_same_with_the_option(log, tmp_path):
     plain, careful = tmp_path / "plain.mcap", tmp_path / "careful.mcap"
     assert run(["process", str(log), "-o", str(plain), "-q"]) == 0
     assert run(["process", str(log), "-o", str(careful), "-q", "--recover"]) == 0
@@ -157,7 +142,7 @@ def test_a_run_on_a_healthy_log_is_the_same_with_the_option(log: Path, tmp_path:
 
 
 @pytest.fixture
-def folder(log: Path, tmp_path: Path) -> Path:
+def folder(log, tmp_path):
     """The log as a rosbag2 recording of twelve files, of which the last channel ids differ."""
     folder = tmp_path / "bag"
     folder.mkdir()
@@ -184,13 +169,13 @@ def folder(log: Path, tmp_path: Path) -> Path:
     return folder
 
 
-def by_topic(path: Path) -> list[tuple[str, int, bytes]]:
+def by_topic(path):
     with McapReader(path) as reader:
         topics = {i: channel.topic for i, channel in reader.channels.items()}
         return [(topics[m.channel_id], m.log_time, bytes(m.data)) for m in reader.messages()]
 
 
-def test_a_recording_of_several_files_is_read_as_one(folder: Path, log: Path) -> None:
+def test_a_recording_of_several_files_is_read_as_one(folder, log):
     with open_log(folder) as split, open_log(log) as whole:
         counts = {channel.topic: channel.count for channel in whole.channels}
         assert {c.topic: c.count for c in split.channels}.items() <= counts.items()
@@ -198,9 +183,7 @@ def test_a_recording_of_several_files_is_read_as_one(folder: Path, log: Path) ->
         assert split.reader.has_checksums
 
 
-def test_a_cut_file_of_several_is_named_and_the_others_are_recovered(
-    folder: Path, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_cut_file_of_several_is_named_and_the_others_are_recovered(folder, log, tmp_path, capsys):
     last, out = folder / "bag_11.mcap", tmp_path / "out.mcap"
     cut(last, last, 0.5)
     assert run(["process", str(folder), "-o", str(tmp_path / "result.mcap")]) == 2
@@ -216,8 +199,8 @@ def test_a_cut_file_of_several_is_named_and_the_others_are_recovered(
 
 @pytest.mark.parametrize("text", [None, ""])
 def test_a_folder_whose_list_of_files_is_lost_is_recovered_in_the_order_of_numbers(
-    folder: Path, log: Path, tmp_path: Path, text: str | None
-) -> None:
+    folder, log, tmp_path, text
+):
     if text is None:
         (folder / "metadata.yaml").unlink()
     else:
@@ -227,9 +210,7 @@ def test_a_folder_whose_list_of_files_is_lost_is_recovered_in_the_order_of_numbe
     assert by_topic(tmp_path / "out.mcap") == by_topic(log)
 
 
-def test_a_file_that_is_missing_is_a_loss(
-    folder: Path, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_that_is_missing_is_a_loss(folder, log, tmp_path, capsys):
     (folder / "bag_3.mcap").unlink()
     assert run(["recover", str(folder), "-o", str(tmp_path / "out.mcap")]) == 3
     assert "bag_3.mcap" in capsys.readouterr().out

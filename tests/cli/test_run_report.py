@@ -15,14 +15,14 @@ HEADER = ("Channel", "Mean error", "Upper limbs", "Lower limbs")
 ROWS = [("/hiros/optimized", "25.1", "32.7", "30.4"), ("/hiros/filtered", "20.2", "26.7", "23.7")]
 
 
-def shown(width: int) -> list[str]:
+def shown(width):
     out = Console(width=width, file=io.StringIO())
     show_table(out, "Joint error, mm", (HEADER, ROWS))
     return out.file.getvalue().splitlines()  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("width", [30, 44, 60, 80, 1000])
-def test_a_table_keeps_to_the_terminal_and_breaks_no_word(width: int) -> None:
+def test_a_table_keeps_to_the_terminal_and_breaks_no_word(width):
     lines = shown(width)
     assert max(map(len, lines)) <= width
     assert [line.split("  ")[0].strip() for line in lines[2:]] == (
@@ -32,7 +32,7 @@ def test_a_table_keeps_to_the_terminal_and_breaks_no_word(width: int) -> None:
     assert [cells.count(cell) for row in ROWS for cell in row[1:]] == [1] * 6
 
 
-def test_what_the_terminal_has_no_room_for_follows_below() -> None:
+def test_what_the_terminal_has_no_room_for_follows_below():
     assert [line.split() for line in shown(44)[2:]] == [
         ["Channel", "Mean", "error", "Upper", "limbs"],
         ["/hiros/optimized", "25.1", "32.7"],
@@ -43,5 +43,5 @@ def test_what_the_terminal_has_no_room_for_follows_below() -> None:
     ]
 
 
-def test_zero_has_no_sign() -> None:
+def test_zero_has_no_sign():
     assert [number(value, 1) for value in (-0.04, -0.06, math.nan)] == ["0.0", "-0.1", "-"]

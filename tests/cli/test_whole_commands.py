@@ -12,14 +12,14 @@ from whole_commands import COMMANDS, altered, faults_of, write_files
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("files")
     write_files(folder)
     return folder
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_files_without_a_fault_are_taken(name: str, files: Path, tmp_path: Path) -> None:
+def test_files_without_a_fault_are_taken(name, files, tmp_path):
     data = (files / COMMANDS[name].altered).read_bytes()
     assert faults_of(name, files, data, tmp_path, codes=frozenset({0})) == []
 
@@ -34,8 +34,6 @@ def test_files_without_a_fault_are_taken(name: str, files: Path, tmp_path: Path)
     suppress_health_check=list(HealthCheck),
 )
 @given(data=st.data())
-def test_altered_files_are_taken_or_refused_in_one_line(
-    name: str, files: Path, data: st.DataObject
-) -> None:
+def test_altered_files_are_taken_or_refused_in_one_line(name, files, data):
     with tempfile.TemporaryDirectory() as folder:
         assert faults_of(name, files, data.draw(altered(name, files)), Path(folder)) == []

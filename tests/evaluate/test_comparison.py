@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterable, Iterator
-from pathlib import Path
 
 import pytest
 
@@ -31,17 +29,15 @@ from hiros_mcap.evaluate.logs import (
     read_channel,
     results_of,
 )
-from hiros_mcap.evaluate.scores import Scores
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.write_log import write_log
-from hiros_mcap.skeletons import Frame
 from hiros_mcap.summary import plain
 from hiros_mcap.systems import SYSTEMS
 from hiros_mcap.systems.run import System
 
 
-def test_entries_are_read_and_checked() -> None:
+def test_entries_are_read_and_checked():
     entry = Entry.parse("lee:tm,cluster.radius=0.2")
     assert (entry.system, entry.stages, entry.assignments) == ("lee", "TM", ("cluster.radius=0.2",))
     assert entry.name == "lee:TM,cluster.radius=0.2"
@@ -52,7 +48,7 @@ def test_entries_are_read_and_checked() -> None:
 
 
 @pytest.fixture(scope="module")
-def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def faulty(tmp_path_factory):
     """A recording with wrong poses and wrong clocks."""
     path = tmp_path_factory.mktemp("faulty") / "log.mcap"
     scene = {"cameras": 3, "seconds": 12.0, "seed": 5, "calibration_error": 4.0}
@@ -63,7 +59,7 @@ def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("name", ["fuse", "fuse-realtime", "malaguti"])
-def test_process_eval_and_compare_give_one_score(faulty: Path, tmp_path: Path, name: str) -> None:
+def test_process_eval_and_compare_give_one_score(faulty, tmp_path, name):
     """Clocks and poses are corrected alike in all of them."""
     out = tmp_path / "out.mcap"
     config = load_config(system=name)
@@ -84,13 +80,13 @@ def test_process_eval_and_compare_give_one_score(faulty: Path, tmp_path: Path, n
     assert alone.consistency == consistency(frames, model)
 
 
-def numbers(scores: Scores | None) -> str:
+def numbers(scores):
     """All scores as text, where two NaN are equal."""
     assert scores is not None
     return json.dumps(plain(scores))
 
 
-def test_side_by_side_as_one_after_the_other(walking: Path) -> None:
+def test_side_by_side_as_one_after_the_other(walking):
     tasks = [Task(walking, Entry(name)) for name in ("raw", "hiros", "average")]
     together, alone = comparison(tasks, jobs=2), comparison(tasks, jobs=1)
     assert [o.name for o in together] == ["raw", "hiros", "average"]
@@ -100,12 +96,10 @@ def test_side_by_side_as_one_after_the_other(walking: Path) -> None:
     assert [row[0] for row in rows] == ["hiros", "average", "raw"]
 
 
-def test_what_the_first_call_of_a_kernel_costs_is_not_timed(
-    walking: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_the_first_call_of_a_kernel_costs_is_not_timed(walking, monkeypatch):
     called: list[int] = []
 
-    def slow_at_first(frames: Iterable[Frame]) -> Iterator[Frame]:
+    def slow_at_first(frames):
         if not called:
             end = time.process_time() + 0.5
             while time.process_time() < end:
@@ -120,7 +114,7 @@ def test_what_the_first_call_of_a_kernel_costs_is_not_timed(
     assert outcome.milliseconds < 0.5
 
 
-def test_the_realtime_preset_takes_part_as_a_system(crossing: Path, tmp_path: Path) -> None:
+def test_the_realtime_preset_takes_part_as_a_system(crossing, tmp_path):
     config = load_config(preset="realtime", system="hiros")
     process(crossing, tmp_path / "a.mcap", config=config, options=ProcessOptions("hiros"))
     process(crossing, tmp_path / "b.mcap", options=ProcessOptions(system="hiros-realtime"))
@@ -137,7 +131,7 @@ def test_the_realtime_preset_takes_part_as_a_system(crossing: Path, tmp_path: Pa
 
 
 @pytest.mark.parametrize("name", ["hiros", "malaguti", "lee-a4"])
-def test_every_subset_of_the_cameras(walking: Path, name: str) -> None:
+def test_every_subset_of_the_cameras(walking, name):
     tasks = camera_subsets(Task(walking, Entry(name)))
     assert [len(task.sources or ()) for task in tasks] == [1, 1, 1, 2, 2, 2, 3]
     table = by_number_of_cameras(comparison(tasks, jobs=1))
@@ -145,13 +139,13 @@ def test_every_subset_of_the_cameras(walking: Path, name: str) -> None:
     assert errors[0] > errors[1] > errors[2]
 
 
-def test_errors_by_number_of_cameras_as_a_table() -> None:
+def test_errors_by_number_of_cameras_as_a_table():
     header, rows = score_tables.camera_table({"hiros": {1: (30.0, 5.0), 3: (20.0, 4.0)}})
     assert header == ("System", "1", "3")
     assert rows == [("hiros", "30.0 (5.0)", "20.0 (4.0)")]
 
 
-def test_from_outside(walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_from_outside(walking, tmp_path, capsys):
     page = tmp_path / "a.html"
     arguments = ["--system", "raw", "--system", "hiros:TM", "--jobs", "1"]
     assert run(["compare", str(walking), *arguments, "--html", str(page)]) == 0
@@ -164,16 +158,14 @@ def test_from_outside(walking: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 @pytest.fixture
-def bare(walking: Path, tmp_path: Path) -> Path:
+def bare(walking, tmp_path):
     """A recording without a truth."""
     path = tmp_path / "bare.mcap"
     process(walking, path, options=ProcessOptions(stages="T", keep=("/camera_*", "/tf_static")))
     return path
 
 
-def test_without_a_truth_nothing_is_ranked(
-    bare: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_a_truth_nothing_is_ranked(bare, tmp_path, capsys):
     page = tmp_path / "a.html"
     for first, second in (("hiros", "raw"), ("raw", "hiros")):
         arguments = ["--system", first, "--system", second, "--jobs", "1", "--html", str(page)]
@@ -191,9 +183,7 @@ def test_without_a_truth_nothing_is_ranked(
     assert "needs a truth" in capsys.readouterr().err
 
 
-def test_a_result_without_its_recording_cannot_be_compared(
-    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_result_without_its_recording_cannot_be_compared(walking, tmp_path, capsys):
     process(walking, tmp_path / "result.mcap", options=ProcessOptions(keep=()))
     process(walking, tmp_path / "truth.mcap", options=ProcessOptions(keep=("/truth/*",)))
     for name in ("result.mcap", "truth.mcap"):
@@ -203,9 +193,7 @@ def test_a_result_without_its_recording_cannot_be_compared(
         assert line.count("\n") == 1
 
 
-def test_who_is_better_is_said_with_an_interval(
-    bare: Path, walking: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_who_is_better_is_said_with_an_interval(bare, walking, capsys):
     for log, found in ((bare, "raw: against hiros, mm: "), (walking, "raw: against hiros, mm: ")):
         arguments = ["--system", "hiros", "--system", "raw", "--jobs", "1"]
         assert run(["compare", str(log), *arguments]) == 0
@@ -216,9 +204,7 @@ def test_who_is_better_is_said_with_an_interval(
     assert "smoothing, not fusion" not in text
 
 
-def test_a_system_against_itself_makes_no_difference(
-    bare: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_system_against_itself_makes_no_difference(bare, capsys):
     systems = ["--system", "hiros", "--system", "hiros"]
     assert run(["compare", str(bare), *systems, "--jobs", "1", "--json"]) == 0
     one, other = json.loads(capsys.readouterr().out)["outcomes"]
@@ -230,9 +216,7 @@ def test_a_system_against_itself_makes_no_difference(
     assert one["detections"] > 100
 
 
-def test_two_cameras_test_smoothing(
-    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_two_cameras_test_smoothing(walking, tmp_path, capsys):
     log = tmp_path / "two.mcap"
     keep = ("/camera_0/*", "/camera_1/*", "/tf_static")
     process(walking, log, options=ProcessOptions(stages="T", topics=keep[:2], keep=keep))
@@ -241,7 +225,7 @@ def test_two_cameras_test_smoothing(
         assert "smoothing, not fusion" in " ".join(capsys.readouterr().out.split())
 
 
-def test_what_is_known_without_a_truth(bare: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_known_without_a_truth(bare, capsys):
     systems = ["--system", "raw", "--system", "hiros"]
     assert run(["compare", str(bare), *systems, "--jobs", "1", "--json"]) == 0
     raw, hiros = json.loads(capsys.readouterr().out)["outcomes"]
@@ -263,9 +247,7 @@ def test_what_is_known_without_a_truth(bare: Path, capsys: pytest.CaptureFixture
         (["{log}", "--rrd", "/nowhere/at/all.rrd"], "no such folder"),
     ],
 )
-def test_faults_are_one_line(
-    walking: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], fault: str
-) -> None:
+def test_faults_are_one_line(walking, capsys, arguments, fault):
     assert run(["compare", *(a.format(log=walking) for a in arguments)]) == 2
     captured = capsys.readouterr()
     assert captured.err.count("\n") == 1

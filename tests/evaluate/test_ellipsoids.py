@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -22,7 +20,7 @@ from hiros_mcap.skeletons import SkeletonModel
 MODEL = SkeletonModel.of(["A", "B"], [])
 
 
-def matches(error: float, n: int = 4000) -> Matches:
+def matches(error, n=4000):
     poses = np.random.default_rng(0).normal(0, error, (n, 2, 3))
     stamps, turns = np.arange(n), np.zeros((n, 0, 4))
     true_poses = np.zeros_like(poses)
@@ -30,7 +28,7 @@ def matches(error: float, n: int = 4000) -> Matches:
 
 
 @pytest.mark.parametrize(("error", "within"), [(0.01, 0.68), (0.02, 0.17), (0.005, 0.997)])
-def test_coverage_of_normal_errors(error: float, within: float) -> None:
+def test_coverage_of_normal_errors(error, within):
     told = {(stamp, 7): {0: 0.01, 1: 0.01} for stamp in range(4000)}
     found = coverage_of(matches(error), told, MODEL)
     assert found is not None
@@ -38,7 +36,7 @@ def test_coverage_of_normal_errors(error: float, within: float) -> None:
     assert found.ratio == pytest.approx(error / 0.01, rel=0.03)
 
 
-def test_joints_without_a_deviation_do_not_count() -> None:
+def test_joints_without_a_deviation_do_not_count():
     told = {(stamp, 7): {0: 0.01, 1: np.nan} for stamp in range(10)}
     found = coverage_of(matches(0.01, 20), told, MODEL)
     assert found is not None
@@ -46,7 +44,7 @@ def test_joints_without_a_deviation_do_not_count() -> None:
     assert coverage_of(matches(0.01, 20), {}, MODEL) is None
 
 
-def test_a_result_of_fuse_says_how_well_it_is_known(tmp_path: Path) -> None:
+def test_a_result_of_fuse_says_how_well_it_is_known(tmp_path):
     log, out = tmp_path / "log.mcap", tmp_path / "out.mcap"
     write_log(log, SimulateParams(people=1, cameras=3, seconds=4, seed=5))
     config = load_config(system="fuse")
@@ -65,7 +63,7 @@ def test_a_result_of_fuse_says_how_well_it_is_known(tmp_path: Path) -> None:
     assert 0.5 < result.coverage.within_68 < 1
 
 
-def test_a_result_of_hiros_says_nothing(tmp_path: Path) -> None:
+def test_a_result_of_hiros_says_nothing(tmp_path):
     log, out = tmp_path / "log.mcap", tmp_path / "out.mcap"
     write_log(log, SimulateParams(people=1, cameras=2, seconds=1, seed=5))
     process(log, out, options=ProcessOptions(system="hiros"))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from builders import FAULTLESS
@@ -17,7 +15,7 @@ from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.simulate.write_log import write_log
 
 
-def test_a_shifted_camera_is_the_one_that_disagrees(tmp_path: Path) -> None:
+def test_a_shifted_camera_is_the_one_that_disagrees(tmp_path):
     """Without faults every camera agrees; one whose published pose is wrong stands out."""
     log = tmp_path / "log.mcap"
     faultless = {"noise": 0.0, "occlusion": 0.0, "flips": 0.0, "dropouts": 0.0, "phantoms": 0.0}
@@ -33,7 +31,7 @@ def test_a_shifted_camera_is_the_one_that_disagrees(tmp_path: Path) -> None:
     assert leave_one_out(log).cameras[0].offset > 2 * clean.cameras[0].offset
 
 
-def test_the_camera_left_out_is_in_nothing_it_is_compared_with(tmp_path: Path) -> None:
+def test_the_camera_left_out_is_in_nothing_it_is_compared_with(tmp_path):
     """Four cameras without faults, one said to stand 10 cm off: it is 10 cm off, not less."""
     log, extrinsics = tmp_path / "log.mcap", tmp_path / "cameras.toml"
     faultless = {**FAULTLESS, "people": 1, "cameras": 4, "seconds": 2, "action": "wave"}
@@ -54,7 +52,7 @@ def test_the_camera_left_out_is_in_nothing_it_is_compared_with(tmp_path: Path) -
     assert shifted.spread < 10
 
 
-def test_mirrored_detections_count_as_they_are(tmp_path: Path) -> None:
+def test_mirrored_detections_count_as_they_are(tmp_path):
     """To strike out what contradicts a result would flatter the result that is wrong."""
     log = tmp_path / "log.mcap"
     flipping = {"flips_per_minute": 40.0, "flip_seconds": (0.2, 0.6), "reversal_share": 0.0}
@@ -69,12 +67,12 @@ def test_mirrored_detections_count_as_they_are(tmp_path: Path) -> None:
         assert each.median < 15
 
 
-def test_two_cameras_are_needed(walking: Path) -> None:
+def test_two_cameras_are_needed(walking):
     with pytest.raises(ConfigError, match="at least two cameras"):
         leave_one_out(walking, options=ProcessOptions(topics=("/camera_0/*",)))
 
 
-def test_the_result_alone() -> None:
+def test_the_result_alone():
     """Limbs that do not change, an id that lives for 29 frames, one joint that shakes by 2 cm."""
     frames = [seen([person()], at(k), ids=[4]) for k in range(30)]
     for k, frame in enumerate(frames):

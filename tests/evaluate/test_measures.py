@@ -19,7 +19,6 @@ from hiros_mcap.evaluate.measures import (
     MOTION,
     PEOPLE,
     SELF,
-    Measure,
     table_of,
 )
 from hiros_mcap.regression.metrics import worse
@@ -29,13 +28,13 @@ DOCS = Path(__file__).parents[2] / "docs"
 SCORES = dict.fromkeys((*ERRORS, *MOTION, *PEOPLE))
 
 
-def rows_of(page: str) -> list[list[str]]:
+def rows_of(page):
     """Cells of all tables of a page."""
     lines = (DOCS / page).read_text(encoding="utf-8").splitlines()
     return [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines if line[:1] == "|"]
 
 
-def test_the_page_has_the_columns_of_the_tables() -> None:
+def test_the_page_has_the_columns_of_the_tables():
     rows = rows_of("evaluating.md")
     assert [row for row in rows if len(row) == 3 and row[1][1:-1] in MEASURES] == [
         [m.header(), f"`{m.name}`", m.text] for m in SCORES
@@ -49,7 +48,7 @@ def test_the_page_has_the_columns_of_the_tables() -> None:
 @pytest.mark.parametrize(
     ("place", "measures"), [("channels.*", SCORES), ("cameras[]", LEFT_OUT), ("outcomes[]", SELF)]
 )
-def test_the_fields_of_json_are_explained_alike(place: str, measures: tuple[Measure]) -> None:
+def test_the_fields_of_json_are_explained_alike(place, measures):
     texts = dict(row for row in rows_of("json.md") if len(row) == 2)
     explained = 0
     for m in measures:
@@ -60,7 +59,7 @@ def test_the_fields_of_json_are_explained_alike(place: str, measures: tuple[Meas
     assert explained > 4
 
 
-def test_the_page_of_golden_files_lists_all_names() -> None:
+def test_the_page_of_golden_files_lists_all_names():
     text = (DOCS / "golden.md").read_text(encoding="utf-8")
     listed = text.partition("Metrics: ")[2].partition(".\n")[0]
     free, _, true = listed.partition("; with a truth also ")
@@ -68,7 +67,7 @@ def test_the_page_of_golden_files_lists_all_names() -> None:
     assert sorted(re.findall(r"`(\w+)`", free + true)) == sorted(MEASURES)
 
 
-def test_each_measure_is_in_the_scores_and_in_json() -> None:
+def test_each_measure_is_in_the_scores_and_in_json():
     frames = [seen([person(0.01 * k)], at(k), ids=[0]) for k in range(30)]
     scores = evaluate(frames, Truth.of(frames), MODEL)
     for m in SCORES:
@@ -87,7 +86,7 @@ def test_each_measure_is_in_the_scores_and_in_json() -> None:
 
 
 @pytest.mark.parametrize("measure", MEASURES.values(), ids=list(MEASURES))
-def test_what_is_worse_depends_on_the_measure(measure: Measure) -> None:
+def test_what_is_worse_depends_on_the_measure(measure):
     name, step = measure.name, 10 * (measure.floor or 1.0)
     more, less = ({name: 100.0 + sign * step} for sign in (1, -1))
     lost, gained = (
@@ -102,7 +101,7 @@ def test_what_is_worse_depends_on_the_measure(measure: Measure) -> None:
     assert (lost, gained) == expected[measure.better]
 
 
-def test_columns_have_their_unit_unless_the_title_states_it() -> None:
+def test_columns_have_their_unit_unless_the_title_states_it():
     assert table_of("Channel", [], MOTION)[0][:2] == ("Channel", "Bending, deg")
     header, _ = table_of("Channel", [("a", object())], ERRORS, "mm")
     assert header[:2] == ("Channel", "Mean")

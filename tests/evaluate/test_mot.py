@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
 import pytest
 
 from hiros_mcap.evaluate.mot import ALPHAS, FrameSimilarity, tracking_scores
 
 
-def instant(true: Sequence[int], ids: Sequence[int], similarity: object) -> FrameSimilarity:
+def instant(true, ids, similarity):
     return FrameSimilarity(
         tuple(true), tuple(ids), np.array(similarity, float).reshape(len(true), len(ids))
     )
 
 
-def test_perfect_tracking() -> None:
+def test_perfect_tracking():
     s = tracking_scores([instant([0, 1], [5, 7], np.eye(2))] * 4)
     assert (s.mota, s.motp, s.switches, s.idf1, s.hota) == (1, 1, 0, 1, 1)
 
 
-def test_one_missing_one_false_and_one_switch_in_ten() -> None:
+def test_one_missing_one_false_and_one_switch_in_ten():
     """10 true: 1 missing, 1 false, 1 switch -> MOTA 0.7; ids 5 (6 frames) and 6 (3)."""
     rows = [instant([0], [5], [[1.0]])] * 6 + [instant([0], [6], [[1.0]])] * 3
     s = tracking_scores([*rows, instant([0], [9], [[0.0]])])
@@ -31,32 +28,32 @@ def test_one_missing_one_false_and_one_switch_in_ten() -> None:
     assert s.idf1 == pytest.approx(2 * 6 / (10 + 10))
 
 
-def test_hota_of_an_id_that_changes_halfway() -> None:
+def test_hota_of_an_id_that_changes_halfway():
     """All are found: DetA 1; each match shares 5 of 10 frames with its id: AssA 1/2."""
     rows = [instant([0], [5], [[1.0]])] * 5 + [instant([0], [6], [[1.0]])] * 5
     s = tracking_scores(rows)
     assert s.hota == pytest.approx(np.sqrt(0.5))
 
 
-def test_half_similar_matches_count_up_to_that_similarity() -> None:
+def test_half_similar_matches_count_up_to_that_similarity():
     s = tracking_scores([instant([0], [5], [[0.5]])] * 3)
     assert s.hota == pytest.approx((ALPHAS <= 0.5 + 1e-9).mean())
 
 
-def test_a_match_is_kept_while_it_is_possible() -> None:
+def test_a_match_is_kept_while_it_is_possible():
     """CLEAR MOT: the other person comes closer to the id for a moment; no switch."""
     far = [[0.6, 0.7], [0.7, 0.6]]
     rows = [instant([0, 1], [5, 7], np.eye(2)), instant([0, 1], [5, 7], far)]
     assert tracking_scores(rows).switches == 0
 
 
-def test_nobody_to_be_found() -> None:
+def test_nobody_to_be_found():
     assert np.isnan(tracking_scores([instant([], [], [])]).hota)
     assert np.isnan(tracking_scores([instant([], [], [])]).mota)
     assert tracking_scores([instant([0], [], [])]).mota == 0
 
 
-def random_case(seed: int) -> list[FrameSimilarity]:
+def random_case(seed):
     """People and ids that come, go, change and are similar by chance."""
     rng = np.random.default_rng(seed)
     people, names = int(rng.integers(1, 5)), int(rng.integers(1, 7))
@@ -69,7 +66,7 @@ def random_case(seed: int) -> list[FrameSimilarity]:
     return rows
 
 
-def as_trackeval(instants: Sequence[FrameSimilarity]) -> dict[str, Any]:
+def as_trackeval(instants):
     people = sorted({i for now in instants for i in now.true_ids})
     names = sorted({i for now in instants for i in now.ids})
     return {
@@ -85,7 +82,7 @@ def as_trackeval(instants: Sequence[FrameSimilarity]) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_equal_to_trackeval(seed: int) -> None:
+def test_equal_to_trackeval(seed):
     import trackeval
 
     instants = random_case(seed)

@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 from stick_figures import person
 
 from hiros_mcap.evaluate.pairing import best_pairs, skeleton_distances
-from hiros_mcap.skeletons import Floats
 
 
-def test_the_mean_is_over_the_markers_that_both_have() -> None:
+def test_the_mean_is_over_the_markers_that_both_have():
     """One of eight markers is 80 cm off; without it nothing is."""
     a, b = person(), person()
     b[3] += [0, 0, 0.8]
@@ -24,7 +23,7 @@ def test_the_mean_is_over_the_markers_that_both_have() -> None:
     assert skeleton_distances(np.full((1, 8, 3), np.nan), b[None])[0, 0] == np.inf
 
 
-def test_rows_are_the_first_set() -> None:
+def test_rows_are_the_first_set():
     distances = skeleton_distances(
         np.stack([person(), person(1.0)]), np.stack([person(), person(2.0), person(5.0)])
     )
@@ -32,7 +31,7 @@ def test_rows_are_the_first_set() -> None:
     assert skeleton_distances(np.zeros((0, 8, 3)), np.zeros((2, 8, 3))).shape == (0, 2)
 
 
-def test_as_many_pairs_as_possible_come_before_the_least_sum() -> None:
+def test_as_many_pairs_as_possible_come_before_the_least_sum():
     assert best_pairs(np.array([[1.0, 100.0], [100.0, np.inf]])) == [(0, 1), (1, 0)]
     assert best_pairs(np.array([[np.inf, 1.0], [np.inf, 2.0]])) == [(0, 1)]
     assert best_pairs(np.full((2, 3), np.inf)) == best_pairs(np.zeros((0, 3))) == []
@@ -51,7 +50,7 @@ costs = st.integers(1, 4).flatmap(
 
 @settings(deadline=None, max_examples=60)
 @given(costs)
-def test_no_assignment_has_more_pairs_or_as_many_at_less_cost(cost: Floats) -> None:
+def test_no_assignment_has_more_pairs_or_as_many_at_less_cost(cost):
     table = cost if cost.shape[0] <= cost.shape[1] else cost.T
     best = (0, 0.0)
     for columns in permutations(range(table.shape[1]), table.shape[0]):

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from stick_figures import MODEL, at, person, seen
 
-from hiros_mcap.evaluate import Scores, Truth, evaluate
+from hiros_mcap.evaluate import Truth, evaluate
 from hiros_mcap.evaluate.match import match, people_without_truth
-from hiros_mcap.skeletons import Floats, Frame
 
 
-def walker(k: int, centre: float = 0.0) -> Floats:
+def walker(k, centre=0.0):
     """Somebody who goes to and fro by 1 m."""
     return person(centre + math.sin(0.05 * k), 3 * (centre > 0))
 
@@ -25,11 +23,11 @@ ONE = Truth.of([f.select([0]) for f in ALL])
 PARTIAL = replace(ONE, partial=True)
 
 
-def scores(frames: list[Frame], truth: Truth) -> Scores:
+def scores(frames, truth):
     return evaluate(frames, truth, MODEL)
 
 
-def test_people_without_a_label_are_not_false() -> None:
+def test_people_without_a_label_are_not_false():
     whole, part = scores(ALL, ONE), scores(ALL, PARTIAL)
     assert (whole.false, whole.tracking.mota) == (300, -1)
     assert part.false is None
@@ -38,7 +36,7 @@ def test_people_without_a_label_are_not_false() -> None:
     assert part.mean == whole.mean == 0
 
 
-def test_who_is_missed_or_renamed_still_counts() -> None:
+def test_who_is_missed_or_renamed_still_counts():
     frames = [f.select([1, 2]) if k < 30 else f for k, f in enumerate(ALL)]
     frames[90:] = [f.replace(ids=np.array([9, 1, 2], np.int32)) for f in frames[90:]]
     part = scores(frames, PARTIAL)
@@ -47,7 +45,7 @@ def test_who_is_missed_or_renamed_still_counts() -> None:
     assert part.tracking.idf1 == pytest.approx(2 * 60 / (150 + 120))
 
 
-def test_those_who_walk_where_the_truth_has_nobody_are_people() -> None:
+def test_those_who_walk_where_the_truth_has_nobody_are_people():
     assert people_without_truth(match(ALL, ONE), ONE) == (1, 2)
     assert people_without_truth(match(ALL, Truth.of(ALL)), Truth.of(ALL)) == ()
 
@@ -62,7 +60,7 @@ def test_those_who_walk_where_the_truth_has_nobody_are_people() -> None:
     ],
     ids=["still", "noisy", "double", "short"],
 )
-def test_a_false_person_is_not_excused(false: Callable[[int], Floats]) -> None:
+def test_a_false_person_is_not_excused(false):
     frames = []
     for k in range(150):
         people = [pose for pose in (walker(k), false(k)) if not np.isnan(pose).any()]
@@ -70,6 +68,6 @@ def test_a_false_person_is_not_excused(false: Callable[[int], Floats]) -> None:
     assert people_without_truth(match(frames, ONE), ONE) == ()
 
 
-def test_a_truth_of_somewhere_else_is_not_partial() -> None:
+def test_a_truth_of_somewhere_else_is_not_partial():
     away = replace(ONE, positions=ONE.positions + 30.0)
     assert people_without_truth(match(ALL, away), away) == ()

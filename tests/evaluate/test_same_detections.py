@@ -6,23 +6,22 @@ import numpy as np
 import pytest
 
 from hiros_mcap.evaluate.same_detections import Distances, MeanDifference, on_same_detections
-from hiros_mcap.skeletons import Floats
 
 SECOND = 1_000_000_000
 
 
-def camera(joints: Floats, rate: int = 10) -> Distances:
+def camera(joints, rate=10):
     """Detections at ``rate`` Hz."""
     stamps = np.arange(len(joints), dtype=np.int64) * (SECOND // rate)
     values = joints.astype(np.float32)
     return Distances(stamps, values, values / 2)
 
 
-def random(mean: float, seed: int, seconds: int = 20, joints: int = 3) -> Floats:
+def random(mean, seed, seconds=20, joints=3):
     return mean + np.random.default_rng(seed).normal(0, 3, (10 * seconds, joints))
 
 
-def test_who_has_nobody_where_it_is_hard_gains_nothing() -> None:
+def test_who_has_nobody_where_it_is_hard_gains_nothing():
     """The second system is 10 mm worse where both have somebody, and silent in the hard part."""
     good = np.full((100, 4), 20.0)
     good[50:] = 300.0
@@ -38,7 +37,7 @@ def test_who_has_nobody_where_it_is_hard_gains_nothing() -> None:
     assert second.difference.seconds == 5
 
 
-def test_a_joint_that_one_lacks_counts_for_nobody() -> None:
+def test_a_joint_that_one_lacks_counts_for_nobody():
     one, other = random(20, 1), random(20, 2)
     other[:, 0] = np.nan
     one[:, 0] = 900.0
@@ -49,7 +48,7 @@ def test_a_joint_that_one_lacks_counts_for_nobody() -> None:
     assert first.spread == pytest.approx(first.distance.mean / 2, rel=1e-5)
 
 
-def test_a_system_without_a_result_does_not_empty_the_table() -> None:
+def test_a_system_without_a_result_does_not_empty_the_table():
     nothing = np.full((200, 3), np.nan)
     first, second = on_same_detections([[camera(random(20, 1))], [camera(nothing)]], "a")
     assert first.distance.mean == pytest.approx(20, abs=1)
@@ -60,14 +59,14 @@ def test_a_system_without_a_result_does_not_empty_the_table() -> None:
     assert not second.difference.is_sure
 
 
-def test_all_cameras_count_together() -> None:
+def test_all_cameras_count_together():
     near, far = camera(np.full((100, 2), 10.0)), camera(np.full((300, 2), 50.0))
     (only,) = on_same_detections([[near, far]], "a")
     assert only.distance.mean == pytest.approx(40)
     assert only.difference is None
 
 
-def test_the_interval_is_of_seconds_not_of_frames() -> None:
+def test_the_interval_is_of_seconds_not_of_frames():
     """Errors that last a second: 95 % of the intervals hold the true difference, which is 0."""
     held, wide = 0, []
     for seed in range(300):
@@ -82,7 +81,7 @@ def test_the_interval_is_of_seconds_not_of_frames() -> None:
     assert np.mean(wide) == pytest.approx(2 * 2.09 * 5 / 20**0.5, rel=0.05)
 
 
-def test_the_same_numbers_every_time() -> None:
+def test_the_same_numbers_every_time():
     systems = [camera(random(20, 1))], [camera(random(20.4, 2))]
     assert on_same_detections(systems, "a") == on_same_detections(systems, "a")
 
@@ -95,10 +94,10 @@ def test_the_same_numbers_every_time() -> None:
         ((0.1, -0.2, 0.4), "no difference (-0.2 to +0.4)"),
     ],
 )
-def test_a_difference_in_words(ends: tuple[float, float, float], text: str) -> None:
+def test_a_difference_in_words(ends, text):
     assert str(MeanDifference("hiros", *ends, seconds=9)) == text
 
 
-def test_other_detections_cannot_be_compared() -> None:
+def test_other_detections_cannot_be_compared():
     with pytest.raises(ValueError, match="different detections"):
         on_same_detections([[camera(random(1, 1))], [camera(random(1, 1, seconds=3))]], "a")

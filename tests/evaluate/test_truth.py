@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -44,13 +43,13 @@ LINKS = """time,person,marker,x,y,z,parent,child,qx,qy,qz,qw
 """
 
 
-def write(folder: Path, name: str, text: str) -> Path:
+def write(folder, name, text):
     path = folder / name
     path.write_text(text, encoding="utf-8")
     return path
 
 
-def test_linear_between_instants_and_nothing_over_a_pause() -> None:
+def test_linear_between_instants_and_nothing_over_a_pause():
     second = 1_000_000_000
     poses = {0.0: 0.0, 0.1: 1.0, 2.0: 2.0}
     truth = Truth.of(
@@ -61,10 +60,10 @@ def test_linear_between_instants_and_nothing_over_a_pause() -> None:
     assert truth.at(START + 2 * second)[0][0, 0, 0] == pytest.approx(2.0)
 
 
-def test_sines_at_50_hz_are_within_a_millimetre_at_the_times_of_30_hz() -> None:
+def test_sines_at_50_hz_are_within_a_millimetre_at_the_times_of_30_hz():
     """Somebody who moves 60 cm to and fro once a second; motion capture at 50 Hz."""
 
-    def x(stamp: float) -> float:
+    def x(stamp):
         return 0.3 * math.sin(2 * math.pi * (stamp - START) * 1e-9)
 
     capture = [START + k * 20_000_000 for k in range(101)]
@@ -73,7 +72,7 @@ def test_sines_at_50_hz_are_within_a_millimetre_at_the_times_of_30_hz() -> None:
     assert 1e-4 < max(error) < 1e-3
 
 
-def test_csv_of_two_people(tmp_path: Path) -> None:
+def test_csv_of_two_people(tmp_path):
     truth = load_truth(write(tmp_path, "a.csv", CSV))
     assert truth.people == (1, 2)
     assert truth.model is not None
@@ -83,7 +82,7 @@ def test_csv_of_two_people(tmp_path: Path) -> None:
     assert np.isnan(truth.positions[0, 1]).all()
 
 
-def test_csv_of_joints_and_link_orientations(tmp_path: Path) -> None:
+def test_csv_of_joints_and_link_orientations(tmp_path):
     """A suit of inertial sensors; the same motion scores 0, another link convention its angle."""
     truth = load_truth(write(tmp_path, "a.csv", LINKS)).moved(start=START)
     assert truth.model is not None
@@ -96,7 +95,7 @@ def test_csv_of_joints_and_link_orientations(tmp_path: Path) -> None:
     assert set(scores.joints) == {"PELVIS", "NECK"}
 
 
-def test_trc_in_millimetres_with_a_gap(tmp_path: Path) -> None:
+def test_trc_in_millimetres_with_a_gap(tmp_path):
     truth = load_truth(write(tmp_path, "a.trc", TRC))
     assert truth.positions[0, 0, 0] == pytest.approx([0.1, 0.2, 0.3])
     assert truth.positions[0, 0, 1] == pytest.approx([0.001, 0.002, 0.003])
@@ -104,14 +103,14 @@ def test_trc_in_millimetres_with_a_gap(tmp_path: Path) -> None:
     assert truth.stamps.tolist() == [0, 10_000_000]
 
 
-def test_times_of_files_count_from_the_logs_start(tmp_path: Path) -> None:
+def test_times_of_files_count_from_the_logs_start(tmp_path):
     truth = load_truth(write(tmp_path, "a.csv", CSV))
     assert truth.moved(2.0, start=START).stamps[0] == START + 2_000_000_000
     late = Truth.of([seen([person()], START, ids=[0])])
     assert late.moved(start=START).stamps[0] == START
 
 
-def test_y_up_becomes_z_up(tmp_path: Path) -> None:
+def test_y_up_becomes_z_up(tmp_path):
     truth = load_truth(write(tmp_path, "a.csv", CSV)).moved(up="y")
     assert truth.positions[0, 0, 0].tolist() == [0, -1, 0]
     assert truth.positions[1, 1, 1].tolist() == [3, -1.5, 0]
@@ -145,25 +144,25 @@ def test_y_up_becomes_z_up(tmp_path: Path) -> None:
         ("a.trc", TRC.replace("110", "1x0"), "line 7: '1x0' is not a number"),
     ],
 )
-def test_faulty_files(tmp_path: Path, name: str, text: str, fault: str) -> None:
+def test_faulty_files(tmp_path, name, text, fault):
     path = write(tmp_path, name, text)
     with pytest.raises(ConfigError, match=fault) as caught:
         load_truth(path)
     assert str(path) in str(caught.value)
 
 
-def test_binary_rubbish_is_an_error(tmp_path: Path) -> None:
+def test_binary_rubbish_is_an_error(tmp_path):
     for name in ("a.csv", "a.trc", "a.mcap"):
         (tmp_path / name).write_bytes(bytes(range(256)) * 4)
         with pytest.raises(HirosError):
             load_truth(tmp_path / name)
 
 
-def frames(model: SkeletonModel = MODEL) -> list[Frame]:
+def frames(model=MODEL):
     return [seen([person(0.01 * k)], at(k), ids=[3]) for k in range(30)]
 
 
-def test_other_marker_sets_are_compared_on_what_they_share() -> None:
+def test_other_marker_sets_are_compared_on_what_they_share():
     """A truth that knows the left wrist and a nose, in names of its own."""
     model = SkeletonModel.of(["Nose", "left_wrist"], [])
     stamps = np.array([at(k) for k in range(30)])
@@ -175,11 +174,11 @@ def test_other_marker_sets_are_compared_on_what_they_share() -> None:
     assert scores.mean == pytest.approx(30)
 
 
-def links(*ends: tuple[int, int]) -> SkeletonModel:
+def links(*ends):
     return SkeletonModel.of(MODEL.marker_names, [(f"{p} {c}", p, c) for p, c in ends])
 
 
-def test_links_are_compared_by_the_joints_that_they_join() -> None:
+def test_links_are_compared_by_the_joints_that_they_join():
     ends = [(int(p), int(c)) for p, c in MODEL.links]
     turns = np.random.default_rng(0).normal(size=(1, 1, 7, 4))
     stamps, people = np.array([at(0)]), np.zeros((1, 1, 8, 3))
@@ -187,7 +186,7 @@ def test_links_are_compared_by_the_joints_that_they_join() -> None:
     np.testing.assert_array_equal(truth.seen_by(MODEL).orientations, turns[:, :, ::-1])
 
 
-def test_links_that_the_result_lacks_are_counted() -> None:
+def test_links_that_the_result_lacks_are_counted():
     ends = [(0, 1), (1, 6), (1, 7)]
     truth = Truth(
         np.array([at(0), at(1)]), np.tile(POSE, (2, 1, 1, 1)), np.zeros((2, 1, 3, 4)), (0,),
@@ -198,7 +197,7 @@ def test_links_that_the_result_lacks_are_counted() -> None:
     assert note == "2 links of the truth join no two joints that the result links"
 
 
-def test_where_nobody_was_seen_everybody_is_missing() -> None:
+def test_where_nobody_was_seen_everybody_is_missing():
     """Frames of nobody have no skeleton model; the truth's counts."""
     empty = SkeletonModel.of([], [])
     nobody = [Frame.empty(0, empty, stamp=at(k), log_time=at(k)) for k in range(30)]
@@ -206,7 +205,7 @@ def test_where_nobody_was_seen_everybody_is_missing() -> None:
     assert (results["/x"].scores.missing, results["/x"].model) == (30, MODEL)
 
 
-def test_nothing_in_common_is_an_error() -> None:
+def test_nothing_in_common_is_an_error():
     model = SkeletonModel.of(["Nose"], [])
     truth = Truth(np.array([at(0)]), np.zeros((1, 1, 1, 3)), np.zeros((1, 1, 0, 4)), (0,), model)
     with pytest.raises(ConfigError, match="share no marker: Nose against PELVIS"):
@@ -220,7 +219,7 @@ coordinates = st.one_of(st.none(), st.integers(-5000, 5000))
     deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(st.lists(st.tuples(*[coordinates] * 6), min_size=2, max_size=6))
-def test_trc_and_csv_say_the_same(tmp_path: Path, rows: list[tuple[int | None, ...]]) -> None:
+def test_trc_and_csv_say_the_same(tmp_path, rows):
     """Two markers in millimetres and in metres; an empty cell is a marker that is not there."""
     head = TRC.splitlines()[:5]
     cells = [["" if c is None else str(c) for c in row] for row in rows]
@@ -242,7 +241,7 @@ def test_trc_and_csv_say_the_same(tmp_path: Path, rows: list[tuple[int | None, .
     deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(kind=st.sampled_from(["csv", "trc"]), at=st.floats(0, 1), text=st.text(max_size=12))
-def test_a_damaged_file_is_read_or_named(tmp_path: Path, kind: str, at: float, text: str) -> None:
+def test_a_damaged_file_is_read_or_named(tmp_path, kind, at, text):
     whole = {"csv": CSV, "trc": TRC}[kind]
     where = round(at * len(whole))
     path = write(tmp_path, f"a.{kind}", whole[:where] + text + whole[where + len(text) :])
@@ -254,9 +253,7 @@ def test_a_damaged_file_is_read_or_named(tmp_path: Path, kind: str, at: float, t
 
 @given(st.floats(0, 1), st.floats(-3, 3), st.floats(-3, 3))
 @settings(deadline=None)
-def test_orientations_between_instants_take_the_shorter_way(
-    share: float, early: float, late: float
-) -> None:
+def test_orientations_between_instants_take_the_shorter_way(share, early, late):
     """About the vertical; q and -q mean the same. Linear interpolation is exact in the middle."""
     quaternions = [[0, 0, math.sin(a / 2), math.cos(a / 2)] for a in (early, late)]
     orientations = np.array(quaternions)[:, None, None]
@@ -273,7 +270,7 @@ def test_orientations_between_instants_take_the_shorter_way(
             assert turn == pytest.approx(share * way, abs=0.12 * way + 1e-6)
 
 
-def test_orientations_become_z_up_as_positions_do() -> None:
+def test_orientations_become_z_up_as_positions_do():
     """A link that lies along y of the file lies along z of the log."""
     identity = np.tile([0.0, 0.0, 0.0, 1.0], (2, 1, 1, 1))
     positions = np.tile([0.0, 1.0, 0.0], (2, 1, 1, 1))
@@ -282,7 +279,7 @@ def test_orientations_become_z_up_as_positions_do() -> None:
     assert truth.positions[0, 0, 0] == pytest.approx([0, 0, 1])
 
 
-def test_many_positions_at_once_are_those_one_by_one() -> None:
+def test_many_positions_at_once_are_those_one_by_one():
     """At instants, between them, in a pause of the truth, before it and after it."""
     stamps = START + np.cumsum([0, 30, 30, 700, 30, 30]) * 1_000_000
     positions = np.random.default_rng(0).normal(size=(6, 2, 3, 3))

@@ -6,8 +6,6 @@ nothing with the exporter. test_opensim.py compares it with OpenSim itself where
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -40,12 +38,12 @@ ELBOW_FRAME = (-0.0228627, 0.228018, 0.0051689)
 ANKLE_FRAME = (0.175895, -0.105208, 0.0186622)
 
 
-def read_mot(path: Path) -> pd.DataFrame:
+def read_mot(path):
     """Angles in degrees, places in m, by the time in s."""
     return pd.read_csv(path, sep="\t", skiprows=7, index_col="time")
 
 
-def joints(table: pd.DataFrame) -> dict[str, Floats]:
+def joints(table):
     """(T, 3) where the model's joints are, m, in the ground, y up."""
     q = {name: column if name[:-1] == "pelvis_t" else np.radians(column)
          for name, column in zip(table, table.to_numpy().T, strict=True)}  # fmt: skip
@@ -61,7 +59,7 @@ def joints(table: pd.DataFrame) -> dict[str, Floats]:
     return found
 
 
-def leg(q: dict[str, Floats], pelvis: Place, side: str, sign: float) -> dict[str, Floats]:
+def leg(q, pelvis, side, sign):
     names = (f"hip_flexion_{side}", f"hip_adduction_{side}", f"hip_rotation_{side}")
     femur = below(pelvis, [-0.056276, -0.07849, 0.07726 * sign], zxy(q, *names, sign=sign))
     k = q[f"knee_angle_{side}"]
@@ -91,7 +89,7 @@ def leg(q: dict[str, Floats], pelvis: Place, side: str, sign: float) -> dict[str
     }
 
 
-def arm(q: dict[str, Floats], torso: Place, side: str, sign: float) -> dict[str, Floats]:
+def arm(q, torso, side, sign):
     names = (f"arm_flex_{side}", f"arm_add_{side}", f"arm_rot_{side}")
     humerus = below(torso, [0.003155, 0.3715, 0.17 * sign], zxy(q, *names, sign=sign))
     frame = Rotation.from_euler("XYZ", ELBOW_FRAME)
@@ -105,26 +103,26 @@ def arm(q: dict[str, Floats], torso: Place, side: str, sign: float) -> dict[str,
     }
 
 
-def below(parent: Place, offset: list[float] | Floats, turn: Rotation) -> Place:
+def below(parent, offset, turn):
     """A body whose origin lies at ``offset`` in its parent."""
     return parent[0] * turn, parent[1] + parent[0].apply(np.asarray(offset, float))
 
 
-def zxy(q: dict[str, Floats], *names: str, sign: float = 1.0) -> Rotation:
+def zxy(q, *names, sign=1.0):
     """Three coordinates in turn about z, x and y; the left side's x and y point the other way."""
     angles = np.stack([q[name] for name in names], axis=-1)
     return Rotation.from_euler("ZXY", angles * [1, sign, sign])
 
 
-def about_z(angles: Floats) -> Rotation:
+def about_z(angles):
     return Rotation.from_euler("Z", angles[:, None])
 
 
-def mirrored(rotation: Rotation, sign: float) -> Rotation:
+def mirrored(rotation, sign):
     """The same rotation of the other side: what lies in the plane x y stays."""
     flip = np.diag([1.0, 1.0, sign])
     return Rotation.from_matrix(flip @ rotation.as_matrix() @ flip)
 
 
-def flipped(vector: Floats, sign: float) -> Floats:
+def flipped(vector, sign):
     return vector * np.array([1.0, 1.0, sign])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -19,7 +19,6 @@ from rosbags.interfaces import (
     QosTime,
 )
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
 
 import hiros_schemas
 from hiros_cli.app import run
@@ -41,7 +40,7 @@ Message = tuple[str, str, int, bytes]
 
 
 @pytest.fixture(scope="module")
-def messages() -> list[Message]:
+def messages():
     """(topic, type, time, CDR) of a sample log's detections and transforms, and a string."""
     with McapReader(SAMPLE) as reader:
         names = {
@@ -57,7 +56,7 @@ def messages() -> list[Message]:
     return [*found[:100], ("/chatter", "std_msgs/msg/String", found[99][2], text)]
 
 
-def store_of(base: Stores) -> Typestore:
+def store_of(base):
     store = get_typestore(base)
     for name in (SKELETONS, TF):
         types = get_types_from_msg(hiros_schemas.text(name), name)
@@ -65,9 +64,7 @@ def store_of(base: Stores) -> Typestore:
     return store
 
 
-def rosbag2_folder(
-    folder: Path, messages: list[Message], version: int, plugin: rosbag2.StoragePlugin
-) -> Path:
+def rosbag2_folder(folder, messages, version, plugin):
     store = store_of(Stores.ROS2_HUMBLE)
     with rosbag2.Writer(folder, version=version, storage_plugin=plugin) as writer:
         connections = {}
@@ -80,20 +77,20 @@ def rosbag2_folder(
     return folder
 
 
-def sqlite(folder: Path, messages: list[Message]) -> Path:
+def sqlite(folder, messages):
     return rosbag2_folder(folder / "bag", messages, 9, rosbag2.StoragePlugin.SQLITE3)
 
 
-def sqlite_without_definitions(folder: Path, messages: list[Message]) -> Path:
+def sqlite_without_definitions(folder, messages):
     return rosbag2_folder(folder / "bag", messages, 8, rosbag2.StoragePlugin.SQLITE3)
 
 
-def bare_db3(folder: Path, messages: list[Message]) -> Path:
+def bare_db3(folder, messages):
     (file,) = sqlite(folder, messages).glob("*.db3")
     return file
 
 
-def ros1_bag(folder: Path, messages: list[Message]) -> Path:
+def ros1_bag(folder, messages):
     ros1, ros2 = store_of(Stores.ROS1_NOETIC), store_of(Stores.ROS2_HUMBLE)
     path = folder / "lab.bag"
     with rosbag1.Writer(path) as writer:
@@ -110,13 +107,13 @@ MAKERS = [sqlite, sqlite_without_definitions, bare_db3, ros1_bag]
 
 
 @pytest.fixture(params=MAKERS, ids=lambda maker: maker.__name__)
-def bag(request: pytest.FixtureRequest, tmp_path: Path, messages: list[Message]) -> Path:
+def bag(request, tmp_path, messages):
     maker: Callable[[Path, list[Message]], Path] = request.param
     return maker(tmp_path, messages)
 
 
 @pytest.fixture(autouse=True)
-def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def temporary(tmp_path, monkeypatch):
     """The folder of temporary files, in which nothing may be left."""
     folder = tmp_path / "temporary"
     folder.mkdir()
@@ -125,7 +122,7 @@ def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]
     assert not list(folder.iterdir())
 
 
-def test_a_bag_says_what_the_mcap_says(bag: Path, messages: list[Message]) -> None:
+def test_a_bag_says_what_the_mcap_says(bag, messages):
     with open_log(SAMPLE) as log:
         expected = [f for f, m in zip(log.detections(), messages, strict=False) if m]
     with open_log(bag) as log:
@@ -139,7 +136,7 @@ def test_a_bag_says_what_the_mcap_says(bag: Path, messages: list[Message]) -> No
         assert a.log_time == b.log_time
 
 
-def test_a_bag_can_be_processed(bag: Path, tmp_path: Path) -> None:
+def test_a_bag_can_be_processed(bag, tmp_path):
     summary = process(bag, tmp_path / "out.mcap")
     assert len(summary.people) == 1
     with open_log(tmp_path / "out.mcap", topics=["/hiros/filtered"], output_prefix="/no") as log:
@@ -147,12 +144,7 @@ def test_a_bag_can_be_processed(bag: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("maker", MAKERS)
-def test_a_bag_without_skeletons_says_what_it_has(
-    maker: Callable[[Path, list[Message]], Path],
-    tmp_path: Path,
-    messages: list[Message],
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_bag_without_skeletons_says_what_it_has(maker, tmp_path, messages, capsys):
     path = maker(tmp_path, [m for m in messages if m[1] != SKELETONS])
     with pytest.raises(
         LogError, match=r"no SkeletonGroup topic; .*it has /chatter \(std_msgs"
@@ -171,9 +163,7 @@ def test_a_bag_without_skeletons_says_what_it_has(
     assert last.startswith("nothing to process: has no SkeletonGroup topic; `hiros import`")
 
 
-def test_a_bag_is_a_log_for_every_command(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bag_is_a_log_for_every_command(bag, tmp_path, capsys):
     commands = ["info", "eval", "compare --jobs 1 --system raw", "view --save v.rrd"]
     for command in (*commands, "calibrate noise --json"):
         name, *options = command.replace("v.rrd", str(tmp_path / "v.rrd")).split()
@@ -181,15 +171,13 @@ def test_a_bag_is_a_log_for_every_command(
     assert "left out" in capsys.readouterr().out.lower()
 
 
-def test_quality_of_service_goes_along(tmp_path: Path, messages: list[Message]) -> None:
+def test_quality_of_service_goes_along(tmp_path, messages):
     with open_log(sqlite(tmp_path, messages)) as log:
         for channel in log.channels:
             assert "durability: 1" in channel.metadata["offered_qos_profiles"]  # transient local
 
 
-def test_a_folder_of_several_mcap_files_is_one_recording(
-    tmp_path: Path, messages: list[Message]
-) -> None:
+def test_a_folder_of_several_mcap_files_is_one_recording(tmp_path, messages):
     folder = rosbag2_folder(tmp_path / "bag", messages[:-1], 9, rosbag2.StoragePlugin.MCAP)
     with open_log(folder) as log:
         whole = list(log.detections())
@@ -207,7 +195,7 @@ def test_a_folder_of_several_mcap_files_is_one_recording(
 
 @pytest.mark.parametrize("start", [b"#ROSBAG V2.0\n", b"SQLite format 3\0"])
 @pytest.mark.parametrize("name", ["old.bag", "old.db3"])
-def test_a_damaged_bag_is_an_error_of_one_line(tmp_path: Path, start: bytes, name: str) -> None:
+def test_a_damaged_bag_is_an_error_of_one_line(tmp_path, start, name):
     (tmp_path / name).write_bytes(start + bytes(100))
     with pytest.raises(LogError, match=r"bag that cannot be read: .") as caught:
         open_log(tmp_path / name)
@@ -215,7 +203,7 @@ def test_a_damaged_bag_is_an_error_of_one_line(tmp_path: Path, start: bytes, nam
     assert name in str(caught.value)
 
 
-def test_a_bag_cut_short_is_an_error(bag: Path) -> None:
+def test_a_bag_cut_short_is_an_error(bag):
     file = bag if bag.is_file() else next(bag.glob("*.db3"))
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     with pytest.raises(LogError, match="cannot be read"):

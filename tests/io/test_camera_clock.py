@@ -16,7 +16,6 @@ from hiros_mcap.io.camera_clock import (
     STEP,
     WRONG,
     CameraTimes,
-    ClockJudgement,
     clock_verdict,
     clocks_in_words,
 )
@@ -27,24 +26,23 @@ START = 1_700_000_000 * 10**9
 Delay = Callable[[np.random.Generator, Floats], Floats]
 
 
-def usual(rng: np.random.Generator, sent: Floats) -> Floats:
+def usual(rng, sent):
     return rng.uniform(0.02, 0.04, len(sent))
 
 
-def wifi(rng: np.random.Generator, sent: Floats) -> Floats:
+def wifi(rng, sent):
     """0 to 150 ms at random."""
     return rng.uniform(0.0, 0.15, len(sent))
 
 
-def bursts(rng: np.random.Generator, sent: Floats) -> Floats:
+def bursts(rng, sent):
     """Every 5 s nothing comes for 0.4 s."""
     return np.where(sent % 5 < 0.4, 0.4 - sent % 5, 0.0) + rng.uniform(0.005, 0.02, len(sent))
 
 
 def camera(
-    seed: int, *, rate: float = 30.0, seconds: float = 20.0, begin: float = 0.0,
-    delay: Delay = usual, clock: Callable[[Floats], Floats] = np.zeros_like,
-) -> CameraTimes:  # fmt: skip
+    seed, *, rate=30.0, seconds=20.0, begin=0.0, delay=usual, clock=np.zeros_like
+):  # fmt: skip
     """A camera that loses some messages; ``clock`` is the error of its clock at true times, s."""
     rng = np.random.default_rng(seed)
     sent = begin + (np.arange(int((seconds - begin) * rate)) + rng.random()) / rate
@@ -54,7 +52,7 @@ def camera(
     return CameraTimes(START + stamps, START + np.round(logged * 1e9).astype(np.int64))
 
 
-def unordered(times: CameraTimes, late_from: float, late_by: float) -> CameraTimes:
+def unordered(times, late_from, late_by):
     """The same, but 3 s of messages come later than those after them."""
     sent = (times.stamps - START) * 1e-9
     is_late = (sent > late_from) & (sent < late_from + 3)
@@ -63,23 +61,23 @@ def unordered(times: CameraTimes, late_from: float, late_by: float) -> CameraTim
     return CameraTimes(times.stamps[order], logged[order])
 
 
-def three(**faulty: object) -> dict[str, CameraTimes]:
+def three(**faulty):
     return {"a": camera(1), "b": camera(2, **faulty), "c": camera(3)}  # type: ignore[arg-type]
 
 
-def only(verdicts: ClockJudgement) -> ClockFault:
+def only(verdicts):
     (fault,) = verdicts.faults
     return fault
 
 
-def worst(cameras: dict[str, CameraTimes], verdicts: ClockJudgement, right: CameraTimes) -> float:
+def worst(cameras, verdicts, right):
     """Largest error of a corrected stamp of camera b, s."""
     stamps = verdicts.corrections["b"].apply(cameras["b"].stamps, cameras["b"].log_times)
     return float(np.abs(stamps - right.stamps).max() * 1e-9)
 
 
 @pytest.mark.parametrize("seconds", [-5, -2, -0.5, -0.1, 0.1, 0.5, 1, 2, 10, 30, 86400])
-def test_a_step_is_found_at_its_message_and_corrected(seconds: float) -> None:
+def test_a_step_is_found_at_its_message_and_corrected(seconds):
     cameras = three(clock=lambda t: np.where(t > 10, seconds, 0.0))
     verdicts = clock_verdict(cameras)
     fault = only(verdicts)
@@ -90,26 +88,26 @@ def test_a_step_is_found_at_its_message_and_corrected(seconds: float) -> None:
     assert not verdicts.corrections["a"].changes(cameras["a"])
 
 
-def test_a_step_is_found_behind_random_delays() -> None:
+def test_a_step_is_found_behind_random_delays():
     cameras = {name: camera(k, delay=wifi) for k, name in enumerate("ac")}
     cameras["b"] = camera(7, delay=wifi, clock=lambda t: np.where(t > 10, 0.5, 0.0))
     assert only(clock_verdict(cameras)).seconds == pytest.approx(0.5, abs=0.05)
 
 
-def test_two_steps_are_both_corrected() -> None:
+def test_two_steps_are_both_corrected():
     cameras = three(clock=lambda t: np.where(t > 6, 2.0, 0.0) - np.where(t > 12, 1.0, 0.0))
     verdicts = clock_verdict(cameras)
     assert [round(fault.seconds, 1) for fault in verdicts.faults] == [2.0, -1.0]
     assert worst(cameras, verdicts, camera(2)) < 0.005
 
 
-def test_the_part_that_agrees_with_the_other_cameras_keeps_its_stamps() -> None:
+def test_the_part_that_agrees_with_the_other_cameras_keeps_its_stamps():
     cameras = three(clock=lambda t: np.where(t < 10, 3.0, 0.0))
     assert worst(cameras, clock_verdict(cameras), camera(2)) < 0.005
 
 
 @pytest.mark.parametrize("rate", [-5e-3, -1e-3, 1e-3, 5e-3])
-def test_a_drift_is_followed(rate: float) -> None:
+def test_a_drift_is_followed(rate):
     cameras = three(clock=lambda t: rate * t)
     verdicts = clock_verdict(cameras)
     fault = only(verdicts)
@@ -119,7 +117,7 @@ def test_a_drift_is_followed(rate: float) -> None:
 
 
 @pytest.mark.parametrize(("begin", "end"), [(0.0, 28.0), (12.0, 40.0)])
-def test_what_changes_in_a_part_of_the_log_only_is_no_drift(begin: float, end: float) -> None:
+def test_what_changes_in_a_part_of_the_log_only_is_no_drift(begin, end):
     """The line through all of the log fits one of its halves, but not the other."""
     cameras = {name: camera(k, seconds=40.0) for k, name in enumerate("ac")}
     cameras["b"] = camera(2, seconds=40.0, clock=lambda t: 5e-3 * (np.clip(t, begin, end) - begin))
@@ -127,7 +125,7 @@ def test_what_changes_in_a_part_of_the_log_only_is_no_drift(begin: float, end: f
 
 
 @pytest.mark.parametrize("seconds", [-7200.0, 20.0])
-def test_clocks_that_no_delivery_explains_are_aligned(seconds: float) -> None:
+def test_clocks_that_no_delivery_explains_are_aligned(seconds):
     cameras = three(clock=lambda t: np.full_like(t, seconds))
     verdicts = clock_verdict(cameras)
     assert (only(verdicts).kind, only(verdicts).camera) == (OFFSET, "b")
@@ -135,7 +133,7 @@ def test_clocks_that_no_delivery_explains_are_aligned(seconds: float) -> None:
 
 
 @pytest.mark.parametrize("seconds", [-1.5, 0.1])
-def test_other_constant_offsets_are_told_and_not_corrected(seconds: float) -> None:
+def test_other_constant_offsets_are_told_and_not_corrected(seconds):
     verdicts = clock_verdict(three(clock=lambda t: np.full_like(t, seconds)))
     assert verdicts.faults == ()
     (text,) = clocks_in_words(verdicts, START)
@@ -143,7 +141,7 @@ def test_other_constant_offsets_are_told_and_not_corrected(seconds: float) -> No
     assert ("1.50 s later" if seconds < 0 else " ms sooner") in text
 
 
-def held(rng: np.random.Generator, sent: Floats) -> Floats:
+def held(rng, sent):
     """Nothing comes for 3 s, then everything at once."""
     return np.where((sent > 8) & (sent < 11), 11.0 - sent, 0.0) + usual(rng, sent)
 
@@ -156,7 +154,7 @@ LATE_ONES = {
 
 
 @pytest.mark.parametrize("name", LATE_ONES)
-def test_a_late_delivery_is_no_fault_of_the_clock(name: str) -> None:
+def test_a_late_delivery_is_no_fault_of_the_clock(name):
     cameras = {**three(), "b": LATE_ONES[name]}
     verdicts = clock_verdict(cameras)
     assert (only(verdicts).kind, only(verdicts).camera) == (LATE, "b")
@@ -164,7 +162,7 @@ def test_a_late_delivery_is_no_fault_of_the_clock(name: str) -> None:
     assert verdicts.wait == pytest.approx(only(verdicts).seconds, abs=0.1)
 
 
-def test_single_wrong_times_are_replaced() -> None:
+def test_single_wrong_times_are_replaced():
     cameras = three()
     cameras["b"].stamps[100] += 10**17
     verdicts = clock_verdict(cameras)
@@ -172,7 +170,7 @@ def test_single_wrong_times_are_replaced() -> None:
     assert worst(cameras, verdicts, camera(2)) < 0.04
 
 
-def test_what_the_recorder_does_to_all_cameras_is_no_fault() -> None:
+def test_what_the_recorder_does_to_all_cameras_is_no_fault():
     cameras = three()
     for times in cameras.values():
         times.log_times[times.log_times > START + 10**10] += 2 * 10**9
@@ -195,21 +193,21 @@ HEALTHY: dict[str, list[CameraTimes]] = {
 
 
 @pytest.mark.parametrize("name", HEALTHY)
-def test_healthy_clocks_are_left_alone(name: str) -> None:
+def test_healthy_clocks_are_left_alone(name):
     cameras = {f"camera {k}": times for k, times in enumerate(HEALTHY[name])}
     verdicts = clock_verdict(cameras)
     assert verdicts.faults == ()
     assert not any(verdicts.corrections[c].changes(cameras[c]) for c in cameras)
 
 
-def test_a_camera_may_pause() -> None:
+def test_a_camera_may_pause():
     cameras = three()
     kept = (cameras["b"].stamps < START + 5 * 10**9) | (cameras["b"].stamps > START + 9 * 10**9)
     cameras["b"] = CameraTimes(cameras["b"].stamps[kept], cameras["b"].log_times[kept])
     assert clock_verdict(cameras).faults == ()
 
 
-def test_a_slow_delivery_that_ends_with_a_loss_is_no_step() -> None:
+def test_a_slow_delivery_that_ends_with_a_loss_is_no_step():
     times = camera(2)
     sent = (times.stamps - START) * 1e-9
     times.log_times[(sent > 8) & (sent < 10.7)] += 300_000_000
@@ -218,13 +216,13 @@ def test_a_slow_delivery_that_ends_with_a_loss_is_no_step() -> None:
     assert clock_verdict(cameras).faults == ()
 
 
-def test_nothing_is_known_of_nobody() -> None:
+def test_nothing_is_known_of_nobody():
     assert clock_verdict({}).wait == 0.0
     empty = CameraTimes(np.empty(0, np.int64), np.empty(0, np.int64))
     assert clock_verdict({"a": empty}).faults == ()
 
 
-def test_what_the_user_gives_is_added_and_not_judged() -> None:
+def test_what_the_user_gives_is_added_and_not_judged():
     cameras = three(clock=lambda t: np.full_like(t, 1.5))
     verdicts = clock_verdict(cameras, {"b": -1.5})
     assert verdicts.faults == ()
@@ -233,13 +231,13 @@ def test_what_the_user_gives_is_added_and_not_judged() -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10**6), st.sampled_from([usual, wifi, bursts]), st.sampled_from([5, 15, 60]))
-def test_no_delay_makes_a_clock_wrong(seed: int, delay: Delay, rate: float) -> None:
+def test_no_delay_makes_a_clock_wrong(seed, delay, rate):
     cameras = {n: camera(seed + k, delay=delay, rate=rate) for k, n in enumerate("abc")}
     assert [fault for fault in clock_verdict(cameras).faults if fault.kind != LATE] == []
 
 
-def test_a_fault_has_a_sign_and_a_unit() -> None:
-    def size(kind: str, seconds: float) -> str:
+def test_a_fault_has_a_sign_and_a_unit():
+    def size(kind, seconds):
         return ClockFault("a", kind, seconds, 0, corrected=True).size
 
     assert (size(STEP, 2.0), size(STEP, -0.105)) == ("+2.00 s", "-105 ms")

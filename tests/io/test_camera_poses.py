@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import numpy as np
 import pytest
 from mcap_logs import tf_bytes
@@ -21,12 +18,12 @@ Pose = tuple[int, str, tuple[float, ...], tuple[float, ...]]
 """Log time, child frame, translation, xyzw; the parent is the world."""
 
 
-def start(source: Path) -> int:
+def start(source):
     with open_log(source) as log:
         return log.span[0]
 
 
-def with_poses(source: Path, target: Path, poses: Sequence[Pose], *, own: bool = True) -> Path:
+def with_poses(source, target, poses, *, own=True):
     """Copy a log with more static transforms; without its own ones if not ``own``."""
     with open_log(source) as log, McapWriter(target) as writer:
         writer.copy_definitions(log.reader, log.reader.channels)
@@ -44,15 +41,13 @@ def with_poses(source: Path, target: Path, poses: Sequence[Pose], *, own: bool =
     return target
 
 
-def pose(source: Path, camera: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def pose(source, camera):
     with open_log(source) as log:
         found = log.transforms.lookup(camera, "world", 0)
     return tuple(found.translation.tolist()), tuple(found.xyzw.tolist())
 
 
-def test_a_camera_calibrated_anew_in_the_middle_counts_from_then_on(
-    crossing: Path, tmp_path: Path
-) -> None:
+def test_a_camera_calibrated_anew_in_the_middle_counts_from_then_on(crossing, tmp_path):
     now, ((x, y, z), xyzw) = start(crossing) + 2 * SECOND, pose(crossing, "camera_1")
     moved = with_poses(
         crossing, tmp_path / "moved.mcap", [(now, "camera_1", (x + 0.5, y, z), xyzw)]
@@ -70,16 +65,14 @@ def test_a_camera_calibrated_anew_in_the_middle_counts_from_then_on(
     assert displaced.startswith("camera_1 shows people 0.")  # nobody has moved it
 
 
-def test_the_same_pose_over_and_over_is_no_change(crossing: Path, tmp_path: Path) -> None:
+def test_the_same_pose_over_and_over_is_no_change(crossing, tmp_path):
     times = range(start(crossing), start(crossing) + 4 * SECOND, SECOND)
     rows = [(time, "camera_1", *pose(crossing, "camera_1")) for time in times]
     with open_log(with_poses(crossing, tmp_path / "same.mcap", rows)) as log:
         assert log.warnings == ()
 
 
-def test_contradicting_poses_are_refused(
-    crossing: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_contradicting_poses_are_refused(crossing, tmp_path, capsys):
     rows = [(start(crossing), "camera_1", (9.0, 0.0, 2.0), NONE)]
     log, out = with_poses(crossing, tmp_path / "two.mcap", rows), tmp_path / "out.mcap"
     assert command(["process", str(log), "-o", str(out)]) == 2
@@ -89,9 +82,7 @@ def test_contradicting_poses_are_refused(
     assert not out.exists()
 
 
-def test_cameras_at_one_place_are_noticed(
-    crossing: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_cameras_at_one_place_are_noticed(crossing, tmp_path, capsys):
     rows = [(0, f"camera_{k}", (0.0, 0.0, 0.0), NONE) for k in range(3)]
     log = with_poses(crossing, tmp_path / "identity.mcap", rows, own=False)
     assert command(["info", str(log)]) == 0
@@ -101,9 +92,7 @@ def test_cameras_at_one_place_are_noticed(
     assert "all cameras stand at the same place" in capsys.readouterr().err
 
 
-def test_a_log_without_transforms_says_what_to_do(
-    crossing: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_log_without_transforms_says_what_to_do(crossing, tmp_path, capsys):
     log = with_poses(crossing, tmp_path / "none.mcap", [], own=False)
     assert command(["process", str(log)]) == 2
     text = capsys.readouterr().err
@@ -112,7 +101,7 @@ def test_a_log_without_transforms_says_what_to_do(
     assert "--extrinsics cameras.toml" in text
 
 
-def test_a_typo_in_the_fixed_frame_is_answered_with_the_frames(crossing: Path) -> None:
+def test_a_typo_in_the_fixed_frame_is_answered_with_the_frames(crossing):
     with (
         open_log(crossing, fixed_frame="wrld") as log,
         pytest.raises(LogError, match=r"'wrld'.*mean 'world'\? \(there are: camera_0, camera_1"),

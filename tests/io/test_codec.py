@@ -10,20 +10,20 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.errors import LogError, SchemaError
 from hiros_mcap.io.codec import Decoder, Encoder, ModelBuilder, RestPoses
 from hiros_mcap.io.container import Batch, Records
-from hiros_mcap.io.layout import PUBLISHED, Layout, check_schema
+from hiros_mcap.io.layout import PUBLISHED, check_schema
 from hiros_mcap.skeletons import Frame, SkeletonModel
 
 NAME = hiros_schemas.SKELETON_GROUP
 TEXT = hiros_schemas.text(NAME)
 
 
-def stick(n_markers: int = 2) -> SkeletonModel:
+def stick(n_markers=2):
     """A chain of markers m0, m1, ... joined by links l0, l1, ..."""
     links = [(f"l{k}", k, k + 1) for k in range(n_markers - 1)]
     return SkeletonModel.of([f"m{k}" for k in range(n_markers)], links)
 
 
-def full(model: SkeletonModel, n_people: int = 1, seed: int = 0) -> Frame:
+def full(model, n_people=1, seed=0):
     """A believable frame with every number given."""
     rng = np.random.default_rng(seed)
     frame = Frame.empty(n_people, model, stamp=5_000_000_007, source="cam", frame_id="map")
@@ -35,27 +35,27 @@ def full(model: SkeletonModel, n_people: int = 1, seed: int = 0) -> Frame:
     return frame
 
 
-def learn(*messages: bytes) -> SkeletonModel:
+def learn(*messages):
     builder = ModelBuilder()
     for data in messages:
         builder.add(data, "/t")
     return builder.build()
 
 
-def edited(model: SkeletonModel, change) -> bytes:
+def edited(model, change):
     """A message of one person of whom ``change`` altered something."""
     message = gen.message_of(full(model), model)
     change(message)
     return gen.generic_writer()(message)
 
 
-def exact(model: SkeletonModel, data: bytes, layout: Layout = PUBLISHED) -> Frame:
+def exact(model, data, layout=PUBLISHED):
     """The only frame of a message, to the bit."""
     (frame,) = Decoder(model, layouts={0: layout}, exact=True).decode_message(data)
     return frame
 
 
-def refusal(data: bytes, model: SkeletonModel | None = None) -> str:
+def refusal(data, model=None):
     with pytest.raises(LogError) as caught:
         Decoder(model or stick()).decode_message(data)
     return str(caught.value)
@@ -65,14 +65,14 @@ def refusal(data: bytes, model: SkeletonModel | None = None) -> str:
 
 
 @pytest.mark.parametrize("block", range(10))
-def test_frames_encode_byte_for_byte_as_the_generic_writer_does(block: int) -> None:
+def test_frames_encode_byte_for_byte_as_the_generic_writer_does(block):
     for seed in range(block * 30, block * 30 + 30):
         model, frame = gen.random_case(seed)
         assert Encoder(model).encode(frame) == gen.generic_writer()(gen.message_of(frame, model))
 
 
 @pytest.mark.parametrize("block", range(10))
-def test_messages_decode_as_the_generic_reader_does(block: int) -> None:
+def test_messages_decode_as_the_generic_reader_does(block):
     for seed in range(1000 + block * 30, 1030 + block * 30):
         model, frame = gen.random_case(seed)
         data = Encoder(model).encode(frame)
@@ -81,14 +81,14 @@ def test_messages_decode_as_the_generic_reader_does(block: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_big_endian_messages_give_the_same_frames(seed: int) -> None:
+def test_big_endian_messages_give_the_same_frames(seed):
     model, frame = gen.random_case(2000 + seed)
     data = Encoder(model).encode(frame)
     assert gen.same(exact(model, gen.big_endian(data)), exact(model, data))
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_frames_survive_the_round_trip_to_the_bit(seed: int) -> None:
+def test_frames_survive_the_round_trip_to_the_bit(seed):
     model, frame = gen.random_case(3000 + seed, most=40)
     encoder = Encoder(model)
     data = encoder.encode(frame)
@@ -98,7 +98,7 @@ def test_frames_survive_the_round_trip_to_the_bit(seed: int) -> None:
 
 
 @pytest.mark.parametrize("n_markers", [15, 16, 21, 32])
-def test_skeletons_of_any_size_round_trip_bit_exact(n_markers: int) -> None:
+def test_skeletons_of_any_size_round_trip_bit_exact(n_markers):
     model = stick(n_markers)
     frame = full(model, 3)
     data = Encoder(model).encode(frame)
@@ -106,7 +106,7 @@ def test_skeletons_of_any_size_round_trip_bit_exact(n_markers: int) -> None:
     assert gen.same(exact(model, data), frame)
 
 
-def test_rosbags_reads_what_we_write() -> None:
+def test_rosbags_reads_what_we_write():
     model, frame = gen.random_case(4000)
     data = Encoder(model).encode(frame)
     message = gen.rosbags_types().deserialize_cdr(data, NAME)
@@ -117,7 +117,7 @@ def test_rosbags_reads_what_we_write() -> None:
 
 
 @pytest.mark.parametrize("swap", [bytes, gen.big_endian])
-def test_every_truncation_is_refused_though_the_rest_lies_behind_it(swap) -> None:
+def test_every_truncation_is_refused_though_the_rest_lies_behind_it(swap):
     model = stick()
     data = swap(Encoder(model).encode(full(model, 2)))
     decoder = Decoder(model)
@@ -128,7 +128,7 @@ def test_every_truncation_is_refused_though_the_rest_lies_behind_it(swap) -> Non
             ModelBuilder().add(memoryview(data)[:n], "/t")
 
 
-def test_mutated_messages_are_refused_or_decode_as_the_generic_reader_does() -> None:
+def test_mutated_messages_are_refused_or_decode_as_the_generic_reader_does():
     model = stick(3)
     good = Encoder(model).encode(full(model, 2))
     decoder, rng = Decoder(model, exact=True), np.random.default_rng(1)
@@ -145,7 +145,7 @@ def test_mutated_messages_are_refused_or_decode_as_the_generic_reader_does() -> 
     assert compared > 100
 
 
-def mutate(rng: np.random.Generator, good: bytes) -> bytes:
+def mutate(rng, good):
     """One to three bytes changed, half of the time where names and counts are."""
     data = bytearray(good)
     for _ in range(rng.integers(1, 4)):
@@ -157,7 +157,7 @@ def mutate(rng: np.random.Generator, good: bytes) -> bytes:
     return bytes(data)
 
 
-def test_mutated_messages_never_break_the_model_builder() -> None:
+def test_mutated_messages_never_break_the_model_builder():
     model = stick(3)
     good = Encoder(model).encode(full(model, 2))
     rng, learnt = np.random.default_rng(2), 0
@@ -169,7 +169,7 @@ def test_mutated_messages_never_break_the_model_builder() -> None:
     assert learnt > 500
 
 
-def test_words_set_to_extremes_anywhere_never_crash() -> None:
+def test_words_set_to_extremes_anywhere_never_crash():
     model = stick()
     good = Encoder(model).encode(full(model))
     decoder = Decoder(model)
@@ -183,7 +183,7 @@ def test_words_set_to_extremes_anywhere_never_crash() -> None:
                     assert str(error)
 
 
-def test_padding_of_a_payload_is_tolerated_and_no_more() -> None:
+def test_padding_of_a_payload_is_tolerated_and_no_more():
     model = stick()
     data = Encoder(model).encode(full(model))
     for n in range(4):
@@ -200,39 +200,39 @@ def test_padding_of_a_payload_is_tolerated_and_no_more() -> None:
         (b"\x12\x34", "0x1234 unknown"),
     ],
 )
-def test_other_encapsulations_are_refused_by_name(head: bytes, fault: str) -> None:
+def test_other_encapsulations_are_refused_by_name(head, fault):
     data = Encoder(stick()).encode(full(stick()))
     assert fault in refusal(head + data[2:])
 
 
-def test_empty_payload_is_refused() -> None:
+def test_empty_payload_is_refused():
     assert "ends in the middle" in refusal(b"")
 
 
 # --- what a message may not say --------------------------------------------------------------
 
 
-def marker_of(message, k: int) -> dict:
+def marker_of(message, k):
     return message["skeletons"][0]["markers"][k]
 
 
-def test_unknown_marker_is_named() -> None:
+def test_unknown_marker_is_named():
     data = edited(stick(), lambda m: marker_of(m, 1).update(id=9, name="tail"))
     assert "marker 9 'tail' is not in the skeleton model" in refusal(data)
 
 
-def test_marker_of_another_name_is_named() -> None:
+def test_marker_of_another_name_is_named():
     data = edited(stick(), lambda m: marker_of(m, 1).update(name="tail"))
     assert "marker 1 has another name, 'tail'" in refusal(data)
 
 
 @pytest.mark.parametrize("name", ["m10", "m", "", "M1", "m2"])
-def test_names_are_compared_to_their_last_byte(name: str) -> None:
+def test_names_are_compared_to_their_last_byte(name):
     data = edited(stick(), lambda m: marker_of(m, 1).update(name=name))
     assert "another name" in refusal(data)
 
 
-def test_repeated_marker_is_refused() -> None:
+def test_repeated_marker_is_refused():
     data = edited(stick(), lambda m: marker_of(m, 1).update(id=0, name="m0"))
     assert "marker 0 comes twice in skeleton 0" in refusal(data)
 
@@ -245,54 +245,54 @@ def test_repeated_marker_is_refused() -> None:
         ({"child_marker": 0}, "link 0 joins other markers"),
     ],
 )
-def test_links_that_are_not_the_models_are_refused(change: dict, fault: str) -> None:
+def test_links_that_are_not_the_models_are_refused(change, fault):
     data = edited(stick(), lambda m: m["skeletons"][0]["links"][0].update(change))
     assert fault in refusal(data)
 
 
-def test_repeated_link_is_refused() -> None:
-    def repeat(message) -> None:
+def test_repeated_link_is_refused():
+    def repeat(message):
         message["skeletons"][0]["links"] *= 2
 
     assert "link 0 comes twice in skeleton 0" in refusal(edited(stick(), repeat))
 
 
 @pytest.mark.parametrize("where", ["header", "skeleton"])
-def test_nanoseconds_beyond_a_second_are_refused(where: str) -> None:
-    def late(message) -> None:
+def test_nanoseconds_beyond_a_second_are_refused(where):
+    def late(message):
         stamps = {"header": message["header"]["stamp"], "skeleton": message["skeletons"][0]}
         (stamps[where] if where == "header" else stamps[where]["src_time"])["nanosec"] = 10**9
 
     assert "1e9 or more nanoseconds" in refusal(edited(stick(), late))
 
 
-def test_a_thousand_people_are_read_and_one_more_is_refused() -> None:
+def test_a_thousand_people_are_read_and_one_more_is_refused():
     model = SkeletonModel.of([], [])
     encoder = Encoder(model)
     assert exact(model, encoder.encode(Frame.empty(1000, model))).n_people == 1000
     assert "more than 1000 skeletons" in refusal(encoder.encode(Frame.empty(1001, model)), model)
 
 
-def test_string_beyond_64_kib_is_refused() -> None:
+def test_string_beyond_64_kib_is_refused():
     encoder = Encoder(stick())
     frame = full(stick())
     assert exact(stick(), encoder.encode(frame.replace(frame_id="x" * 65535)))
     assert "longer than 65536" in refusal(encoder.encode(frame.replace(frame_id="x" * 65536)))
 
 
-def test_string_without_its_end_is_refused() -> None:
+def test_string_without_its_end_is_refused():
     data = bytearray(Encoder(stick()).encode(full(stick())))
     at = data.index(b"map\0")
     data[at + 3] = ord("s")
     assert "without its final NUL" in refusal(bytes(data))
 
 
-def test_string_that_is_no_utf8_is_refused() -> None:
+def test_string_that_is_no_utf8_is_refused():
     data = Encoder(stick()).encode(full(stick())).replace(b"map\0", b"m\xff\xfe\0")
     assert "not UTF-8" in refusal(data)
 
 
-def test_empty_string_of_no_bytes_is_read() -> None:
+def test_empty_string_of_no_bytes_is_read():
     model = SkeletonModel.of([], [])
     data = Encoder(model).encode(Frame.empty(0, model))
     short = data[:12] + struct.pack("<II", 0, 0)  # length 0, then the count of people
@@ -302,7 +302,7 @@ def test_empty_string_of_no_bytes_is_read() -> None:
 # --- frames ----------------------------------------------------------------------------------
 
 
-def test_source_and_frame_come_from_the_other_where_one_is_empty() -> None:
+def test_source_and_frame_come_from_the_other_where_one_is_empty():
     encoder, frame = Encoder(stick()), full(stick())
     for source, frame_id, expected in (
         ("cam", "map", ("cam", "map")),
@@ -314,7 +314,7 @@ def test_source_and_frame_come_from_the_other_where_one_is_empty() -> None:
         assert (decoded.source, decoded.frame_id) == expected
 
 
-def several(model: SkeletonModel):
+def several(model):
     """Three people, seen by a, b and a."""
     message = gen.message_of(full(model, 3), model)
     for person, source in zip(message["skeletons"], "aba", strict=True):
@@ -322,11 +322,11 @@ def several(model: SkeletonModel):
     return message
 
 
-def mixed() -> bytes:
+def mixed():
     return gen.generic_writer()(several(stick()))
 
 
-def test_message_of_several_cameras_is_split() -> None:
+def test_message_of_several_cameras_is_split():
     a, b = Decoder(stick()).decode_message(mixed())
     assert [a.source, b.source, a.frame_id] == ["a", "b", "map"]
     whole = full(stick(), 3)
@@ -334,53 +334,53 @@ def test_message_of_several_cameras_is_split() -> None:
     assert np.array_equal(b.boxes, whole.boxes[[1]])
 
 
-def test_message_of_one_camera_is_not_split() -> None:
+def test_message_of_one_camera_is_not_split():
     data = Encoder(stick()).encode(full(stick(), 3))
     assert gen.same(exact(stick(), data), full(stick(), 3))
 
 
-def test_times_before_the_epoch_and_unset_ones_are_kept() -> None:
+def test_times_before_the_epoch_and_unset_ones_are_kept():
     frame = full(stick(), 2).replace(stamp=-1, stamps=np.array([0, -2_500_000_000]))
     decoded = exact(stick(), Encoder(stick()).encode(frame))
     assert decoded.stamp == -1
     assert decoded.stamps.tolist() == [0, -2_500_000_000]
 
 
-def test_a_time_before_1970_is_none_unless_bits_are_to_be_kept() -> None:
+def test_a_time_before_1970_is_none_unless_bits_are_to_be_kept():
     frame = full(stick(), 2).replace(stamps=np.array([-2_500_000_000, 7]))
     (decoded,) = Decoder(stick()).decode_message(Encoder(stick()).encode(frame))
     assert decoded.stamps.tolist() == [0, 7]
 
 
-def test_frames_own_their_arrays() -> None:
+def test_frames_own_their_arrays():
     decoder, data = Decoder(stick()), Encoder(stick()).encode(full(stick()))
     (first,), (second,) = decoder.decode_message(data), decoder.decode_message(data)
     first.markers[:] = 0.0
     assert gen.same(second, full(stick()))
 
 
-def test_order_within_a_message_does_not_matter() -> None:
-    def reverse(message) -> None:
+def test_order_within_a_message_does_not_matter():
+    def reverse(message):
         message["skeletons"][0]["markers"].reverse()
 
     data = edited(stick(5), reverse)
     assert gen.same(exact(stick(5), data), full(stick(5)))
 
 
-def test_people_may_come_and_go_from_message_to_message() -> None:
+def test_people_may_come_and_go_from_message_to_message():
     encoder, decoder = Encoder(stick()), Decoder(stick(), exact=True)
     for n in (1, 4, 0, 2, 2):
         (frame,) = decoder.decode_message(encoder.encode(full(stick(), n)))
         assert gen.same(frame, expect(n))
 
 
-def expect(n_people: int) -> Frame:
+def expect(n_people):
     frame = full(stick(), n_people)
     return frame if n_people else frame.replace(source="map")
 
 
 @pytest.mark.parametrize("stamp", [2**31 * 10**9, -(2**31) * 10**9 - 1])
-def test_stamp_that_a_message_cannot_hold_is_refused(stamp: int) -> None:
+def test_stamp_that_a_message_cannot_hold_is_refused(stamp):
     for frame in (
         full(stick()).replace(stamp=stamp),
         full(stick()).replace(stamps=np.array([stamp])),
@@ -389,14 +389,14 @@ def test_stamp_that_a_message_cannot_hold_is_refused(stamp: int) -> None:
             Encoder(stick()).encode(frame)
 
 
-def test_arrays_that_do_not_fit_are_refused() -> None:
+def test_arrays_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match="do not fit"):
         Encoder(stick(3)).encode(full(stick(2)))
     with pytest.raises(ValueError, match="do not fit"):
         Encoder(stick()).encode(full(stick(), 2).replace(boxes=np.zeros((1, 22))))
 
 
-def test_model_with_ids_out_of_order_is_refused() -> None:
+def test_model_with_ids_out_of_order_is_refused():
     model = SkeletonModel((1, 0), ("a", "b"), (), (), (), (), 2, 0)
     with pytest.raises(ValueError, match="must increase"):
         Decoder(model)
@@ -406,7 +406,7 @@ def test_model_with_ids_out_of_order_is_refused() -> None:
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_model_is_learnt_from_partial_messages(seed: int) -> None:
+def test_model_is_learnt_from_partial_messages(seed):
     rng = np.random.default_rng(seed)
     model = gen.random_model(rng, 6, 5)
     encoder = Encoder(model)
@@ -414,7 +414,7 @@ def test_model_is_learnt_from_partial_messages(seed: int) -> None:
     assert learn(*map(encoder.encode, frames)) == model
 
 
-def test_builder_is_complete_when_all_that_detectors_know_was_seen() -> None:
+def test_builder_is_complete_when_all_that_detectors_know_was_seen():
     model, builder, frame = stick(), ModelBuilder(), full(stick())
     for absent, done in (([1], False), ([], True)):
         frame.markers[0, absent] = frame.marker_confidences[0, absent] = np.nan
@@ -423,12 +423,12 @@ def test_builder_is_complete_when_all_that_detectors_know_was_seen() -> None:
         frame = full(stick())
 
 
-def test_builder_without_messages_is_not_complete() -> None:
+def test_builder_without_messages_is_not_complete():
     assert not ModelBuilder().complete
     assert ModelBuilder().build().n_markers == 0
 
 
-def test_cameras_that_name_a_marker_differently_are_refused() -> None:
+def test_cameras_that_name_a_marker_differently_are_refused():
     builder = ModelBuilder()
     builder.add(Encoder(stick()).encode(full(stick())), "/cam0")
     other = edited(stick(), lambda m: marker_of(m, 1).update(name="tail"))
@@ -436,7 +436,7 @@ def test_cameras_that_name_a_marker_differently_are_refused() -> None:
         builder.add(other, "/cam1")
 
 
-def test_cameras_whose_links_differ_are_refused() -> None:
+def test_cameras_whose_links_differ_are_refused():
     builder = ModelBuilder()
     builder.add(Encoder(stick()).encode(full(stick())), "/cam0")
     other = edited(stick(), lambda m: m["skeletons"][0]["links"][0].update(child_marker=0))
@@ -444,7 +444,7 @@ def test_cameras_whose_links_differ_are_refused() -> None:
         builder.add(other, "/cam1")
 
 
-def test_link_to_a_marker_that_nobody_shows_is_kept_without_it() -> None:
+def test_link_to_a_marker_that_nobody_shows_is_kept_without_it():
     data = edited(stick(), lambda m: m["skeletons"][0]["links"][0].update(child_marker=77))
     model = learn(data)
     assert model.link_children == (-1,)
@@ -454,21 +454,21 @@ def test_link_to_a_marker_that_nobody_shows_is_kept_without_it() -> None:
 # --- cleaning --------------------------------------------------------------------------------
 
 
-def clean(frame: Frame) -> tuple[Frame, dict[str, int]]:
+def clean(frame):
     """The frame after it was written and read, and what was taken out."""
     decoded = batch_of(stick(), [Encoder(stick()).encode(frame)])
     (frame,) = frames_of(decoded, 0)
     return frame, dict(decoded.cleaned.get(0, {}))
 
 
-def test_a_frame_with_nothing_wrong_stays_as_it_is() -> None:
+def test_a_frame_with_nothing_wrong_stays_as_it_is():
     for frame in (full(stick(), 3), Frame.empty(2, stick(), source="a", frame_id="b")):
         cleaned, counts = clean(frame)
         assert gen.same(cleaned, frame)
         assert counts == {}
 
 
-def spoiled(**changes: tuple[tuple[int, ...] | slice, float | list[float]]):
+def spoiled(**changes):
     """Clean a frame in which some numbers of the first person were changed."""
     frame = full(stick())
     for name, (place, value) in changes.items():
@@ -477,7 +477,7 @@ def spoiled(**changes: tuple[tuple[int, ...] | slice, float | list[float]]):
 
 
 @pytest.mark.parametrize("value", [np.inf, -np.inf, 1.1e4, -1e300])
-def test_absurd_number_unsets_its_whole_vector(value: float) -> None:
+def test_absurd_number_unsets_its_whole_vector(value):
     frame, cleaned, counts = spoiled(markers=((1, 8), value))
     assert counts == {"absurd number": 1}
     assert np.isnan(cleaned.markers[0, 1, 7:10]).all()
@@ -485,38 +485,38 @@ def test_absurd_number_unsets_its_whole_vector(value: float) -> None:
     assert gen.same(frame, cleaned)
 
 
-def test_incomplete_vector_is_unset() -> None:
+def test_incomplete_vector_is_unset():
     _, cleaned, counts = spoiled(links=((0, 2), np.nan))
     assert counts == {"incomplete vector": 1}
     assert np.isnan(cleaned.links[0, 0, :3]).all()
 
 
-def test_box_is_cleaned_too() -> None:
+def test_box_is_cleaned_too():
     _, cleaned, counts = spoiled(boxes=((21,), np.inf))
     assert counts == {"absurd number": 1}
     assert np.isnan(cleaned.boxes[0, 19:]).all()
     assert not np.isnan(cleaned.boxes[0, :19]).any()
 
 
-def test_quaternion_without_length_is_unset() -> None:
+def test_quaternion_without_length_is_unset():
     _, cleaned, counts = spoiled(links=((0, slice(3, 7)), 0.0))
     assert counts == {"quaternion of length 0": 1}
     assert np.isnan(cleaned.links[0, 0, 3:7]).all()
 
 
-def test_quaternion_of_wrong_length_is_normalised() -> None:
+def test_quaternion_of_wrong_length_is_normalised():
     _, cleaned, counts = spoiled(links=((0, slice(3, 7)), [0.0, 0.0, 3.0, 4.0]))
     assert counts == {"quaternion normalised": 1}
     assert cleaned.links[0, 0, 3:7] == pytest.approx([0, 0, 0.6, 0.8])
 
 
-def test_small_error_of_a_quaternion_is_put_right_without_a_word() -> None:
+def test_small_error_of_a_quaternion_is_put_right_without_a_word():
     _, cleaned, counts = spoiled(links=((0, slice(3, 7)), [0.0, 0.0, 0.0, 1.0005]))
     assert counts == {}
     assert cleaned.links[0, 0, 3:7].tolist() == [0, 0, 0, 1]
 
 
-def test_quaternion_of_float32_precision_is_left_alone() -> None:
+def test_quaternion_of_float32_precision_is_left_alone():
     frame, cleaned, _ = spoiled(links=((0, slice(3, 7)), [0.0, 0.0, 0.0, 1.0 + 2e-7]))
     assert gen.same(cleaned, frame)
 
@@ -531,26 +531,26 @@ def test_quaternion_of_float32_precision_is_left_alone() -> None:
         (-np.inf, np.nan, "absurd number"),
     ],
 )
-def test_confidence_out_of_range(value: float, kept: float, kind: str) -> None:
+def test_confidence_out_of_range(value, kept, kind):
     _, cleaned, counts = spoiled(marker_confidences=((1,), value))
     assert counts == {kind: 1}
     np.testing.assert_equal(cleaned.marker_confidences[0, 1], kept)
 
 
-def test_confidence_of_a_person_out_of_range() -> None:
+def test_confidence_of_a_person_out_of_range():
     frame = full(stick(), 2).replace(confidences=np.array([-1.0, 7.0]))
     cleaned, counts = clean(frame)
     assert counts == {"confidence above 1": 1, "negative confidence": 1}
     np.testing.assert_equal(cleaned.confidences, [np.nan, 1.0])
 
 
-def test_infinite_confidence_is_unset() -> None:
+def test_infinite_confidence_is_unset():
     _, cleaned, counts = spoiled(link_confidences=((0,), np.inf))
     assert counts == {"absurd number": 1}
     assert np.isnan(cleaned.link_confidences[0, 0])
 
 
-def test_cleaning_twice_changes_nothing_more() -> None:
+def test_cleaning_twice_changes_nothing_more():
     once, _ = clean(
         full(stick()).replace(boxes=gen.random_numbers(np.random.default_rng(1), 1, 22))
     )
@@ -562,7 +562,7 @@ def test_cleaning_twice_changes_nothing_more() -> None:
 # --- schemas ---------------------------------------------------------------------------------
 
 
-def checked(text: str, name: str = NAME, encoding: str = "ros2msg"):
+def checked(text, name=NAME, encoding="ros2msg"):
     return check_schema(name, encoding, text.encode(), topic="/t")
 
 
@@ -577,7 +577,7 @@ def checked(text: str, name: str = NAME, encoding: str = "ros2msg"):
         TEXT.replace("MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n", "MSG: a/B\n"),
     ],
 )
-def test_schema_with_the_published_fields_is_read_directly(text: str) -> None:
+def test_schema_with_the_published_fields_is_read_directly(text):
     assert checked(text) is PUBLISHED
     assert checked(text, "hiros_skeleton_msgs/SkeletonGroup").is_published
 
@@ -594,7 +594,7 @@ VARIANTS = {
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_messages_of_a_compatible_schema_are_translated(variant: str) -> None:
+def test_messages_of_a_compatible_schema_are_translated(variant):
     model, text = stick(), VARIANTS[variant]
     frame = full(model, 2)
     for array in (frame.confidences, frame.marker_confidences, frame.link_confidences):
@@ -608,7 +608,7 @@ def test_messages_of_a_compatible_schema_are_translated(variant: str) -> None:
     assert builder.build() == model
 
 
-def test_translated_message_of_several_cameras_can_be_split() -> None:
+def test_translated_message_of_several_cameras_can_be_split():
     text = VARIANTS["a field added"]
     message = gen.message_of(full(stick(), 2), stick())
     message["skeletons"][0]["src_frame"] = "other"
@@ -634,12 +634,12 @@ def test_translated_message_of_several_cameras_can_be_split() -> None:
         ("\0\0garbage", "no field"),
     ],
 )  # fmt: skip
-def test_other_schemas_are_refused_by_their_first_fault(text: str, fault: str) -> None:
+def test_other_schemas_are_refused_by_their_first_fault(text, fault):
     with pytest.raises(SchemaError, match=f"^/t: .*{fault}"):
         checked(text)
 
 
-def test_schema_of_exponential_size_is_refused() -> None:
+def test_schema_of_exponential_size_is_refused():
     levels = [f"{'=' * 80}\nMSG: a/T{k}\nT{k + 1} x\nT{k + 1} y\n" for k in range(20)]
     bomb = TEXT.replace("float64 height", "a/T0 t\nfloat64 height")
     last = f"{'=' * 80}\nMSG: a/T20\nint8 x\n"
@@ -656,19 +656,19 @@ def test_schema_of_exponential_size_is_refused() -> None:
         ("SkeletonGroup", "ros2msg", "not the name of a message type"),
     ],
 )
-def test_other_kinds_of_schema_are_refused(name: str, encoding: str, fault: str) -> None:
+def test_other_kinds_of_schema_are_refused(name, encoding, fault):
     with pytest.raises(SchemaError, match=fault):
         checked(TEXT, name, encoding)
 
 
-def test_schema_that_is_no_text_is_refused() -> None:
+def test_schema_that_is_no_text_is_refused():
     with pytest.raises(SchemaError, match="not UTF-8"):
         check_schema(NAME, "ros2msg", b"\xff\xfe")
     with pytest.raises(SchemaError, match="larger than"):
         check_schema(NAME, "ros2msg", b"#" * (2**20 + 1))
 
 
-def test_damaged_message_of_a_compatible_schema_is_refused() -> None:
+def test_damaged_message_of_a_compatible_schema_is_refused():
     text = VARIANTS["fields reordered"]
     data = gen.generic_writer(text)(gen.message_of(full(stick()), stick()))
     for n in (*range(0, len(data), 7), len(data) - 1):
@@ -678,7 +678,7 @@ def test_damaged_message_of_a_compatible_schema_is_refused() -> None:
         exact(stick(), b"\0\3" + data[2:], checked(text))
 
 
-def test_elements_without_numbers_are_not_built_from_nothing() -> None:
+def test_elements_without_numbers_are_not_built_from_nothing():
     """A few bytes may claim 2^32 elements that take no bytes of their own."""
     bomb = f"\n{'=' * 80}\nMSG: hiros_skeleton_msgs/Bomb\nuint8[4] x\n"
     text = TEXT.replace("Header header\n", "Header header\nBomb[] b\n", 1) + bomb
@@ -686,7 +686,7 @@ def test_elements_without_numbers_are_not_built_from_nothing() -> None:
         exact(stick(), b"\0\1\0\0" + bytes(16) + b"\xff" * 4 + bytes(8), checked(text))
 
 
-def test_number_that_does_not_fit_the_published_type_is_refused() -> None:
+def test_number_that_does_not_fit_the_published_type_is_refused():
     text = VARIANTS["wide ids"]
     message = gen.message_of(full(stick()), stick())
     message["skeletons"][0]["links"][0]["parent_marker"] = 2**40
@@ -695,7 +695,7 @@ def test_number_that_does_not_fit_the_published_type_is_refused() -> None:
         exact(stick(), data, checked(text))
 
 
-def test_generic_reader_of_the_tests_is_independent_of_the_codec() -> None:
+def test_generic_reader_of_the_tests_is_independent_of_the_codec():
     message = gen.generic_reader()(Encoder(stick()).encode(full(stick())))
     assert isinstance(message, SimpleNamespace)
     assert message.skeletons[0].markers[1].name == "m1"
@@ -704,7 +704,7 @@ def test_generic_reader_of_the_tests_is_independent_of_the_codec() -> None:
 # --- all messages of a chunk at once ---------------------------------------------------------
 
 
-def records_of(messages: list[bytes], offset: int = 0) -> Records:
+def records_of(messages, offset=0):
     """Messages in one run of bytes with something in between."""
     data, rows = b"", []
     for k, message in enumerate(messages):
@@ -714,7 +714,7 @@ def records_of(messages: list[bytes], offset: int = 0) -> Records:
     return Records(data + b"end", np.array(rows, np.uint64).reshape(-1, 6), offset)
 
 
-def batch_of(model: SkeletonModel, messages: list[bytes], poses: RestPoses | None = None):
+def batch_of(model, messages, poses=None):
     """Messages decoded at once, from two chunks."""
     half = len(messages) // 2
     chunks = [records_of(messages[:half]), records_of(messages[half:], 10**6)]
@@ -722,14 +722,14 @@ def batch_of(model: SkeletonModel, messages: list[bytes], poses: RestPoses | Non
     return decoded
 
 
-def frames_of(decoded, i: int) -> list[Frame]:
+def frames_of(decoded, i):
     return [
         Frame(decoded.stamps[i], 0, source, frame_id, decoded.people.at(slice(begin, end)))
         for source, frame_id, begin, end in decoded.parts[i]
     ]
 
 
-def odd_messages(model: SkeletonModel) -> list[bytes]:
+def odd_messages(model):
     """Whole messages, truncated, damaged and big-endian ones, some with impossible numbers."""
     rng, messages = np.random.default_rng(5), []
     for seed in range(60):
@@ -748,7 +748,7 @@ def odd_messages(model: SkeletonModel) -> list[bytes]:
     return [*messages, gen.big_endian(Encoder(model).encode(full(model, 2)))]
 
 
-def test_a_batch_of_many_says_what_batches_of_one_say() -> None:
+def test_a_batch_of_many_says_what_batches_of_one_say():
     model = stick(4)
     messages = [*odd_messages(model), gen.generic_writer()(several(model))]
     many = batch_of(model, messages)
@@ -762,7 +762,7 @@ def test_a_batch_of_many_says_what_batches_of_one_say() -> None:
     assert len(many.parts[-1]) == 2
 
 
-def test_a_damaged_message_of_another_schema_is_the_only_one_with_a_fault() -> None:
+def test_a_damaged_message_of_another_schema_is_the_only_one_with_a_fault():
     text = VARIANTS["a field added"]
     good = gen.generic_writer(text)(gen.message_of(full(stick()), stick()))
     chunks = [records_of([good, good]), records_of([good, good[:50], good], 10**6)]
@@ -773,13 +773,11 @@ def test_a_damaged_message_of_another_schema_is_the_only_one_with_a_fault() -> N
     assert [len(parts) for parts in decoded.parts] == [1, 1, 1, 0, 1]
 
 
-def test_a_batch_may_be_empty() -> None:
+def test_a_batch_may_be_empty():
     assert batch_of(stick(), []).parts == []
 
 
-def test_a_batch_that_needs_much_memory_is_decoded_in_parts(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_batch_that_needs_much_memory_is_decoded_in_parts(monkeypatch):
     messages = [Encoder(stick()).encode(full(stick(), 3, seed)) for seed in range(9)]
     monkeypatch.setattr(Decoder, "_MOST", 4000)  # 3 people take 1968 bytes
     parts = list(Decoder(stick()).decode(Batch([records_of(messages)], 99)))
@@ -789,13 +787,13 @@ def test_a_batch_that_needs_much_memory_is_decoded_in_parts(
     assert all(gen.same(f, full(stick(), 3, seed)) for seed, f in enumerate(found))
 
 
-def without_motion(frame: Frame) -> Frame:
+def without_motion(frame):
     for states in (frame.markers, frame.links):
         states[..., 7:] = np.nan
     return frame
 
 
-def test_slim_people_have_poses_only_until_a_message_holds_a_velocity_or_acceleration() -> None:
+def test_slim_people_have_poses_only_until_a_message_holds_a_velocity_or_acceleration():
     model, still = stick(), without_motion(full(stick()))
     decoder = Decoder(model, slim=True)
     (first,) = decoder.decode_message(Encoder(model).encode(still))
@@ -808,7 +806,7 @@ def test_slim_people_have_poses_only_until_a_message_holds_a_velocity_or_acceler
     assert gen.same(second, still)
 
 
-def test_a_slim_batch_says_what_another_says() -> None:
+def test_a_slim_batch_says_what_another_says():
     model = stick(4)
     messages = [Encoder(model).encode(without_motion(full(model, 2))), *odd_messages(model)]
     slim = Decoder(model, slim=True).decode(Batch([records_of(messages)], None))
@@ -819,7 +817,7 @@ def test_a_slim_batch_says_what_another_says() -> None:
         assert all(gen.same(a, b) for a, b in pairs)
 
 
-def test_slim_people_move_as_others_do() -> None:
+def test_slim_people_move_as_others_do():
     turn = Rigid(np.array([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)]), np.array([1.0, 2.0, 3.0]))
     data = Encoder(stick()).encode(without_motion(full(stick(), 2)))
     moved = []
@@ -832,7 +830,7 @@ def test_slim_people_move_as_others_do() -> None:
         assert part.shape[-1] == 7
 
 
-def test_the_halves_of_a_batch_are_the_earlier_and_the_later_messages() -> None:
+def test_the_halves_of_a_batch_are_the_earlier_and_the_later_messages():
     backwards = records_of([b"a"] * 4)
     backwards.messages[:, 2] = [40, 10, 30, 20]
     early, late = Batch([backwards], 99).halves()
@@ -841,7 +839,7 @@ def test_the_halves_of_a_batch_are_the_earlier_and_the_later_messages() -> None:
     assert (early.until, late.until) == (30, 99)
 
 
-def test_a_batch_moves_people_by_the_poses_that_it_knows() -> None:
+def test_a_batch_moves_people_by_the_poses_that_it_knows():
     turn = Rigid(np.array([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)]), np.array([1.0, 2.0, 3.0]))
     frames = [full(stick(), 2).replace(frame_id=name) for name in ("map", "/map", "other", "hall")]
     messages = [Encoder(stick()).encode(frame) for frame in frames]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Iterator
 from importlib.metadata import EntryPoint
 from itertools import islice
 from pathlib import Path
@@ -20,7 +19,7 @@ import hiros_schemas
 from hiros_cli.app import run
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.evaluate import Scores, evaluate, load_truth
+from hiros_mcap.evaluate import evaluate, load_truth
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.detectors import azure_kinect, registry
 from hiros_mcap.io.detectors.body_models import BODY_MODELS, body_model, name_of
@@ -39,13 +38,13 @@ EXACT = {"skeleton groups", "stamped skeletons", "ros1 in mcap"}
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+def scene(tmp_path_factory):
     path = tmp_path_factory.mktemp("scene") / "scene.mcap"
     return made.scene(path, people=2, cameras=3, seconds=1.2, seed=11)
 
 
 @pytest.fixture(scope="module")
-def logs(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def logs(scene, tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
     return {
         kind: write(folder / f"{i}{'.bag' if 'bag' in kind else '.mcap'}", scene)
@@ -54,7 +53,7 @@ def logs(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Pa
 
 
 @pytest.fixture(autouse=True)
-def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def temporary(tmp_path, monkeypatch):
     """The folder of temporary files, in which nothing may be left."""
     folder = tmp_path / "temporary"
     folder.mkdir()
@@ -64,9 +63,7 @@ def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]
 
 
 @pytest.mark.parametrize("kind", made.KINDS)
-def test_every_detector_says_what_skeleton_groups_say(
-    kind: str, logs: dict[str, Path], scene: Scene
-) -> None:
+def test_every_detector_says_what_skeleton_groups_say(kind, logs, scene):
     expected = {
         (frame.source, made.stamp_of(frame)): frame
         for _, frame in scene.detections
@@ -90,7 +87,7 @@ def test_every_detector_says_what_skeleton_groups_say(
 
 
 @pytest.mark.parametrize("kind", made.KINDS)
-def test_every_detector_can_be_processed(kind: str, logs: dict[str, Path], tmp_path: Path) -> None:
+def test_every_detector_can_be_processed(kind, logs, tmp_path):
     out = tmp_path / "out.mcap"
     summary = process(logs[kind], out)
     assert len(summary.people) == 2
@@ -101,7 +98,7 @@ def test_every_detector_can_be_processed(kind: str, logs: dict[str, Path], tmp_p
     assert run(["export", str(out), "-o", str(tmp_path / "joints.csv"), "--quiet"]) == 0
 
 
-def score_of(out: Path) -> Scores:
+def score_of(out):
     """Scores of the last channel against the truth that was copied."""
     truth = load_truth(out)
     with open_log(out, topics=["/hiros/filtered"], output_prefix="/no") as log:
@@ -109,7 +106,7 @@ def score_of(out: Path) -> Scores:
 
 
 @pytest.mark.parametrize("reader", detector_readers(), ids=lambda reader: reader.__name__)
-def test_every_reader_declines_what_is_not_its_own(reader: type) -> None:
+def test_every_reader_declines_what_is_not_its_own(reader):
     """One kind of message holds its skeletons only if it looks like it."""
     empty = made.ROS2.serialize_cdr(made.ROS2.types[made.MARKERS]([]), made.MARKERS)
     message = DetectorMessage("/costmap", "x/Y", 0, bytes(empty), lambda data: None)
@@ -125,13 +122,13 @@ def test_every_reader_declines_what_is_not_its_own(reader: type) -> None:
     assert message.fields is None
 
 
-def test_other_markers_are_no_skeletons(tmp_path: Path, scene: Scene) -> None:
+def test_other_markers_are_no_skeletons(tmp_path, scene):
     """A log of SkeletonGroups with markers for RViz in it stays as it is."""
     point = made.default("visualization_msgs/msg/Marker", id=3, type=2)
     data = bytes(made.ROS2.serialize_cdr(made.ROS2.types[made.MARKERS]([point]), made.MARKERS))
     when = scene.detections[0][1].log_time
 
-    def both(scene: Scene) -> made.Made:
+    def both(scene):
         yield "/plan", made.MARKERS, when, data
         yield from ((t, made.GROUP, when, d) for t, d, when in made.groups(scene))
 
@@ -141,9 +138,7 @@ def test_other_markers_are_no_skeletons(tmp_path: Path, scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("namespaces", [("",), ("joint",), ("a", "bcd")])
-def test_markers_are_gathered_as_they_are_decoded(
-    namespaces: tuple[str, ...], scene: Scene
-) -> None:
+def test_markers_are_gathered_as_they_are_decoded(namespaces, scene):
     """The fast way to the poses says what the generic one says, byte for byte."""
     for _, frame in scene.detections[:20]:
         message = made.azure_message(frame)
@@ -160,8 +155,8 @@ def test_markers_are_gathered_as_they_are_decoded(
         assert azure_kinect._gathered(data[: len(data) // 2]) is None
 
 
-def test_an_empty_capture_is_a_camera_that_sees_nobody(tmp_path: Path, scene: Scene) -> None:
-    def later_empty(scene: Scene) -> made.Made:
+def test_an_empty_capture_is_a_camera_that_sees_nobody(tmp_path, scene):
+    def later_empty(scene):
         rows = list(azure(scene))
         yield from rows
         nobody = made.ROS2.serialize_cdr(made.ROS2.types[made.MARKERS]([]), made.MARKERS)
@@ -173,16 +168,14 @@ def test_an_empty_capture_is_a_camera_that_sees_nobody(tmp_path: Path, scene: Sc
     assert last.frame_id.startswith("camera_")
 
 
-def test_messages_without_skeletons_are_counted_and_transforms_are_not(
-    tmp_path: Path, scene: Scene
-) -> None:
-    def with_arrows(scene: Scene) -> made.Made:
+def test_messages_without_skeletons_are_counted_and_transforms_are_not(tmp_path, scene):
+    def with_arrows(scene):
         arrow = made.ROS2.types[made.MARKERS]([made.default("visualization_msgs/msg/Marker")])
         for topic, name, log_time, data in islice(only("camera_0", azure)(scene), 5):
             yield topic, name, log_time, data
             yield topic, name, log_time, made.ROS2.serialize_cdr(arrow, name)
 
-    def with_humans(scene: Scene) -> made.Made:
+    def with_humans(scene):
         yield from islice(made.humans(scene), 20)
 
     for maker, wanted in (
@@ -195,18 +188,18 @@ def test_messages_without_skeletons_are_counted_and_transforms_are_not(
         assert remarks == [f"{what} without skeletons left out" for what in wanted]
 
 
-def test_the_joints_of_a_marker_are_those_of_the_sdk(tmp_path: Path, scene: Scene) -> None:
+def test_the_joints_of_a_marker_are_those_of_the_sdk(tmp_path, scene):
     assert body_model("azure-kinect").marker_names == scene.names
     assert body_model("azure-kinect").marker_names.index("HEAD") == 26
 
 
-def test_body_formats_of_the_zed_have_their_joints() -> None:
+def test_body_formats_of_the_zed_have_their_joints():
     counts = [body_model(name).n_markers for name in ("zed-18", "zed-34", "zed-38", "zed-70")]
     assert counts == [18, 34, 38, 70]
 
 
 @pytest.mark.parametrize("name", BODY_MODELS)
-def test_every_skeleton_is_one_tree(name: str) -> None:
+def test_every_skeleton_is_one_tree(name):
     model = body_model(name)
     trees = 2 if name == "mediapipe-33" else 1  # its head hangs on nothing
     assert model.n_links == model.n_markers - trees
@@ -220,26 +213,26 @@ def test_every_skeleton_is_one_tree(name: str) -> None:
     ["left shoulder", "LeftShoulder", "SHOULDER_LEFT", "l_shoulder", "LShoulder", "Shoulder.L",
      "shoulder_l", "K4ABT_JOINT_SHOULDER_LEFT", "JOINT_SHOULDER_LEFT", "left-shoulder"],
 )  # fmt: skip
-def test_a_joint_has_many_names(name: str) -> None:
+def test_a_joint_has_many_names(name):
     sides = {"left": "right", "Left": "Right", "LEFT": "RIGHT", "l_": "r_", "LS": "RS"}
     sides |= {"_l": "_r", ".L": ".R"}
     other = next(name.replace(a, b) for a, b in sides.items() if a in name)
     assert joints_of([name, other]) == [("shoulder", "left"), ("shoulder", "right")]
 
 
-def test_an_initial_without_its_other_side_is_no_side() -> None:
+def test_an_initial_without_its_other_side_is_no_side():
     assert joints_of(["Lumbar", "Ribs"]) == [("lumbar", ""), ("ribs", "")]
 
 
 @pytest.fixture(scope="module")
-def mixed(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def mixed(scene, tmp_path_factory):
     make = together(
         only("camera_0", kinect_v2), only("camera_1", azure), only("camera_2", zed("zed-38"))
     )
     return write_ros2(tmp_path_factory.mktemp("mixed") / "mixed.mcap", scene, make)
 
 
-def test_different_skeletons_are_fused_by_name(mixed: Path, scene: Scene) -> None:
+def test_different_skeletons_are_fused_by_name(mixed, scene):
     with open_log(mixed) as log:
         frames = [frame for frame in log.frames() if frame.n_people]
         names = log.model.marker_names
@@ -257,7 +250,7 @@ def test_different_skeletons_are_fused_by_name(mixed: Path, scene: Scene) -> Non
     assert "results have their union" in remarks
 
 
-def test_results_have_the_skeleton_that_was_chosen(mixed: Path, tmp_path: Path) -> None:
+def test_results_have_the_skeleton_that_was_chosen(mixed, tmp_path):
     config = load_config(None, ["input.model=zed-18"])
     summary = process(mixed, tmp_path / "out.mcap", config=config)
     with open_log(tmp_path / "out.mcap", topics=["/hiros/filtered"], output_prefix="/no") as log:
@@ -267,23 +260,23 @@ def test_results_have_the_skeleton_that_was_chosen(mixed: Path, tmp_path: Path) 
     assert any("HANDTIP_LEFT" in note for note in left_out), summary.notes
 
 
-def test_the_skeleton_of_a_camera_can_be_chosen(mixed: Path) -> None:
+def test_the_skeleton_of_a_camera_can_be_chosen(mixed):
     with open_log(mixed, skeletons=SkeletonChoice("/camera_0/skeletons")) as log:
         assert set(log.model.marker_names) <= set(body_model("kinect-v2").marker_names)
 
 
-def test_an_unknown_skeleton_names_the_known_ones(mixed: Path) -> None:
+def test_an_unknown_skeleton_names_the_known_ones(mixed):
     with pytest.raises(ConfigError, match=r"no skeleton model 'kinect'.*kinect-v2.*/camera_0"):
         open_log(mixed, skeletons=SkeletonChoice("kinect"))
 
 
-def test_cameras_left_out_do_not_change_the_skeleton(mixed: Path) -> None:
+def test_cameras_left_out_do_not_change_the_skeleton(mixed):
     with open_log(mixed, topics=["/camera_1/*"]) as log:
         assert log.model.marker_names == body_model("azure-kinect").marker_names
         assert len(log.cameras) == 1
 
 
-def test_a_union_has_every_joint_once_and_stays_a_tree() -> None:
+def test_a_union_has_every_joint_once_and_stays_a_tree():
     models = [body_model(name) for name in ("azure-kinect", "kinect-v2", "zed-70", "ros4hri")]
     model = union_of(models)
     every = {joint for one in models for joint in joints_of(one.marker_names)}
@@ -293,9 +286,7 @@ def test_a_union_has_every_joint_once_and_stays_a_tree() -> None:
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1000.0, "mm"), (100.0, "cm")])
-def test_a_wrong_unit_is_noticed_and_can_be_given(
-    factor: float, unit: str, tmp_path: Path, scene: Scene
-) -> None:
+def test_a_wrong_unit_is_noticed_and_can_be_given(factor, unit, tmp_path, scene):
     large = Scene(
         scene.path,
         [(t, f.replace(markers=f.markers * factor)) for t, f in scene.detections[:60]],
@@ -321,12 +312,12 @@ def test_a_wrong_unit_is_noticed_and_can_be_given(
     [(1.7, "m"), (0.2, "m"), (4.0, "m"), (1700.0, "mm"), (500.0, "mm"), (170.0, "cm"),
      (0.0017, ""), (float("nan"), "m")],
 )  # fmt: skip
-def test_units_by_the_size_of_people(size: float, unit: str) -> None:
+def test_units_by_the_size_of_people(size, unit):
     assert unit_of(size) == unit
 
 
-def test_messages_that_cannot_be_decoded_are_counted(tmp_path: Path, scene: Scene) -> None:
-    def damaged(scene: Scene) -> made.Made:
+def test_messages_that_cannot_be_decoded_are_counted(tmp_path, scene):
+    def damaged(scene):
         for i, (topic, name, time, data) in enumerate(azure(scene)):
             yield topic, name, time, data[: len(data) // 2] if i in (40, 50) else data
 
@@ -336,35 +327,31 @@ def test_messages_that_cannot_be_decoded_are_counted(tmp_path: Path, scene: Scen
     assert run(["process", str(path), "-o", str(tmp_path / "o.mcap"), "--strict", "-q"]) == 2
 
 
-def test_info_says_how_the_log_is_read(
-    logs: dict[str, Path], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_info_says_how_the_log_is_read(logs, capsys):
     assert run(["info", str(logs["zed 38"])]) == 0
     out = " ".join(capsys.readouterr().out.split())
     assert "zed_msgs/msg/ObjectsStamped read as skeletons (zed-38)" in out
 
 
-def test_each_camera_is_scored_against_the_others(
-    logs: dict[str, Path], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_each_camera_is_scored_against_the_others(logs, capsys):
     assert run(["eval", str(logs["azure kinect"]), "--leave-one-out"]) == 0
     assert capsys.readouterr().out.count("/body_tracking_data") >= 3
 
 
-def test_a_log_of_nothing_known_says_what_it_has(tmp_path: Path, scene: Scene) -> None:
+def test_a_log_of_nothing_known_says_what_it_has(tmp_path, scene):
     path = write_ros2(tmp_path / "log.mcap", scene, lambda scene: iter(()))
     with pytest.raises(LogError, match=r"no detections of cameras|has no"):
         open_log(path)
 
 
-def test_the_percents_of_the_zed_are_shares(logs: dict[str, Path]) -> None:
+def test_the_percents_of_the_zed_are_shares(logs):
     with open_log(logs["zed 38"]) as log:
         shares = np.concatenate([frame.confidences for frame in log.detections()])
     assert len(shares) > 0
     np.testing.assert_allclose(shares, 0.8)  # the driver says 80.0
 
 
-def test_points_of_another_skeleton_are_nan_where_it_has_none(scene: Scene) -> None:
+def test_points_of_another_skeleton_are_nan_where_it_has_none(scene):
     frame = next(f for _, f in scene.detections if f.n_people)
     points = points_in(frame, scene.names, "zed-38")
     assert np.isnan(points).any()
@@ -387,9 +374,7 @@ uint32 nanosec
 """
 
 
-def test_the_reader_of_the_documentation_reads(
-    tmp_path: Path, scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_reader_of_the_documentation_reads(tmp_path, scene, monkeypatch):
     """It is 40 lines long at most, and registered for the rest of the program."""
     monkeypatch.setattr(registry, "_READERS", list(registry._READERS))
     (code,) = re.findall(r"```python\n(.*?)```", DOCS.read_text(encoding="utf-8"), re.DOTALL)
@@ -424,7 +409,7 @@ def test_the_reader_of_the_documentation_reads(
         np.testing.assert_allclose(a.positions, b.positions[:, slots], atol=1e-5)
 
 
-def test_a_reader_that_cannot_be_loaded_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reader_that_cannot_be_loaded_is_named(monkeypatch):
     point = EntryPoint("lab", "nowhere.reader:Lab", registry.GROUP)
     monkeypatch.setattr(registry, "entry_points", lambda group: [point])
     registry._installed.cache_clear()

@@ -6,8 +6,6 @@ import json
 import os
 import warnings
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,7 +19,7 @@ from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
 from hiros_mcap.io.export.files import FORMATS, export, files_of, steady
 from hiros_mcap.io.export.marker_set import load_marker_set
-from hiros_mcap.io.result import Motion, Result, open_result
+from hiros_mcap.io.result import Motion, open_result
 from hiros_mcap.regression.golden import write_golden
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
@@ -31,18 +29,18 @@ from hiros_mcap.skeletons import Frame, SkeletonModel
 
 
 @pytest.fixture(scope="module")
-def log(crossing: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def log(crossing, tmp_path_factory):
     out = tmp_path_factory.mktemp("export") / "crossing.hiros.mcap"
     process(crossing, out)
     return out
 
 
 @pytest.fixture(scope="module")
-def result(log: Path) -> Result:
+def result(log):
     return open_result(log)
 
 
-def test_the_result_is_the_last_stage_of_everybody(result: Result) -> None:
+def test_the_result_is_the_last_stage_of_everybody(result):
     assert (result.channel, result.people) == ("/hiros/filtered", (0, 1))
     assert repr(result) == (
         "<Result crossing.hiros.mcap /hiros/filtered: 2 people, 5.0 s, 32 markers>"
@@ -55,14 +53,14 @@ def test_the_result_is_the_last_stage_of_everybody(result: Result) -> None:
     assert "track born" in set(result.events()["kind"])
 
 
-def test_what_is_no_result_is_refused(crossing: Path, log: Path) -> None:
+def test_what_is_no_result_is_refused(crossing, log):
     with pytest.raises(LogError, match="holds no results of hiros"):
         open_result(crossing)
     with pytest.raises(ConfigError, match="no channel '/hiros/x'"):
         open_result(log, "/hiros/x")
 
 
-def test_walking_bends_each_knee_once_a_step_and_swings_the_hips(result: Result) -> None:
+def test_walking_bends_each_knee_once_a_step_and_swings_the_hips(result):
     angles = result.angles().loc[0]
     for side in ("left", "right"):
         knee, hip = angles[f"{side} knee flexion"], angles[f"{side} hip flexion"]
@@ -72,7 +70,7 @@ def test_walking_bends_each_knee_once_a_step_and_swings_the_hips(result: Result)
     assert np.corrcoef(angles["left hip flexion"], angles["right hip flexion"])[0, 1] < -0.5
 
 
-def test_resampling_keeps_pauses() -> None:
+def test_resampling_keeps_pauses():
     times = np.concatenate([np.arange(0, 1, 0.1), np.arange(2, 3, 0.1)])
     motion = Motion(0, times, np.repeat(times, 3).reshape(-1, 1, 3), np.ones((20, 1)))
     fine = motion.at(np.arange(0, 2.9, 0.05))
@@ -85,9 +83,7 @@ def test_resampling_keeps_pauses() -> None:
     ("stamps", "words"),
     [([0, 0, 0, 1], "twice at one time"), ([0, 1, 2, 10**9], "--start and --end")],
 )
-def test_instants_without_a_rate_are_refused_and_others_are_put_in_order(
-    stamps: list[int], words: str, tmp_path: Path
-) -> None:
+def test_instants_without_a_rate_are_refused_and_others_are_put_in_order(stamps, words, tmp_path):
     encoder = Encoder(MODEL)
     for name, times in (("odd", stamps), ("late", [3, 1, 2, 0])):
         with McapWriter(tmp_path / name) as writer:
@@ -103,7 +99,7 @@ def test_instants_without_a_rate_are_refused_and_others_are_put_in_order(
     np.testing.assert_allclose(late.positions[:, 0, 0], [0, 1, 2, 3], atol=1e-9)
 
 
-def test_parts_can_be_selected(result: Result) -> None:
+def test_parts_can_be_selected(result):
     part = result.select(person=1, start=1.0, end=2.0, rate=100.0)
     (motion,) = part.motions.values()
     assert motion.person == 1
@@ -115,7 +111,7 @@ def test_parts_can_be_selected(result: Result) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
-def test_tables_come_back(suffix: str, result: Result, tmp_path: Path) -> None:
+def test_tables_come_back(suffix, result, tmp_path):
     (path,) = export(result, tmp_path / f"out{suffix}", "both")
     table = pd.read_csv(path) if suffix == ".csv" else pd.read_parquet(path)
     mine = table[table["person"] == 1]
@@ -130,7 +126,7 @@ def test_tables_come_back(suffix: str, result: Result, tmp_path: Path) -> None:
     np.testing.assert_allclose(mine["HEAD SD (m)"], deviations[:, slot], atol=1e-6)
 
 
-def test_json_lines_have_names_and_gaps(result: Result, tmp_path: Path) -> None:
+def test_json_lines_have_names_and_gaps(result, tmp_path):
     result.motions[0].positions[3, 5] = np.nan
     (path,) = export(result, tmp_path / "out.jsonl")
     rows = [json.loads(line) for line in path.read_text().splitlines()]
@@ -144,7 +140,7 @@ def test_json_lines_have_names_and_gaps(result: Result, tmp_path: Path) -> None:
     assert rows[2]["joints"][name] == pytest.approx(result.motions[0].positions[2, 5], abs=1e-6)
 
 
-def test_arrays_come_back(result: Result, tmp_path: Path) -> None:
+def test_arrays_come_back(result, tmp_path):
     (path,) = export(result, str(tmp_path / "out.npz"))
     with np.load(path) as arrays:
         np.testing.assert_array_equal(arrays["person_1_positions"], result.motions[1].positions)
@@ -154,9 +150,7 @@ def test_arrays_come_back(result: Result, tmp_path: Path) -> None:
         assert arrays["markers"].tolist() == list(result.model.marker_names)
 
 
-def test_a_trc_file_is_a_truth_that_the_result_equals(
-    log: Path, result: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_trc_file_is_a_truth_that_the_result_equals(log, result, tmp_path, capsys):
     (path,) = export(result.select(person=0), tmp_path / "out.trc")
     motion = steady(result.select(person=0)).motions[0]
     read = read_trc(path)
@@ -166,7 +160,7 @@ def test_a_trc_file_is_a_truth_that_the_result_equals(
     assert json.loads(capsys.readouterr().out)["channels"]["/hiros/filtered"]["mean"] < 1.0
 
 
-def test_opensim_reads_angles_in_degrees(result: Result, tmp_path: Path) -> None:
+def test_opensim_reads_angles_in_degrees(result, tmp_path):
     paths = export(result, tmp_path / "out.mot")
     assert [path.name for path in paths] == ["out.0.mot", "out.1.mot"]
     table = pd.read_csv(paths[1], sep="\t", skiprows=7)
@@ -175,7 +169,7 @@ def test_opensim_reads_angles_in_degrees(result: Result, tmp_path: Path) -> None
     assert 0.7 < table["pelvis_ty"].mean() < 1.3
 
 
-def test_c3d_is_read_by_another_library(result: Result, tmp_path: Path) -> None:
+def test_c3d_is_read_by_another_library(result, tmp_path):
     import c3d
 
     (path,) = export(result, tmp_path / "out.c3d", "joints")
@@ -190,11 +184,11 @@ def test_c3d_is_read_by_another_library(result: Result, tmp_path: Path) -> None:
     assert reader.point_rate == 30.0
 
 
-def frames_time(result: Result, frame: int, rate: float) -> float:
+def frames_time(result, frame, rate):
     return float(min(m.times[0] for m in result.motions.values()) + frame / rate)
 
 
-def test_c3d_says_which_points_are_angles(result: Result, tmp_path: Path) -> None:
+def test_c3d_says_which_points_are_angles(result, tmp_path):
     import ezc3d
 
     (path,) = export(result, tmp_path / "out.c3d", "both")
@@ -209,7 +203,7 @@ def test_c3d_says_which_points_are_angles(result: Result, tmp_path: Path) -> Non
     np.testing.assert_allclose(file["data"]["points"][0, where, : len(knee)], knee, atol=0.01)
 
 
-def uncertain(result: Result) -> Result:
+def uncertain(result):
     """Nobody sees the left knee of person 0 for half a second."""
     motion = result.motions[0]
     confidences = motion.confidences.copy()
@@ -218,7 +212,7 @@ def uncertain(result: Result) -> Result:
     return replace(result, motions=motions)
 
 
-def test_what_nobody_saw_is_a_gap_unless_it_is_asked_for(result: Result, tmp_path: Path) -> None:
+def test_what_nobody_saw_is_a_gap_unless_it_is_asked_for(result, tmp_path):
     for least, gaps in ((0.1, 15), (0.0, 0), (0.04, 0)):
         (path,) = export(uncertain(result), tmp_path / "out.csv", least_confidence=least)
         table = pd.read_csv(path)
@@ -236,7 +230,7 @@ NASTY = "=KNEE\tLEFT\n{"
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".trc", ".bvh", ".jsonl", ".c3d"])
-def test_no_marker_name_breaks_a_file(suffix: str, result: Result, tmp_path: Path) -> None:
+def test_no_marker_name_breaks_a_file(suffix, result, tmp_path):
     names = [NASTY if n == "KNEE_LEFT" else n for n in result.model.marker_names]
     named = replace(result, model=replace(result.model, marker_names=tuple(names)))
     (path,) = export(named.select(person=0), tmp_path / f"out{suffix}", "joints")
@@ -255,12 +249,10 @@ def test_no_marker_name_breaks_a_file(suffix: str, result: Result, tmp_path: Pat
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
-def test_a_file_that_was_cut_takes_no_place(
-    suffix: str, result: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_was_cut_takes_no_place(suffix, result, tmp_path, monkeypatch):
     kind = FORMATS[suffix]
 
-    def cut(*arguments: Any) -> int:
+    def cut(*arguments):
         written = kind.write(*arguments)
         size = arguments[1].stat().st_size
         os.truncate(arguments[1], size * 3 // 4)
@@ -273,9 +265,7 @@ def test_a_file_that_was_cut_takes_no_place(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_bvh_is_read_by_another_library_and_stands_where_the_person_stood(
-    result: Result, tmp_path: Path
-) -> None:
+def test_bvh_is_read_by_another_library_and_stands_where_the_person_stood(result, tmp_path):
     from bvh import Bvh
 
     (path,) = export(result.select(person=0), tmp_path / "out.bvh")
@@ -290,9 +280,7 @@ def test_bvh_is_read_by_another_library_and_stands_where_the_person_stood(
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
-def test_every_format_from_the_command_line(
-    suffix: str, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_format_from_the_command_line(suffix, log, tmp_path, capsys):
     target = tmp_path / f"out{suffix}"
     assert run(["export", str(log), "-o", str(target), "--start", "1", "--end", "2"]) == 0
     paths = files_of(target, (0, 1))
@@ -315,10 +303,7 @@ def test_every_format_from_the_command_line(
         (["-o", "out.csv", "--start", "99"], "there is nobody in /hiros/filtered from 99 s on"),
     ],
 )
-def test_faults_in_one_line(
-    arguments: list[str], fault: str, log: Path, tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+def test_faults_in_one_line(arguments, fault, log, tmp_path, monkeypatch, capsys):  # fmt: skip
     monkeypatch.chdir(tmp_path)
     assert run(["export", str(log), *arguments]) == 2
     error = capsys.readouterr().err
@@ -329,17 +314,15 @@ def test_faults_in_one_line(
 
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_process_names_export_instead_of_writing_mcap_under_another_name(
-    suffix: str, walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    suffix, walking, tmp_path, capsys
+):
     target = tmp_path / f"out{suffix}"
     assert run(["process", str(walking), "-o", str(target)]) == 2
     assert "run hiros export on its result" in capsys.readouterr().err
     assert not target.exists()
 
 
-def test_process_writes_mcap_under_no_other_suffix(
-    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_process_writes_mcap_under_no_other_suffix(walking, tmp_path, capsys):
     assert run(["process", str(walking), "-o", str(tmp_path / "out.txt")]) == 2
     assert f"name it {tmp_path / 'out.mcap'}" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
@@ -349,9 +332,7 @@ SET = 'SHOULDER_LEFT = "LSJC"\nKNEE_RIGHT = "RKJC"\n'
 
 
 @pytest.mark.parametrize("suffix", [".trc", ".c3d"])
-def test_markers_take_the_names_of_a_model(
-    suffix: str, log: Path, result: Result, tmp_path: Path
-) -> None:
+def test_markers_take_the_names_of_a_model(suffix, log, result, tmp_path):
     (tmp_path / "set.toml").write_text(SET)
     target = tmp_path / f"out{suffix}"
     arguments = ["--person", "0", "--marker-set", str(tmp_path / "set.toml"), "-q"]
@@ -371,7 +352,7 @@ def test_markers_take_the_names_of_a_model(
 @pytest.mark.parametrize(
     "names", [("SHOULDER_LEFT", "ANKLE_RIGHT"), ("ShoulderLeft", "AnkleRight"), ("lshoulder", "x")]
 )
-def test_the_built_in_set_knows_the_names_of_any_detector(names: tuple[str, str]) -> None:
+def test_the_built_in_set_knows_the_names_of_any_detector(names):
     found = load_marker_set("rajagopal", SkeletonModel.of([*names, "Head"], ()))
     expected = {names[0]: "LSJC", names[1]: "RAJC"}
     assert found == {ours: expected[ours] for ours in found}
@@ -388,9 +369,7 @@ def test_the_built_in_set_knows_the_names_of_any_detector(names: tuple[str, str]
         ("not toml", "not TOML: "),
     ],
 )
-def test_wrong_marker_sets_in_one_line(
-    text: str, fault: str, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_marker_sets_in_one_line(text, fault, log, tmp_path, capsys):
     (tmp_path / "set.toml").write_text(text)
     arguments = ["-o", str(tmp_path / "out.trc"), "--marker-set", str(tmp_path / "set.toml")]
     assert run(["export", str(log), *arguments]) == 2
@@ -400,9 +379,7 @@ def test_wrong_marker_sets_in_one_line(
     assert not (tmp_path / "out.trc").exists()
 
 
-def test_golden_logs_truths_and_results_without_input_are_results(
-    log: Path, crossing: Path, tmp_path: Path
-) -> None:
+def test_golden_logs_truths_and_results_without_input_are_results(log, crossing, tmp_path):
     process(crossing, tmp_path / "bare.mcap", options=ProcessOptions(keep=()))
     write_golden(log, tmp_path / "golden.mcap")
     write_log(tmp_path / "sim.mcap", SimulateParams(seconds=0.5, cameras=1))
@@ -419,14 +396,14 @@ def test_golden_logs_truths_and_results_without_input_are_results(
         open_result(tmp_path / "sim.mcap")
 
 
-def truth_only(source: Path, target: Path) -> None:
+def truth_only(source, target):
     with McapReader(source) as reader, McapWriter(target) as writer:
         (truth,) = (i for i, c in reader.channels.items() if c.topic.startswith("/truth"))
         ChunkCopier(reader, writer, [truth]).finish()
         writer.commit()
 
 
-def test_resampling_turns_links_the_short_way() -> None:
+def test_resampling_turns_links_the_short_way():
     times = np.arange(0, 1, 0.1)
     half = np.pi * times / 2
     turns = np.stack([0 * half, 0 * half, np.sin(half), np.cos(half)], axis=-1)[:, None]
@@ -438,7 +415,7 @@ def test_resampling_turns_links_the_short_way() -> None:
     np.testing.assert_allclose(np.unwrap(found) - found[0], np.pi * fine.times, atol=1e-3)
 
 
-def test_the_rate_and_the_part_do_not_change_the_angles(result: Result) -> None:
+def test_the_rate_and_the_part_do_not_change_the_angles(result):
     whole, part = result.angles(), result.select(person=0, start=1.0, end=2.0).angles()
     pd.testing.assert_frame_equal(whole.loc[part.index], part)
     fine = result.select(person=0, rate=200.0).angles()["left hip flexion"].loc[0]

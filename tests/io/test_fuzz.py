@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -24,7 +22,7 @@ WORDS_OF_OTHERS = {"events", "report"}
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 @given(data=st.data())
-def test_odd_text_is_read_or_refused(name: str, data: st.DataObject, tmp_path: Path) -> None:
+def test_odd_text_is_read_or_refused(name, data, tmp_path):
     kind, read = READERS[name]
     path = tmp_path / "in" / f"x.{kind}"
     path.parent.mkdir(exist_ok=True)

@@ -13,7 +13,6 @@ import detector_files as files
 import detector_logs as made
 import numpy as np
 import pytest
-from detector_logs import Scene
 
 from hiros_cli.app import run
 from hiros_mcap import open_result
@@ -28,16 +27,16 @@ Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # x, y, z of the file = x
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+def scene(tmp_path_factory):
     path = tmp_path_factory.mktemp("scene") / "scene.mcap"
     return made.scene(path, people=1, cameras=2, seconds=1.5, seed=4)
 
 
-def frames_of(scene: Scene, camera: str) -> list[Frame]:
+def frames_of(scene, camera):
     return [f for _, f in scene.detections if f.source == camera and f.n_people]
 
 
-def wide_csv(path: Path, frames: list[Frame], names: tuple[str, ...]) -> None:
+def wide_csv(path, frames, names):
     """Columns time, LEFT_x, LEFT_y, ...; mm, y up, ms since 1970."""
     head = ["time", *(f"{name}_{axis}" for name in names for axis in "xyz")]
     rows = [
@@ -50,7 +49,7 @@ def wide_csv(path: Path, frames: list[Frame], names: tuple[str, ...]) -> None:
     path.write_text("\n".join(",".join(row) for row in [head, *rows]))
 
 
-def tall_csv(path: Path, frames: list[Frame], names: tuple[str, ...]) -> None:
+def tall_csv(path, frames, names):
     """A row per joint."""
     rows = ["t,who,landmark,X,Y,Z,score"]
     rows += [
@@ -62,7 +61,7 @@ def tall_csv(path: Path, frames: list[Frame], names: tuple[str, ...]) -> None:
     path.write_text("\n".join(rows))
 
 
-def json_file(path: Path, frames: list[Frame], names: tuple[str, ...]) -> None:
+def json_file(path, frames, names):
     content = [
         {
             "t": made.stamp_of(f) / 1e6,
@@ -76,7 +75,7 @@ def json_file(path: Path, frames: list[Frame], names: tuple[str, ...]) -> None:
     path.write_text(json.dumps({"instants": content}))
 
 
-def trc_file(path: Path, frames: list[Frame], names: tuple[str, ...]) -> None:
+def trc_file(path, frames, names):
     head = [
         "PathFileType\t4\t(X/Y/Z)\tx.trc",
         "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits",
@@ -114,7 +113,7 @@ KINDS: dict[str, tuple[Callable[[Path, list[Frame], tuple[str, ...]], None], str
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_files_say_what_the_log_says(kind: str, tmp_path: Path, scene: Scene) -> None:
+def test_files_say_what_the_log_says(kind, tmp_path, scene):
     write, suffix, text = KINDS[kind]
     files = []
     for camera in ("camera_0", "camera_1"):
@@ -151,7 +150,7 @@ RECIPES = {
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def written(tmp_path_factory):
     """A folder with what each detector writes of the same two people."""
     folder = tmp_path_factory.mktemp("written")
     files.write_all(folder, SAMPLE)
@@ -159,9 +158,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("detector", RECIPES)
-def test_files_of_a_detector_show_the_people_where_they_were(
-    detector: str, tmp_path: Path, written: Path
-) -> None:
+def test_files_of_a_detector_show_the_people_where_they_were(detector, tmp_path, written):
     name, more, n_joints = RECIPES[detector]
     mapping = tmp_path / "own.toml"
     mapping.write_text(f'detector = "{detector}"\n{more}\n')
@@ -182,9 +179,7 @@ def test_files_of_a_detector_show_the_people_where_they_were(
         np.testing.assert_allclose(positions, people, atol=1e-6)
 
 
-def test_people_of_two_files_in_one_frame_have_no_poses_of_cameras(
-    tmp_path: Path, written: Path
-) -> None:
+def test_people_of_two_files_in_one_frame_have_no_poses_of_cameras(tmp_path, written):
     both = [written / "walk_P1.trc", written / "walk_P2.trc"]
     import_joints(both, tmp_path / "log.mcap", Path("pose2sim"))
     summary = process(tmp_path / "log.mcap", tmp_path / "out.mcap")
@@ -192,7 +187,7 @@ def test_people_of_two_files_in_one_frame_have_no_poses_of_cameras(
     assert not summary.poses
 
 
-def test_joints_of_the_image_alone_are_refused(tmp_path: Path) -> None:
+def test_joints_of_the_image_alone_are_refused(tmp_path):
     (tmp_path / "op").mkdir()
     people = '{"people": [{"pose_keypoints_2d": [1, 2, 0.9], "pose_keypoints_3d": []}]}'
     (tmp_path / "op" / "a_0_keypoints.json").write_text(people)
@@ -201,7 +196,7 @@ def test_joints_of_the_image_alone_are_refused(tmp_path: Path) -> None:
         import_joints([tmp_path / "op"], tmp_path / "log.mcap", tmp_path / "own.toml")
 
 
-def test_files_of_a_folder_are_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+def test_files_of_a_folder_are_in_the_order_of_their_numbers(tmp_path):
     (tmp_path / "op").mkdir()
     for number in range(12):
         joints = [0.1 * number, 0, 0, 1, 1, 1, 1, 1, 0, 0, 0, 0]
@@ -215,7 +210,7 @@ def test_files_of_a_folder_are_in_the_order_of_their_numbers(tmp_path: Path) -> 
     assert np.isnan(people[:, 2]).all()
 
 
-def test_an_imported_log_can_be_processed(tmp_path: Path, scene: Scene) -> None:
+def test_an_imported_log_can_be_processed(tmp_path, scene):
     wide_csv(tmp_path / "a.csv", frames_of(scene, "camera_0"), scene.names)
     (tmp_path / "map.toml").write_text(KINDS["wide"][2])
     import_joints([tmp_path / "a.csv"], tmp_path / "log.mcap", tmp_path / "map.toml")
@@ -223,7 +218,7 @@ def test_an_imported_log_can_be_processed(tmp_path: Path, scene: Scene) -> None:
     assert len(summary.people) == 1
 
 
-def small(path: Path, factor: float = 1.0, times: tuple[float, ...] = (0.0, 0.1, 0.2)) -> Path:
+def small(path, factor=1.0, times=(0.0, 0.1, 0.2)):
     """A person of three joints, 1.6 m high."""
     rows = [f"{t},0,{1.6 * factor},0,0,{0.8 * factor},0,0,0,0" for t in times]
     names = ("HEAD", "PELVIS", "FOOT_LEFT")
@@ -233,19 +228,19 @@ def small(path: Path, factor: float = 1.0, times: tuple[float, ...] = (0.0, 0.1,
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1000.0, "mm"), (100.0, "cm")])
-def test_a_wrong_unit_is_named_with_its_remedy(factor: float, unit: str, tmp_path: Path) -> None:
+def test_a_wrong_unit_is_named_with_its_remedy(factor, unit, tmp_path):
     with pytest.raises(ConfigError, match=rf'large if its unit is m; write unit = "{unit}" in'):
         import_joints([small(tmp_path / "a.csv", factor)], tmp_path / "log.mcap")
     assert not (tmp_path / "log.mcap").exists()
 
 
-def test_metres_declared_as_millimetres_are_noticed(tmp_path: Path) -> None:
+def test_metres_declared_as_millimetres_are_noticed(tmp_path):
     (tmp_path / "map.toml").write_text('unit = "mm"')
     with pytest.raises(ConfigError, match='write unit = "m" in'):
         import_joints([small(tmp_path / "a.csv")], tmp_path / "log.mcap", tmp_path / "map.toml")
 
 
-def test_times_from_zero_get_a_date(tmp_path: Path) -> None:
+def test_times_from_zero_get_a_date(tmp_path):
     import_joints([small(tmp_path / "a.csv")], tmp_path / "log.mcap")
     with open_log(tmp_path / "log.mcap") as log:
         stamps = [frame.stamp for frame in log.frames()]
@@ -253,7 +248,7 @@ def test_times_from_zero_get_a_date(tmp_path: Path) -> None:
     assert [s - stamps[0] for s in stamps] == [0, 100_000_000, 200_000_000]
 
 
-def test_joints_get_other_names_and_are_linked(tmp_path: Path) -> None:
+def test_joints_get_other_names_and_are_linked(tmp_path):
     (tmp_path / "map.toml").write_text('[joints]\nHEAD = "Head"\n')
     import_joints([small(tmp_path / "a.csv")], tmp_path / "log.mcap", tmp_path / "map.toml")
     with open_log(tmp_path / "log.mcap") as log:
@@ -261,7 +256,7 @@ def test_joints_get_other_names_and_are_linked(tmp_path: Path) -> None:
         assert log.model.n_links == 2
 
 
-def test_a_joint_is_linked_to_the_nearest_one_above() -> None:
+def test_a_joint_is_linked_to_the_nearest_one_above():
     model = linked(["l_hip", "l_ankle", "r_hip", "r_ankle", "Hips"])
     names = model.marker_names
     ends = {(names[p], names[c]) for p, c in model.links.tolist()}
@@ -291,9 +286,7 @@ def test_a_joint_is_linked_to_the_nearest_one_above() -> None:
         ('[time]\ncolumn = "frame"', "no column frame; the mapping file says"),
     ],
 )
-def test_a_wrong_mapping_is_one_line(
-    text: str, fault: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_mapping_is_one_line(text, fault, tmp_path, capsys):
     (tmp_path / "map.toml").write_text(text)
     arguments = [str(small(tmp_path / "a.csv")), "--mapping", str(tmp_path / "map.toml")]
     code = run(["import", *arguments, "-o", str(tmp_path / "log.mcap"), "-q"])
@@ -304,13 +297,13 @@ def test_a_wrong_mapping_is_one_line(
     assert not (tmp_path / "log.mcap").exists()
 
 
-def test_a_file_of_a_header_alone_has_its_columns(tmp_path: Path) -> None:
+def test_a_file_of_a_header_alone_has_its_columns(tmp_path):
     (tmp_path / "a.csv").write_text("time,person,markr,x,y,z\n")
     with pytest.raises(ConfigError, match=r"no column joint; .*: time, person, markr, x, y, z\)"):
         import_joints([tmp_path / "a.csv"], tmp_path / "log.mcap")
 
 
-def test_two_files_of_one_camera_are_refused(tmp_path: Path) -> None:
+def test_two_files_of_one_camera_are_refused(tmp_path):
     (tmp_path / "b").mkdir()
     files = [small(tmp_path / "a.csv"), small(tmp_path / "b" / "a.csv")]
     with pytest.raises(ConfigError, match="several files are of the camera a"):
@@ -358,9 +351,7 @@ JSON = '[{"time": 0, "people": [{"joints": {"HEAD": [0, 0, 1.6]}}]}]'
         ("a.json", JSON.replace('"HEAD"', '"A": [0, 0, 0], "A"'), "", "the key 'A' occurs twice"),
     ],
 )
-def test_what_is_wrong_is_refused(
-    name: str, text: str, mapping: str, fault: str, tmp_path: Path
-) -> None:
+def test_what_is_wrong_is_refused(name, text, mapping, fault, tmp_path):
     (tmp_path / name).write_text(text)
     (tmp_path / "map.toml").write_text(mapping)
     with pytest.raises(ConfigError, match=re.escape(fault)):
@@ -368,7 +359,7 @@ def test_what_is_wrong_is_refused(
     assert not (tmp_path / "log.mcap").exists()
 
 
-def test_what_hiros_exported_comes_back_without_a_mapping(tmp_path: Path, crossing: Path) -> None:
+def test_what_hiros_exported_comes_back_without_a_mapping(tmp_path, crossing):
     result, table, log = (tmp_path / name for name in ("result.mcap", "lab.csv", "log.mcap"))
     process(crossing, result)
     assert run(["export", str(result), "-o", str(table), "--least-confidence", "0", "-q"]) == 0
@@ -386,7 +377,7 @@ def test_what_hiros_exported_comes_back_without_a_mapping(tmp_path: Path, crossi
         assert sure == pytest.approx(motion.confidences, abs=1e-6, nan_ok=True)
 
 
-def test_a_start_with_a_zone_means_the_same_everywhere(tmp_path: Path) -> None:
+def test_a_start_with_a_zone_means_the_same_everywhere(tmp_path):
     (tmp_path / "map.toml").write_text("[time]\nstart = 2026-05-01T10:00:00+02:00\n")
     import_joints([small(tmp_path / "a.csv")], tmp_path / "log.mcap", tmp_path / "map.toml")
     with open_log(tmp_path / "log.mcap") as log:
@@ -394,9 +385,7 @@ def test_a_start_with_a_zone_means_the_same_everywhere(tmp_path: Path) -> None:
     assert first == datetime(2026, 5, 1, 8, tzinfo=UTC).timestamp() * 1e9
 
 
-def test_a_last_line_without_an_end_may_be_cut_off(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_last_line_without_an_end_may_be_cut_off(tmp_path, capsys):
     path = small(tmp_path / "a.csv")
     arguments = ["import", str(path), "-o", str(tmp_path / "log.mcap"), "-q"]
     assert run(arguments) == 0
@@ -408,7 +397,7 @@ def test_a_last_line_without_an_end_may_be_cut_off(
     assert capsys.readouterr().err == ""
 
 
-def test_joints_of_a_trc_file_get_other_names(tmp_path: Path) -> None:
+def test_joints_of_a_trc_file_get_other_names(tmp_path):
     (tmp_path / "a.trc").write_text(TRC.format(n=1, names="A\t\t\tB"))
     (tmp_path / "map.toml").write_text('[joints]\nA = "HEAD"\n')
     import_joints([tmp_path / "a.trc"], tmp_path / "log.mcap", tmp_path / "map.toml")
@@ -416,7 +405,7 @@ def test_joints_of_a_trc_file_get_other_names(tmp_path: Path) -> None:
         assert log.model.marker_names == ("HEAD", "B")
 
 
-def test_a_name_that_is_no_text_is_refused(tmp_path: Path) -> None:
+def test_a_name_that_is_no_text_is_refused(tmp_path):
     path = small(tmp_path / os.fsdecode(b"\xff.csv"))
     with pytest.raises(ConfigError, match="name the camera in the mapping file"):
         import_joints([path], tmp_path / "log.mcap")

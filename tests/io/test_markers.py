@@ -37,7 +37,7 @@ Messages = dict[str, list[Any]]
 
 
 @pytest.fixture(scope="module")
-def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def output(tmp_path_factory):
     out = tmp_path_factory.mktemp("markers") / "out.mcap"
     sample = Path(__file__).parents[2] / "sample_data" / "two_people_crossing.mcap"
     process(sample, out, options=ProcessOptions(markers=True))
@@ -45,7 +45,7 @@ def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def messages(output: Path) -> Messages:
+def messages(output):
     """Decoded by mcap-ros2-support."""
     found: Messages = defaultdict(list)
     with output.open("rb") as file:
@@ -56,7 +56,7 @@ def messages(output: Path) -> Messages:
     return found
 
 
-def test_bones_lie_where_the_joints_are(output: Path, messages: Messages) -> None:
+def test_bones_lie_where_the_joints_are(output, messages):
     frames, model, _ = read_channel(output, "/hiros/filtered")
     chains = limb_chains(model)
     assert len(messages[MARKERS]) == len(frames) == 150
@@ -76,7 +76,7 @@ def test_bones_lie_where_the_joints_are(output: Path, messages: Messages) -> Non
                 assert np.allclose(points, frame.positions[row, list(chain)], rtol=0, atol=4e-6)
 
 
-def test_everybody_has_a_label_and_a_colour(messages: Messages) -> None:
+def test_everybody_has_a_label_and_a_colour(messages):
     for array in messages[LABELS]:
         assert sorted(marker.text for marker in array.markers) == ["0", "1"]
         colours = {(m.color.r, m.color.g, m.color.b) for m in array.markers}
@@ -84,7 +84,7 @@ def test_everybody_has_a_label_and_a_colour(messages: Messages) -> None:
         assert all(m.pose.position.z > 1.4 for m in array.markers)
 
 
-def test_joint_states_are_the_signed_angles(output: Path, messages: Messages) -> None:
+def test_joint_states_are_the_signed_angles(output, messages):
     frames, model, _ = read_channel(output, "/hiros/filtered")
     poses = np.stack([frame.positions[frame.ids.tolist().index(1)] for frame in frames])
     angles = anatomical_angles(model, poses)
@@ -96,7 +96,7 @@ def test_joint_states_are_the_signed_angles(output: Path, messages: Messages) ->
             assert named.get(name, np.nan) == pytest.approx(value, abs=1e-4, nan_ok=True)
 
 
-def test_joint_states_go_on_beyond_half_a_turn(tmp_path: Path) -> None:
+def test_joint_states_go_on_beyond_half_a_turn(tmp_path):
     with McapWriter(tmp_path / "out.mcap") as writer:
         export = MarkerExport(writer, body_model.MODEL, Events())
         for k in range(18):
@@ -109,13 +109,13 @@ def test_joint_states_go_on_beyond_half_a_turn(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.diff(turned), 20, atol=1e-6)
 
 
-def decoded(path: Path, topic: str = JOINTS) -> list[Any]:
+def decoded(path, topic=JOINTS):
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         return [message for *_, message in reader.iter_decoded_messages(topics=[topic])]
 
 
-def test_what_happened_is_logged(messages: Messages) -> None:
+def test_what_happened_is_logged(messages):
     texts = [(entry.level, entry.name, entry.msg) for entry in messages[LOG]]
     assert (20, "hiros", "limbs calibrated person 0: 150 frames") in texts
     assert any("track born person 1" in text for _, _, text in texts)
@@ -126,12 +126,12 @@ def test_what_happened_is_logged(messages: Messages) -> None:
 @pytest.mark.parametrize(
     "name", [hiros_schemas.MARKER_ARRAY, hiros_schemas.JOINT_STATE, hiros_schemas.LOG]
 )
-def test_definitions_are_those_of_ros(name: str) -> None:
+def test_definitions_are_those_of_ros(name):
     store = get_typestore(Stores.ROS2_HUMBLE)
     assert hiros_schemas.type_hash(name) == store.hash_rihs01(name)
 
 
-def test_rosbags_decodes_the_same(output: Path, messages: Messages) -> None:
+def test_rosbags_decodes_the_same(output, messages):
     store = get_typestore(Stores.ROS2_HUMBLE)
     with output.open("rb") as file:
         raw = [m.data for _, _, m in make_reader(file).iter_messages(topics=[MARKERS])]
@@ -141,13 +141,13 @@ def test_rosbags_decodes_the_same(output: Path, messages: Messages) -> None:
         assert bytes(store.serialize_cdr(other, hiros_schemas.MARKER_ARRAY)) == data
 
 
-def test_chains_run_from_branching_to_branching() -> None:
+def test_chains_run_from_branching_to_branching():
     assert limb_chains(MODEL) == ((0, 1), (0, 4), (0, 5), (1, 2, 6), (1, 3, 7))
     assert limb_chains(SkeletonModel.of(["a", "b", "c"], [("", 0, 1), ("", 1, 2)])) == ((0, 1, 2),)
     assert limb_chains(SkeletonModel.of(["a"], [])) == ()
 
 
-def test_a_missing_joint_splits_a_chain_and_nobody_is_no_marker() -> None:
+def test_a_missing_joint_splits_a_chain_and_nobody_is_no_marker():
     store = get_typestore(Stores.ROS2_HUMBLE)
     frame = seen([person()], at(0), ids=[3])
     frame.markers[0, 2] = np.nan

@@ -6,11 +6,10 @@ import re
 import tracemalloc
 import warnings
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from mcap.writer import Writer
-from odd_logs import Change, believed, changed, later, scaled
+from odd_logs import believed, changed, later, scaled
 
 from hiros_cli.app import run as command
 from hiros_mcap.config import load_config
@@ -19,39 +18,35 @@ from hiros_mcap.io.container import Channel, McapReader, McapWriter
 from hiros_mcap.io.log import open_log
 from hiros_mcap.io.overview import overview_of
 from hiros_mcap.running.pipeline import ProcessOptions, process
-from hiros_mcap.skeletons import Frame
-from hiros_mcap.summary import Summary
 from hiros_mcap.systems import SYSTEMS
 
 SECOND = 1_000_000_000
 
 
-def run(source: Path, folder: Path, change: Change) -> Summary:
+def run(source, folder, change):
     return process(changed(source, folder / "odd.mcap", change))
 
 
-def noted(summary: Summary, pattern: str) -> list[str]:
+def noted(summary, pattern):
     return [note for note in summary.notes if re.search(pattern, note)]
 
 
-def warned(summary: Summary, pattern: str) -> list[str]:
+def warned(summary, pattern):
     return [text for text in summary.warnings if re.search(pattern, text)]
 
 
-def plain(frame: Frame, _: int) -> Frame:
+def plain(frame, _):
     return frame
 
 
-def clock_set_back(frame: Frame, sent: int) -> Frame:
+def clock_set_back(frame, sent):
     return later(frame, -100 * SECOND) if sent >= 70 and frame.source == "camera_1" else frame
 
 
 UNJUDGED = ["input.clocks=off"]
 
 
-def test_messages_that_come_too_late_are_skipped_ones_of_their_camera(
-    crossing: Path, tmp_path: Path
-) -> None:
+def test_messages_that_come_too_late_are_skipped_ones_of_their_camera(crossing, tmp_path):
     source = changed(crossing, tmp_path / "odd.mcap", clock_set_back)
     summary = process(source, config=load_config(None, UNJUDGED))
     lost = {camera.topic: dict(camera.skipped) for camera in summary.cameras}
@@ -63,7 +58,7 @@ def test_messages_that_come_too_late_are_skipped_ones_of_their_camera(
     assert "--set track.reorder=3" in summary.warnings[0]
 
 
-def test_a_clock_that_is_set_back_costs_nothing(crossing: Path, tmp_path: Path) -> None:
+def test_a_clock_that_is_set_back_costs_nothing(crossing, tmp_path):
     summary = run(crossing, tmp_path, clock_set_back)
     assert summary.skipped == 0
     (warning,) = summary.warnings
@@ -71,9 +66,7 @@ def test_a_clock_that_is_set_back_costs_nothing(crossing: Path, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("system", ["hiros", "malaguti"])
-def test_a_strict_run_refuses_messages_that_come_too_late(
-    system: str, crossing: Path, tmp_path: Path
-) -> None:
+def test_a_strict_run_refuses_messages_that_come_too_late(system, crossing, tmp_path):
     source = changed(crossing, tmp_path / "odd.mcap", clock_set_back)
     options = ProcessOptions(system=system, strict=True)
     config = load_config(None, UNJUDGED, system=system)
@@ -83,9 +76,7 @@ def test_a_strict_run_refuses_messages_that_come_too_late(
 
 
 @pytest.mark.parametrize("stamp", [0, -5 * SECOND])
-def test_a_time_that_cannot_be_is_that_of_the_log(
-    stamp: int, crossing: Path, tmp_path: Path
-) -> None:
+def test_a_time_that_cannot_be_is_that_of_the_log(stamp, crossing, tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         summary = run(
@@ -100,7 +91,7 @@ def test_a_time_that_cannot_be_is_that_of_the_log(
     )
 
 
-def test_channels_that_name_no_frame_are_told(crossing: Path, tmp_path: Path) -> None:
+def test_channels_that_name_no_frame_are_told(crossing, tmp_path):
     summary = run(crossing, tmp_path, lambda f, _: f.replace(frame_id="", source=""))
     (note,) = noted(summary, "without a coordinate frame")
     assert "/camera_0/skeletons, /camera_1/skeletons, /camera_2/skeletons" in note
@@ -111,17 +102,15 @@ def test_channels_that_name_no_frame_are_told(crossing: Path, tmp_path: Path) ->
     assert not noted(process(crossing), "name no")
 
 
-def test_one_channel_without_a_frame_is_refused_by_its_name(crossing: Path, tmp_path: Path) -> None:
-    def nameless(frame: Frame, _: int) -> Frame:
+def test_one_channel_without_a_frame_is_refused_by_its_name(crossing, tmp_path):
+    def nameless(frame, _):
         return frame.replace(frame_id="", source="") if frame.source == "camera_1" else frame
 
     with pytest.raises(LogError, match=r"no name in no name"):
         run(crossing, tmp_path, nameless)
 
 
-def test_negative_confidences_are_not_given_and_large_ones_are_1(
-    crossing: Path, tmp_path: Path
-) -> None:
+def test_negative_confidences_are_not_given_and_large_ones_are_1(crossing, tmp_path):
     negative = run(crossing, tmp_path, lambda f, _: believed(f, -1.0))
     assert len(negative.people) == 2
     assert noted(negative, r"/camera_0/skeletons: \d+ negative confidences taken as missing")
@@ -130,22 +119,22 @@ def test_negative_confidences_are_not_given_and_large_ones_are_1(
     assert noted(percent, r"/camera_0/skeletons: \d+ confidences above 1 taken as 1")
 
 
-def test_nobody_is_found_because_of_the_confidences(crossing: Path, tmp_path: Path) -> None:
+def test_nobody_is_found_because_of_the_confidences(crossing, tmp_path):
     summary = run(crossing, tmp_path, lambda f, _: believed(f, 0.0))
     assert summary.people == ()
     assert warned(summary, "every marker has confidence 0")
     assert noted(summary, r"\d+ detections ignored: seen too briefly or by too few cameras")
 
 
-def test_nobody_is_found_because_of_the_unit(crossing: Path, tmp_path: Path) -> None:
+def test_nobody_is_found_because_of_the_unit(crossing, tmp_path):
     summary = run(crossing, tmp_path, lambda f, _: scaled(f, 1000.0))
     assert summary.people == ()
     assert warned(summary, "looks like millimetres")
     assert not noted(summary, "confidence 0")
 
 
-def test_a_message_years_ahead_is_told(crossing: Path, tmp_path: Path) -> None:
-    def ahead(frame: Frame, sent: int) -> Frame:
+def test_a_message_years_ahead_is_told(crossing, tmp_path):
+    def ahead(frame, sent):
         return later(frame, 10**8 * SECOND) if sent == 50 and frame.source == "camera_2" else frame
 
     summary = run(crossing, tmp_path, ahead)
@@ -153,16 +142,14 @@ def test_a_message_years_ahead_is_told(crossing: Path, tmp_path: Path) -> None:
     assert summary.warnings[0].startswith("camera_2: 1 message with a wrong time (by up to 3.2 ye")
 
 
-def test_a_latched_transform_of_time_0_makes_the_log_no_longer(
-    crossing: Path, tmp_path: Path
-) -> None:
+def test_a_latched_transform_of_time_0_makes_the_log_no_longer(crossing, tmp_path):
     source = changed(crossing, tmp_path / "odd.mcap", plain, latched=0)
     assert process(source).log_s == pytest.approx(process(crossing).log_s) == pytest.approx(5, 0.1)
     assert overview_of(source).seconds == pytest.approx(5, 0.1)
 
 
 @pytest.mark.parametrize("schema", ["foxglove.Pose", "Example", "a/b/c/d", ""])
-def test_channels_of_other_programs_do_no_harm(schema: str, walking: Path, tmp_path: Path) -> None:
+def test_channels_of_other_programs_do_no_harm(schema, walking, tmp_path):
     log = tmp_path / "foreign.mcap"
     with open_log(walking) as source, log.open("wb") as file:
         writer = Writer(file)
@@ -186,12 +173,10 @@ def test_channels_of_other_programs_do_no_harm(schema: str, walking: Path, tmp_p
 
 @pytest.mark.parametrize("system", SYSTEMS)
 @pytest.mark.parametrize("messages", [True, False])
-def test_an_empty_room_gives_an_empty_result(
-    system: str, messages: bool, walking: Path, tmp_path: Path
-) -> None:
+def test_an_empty_room_gives_an_empty_result(system, messages, walking, tmp_path):
     source, out = tmp_path / "empty.mcap", tmp_path / "out.mcap"
 
-    def nobody(frame: Frame, _: int) -> Frame:
+    def nobody(frame, _):
         return frame.replace(people=frame.people.at(slice(0, 0)))
 
     changed(walking, source, nobody, keep=messages)
@@ -204,9 +189,7 @@ def test_an_empty_room_gives_an_empty_result(
         assert sum(camera.messages for camera in summary.cameras) == (268 if messages else 0)
 
 
-def test_the_largest_ids_times_and_numbers_are_read_and_copied(
-    walking: Path, tmp_path: Path
-) -> None:
+def test_the_largest_ids_times_and_numbers_are_read_and_copied(walking, tmp_path):
     source, out = tmp_path / "large.mcap", tmp_path / "out.mcap"
     largest = {"sequence": 2**32 - 1, "publish_time": 2**64 - 1}
     with McapReader(walking) as reader, McapWriter(source) as writer:
@@ -232,7 +215,7 @@ def test_the_largest_ids_times_and_numbers_are_read_and_copied(
         assert reader.counts[topics["/hiros/filtered"]] > 80
 
 
-def test_detections_logged_after_the_year_2262_are_skipped(walking: Path, tmp_path: Path) -> None:
+def test_detections_logged_after_the_year_2262_are_skipped(walking, tmp_path):
     source = tmp_path / "future.mcap"
     with McapReader(walking) as reader, McapWriter(source) as writer:
         writer.copy_definitions(reader, reader.channels)
@@ -248,7 +231,7 @@ def test_detections_logged_after_the_year_2262_are_skipped(walking: Path, tmp_pa
     assert command(["info", str(source)]) == 0
 
 
-def test_a_message_logged_at_time_0_needs_no_more_memory(walking: Path, tmp_path: Path) -> None:
+def test_a_message_logged_at_time_0_needs_no_more_memory(walking, tmp_path):
     source = tmp_path / "zero.mcap"
     with McapReader(walking) as reader, McapWriter(source) as writer:
         writer.copy_definitions(reader, reader.channels)

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from rajagopal_chain import Floats, joints, read_mot
+from rajagopal_chain import joints, read_mot
 from scipy.spatial.transform import Rotation
 
 from hiros_mcap.body.rotations import Y_UP
 from hiros_mcap.body.segments import finder
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.export.files import export
-from hiros_mcap.io.result import Motion, Result, open_result
+from hiros_mcap.io.result import Motion, open_result
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.skeletons import SkeletonModel
 
@@ -24,13 +23,13 @@ STRAIGHTEST_DEG = 13
 
 
 @pytest.fixture(scope="module")
-def result(crossing: Path, tmp_path_factory: pytest.TempPathFactory) -> Result:
+def result(crossing, tmp_path_factory):
     out = tmp_path_factory.mktemp("opensim") / "crossing.hiros.mcap"
     process(crossing, out)
     return open_result(out).select(person=0, rate=30.0)
 
 
-def turned(result: Result, degrees: float, about: str = "z") -> Result:
+def turned(result, degrees, about="z"):
     """The same person, who walks another way or lies."""
     rotation = Rotation.from_euler(about, degrees, degrees=True).as_matrix()
     motions = {
@@ -40,14 +39,14 @@ def turned(result: Result, degrees: float, about: str = "z") -> Result:
     return replace(result, motions=motions)
 
 
-def errors(result: Result, folder: Path) -> dict[str, Floats]:
+def errors(result, folder):
     """(T,) degrees between each bone of the posed model and of the person; "hips" in mm."""
     (path,) = export(result, folder / "pose.mot")
     model = joints(read_mot(path))
     (motion,) = result.motions.values()
     at = finder(result.model, motion.positions @ Y_UP.T)
 
-    def middle(part: str) -> tuple[Floats, Floats]:
+    def middle(part):
         ours = at(part, side="left") + at(part, side="right")
         return (model[f"{part}_l"] + model[f"{part}_r"]) / 2, ours / 2
 
@@ -71,15 +70,13 @@ def errors(result: Result, folder: Path) -> dict[str, Floats]:
     return found
 
 
-def degrees_between(u: Floats, v: Floats) -> Floats:
+def degrees_between(u, v):
     cross = np.linalg.norm(np.cross(u, v), axis=-1)
     return np.degrees(np.arctan2(cross, np.sum(u * v, axis=-1)))
 
 
 @pytest.mark.parametrize("degrees", [0, 50, 90, 135, 180, 250, 310])
-def test_the_model_stands_as_the_person_whatever_way_they_face(
-    degrees: float, result: Result, tmp_path: Path
-) -> None:
+def test_the_model_stands_as_the_person_whatever_way_they_face(degrees, result, tmp_path):
     found = errors(turned(result, degrees), tmp_path)
     assert max(values.max() for values in found.values()) < 3
     assert found["hips"].max() < 0.01
@@ -87,14 +84,12 @@ def test_the_model_stands_as_the_person_whatever_way_they_face(
 
 
 @pytest.mark.parametrize(("degrees", "about"), [(85, "y"), (-80, "y"), (80, "x"), (30, "x")])
-def test_the_model_lies_as_the_person(
-    degrees: float, about: str, result: Result, tmp_path: Path
-) -> None:
+def test_the_model_lies_as_the_person(degrees, about, result, tmp_path):
     found = errors(turned(result, degrees, about), tmp_path)
     assert max(values.max() for values in found.values()) < 3
 
 
-def stick(result: Result, **joints: tuple[float, float, float]) -> Result:
+def stick(result, **joints):
     """A person who holds still: x forwards, y to the left, z up, m."""
     model = SkeletonModel.of(joints, ())
     positions = np.repeat(np.array([[*joints.values()]]), 30, axis=0)
@@ -113,7 +108,7 @@ STANDING = {
 }  # fmt: skip
 
 
-def test_raised_bent_and_crossed_limbs(result: Result, tmp_path: Path) -> None:
+def test_raised_bent_and_crossed_limbs(result, tmp_path):
     poses = {
         "arm up sideways": {"elbow_left": (0, 0.3, 1.72), "wrist_left": (0.05, 0.2, 1.95)},
         "arm up forwards": {"elbow_left": (0.1, 0.2, 1.73), "wrist_left": (0.2, 0.2, 1.95)},
@@ -127,9 +122,7 @@ def test_raised_bent_and_crossed_limbs(result: Result, tmp_path: Path) -> None:
         assert not worst, name
 
 
-def test_a_person_who_stands_straight_has_the_angles_of_standing(
-    result: Result, tmp_path: Path
-) -> None:
+def test_a_person_who_stands_straight_has_the_angles_of_standing(result, tmp_path):
     """A detector that bends a knee backwards a little does not turn the leg round."""
     backwards = {"ankle_left": (0.08, 0.09, 0.1), "ankle_right": (0.08, -0.09, 0.1)}
     (path,) = export(stick(result, **(STANDING | backwards)), tmp_path / "out.mot")
@@ -140,9 +133,7 @@ def test_a_person_who_stands_straight_has_the_angles_of_standing(
     assert "ankle_angle_l" not in pose  # there are no toes
 
 
-def test_coordinates_that_nothing_shows_are_left_out_and_named(
-    result: Result, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_coordinates_that_nothing_shows_are_left_out_and_named(result, tmp_path, caplog):
     armless = {name: at for name, at in STANDING.items() if "wrist" not in name}
     (path,) = export(stick(result, **armless), tmp_path / "out.mot")
     table = read_mot(path)
@@ -151,14 +142,14 @@ def test_coordinates_that_nothing_shows_are_left_out_and_named(
     assert "shoulder, elbow and wrist" in caplog.text
 
 
-def test_no_pelvis_no_motion(result: Result, tmp_path: Path) -> None:
+def test_no_pelvis_no_motion(result, tmp_path):
     hipless = {name: at for name, at in STANDING.items() if "hip" not in name}
     with pytest.raises(ConfigError, match=r"pelvis_tilt.*need both hips"):
         export(stick(result, **hipless), tmp_path / "out.mot")
     assert not (tmp_path / "out.mot").exists()
 
 
-def test_gaps_are_bridged_in_a_motion(result: Result, tmp_path: Path) -> None:
+def test_gaps_are_bridged_in_a_motion(result, tmp_path):
     (motion,) = result.motions.values()
     positions = motion.positions.copy()
     positions[20:40] = np.nan
@@ -169,7 +160,7 @@ def test_gaps_are_bridged_in_a_motion(result: Result, tmp_path: Path) -> None:
     assert np.abs(np.diff(table["pelvis_tx"])).max() < 0.1
 
 
-def test_every_row_of_a_trc_file_has_all_its_cells(result: Result, tmp_path: Path) -> None:
+def test_every_row_of_a_trc_file_has_all_its_cells(result, tmp_path):
     """OpenSim counts tabs: a row whose last marker is missing must not end before it."""
     (motion,) = result.motions.values()
     positions = motion.positions.copy()

@@ -21,7 +21,7 @@ few = settings(max_examples=60, deadline=None)
 
 
 @st.composite
-def models(draw) -> SkeletonModel:
+def models(draw):
     """Any names and ids, links between any markers, some to a marker that is not there."""
     markers = sorted(draw(st.sets(INT32, max_size=6)))
     links = sorted(draw(st.sets(INT32, max_size=6)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-from pathlib import Path
 
 import pytest
 from mcap_logs import (
@@ -20,7 +19,7 @@ from mcap_logs import (
 )
 
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.container import McapReader, RecoveringReader, Recovery
+from hiros_mcap.io.container import McapReader, RecoveringReader
 from hiros_mcap.io.container import records as r
 
 CHUNKED = sorted(KINDS.keys() - {"unchunked"})
@@ -28,11 +27,11 @@ Row = tuple[int, int, bytes, int, int]
 
 
 @pytest.fixture
-def path(tmp_path: Path) -> Path:
+def path(tmp_path):
     return tmp_path / "log.mcap"
 
 
-def left_of(path: Path, data: bytes) -> tuple[list[Row], Recovery]:
+def left_of(path, data):
     """Messages that are read of some bytes, and what was lost."""
     damaged = path.with_name("damaged.mcap")
     damaged.write_bytes(data)
@@ -44,13 +43,13 @@ def left_of(path: Path, data: bytes) -> tuple[list[Row], Recovery]:
         return rows, reader.recovery
 
 
-def is_part(rows: list[Row], of: list[Row]) -> bool:
+def is_part(rows, of):
     """Whether rows are some of the others, in their order."""
     rest = iter(of)
     return all(row in rest for row in rows)
 
 
-def boundaries(path: Path) -> list[int]:
+def boundaries(path):
     """First bytes of the records of a file, and its length."""
     data, at, found = path.read_bytes(), len(r.MAGIC), []
     while at < len(data) - len(r.MAGIC):
@@ -60,14 +59,14 @@ def boundaries(path: Path) -> list[int]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_healthy_log_is_complete(path: Path, kind: str) -> None:
+def test_a_healthy_log_is_complete(path, kind):
     rows, recovery = left_of(path, write_log(path, **KINDS[kind]).read_bytes())
     assert rows == by_library(path)
     assert (recovery.damages, recovery.lost, recovery.complete) == ((), 0, True)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_log_cut_anywhere_gives_everything_before_its_last_chunk(path: Path, kind: str) -> None:
+def test_a_log_cut_anywhere_gives_everything_before_its_last_chunk(path, kind):
     whole = write_log(path, **KINDS[kind]).read_bytes()
     wanted, places = by_library(path), boundaries(path)
     with McapReader(path) as reader:
@@ -92,7 +91,7 @@ def test_a_log_cut_anywhere_gives_everything_before_its_last_chunk(path: Path, k
 
 @pytest.mark.parametrize("kind", CHUNKED)
 @pytest.mark.parametrize("data_crc", [True, False])
-def test_no_flipped_bit_changes_a_recovered_message(path: Path, kind: str, data_crc: bool) -> None:
+def test_no_flipped_bit_changes_a_recovered_message(path, kind, data_crc):
     options = {**KINDS[kind], "enable_data_crcs": data_crc}
     whole = write_log(path, **options).read_bytes()
     wanted, rng, partial = by_library(path), random.Random(kind), 0
@@ -112,9 +111,7 @@ def test_no_flipped_bit_changes_a_recovered_message(path: Path, kind: str, data_
 
 @pytest.mark.parametrize("kind", CHUNKED)
 @pytest.mark.parametrize("size", [16, 512, 900])
-def test_zeros_in_the_middle_cost_the_chunks_that_they_touch(
-    path: Path, kind: str, size: int
-) -> None:
+def test_zeros_in_the_middle_cost_the_chunks_that_they_touch(path, kind, size):
     whole = write_log(path, make_messages(200), **KINDS[kind]).read_bytes()
     wanted = by_library(path)
     with McapReader(path) as reader:
@@ -130,7 +127,7 @@ def test_zeros_in_the_middle_cost_the_chunks_that_they_touch(
         assert recovery.lost in (None, 200 - len(rows))
 
 
-def test_what_is_lost_is_told_by_message_indexes_where_there_are_no_statistics(path: Path) -> None:
+def test_what_is_lost_is_told_by_message_indexes_where_there_are_no_statistics(path):
     write_log(path, make_messages(200))
     with McapReader(path) as reader:
         lost = reader.contents.chunks[5]
@@ -147,7 +144,7 @@ def test_what_is_lost_is_told_by_message_indexes_where_there_are_no_statistics(p
     assert recovery.lost is None  # behind the cut
 
 
-def test_metadata_behind_a_damaged_attachment_are_left(path: Path) -> None:
+def test_metadata_behind_a_damaged_attachment_are_left(path):
     data = bytearray(write_log(path).read_bytes())
     with McapReader(path) as reader:
         (attachment,) = reader.contents.attachments
@@ -160,7 +157,7 @@ def test_metadata_behind_a_damaged_attachment_are_left(path: Path) -> None:
         assert reader.contents.metadata == [("about", {"key": "value"})]
 
 
-def test_statistics_tell_what_is_lost_of_each_channel(path: Path) -> None:
+def test_statistics_tell_what_is_lost_of_each_channel(path):
     data = bytearray(write_log(path, make_messages(200)).read_bytes())
     with McapReader(path) as reader:
         lost = reader.contents.chunks[5]
@@ -176,7 +173,7 @@ def test_statistics_tell_what_is_lost_of_each_channel(path: Path) -> None:
 
 
 @pytest.mark.parametrize("keep", [0, 4, 22])
-def test_an_unchunked_log_goes_on_at_the_next_message(path: Path, keep: int) -> None:
+def test_an_unchunked_log_goes_on_at_the_next_message(path, keep):
     whole = write_log(path, use_chunking=False).read_bytes()
     wanted, places = by_library(path), boundaries(path)
     start, end = places[10] + keep, places[14] + 5  # records 0 to 3 are no messages
@@ -188,7 +185,7 @@ def test_an_unchunked_log_goes_on_at_the_next_message(path: Path, keep: int) -> 
     assert recovery.unchecked == len(rows)
 
 
-def test_messages_of_a_damaged_uncompressed_chunk_are_not_taken(path: Path) -> None:
+def test_messages_of_a_damaged_uncompressed_chunk_are_not_taken(path):
     # The chunk's own length is wrong, so that its messages look like messages outside of chunks.
     whole = bytearray(write_log(path, **KINDS["none"], **NO_SUMMARY).read_bytes())
     with McapReader(path) as reader:
@@ -198,7 +195,7 @@ def test_messages_of_a_damaged_uncompressed_chunk_are_not_taken(path: Path) -> N
     assert rows == [row for row in by_library(path) if row not in in_chunk(path, 1)]
 
 
-def in_chunk(path: Path, number: int) -> list[Row]:
+def in_chunk(path, number):
     with McapReader(path) as reader:
         chunk_of = reader.contents.chunks[number]
         return [
@@ -207,7 +204,7 @@ def in_chunk(path: Path, number: int) -> list[Row]:
         ]
 
 
-def test_messages_whose_channel_is_lost_are_counted(path: Path) -> None:
+def test_messages_whose_channel_is_lost_are_counted(path):
     parts = [chunk(channel(), message(), crc=1), chunk(channel(2, "/b"), message(), message(2))]
     rows, recovery = left_of(path, mcap_file(path, *parts).read_bytes())
     assert [row[0] for row in rows] == [2]
@@ -215,7 +212,7 @@ def test_messages_whose_channel_is_lost_are_counted(path: Path) -> None:
     assert (loss.topic, loss.lost, loss.lost_bytes) == ("channel 1 without a definition", 1, 7)
 
 
-def test_the_indexes_of_a_lost_chunk_are_its_own(path: Path) -> None:
+def test_the_indexes_of_a_lost_chunk_are_its_own(path):
     first = [channel(), channel(2, "/b"), message(), message(2)]
     at = len(first[0]) + len(first[1])
     parts = [chunk(*first, times=(5, 5)), index(1, [(5, at)]), index(2, [(5, at + len(first[2]))])]
@@ -226,13 +223,13 @@ def test_the_indexes_of_a_lost_chunk_are_its_own(path: Path) -> None:
     assert [(c.topic, c.lost) for c in recovery.channels] == [("/a", 0), ("/b", 1)]
 
 
-def test_indexes_of_times_of_today_match(path: Path) -> None:
+def test_indexes_of_times_of_today_match(path):
     messages = [(c, t + 1_700_000_000_000_000_001, d) for c, t, d in make_messages()]
     _, recovery = left_of(path, write_log(path, messages).read_bytes())
     assert recovery.damages == ()
 
 
-def test_a_damaged_index_costs_nothing(path: Path) -> None:
+def test_a_damaged_index_costs_nothing(path):
     inner = [channel(), message(time=5), message(time=6)]
     parts = chunk(*inner, times=(5, 6)), index(1, [(5, 34), (7, 0)])
     rows, recovery = left_of(path, mcap_file(path, *parts).read_bytes())
@@ -249,8 +246,6 @@ def test_a_damaged_index_costs_nothing(path: Path) -> None:
         (r.MAGIC + bytes(5000), "no message of it can be read"),
     ],
 )
-def test_a_file_of_which_nothing_can_be_read_is_refused(
-    path: Path, data: bytes, fault: str
-) -> None:
+def test_a_file_of_which_nothing_can_be_read_is_refused(path, data, fault):
     with pytest.raises(LogError, match=fault):
         left_of(path, data)

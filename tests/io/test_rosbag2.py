@@ -24,20 +24,20 @@ from hiros_mcap.io.rosbag2 import write_bag_metadata
 
 
 @pytest.fixture(scope="module")
-def bag(walking: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bag(walking, tmp_path_factory):
     folder = tmp_path_factory.mktemp("bag") / "lab"
     hiros_mcap.process(walking, f"{folder}/")
     return folder
 
 
-def counts(mcap: Path) -> dict[str, int]:
+def counts(mcap):
     with mcap.open("rb") as file:
         summary: Any = make_reader(file).get_summary()
     found = summary.statistics.channel_message_counts
     return {channel.topic: found.get(i, 0) for i, channel in summary.channels.items()}
 
 
-def test_a_bag_is_an_mcap_file_and_its_metadata(bag: Path) -> None:
+def test_a_bag_is_an_mcap_file_and_its_metadata(bag):
     assert sorted(path.name for path in bag.iterdir()) == ["lab_0.mcap", "metadata.yaml"]
     info = YAML(typ="safe").load(bag / "metadata.yaml")["rosbag2_bagfile_information"]
     assert (info["version"], info["storage_identifier"]) == (8, "mcap")
@@ -45,7 +45,7 @@ def test_a_bag_is_an_mcap_file_and_its_metadata(bag: Path) -> None:
     assert 2.5e9 < info["duration"]["nanoseconds"] < 4.5e9
 
 
-def test_rosbags_reads_every_message_and_type(bag: Path) -> None:
+def test_rosbags_reads_every_message_and_type(bag):
     found: Counter[str] = Counter()
     with AnyReader([bag]) as reader:
         for connection, _, data in reader.messages():
@@ -56,7 +56,7 @@ def test_rosbags_reads_every_message_and_type(bag: Path) -> None:
     assert found["/hiros/filtered"] > 80
 
 
-def test_metadata_says_what_the_file_holds(bag: Path) -> None:
+def test_metadata_says_what_the_file_holds(bag):
     store = get_typestore(Stores.ROS2_HUMBLE)
     with Reader(bag) as reader:
         described = {c.topic: c for c in reader.connections}
@@ -71,11 +71,11 @@ def test_metadata_says_what_the_file_holds(bag: Path) -> None:
     assert durability(skeletons) == [QosDurability.VOLATILE]
 
 
-def durability(connection: Any) -> list[QosDurability]:
+def durability(connection):
     return [profile.durability for profile in connection.ext.offered_qos_profiles]
 
 
-def test_hiros_reads_its_own_bag(bag: Path, walking: Path, tmp_path: Path) -> None:
+def test_hiros_reads_its_own_bag(bag, walking, tmp_path):
     hiros_mcap.process(walking, tmp_path / "same.mcap")
     assert (bag / "lab_0.mcap").read_bytes() == (tmp_path / "same.mcap").read_bytes()
     result = hiros_mcap.open_result(bag)
@@ -84,9 +84,7 @@ def test_hiros_reads_its_own_bag(bag: Path, walking: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("profile", ["", "- history: 1", "- durability: 1", "no yaml: ["])
-def test_static_transforms_are_kept_for_late_subscribers(
-    profile: str, walking: Path, tmp_path: Path
-) -> None:
+def test_static_transforms_are_kept_for_late_subscribers(profile, walking, tmp_path):
     source, target = tmp_path / "in.mcap", tmp_path / "out.mcap"
     with walking.open("rb") as old, source.open("wb") as new:
         writer = Writer(new)
@@ -108,7 +106,7 @@ def test_static_transforms_are_kept_for_late_subscribers(
     assert counts(target).items() >= counts(source).items()
 
 
-def bag_of(mcap: Path) -> Path:
+def bag_of(mcap):
     """Make a bag of a plain result."""
     folder = mcap.parent / "bag"
     folder.mkdir()
@@ -118,7 +116,7 @@ def bag_of(mcap: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", ["new/", "there"])
-def test_a_folder_is_made_or_filled(name: str, walking: Path, tmp_path: Path) -> None:
+def test_a_folder_is_made_or_filled(name, walking, tmp_path):
     (tmp_path / "there").mkdir()
     target = f"{tmp_path}/{name}"
     for _ in range(2):  # the second run replaces the first one's bag
@@ -127,16 +125,14 @@ def test_a_folder_is_made_or_filled(name: str, walking: Path, tmp_path: Path) ->
             assert "/hiros/tracked" in {c.topic for c in reader.connections}
 
 
-def test_a_folder_of_somebody_else_stays(
-    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_of_somebody_else_stays(walking, tmp_path, capsys):
     (tmp_path / "notes.txt").write_text("the only copy")
     assert run(["process", str(walking), "-o", str(tmp_path)]) == 2
     assert "holds other files" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
-def test_a_failed_run_leaves_no_folder(tmp_path: Path) -> None:
+def test_a_failed_run_leaves_no_folder(tmp_path):
     (tmp_path / "bad.mcap").write_bytes(b"no log at all")
     with pytest.raises(LogError):
         hiros_mcap.process(tmp_path / "bad.mcap", f"{tmp_path}/new/")
@@ -144,9 +140,7 @@ def test_a_failed_run_leaves_no_folder(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["out.db3", "out.bag"])
-def test_other_bags_are_refused_with_the_remedy(
-    name: str, walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_other_bags_are_refused_with_the_remedy(name, walking, tmp_path, capsys):
     assert run(["process", str(walking), "-o", str(tmp_path / name)]) == 2
     assert f"name a folder: -o {tmp_path / 'out'}/" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

@@ -23,11 +23,11 @@ from stick_figures import MODEL, at, person, seen
 
 from hiros_mcap.body.rotations import multiply
 from hiros_mcap.config import Config
-from hiros_mcap.evaluate import Scores, Truth, evaluate
+from hiros_mcap.evaluate import Truth, evaluate
 from hiros_mcap.frames import by_frame
 from hiros_mcap.simulate.body_model import SYMMETRY
 from hiros_mcap.simulate.settings import ActionName
-from hiros_mcap.skeletons import ORIENTATION, Frame
+from hiros_mcap.skeletons import ORIENTATION
 from hiros_mcap.systems import Run, hiros
 
 _FRAME = [seen([person()], at(0), ids=[0])]
@@ -39,7 +39,7 @@ STATIC_WORST = (
 IN_OUT_WORST = "with TMF, in_out is the least accurate of several people's actions (4.2)"
 
 
-def test_the_sixteen_actions() -> None:
+def test_the_sixteen_actions():
     assert {*SINGLE, *SEVERAL, "eight"} <= set(get_args(ActionName))
     sequences = {(1, a) for a in SINGLE} | {(n, a) for n in (2, 3, 4) for a in SEVERAL}
     assert set(ANGLES) == sequences | {(4, "eight")}
@@ -54,12 +54,12 @@ def test_the_sixteen_actions() -> None:
         (4, [(17.80, 14.43), (15.43, 11.47), (15.48, 11.54)]),
     ],
 )
-def test_mean_rows_are_plain_means(people: int, means: list[tuple[float, float]]) -> None:
+def test_mean_rows_are_plain_means(people, means):
     rows = np.array([pairs for (n, _), pairs in ANGLES.items() if n == people])
     assert np.abs(rows.mean(axis=0) - np.array(means)).max() < 0.0051
 
 
-def test_five_and_ten_people_are_a_straight_line() -> None:
+def test_five_and_ten_people_are_a_straight_line():
     """The paper's own columns for 5 and 10 people, from its columns for 1 to 4."""
     published = {5: (1.08, 1.03, 10.01, 0.25), 10: (2.22, 1.59, 16.81, 0.40)}
     for people, row in published.items():
@@ -68,12 +68,12 @@ def test_five_and_ten_people_are_a_straight_line() -> None:
             assert line == pytest.approx(value, abs=0.011)
 
 
-def scores(rmse: float, deviation: float, switches: int = 0, jitter: float = 5.0) -> Scores:
+def scores(rmse, deviation, switches=0, jitter=5.0):
     angles = {"link_angle_rmse": rmse, "link_angle_deviation": deviation}
     return replace(PERFECT, **angles, jitter=jitter, switches=switches)
 
 
-def published_runs(switches: int = 0) -> list[ActionRun]:
+def published_runs(switches=0):
     """The paper's numbers as if they were ours."""
     return [
         ActionRun(
@@ -90,7 +90,7 @@ def published_runs(switches: int = 0) -> list[ActionRun]:
     ]
 
 
-def test_the_paper_holds_what_it_claims() -> None:
+def test_the_paper_holds_what_it_claims():
     claims = list(check_claims(published_runs()))
     assert {c.text: c.detail for c in claims if not c.holds} == {
         STATIC_WORST: "2 people: cross, 3 people: free_dynamic, 4 people: free_dynamic",
@@ -101,12 +101,12 @@ def test_the_paper_holds_what_it_claims() -> None:
     )
 
 
-def test_a_switch_breaks_a_claim() -> None:
+def test_a_switch_breaks_a_claim():
     broken = [c for c in check_claims(published_runs(switches=1)) if not c.holds]
     assert any("id switches" in c.text and "cross of 2" in c.detail for c in broken)
 
 
-def test_the_layout_of_the_tables() -> None:
+def test_the_layout_of_the_tables():
     runs = published_runs()
     rows = angle_table("Tables 6 and 7", runs).rows
     assert len(rows) == 2 * (26 + 4)
@@ -123,7 +123,7 @@ def test_the_layout_of_the_tables() -> None:
 
 
 @pytest.mark.parametrize("people", [1, 2, 3, 4])
-def test_one_sequence_for_real(people: int) -> None:
+def test_one_sequence_for_real(people):
     """The gain of section 4.2 with one to four people, and a time for every step."""
     run = run_experiment(people, "cross", Config(), seconds=2.0)
     assert run.scores["TMOF"].mean < run.scores["T"].mean
@@ -134,7 +134,7 @@ def test_one_sequence_for_real(people: int) -> None:
     assert all(time > 0 for time in run.milliseconds.values())
 
 
-def test_a_flip_that_stays_hurts_the_tracker_and_not_the_merger() -> None:
+def test_a_flip_that_stays_hurts_the_tracker_and_not_the_merger():
     """Two people; where they stand still, one camera of five takes their backs for their fronts."""
     runs = []
     for action in SEVERAL:
@@ -155,7 +155,7 @@ def test_a_flip_that_stays_hurts_the_tracker_and_not_the_merger() -> None:
     assert claims[IN_OUT_WORST].holds
 
 
-def turned_round(frame: Frame) -> Frame:
+def turned_round(frame):
     """The same people with their sides swapped, facing the other way."""
     links = frame.links[:, SYMMETRY.link_mirror].copy()
     links[:, :, ORIENTATION] = multiply(links[:, :, ORIENTATION], np.array([0.0, 1.0, 0.0, 0.0]))
@@ -167,7 +167,7 @@ def turned_round(frame: Frame) -> Frame:
     )
 
 
-def test_the_tables_by_markers_and_positions_show_what_the_optimizer_changes() -> None:
+def test_the_tables_by_markers_and_positions_show_what_the_optimizer_changes():
     """A run where only its joints differ: eq 21 cannot see it."""
     moved = replace(PERFECT, mean=12.0, angle_rmse=2.0, link_angle_rmse=3.0)
     better = replace(moved, mean=10.0, angle_rmse=1.5)
@@ -179,7 +179,7 @@ def test_the_tables_by_markers_and_positions_show_what_the_optimizer_changes() -
     ]  # fmt: skip
 
 
-def test_the_script_prints_the_three_configurations(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_script_prints_the_three_configurations(capsys):
     """T, TMF and TMOF of every action with the paper's beside, and all claims."""
     runs = tuple(published_runs())
     report(runs, 15.0).show()

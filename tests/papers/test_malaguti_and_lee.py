@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +19,6 @@ from lee_2022_gestures import (
 from published import LEE, LEE_CAMERAS, LEE_COLUMNS, LEE_RADII, MALAGUTI, lee_appendix, lee_mean
 
 from hiros_mcap.evaluate.comparison import Entry, Outcome, Task, comparison
-from hiros_mcap.evaluate.scores import Scores
 from hiros_mcap.evaluate.statistics import PARTS, part_of
 from hiros_mcap.simulate.body_model import MARKERS
 from hiros_mcap.stages.lee.cluster import LEE_JOINTS
@@ -29,23 +27,23 @@ LEE_MARKERS = tuple(dict.fromkeys(joint for _, joint in lee_appendix()))
 
 
 @pytest.fixture(scope="module")
-def scores() -> Scores:
+def scores():
     walking = Path(__file__).parents[2] / "sample_data" / "one_person_walking.mcap"
     found = comparison([Task(walking, Entry("raw"))])[0].scores
     assert found is not None
     return found
 
 
-def outcome(scores: Scores, name: str, mean: float) -> Outcome:
+def outcome(scores, name, mean):
     parts = {part: replace(stats, mean=mean) for part, stats in scores.parts.items()}
     return Outcome("log", name, ("a",), 0.1, replace(scores, mean=mean, parts=parts))
 
 
-def outcomes(scores: Scores, names: Sequence[str], errors: Sequence[float]) -> list[Outcome]:
+def outcomes(scores, names, errors):
     return [outcome(scores, name, error) for name, error in zip(names, errors, strict=True)]
 
 
-def test_the_published_numbers_agree_with_what_the_papers_say_of_them() -> None:
+def test_the_published_numbers_agree_with_what_the_papers_say_of_them():
     """Means of Malaguti's Table I; Lee's A5 is the mean over the radii."""
     means = np.array(list(MALAGUTI.values())).mean(axis=0)[:, 0]
     assert means == pytest.approx([9.42, 17.66, 15.45, 7.46], abs=0.006)
@@ -58,7 +56,7 @@ def test_the_published_numbers_agree_with_what_the_papers_say_of_them() -> None:
         assert errors == sorted(errors, reverse=True)
 
 
-def test_what_lees_text_says_are_the_means_of_his_appendix_with_digits_cut_off() -> None:
+def test_what_lees_text_says_are_the_means_of_his_appendix_with_digits_cut_off():
     parts = [tuple(j for j in LEE_MARKERS if part_of(j) == part) for part in PARTS]
     said = [(f"A5_{100 * r:.0f}", pairs) for r, pairs in LEE_RADII.items()]
     said += [(f"TNOS_{n}", pairs) for n, pairs in LEE_CAMERAS.items()]
@@ -68,7 +66,7 @@ def test_what_lees_text_says_are_the_means_of_his_appendix_with_digits_cut_off()
         assert ((np.array(pairs) <= means + 1e-9) & (np.array(pairs) > means - 0.1)).all(), column
 
 
-def test_lees_gains_by_gesture() -> None:
+def test_lees_gains_by_gesture():
     """Section 4: elbow and wrist of all gestures and of the squat, knee and ankle of the lunge."""
     for names, gestures, gains in (
         (("ELBOW",), (), (20.1, 23.4, 27.0)),
@@ -83,7 +81,7 @@ def test_lees_gains_by_gesture() -> None:
         assert own == pytest.approx(gains, abs=0.11)
 
 
-def test_the_paper_holds_what_it_claims_of_the_gestures() -> None:
+def test_the_paper_holds_what_it_claims_of_the_gestures():
     assert [claim.holds for claim in check_gestures(lee_appendix())] == [True, True, True]
     swapped = {
         ({"squat": "jump", "jump": "squat"}.get(gesture, gesture), joint): row
@@ -92,7 +90,7 @@ def test_the_paper_holds_what_it_claims_of_the_gestures() -> None:
     assert [claim.holds for claim in check_gestures(swapped)] == [True, False, True]
 
 
-def test_the_layout_of_lees_appendix() -> None:
+def test_the_layout_of_lees_appendix():
     assert len(lee_appendix()) == 6 * 16
     errors, deviations = appendix_tables(lee_appendix())
     assert len(errors.rows) == len(deviations.rows) == 2 * 6 * 16
@@ -104,7 +102,7 @@ def test_the_layout_of_lees_appendix() -> None:
     )  # fmt: skip
 
 
-def test_six_gestures_in_four_directions_for_real(tmp_path: Path) -> None:
+def test_six_gestures_in_four_directions_for_real(tmp_path):
     scenes = list(gesture_scenes())
     assert len(scenes) == 24
     logs = lee_2022.simulated(tmp_path, scenes[12:13], seconds=1.0)
@@ -114,7 +112,7 @@ def test_six_gestures_in_four_directions_for_real(tmp_path: Path) -> None:
     assert errors["lunge", "WRIST_LEFT"]["A5_10"][0] > errors["lunge", "PELVIS"]["A5_10"][0] > 0
 
 
-def test_the_order_of_malagutis_table_1(scores: Scores) -> None:
+def test_the_order_of_malagutis_table_1(scores):
     names = ("malaguti", "raw", "openptrack", "maf")
     for errors, holds in (((10, 11, 12, 13), True), ((10, 12, 11, 13), False)):
         (claim,) = malaguti_2019.check_claims(outcomes(scores, names, errors))
@@ -122,7 +120,7 @@ def test_the_order_of_malagutis_table_1(scores: Scores) -> None:
     assert list(malaguti_2019.check_claims(outcomes(scores, names[:2], (10, 11)))) == []
 
 
-def test_the_order_of_lees_variants_is_that_of_the_printed_digits(scores: Scores) -> None:
+def test_the_order_of_lees_variants_is_that_of_the_printed_digits(scores):
     names = ("lee", "lee-a4", "lee-a3", "lee-a1")
     for errors, holds in (((10, 9.96, 12, 13), True), ((10, 9.94, 12, 13), False)):
         (claim,) = lee_2022.check_claims(outcomes(scores, names, errors))
@@ -130,20 +128,20 @@ def test_the_order_of_lees_variants_is_that_of_the_printed_digits(scores: Scores
 
 
 @pytest.mark.parametrize(("errors", "holds"), [((12, 10, 11, 15), True), ((12, 10, 11, 9), False)])
-def test_the_best_radius(scores: Scores, errors: Sequence[float], holds: bool) -> None:
+def test_the_best_radius(scores, errors, holds):
     names = [f"lee,cluster.radius={radius:g}" for radius in LEE_RADII]
     (claim,) = lee_2022.check_claims(outcomes(scores, names, errors))
     assert claim.holds == holds
 
 
-def test_the_error_falls_with_every_camera() -> None:
+def test_the_error_falls_with_every_camera():
     falling = {"hiros": {1: (30.0, 5.0), 2: (20.0, 4.0), 3: (19.0, 4.0)}}
     rising = {"hiros": {1: (30.0, 5.0), 2: (20.0, 4.0), 3: (20.0, 4.0)}}
     assert [claim.holds for claim in lee_2022.check_cameras(falling)] == [True]
     assert [claim.holds for claim in lee_2022.check_cameras(rising)] == [False]
 
 
-def test_malagutis_layout(scores: Scores) -> None:
+def test_malagutis_layout(scores):
     names = ("raw", "maf", "openptrack", "malaguti")
     rows = malaguti_2019.error_table(outcomes(scores, names, [50.0] * 4)).rows
     assert rows[0][0] == "log"
@@ -158,7 +156,7 @@ def test_malagutis_layout(scores: Scores) -> None:
     assert [row[4] for row in times] == ["74.6", "37.3", "24.9", "18.7", "14.9", "12.4"]
 
 
-def test_lees_layout(scores: Scores) -> None:
+def test_lees_layout(scores):
     (row,) = lee_2022.part_table("", [outcome(scores, "lee-a1", 30.0)]).rows
     assert row[0] == "lee-a1"
     assert row[3].startswith("30.0 (")
@@ -179,9 +177,7 @@ def test_lees_layout(scores: Scores) -> None:
     assert cameras.rows[2] == ("paper: upper limbs", "125.6 (64.2)", "103.5 (57.5)")
 
 
-def test_a_study_for_real_with_lees_sixteen_joints(
-    walking: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_study_for_real_with_lees_sixteen_joints(walking, monkeypatch, capsys):
     entries = tuple(f"lee-a{k},cluster.joints=lee16" for k in (1, 4))
     monkeypatch.setitem(lee_2022.ENTRIES, "variants", entries)
     report = lee_2022.report("variants", [walking], jobs=1)

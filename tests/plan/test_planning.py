@@ -13,7 +13,7 @@ from hiros_mcap.body.rotations import Rigid, from_matrix, rotate
 from hiros_mcap.body.transforms import read_extrinsics
 from hiros_mcap.evaluate.logs import evaluate_log, find_truth
 from hiros_mcap.plan.expected_error import MEAN_OF_NORMAL, RIGID, ErrorModel, View
-from hiros_mcap.plan.planning import RoomPlan, make_plan
+from hiros_mcap.plan.planning import make_plan
 from hiros_mcap.plan.scenes import FloorGrid, Scenes, make_scenes
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.simulate import SimulateParams
@@ -29,13 +29,13 @@ QUIET = {"coloured": 0.0, "white": 0.0, "bias": 0.0, "guess": 0.0}
 AREA = (-2.0, -1.5, 2.0, 1.5)
 
 
-def camera(x: float, y: float, z: float = 1.0) -> Rigid:
+def camera(x, y, z=1.0):
     """A camera that looks at somebody who stands at the origin."""
     place = np.array([x, y, z])
     return Rigid(from_matrix(aimed(np.array([0.0, 0.0, 1.0]) - place)), place)
 
 
-def pelvis_error(cameras: list[Rigid], **params: object) -> float:
+def pelvis_error(cameras, **params):
     """Expected error, m, of the pelvis of a person in the middle of the room."""
     settings = SimulateParams.model_validate({"occlusion": 0, "area": (-1, -1, 1, 1), **params})
     model = ErrorModel(settings, [SLOT["PELVIS"]])
@@ -46,7 +46,7 @@ def pelvis_error(cameras: list[Rigid], **params: object) -> float:
     return float(model.errors(view).mean())
 
 
-def variance(cameras: list[Rigid], **params: object) -> float:
+def variance(cameras, **params):
     """The part of the squared error that is not motion smoothed away."""
     still = {"detector": QUIET, "calibration_error": 0}
     return pelvis_error(cameras, **params) ** 2 - pelvis_error(cameras, **still) ** 2
@@ -55,20 +55,20 @@ def variance(cameras: list[Rigid], **params: object) -> float:
 FOUR = [camera(*place) for place in ((2.5, 0), (0, 2.5), (-2.5, 0), (0, -2.5))]
 
 
-def test_a_constant_error_of_poses_is_averaged_over_the_cameras() -> None:
+def test_a_constant_error_of_poses_is_averaged_over_the_cameras():
     rig = {"position_error": 0.02, "orientation_error": 0.0}
     one, four = (variance(each, detector=QUIET, rig=rig) for each in (FOUR[:1], FOUR))
     assert np.sqrt(one) == pytest.approx(RIGID * MEAN_OF_NORMAL * np.sqrt(3) * 0.02, rel=0.01)
     assert four == pytest.approx(one / 4, rel=0.02)
 
 
-def test_an_orientation_error_moves_two_of_three_axes_by_the_distance() -> None:
+def test_an_orientation_error_moves_two_of_three_axes_by_the_distance():
     rig = {"position_error": 0.0, "orientation_error": 1.0}
     length = RIGID * MEAN_OF_NORMAL * np.sqrt(2) * np.radians(1.0) * 2.5
     assert np.sqrt(variance(FOUR[:1], detector=QUIET, rig=rig)) == pytest.approx(length, rel=0.02)
 
 
-def test_a_lasting_error_stays_and_white_noise_is_smoothed() -> None:
+def test_a_lasting_error_stays_and_white_noise_is_smoothed():
     lasting, white = (
         variance(FOUR[:1], calibration_error=0, detector={**QUIET, part: 0.02})
         for part in ("bias", "white")
@@ -77,19 +77,19 @@ def test_a_lasting_error_stays_and_white_noise_is_smoothed() -> None:
     assert white < 0.5 * lasting * (2.5 / REFERENCE_RANGE) ** 2
 
 
-def test_errors_grow_with_the_noise_and_shrink_with_cameras() -> None:
+def test_errors_grow_with_the_noise_and_shrink_with_cameras():
     assert pelvis_error(FOUR, noise=2) > 1.5 * pelvis_error(FOUR, noise=1)
     by_count = [pelvis_error(FOUR[:count]) for count in (1, 2, 3, 4)]
     assert all(fewer > more for fewer, more in pairwise(by_count))
 
 
-def test_nobody_is_seen_by_a_camera_that_looks_away() -> None:
+def test_nobody_is_seen_by_a_camera_that_looks_away():
     away = Rigid(from_matrix(aimed(np.array([1.0, 0.0, 0.0]))), np.array([2.5, 0.0, 1.0]))
     assert np.isnan(pelvis_error([away]))
 
 
-def test_others_hide_joints() -> None:
-    def guessed(people: int) -> float:
+def test_others_hide_joints():
+    def guessed(people):
         params = SimulateParams(people=people, area=AREA)
         scenes = make_scenes(params, FloorGrid.of(AREA, 30), 4)
         model = ErrorModel(params)
@@ -99,7 +99,7 @@ def test_others_hide_joints() -> None:
 
 
 @pytest.mark.parametrize("people", [1, 3])
-def test_scenes_hold_people_in_every_cell_at_a_distance(people: int) -> None:
+def test_scenes_hold_people_in_every_cell_at_a_distance(people):
     floor = FloorGrid.of((-3, -2, 3, 2), 40)
     scenes: Scenes = make_scenes(SimulateParams(people=people), floor, 4)
     assert set(scenes.cells.ravel()) == set(range(len(floor.centres)))
@@ -111,11 +111,11 @@ def test_scenes_hold_people_in_every_cell_at_a_distance(people: int) -> None:
 
 
 @pytest.fixture(scope="module")
-def plan() -> RoomPlan:
+def plan():
     return make_plan(SimulateParams(cameras=3, area=AREA), 2.2)
 
 
-def test_cameras_hang_on_the_walls_and_look_into_the_room(plan: RoomPlan) -> None:
+def test_cameras_hang_on_the_walls_and_look_into_the_room(plan):
     for each in plan.cameras:
         on_x, on_y = abs(abs(each.x) - 2.0) < 1e-9, abs(abs(each.y) - 1.5) < 1e-9
         assert on_x or on_y
@@ -125,7 +125,7 @@ def test_cameras_hang_on_the_walls_and_look_into_the_room(plan: RoomPlan) -> Non
         assert each.tilt_deg > 0
 
 
-def test_a_plan_is_better_than_cameras_beside_each_other(plan: RoomPlan) -> None:
+def test_a_plan_is_better_than_cameras_beside_each_other(plan):
     aside = {f"c{k}": camera(2.0, y, 2.2) for k, y in enumerate((-1.0, 0.0, 1.0))}
     other = make_plan(plan.params, 2.2, aside)
     assert plan.expected.error_mm < 0.95 * other.expected.error_mm
@@ -133,7 +133,7 @@ def test_a_plan_is_better_than_cameras_beside_each_other(plan: RoomPlan) -> None
     assert [(each.x, each.y) for each in other.cameras] == [(2.0, -1.0), (2.0, 0.0), (2.0, 1.0)]
 
 
-def test_one_more_camera_helps_and_one_less_does_not(plan: RoomPlan) -> None:
+def test_one_more_camera_helps_and_one_less_does_not(plan):
     expected = plan.expected
     assert plan.further.then.error_mm < expected.error_mm
     assert plan.further.then.three >= expected.three
@@ -143,7 +143,7 @@ def test_one_more_camera_helps_and_one_less_does_not(plan: RoomPlan) -> None:
     assert 1 >= expected.one >= expected.two >= expected.three > 0
 
 
-def test_means_of_joints_parts_and_cells_agree(plan: RoomPlan) -> None:
+def test_means_of_joints_parts_and_cells_agree(plan):
     assert list(plan.joints_mm) == list(MARKERS)
     assert np.mean(list(plan.joints_mm.values())) == pytest.approx(plan.expected.error_mm)
     parts = plan.parts_mm
@@ -153,13 +153,13 @@ def test_means_of_joints_parts_and_cells_agree(plan: RoomPlan) -> None:
     assert np.nanmean(cells) == pytest.approx(plan.expected.error_mm, rel=0.02)
 
 
-def test_the_same_room_gives_the_same_plan(plan: RoomPlan) -> None:
+def test_the_same_room_gives_the_same_plan(plan):
     again = make_plan(SimulateParams(cameras=3, area=AREA), 2.2)
     assert again.params == plan.params
     assert again.to_dict() == plan.to_dict()
 
 
-def test_views_add_up_and_take_away(plan: RoomPlan) -> None:
+def test_views_add_up_and_take_away(plan):
     scenes = make_scenes(plan.params, FloorGrid.of(AREA, 10), 2)
     model = ErrorModel(plan.params)
     first, second = (model.view(scenes, each) for each in FOUR[:2])
@@ -168,7 +168,7 @@ def test_views_add_up_and_take_away(plan: RoomPlan) -> None:
     assert (back.cameras == first.cameras).all()
 
 
-def test_a_planned_room_can_be_simulated(plan: RoomPlan, tmp_path: Path) -> None:
+def test_a_planned_room_can_be_simulated(plan, tmp_path):
     path = tmp_path / "cameras.toml"
     save_rig(path, plan.params)
     rig = read_rig(path)
@@ -179,9 +179,7 @@ def test_a_planned_room_can_be_simulated(plan: RoomPlan, tmp_path: Path) -> None
     assert read_extrinsics(path).root("camera_1") == "world"
 
 
-def test_a_log_of_a_planned_room_has_about_the_expected_error(
-    plan: RoomPlan, tmp_path: Path
-) -> None:
+def test_a_log_of_a_planned_room_has_about_the_expected_error(plan, tmp_path):
     """Of half a minute; docs/planning.md compares minutes in six rooms."""
     log, out = tmp_path / "room.mcap", tmp_path / "out.mcap"
     update = {"action": "roam", "seconds": 30.0, "seed": 7}
@@ -193,7 +191,7 @@ def test_a_log_of_a_planned_room_has_about_the_expected_error(
     assert scores.mean == pytest.approx(plan.expected.error_mm, rel=0.3)
 
 
-def test_a_file_without_a_room_has_the_rectangle_of_its_cameras(tmp_path: Path) -> None:
+def test_a_file_without_a_room_has_the_rectangle_of_its_cameras(tmp_path):
     path = tmp_path / "cameras.toml"
     path.write_text(
         "\n".join(
@@ -232,13 +230,7 @@ quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]
         ("--room 6x5 -o under.toml", "under.toml: exists and is not a camera file of hiros"),
     ],
 )
-def test_what_is_wrong_is_one_line(
-    options: str,
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_what_is_wrong_is_one_line(options, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("under.toml").write_text(UNDER)
     assert run(["plan", *options.split()]) == 2
@@ -248,9 +240,7 @@ def test_what_is_wrong_is_one_line(
     assert message in captured.err
 
 
-def test_the_command_writes_a_file_and_a_picture_and_reads_the_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_a_file_and_a_picture_and_reads_the_file(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     written = [
         "plan",
@@ -282,7 +272,7 @@ def test_the_command_writes_a_file_and_a_picture_and_reads_the_file(
     assert run(["process", "room.mcap", "--extrinsics", "cameras.toml", "-q"]) == 0
 
 
-def test_people_who_roam_walk_through_the_room_but_not_into_walls() -> None:
+def test_people_who_roam_walk_through_the_room_but_not_into_walls():
     from hiros_mcap.simulate.actions import ACTIONS
     from hiros_mcap.simulate.body_model import BodyModel
 

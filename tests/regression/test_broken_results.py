@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from stick_figures import MODEL, at, person, seen
 from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
-from hiros_mcap.regression.differences import Difference
 from hiros_mcap.regression.golden import write_golden
 from hiros_mcap.regression.suite import Golden, check_output
 from hiros_mcap.skeletons import (
@@ -31,7 +29,7 @@ FRAMES = 8
 Breaks = Callable[[list[Frame]], None]
 
 
-def full_frame(k: int) -> Frame:
+def full_frame(k):
     """Two people, every number of whom is known."""
     frame = seen([person(0.01 * k), person(2)], at(k), ids=[0, 1], turns=True)
     numbers = np.random.default_rng(k)
@@ -47,7 +45,7 @@ def full_frame(k: int) -> Frame:
     return frame.replace(stamps=stamps, log_time=frame.stamp + 400_000_000)
 
 
-def write(path: Path, frames: Sequence[Frame]) -> Path:
+def write(path, frames):
     with McapWriter(path) as writer:
         channel, encoder = add_skeleton_channel(writer, "/hiros/filtered"), Encoder(MODEL)
         for frame in frames:
@@ -56,29 +54,29 @@ def write(path: Path, frames: Sequence[Frame]) -> Path:
     return path
 
 
-def frames() -> list[Frame]:
+def frames():
     return [full_frame(k) for k in range(FRAMES)]
 
 
 @pytest.fixture(scope="module")
-def golden_logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def golden_logs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("golden")
     full, compact = write(folder / "full.mcap", frames()), folder / "compact.mcap"
     write_golden(full, compact)
     return {"full": full, "compact": compact}
 
 
-def check(new: list[Frame], golden: Path, tmp_path: Path) -> list[Difference]:
+def check(new, golden, tmp_path):
     out = write(tmp_path / "out.mcap", new)
     result = check_output(out, Golden(golden))
     assert (result.status == "different") == bool(result.differences) == bool(result.first)
     return list(result.differences)
 
 
-def state(element: str, columns: slice, change: Callable[[np.ndarray], object]) -> Breaks:
+def state(element, columns, change):
     """Break columns of the third frame's second person."""
 
-    def breaks(new: list[Frame]) -> None:
+    def breaks(new):
         part = getattr(new[3], element)[1]
         row = part[..., columns] if element == "boxes" else part[2, columns]
         row[:] = change(row)
@@ -86,29 +84,29 @@ def state(element: str, columns: slice, change: Callable[[np.ndarray], object]) 
     return breaks
 
 
-def confidence(element: str, value: float) -> Breaks:
-    def breaks(new: list[Frame]) -> None:
+def confidence(element, value):
+    def breaks(new):
         getattr(new[3], element)[1] = value
 
     return breaks
 
 
-def log_time(new: list[Frame]) -> None:
+def log_time(new):
     new[3] = new[3].replace(log_time=new[3].log_time + 2000)
 
 
-def source_time(new: list[Frame]) -> None:
+def source_time(new):
     new[3].stamps[1] += 2000
 
 
-def shifted(ns: int) -> Breaks:
-    def breaks(new: list[Frame]) -> None:
+def shifted(ns):
+    def breaks(new):
         new[3] = later(new[3], ns)
 
     return breaks
 
 
-def extra_person(new: list[Frame]) -> None:
+def extra_person(new):
     both = seen([person(0.03), person(2), person(5)], at(3), ids=[0, 1, 2])
     arrays = {}
     for name in new[3].people._fields:
@@ -116,18 +114,18 @@ def extra_person(new: list[Frame]) -> None:
     new[3] = new[3].replace(**arrays)
 
 
-def one_person_less(new: list[Frame]) -> None:
+def one_person_less(new):
     new[3] = new[3].select([0])
 
 
-def swapped_ids(new: list[Frame]) -> None:
+def swapped_ids(new):
     new[3] = new[3].replace(ids=np.array([1, 0], np.int32))
 
 
-def all_gone(element: str, slots: slice) -> Breaks:
+def all_gone(element, slots):
     """Markers or links that no frame has any more."""
 
-    def breaks(new: list[Frame]) -> None:
+    def breaks(new):
         for frame in new:
             getattr(frame, element)[:, slots] = np.nan
             getattr(frame, f"{element[:-1]}_confidences")[:, slots] = np.nan
@@ -145,11 +143,11 @@ COLUMNS = {
 }
 
 
-def absent(numbers: np.ndarray) -> object:
+def absent(numbers):
     return np.full_like(numbers, np.nan)
 
 
-def off(numbers: np.ndarray) -> object:
+def off(numbers):
     """Out by 1.3 %, or the same rotation about another axis."""
     return numbers[[1, 2, 0, 3]] if len(numbers) == 4 else numbers * 1.013
 
@@ -187,16 +185,14 @@ CASES = {
 
 @pytest.mark.parametrize("kind", ["full", "compact"])
 @pytest.mark.parametrize(("breaks", "what"), CASES.values(), ids=CASES)
-def test_what_breaks_is_named(
-    golden_logs: dict[str, Path], tmp_path: Path, kind: str, breaks: Breaks, what: str
-) -> None:
+def test_what_breaks_is_named(golden_logs, tmp_path, kind, breaks, what):
     new = frames()
     breaks(new)
     assert what in [difference.what for difference in check(new, golden_logs[kind], tmp_path)]
 
 
 @pytest.mark.parametrize("name", [n for n in CASES if "absent" in n or "nan" in n or "link" in n])
-def test_what_the_golden_log_lacks_is_new(tmp_path: Path, name: str) -> None:
+def test_what_the_golden_log_lacks_is_new(tmp_path, name):
     breaks, what = CASES[name]
     old = frames()
     breaks(old)
@@ -207,11 +203,11 @@ def test_what_the_golden_log_lacks_is_new(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["full", "compact"])
-def test_the_same_is_equal(golden_logs: dict[str, Path], tmp_path: Path, kind: str) -> None:
+def test_the_same_is_equal(golden_logs, tmp_path, kind):
     assert check(frames(), golden_logs[kind], tmp_path) == []
 
 
-def test_skeletons_without_any_number_equal_themselves(tmp_path: Path) -> None:
+def test_skeletons_without_any_number_equal_themselves(tmp_path):
     nobody = frames()
     for frame in nobody:
         for element in ("markers", "links", "boxes"):
@@ -220,7 +216,7 @@ def test_skeletons_without_any_number_equal_themselves(tmp_path: Path) -> None:
     assert check(nobody, golden, tmp_path) == []
 
 
-def test_several_people_without_ids_equal_themselves(tmp_path: Path) -> None:
+def test_several_people_without_ids_equal_themselves(tmp_path):
     nameless = [f.replace(ids=np.array([-1, -1], np.int32)) for f in frames()]
     golden = write(tmp_path / "golden.mcap", nameless)
     assert check(nameless, golden, tmp_path) == []

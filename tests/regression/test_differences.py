@@ -10,56 +10,54 @@ from stick_figures import MODEL, at, person, seen
 
 from hiros_mcap.body.limb_table import Limb, LimbTable
 from hiros_mcap.regression.differences import (
-    ChannelComparison,
     Comparison,
     compare_frames,
     compare_limbs,
 )
 from hiros_mcap.regression.quantities import Tolerances
-from hiros_mcap.skeletons import Frame
 
 
-def frames() -> list[Frame]:
+def frames():
     """Two people, 20 frames."""
     return [seen([person(0.01 * k), person(2)], at(k), ids=[0, 1], turns=True) for k in range(20)]
 
 
-def compared(new: list[Frame], tolerances: Tolerances | None = None) -> ChannelComparison:
+def compared(new, tolerances=None):
     return compare_frames(new, frames(), MODEL, tolerances, "/hiros/filtered")
 
 
-def found(result: ChannelComparison, tolerances: Tolerances | None = None) -> list[str]:
+def found(result, tolerances=None):
     """What was and is, without details."""
     differences = result.differences(tolerances or Tolerances())
     return [f"{d.what}: was {d.was}, is {d.now}" for d in differences]
 
 
-def faults(new: list[Frame]) -> list[str]:
+def faults(new):
     return found(compared(new))
 
 
-def test_the_same_is_equal() -> None:
+def test_the_same_is_equal():
     result = compared(frames())
     assert found(result) == []
     assert result.first is None
     assert result.ids == {0: 0, 1: 1}
 
 
-def test_other_ids_for_the_same_people_are_equal() -> None:
+def test_other_ids_for_the_same_people_are_equal():
     new = [f.replace(ids=np.array([7, 3], np.int32)) for f in frames()]
     assert compared(new).ids == {0: 7, 1: 3}
     assert faults(new) == []
     assert faults([f.select([1, 0]) for f in frames()]) == []
 
 
-def test_rounding_is_forgiven_and_a_micrometre_more_is_not() -> None:
+def test_rounding_is_forgiven_and_a_micrometre_more_is_not():
     for offset, equal in ((9e-7, True), (1.1e-6, False)):
         new = frames()
         new[5].positions[1, 3, 2] += offset
         assert (faults(new) == []) == equal
 
 
-def test_one_joint_that_moved_is_named_with_its_frame() -> None:
+def test_one_joint_that_moved_is_named_with_its_frame():
     new = frames()
     new[5].positions[1, 6] += [0, 0, 0.02]
     new[9].positions[0, 7] += [0, 0, 0.01]
@@ -79,7 +77,7 @@ def test_one_joint_that_moved_is_named_with_its_frame() -> None:
     assert result.first.what == "WRIST_LEFT of person 1 is off by 20 mm"
 
 
-def test_a_turned_link() -> None:
+def test_a_turned_link():
     new = frames()
     half = math.radians(0.5) / 2
     new[3].links[0, 2, 3:7] = [0, 0, math.sin(half), math.cos(half)]
@@ -93,22 +91,20 @@ def test_a_turned_link() -> None:
 
 
 @pytest.mark.parametrize(("degrees", "equal"), [(9e-5, True), (1.1e-4, False)])
-def test_orientations_are_equal_up_to_a_ten_thousandth_of_a_degree(
-    degrees: float, equal: bool
-) -> None:
+def test_orientations_are_equal_up_to_a_ten_thousandth_of_a_degree(degrees, equal):
     new, half = frames(), math.radians(degrees) / 2
     new[3].links[0, 2, 3:7] = [0, 0, math.sin(half), math.cos(half)]
     assert (faults(new) == []) == equal
     assert (compared(new).first is None) == equal
 
 
-def test_a_quaternion_of_the_other_sign_is_the_same_orientation() -> None:
+def test_a_quaternion_of_the_other_sign_is_the_same_orientation():
     new = frames()
     new[3].links[0, 2, 3:7] *= -1
     assert faults(new) == []
 
 
-def test_orientations_that_vanish_and_appear() -> None:
+def test_orientations_that_vanish_and_appear():
     new, golden = frames(), frames()
     new[2].links[0, 1] = np.nan
     golden[3].links[1, 2] = np.nan
@@ -121,7 +117,7 @@ def test_orientations_that_vanish_and_appear() -> None:
     assert result.first.frame == 2
 
 
-def limbs(**lengths: float) -> LimbTable:
+def limbs(**lengths):
     """Limb lengths of person 0."""
     return LimbTable({0: {name: Limb(length, 0.0) for name, length in lengths.items()}})
 
@@ -137,19 +133,19 @@ def limbs(**lengths: float) -> LimbTable:
         (LimbTable(), "2 limbs differ"),
     ],
 )
-def test_limb_lengths(now: LimbTable, fault: str) -> None:
+def test_limb_lengths(now, fault):
     lengths = compare_limbs(now, limbs(arm=0.3, leg=0.4), {})
     differences = Comparison([], lengths=lengths).differences(Tolerances())
     assert bool(differences) == bool(fault)
     assert fault in "".join(map(str, differences.get("calibration", [])))
 
 
-def test_limb_lengths_belong_to_people_not_to_ids() -> None:
+def test_limb_lengths_belong_to_people_not_to_ids():
     now = LimbTable({7: limbs(arm=0.3).people[0], 0: limbs(arm=0.5).people[0]})
     assert compare_limbs(now, limbs(arm=0.3), {0: 7}) == {(0, "arm"): (0.3, 0.3)}
 
 
-def test_missing_and_extra_frames() -> None:
+def test_missing_and_extra_frames():
     new = frames()
     late = new.pop(4)
     new.append(late.replace(stamp=at(30)))
@@ -163,13 +159,13 @@ def test_missing_and_extra_frames() -> None:
 @pytest.mark.parametrize(
     ("late", "equal"), [(1, True), (-1000, True), (1001, False), (-1001, False)]
 )
-def test_a_frame_within_a_microsecond_is_the_same_frame(late: int, equal: bool) -> None:
+def test_a_frame_within_a_microsecond_is_the_same_frame(late, equal):
     new = frames()
     new[4] = new[4].replace(stamp=new[4].stamp + late)
     assert faults(new) == ([] if equal else ["frames: was 20, is 20"])
 
 
-def test_an_extra_frame_diverges_at_its_own_time() -> None:
+def test_an_extra_frame_diverges_at_its_own_time():
     golden = frames()
     extra = golden.pop(6)
     result = compare_frames(frames(), golden, MODEL)
@@ -180,7 +176,7 @@ def test_an_extra_frame_diverges_at_its_own_time() -> None:
     assert first.seconds == pytest.approx(6 / 30, abs=1e-6)
 
 
-def test_a_missing_and_an_extra_person() -> None:
+def test_a_missing_and_an_extra_person():
     new = frames()
     new[8] = new[8].select([0])
     new[9] = seen([person(0.09), person(2), person(5)], at(9), ids=[0, 1, 4], turns=True)
@@ -190,7 +186,7 @@ def test_a_missing_and_an_extra_person() -> None:
     ]
 
 
-def test_a_switch_of_ids_is_told_from_somebody_missing() -> None:
+def test_a_switch_of_ids_is_told_from_somebody_missing():
     new = [
         f if k < 12 else f.replace(ids=np.array([1, 0], np.int32)) for k, f in enumerate(frames())
     ]
@@ -202,7 +198,7 @@ def test_a_switch_of_ids_is_told_from_somebody_missing() -> None:
     assert compared(new).first.what == "person 0 is now id 1"  # type: ignore[union-attr]
 
 
-def test_joints_that_vanish_and_appear() -> None:
+def test_joints_that_vanish_and_appear():
     new, golden = frames(), frames()
     new[2].markers[0, 6] = np.nan
     golden[3].markers[1, 7] = np.nan
@@ -213,7 +209,7 @@ def test_joints_that_vanish_and_appear() -> None:
     ]
 
 
-def test_somebody_30_cm_off_is_somebody_else() -> None:
+def test_somebody_30_cm_off_is_somebody_else():
     for offset, what in (
         (0.29, "positions: was 2, 0, 1 m, is 2, 0.29"),
         (0.31, "person 1: was in 20 frames"),
@@ -223,7 +219,7 @@ def test_somebody_30_cm_off_is_somebody_else() -> None:
         assert faults(new)[0].startswith(what)
 
 
-def test_the_share_of_wrong_people_is_of_all_skeletons() -> None:
+def test_the_share_of_wrong_people_is_of_all_skeletons():
     """One of 40 skeletons is missing, one extra in another frame: 5 % are wrong."""
     new = frames()
     new[8] = new[8].select([0])
@@ -232,7 +228,7 @@ def test_the_share_of_wrong_people_is_of_all_skeletons() -> None:
     assert len(found(compared(new), Tolerances(people=0.049))) == 2
 
 
-def test_tolerated_shares() -> None:
+def test_tolerated_shares():
     new = frames()[1:]
     new[8] = new[8].select([0])
     loose = Tolerances(frames=0.05, people=0.05)
@@ -240,7 +236,7 @@ def test_tolerated_shares() -> None:
     assert len(faults(new)) == 2
 
 
-def test_empty_channels() -> None:
+def test_empty_channels():
     assert found(compare_frames([], [], MODEL)) == []
     assert compare_frames([], frames(), MODEL).missing_frames == 20
     assert compare_frames(frames(), [], MODEL).extra_frames == 20

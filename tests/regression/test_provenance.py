@@ -20,7 +20,7 @@ from hiros_mcap.running.pipeline import ProcessOptions, process
 
 
 @pytest.fixture(scope="module")
-def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def output(tmp_path_factory):
     out = tmp_path_factory.mktemp("out") / "out.mcap"
     process(SAMPLE, out, options=ProcessOptions(keep=()))
     return out
@@ -30,7 +30,7 @@ SAMPLE = Path(__file__).parents[2] / "sample_data" / "one_person_walking.mcap"
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".json"])
-def test_a_golden_file_keeps_how_it_was_made(output: Path, tmp_path: Path, suffix: str) -> None:
+def test_a_golden_file_keeps_how_it_was_made(output, tmp_path, suffix):
     golden = tmp_path / f"golden{suffix}"
     check_output(output, Golden(golden), bless=True)
     other = tmp_path / "other.mcap"
@@ -45,7 +45,7 @@ def test_a_golden_file_keeps_how_it_was_made(output: Path, tmp_path: Path, suffi
     assert len(result.differences) > 2
 
 
-def test_a_golden_log_carries_version_configuration_and_input(output: Path, tmp_path: Path) -> None:
+def test_a_golden_log_carries_version_configuration_and_input(output, tmp_path):
     write_golden(output, tmp_path / "golden.mcap")
     kept = Provenance.of_log(tmp_path / "golden.mcap")
     assert kept == Provenance.of_log(output)
@@ -56,7 +56,7 @@ def test_a_golden_log_carries_version_configuration_and_input(output: Path, tmp_
         assert reader.attachment("hiros/config.toml")
 
 
-def test_version_input_and_parameters_that_changed() -> None:
+def test_version_input_and_parameters_that_changed():
     was = Provenance(
         {"version": "1", "input_sha256": "a", "system": "hiros"}, {"filter.cutoff": "6"}
     )
@@ -72,7 +72,7 @@ def test_version_input_and_parameters_that_changed() -> None:
     assert [d.what for d in changes(Provenance(), was)] == ["version and configuration"]
 
 
-def test_a_parameter_that_became_a_constant_of_the_same_value_is_no_change() -> None:
+def test_a_parameter_that_became_a_constant_of_the_same_value_is_no_change():
     was = Provenance({}, {"track.horizon": "0.2", "track.min_links": "0", "filter.order": "2"})
     now = Provenance({}, {"filter.order": "2"})
     assert changes(now, was) == []
@@ -80,7 +80,7 @@ def test_a_parameter_that_became_a_constant_of_the_same_value_is_no_change() -> 
     assert [d.what for d in changes(now, other)] == ["track.horizon"]
 
 
-def test_another_input_is_named(output: Path, tmp_path: Path) -> None:
+def test_another_input_is_named(output, tmp_path):
     check_output(output, Golden(tmp_path / "golden.mcap"), bless=True)
     other = tmp_path / "other.mcap"
     process(SAMPLE.with_name("two_people_crossing.mcap"), other, options=ProcessOptions(keep=()))
@@ -88,9 +88,7 @@ def test_another_input_is_named(output: Path, tmp_path: Path) -> None:
     assert result.differences[0].what == "input, SHA-256"
 
 
-def test_an_equal_result_does_not_list_parameters(
-    output: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_equal_result_does_not_list_parameters(output, tmp_path, capsys):
     golden, same = tmp_path / "golden.mcap", tmp_path / "same.mcap"
     check_output(output, Golden(golden), bless=True)
     config = load_config(overrides=["track.max_gap=1.6"])
@@ -99,7 +97,7 @@ def test_an_equal_result_does_not_list_parameters(
     assert capsys.readouterr().out.split() == ["equal", "same.mcap"]
 
 
-def test_files_that_a_run_was_given_are_named_by_their_hash(output: Path, tmp_path: Path) -> None:
+def test_files_that_a_run_was_given_are_named_by_their_hash(output, tmp_path):
     limbs = tmp_path / "limbs.toml"
     process(SAMPLE, tmp_path / "a.mcap", options=ProcessOptions(keep=(), limbs_out=limbs))
     process(SAMPLE, tmp_path / "b.mcap", options=ProcessOptions(keep=(), limbs_in=limbs))
@@ -108,7 +106,7 @@ def test_files_that_a_run_was_given_are_named_by_their_hash(output: Path, tmp_pa
     assert found[0].now == hashlib.sha256(limbs.read_bytes()).hexdigest()
 
 
-def test_the_hash_of_a_folder_and_of_a_pipe(tmp_path: Path) -> None:
+def test_the_hash_of_a_folder_and_of_a_pipe(tmp_path):
     folder = tmp_path / "bag"
     folder.mkdir()
     shutil.copy(SAMPLE, folder / "b.mcap")

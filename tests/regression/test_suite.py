@@ -42,7 +42,7 @@ from hiros_mcap.regression.quantities import LIMITS, Tolerances, beside
 from hiros_mcap.regression.suite import CaseResult, Golden, SuiteOptions, load_suite, run_suite
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Frame
-from hiros_mcap.systems import SYSTEMS, Run, Stages
+from hiros_mcap.systems import SYSTEMS
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 FULL = load_config(overrides=["output.precision=full", "output.derivatives=all"])
@@ -57,13 +57,13 @@ system = "hiros"
 """
 
 
-def test_the_total_adds_what_every_log_took() -> None:
+def test_the_total_adds_what_every_log_took():
     cases = [("a", "equal", 1.0), ("b", "error", 2.5), ("c", "different", 0.2)]
     results = [CaseResult(name, status, seconds=s) for name, status, s in cases]  # type: ignore[arg-type]
     assert check_report.totals(results) == ("1 of 3 logs as expected, 1 different, 1 failed, 3.7 s")
 
 
-def test_the_sample_logs_give_what_they_gave() -> None:
+def test_the_sample_logs_give_what_they_gave():
     results = run_suite(load_suite(SAMPLES / "suite.toml"), SuiteOptions(jobs=1))
     assert {r.name: (r.error, r.differences) for r in results} == {
         r.name: ("", ()) for r in results
@@ -72,7 +72,7 @@ def test_the_sample_logs_give_what_they_gave() -> None:
 
 
 @pytest.fixture
-def suite(tmp_path: Path) -> Path:
+def suite(tmp_path):
     """A suite of one log, with the golden outputs of all its stages."""
     shutil.copy(SAMPLES / "one_person_walking.mcap", tmp_path / "walk.mcap")
     (tmp_path / "golden").mkdir()
@@ -86,11 +86,11 @@ def suite(tmp_path: Path) -> Path:
 Wrap = Callable[[Iterable[Frame]], Iterator[Frame]]
 
 
-def change_stage(monkeypatch: pytest.MonkeyPatch, name: str, wrap: Wrap) -> None:
+def change_stage(monkeypatch, name, wrap):
     """Let the frames of one stage pass through ``wrap``."""
     hiros = SYSTEMS["hiros"]
 
-    def changed(run: Run) -> Stages:
+    def changed(run):
         table = dict(hiros.stages(run))
         stage = by_frame(table[name])
         table[name] = by_block(lambda frames: wrap(stage(frames)))
@@ -99,8 +99,8 @@ def change_stage(monkeypatch: pytest.MonkeyPatch, name: str, wrap: Wrap) -> None
     monkeypatch.setitem(SYSTEMS, "hiros", replace(hiros, stages=changed))
 
 
-def lifted(metres: float) -> Wrap:
-    def wrap(frames: Iterable[Frame]) -> Iterator[Frame]:
+def lifted(metres):
+    def wrap(frames):
         for frame in frames:
             markers = frame.markers.copy()
             markers[..., 2] += metres
@@ -112,9 +112,7 @@ def lifted(metres: float) -> Wrap:
 @pytest.mark.parametrize(
     ("stage", "equal"), [("tracked", []), ("merged", ["tracked"]), ("filtered", ["optimized"])]
 )
-def test_a_broken_stage_is_caught_and_named(
-    suite: Path, monkeypatch: pytest.MonkeyPatch, stage: str, equal: list[str]
-) -> None:
+def test_a_broken_stage_is_caught_and_named(suite, monkeypatch, stage, equal):
     change_stage(monkeypatch, stage, lifted(0.001))
     (result,) = run_suite(load_suite(suite), SuiteOptions(jobs=1))
     assert result.status == "different"
@@ -125,7 +123,7 @@ def test_a_broken_stage_is_caught_and_named(
         assert f"/hiros/{equal[-1]}" in result.notes[0]
 
 
-def test_what_is_tolerated_is_no_first_difference(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_tolerated_is_no_first_difference(monkeypatch):
     """Of ten frames, one is missing in the merger's channel, two in the filter's."""
     first = Divergence(3, 0, 0.1, "the frame is missing")
     channels = [
@@ -143,7 +141,7 @@ def test_what_is_tolerated_is_no_first_difference(monkeypatch: pytest.MonkeyPatc
     assert result.first == (("/hiros/filtered", first),)
 
 
-def renumbered(frames: Iterable[Frame]) -> Iterator[Frame]:
+def renumbered(frames):
     for frame in frames:
         yield frame.replace(ids=frame.ids + np.int32(40))
 
@@ -151,15 +149,13 @@ def renumbered(frames: Iterable[Frame]) -> Iterator[Frame]:
 @pytest.mark.parametrize(
     ("stage", "wrap"), [("filtered", lifted(1e-9)), ("tracked", renumbered)], ids=["1 nm", "ids"]
 )
-def test_a_harmless_change_is_not_reported(
-    suite: Path, monkeypatch: pytest.MonkeyPatch, stage: str, wrap: Wrap
-) -> None:
+def test_a_harmless_change_is_not_reported(suite, monkeypatch, stage, wrap):
     change_stage(monkeypatch, stage, wrap)
     (result,) = run_suite(load_suite(suite), SuiteOptions(jobs=1))
     assert (result.status, result.differences) == ("equal", ())
 
 
-def test_bless_accepts_and_says_what(suite: Path) -> None:
+def test_bless_accepts_and_says_what(suite):
     golden = suite.parent / "golden" / "walk.mcap"
     before = golden.read_bytes()
     text = suite.read_text() + 'set = ["filter.cutoff=8"]\n'
@@ -176,7 +172,7 @@ def test_bless_accepts_and_says_what(suite: Path) -> None:
     assert golden.read_bytes() != before
 
 
-def test_golden_metrics_forgive_numbers_but_not_quality(suite: Path) -> None:
+def test_golden_metrics_forgive_numbers_but_not_quality(suite):
     text = suite.read_text().replace("golden/walk.mcap", "golden/walk.json")
     suite.write_text(text)
     missing = run_suite(load_suite(suite), SuiteOptions(jobs=1))[0]
@@ -191,7 +187,7 @@ def test_golden_metrics_forgive_numbers_but_not_quality(suite: Path) -> None:
     assert any(text.startswith("metrics: jitter: was 8.54") for text in found)
 
 
-def test_thresholds_that_are_not_met(suite: Path) -> None:
+def test_thresholds_that_are_not_met(suite):
     suite.write_text(SUITE.replace("<= 25 mm", "<= 1 mm"))
     (result,) = run_suite(load_suite(suite), SuiteOptions(jobs=1))
     assert result.status == "different"
@@ -200,7 +196,7 @@ def test_thresholds_that_are_not_met(suite: Path) -> None:
     assert difference.now.startswith("2")
 
 
-def test_a_log_that_cannot_be_read_is_an_error_of_its_own(suite: Path) -> None:
+def test_a_log_that_cannot_be_read_is_an_error_of_its_own(suite):
     (suite.parent / "bad.mcap").write_bytes(b"no log at all")
     suite.write_text(SUITE + '[[log]]\ninput = "bad.mcap"\nrequire = ["people = 1"]\n')
     good, bad = run_suite(load_suite(suite), SuiteOptions(jobs=1))
@@ -208,7 +204,7 @@ def test_a_log_that_cannot_be_read_is_an_error_of_its_own(suite: Path) -> None:
     assert "bad.mcap" in bad.error
 
 
-def test_in_parallel_as_one_after_the_other() -> None:
+def test_in_parallel_as_one_after_the_other():
     suite = load_suite(SAMPLES / "suite.toml")
     names = ["two people crossing", "one person walking"]
     results = run_suite(suite, SuiteOptions(only=names, jobs=2))
@@ -216,7 +212,7 @@ def test_in_parallel_as_one_after_the_other() -> None:
     assert [r.status for r in results] == ["equal", "equal"]
 
 
-def test_a_case_runs_the_system_that_it_names(suite: Path, tmp_path: Path) -> None:
+def test_a_case_runs_the_system_that_it_names(suite, tmp_path):
     suite.write_text('[[log]]\ninput = "walk.mcap"\nsystem = "raw"\nrequire = ["people = 1"]\n')
     run_suite(load_suite(suite), SuiteOptions(jobs=1, keep=tmp_path / "golden"))
     assert output_channels(tmp_path / "golden" / "walk.mcap") == ["/hiros/tracked"]
@@ -246,19 +242,19 @@ def test_a_case_runs_the_system_that_it_names(suite: Path, tmp_path: Path) -> No
         (SUITE + SUITE, "two cases are called 'walk'"),
     ],
 )
-def test_faulty_suites(suite: Path, text: str, fault: str) -> None:
+def test_faulty_suites(suite, text, fault):
     suite.write_text(text)
     with pytest.raises(ConfigError, match=fault) as caught:
         load_suite(suite)
     assert str(suite) in str(caught.value)
 
 
-def test_a_name_that_is_not_in_the_suite(suite: Path) -> None:
+def test_a_name_that_is_not_in_the_suite(suite):
     with pytest.raises(ConfigError, match="no case 'run'"):
         run_suite(load_suite(suite), SuiteOptions(only=["run"]))
 
 
-def test_a_golden_log_is_compact_and_equal_to_its_source(walking: Path, tmp_path: Path) -> None:
+def test_a_golden_log_is_compact_and_equal_to_its_source(walking, tmp_path):
     out, golden = tmp_path / "out.mcap", tmp_path / "golden.mcap"
     process(walking, out, options=ProcessOptions(keep=()))
     write_golden(out, golden, ["/hiros/*"])
@@ -273,7 +269,7 @@ def test_a_golden_log_is_compact_and_equal_to_its_source(walking: Path, tmp_path
     assert golden.read_bytes() == first
 
 
-def test_calibration_that_changed_is_told(walking: Path, tmp_path: Path) -> None:
+def test_calibration_that_changed_is_told(walking, tmp_path):
     paths = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
     process(walking, paths[0], options=ProcessOptions(keep=()))
     limbs = tmp_path / "limbs.toml"
@@ -287,14 +283,14 @@ def test_calibration_that_changed_is_told(walking: Path, tmp_path: Path) -> None
     assert difference.now == "0.5 m"
 
 
-def test_logs_without_outputs_cannot_be_compared(walking: Path, tmp_path: Path) -> None:
+def test_logs_without_outputs_cannot_be_compared(walking, tmp_path):
     out = tmp_path / "out.mcap"
     process(walking, out, options=ProcessOptions(keep=()))
     with pytest.raises(LogError, match="nothing to compare"):
         compare_logs(walking, out)
 
 
-def test_tolerances_beside_the_golden_file(tmp_path: Path) -> None:
+def test_tolerances_beside_the_golden_file(tmp_path):
     assert beside(tmp_path / "a.mcap") == Tolerances()
     (tmp_path / "a.tolerances.toml").write_text("positions = 0.001\n")
     assert beside(tmp_path / "a.mcap").positions == 0.001
@@ -303,7 +299,7 @@ def test_tolerances_beside_the_golden_file(tmp_path: Path) -> None:
         beside(tmp_path / "a.mcap")
 
 
-def test_metrics_that_got_worse_or_better() -> None:
+def test_metrics_that_got_worse_or_better():
     golden = {"mpjpe": 20.0, "pck_50": 90.0, "missing": 3.0, "people": 2.0, "jitter": 8.0}
     new = {"mpjpe": 22.0, "pck_50": 99.0, "missing": 2.0, "people": 3.0}
     losses, gains = worse(new, golden, 0.05)
@@ -320,7 +316,7 @@ def test_metrics_that_got_worse_or_better() -> None:
 
 
 @pytest.mark.parametrize("count", ["missing", "false", "id_switches", "people", "frames"])
-def test_golden_counts_may_not_grow_at_all(count: str) -> None:
+def test_golden_counts_may_not_grow_at_all(count):
     losses, _ = worse({count: 101.0}, {count: 100.0}, 0.05)
     assert [(d.what, d.was, d.now) for d in losses] == [(count, "100", "101")]
 
@@ -336,14 +332,12 @@ def test_golden_counts_may_not_grow_at_all(count: str) -> None:
         ("lag", 2.0, 3.0, 3.1),
     ],
 )
-def test_golden_metrics_may_get_worse_by_their_share_or_their_floor(
-    name: str, was: float, worst: float, too_bad: float
-) -> None:
+def test_golden_metrics_may_get_worse_by_their_share_or_their_floor(name, was, worst, too_bad):
     assert worse({name: worst - 1e-9 * (worst > was)}, {name: was}, 0.05) == ([], [])
     assert len(worse({name: too_bad}, {name: was}, 0.05)[0]) == 1
 
 
-def test_an_early_result_is_as_bad_as_a_late_one(walking: Path, tmp_path: Path) -> None:
+def test_an_early_result_is_as_bad_as_a_late_one(walking, tmp_path):
     out = tmp_path / "out.mcap"
     process(walking, out)
     truth = load_truth(walking)
@@ -352,7 +346,7 @@ def test_an_early_result_is_as_bad_as_a_late_one(walking: Path, tmp_path: Path) 
         assert metrics["lag"] == pytest.approx(30, abs=2)
 
 
-def test_metrics_files(tmp_path: Path) -> None:
+def test_metrics_files(tmp_path):
     path = tmp_path / "m.json"
     provenance = Provenance({"version": "0.9"}, {"filter.cutoff": "6.0"})
     save_metrics(path, GoldenMetrics("/hiros/filtered", {"mpjpe": 1 / 3, "people": 2}, provenance))
@@ -382,7 +376,7 @@ def test_metrics_files(tmp_path: Path) -> None:
         ("mota > 0", {}, "is not known (no truth, or nothing to measure)"),
     ],
 )
-def test_thresholds(text: str, values: dict[str, float], fault: str) -> None:
+def test_thresholds(text, values, fault):
     difference = Threshold.parse(text).difference(values)
     assert (difference is None) == (fault == "")
     assert fault in str(difference)
@@ -401,7 +395,7 @@ RESULTS = [
 ]
 
 
-def test_junit_is_xml_that_counts() -> None:
+def test_junit_is_xml_that_counts():
     suite = ElementTree.fromstring(check_report.junit(RESULTS, "suite"))[0]
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("3", "1", "1")
     failure = suite[1].find("failure")
@@ -411,7 +405,7 @@ def test_junit_is_xml_that_counts() -> None:
     assert suite[2].find("error") is not None
 
 
-def test_markdown_keeps_to_its_tables_and_has_no_empty_column() -> None:
+def test_markdown_keeps_to_its_tables_and_has_no_empty_column():
     lines = check_report.markdown(RESULTS, "suite").splitlines()
     assert lines[0].startswith("### hiros check: suite: 1 of 3 logs as expected, 1 different, 1 f")
     table = [[c.strip() for c in line.replace("\\|", "").split("|")[1:-1]] for line in lines[2:7]]
@@ -423,7 +417,7 @@ def test_markdown_keeps_to_its_tables_and_has_no_empty_column() -> None:
     assert "bad.mcap: not a log" in lines
 
 
-def test_json_is_json() -> None:
+def test_json_is_json():
     data = json.loads(json.dumps(check_report.as_dict(RESULTS)))
     assert (data["equal"], data["different"], data["errors"]) == (1, 1, 1)
 
@@ -443,14 +437,14 @@ def test_json_is_json() -> None:
         ("id_switches", "switches"),
     ],
 )
-def test_each_metric_is_that_of_its_name(name: str, field: str) -> None:
+def test_each_metric_is_that_of_its_name(name, field):
     frame = [seen([person()], at(0), ids=[0])]
     scores = evaluate(frame, Truth.of(frame), MODEL)
     changed = replace(scores, **{field: 7})
     assert MEASURES[name].compared(changed) == 7
 
 
-def test_the_page_has_the_tolerances() -> None:
+def test_the_page_has_the_tolerances():
     page = (SAMPLES.parent / "docs" / "golden.md").read_text(encoding="utf-8")
     block = page.partition("## Tolerances")[2].partition("```toml\n")[2].partition("```")[0]
     others = {name: getattr(Tolerances(), name) for name in Tolerances.model_fields}

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from pathlib import Path
-
 import numpy as np
 import pytest
 from odd_logs import changed, later
 
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.calibrate.verdict import UNLINKED, Verdict
+from hiros_mcap.calibrate.verdict import UNLINKED
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate import load_truth
@@ -27,45 +24,45 @@ from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.write_log import write_log
 from hiros_mcap.skeletons import Frame
-from hiros_mcap.summary import PoseSummary, Summary
+from hiros_mcap.summary import PoseSummary
 
 S = 10**9
 HALF = 180  # messages of a camera before the middle
 
 
 @pytest.fixture(scope="module")
-def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def walk(tmp_path_factory):
     """Three cameras see somebody walk for 12 s."""
     path = tmp_path_factory.mktemp("clocks") / "walk.mcap"
     write_log(path, SimulateParams(people=1, cameras=3, seconds=12.0, seed=4))
     return path
 
 
-def step(seconds: float) -> Callable[[Frame, int], Frame]:
+def step(seconds):
     return lambda f, sent: later_people(f, seconds if sent >= HALF else 0)
 
 
-def offset(seconds: float) -> Callable[[Frame, int], Frame]:
+def offset(seconds):
     return lambda f, sent: later_people(f, seconds)
 
 
-def later_people(frame: Frame, seconds: float) -> Frame:
+def later_people(frame, seconds):
     return later(frame, round(seconds * S)) if frame.source == "camera_1" else frame
 
 
-def error(out: Path, truth: Path) -> float:
+def error(out, truth):
     found = evaluate_log(out, load_truth(truth), ["/hiros/filtered"])
     return found["/hiros/filtered"].scores.mean
 
 
-def run(walk: Path, folder: Path, change: object, *settings: str, system: str = "hiros") -> Summary:
+def run(walk, folder, change, *settings, system="hiros"):
     source = changed(walk, folder / "wrong.mcap", change)  # type: ignore[arg-type]
     config = load_config(None, settings, system=system)
     return process(source, folder / "out.mcap", config=config, options=ProcessOptions(system))
 
 
 @pytest.fixture(scope="module")
-def without(walk: Path) -> float:
+def without(walk):
     """Error, mm, of a run without the camera."""
     out = walk.with_name("without.mcap")
     topics = ("/camera_0/*", "/camera_2/*")
@@ -74,9 +71,7 @@ def without(walk: Path) -> float:
 
 
 @pytest.mark.parametrize("seconds", [-0.1, 2.0])
-def test_a_step_of_one_clock_costs_nothing(
-    seconds: float, walk: Path, without: float, tmp_path: Path
-) -> None:
+def test_a_step_of_one_clock_costs_nothing(seconds, walk, without, tmp_path):
     summary = run(walk, tmp_path, step(seconds))
     assert summary.skipped == 0
     assert error(tmp_path / "out.mcap", walk) < 1.05 * without
@@ -87,9 +82,7 @@ def test_a_step_of_one_clock_costs_nothing(
 
 
 @pytest.mark.parametrize("seconds", [-1.5, 0.1])
-def test_people_who_walk_prove_an_offset(
-    seconds: float, walk: Path, without: float, tmp_path: Path
-) -> None:
+def test_people_who_walk_prove_an_offset(seconds, walk, without, tmp_path):
     summary = run(walk, tmp_path, offset(seconds))
     assert summary.skipped == 0
     assert error(tmp_path / "out.mcap", walk) < 1.05 * without
@@ -99,12 +92,10 @@ def test_people_who_walk_prove_an_offset(
     assert "--clock camera_1=" in summary.warnings[0]
 
 
-def test_people_who_stand_still_prove_nothing_and_nothing_is_changed(
-    walk: Path, tmp_path: Path
-) -> None:
+def test_people_who_stand_still_prove_nothing_and_nothing_is_changed(walk, tmp_path):
     first: dict[str, Frame] = {}
 
-    def frozen(frame: Frame, _: int) -> Frame:
+    def frozen(frame, _):
         if frame.n_people:
             pose = first.setdefault(frame.source, frame)
             frame = pose.replace(stamp=frame.stamp, stamps=pose.stamps - pose.stamp + frame.stamp)
@@ -118,7 +109,7 @@ def test_people_who_stand_still_prove_nothing_and_nothing_is_changed(
     assert f"--clock camera_1={-fault.seconds:.3f}" in summary.warnings[0]
 
 
-def test_a_correction_by_the_user_is_taken_as_right(walk: Path, tmp_path: Path) -> None:
+def test_a_correction_by_the_user_is_taken_as_right(walk, tmp_path):
     summary = run(walk, tmp_path, offset(1.5), "clock.camera_1=-1.5")
     assert summary.warnings == ()
     plain = process(walk, tmp_path / "plain.mcap", options=ProcessOptions("hiros"))
@@ -130,20 +121,18 @@ def test_a_correction_by_the_user_is_taken_as_right(walk: Path, tmp_path: Path) 
     assert error(tmp_path / "out.mcap", walk) == error(tmp_path / "plain.mcap", walk)
 
 
-def test_a_camera_goes_by_its_topic_too_and_others_are_refused(walk: Path, tmp_path: Path) -> None:
+def test_a_camera_goes_by_its_topic_too_and_others_are_refused(walk, tmp_path):
     assert run(walk, tmp_path, offset(1.0), "clock./camera_1/skeletons=-1.0").warnings == ()
     with pytest.raises(ConfigError, match=r"no camera 'x' \(there are: camera_0, camera_1, cam"):
         process(walk, config=load_config(None, ["clock.x=1"]))
 
 
-def test_the_correction_of_a_camera_that_sent_nothing_is_no_fault(
-    walk: Path, tmp_path: Path
-) -> None:
+def test_the_correction_of_a_camera_that_sent_nothing_is_no_fault(walk, tmp_path):
     empty = changed(walk, tmp_path / "empty.mcap", offset(0.0), keep=False)
     assert process(empty, config=load_config(None, ["clock.camera_1=1"])).people == ()
 
 
-def test_the_output_has_right_stamps_and_the_input_as_it_was(walk: Path, tmp_path: Path) -> None:
+def test_the_output_has_right_stamps_and_the_input_as_it_was(walk, tmp_path):
     run(walk, tmp_path, step(30.0))
     tracked, _, _ = read_channel(tmp_path / "out.mcap", "/hiros/tracked")
     assert max(frame.stamp for frame in tracked) - min(frame.stamp for frame in tracked) < 13 * S
@@ -155,7 +144,7 @@ def test_the_output_has_right_stamps_and_the_input_as_it_was(walk: Path, tmp_pat
         assert [bytes(message.data) for message in copy.messages({also})] == sent
 
 
-def test_a_fault_is_an_event_and_in_info(walk: Path, tmp_path: Path) -> None:
+def test_a_fault_is_an_event_and_in_info(walk, tmp_path):
     summary = run(walk, tmp_path, step(2.0))
     with McapReader(tmp_path / "out.mcap") as reader:
         events = events_from_json((reader.attachment(EVENTS_ATTACHMENT) or b"").decode())
@@ -166,7 +155,7 @@ def test_a_fault_is_an_event_and_in_info(walk: Path, tmp_path: Path) -> None:
     assert overview_of(walk).clocks == ()
 
 
-def shifted_whole(walk: Path, target: Path, seconds: Mapping[str, float]) -> Path:
+def shifted_whole(walk, target, seconds):
     """Copy the log; stamps and log times of some cameras are later, so that no lag shows it."""
     with open_log(walk) as log, McapWriter(target) as writer:
         writer.copy_definitions(log.reader, log.reader.channels)
@@ -187,8 +176,8 @@ def shifted_whole(walk: Path, target: Path, seconds: Mapping[str, float]) -> Pat
 
 @pytest.mark.parametrize("seconds", [-0.09, 0.03])
 def test_an_offset_that_log_times_hide_is_found_with_the_poses_and_corrected(
-    seconds: float, walk: Path, tmp_path: Path
-) -> None:
+    seconds, walk, tmp_path
+):
     source, out = shifted_whole(walk, tmp_path / "w.mcap", {"camera_1": seconds}), tmp_path / "out"
     summary = process(source, out)
     (fault,) = summary.cameras[1].clock
@@ -201,7 +190,7 @@ def test_an_offset_that_log_times_hide_is_found_with_the_poses_and_corrected(
     assert error(out, walk) == pytest.approx(error(tmp_path / "healthy", walk), rel=0.02)
 
 
-def test_an_offset_of_most_of_a_second_is_found_in_a_crowd(tmp_path: Path) -> None:
+def test_an_offset_of_most_of_a_second_is_found_in_a_crowd(tmp_path):
     """Six people walk at one pace: where each is fits others a moment later, and steps repeat."""
     params = SimulateParams(people=6, cameras=4, seconds=20.0, seed=8)
     write_log(tmp_path / "crowd.mcap", params)
@@ -212,9 +201,7 @@ def test_an_offset_of_most_of_a_second_is_found_in_a_crowd(tmp_path: Path) -> No
     assert fault.seconds == pytest.approx(0.8, abs=0.008)
 
 
-def test_a_clock_that_the_user_gave_is_right_and_the_others_are_compared_with_it(
-    walk: Path, tmp_path: Path
-) -> None:
+def test_a_clock_that_the_user_gave_is_right_and_the_others_are_compared_with_it(walk, tmp_path):
     source = shifted_whole(walk, tmp_path / "w.mcap", {"camera_1": 0.09})
     given = load_config(overrides=["clock.camera_1=0.0"])
     summary = process(source, tmp_path / "out.mcap", config=given)
@@ -224,21 +211,19 @@ def test_a_clock_that_the_user_gave_is_right_and_the_others_are_compared_with_it
         assert fault.seconds == pytest.approx(-0.09, abs=0.01)
 
 
-def test_stamps_that_are_taken_as_they_are_stay_whatever_the_people_show(
-    walk: Path, tmp_path: Path
-) -> None:
+def test_stamps_that_are_taken_as_they_are_stay_whatever_the_people_show(walk, tmp_path):
     source = shifted_whole(walk, tmp_path / "w.mcap", {"camera_1": 0.09})
     config = load_config(overrides=["input.clocks=off"])
     assert process(source, config=config).cameras[1].clock == ()
 
 
-def test_a_healthy_log_keeps_all_stamps(walk: Path, tmp_path: Path) -> None:
+def test_a_healthy_log_keeps_all_stamps(walk, tmp_path):
     summary = process(walk, tmp_path / "out.mcap")
     assert all(0.0 < abs(pose.clock_ms) < 10.0 for pose in summary.poses if pose.clock_ms)
     assert [camera.clock for camera in summary.cameras] == [()] * 3
 
 
-def three(**lags: float) -> ClockAlignment:
+def three(**lags):
     """Cameras with messages every tenth of a second that are logged so late, s."""
     stamps = S + np.arange(0, 10 * S, S // 10)
     times = {name: CameraTimes(stamps, stamps + round(lag * S)) for name, lag in lags.items()}
@@ -256,8 +241,8 @@ def three(**lags: float) -> ClockAlignment:
     ],
 )
 def test_a_significant_offset_is_corrected_or_a_fault_says_why_not(
-    ms: float, error_ms: float, verdict: Verdict, corrected: bool | None
-) -> None:
+    ms, error_ms, verdict, corrected
+):
     clocks = three(right=0.0, wrong=0.0)
     reason = "only 3 s of common view" if verdict == "doubtful" else ""
     clocks.take_offsets([
@@ -271,7 +256,7 @@ def test_a_significant_offset_is_corrected_or_a_fault_says_why_not(
     assert (moved == (round(ms * 1e6) if corrected else 0)).all()
 
 
-def test_a_camera_that_was_moved_has_the_surer_of_its_two_clocks() -> None:
+def test_a_camera_that_was_moved_has_the_surer_of_its_two_clocks():
     clocks = three(moved=0.0, a=0.0, b=0.0)
     clocks.take_offsets([
         PoseSummary("moved", "good", clock_ms=40.0, error_ms=1.0),
@@ -283,9 +268,7 @@ def test_a_camera_that_was_moved_has_the_surer_of_its_two_clocks() -> None:
 
 
 @pytest.mark.parametrize(("error_ms", "corrected"), [(9.0, True), (11.0, False)])
-def test_the_error_of_a_clock_is_that_of_its_difference_from_the_other(
-    error_ms: float, corrected: bool
-) -> None:
+def test_the_error_of_a_clock_is_that_of_its_difference_from_the_other(error_ms, corrected):
     clocks = three(a=0.0, b=0.03)
     clocks.take_offsets([
         PoseSummary("a", "good", clock_ms=-15.0, error_ms=error_ms),
@@ -294,7 +277,7 @@ def test_the_error_of_a_clock_is_that_of_its_difference_from_the_other(
     assert bool(clocks.faults) == corrected
 
 
-def test_of_two_cameras_the_one_logged_nearer_to_its_stamps_is_right() -> None:
+def test_of_two_cameras_the_one_logged_nearer_to_its_stamps_is_right():
     clocks = three(a=-0.07, b=0.03)
     clocks.take_offsets([
         PoseSummary("a", "good", clock_ms=-50.0, error_ms=1.0),
@@ -303,7 +286,7 @@ def test_of_two_cameras_the_one_logged_nearer_to_its_stamps_is_right() -> None:
     assert [(fault.camera, fault.seconds) for fault in clocks.faults] == [("a", 0.1)]
 
 
-def test_the_lag_of_a_camera_that_shares_no_view_is_named_with_the_reason() -> None:
+def test_the_lag_of_a_camera_that_shares_no_view_is_named_with_the_reason():
     clocks = three(a=0.0, b=0.0, alone=0.3)
     clocks.take_offsets([
         PoseSummary("a", "good", clock_ms=0.0, error_ms=1.0),
@@ -315,9 +298,7 @@ def test_the_lag_of_a_camera_that_shares_no_view_is_named_with_the_reason() -> N
 
 
 @pytest.mark.parametrize("poses", ["absent", "wrong"])
-def test_a_clock_that_is_found_with_poses_from_nothing_is_used(
-    poses: str, walk: Path, tmp_path: Path
-) -> None:
+def test_a_clock_that_is_found_with_poses_from_nothing_is_used(poses, walk, tmp_path):
     source = shifted_whole(walk, tmp_path / "w.mcap", {"camera_1": 0.09})
     with open_log(source) as log, McapWriter(tmp_path / "poses.mcap") as writer:
         kept = {i: c for i, c in log.reader.channels.items() if c.topic != "/tf_static"}
@@ -337,7 +318,7 @@ def test_a_clock_that_is_found_with_poses_from_nothing_is_used(
     assert np.median(given[:300] - used[:300]) == pytest.approx(0.09 * S, abs=0.008 * S)
 
 
-def late_delivery(walk: Path, target: Path) -> Path:
+def late_delivery(walk, target):
     """Copy the log; 3 s of one camera are logged 3 s later."""
     with open_log(walk) as log, McapWriter(target) as writer:
         writer.copy_definitions(log.reader, log.reader.channels)
@@ -353,7 +334,7 @@ def late_delivery(walk: Path, target: Path) -> Path:
     return target
 
 
-def test_late_messages_of_a_file_are_waited_for(walk: Path, tmp_path: Path) -> None:
+def test_late_messages_of_a_file_are_waited_for(walk, tmp_path):
     summary = process(late_delivery(walk, tmp_path / "late.mcap"), tmp_path / "out.mcap")
     assert (summary.skipped, summary.warnings) == (0, ())
     (note,) = (note for note in summary.notes if "late" in note)
@@ -361,7 +342,7 @@ def test_late_messages_of_a_file_are_waited_for(walk: Path, tmp_path: Path) -> N
     assert "arrived up to 3.0" in note
 
 
-def test_late_messages_of_a_live_system_are_lost_and_told(walk: Path, tmp_path: Path) -> None:
+def test_late_messages_of_a_live_system_are_lost_and_told(walk, tmp_path):
     source = late_delivery(walk, tmp_path / "late.mcap")
     config = load_config(system="hiros-realtime")
     summary = process(source, config=config, options=ProcessOptions("hiros-realtime"))
@@ -371,9 +352,7 @@ def test_late_messages_of_a_live_system_are_lost_and_told(walk: Path, tmp_path: 
 
 
 @pytest.mark.parametrize("seconds", [-5.0, 0.5])
-def test_a_live_system_corrects_a_step_from_the_past(
-    seconds: float, walk: Path, tmp_path: Path
-) -> None:
+def test_a_live_system_corrects_a_step_from_the_past(seconds, walk, tmp_path):
     summary = run(walk, tmp_path, step(seconds), system="hiros-realtime")
     assert summary.cameras[0].skipped == summary.cameras[2].skipped == {}
     assert sum(summary.cameras[1].skipped.values()) <= (40 if seconds < 0 else 0)
@@ -382,16 +361,14 @@ def test_a_live_system_corrects_a_step_from_the_past(
 
 
 @pytest.mark.parametrize("seconds", [0.2, 7200.0])
-def test_a_live_system_is_not_carried_away_by_a_clock_that_is_ahead(
-    seconds: float, walk: Path, tmp_path: Path
-) -> None:
+def test_a_live_system_is_not_carried_away_by_a_clock_that_is_ahead(seconds, walk, tmp_path):
     summary = run(walk, tmp_path, offset(seconds), system="hiros-realtime")
     assert summary.skipped == 0
     (fault,) = summary.cameras[1].clock
     assert fault.seconds == pytest.approx(seconds, abs=0.01)
 
 
-def test_a_live_system_leaves_healthy_clocks_alone(walk: Path, tmp_path: Path) -> None:
+def test_a_live_system_leaves_healthy_clocks_alone(walk, tmp_path):
     options, out = ProcessOptions("hiros-realtime", calibrate="off"), []
     for clocks in ("causal", "off"):
         config = load_config(None, [f"input.clocks={clocks}"], system="hiros-realtime")

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
 from hiros_mcap.frames import Block
 from hiros_mcap.io.camera_clock import DRIFT
 from hiros_mcap.running.clock_follower import ClockFollower
-from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.summary import ClockFault
 
 MODEL = SkeletonModel.of(["HIP"], [])
 START = 1_700_000_000 * 10**9
 
 
-def errors(
-    clock: Callable[[float], float], seconds: int
-) -> tuple[Floats, Floats, list[ClockFault]]:
+def errors(clock, seconds):
     """True times, s, and errors of the corrected stamps, s, of one of three cameras at 30 Hz.
 
     ``clock`` is the error of its clock at a true time; messages take 20 to 30 ms.
@@ -40,7 +36,7 @@ def errors(
 
 
 @pytest.mark.parametrize("rate", [-4e-3, 4e-3])
-def test_a_drift_that_grows_is_followed_without_a_jump(rate: float) -> None:
+def test_a_drift_that_grows_is_followed_without_a_jump(rate):
     times, wrong, faults = errors(lambda t: rate * (t + max(0.0, t - 30.0)), 80)
     assert [fault.kind for fault in faults] == [DRIFT]
     # What the clock gained before the change was known may stay, as an offset that is constant.
@@ -48,7 +44,7 @@ def test_a_drift_that_grows_is_followed_without_a_jump(rate: float) -> None:
     assert np.abs(wrong).max() < 0.15
 
 
-def test_what_a_clock_did_long_ago_is_forgotten() -> None:
+def test_what_a_clock_did_long_ago_is_forgotten():
     times, wrong, faults = errors(lambda t: 4e-3 * max(0.0, t - 60.0), 100)
     assert [fault.kind for fault in faults] == [DRIFT]
     assert np.abs(wrong[times > 85.0]).max() < 0.01

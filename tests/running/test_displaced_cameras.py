@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -22,7 +21,7 @@ from hiros_mcap.io.log import open_log
 from hiros_mcap.kernels.transforming import move
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.pose_alignment import PoseAlignment
-from hiros_mcap.simulate import SimulateParams, Simulation, simulate
+from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.stages.track.displaced import CAMERA_DISPLACED
 
@@ -34,14 +33,12 @@ Change = Callable[[Frame], Frame]
 
 
 @pytest.fixture(scope="module")
-def scene() -> Simulation:
+def scene():
     params = {"people": 2, "cameras": 4, "seconds": SECONDS, "seed": 3, "action": "cross"}
     return simulate(SimulateParams.model_validate(params))
 
 
-def write(
-    path: Path, scene: Simulation, change: Change, poses: Mapping[str, Rigid] | None = None
-) -> Path:
+def write(path, scene, change, poses=None):
     """Write a log in which one camera's frames are changed."""
     poses = {camera.name: camera.pose for camera in scene.cameras} | dict(poses or {})
     encoder = Encoder(scene.model)
@@ -56,11 +53,11 @@ def write(
     return path
 
 
-def as_it_is(frame: Frame) -> Frame:
+def as_it_is(frame):
     return frame
 
 
-def moved_late(frame: Frame) -> Frame:
+def moved_late(frame):
     """The frame of a camera that somebody moves before the last fifth of the log."""
     if frame.stamp < SimulateParams().start + AT_S * 1e9:
         return frame
@@ -69,16 +66,16 @@ def moved_late(frame: Frame) -> Frame:
     return frame.replace(people=people)
 
 
-def upside_down(frame: Frame) -> Frame:
+def upside_down(frame):
     people = frame.people.copy()
     move(pose_arrays([Rigid(from_vector(np.array([0.0, 0.0, np.pi])), np.zeros(3))]), 0, people)
     return frame.replace(people=people)
 
 
-def in_a_mirror(pose: Rigid) -> Change:
+def in_a_mirror(pose):
     """A wall of mirrors at x = 3 m: the camera shows everybody a second time."""
 
-    def change(frame: Frame) -> Frame:
+    def change(frame):
         n = frame.n_people
         twice = frame.select([*range(n), *range(n)]).people.copy()
         there = rotate(pose.xyzw, twice.markers[n:, :, :3]) + pose.translation
@@ -90,7 +87,7 @@ def in_a_mirror(pose: Rigid) -> Change:
     return change
 
 
-def false_people(path: Path, scene: Simulation) -> int:
+def false_people(path, scene):
     """Count the skeletons farther than 0.5 m from everybody, and those who are there twice."""
     truth = list(scene.truth)
     stamps = np.array([frame.stamp for frame in truth])
@@ -105,7 +102,7 @@ def false_people(path: Path, scene: Simulation) -> int:
     return false
 
 
-def faulty(kind: str, folder: Path, scene: Simulation) -> Path:
+def faulty(kind, folder, scene):
     """Write a log of a kind."""
     poses = {camera.name: camera.pose for camera in scene.cameras}
     changes: dict[str, tuple[Change, dict[str, Rigid]]] = {
@@ -127,7 +124,7 @@ def faulty(kind: str, folder: Path, scene: Simulation) -> Path:
         ("mirror", "hiros-realtime"),
     ],
 )
-def test_nobody_is_doubled(kind: str, system: str, scene: Simulation, tmp_path: Path) -> None:
+def test_nobody_is_doubled(kind, system, scene, tmp_path):
     log, out = faulty(kind, tmp_path, scene), tmp_path / "out.mcap"
     options = ProcessOptions(system=system, calibrate="off")
     summary = process(log, out, config=load_config(system=system), options=options)
@@ -136,7 +133,7 @@ def test_nobody_is_doubled(kind: str, system: str, scene: Simulation, tmp_path: 
     assert ("mirror" in warning) == (kind == "mirror")
 
 
-def test_the_warning_says_when_and_how_far(scene: Simulation, tmp_path: Path) -> None:
+def test_the_warning_says_when_and_how_far(scene, tmp_path):
     log, out = faulty("moved", tmp_path, scene), tmp_path / "out.mcap"
     summary = process(log, out, options=ProcessOptions(calibrate="off"))
     (warning,) = summary.warnings
@@ -151,27 +148,21 @@ def test_the_warning_says_when_and_how_far(scene: Simulation, tmp_path: Path) ->
     assert len(summary.people) == 2
 
 
-def test_the_terminal_shows_the_warning(
-    scene: Simulation, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_terminal_shows_the_warning(scene, tmp_path, capsys):
     log = faulty("mirror", tmp_path, scene)
     assert run(["process", str(log), "-o", str(tmp_path / "out.mcap"), "--calibrate", "off"]) == 0
     assert "hiros: warning: camera_1 shows mirror images of people" in capsys.readouterr().err
 
 
-def test_a_camera_moved_for_too_short_a_time_for_a_pose_doubles_nobody(
-    scene: Simulation, tmp_path: Path
-) -> None:
+def test_a_camera_moved_for_too_short_a_time_for_a_pose_doubles_nobody(scene, tmp_path):
     """As users run it: the poses are refined first, and the last part is too short."""
     log, out = faulty("moved", tmp_path, scene), tmp_path / "out.mcap"
     process(log, out)
     assert false_people(out, scene) == 0
 
 
-def test_the_verdict_says_from_when_on_a_pose_does_not_fit(
-    scene: Simulation, tmp_path: Path
-) -> None:
-    def nudged(frame: Frame) -> Frame:
+def test_the_verdict_says_from_when_on_a_pose_does_not_fit(scene, tmp_path):
+    def nudged(frame):
         late = frame.stamp > SimulateParams().start + (SECONDS - 2.0) * 1e9
         people = frame.people.copy()
         people.markers[:, :, 0] += 0.25 * late
@@ -185,19 +176,17 @@ def test_the_verdict_says_from_when_on_a_pose_does_not_fit(
     assert float(when[1]) == pytest.approx(SECONDS - 2.0, abs=1.0)
 
 
-def test_healthy_cameras_are_not_displaced(scene: Simulation, tmp_path: Path) -> None:
+def test_healthy_cameras_are_not_displaced(scene, tmp_path):
     log = faulty("healthy", tmp_path, scene)
     assert process(log, options=ProcessOptions(calibrate="off")).warnings == ()
 
 
 @pytest.mark.parametrize("cameras", [2, 3])
 @pytest.mark.parametrize("metres", [0.1, 0.2])
-def test_a_move_before_the_last_fifth_is_told_in_verdict_and_warning(
-    cameras: int, metres: float, tmp_path: Path
-) -> None:
+def test_a_move_before_the_last_fifth_is_told_in_verdict_and_warning(cameras, metres, tmp_path):
     """Too short a part for a pose, and people too near to be taken for others."""
 
-    def late(frame: Frame) -> Frame:
+    def late(frame):
         people = frame.people.copy()
         people.markers[:, :, 0] += metres * (frame.stamp > SimulateParams().start + 12 * SECOND)
         return frame.replace(people=people)
@@ -220,7 +209,7 @@ def test_a_move_before_the_last_fifth_is_told_in_verdict_and_warning(
 
 
 @pytest.mark.parametrize("others", [(2, 2), (3, 2), (3, 0), (2, 1), (2,)])
-def test_who_is_seen_by_a_camera_of_unknown_pose_alone_stays(others: tuple[int, ...]) -> None:
+def test_who_is_seen_by_a_camera_of_unknown_pose_alone_stays(others):
     """A camera that sees two people is moved in the middle of six instants."""
     model = SkeletonModel.of(["a", "b"], [])
     late = Event(3 * SECOND, CAMERA_DISPLACED, -1, "c", "")

@@ -9,17 +9,15 @@ import struct
 import threading
 import tracemalloc
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
 import zstandard
 from detector_logs import azure, kinect_v2, only, scene, together, write_ros2
 from mcap.reader import NonSeekingReader
-from mcap.records import McapRecord
 from mcap.stream_reader import StreamReader
 
 from hiros_mcap.config import load_config
@@ -30,7 +28,6 @@ from hiros_mcap.io.container.live_writer import LiveWriter
 from hiros_mcap.io.foxglove import FoxgloveInput
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.process_live import process_live
-from hiros_mcap.summary import Summary
 
 LIVE = ProcessOptions(system="hiros-realtime")
 AS_KNOWN = load_config(None, ["output.log_time=causal"], system="hiros-realtime")
@@ -39,7 +36,7 @@ Messages = dict[str, list[tuple[int, bytes]]]
 Sent = Sequence[tuple[str, Message]]
 
 
-def recorded(path: Path) -> list[tuple[str, Message]]:
+def recorded(path):
     """Topic and message, in the order of the log."""
     with McapReader(path) as reader:
         return [
@@ -48,7 +45,7 @@ def recorded(path: Path) -> list[tuple[str, Message]]:
         ]
 
 
-def results(data: bytes) -> Messages:
+def results(data):
     """Messages of every result channel, as the mcap library reads them."""
     found: Messages = defaultdict(list)
     reader = NonSeekingReader(io.BytesIO(data), validate_crcs=True)
@@ -59,11 +56,11 @@ def results(data: bytes) -> Messages:
 
 
 @contextmanager
-def piped(write: Callable[[int], None]) -> Iterator[McapInput]:
+def piped(write):
     """Yield the end of a pipe into which a thread writes."""
     end, begin = os.pipe()
 
-    def run() -> None:
+    def run():
         try:
             write(begin)
         except BrokenPipeError:
@@ -80,10 +77,10 @@ def piped(write: Callable[[int], None]) -> Iterator[McapInput]:
         thread.join()
 
 
-def send(path: Path, messages: Sent, *, commit: bool = True) -> Callable[[int], None]:
+def send(path, messages, *, commit=True):
     """Return what writes messages of a log into a pipe; a channel is defined when it is used."""
 
-    def write(descriptor: int) -> None:
+    def write(descriptor):
         with McapReader(path) as reader, LiveWriter(descriptor, "pipe") as writer:
             for topic, message in messages:
                 channel = next(c for c in reader.channels.values() if c.topic == topic)
@@ -95,12 +92,12 @@ def send(path: Path, messages: Sent, *, commit: bool = True) -> Callable[[int], 
     return write
 
 
-def run_live(write: Callable[[int], None], options: ProcessOptions = LIVE) -> tuple[Summary, bytes]:
+def run_live(write, options=LIVE):
     """Run with a pipe at both ends."""
     taken: list[bytes] = []
     end, begin = os.pipe()
 
-    def drain() -> None:
+    def drain():
         with open(end, "rb", buffering=0) as file:  # noqa: PTH123
             while data := file.read(1 << 16):
                 taken.append(data)
@@ -117,21 +114,21 @@ def run_live(write: Callable[[int], None], options: ProcessOptions = LIVE) -> tu
 
 
 @pytest.fixture(scope="module")
-def by_file(crossing: Path, tmp_path_factory: pytest.TempPathFactory) -> Messages:
+def by_file(crossing, tmp_path_factory):
     out = tmp_path_factory.mktemp("live") / "out.mcap"
     process(crossing, out, config=AS_KNOWN, options=LIVE)
     return results(out.read_bytes())
 
 
-def test_a_pipe_gives_what_a_file_gives(crossing: Path, by_file: Messages) -> None:
+def test_a_pipe_gives_what_a_file_gives(crossing, by_file):
     summary, out = run_live(send(crossing, recorded(crossing)))
     assert results(out) == by_file
     assert [person.id for person in summary.people] == [0, 1]
     assert summary.warnings == ()
 
 
-def test_a_recording_in_chunks_gives_the_same(crossing: Path, by_file: Messages) -> None:
-    def write(descriptor: int) -> None:
+def test_a_recording_in_chunks_gives_the_same(crossing, by_file):
+    def write(descriptor):
         data = memoryview(crossing.read_bytes())
         while data:
             data = data[os.write(descriptor, data) :]
@@ -140,7 +137,7 @@ def test_a_recording_in_chunks_gives_the_same(crossing: Path, by_file: Messages)
     assert results(out) == by_file
 
 
-def test_the_input_is_copied(crossing: Path) -> None:
+def test_the_input_is_copied(crossing):
     sent = recorded(crossing)
     _, out = run_live(send(crossing, sent))
     copied = [r.data for r in StreamReader(io.BytesIO(out)).records if isinstance(r, Message)]
@@ -149,13 +146,13 @@ def test_the_input_is_copied(crossing: Path) -> None:
     ]
 
 
-def test_results_come_before_the_input_ends(crossing: Path) -> None:
+def test_results_come_before_the_input_ends(crossing):
     sent = recorded(crossing)
     seen, done = threading.Event(), threading.Event()
     taken = bytearray()
     end, begin = os.pipe()
 
-    def drain() -> None:
+    def drain():
         with open(end, "rb", buffering=0) as file:  # noqa: PTH123
             while data := file.read(1 << 16):
                 taken.extend(data)
@@ -163,7 +160,7 @@ def test_results_come_before_the_input_ends(crossing: Path) -> None:
                     seen.set()
         done.set()
 
-    def write(descriptor: int) -> None:
+    def write(descriptor):
         half = len(sent) // 2
         send(crossing, sent[:half], commit=False)(descriptor)
         assert seen.wait(60)  # the input is still open
@@ -175,7 +172,7 @@ def test_results_come_before_the_input_ends(crossing: Path) -> None:
     assert done.wait(60)
 
 
-def test_a_camera_may_join_later(crossing: Path) -> None:
+def test_a_camera_may_join_later(crossing):
     sent = recorded(crossing)
     late = sorted({topic for topic, _ in sent if topic.startswith("/camera")})[0]
     start = min(m.log_time for topic, m in sent if topic.startswith("/camera"))
@@ -186,7 +183,7 @@ def test_a_camera_may_join_later(crossing: Path) -> None:
     assert summary.warnings == ()
 
 
-def test_transforms_may_come_later(crossing: Path, by_file: Messages) -> None:
+def test_transforms_may_come_later(crossing, by_file):
     sent = recorded(crossing)
     tf = [pair for pair in sent if pair[0] == "/tf_static"]
     others = [pair for pair in sent if pair[0] != "/tf_static"]
@@ -195,13 +192,13 @@ def test_transforms_may_come_later(crossing: Path, by_file: Messages) -> None:
     assert [m for _, m in found["/hiros/filtered"]] == [m for _, m in by_file["/hiros/filtered"]]
 
 
-def test_without_transforms_it_gives_up_with_the_remedy(crossing: Path) -> None:
+def test_without_transforms_it_gives_up_with_the_remedy(crossing):
     sent = [pair for pair in recorded(crossing) if pair[0] != "/tf_static"]
     with pytest.raises(LogError, match="pass them with --extrinsics"):
         run_live(send(crossing, sent))
 
 
-def test_an_input_that_is_cut_off_gives_what_came(crossing: Path, by_file: Messages) -> None:
+def test_an_input_that_is_cut_off_gives_what_came(crossing, by_file):
     sent = recorded(crossing)
     summary, out = run_live(send(crossing, sent, commit=False))
     assert results(out) == by_file
@@ -209,8 +206,8 @@ def test_an_input_that_is_cut_off_gives_what_came(crossing: Path, by_file: Messa
     assert "without its end mark" in summary.warnings[0]
 
 
-def test_a_message_that_is_cut_off_is_left_out(crossing: Path) -> None:
-    def write(descriptor: int) -> None:
+def test_a_message_that_is_cut_off_is_left_out(crossing):
+    def write(descriptor):
         send(crossing, recorded(crossing), commit=False)(descriptor)
         os.write(descriptor, b"\x05" + (1000).to_bytes(8, "little") + b"only a part")
 
@@ -218,11 +215,11 @@ def test_a_message_that_is_cut_off_is_left_out(crossing: Path) -> None:
     assert "without its end mark" in summary.warnings[0]
 
 
-def test_damage_is_named(crossing: Path) -> None:
+def test_damage_is_named(crossing):
     data = bytearray(crossing.read_bytes())
     data[len(data) // 2] ^= 0xFF
 
-    def write(descriptor: int) -> None:
+    def write(descriptor):
         rest = memoryview(bytes(data))
         while rest:
             rest = rest[os.write(descriptor, rest) :]
@@ -232,13 +229,13 @@ def test_damage_is_named(crossing: Path) -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"text that is no MCAP"])
-def test_what_is_no_mcap_is_refused(data: bytes) -> None:
+def test_what_is_no_mcap_is_refused(data):
     with pytest.raises(LogError, match="not MCAP"):
         run_live(lambda descriptor: os.write(descriptor, data) and None)
 
 
 @pytest.fixture(scope="module")
-def two_detectors(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def two_detectors(tmp_path_factory):
     """A log with SkeletonGroups of a camera beside an Azure Kinect, and one of Azure Kinects."""
     folder = tmp_path_factory.mktemp("detectors")
     made = scene(folder / "scene.mcap", people=1, cameras=2, seconds=3.0)
@@ -248,7 +245,7 @@ def two_detectors(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]
     )
 
 
-def by_topic(messages: Sent) -> Sent:
+def by_topic(messages):
     """Order messages by topic, the transforms first."""
     return sorted(
         messages, key=lambda m: (not m[0].startswith("/tf"), m[0] == "/camera_1/skeletons")
@@ -256,9 +253,7 @@ def by_topic(messages: Sent) -> Sent:
 
 
 @pytest.mark.parametrize("order", [list, by_topic])
-def test_a_camera_of_another_detector_is_missed_aloud(
-    two_detectors: tuple[Path, Path], order: Callable[[Sent], Sent]
-) -> None:
+def test_a_camera_of_another_detector_is_missed_aloud(two_detectors, order):
     log, _ = two_detectors
     summary, _ = run_live(send(log, order(recorded(log))))
     (warning,) = summary.warnings
@@ -266,9 +261,7 @@ def test_a_camera_of_another_detector_is_missed_aloud(
     assert "record the log, then process the file" in warning
 
 
-def test_a_log_of_another_detector_is_refused_with_the_remedy(
-    two_detectors: tuple[Path, Path],
-) -> None:
+def test_a_log_of_another_detector_is_refused_with_the_remedy(two_detectors):
     _, log = two_detectors
     with pytest.raises(
         LogError, match="but .*visualization_msgs/msg/MarkerArray; live input reads"
@@ -276,7 +269,7 @@ def test_a_log_of_another_detector_is_refused_with_the_remedy(
         run_live(send(log, recorded(log)))
 
 
-def test_a_reader_that_goes_away_ends_the_run(crossing: Path) -> None:
+def test_a_reader_that_goes_away_ends_the_run(crossing):
     end, begin = os.pipe()
     os.close(end)
     with piped(send(crossing, recorded(crossing))) as source, pytest.raises(BrokenPipeError):
@@ -284,10 +277,10 @@ def test_a_reader_that_goes_away_ends_the_run(crossing: Path) -> None:
     os.close(begin)
 
 
-def test_stopping_ends_the_input(crossing: Path, tmp_path: Path) -> None:
+def test_stopping_ends_the_input(crossing, tmp_path):
     out = tmp_path / "out.mcap"
 
-    def write(descriptor: int) -> None:
+    def write(descriptor):
         send(crossing, recorded(crossing), commit=False)(descriptor)
         source.stop()
         finished.wait(60)  # the pipe stays open
@@ -300,14 +293,12 @@ def test_stopping_ends_the_input(crossing: Path, tmp_path: Path) -> None:
     assert summary.warnings == ()
 
 
-def test_a_file_is_followed_to_its_end_mark(
-    crossing: Path, by_file: Messages, tmp_path: Path
-) -> None:
+def test_a_file_is_followed_to_its_end_mark(crossing, by_file, tmp_path):
     growing, out = tmp_path / "growing.mcap", tmp_path / "out.mcap"
     data = crossing.read_bytes()
     growing.write_bytes(data[:1000])
 
-    def grow() -> None:
+    def grow():
         with growing.open("ab", buffering=0) as file:
             for at in range(1000, len(data), 20_000):
                 file.write(data[at : at + 20_000])
@@ -320,14 +311,12 @@ def test_a_file_is_followed_to_its_end_mark(
     assert results(out.read_bytes()) == by_file
 
 
-def test_a_foxglove_server_gives_what_a_file_gives(
-    crossing: Path, by_file: Messages, tmp_path: Path
-) -> None:
+def test_a_foxglove_server_gives_what_a_file_gives(crossing, by_file, tmp_path):
     foxglove = pytest.importorskip("foxglove")
     subscribed, sent = threading.Semaphore(0), recorded(crossing)
 
     class Listener(foxglove.ServerListener):
-        def on_subscribe(self, client: object, channel: object) -> None:
+        def on_subscribe(self, client, channel):
             subscribed.release()
 
     context = foxglove.Context()
@@ -348,14 +337,14 @@ def test_a_foxglove_server_gives_what_a_file_gives(
             if (schema := reader.schema(channel))
         }
 
-    def publish() -> None:
+    def publish():
         for _ in channels:
             assert subscribed.acquire(timeout=60)
         for topic, message in sent:
             channels[topic].log(message.data, log_time=message.log_time)
 
     class UntilAll(FoxgloveInput):
-        def records(self) -> Iterator[McapRecord]:
+        def records(self):
             taken = 0
             for record in super().records():
                 yield record
@@ -373,25 +362,25 @@ def test_a_foxglove_server_gives_what_a_file_gives(
     assert results(out.read_bytes()) == by_file
 
 
-def test_a_server_that_does_not_answer_is_named() -> None:
+def test_a_server_that_does_not_answer_is_named():
     with pytest.raises(LogError, match="ws://127.0.0.1:1: no Foxglove WebSocket server answers"):
         process_live(FoxgloveInput("ws://127.0.0.1:1", lambda topic, kind: True), None)
 
 
-def test_what_needs_the_whole_log_is_refused() -> None:
+def test_what_needs_the_whole_log_is_refused():
     with pytest.raises(ConfigError, match="are for files"):
         process_live(McapInput(0, "pipe"), None, options=ProcessOptions(strict=True))
 
 
 @pytest.mark.parametrize("changed", [{"unit": "mm"}, {"model": "kinect-v2"}])
-def test_what_converts_skeletons_is_refused(changed: dict[str, str]) -> None:
+def test_what_converts_skeletons_is_refused(changed):
     config = load_config(named={"--option": {"input": changed}})
     with pytest.raises(ConfigError, match="--model and --unit are for files"):
         process_live(McapInput(0, "pipe"), None, config=config)
 
 
-def test_a_second_recording_in_a_pipe_is_named(crossing: Path, by_file: Messages) -> None:
-    def write(descriptor: int) -> None:
+def test_a_second_recording_in_a_pipe_is_named(crossing, by_file):
+    def write(descriptor):
         send(crossing, recorded(crossing))(descriptor)
         send(crossing, recorded(crossing)[:100])(descriptor)
 
@@ -401,7 +390,7 @@ def test_a_second_recording_in_a_pipe_is_named(crossing: Path, by_file: Messages
     assert warning.startswith("the input goes on behind its end mark")
 
 
-def chunk(data: bytes, size: int, compression: str = "zstd") -> bytes:
+def chunk(data, size, compression="zstd"):
     """Return an MCAP up to a chunk that claims to have ``size`` bytes."""
     content = struct.pack("<QQQI", 0, 0, size, 0)
     content += struct.pack("<I", len(compression)) + compression.encode()
@@ -410,7 +399,7 @@ def chunk(data: bytes, size: int, compression: str = "zstd") -> bytes:
     return head + b"\x06" + struct.pack("<Q", len(content)) + content
 
 
-def short_message() -> bytes:
+def short_message():
     return chunk(b"\x05" + struct.pack("<Q", 21) + bytes(21), 30, "")
 
 
@@ -427,7 +416,7 @@ ODD = {
 
 
 @pytest.mark.parametrize("fault", ODD)
-def test_odd_bytes_of_a_pipe_are_damage(fault: str) -> None:
+def test_odd_bytes_of_a_pipe_are_damage(fault):
     tracemalloc.start()
     try:
         with pytest.raises(LogError, match=f"pipe: damaged: .*({fault}|codec can't decode)"):
@@ -438,11 +427,11 @@ def test_odd_bytes_of_a_pipe_are_damage(fault: str) -> None:
 
 
 @contextmanager
-def odd_server(path: Path, end: Callable[[Any], None]) -> Iterator[str]:
+def odd_server(path, end):
     """Yield the address of a server that publishes a log, and then ends as ``end`` does."""
     server = pytest.importorskip("websockets.sync.server")
 
-    def publish(connection: Any) -> None:
+    def publish(connection):
         with McapReader(path) as reader:
             channels = [
                 {
@@ -474,7 +463,7 @@ def odd_server(path: Path, end: Callable[[Any], None]) -> Iterator[str]:
             thread.join()
 
 
-def huge(connection: Any) -> None:
+def huge(connection):
     connection.socket.sendall(b"\x82\x7f" + (1 << 62).to_bytes(8, "big") + bytes(1000))
     connection.recv()
 
@@ -490,7 +479,7 @@ ENDS: dict[str, tuple[Callable[[Any], None], str]] = {
 
 @pytest.mark.parametrize("name", ENDS)
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_connection_that_breaks_is_named(name: str, crossing: Path) -> None:
+def test_a_connection_that_breaks_is_named(name, crossing):
     end, fault = ENDS[name]
     with odd_server(crossing, end) as url:
         source = FoxgloveInput(url, lambda topic, kind: "image" not in topic)
@@ -500,7 +489,7 @@ def test_a_connection_that_breaks_is_named(name: str, crossing: Path) -> None:
     assert summary.source == url
 
 
-def test_a_message_may_be_as_large_as_asked(crossing: Path) -> None:
+def test_a_message_may_be_as_large_as_asked(crossing):
     with odd_server(crossing, lambda connection: None) as url:
         source = FoxgloveInput(url, lambda topic, kind: True, largest=1000)
         with pytest.raises(LogError, match=r"has no skeletons|has no SkeletonGroup|no channels"):

@@ -37,7 +37,7 @@ from hiros_mcap.systems import Run
 MS, S = 1_000_000, 1_000_000_000
 
 
-def rate(*stamps: float) -> MessageRate:
+def rate(*stamps):
     """A camera that sent messages stamped at these times, s."""
     result = MessageRate()
     for some in stamps[:2], stamps[2:]:  # of two blocks
@@ -46,17 +46,17 @@ def rate(*stamps: float) -> MessageRate:
     return result
 
 
-def test_the_rate_is_that_of_the_intervals_without_pauses() -> None:
+def test_the_rate_is_that_of_the_intervals_without_pauses():
     assert rate(0, 0.1, 0.2, 5.0, 5.1).hertz == pytest.approx(10)
     assert np.isnan(rate(0).hertz)
 
 
-def test_a_message_out_of_order_does_not_count_for_the_rate() -> None:
+def test_a_message_out_of_order_does_not_count_for_the_rate():
     assert rate(0, 0.1, 0.05, 0.15).hertz == pytest.approx(10)
 
 
-def test_pauses_of_all_cameras_are_those_that_nobody_fills() -> None:
-    def notes(*seconds: float) -> list[str]:
+def test_pauses_of_all_cameras_are_those_that_nobody_fills():
+    def notes(*seconds):
         pauses = CommonPauses()
         for part in (seconds[:7], seconds[7:]):
             pauses.add(np.array([round((100 + s) * S) for s in part], np.int64))
@@ -71,7 +71,7 @@ def test_pauses_of_all_cameras_are_those_that_nobody_fills() -> None:
     assert notes(0, 2, 4, 6, 8, 10) == []  # this is how often they send
 
 
-def sample(scale: float, confidence: float) -> DetectionSample:
+def sample(scale, confidence):
     result = DetectionSample()
     frame = seen([person()], at(0))
     frame.markers[..., :3] *= scale
@@ -81,7 +81,7 @@ def sample(scale: float, confidence: float) -> DetectionSample:
 
 
 @pytest.mark.parametrize("confidences", [(0.5, 0.0), (0.0, 0.5)])
-def test_one_marker_with_a_confidence_is_enough(confidences: tuple[float, ...]) -> None:
+def test_one_marker_with_a_confidence_is_enough(confidences):
     result = DetectionSample()
     for k, confidence in enumerate(confidences):
         frame = seen([person()], at(k))
@@ -100,13 +100,13 @@ def test_one_marker_with_a_confidence_is_enough(confidences: tuple[float, ...]) 
         (1.0, np.nan, []),
     ],
 )
-def test_why_nobody_is_found(scale: float, confidence: float, words: list[str]) -> None:
+def test_why_nobody_is_found(scale, confidence, words):
     reasons = list(sample(scale, confidence).reasons())
     assert len(reasons) == len(words)
     assert all(word in reason for word, reason in zip(words, reasons, strict=True))
 
 
-def test_people_are_those_of_the_last_channel_cameras_those_of_the_tracker() -> None:
+def test_people_are_those_of_the_last_channel_cameras_those_of_the_tracker():
     observer = Observer(["tracked", "merged"])
     for k, source in enumerate("aab"):
         frame = seen([person()], at(k), ids=[7]).replace(source=source)
@@ -121,8 +121,8 @@ def test_people_are_those_of_the_last_channel_cameras_those_of_the_tracker() -> 
     assert observer.written == {"tracked": 3, "merged": 3}
 
 
-def test_each_step_is_charged_with_its_own_time_only() -> None:
-    def work(seconds: float) -> None:
+def test_each_step_is_charged_with_its_own_time_only():
+    def work(seconds):
         end = time.thread_time() + seconds
         while time.thread_time() < end:
             pass
@@ -146,7 +146,7 @@ def test_each_step_is_charged_with_its_own_time_only() -> None:
     assert watch.cpu["write"] == pytest.approx(0.02, abs=0.005)
 
 
-def test_every_event_that_a_stage_counts_has_words() -> None:
+def test_every_event_that_a_stage_counts_has_words():
     found: defaultdict[str, list[str]] = defaultdict(list)
     for path in Path(stages.__file__).parent.glob("*.py"):
         for kind in re.findall(r'\.count\(\s*"([^"]+)"', path.read_text()):
@@ -155,7 +155,7 @@ def test_every_event_that_a_stage_counts_has_words() -> None:
     assert found.keys() - shown <= COUNTED.keys()
 
 
-def test_numbers_of_things_are_told_in_words() -> None:
+def test_numbers_of_things_are_told_in_words():
     assert counted("not confirmed", 14) == (
         "14 detections ignored: seen too briefly or by too few cameras"
     )
@@ -171,18 +171,18 @@ def test_numbers_of_things_are_told_in_words() -> None:
     [(3.21, "3.2 s"), (3599.0, "3599.0 s"), (3600.0, "1.0 hours"), (86400.0, "1.0 days"),
      (2 * 31_557_600.0, "2.0 years")],
 )  # fmt: skip
-def test_a_duration_has_the_unit_that_fits(seconds: float, text: str) -> None:
+def test_a_duration_has_the_unit_that_fits(seconds, text):
     assert duration(seconds) == text
 
 
-def report_on(run: Run) -> Report:
+def report_on(run):
     observer = Observer(["tracked", "optimized"])
     log, options = cast(Log, None), ProcessOptions()
     prepared = Prepared(log, run.config, options, ClockAlignment(), PoseAlignment(), Stopwatch())
     return Report(prepared, run, observer, cast(Reading, None))
 
 
-def test_limbs_are_summed_up_by_the_median_and_the_worst() -> None:
+def test_limbs_are_summed_up_by_the_median_and_the_worst():
     limbs = {
         name: Limb(1.0, cv, n) for name, cv, n in (("a", 0.1, 5), ("b", 0.4, 9), ("c", 0.2, 7))
     }
@@ -190,7 +190,7 @@ def test_limbs_are_summed_up_by_the_median_and_the_worst() -> None:
     assert summary == LimbSummary(9, 0.2, 0.4, "b", accepted=True)
 
 
-def test_the_last_reason_why_limbs_were_rejected_is_told() -> None:
+def test_the_last_reason_why_limbs_were_rejected_is_told():
     run = Run(MODEL)
     for who, why in ((3, "first"), (3, "last"), (4, "of another")):
         run.events.note(0, "calibration rejected", person=who, detail=why)
@@ -200,7 +200,7 @@ def test_the_last_reason_why_limbs_were_rejected_is_told() -> None:
     assert report_on(run)._limbs(5) is None
 
 
-def test_limb_lengths_are_told_in_words() -> None:
+def test_limb_lengths_are_told_in_words():
     limbs = LimbSummary(150, 0.12, 0.45, "HAND_LEFT", accepted=True)
     assert _limbs(limbs) == "150 frames; raw lengths varied by 12 % (worst: HAND_LEFT, 45 %)"
     assert _limbs(LimbSummary(9, np.nan, np.nan, "", accepted=True)) == "9 frames"
@@ -209,7 +209,7 @@ def test_limb_lengths_are_told_in_words() -> None:
     assert _limbs(None) == "-"
 
 
-def test_frames_in_which_a_person_is_merely_predicted_are_counted() -> None:
+def test_frames_in_which_a_person_is_merely_predicted_are_counted():
     observer = Observer(["filtered"])
     for k, confidence in enumerate([0.8, 0.3, 0.09, 0.02, np.nan]):
         frame = seen([person()], at(k))

@@ -6,7 +6,6 @@ import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,12 +22,11 @@ from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate import Truth, evaluate
 from hiros_mcap.evaluate.logs import evaluate_log, read_channel
-from hiros_mcap.events import Events
 from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
-from hiros_mcap.io.log import Log, open_log
+from hiros_mcap.io.log import open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.recording import Recording
-from hiros_mcap.skeletons import ACCELERATION, ORIENTATION, POSITION, STATE, VELOCITY, Frame
+from hiros_mcap.skeletons import ACCELERATION, ORIENTATION, POSITION, STATE, VELOCITY
 from hiros_mcap.systems import LETTERS, SYSTEMS, chain_of
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
@@ -37,19 +35,19 @@ WALKING = SAMPLES / "one_person_walking.mcap"
 PLAYED = ("/hiros/filtered", "/hiros/markers", "/hiros/joint_states")
 
 
-def truth_of(path: Path) -> Truth:
+def truth_of(path):
     with open_log(path, topics=["/truth/*"]) as log:
         return Truth.of(transform_to_fixed(log.frames(), log.transforms, log.fixed_frame))
 
 
-def test_the_public_names_are_listed_before_their_first_use() -> None:
+def test_the_public_names_are_listed_before_their_first_use():
     code = "import hiros_mcap; print(*dir(hiros_mcap))"
     listed = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stdout
     assert set(listed.decode().split()) >= set(hiros_mcap.__all__)
 
 
 @pytest.mark.parametrize("chain", SYSTEMS["hiros"].chains)
-def test_every_chain_of_the_paper_runs(chain: str, tmp_path: Path) -> None:
+def test_every_chain_of_the_paper_runs(chain, tmp_path):
     out = tmp_path / "out.mcap"
     summary = process(WALKING, out, options=ProcessOptions("hiros", stages=chain, keep=()))
     with McapReader(out) as reader:
@@ -59,14 +57,14 @@ def test_every_chain_of_the_paper_runs(chain: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("chain", ["M", "F", "MF", "FT", "TOM", "X"])
-def test_other_chains_are_refused(chain: str, tmp_path: Path) -> None:
+def test_other_chains_are_refused(chain, tmp_path):
     with pytest.raises(ConfigError, match="cannot run the stages"):
         process(WALKING, tmp_path / "out.mcap", options=ProcessOptions("hiros", stages=chain))
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("system", ["fuse", "hiros"])
-def test_the_error_falls_at_every_stage(system: str, tmp_path: Path) -> None:
+def test_the_error_falls_at_every_stage(system, tmp_path):
     out, truth = tmp_path / "out.mcap", truth_of(CROSSING)
     process(CROSSING, out, options=ProcessOptions(system))
     scores = []
@@ -81,14 +79,14 @@ def test_the_error_falls_at_every_stage(system: str, tmp_path: Path) -> None:
     assert (scores[3].missing, scores[3].false) == (0, 0)
 
 
-def test_same_input_same_bytes(tmp_path: Path) -> None:
+def test_same_input_same_bytes(tmp_path):
     for name in ("a", "b"):
         process(CROSSING, tmp_path / name)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
 @pytest.mark.parametrize("system", ["fuse", "fuse-realtime", "hiros"])
-def test_limbs_of_a_first_session_serve_a_second(system: str, tmp_path: Path) -> None:
+def test_limbs_of_a_first_session_serve_a_second(system, tmp_path):
     limbs = tmp_path / "limbs.toml"
     process(WALKING, None, options=ProcessOptions(system, limbs_out=limbs))
     assert len(LimbTable.load(limbs).people[0]) > 20
@@ -97,7 +95,7 @@ def test_limbs_of_a_first_session_serve_a_second(system: str, tmp_path: Path) ->
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
-def test_what_the_paper_prints_runs_and_is_behind_the_defaults(tmp_path: Path) -> None:
+def test_what_the_paper_prints_runs_and_is_behind_the_defaults(tmp_path):
     """Presets paper and upstream: nobody is lost or renamed, and the error is larger."""
     truth, channel, errors = truth_of(WALKING), "/hiros/filtered", {}
     for preset in ("default", "paper", "upstream"):
@@ -110,7 +108,7 @@ def test_what_the_paper_prints_runs_and_is_behind_the_defaults(tmp_path: Path) -
     assert max(errors.values()) < 60
 
 
-def test_two_passes_hold_lengths_strictly(tmp_path: Path) -> None:
+def test_two_passes_hold_lengths_strictly(tmp_path):
     config = load_config(None, ["optimize.calibration=two-pass"], system="hiros")
     process(WALKING, tmp_path / "out.mcap", config=config, options=ProcessOptions("hiros"))
     with open_log(tmp_path / "out.mcap", topics=["/hiros/optimized"], output_prefix="/x") as log:
@@ -121,7 +119,7 @@ def test_two_passes_hold_lengths_strictly(tmp_path: Path) -> None:
     assert (lengths.std(axis=0) / lengths.mean(axis=0)).max() < 2e-3
 
 
-def test_every_message_is_accounted_for() -> None:
+def test_every_message_is_accounted_for():
     summary = process(CROSSING)
     for camera in summary.cameras:
         assert camera.messages == camera.used + sum(camera.skipped.values())
@@ -131,11 +129,11 @@ def test_every_message_is_accounted_for() -> None:
     ] * 2
 
 
-def test_progress_is_told(tmp_path: Path) -> None:
+def test_progress_is_told(tmp_path):
     told: list[tuple[int, int]] = []
 
     class Watcher:
-        def update(self, done: int, total: int) -> None:
+        def update(self, done, total):
             told.append((done, total))
 
     process(WALKING, progress=Watcher())
@@ -143,7 +141,7 @@ def test_progress_is_told(tmp_path: Path) -> None:
     assert [done for done, _ in told] == sorted(done for done, _ in told)
 
 
-def test_the_output_is_not_the_input(tmp_path: Path) -> None:
+def test_the_output_is_not_the_input(tmp_path):
     copy = tmp_path / "log.mcap"
     copy.write_bytes(WALKING.read_bytes())
     with pytest.raises(LogError):
@@ -151,7 +149,7 @@ def test_the_output_is_not_the_input(tmp_path: Path) -> None:
     assert copy.read_bytes() == WALKING.read_bytes()
 
 
-def test_replay_of_the_output_is_causal_if_asked_for(tmp_path: Path) -> None:
+def test_replay_of_the_output_is_causal_if_asked_for(tmp_path):
     process(CROSSING, tmp_path / "out.mcap", config=load_config(None, ["output.log_time=causal"]))
     for channel in LETTERS.values():
         topics = [f"/hiros/{channel}"]
@@ -162,7 +160,7 @@ def test_replay_of_the_output_is_causal_if_asked_for(tmp_path: Path) -> None:
         assert stamps == sorted(stamps)
 
 
-def test_an_output_of_a_file_is_logged_at_the_time_of_its_data(tmp_path: Path) -> None:
+def test_an_output_of_a_file_is_logged_at_the_time_of_its_data(tmp_path):
     live = load_config(None, ["output.log_time=causal"])
     process(WALKING, tmp_path / "causal", config=live, markers=True)
     process(WALKING, tmp_path / "stamp", markers=True)
@@ -193,14 +191,14 @@ def test_an_output_of_a_file_is_logged_at_the_time_of_its_data(tmp_path: Path) -
     assert scores[0] == scores[1]
 
 
-def states(path: Path, channel: str) -> np.ndarray:
+def states(path, channel):
     """Every number of the markers and links of a channel."""
     frames, _, _ = read_channel(path, f"/hiros/{channel}")
     rows = [np.concatenate([f.markers, f.links], axis=1).reshape(-1, STATE) for f in frames]
     return np.concatenate(rows)
 
 
-def run_to(path: Path, stages: str = "", system: str = "hiros", *assignments: str) -> Path:
+def run_to(path, stages="", system="hiros", *assignments):
     options = ProcessOptions(system=system, stages=stages, keep=())
     process(WALKING, path, config=load_config(None, assignments, system=system), options=options)
     return path
@@ -218,9 +216,7 @@ def run_to(path: Path, stages: str = "", system: str = "hiros", *assignments: st
         ("lee", "TMF", "filtered"),
     ],
 )
-def test_derivatives_are_in_the_last_channel_of_the_chain(
-    system: str, stages: str, derived: str, tmp_path: Path
-) -> None:
+def test_derivatives_are_in_the_last_channel_of_the_chain(system, stages, derived, tmp_path):
     out = run_to(tmp_path / "out.mcap", stages, system)
     for letter in stages:
         numbers = states(out, LETTERS[letter])
@@ -230,13 +226,13 @@ def test_derivatives_are_in_the_last_channel_of_the_chain(
         assert np.isfinite(numbers[:, ORIENTATION]).any()
 
 
-def test_derivatives_of_all_channels_can_be_written(tmp_path: Path) -> None:
+def test_derivatives_of_all_channels_can_be_written(tmp_path):
     out = run_to(tmp_path / "out.mcap", "", "hiros", "output.derivatives=all")
     for channel in LETTERS.values():
         assert np.isfinite(states(out, channel)[:, VELOCITY]).any()
 
 
-def test_what_is_left_out_changes_nothing_that_is_written(tmp_path: Path) -> None:
+def test_what_is_left_out_changes_nothing_that_is_written(tmp_path):
     """Stages work on all numbers; only the file holds fewer and rounder ones."""
     options = "output.derivatives=all", "output.precision=full"
     small, full = run_to(tmp_path / "small"), run_to(tmp_path / "full", "", "hiros", *options)
@@ -253,7 +249,7 @@ def test_what_is_left_out_changes_nothing_that_is_written(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("system", ["fuse", "hiros", "malaguti", "lee", "maf", "average", "raw"])
-def test_every_skeleton_has_the_box_of_its_markers(system: str, tmp_path: Path) -> None:
+def test_every_skeleton_has_the_box_of_its_markers(system, tmp_path):
     process(CROSSING, tmp_path / "out", options=ProcessOptions(system=system))
     for channel in chain_of(system):
         frames, *_ = read_channel(tmp_path / "out", f"/hiros/{channel}")
@@ -266,7 +262,7 @@ def test_every_skeleton_has_the_box_of_its_markers(system: str, tmp_path: Path) 
         assert (boxes[:, ORIENTATION] == [0, 0, 0, 1]).all()
 
 
-def test_provenance_and_configuration_are_in_the_output(tmp_path: Path) -> None:
+def test_provenance_and_configuration_are_in_the_output(tmp_path):
     process(WALKING, tmp_path / "out.mcap")
     with McapReader(tmp_path / "out.mcap") as reader:
         assert [name for name, _ in reader.contents.metadata] == ["hiros.provenance"]
@@ -287,8 +283,8 @@ def test_provenance_and_configuration_are_in_the_output(tmp_path: Path) -> None:
     ],
 )
 def test_provenance_tells_the_order_of_stages_and_of_the_merger(
-    tmp_path: Path, system: str, stages: str, switch: list[str], merging: str | None
-) -> None:
+    tmp_path, system, stages, switch, merging
+):
     config = load_config(None, switch, system=system)
     options = ProcessOptions(system=system, stages=stages, keep=())
     process(WALKING, tmp_path / "out.mcap", config=config, options=options)
@@ -298,7 +294,7 @@ def test_provenance_tells_the_order_of_stages_and_of_the_merger(
     assert provenance.get("merging") == merging
 
 
-def test_a_system_or_a_chain_that_does_not_exist() -> None:
+def test_a_system_or_a_chain_that_does_not_exist():
     with pytest.raises(ConfigError, match=r"no system 'hydra' \(there are: fuse"):
         process(WALKING, None, options=ProcessOptions(system="hydra"))
     with pytest.raises(ConfigError, match="system hiros cannot run the stages 'FT'"):
@@ -307,16 +303,14 @@ def test_a_system_or_a_chain_that_does_not_exist() -> None:
 
 @pytest.mark.parametrize("options", [{"system": "lee"}, {"stages": "TMF"}])
 @pytest.mark.parametrize("name", ["limbs_in", "limbs_out"])
-def test_limb_lengths_are_refused_where_no_stage_uses_them(
-    options: dict[str, str], name: str, tmp_path: Path
-) -> None:
+def test_limb_lengths_are_refused_where_no_stage_uses_them(options, name, tmp_path):
     more = {name: tmp_path / "limbs.toml"}
     with pytest.raises(ConfigError, match=r"limbs\.toml: .* has no optimizer"):
         process(WALKING, None, options=ProcessOptions(**options, **more))
 
 
 @pytest.mark.parametrize("system", ["fuse", "fuse-realtime", "hiros"])
-def test_limb_lengths_that_are_given_are_not_measured_again(system: str, tmp_path: Path) -> None:
+def test_limb_lengths_that_are_given_are_not_measured_again(system, tmp_path):
     given, saved = tmp_path / "given.toml", tmp_path / "saved.toml"
     process(WALKING, None, options=ProcessOptions(system, limbs_out=given))
     longer = LimbTable.load(given)
@@ -340,12 +334,12 @@ def test_limb_lengths_that_are_given_are_not_measured_again(system: str, tmp_pat
     assert np.median(lengths) == pytest.approx(longer.people[0]["KNEE_LEFT"].length, rel=0.003)
 
 
-def topics_of(path: Path) -> list[str]:
+def topics_of(path):
     with McapReader(path) as reader:
         return sorted(channel.topic for channel in reader.channels.values())
 
 
-def test_an_output_holds_the_poses_of_the_file_instead_of_the_logs(tmp_path: Path) -> None:
+def test_an_output_holds_the_poses_of_the_file_instead_of_the_logs(tmp_path):
     extrinsics = camera_file(tmp_path / "cameras.toml", 2.0)
     process(WALKING, tmp_path / "out", options=ProcessOptions(extrinsics=extrinsics))
     with open_log(tmp_path / "out") as log:
@@ -355,7 +349,7 @@ def test_an_output_holds_the_poses_of_the_file_instead_of_the_logs(tmp_path: Pat
             assert pose.translation.tolist() == [0.0, 0.0, 2.0]
 
 
-def test_clocks_of_a_camera_file_correct_the_stamps(tmp_path: Path) -> None:
+def test_clocks_of_a_camera_file_correct_the_stamps(tmp_path):
     clock = '[clock]\n"camera_1" = 0.25\n"camera_7" = 3.0\n'
     extrinsics = camera_file(tmp_path / "cameras.toml", 2.0, clock)
     options = ProcessOptions(extrinsics=extrinsics, stages="T")
@@ -365,7 +359,7 @@ def test_clocks_of_a_camera_file_correct_the_stamps(tmp_path: Path) -> None:
     assert shift == 250_000_000
 
 
-def camera_file(path: Path, height: float, more: str = "") -> Path:
+def camera_file(path, height, more=""):
     """Write a file that puts all cameras of the log at one place."""
     pose = f"translation = [0.0, 0.0, {height}]\nquaternion_xyzw = [0.0, 0.0, 0.0, 1.0]\n"
     with open_log(WALKING) as log:
@@ -374,30 +368,30 @@ def camera_file(path: Path, height: float, more: str = "") -> Path:
     return path
 
 
-def first_stamp(path: Path, source: str) -> int:
+def first_stamp(path, source):
     frames, *_ = read_channel(path, "/hiros/tracked")
     return min(frame.stamp for frame in frames if frame.source == source)
 
 
-def test_a_result_that_is_processed_again_has_new_results_only(tmp_path: Path) -> None:
+def test_a_result_that_is_processed_again_has_new_results_only(tmp_path):
     process(WALKING, tmp_path / "a")
     process(tmp_path / "a", tmp_path / "b", options=ProcessOptions(keep=("*",)))
     assert topics_of(tmp_path / "b") == topics_of(tmp_path / "a")
     assert states(tmp_path / "a", "filtered").shape == states(tmp_path / "b", "filtered").shape
 
 
-def test_a_watcher_sees_every_frame_as_the_stages_made_it(tmp_path: Path) -> None:
+def test_a_watcher_sees_every_frame_as_the_stages_made_it(tmp_path):
     calls: list[str] = []
 
     class Sees:
-        def begin(self, log: Log, chain: Sequence[str]) -> None:
+        def begin(self, log, chain):
             calls.append(f"begin {','.join(chain)}")
 
-        def frame(self, channel: str, frame: Frame) -> None:
+        def frame(self, channel, frame):
             calls.append(channel)
             velocities.setdefault(channel, []).append(frame.velocities)
 
-        def end(self, events: Events) -> None:
+        def end(self, events):
             calls.append("end")
 
     velocities: dict[str, list[np.ndarray]] = {}
@@ -409,7 +403,7 @@ def test_a_watcher_sees_every_frame_as_the_stages_made_it(tmp_path: Path) -> Non
     assert np.isfinite(np.concatenate(velocities["tracked"])).any()
 
 
-def test_provenance_of_a_plain_mean_says_so(tmp_path: Path) -> None:
+def test_provenance_of_a_plain_mean_says_so(tmp_path):
     run_to(tmp_path / "out", "TM", "average")
     with McapReader(tmp_path / "out") as reader:
         ((_, provenance),) = reader.contents.metadata
@@ -418,7 +412,7 @@ def test_provenance_of_a_plain_mean_says_so(tmp_path: Path) -> None:
     assert [*sections] == ["input", "output", "merge", "associate"]
 
 
-def test_input_after_the_last_result_is_copied_too(tmp_path: Path) -> None:
+def test_input_after_the_last_result_is_copied_too(tmp_path):
     source, target = tmp_path / "in.mcap", tmp_path / "out.mcap"
     with McapReader(WALKING) as reader, McapWriter(source) as writer:
         copier = ChunkCopier(reader, writer, reader.channels)
@@ -432,7 +426,7 @@ def test_input_after_the_last_result_is_copied_too(tmp_path: Path) -> None:
     assert found[2].data == b"late"
 
 
-def test_the_head_of_a_recording_has_the_messages_that_were_asked_for(walking: Path) -> None:
+def test_the_head_of_a_recording_has_the_messages_that_were_asked_for(walking):
     recording = Recording.read(walking, load_config(), ProcessOptions())
     frames = list(recording.frames())
     for n in (1, 100, len(frames)):
@@ -441,14 +435,14 @@ def test_the_head_of_a_recording_has_the_messages_that_were_asked_for(walking: P
         assert all(map(same, head, frames))
 
 
-def test_options_may_stand_by_themselves() -> None:
+def test_options_may_stand_by_themselves():
     with pytest.raises(TypeError, match=r"no argument 'sytem'; did you mean 'system'\? \(of Proc"):
         process(WALKING, sytem="hiros")
     summary = process(WALKING, system="hiros-realtime", calibrate="off", progress=True)
     assert (summary.system, summary.poses) == ("hiros-realtime", ())
 
 
-def test_options_take_what_people_write(tmp_path: Path) -> None:
+def test_options_take_what_people_write(tmp_path):
     options = ProcessOptions(topics="/camera_0/*", keep=[], extrinsics="cameras.toml")  # type: ignore[arg-type]
     assert (options.topics, options.keep) == (("/camera_0/*",), ())
     assert options.extrinsics == Path("cameras.toml")
@@ -456,9 +450,7 @@ def test_options_take_what_people_write(tmp_path: Path) -> None:
         process(WALKING, calibrate="on")
 
 
-def test_warnings_of_a_run_are_logged_once(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_warnings_of_a_run_are_logged_once(tmp_path, caplog):
     late = load_config(overrides=["clock.camera_0=100"])
     with caplog.at_level("DEBUG", "hiros_mcap"):
         summary = process(CROSSING, tmp_path / "out.mcap", config=late, calibrate="off")
@@ -470,9 +462,7 @@ def test_warnings_of_a_run_are_logged_once(
     assert f"{CROSSING}: wrote {tmp_path / 'out.mcap'}" in steps
 
 
-def test_a_notebook_shows_the_bar_and_a_pipe_does_not(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_notebook_shows_the_bar_and_a_pipe_does_not(monkeypatch, capsys):
     monkeypatch.delitem(sys.modules, "ipykernel", raising=False)
     process(WALKING, calibrate="off", progress=True)
     assert capsys.readouterr().err == ""
@@ -483,7 +473,7 @@ def test_a_notebook_shows_the_bar_and_a_pipe_does_not(
     assert capsys.readouterr().err == ""
 
 
-def odd_walk(target: Path) -> Path:
+def odd_walk(target):
     """Somebody walks: nobody sends from 1.0 to 2.2 s; one message repeated, one logged in 2300."""
     with open_log(WALKING) as log, McapWriter(target) as writer:
         writer.copy_definitions(log.reader, log.reader.channels)
@@ -502,7 +492,7 @@ def odd_walk(target: Path) -> Path:
     return target
 
 
-def test_a_pause_a_repeat_and_few_lost_messages_are_told(tmp_path: Path) -> None:
+def test_a_pause_a_repeat_and_few_lost_messages_are_told(tmp_path):
     summary = process(odd_walk(tmp_path / "odd.mcap"), calibrate="off")
     (few,) = (text for text in summary.warnings if "not used" in text)
     assert few == (

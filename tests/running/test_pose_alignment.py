@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -18,41 +15,33 @@ from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
-from hiros_mcap.simulate import SimulateParams, Simulation, simulate
-from hiros_mcap.skeletons import Frame
-from hiros_mcap.summary import Summary
+from hiros_mcap.simulate import SimulateParams, simulate
 
 NAMES = ("camera_0", "camera_1", "camera_2")
 
 
 @pytest.fixture(scope="module")
-def scene() -> Simulation:
+def scene():
     return simulate(SimulateParams(people=1, cameras=3, seconds=12.0, seed=5))
 
 
 @pytest.fixture(scope="module")
-def detections(scene: Simulation) -> list[Frame]:
+def detections(scene):
     return list(scene.detections)
 
 
 @pytest.fixture(scope="module")
-def true(scene: Simulation) -> dict[str, Rigid]:
+def true(scene):
     return {camera.name: camera.pose for camera in scene.cameras}
 
 
-def turned(pose: Rigid, degrees: float, metres: float) -> Rigid:
+def turned(pose, degrees, metres):
     half = np.radians(degrees) / 2
     turn = Rigid(np.array([np.sin(half), 0.0, 0.0, np.cos(half)]), np.zeros(3))
     return Rigid((turn @ pose).xyzw, pose.translation + metres * np.eye(3)[1])
 
 
-def write(
-    path: Path,
-    scene: Simulation,
-    frames: Sequence[Frame],
-    poses: Mapping[str, Rigid],
-    parents: Mapping[str, str] | None = None,
-) -> Path:
+def write(path, scene, frames, poses, parents=None):
     encoder = Encoder(scene.model)
     with McapWriter(path) as writer:
         for name, pose in poses.items():
@@ -65,33 +54,33 @@ def write(
     return path
 
 
-def filtered(path: Path) -> list[Frame]:
+def filtered(path):
     with open_log(path, topics=["/hiros/filtered"], output_prefix="/none") as log:
         return list(log.frames())
 
 
-def poses_in(path: Path) -> dict[str, Rigid]:
+def poses_in(path):
     with open_log(path) as log:
         return {name: log.transforms.lookup(name, "lab", 0) for name in NAMES}
 
 
-def apart(one: Rigid, other: Rigid) -> float:
+def apart(one, other):
     """Angle in degrees."""
     return float(np.degrees(angle(one.xyzw, other.xyzw)))
 
 
-def assert_same(one: Rigid, other: Rigid) -> None:
+def assert_same(one, other):
     np.testing.assert_allclose(one.translation, other.translation, atol=1e-9)
     assert apart(one, other) < 1e-5
 
 
-def verdicts(summary: Summary) -> list[str]:
+def verdicts(summary):
     return [camera.verdict for camera in summary.poses]
 
 
 def test_a_camera_that_is_off_is_put_right_and_the_result_says_where_it_stands(
-    scene: Simulation, detections: list[Frame], true: dict[str, Rigid], tmp_path: Path
-) -> None:
+    scene, detections, true, tmp_path
+):
     given = true | {"camera_2": turned(true["camera_2"], 3.0, 0.06)}
     log, out = write(tmp_path / "log.mcap", scene, detections, given), tmp_path / "out.mcap"
     summary = process(log, out)
@@ -102,9 +91,7 @@ def test_a_camera_that_is_off_is_put_right_and_the_result_says_where_it_stands(
     assert apart(poses_in(out)["camera_0"], true["camera_0"]) < 0.4  # it does not drag the rig
 
 
-def test_true_poses_stay_to_the_last_bit(
-    scene: Simulation, detections: list[Frame], true: dict[str, Rigid], tmp_path: Path
-) -> None:
+def test_true_poses_stay_to_the_last_bit(scene, detections, true, tmp_path):
     log = write(tmp_path / "log.mcap", scene, detections, true)
     auto, off = tmp_path / "auto.mcap", tmp_path / "off.mcap"
     assert verdicts(process(log, auto)) == ["good"] * 3
@@ -115,9 +102,7 @@ def test_true_poses_stay_to_the_last_bit(
         np.testing.assert_array_equal(one.markers, other.markers)
 
 
-def test_a_pose_is_replaced_in_the_frame_of_its_own_parent(
-    scene: Simulation, detections: list[Frame], true: dict[str, Rigid], tmp_path: Path
-) -> None:
+def test_a_pose_is_replaced_in_the_frame_of_its_own_parent(scene, detections, true, tmp_path):
     tripod = Rigid(true["camera_1"].xyzw, np.array([0.0, 0.0, 0.1]))
     given = {name: turned(pose, 1.5, 0.0) for name, pose in true.items()}
     given |= {"tripod": tripod, "camera_1": tripod.inverse() @ given["camera_1"]}
@@ -130,9 +115,7 @@ def test_a_pose_is_replaced_in_the_frame_of_its_own_parent(
     assert apart(got, true["camera_0"].inverse() @ true["camera_1"]) < 0.4
 
 
-def test_a_camera_that_defines_the_fixed_frame_stays(
-    scene: Simulation, detections: list[Frame], true: dict[str, Rigid], tmp_path: Path
-) -> None:
+def test_a_camera_that_defines_the_fixed_frame_stays(scene, detections, true, tmp_path):
     inverse = true["camera_0"].inverse()
     given = {name: turned(inverse @ true[name], 2.0, 0.0) for name in NAMES[1:]}
     parents = dict.fromkeys(given, "camera_0")
@@ -144,9 +127,7 @@ def test_a_camera_that_defines_the_fixed_frame_stays(
     assert apart(found, inverse @ true["camera_1"]) < 0.4
 
 
-def test_a_short_log_keeps_its_poses(
-    scene: Simulation, detections: list[Frame], true: dict[str, Rigid], tmp_path: Path
-) -> None:
+def test_a_short_log_keeps_its_poses(scene, detections, true, tmp_path):
     given = true | {"camera_2": turned(true["camera_2"], 3.0, 0.06)}
     some = [frame for frame in detections if frame.stamp < detections[0].stamp + 1e9]
     summary = process(write(tmp_path / "log.mcap", scene, some, given), tmp_path / "out.mcap")
@@ -154,9 +135,7 @@ def test_a_short_log_keeps_its_poses(
     assert_same(poses_in(tmp_path / "out.mcap")["camera_2"], given["camera_2"])
 
 
-def test_cameras_that_see_nobody_in_common_keep_their_poses(
-    scene: Simulation, detections: list[Frame], true: dict[str, Rigid], tmp_path: Path
-) -> None:
+def test_cameras_that_see_nobody_in_common_keep_their_poses(scene, detections, true, tmp_path):
     start = detections[0].stamp
     ours = [f for f in detections if int((f.stamp - start) // 4e9) == NAMES.index(f.source)]
     log = write(tmp_path / "log.mcap", scene, ours, true)
@@ -169,13 +148,7 @@ def test_cameras_that_see_nobody_in_common_keep_their_poses(
 
 
 @pytest.mark.parametrize("given", [{}, dict.fromkeys(NAMES, Rigid.identity())])
-def test_a_log_that_nobody_calibrated_is_processed(
-    given: dict[str, Rigid],
-    scene: Simulation,
-    detections: list[Frame],
-    true: dict[str, Rigid],
-    tmp_path: Path,
-) -> None:
+def test_a_log_that_nobody_calibrated_is_processed(given, scene, detections, true, tmp_path):
     log, out = write(tmp_path / "log.mcap", scene, detections, given), tmp_path / "out.mcap"
     summary = process(log, out)
     assert verdicts(summary) == ["good"] * 3
@@ -188,8 +161,8 @@ def test_a_log_that_nobody_calibrated_is_processed(
 
 
 def test_two_cameras_at_one_place_are_named_and_the_peoples_rig_is_used(
-    scene: Simulation, detections: list[Frame], true: dict[str, Rigid], tmp_path: Path
-) -> None:
+    scene, detections, true, tmp_path
+):
     given = true | {"camera_2": true["camera_1"]}
     out = tmp_path / "out.mcap"
     summary = process(write(tmp_path / "log.mcap", scene, detections, given), out)
@@ -199,23 +172,21 @@ def test_two_cameras_at_one_place_are_named_and_the_peoples_rig_is_used(
     assert apart(got, true["camera_1"].inverse() @ true["camera_2"]) < 0.5
 
 
-def test_one_pose_for_all_cameras_counts_as_none(tmp_path: Path) -> None:
+def test_one_pose_for_all_cameras_counts_as_none(tmp_path):
     given = dict.fromkeys(NAMES, Rigid.identity())
     _, log = in_place(tmp_path, given, action="squat", seconds=12.0)
     with pytest.raises(LogError, match=r"at the same place .*; record 20 s of one or two people"):
         process(log)
 
 
-def in_place(
-    tmp_path: Path, given: Mapping[str, Rigid] | None = None, **params: object
-) -> tuple[Simulation, Path]:
+def in_place(tmp_path, given=None, **params):
     """A log of somebody who stays in place; without poses unless some are given."""
     settings = {"people": 1, "cameras": 3, "seconds": 20.0, "seed": 4, **params}
     scene = simulate(SimulateParams.model_validate(settings))
     return scene, write(tmp_path / "log.mcap", scene, list(scene.detections), given or {})
 
 
-def test_a_usable_rig_is_used_and_a_warning_says_how_exact_it_is(tmp_path: Path) -> None:
+def test_a_usable_rig_is_used_and_a_warning_says_how_exact_it_is(tmp_path):
     scene, log = in_place(tmp_path, action="walk", seconds=7.5)
     summary = process(log, tmp_path / "out.mcap")
     assert set(verdicts(summary)) == {"usable"}
@@ -230,9 +201,7 @@ def test_a_usable_rig_is_used_and_a_warning_says_how_exact_it_is(tmp_path: Path)
         process(log, options=ProcessOptions(calibrate="require"))
 
 
-def test_a_camera_without_a_sure_pose_is_left_out(
-    scene: Simulation, detections: list[Frame], tmp_path: Path
-) -> None:
+def test_a_camera_without_a_sure_pose_is_left_out(scene, detections, tmp_path):
     start = detections[0].stamp
     some = [f for f in detections if f.source != "camera_2" or f.stamp < start + 3e9]
     summary = process(write(tmp_path / "log.mcap", scene, some, {}), tmp_path / "out.mcap")
@@ -241,9 +210,7 @@ def test_a_camera_without_a_sure_pose_is_left_out(
     assert [camera.name for camera in summary.cameras] == ["camera_0", "camera_1"]
 
 
-def test_a_doubtful_rig_is_written_and_one_option_uses_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_doubtful_rig_is_written_and_one_option_uses_it(tmp_path, capsys):
     _, log = in_place(tmp_path, action="squat", cameras=3, seconds=4.0)
     target, out = tmp_path / "cameras.toml", tmp_path / "out.mcap"
     assert run(["process", str(log), "-o", str(out)]) == 2
@@ -254,9 +221,7 @@ def test_a_doubtful_rig_is_written_and_one_option_uses_it(
     assert run(["process", str(log), "-o", str(out), "-q", "--extrinsics", str(target)]) == 0
 
 
-def test_too_little_for_poses_from_nothing_says_what_to_record(
-    scene: Simulation, detections: list[Frame], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_too_little_for_poses_from_nothing_says_what_to_record(scene, detections, tmp_path, capsys):
     some = [frame for frame in detections if frame.stamp < detections[0].stamp + 1e9]
     log = write(tmp_path / "log.mcap", scene, some, {})
     assert run(["process", str(log), "-o", str(tmp_path / "out.mcap")]) == 2
@@ -265,8 +230,8 @@ def test_too_little_for_poses_from_nothing_says_what_to_record(
 
 
 def test_a_misspelt_fixed_frame_is_an_error_and_no_reason_to_find_poses(
-    scene: Simulation, detections: list[Frame], true: dict[str, Rigid], tmp_path: Path
-) -> None:
+    scene, detections, true, tmp_path
+):
     some = [frame for frame in detections if frame.stamp < detections[0].stamp + 1e9]
     log = write(tmp_path / "log.mcap", scene, some, true)
     config = load_config(overrides=["input.fixed_frame=lap"])
@@ -274,9 +239,7 @@ def test_a_misspelt_fixed_frame_is_an_error_and_no_reason_to_find_poses(
         process(log, tmp_path / "out.mcap", config=config)
 
 
-def test_a_causal_run_cannot_look_first(
-    scene: Simulation, detections: list[Frame], true: dict[str, Rigid], tmp_path: Path
-) -> None:
+def test_a_causal_run_cannot_look_first(scene, detections, true, tmp_path):
     log = write(tmp_path / "log.mcap", scene, detections[:90], true)
     assert process(log, options=ProcessOptions("hiros-realtime")).poses == ()
     with pytest.raises(ConfigError, match="a causal run refines poses as it goes on"):
@@ -285,9 +248,7 @@ def test_a_causal_run_cannot_look_first(
 
 
 @pytest.mark.parametrize("preset", ["paper", "upstream"])
-def test_published_methods_take_the_poses_as_given(
-    preset: str, scene: Simulation, detections: list[Frame], true: dict[str, Rigid], tmp_path: Path
-) -> None:
+def test_published_methods_take_the_poses_as_given(preset, scene, detections, true, tmp_path):
     given = true | {"camera_2": turned(true["camera_2"], 2.0, 0.05)}
     log = write(tmp_path / "log.mcap", scene, detections[:90], given)
     for name in ("hiros", "malaguti", "lee"):
@@ -297,13 +258,7 @@ def test_published_methods_take_the_poses_as_given(
             process(log, config=config, options=ProcessOptions(name, calibrate="require"))
 
 
-def test_info_names_the_poses_that_do_not_fit(
-    scene: Simulation,
-    detections: list[Frame],
-    true: dict[str, Rigid],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_info_names_the_poses_that_do_not_fit(scene, detections, true, tmp_path, capsys):
     given = true | {"camera_2": turned(true["camera_2"], 4.0, 0.1)}
     assert run(["info", str(write(tmp_path / "log.mcap", scene, detections, given))]) == 0
     assert "these poses do not fit the people (camera_2: " in capsys.readouterr().err
@@ -311,7 +266,7 @@ def test_info_names_the_poses_that_do_not_fit(
     assert "do not fit" not in capsys.readouterr().err
 
 
-def test_a_long_log_is_read_in_stretches() -> None:
+def test_a_long_log_is_read_in_stretches():
     assert stretches(0, int(10e9), 20.0, 5) == [(0, int(10e9))]
     spans = stretches(0, int(100e9), 20.0, 5)
     assert sum(end - begin for begin, end in spans) == pytest.approx(20e9)

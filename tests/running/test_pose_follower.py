@@ -2,34 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 from test_live import AS_KNOWN, LIVE, recorded, results, run_live, send
 from test_pose_alignment import turned, write
 
-from hiros_mcap.calibrate.camera_views import CameraView
-from hiros_mcap.calibrate.refinement import Estimate, refine_poses
+from hiros_mcap.calibrate.refinement import refine_poses
 from hiros_mcap.frames import Block, frames_of, join
-from hiros_mcap.io.log import Log, open_log
+from hiros_mcap.io.log import open_log
 from hiros_mcap.running import pose_follower
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.running.pose_follower import PoseFollower
-from hiros_mcap.simulate import SimulateParams, Simulation, simulate
-from hiros_mcap.skeletons import Frame
+from hiros_mcap.simulate import SimulateParams, simulate
 
 
 @pytest.fixture(scope="module")
-def scene() -> Simulation:
+def scene():
     return simulate(SimulateParams(people=1, cameras=3, seconds=14.0, seed=5))
 
 
 @pytest.fixture(scope="module")
-def folder(scene: Simulation, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(scene, tmp_path_factory):
     """Logs with true poses and with one that is off by two degrees."""
     folder = tmp_path_factory.mktemp("poses")
     true = {camera.name: camera.pose for camera in scene.cameras}
@@ -40,18 +34,18 @@ def folder(scene: Simulation, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def followed(log: Log, blocks: Iterable[Block]) -> tuple[list[Frame], PoseAlignment]:
+def followed(log, blocks):
     alignment = PoseAlignment()
     return list(frames_of(PoseFollower(log.read(), alignment).correct(blocks))), alignment
 
 
-def assert_same(ones: Sequence[Frame], others: Sequence[Frame]) -> None:
+def assert_same(ones, others):
     for one, other in zip(ones, others, strict=True):
         np.testing.assert_array_equal(one.markers, other.markers)
         np.testing.assert_array_equal(one.links, other.links)
 
 
-def test_a_wrong_pose_is_found_and_left_in_small_steps(folder: Path) -> None:
+def test_a_wrong_pose_is_found_and_left_in_small_steps(folder):
     with open_log(folder / "off.mcap") as log:
         given, (found, alignment) = list(log.detections()), followed(log, log.blocks())
     ways = {
@@ -67,25 +61,23 @@ def test_a_wrong_pose_is_found_and_left_in_small_steps(folder: Path) -> None:
     assert np.abs(np.diff(list(ways.values()))).max() < 0.02
 
 
-def test_detections_come_nearer_to_where_the_true_pose_puts_them(folder: Path) -> None:
+def test_detections_come_nearer_to_where_the_true_pose_puts_them(folder):
     with open_log(folder / "true.mcap") as true, open_log(folder / "off.mcap") as log:
         wanted, given = list(true.detections()), list(log.detections())
         found, _ = followed(log, log.blocks())
     last = [k for k, f in enumerate(wanted) if f.source == "camera_2" and f.n_people][-15:]
 
-    def miss(frames: Sequence[Frame]) -> float:
+    def miss(frames):
         ways = [frames[k].positions - wanted[k].positions for k in last]
         return float(np.nanmean(np.linalg.norm(np.concatenate(ways), axis=-1)))
 
     assert miss(found) < 0.8 * miss(given)
 
 
-def test_only_the_people_of_the_last_seconds_are_compared(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_the_people_of_the_last_seconds_are_compared(folder, monkeypatch):
     compared: list[float] = []
 
-    def noting(views: Sequence[CameraView], *rest: Any) -> Estimate:
+    def noting(views, *rest):
         compared.extend(t.seconds[0] for view in views for t in view.tracks)
         return refine_poses(views, *rest)
 
@@ -96,7 +88,7 @@ def test_only_the_people_of_the_last_seconds_are_compared(
     assert min(compared) == pytest.approx(4.0, abs=0.5)  # the poses are compared after 10 s
 
 
-def test_it_does_not_matter_how_messages_come_in_blocks(folder: Path) -> None:
+def test_it_does_not_matter_how_messages_come_in_blocks(folder):
     with open_log(folder / "off.mcap") as log:
         frames = list(log.detections())
         whole = join([Block.of(frame) for frame in frames])
@@ -106,7 +98,7 @@ def test_it_does_not_matter_how_messages_come_in_blocks(folder: Path) -> None:
     assert any((a.markers != b.markers).any() for a, b in zip(frames, in_one, strict=True))
 
 
-def test_what_comes_later_changes_nothing(folder: Path) -> None:
+def test_what_comes_later_changes_nothing(folder):
     with open_log(folder / "off.mcap") as log:
         frames = list(log.detections())
         some = frames[: len(frames) * 9 // 10]
@@ -114,7 +106,7 @@ def test_what_comes_later_changes_nothing(folder: Path) -> None:
     assert_same(early, whole[: len(early)])
 
 
-def test_true_poses_stay(folder: Path) -> None:
+def test_true_poses_stay(folder):
     with open_log(folder / "true.mcap") as log:
         given, (found, alignment) = list(log.detections()), followed(log, log.blocks())
     assert_same(given, found)
@@ -122,7 +114,7 @@ def test_true_poses_stay(folder: Path) -> None:
     assert not alignment.replaced
 
 
-def test_a_pipe_is_corrected_as_a_file_is(folder: Path, tmp_path: Path) -> None:
+def test_a_pipe_is_corrected_as_a_file_is(folder, tmp_path):
     path = folder / "off.mcap"
     in_file = process(path, tmp_path / "auto.mcap", config=AS_KNOWN, options=LIVE)
     by_file = results((tmp_path / "auto.mcap").read_bytes())

@@ -7,7 +7,6 @@ rejects the person: on the sample logs a hand does. Here the cameras are better.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ from hiros_mcap.evaluate.smoothness import lengths_of
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.write_log import write_log
-from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import Floats, SkeletonModel
 
 ARM = ("WRIST_LEFT", "HAND_LEFT", "HANDTIP_LEFT", "THUMB_LEFT")
 LONG = range(180, 188)
@@ -41,7 +40,7 @@ class Chain:
     errors: tuple[float, float]
     """Mean joint error of both, mm."""
 
-    def variations(self, poses: Floats) -> float:
+    def variations(self, poses):
         """Mean coefficient of variation of the lengths once they are calibrated."""
         known = (self.stamps > CALIBRATED_NS / 1e9) & ((self.stamps < 5.7) | (self.stamps > 6.6))
         lengths = lengths_of(poses[known], self.model)
@@ -49,7 +48,7 @@ class Chain:
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def log(tmp_path_factory):
     """One person, three good cameras, 8 s; for a quarter of a second a long forearm."""
     folder = tmp_path_factory.mktemp("presets")
     faultless = {"occlusion": 0.0, "flips": 0.0, "phantoms": 0.0, "dropouts": 0.0}
@@ -60,7 +59,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     elbow, wrist = (model.marker_names.index(name) for name in ("ELBOW_LEFT", "WRIST_LEFT"))
     arm = [model.marker_names.index(name) for name in ARM]
 
-    def long_forearm(frame: Frame, sent: int) -> Frame:
+    def long_forearm(frame, sent):
         if sent not in LONG:
             return frame
         markers = frame.markers.copy()
@@ -72,9 +71,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module", params=["paper", "upstream"])
-def chain(
-    request: pytest.FixtureRequest, log: Path, tmp_path_factory: pytest.TempPathFactory
-) -> Chain:
+def chain(request, log, tmp_path_factory):
     out = tmp_path_factory.mktemp("out") / f"{request.param}.mcap"
     process(
         log,
@@ -94,23 +91,23 @@ def chain(
     )
 
 
-def test_nothing_changes_before_the_calibration(chain: Chain) -> None:
+def test_nothing_changes_before_the_calibration(chain):
     early = chain.stamps < 3.0
     assert np.array_equal(chain.merged[early], chain.optimized[early], equal_nan=True)
 
 
-def test_eq_18_lets_lengths_vary_by_a_third_of_what_they_did(chain: Chain) -> None:
+def test_eq_18_lets_lengths_vary_by_a_third_of_what_they_did(chain):
     before, after = chain.variations(chain.merged), chain.variations(chain.optimized)
     assert before == pytest.approx(0.052, abs=0.004)
     assert 0.25 < after / before < 0.35
 
 
-def test_the_joint_error_falls_by_some_percent(chain: Chain) -> None:
+def test_the_joint_error_falls_by_some_percent(chain):
     before, after = chain.errors
     assert 0.90 < after / before < 0.97
 
 
-def test_a_forearm_of_twice_its_length_loses_its_distal_marker_alone(chain: Chain) -> None:
+def test_a_forearm_of_twice_its_length_loses_its_distal_marker_alone(chain):
     absent = np.isnan(chain.optimized[..., 0]) & ~np.isnan(chain.merged[..., 0])
     names = {chain.model.marker_names[m] for m in np.nonzero(absent.any(axis=0))[0]}
     assert names == {"WRIST_LEFT"}

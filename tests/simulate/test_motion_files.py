@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -62,12 +61,12 @@ lower 90
 """
 
 
-def bvh(frames: int = 40) -> str:
+def bvh(frames=40):
     """A small person, y up, in centimetres, whose left arm swings and who walks along z."""
     joints = ["HIERARCHY", "ROOT Hips", "{", "OFFSET 0 0 0",
               "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation"]  # fmt: skip
 
-    def chain(names: list[str], offsets: list[str], end: str) -> None:
+    def chain(names, offsets, end):
         for name, offset in zip(names, offsets, strict=True):
             joints.extend([f"JOINT {name}", "{", f"OFFSET {offset}",
                            "CHANNELS 3 Zrotation Xrotation Yrotation"])  # fmt: skip
@@ -98,19 +97,19 @@ def bvh(frames: int = 40) -> str:
     return "\n".join([*joints, "MOTION", f"Frames: {frames}", "Frame Time: 0.0333333", *rows])
 
 
-def write(folder: Path, name: str, text: str) -> Path:
+def write(folder, name, text):
     path = folder / name
     path.write_text(text, encoding="utf-8")
     return path
 
 
-def test_rotations_are_multiplied_in_the_order_of_the_letters() -> None:
+def test_rotations_are_multiplied_in_the_order_of_the_letters():
     quarter = np.array([[np.pi / 2, np.pi / 2]])
     assert euler(quarter, "ZX").apply([0, 1, 0])[0] == pytest.approx([0, 0, 1])  # x first: y to z
     assert euler(quarter, "XZ").apply([0, 1, 0])[0] == pytest.approx([-1, 0, 0])  # z first: y to -x
 
 
-def test_two_bones_of_an_asf_file_by_hand(tmp_path: Path) -> None:
+def test_two_bones_of_an_asf_file_by_hand(tmp_path):
     """At rest both hang down; then the root turns by 90 degrees about z, and each bone bends.
 
     The upper bone's x axis is the global y (its axes are turned by 90 degrees about z), so it
@@ -132,7 +131,7 @@ def test_two_bones_of_an_asf_file_by_hand(tmp_path: Path) -> None:
     assert clip.joints["lower"][1] == pytest.approx([second[0], -second[2], second[1]])
 
 
-def test_a_bvh_file_by_hand(tmp_path: Path) -> None:
+def test_a_bvh_file_by_hand(tmp_path):
     clip = read_bvh(write(tmp_path, "a.bvh", bvh()))
     assert clip.rate == pytest.approx(30, abs=0.01)
     assert clip.joints["Hips"][3] == pytest.approx([0, -6, 95])
@@ -144,7 +143,7 @@ def test_a_bvh_file_by_hand(tmp_path: Path) -> None:
     assert np.linalg.norm(arm, axis=1) == pytest.approx(28)
 
 
-def test_the_body_repeats_the_motion_with_its_own_constant_limbs(tmp_path: Path) -> None:
+def test_the_body_repeats_the_motion_with_its_own_constant_limbs(tmp_path):
     path = write(tmp_path, "a.bvh", bvh())
     params = SimulateParams(motion=(str(path),), seconds=4.0, seed=3)
     simulation = simulate(params)
@@ -166,9 +165,7 @@ def test_the_body_repeats_the_motion_with_its_own_constant_limbs(tmp_path: Path)
 
 @pytest.mark.parametrize("name", [r"\1\2", r"\1_\2", r"\2\1", r"\2.\1"])
 @pytest.mark.parametrize("sides", [("Left", "Right"), ("l", "r")])
-def test_the_side_may_stand_before_or_behind_a_joints_name(
-    name: str, sides: tuple[str, str], tmp_path: Path
-) -> None:
+def test_the_side_may_stand_before_or_behind_a_joints_name(name, sides, tmp_path):
     text = re.sub(r"\b(Left|Right)(\w+)", name, bvh(3))
     for side, ours in zip(("Left", "Right"), sides, strict=True):
         text = text.replace(side, ours)
@@ -177,7 +174,7 @@ def test_the_side_may_stand_before_or_behind_a_joints_name(
     np.testing.assert_array_equal(*(who.pose(np.arange(2) / 30)[0] for who in people))
 
 
-def test_it_goes_forth_and_back_without_a_jump(tmp_path: Path) -> None:
+def test_it_goes_forth_and_back_without_a_jump(tmp_path):
     path = write(tmp_path, "a.bvh", bvh(30))
     (person,) = simulate(SimulateParams(motion=(str(path),), seconds=5.0)).people
     poses, _ = person.pose(np.arange(0, 5, 0.01))
@@ -186,7 +183,7 @@ def test_it_goes_forth_and_back_without_a_jump(tmp_path: Path) -> None:
     assert np.abs(again[:100] - poses[:100]).max() < 0.01
 
 
-def test_several_people_keep_apart_and_the_seed_decides(tmp_path: Path) -> None:
+def test_several_people_keep_apart_and_the_seed_decides(tmp_path):
     path = write(tmp_path, "a.bvh", bvh())
     params = SimulateParams(motion=(str(path),), people=4, seconds=4.0, seed=1)
     times = np.arange(0, 4, 0.1)
@@ -198,7 +195,7 @@ def test_several_people_keep_apart_and_the_seed_decides(tmp_path: Path) -> None:
     assert all((a == b).all() for a, b in zip(paths, again, strict=True))
 
 
-def test_from_outside(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_from_outside(tmp_path, capsys):
     path, out = write(tmp_path, "a.bvh", bvh()), tmp_path / "out.mcap"
     files = ["--motion", str(path), "--motion", str(path)]
     assert run(["simulate", str(out), *files, "--seconds", "2", "--cameras", "2"]) == 0
@@ -221,7 +218,7 @@ def test_from_outside(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
         ("a.amc", AMC, "needs its skeleton"),
     ],
 )
-def test_faulty_files(tmp_path: Path, name: str, text: str, fault: str) -> None:
+def test_faulty_files(tmp_path, name, text, fault):
     path = write(tmp_path, name, text)
     with pytest.raises(ConfigError, match=fault) as caught:
         simulate(SimulateParams(motion=(str(path),))).people  # noqa: B018 - computed here
@@ -242,7 +239,7 @@ def test_faulty_files(tmp_path: Path, name: str, text: str, fault: str) -> None:
         (ASF, "1\nroot 0 0 0 0 0 0\n", "it has 1 frames"),
     ],
 )
-def test_faulty_acclaim_files(tmp_path: Path, asf: str, amc: str, fault: str) -> None:
+def test_faulty_acclaim_files(tmp_path, asf, amc, fault):
     skeleton, motion = write(tmp_path, "a.asf", asf), write(tmp_path, "a.amc", amc)
     with pytest.raises(ConfigError, match=fault):
         load_clip(motion, skeleton)
@@ -252,7 +249,7 @@ def test_faulty_acclaim_files(tmp_path: Path, asf: str, amc: str, fault: str) ->
     deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(kind=st.sampled_from(["bvh", "asf", "amc"]), at=st.floats(0, 1), text=st.text(max_size=12))
-def test_a_damaged_file_is_read_or_named(tmp_path: Path, kind: str, at: float, text: str) -> None:
+def test_a_damaged_file_is_read_or_named(tmp_path, kind, at, text):
     """Whatever is written into the middle of a file: a clip, or an error that names the file."""
     texts = {"bvh": bvh(4), "asf": ASF, "amc": AMC}
     where = round(at * len(texts[kind]))
@@ -267,7 +264,7 @@ def test_a_damaged_file_is_read_or_named(tmp_path: Path, kind: str, at: float, t
 
 @given(st.lists(st.floats(-9, 9), min_size=1, max_size=4), st.text("XYZ", min_size=4, max_size=4))
 @settings(deadline=None)
-def test_euler_angles_of_any_axes(angles: list[float], axes: str) -> None:
+def test_euler_angles_of_any_axes(angles, axes):
     axes = axes[: len(angles)]
     expected = np.eye(3)
     for angle, axis in zip(angles, axes, strict=True):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from mcap.reader import NonSeekingReader
@@ -15,15 +13,12 @@ from hiros_mcap.simulate import DetectorParams, RigParams, SimulateParams, simul
 from hiros_mcap.simulate.actions import ACTIONS
 from hiros_mcap.simulate.body_model import SLOT
 from hiros_mcap.simulate.randomness import coloured, episodes
-from hiros_mcap.simulate.simulation import Simulation
 from hiros_mcap.simulate.write_log import write_log
 from hiros_mcap.skeletons import (
     ACCELERATION,
     ANGULAR_ACCELERATION,
     ANGULAR_VELOCITY,
     VELOCITY,
-    Floats,
-    Stamps,
 )
 
 OFF = {
@@ -32,11 +27,11 @@ OFF = {
 }  # fmt: skip
 
 
-def perfect(**changes: object) -> Simulation:
+def perfect(**changes):
     return simulate(SimulateParams.model_validate({"seconds": 1.5, "cameras": 2, **OFF, **changes}))
 
 
-def in_room(simulation: Simulation) -> list[tuple[str, Floats]]:
+def in_room(simulation):
     """Source and markers (P, M, 3) in the world of every detection."""
     rooms = []
     for frame in simulation.detections:
@@ -46,12 +41,12 @@ def in_room(simulation: Simulation) -> list[tuple[str, Floats]]:
     return rooms
 
 
-def _matrix(xyzw: Floats) -> Floats:
+def _matrix(xyzw):
     return Rotation.from_quat(xyzw).as_matrix()
 
 
 @pytest.mark.parametrize("action", sorted(ACTIONS))
-def test_bodies_have_constant_limbs_and_move_smoothly(action: str) -> None:
+def test_bodies_have_constant_limbs_and_move_smoothly(action):
     truth = list(perfect(action=action, people=2).truth)
     poses = np.stack([frame.positions for frame in truth])
     parents, children = perfect().model.links.T
@@ -62,13 +57,13 @@ def test_bodies_have_constant_limbs_and_move_smoothly(action: str) -> None:
     assert speed < 12
 
 
-def poses_of(action: str, **changes: object) -> Floats:
+def poses_of(action, **changes):
     """(T, M, 3) one person facing x for 8 s."""
     scene = {"action": action, "facing": 0.0, "seconds": 8.0, "cameras": 1, **changes}
     return np.stack([frame.positions[0] for frame in perfect(**scene).truth])
 
 
-def test_a_lunge_puts_one_foot_far_ahead_and_bends_both_knees() -> None:
+def test_a_lunge_puts_one_foot_far_ahead_and_bends_both_knees():
     poses = poses_of("lunge")
     feet = poses[:, [SLOT["FOOT_LEFT"], SLOT["FOOT_RIGHT"]]]
     stride = feet[:, 0, 0] - feet[:, 1, 0]
@@ -83,7 +78,7 @@ def test_a_lunge_puts_one_foot_far_ahead_and_bends_both_knees() -> None:
     assert np.quantile(speed, 0.9) < 0.003
 
 
-def test_hands_go_up_over_the_head_and_down_to_the_hips() -> None:
+def test_hands_go_up_over_the_head_and_down_to_the_hips():
     poses = poses_of("hands_up_down")
     for side in ("LEFT", "RIGHT"):
         above = poses[:, SLOT[f"WRIST_{side}"], 2] - poses[:, SLOT["HEAD"], 2]
@@ -91,30 +86,30 @@ def test_hands_go_up_over_the_head_and_down_to_the_hips() -> None:
         assert above.min() < -0.5
 
 
-def test_who_walks_in_place_lifts_both_feet_and_stays() -> None:
+def test_who_walks_in_place_lifts_both_feet_and_stays():
     poses = poses_of("walk_in_place")
     for side in ("LEFT", "RIGHT"):
         assert 0.1 < np.ptp(poses[:, SLOT[f"FOOT_{side}"], 2]) < 0.3
     assert np.ptp(poses[:, SLOT["PELVIS"], :2], axis=0).max() < 0.1
 
 
-def unit(vectors: Floats) -> Floats:
+def unit(vectors):
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def upright(poses: Floats) -> Floats:
+def upright(poses):
     """(T,) Vertical part of the direction from pelvis to neck: 1 upright, 0 level."""
     return unit(poses[:, SLOT["NECK"]] - poses[:, SLOT["PELVIS"]])[:, 2]
 
 
 @pytest.mark.parametrize("action", ["crawl", "get_up", "roll", "kick", "spin"])
 @pytest.mark.parametrize("height", [1.2, 1.9])
-def test_bodies_of_any_size_stay_above_the_floor(action: str, height: float) -> None:
+def test_bodies_of_any_size_stay_above_the_floor(action, height):
     poses = poses_of(action, heights=(height, height), seconds=12.0)
     assert poses[..., 2].min() > -0.03
 
 
-def test_who_crawls_moves_on_hands_and_knees() -> None:
+def test_who_crawls_moves_on_hands_and_knees():
     poses = poses_of("crawl")
     assert np.abs(upright(poses)).max() < 0.25
     way = np.linalg.norm(np.diff(poses[:, SLOT["PELVIS"], :2], axis=0), axis=-1).sum()
@@ -129,7 +124,7 @@ def test_who_crawls_moves_on_hands_and_knees() -> None:
     assert 0.5 < planted.mean() < 0.8
 
 
-def test_who_gets_up_lies_on_the_back_stands_and_lies_again() -> None:
+def test_who_gets_up_lies_on_the_back_stands_and_lies_again():
     poses = poses_of("get_up", seconds=13.0)
     up = upright(poses)
     lying, standing = np.abs(up) < 0.2, poses[:, SLOT["PELVIS"], 2] > 0.8
@@ -141,7 +136,7 @@ def test_who_gets_up_lies_on_the_back_stands_and_lies_again() -> None:
     assert poses[lying, :, 2].max() < 0.55
 
 
-def test_who_rolls_shows_every_side_to_the_ceiling_and_stays_level() -> None:
+def test_who_rolls_shows_every_side_to_the_ceiling_and_stays_level():
     poses = poses_of("roll")
     assert np.abs(upright(poses)).max() < 0.2
     across = unit(poses[:, SLOT["SHOULDER_LEFT"]] - poses[:, SLOT["SHOULDER_RIGHT"]])[:, 2]
@@ -151,7 +146,7 @@ def test_who_rolls_shows_every_side_to_the_ceiling_and_stays_level() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_kick_accelerates_hip_knee_and_ankle_to_40_to_80(seed: int) -> None:
+def test_a_kick_accelerates_hip_knee_and_ankle_to_40_to_80(seed):
     scene = {"action": "kick", "seconds": 7.0, "truth_rate": 200.0, "seed": seed}
     truth = list(perfect(**scene).truth)
     accelerations = np.stack([frame.markers[0, :, ACCELERATION] for frame in truth], axis=1)
@@ -162,7 +157,7 @@ def test_a_kick_accelerates_hip_knee_and_ankle_to_40_to_80(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_dancer_now_and_then_spins_at_550_to_670_degrees_a_second(seed: int) -> None:
+def test_a_dancer_now_and_then_spins_at_550_to_670_degrees_a_second(seed):
     scene = {"action": "spin", "seconds": 12.0, "seed": seed}
     truth = list(perfect(**scene).truth)
     rates = np.degrees([frame.links[0, 0, ANGULAR_VELOCITY][2] for frame in truth])
@@ -173,14 +168,14 @@ def test_a_dancer_now_and_then_spins_at_550_to_670_degrees_a_second(seed: int) -
 
 @pytest.mark.parametrize("facing", [0.0, 90.0, 180.0, 270.0])
 @pytest.mark.parametrize("action", ["squat", "walk_in_place"])
-def test_everybody_on_a_spot_faces_where_he_is_told_to(action: str, facing: float) -> None:
+def test_everybody_on_a_spot_faces_where_he_is_told_to(action, facing):
     pose = poses_of(action, facing=facing, seconds=0.1)[0]
     across = pose[SLOT["SHOULDER_LEFT"]] - pose[SLOT["SHOULDER_RIGHT"]]
     ahead = np.degrees(np.arctan2(across[1], across[0])) - 90
     assert (ahead - facing + 180) % 360 - 180 == pytest.approx(0, abs=12)
 
 
-def test_without_faults_the_cameras_see_the_truth() -> None:
+def test_without_faults_the_cameras_see_the_truth():
     simulation = perfect(people=1, action="wave")
     stamps = {frame.stamps[0] for frame in simulation.detections if frame.n_people}
     poses = {f.stamp: f.positions[0] for f in simulation.truth}
@@ -194,7 +189,7 @@ def test_without_faults_the_cameras_see_the_truth() -> None:
     assert nearest < 0.02  # a camera's instant is never exactly one of the truth's
 
 
-def test_four_cameras_in_the_corners_beside_motion_capture_of_another_rate() -> None:
+def test_four_cameras_in_the_corners_beside_motion_capture_of_another_rate():
     """The room of Malaguti et al. (IV): cameras at 30 Hz and 2.5 m, markers at 50 Hz."""
     rig = {"height": 2.5, "radius": 3.6}
     simulation = perfect(cameras=4, people=2, action="cross", seconds=3, rig=rig, truth_rate=50)
@@ -209,13 +204,13 @@ def test_four_cameras_in_the_corners_beside_motion_capture_of_another_rate() -> 
     assert max(frame.n_people for frame in simulation.detections) == 2
 
 
-def test_the_truth_moves_at_its_own_velocities() -> None:
+def test_the_truth_moves_at_its_own_velocities():
     truth = list(perfect(action="walk").truth)
     moved = (truth[11].positions - truth[9].positions) * 15
     assert moved == pytest.approx(truth[10].velocities, abs=0.25)
 
 
-def test_velocities_and_accelerations_are_derivatives_of_the_true_motion() -> None:
+def test_velocities_and_accelerations_are_derivatives_of_the_true_motion():
     """Differences over 2 ms of one second of a throw."""
     stamps = _instants()[1] + np.array([-1, 0, 1]) * 1_000_000
     before, now, after = perfect(action="throw").truth_at(stamps)
@@ -232,7 +227,7 @@ def test_velocities_and_accelerations_are_derivatives_of_the_true_motion() -> No
     assert now.links[0, :, ANGULAR_ACCELERATION] == pytest.approx(change / step, abs=0.1)
 
 
-def test_link_noise_has_the_deviation_that_was_asked_for() -> None:
+def test_link_noise_has_the_deviation_that_was_asked_for():
     """2 degrees per axis, and nothing else."""
     quiet = {"orientation_coloured": 0.0, "orientation_bias": 0.0, "orientation_white": 2.0,
              "extremities": 1.0, "range_growth": 0.0}  # fmt: skip
@@ -247,7 +242,7 @@ def test_link_noise_has_the_deviation_that_was_asked_for() -> None:
     assert np.std(degrees) == pytest.approx(2.0, rel=0.05)
 
 
-def test_a_bad_clock_shifts_what_the_camera_stamps_not_when_it_arrives() -> None:
+def test_a_bad_clock_shifts_what_the_camera_stamps_not_when_it_arrives():
     right, wrong = (perfect(cameras=3, rig=RigParams(clock_offset=s)) for s in (0.0, 0.05))
     for good, bad in zip(right.cameras, wrong.cameras, strict=True):
         (own,) = {int(x) for x in bad.ticks.stamped - good.ticks.stamped}
@@ -256,7 +251,7 @@ def test_a_bad_clock_shifts_what_the_camera_stamps_not_when_it_arrives() -> None
         assert np.array_equal(bad.ticks.logged, good.ticks.logged)
 
 
-def test_published_orientations_are_off_by_the_deviation_in_degrees() -> None:
+def test_published_orientations_are_off_by_the_deviation_in_degrees():
     rig = RigParams(orientation_error=3.0, position_error=0.0)
     cameras = perfect(cameras=32, calibration_error=1.0, rig=rig).cameras
     off = [
@@ -266,14 +261,14 @@ def test_published_orientations_are_off_by_the_deviation_in_degrees() -> None:
     assert np.degrees(np.std(off)) == pytest.approx(3.0, rel=0.2)
 
 
-def test_same_seed_same_bytes_other_seed_others(tmp_path: Path) -> None:
+def test_same_seed_same_bytes_other_seed_others(tmp_path):
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         write_log(tmp_path / name, SimulateParams(seconds=1, cameras=2, seed=seed))
     a, b, c = ((tmp_path / name).read_bytes() for name in "abc")
     assert a == b != c
 
 
-def test_noise_has_the_spread_that_was_asked_for() -> None:
+def test_noise_has_the_spread_that_was_asked_for():
     quiet = {"coloured": 0.0, "bias": 0.0, "white": 0.01, "extremities": 1.0, "range_growth": 0.0}
     detector = DetectorParams.model_validate(quiet)
     noisy = in_room(perfect(noise=1.0, detector=detector, action="free_static", seconds=3))
@@ -283,20 +278,20 @@ def test_noise_has_the_spread_that_was_asked_for() -> None:
     assert np.std(error[~np.isnan(error)]) == pytest.approx(0.01, rel=0.05)
 
 
-def test_coloured_noise_has_a_deviation_of_one() -> None:
+def test_coloured_noise_has_a_deviation_of_one():
     noise = coloured(np.random.default_rng(0), (50_000,), 0.85)
     assert np.std(noise) == pytest.approx(1, abs=0.05)
     assert np.mean(noise[1:] * noise[:-1]) == pytest.approx(0.85, abs=0.05)
 
 
-def test_episodes_end_with_the_log() -> None:
+def test_episodes_end_with_the_log():
     found = episodes(np.random.default_rng(0), 10, 1.0, (3, 30))
     assert [start for start, _ in found] == list(range(10))
     assert all(start < stop <= 10 for start, stop in found)
 
 
 @pytest.mark.parametrize(("rate", "correlation"), [(30, 0.85), (15, 0.85**2)])
-def test_slow_noise_is_correlated_as_asked(rate: float, correlation: float) -> None:
+def test_slow_noise_is_correlated_as_asked(rate, correlation):
     slow = {"coloured": 0.02, "bias": 0.0, "white": 0.0, "correlation": 0.85}
     detector = DetectorParams.model_validate(slow)
     rig = RigParams(rate=rate)
@@ -308,7 +303,7 @@ def test_slow_noise_is_correlated_as_asked(rate: float, correlation: float) -> N
     assert lagged == pytest.approx(correlation, abs=0.06)
 
 
-def test_flips_swap_the_sides() -> None:
+def test_flips_swap_the_sides():
     often = DetectorParams(flips_per_minute=60.0)
     names = perfect().model.marker_names
     left, right = names.index("SHOULDER_LEFT"), names.index("SHOULDER_RIGHT")
@@ -323,7 +318,7 @@ def test_flips_swap_the_sides() -> None:
     assert min(sides) < 0 < max(sides)
 
 
-def test_occluded_joints_are_guessed_and_say_so() -> None:
+def test_occluded_joints_are_guessed_and_say_so():
     frames = list(perfect(people=3, occlusion=1.0, action="circle", seconds=2).detections)
     confidences = np.concatenate([f.marker_confidences.ravel() for f in frames])
     assert {0.33, 0.66} <= set(np.round(confidences, 2))
@@ -333,21 +328,21 @@ def test_occluded_joints_are_guessed_and_say_so() -> None:
     assert 0.33 not in np.round(unhidden, 2)
 
 
-def test_a_static_phantom_stands_in_one_camera() -> None:
+def test_a_static_phantom_stands_in_one_camera():
     detector = DetectorParams(static_phantoms=1)
     frames = list(perfect(phantoms=1.0, people=1, cameras=3, detector=detector).detections)
     most = {c: max(f.n_people for f in frames if f.source == c) for c in {f.source for f in frames}}
     assert max(most.values()) >= 2
 
 
-def test_frames_are_lost_at_the_rate_that_was_asked_for() -> None:
+def test_frames_are_lost_at_the_rate_that_was_asked_for():
     rig = RigParams(lost_frames=0.3)
     all_frames = len(list(perfect(seconds=4).detections))
     left = len(list(perfect(seconds=4, dropouts=1.0, rig=rig).detections))
     assert left / all_frames == pytest.approx(0.7, abs=0.1)
 
 
-def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+def test_what_is_written_is_read_back(tmp_path):
     params = SimulateParams(people=2, cameras=3, seconds=1, rig=RigParams(clock_offset=0.05))
     write_log(tmp_path / "log.mcap", params)
     expected = [f for f in simulate(params).detections if f.n_people]
@@ -362,12 +357,12 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     assert times == sorted(times)
 
 
-def _numbers(simulation: Simulation) -> list[tuple[int, bytes]]:
+def _numbers(simulation):
     return [(frame.stamp, frame.markers.tobytes()) for frame in simulation.detections]
 
 
 @pytest.mark.parametrize("flaw", OFF)
-def test_each_flaw_alone_is_seen_and_changes_nothing_else(flaw: str) -> None:
+def test_each_flaw_alone_is_seen_and_changes_nothing_else(flaw):
     """What one switch turns on differs from the faultless log; the people move as before."""
     scene = {"people": 2, "cameras": 3, "seconds": 12.0, "seed": 5, "action": "cross"}
     clean = simulate(SimulateParams.model_validate({**scene, **OFF}))
@@ -386,11 +381,11 @@ def test_each_flaw_alone_is_seen_and_changes_nothing_else(flaw: str) -> None:
         assert np.array_equal(*published)
 
 
-def _instants() -> Stamps:
+def _instants():
     return 1_700_000_000_000_000_000 + np.arange(0, 12, dtype=np.int64) * 1_000_000_000
 
 
-def test_flips_come_at_the_same_times_with_and_without_noise() -> None:
+def test_flips_come_at_the_same_times_with_and_without_noise():
     """Each flaw draws from a stream of its own: switching one leaves the others as they were."""
     scene = {"people": 1, "cameras": 2, "seconds": 20.0, "seed": 9, "action": "circle"}
     times = []

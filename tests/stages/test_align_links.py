@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from hiros_mcap.body.rotations import angle
 from hiros_mcap.frames import Block, frames_of, join
-from hiros_mcap.skeletons import ORIENTATION, Floats, Frame, SkeletonModel, Uncertainty
+from hiros_mcap.skeletons import ORIENTATION, Frame, SkeletonModel, Uncertainty
 from hiros_mcap.stages.fuse.align_links import align_blocks
 
 ARM = SkeletonModel.of(["s", "e", "w"], [("upper", 0, 1), ("fore", 1, 2)])
@@ -17,7 +17,7 @@ AXES = Rotation.from_rotvec([0.4, -1.0, 0.7])
 """The axes of a segment in its link."""
 
 
-def turns(steps: int) -> list[Rotation]:
+def turns(steps):
     """Orientations of upper arm and forearm."""
     t = np.arange(steps) / 30
     upper = Rotation.from_rotvec(np.stack([np.sin(t), 0.5 * np.cos(2 * t), 0.3 * t], axis=1))
@@ -25,9 +25,7 @@ def turns(steps: int) -> list[Rotation]:
     return [upper, fore]
 
 
-def arm(
-    noise: float, deviation: float, owners: tuple[int, int] = (0, 1), steps: int = 300
-) -> tuple[list[Frame], Floats]:
+def arm(noise, deviation, owners=(0, 1), steps=300):
     """Frames with noisy orientations, rad, and deviations of the markers, m; the true ones."""
     rng, segments = np.random.default_rng(3), turns(steps)
     along = [segment.apply([0.0, 0.0, 0.3]) for segment in segments]
@@ -46,35 +44,35 @@ def arm(
     return frames, true
 
 
-def aligned(frames: list[Frame]) -> list[Frame]:
+def aligned(frames):
     return list(frames_of(align_blocks(map(Block.of, frames), ARM)))
 
 
-def errors(frames: list[Frame], true: Floats) -> Floats:
+def errors(frames, true):
     """(T, 2) rad."""
     return angle(np.array([frame.orientations[0] for frame in frames]), true)
 
 
 @pytest.mark.parametrize("owners", [(0, 1), (0, 0), (1, 1)])
-def test_noisy_links_turn_towards_their_bones(owners: tuple[int, int]) -> None:
+def test_noisy_links_turn_towards_their_bones(owners):
     """Also where a link has the orientation of the bone before or after it."""
     frames, true = arm(0.1, 0.003, owners)
     before, after = errors(frames, true)[60:], errors(aligned(frames), true)[60:]
     assert (after.mean(axis=0) < 0.7 * before.mean(axis=0)).all()
 
 
-def test_bones_that_are_worse_known_than_links_turn_nothing() -> None:
+def test_bones_that_are_worse_known_than_links_turn_nothing():
     frames, true = arm(0.02, 0.03)
     before, after = errors(frames, true)[150:], errors(aligned(frames), true)[150:]
     assert after.mean() < 1.15 * before.mean()
 
 
-def test_links_that_turn_with_no_bone_stay() -> None:
+def test_links_that_turn_with_no_bone_stay():
     frames, _ = arm(1.5, 0.003)
     assert all(map(same, aligned(frames), frames))
 
 
-def test_markers_stay_and_the_given_frames_are_not_written_to() -> None:
+def test_markers_stay_and_the_given_frames_are_not_written_to():
     frames, _ = arm(0.1, 0.003)
     copies = [frame.replace(links=frame.links.copy()) for frame in frames]
     out = aligned(frames)
@@ -84,7 +82,7 @@ def test_markers_stay_and_the_given_frames_are_not_written_to() -> None:
         np.testing.assert_allclose(np.linalg.norm(one.orientations, axis=2), 1, atol=1e-9)
 
 
-def test_blocks_change_nothing_and_absent_numbers_are_passed_over() -> None:
+def test_blocks_change_nothing_and_absent_numbers_are_passed_over():
     frames, _ = arm(0.1, 0.003)
     for k in range(40, 60):
         frames[k].links[0, 0, ORIENTATION] = np.nan
@@ -95,7 +93,7 @@ def test_blocks_change_nothing_and_absent_numbers_are_passed_over() -> None:
     assert not np.isnan(whole[80].orientations[0]).any()
 
 
-def test_a_model_without_links_passes() -> None:
+def test_a_model_without_links_passes():
     model = SkeletonModel.of(["a", "b"], [])
     frame = Frame.empty(1, model, stamp=10**9)
     (out,) = frames_of(align_blocks([Block.of(frame)], model))

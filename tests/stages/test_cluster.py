@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ from stick_figures import MIRROR, MODEL, SECOND, at, person, seen
 
 from hiros_mcap.events import Events
 from hiros_mcap.frames import by_frame
-from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.stages.lee.cluster import (
     LEE_JOINTS,
     ClusterParams,
@@ -34,23 +33,18 @@ NO_HELP = ClusterParams(reference_helps=False, previous_helps=False)
 TURN, SHIFT = Rotation.from_euler("xyz", [0.3, -0.5, 1.2]), np.array([3.0, -1.0, 0.5])
 
 
-def with_wrist(*place: float) -> Floats:
+def with_wrist(*place):
     pose = person()
     pose[WRIST] = place
     return pose
 
 
-def views(poses: Sequence[Floats], k: int = 0, *, turns: bool = False) -> list[Frame]:
+def views(poses, k=0, *, turns=False):
     """One frame per camera, at the same time, of person 0."""
     return [seen([p], at(k), f"c{c}", ids=[0], turns=turns) for c, p in enumerate(poses)]
 
 
-def merged(
-    poses: Sequence[Floats],
-    params: ClusterParams = NO_HELP,
-    confidences: Sequence[float] = (),
-    events: Events | None = None,
-) -> Floats:
+def merged(poses, params=NO_HELP, confidences=(), events=None):
     """Positions (M, 3) merged from one view per camera."""
     frames = views(poses)
     for frame, confidence in zip(frames, confidences, strict=False):
@@ -60,7 +54,7 @@ def merged(
     return np.array(out.positions[0])
 
 
-def labels_of(points: Floats, radius: float, min_points: int) -> Floats:
+def labels_of(points, radius, min_points):
     work = ClusterWork.of(len(points), 1)
     count = dbscan(points, radius, min_points, work)
     labels = work.labels[: len(points)]
@@ -70,7 +64,7 @@ def labels_of(points: Floats, radius: float, min_points: int) -> Floats:
 
 @settings(deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 24), st.integers(1, 5))
-def test_dbscan_equals_scikit_learn(seed: int, n: int, min_points: int) -> None:
+def test_dbscan_equals_scikit_learn(seed, n, min_points):
     points = np.random.default_rng(seed).uniform(0, 0.4, (n, 3))
     expected = DBSCAN(eps=0.1, min_samples=min_points).fit(points).labels_
     assert (labels_of(points, 0.1, min_points) == expected).all()
@@ -78,7 +72,7 @@ def test_dbscan_equals_scikit_learn(seed: int, n: int, min_points: int) -> None:
 
 @settings(deadline=None)
 @given(st.integers(0, 10_000), st.integers(2, 24))
-def test_one_neighbour_is_single_linkage_and_never_noise(seed: int, n: int) -> None:
+def test_one_neighbour_is_single_linkage_and_never_noise(seed, n):
     points = np.random.default_rng(seed).uniform(0, 0.4, (n, 3))
     labels = labels_of(points, 0.1, 1)
     linked = fclusterdata(points, 0.1, criterion="distance", method="single")
@@ -86,13 +80,13 @@ def test_one_neighbour_is_single_linkage_and_never_noise(seed: int, n: int) -> N
     assert ((labels[:, None] == labels) == (linked[:, None] == linked)).all()
 
 
-def test_absent_points_belong_to_nothing() -> None:
+def test_absent_points_belong_to_nothing():
     points = np.array([[0.0, 0.0, 0.0], [np.nan] * 3, [0.05, 0.0, 0.0], [1.0, 0.0, 0.0]])
     assert labels_of(points, 0.1, 1).tolist() == [0, -1, 0, 1]
     assert labels_of(points, 0.1, 2).tolist() == [0, -1, 0, -1]
 
 
-def test_the_sixteen_joints() -> None:
+def test_the_sixteen_joints():
     azure = [
         "PELVIS", "SPINE_NAVAL", "SPINE_CHEST", "NECK", "CLAVICLE_LEFT", "SHOULDER_LEFT",
         "ELBOW_LEFT", "WRIST_LEFT", "HAND_LEFT", "HANDTIP_LEFT", "THUMB_LEFT", "CLAVICLE_RIGHT",
@@ -111,12 +105,12 @@ def test_the_sixteen_joints() -> None:
     assert not swappable & {"EYE_LEFT", "EAR_LEFT", "CLAVICLE_LEFT"}
 
 
-def test_the_kinect_v2_names_some_joints_otherwise() -> None:
+def test_the_kinect_v2_names_some_joints_otherwise():
     model = SkeletonModel.of(["SpineBase", "SpineMid", "SpineShoulder", "Neck", "HandLeft"], [])
     assert lee_joints(model).tolist() == [True, True, False, True, False]
 
 
-def test_other_joints_and_their_links_stay_absent() -> None:
+def test_other_joints_and_their_links_stay_absent():
     model = SkeletonModel.of(["PELVIS", "NECK", "NOSE"], [("a", 0, 1), ("b", 1, 2)])
     frame = Frame.empty(1, model, stamp=SECOND, source="c")
     frame.ids[:], frame.markers[:, :, :3], frame.links[:, :, 3:7] = 4, 1.0, [0.0, 0.0, 0.0, 1.0]
@@ -135,7 +129,7 @@ def test_other_joints_and_their_links_stay_absent() -> None:
         ((0.0, 0.0, 0.0), np.nan),
     ],
 )
-def test_reference_position_by_level(confidences: tuple[float, ...], expected: float) -> None:
+def test_reference_position_by_level(confidences, expected):
     frames = views([with_wrist(x, 0.0, 1.0) for x in (0.0, 0.1, 2.0)])
     markers = np.concatenate([frame.markers for frame in frames])
     trust = np.repeat(np.array(confidences)[:, None], MODEL.n_markers, axis=1)
@@ -144,13 +138,13 @@ def test_reference_position_by_level(confidences: tuple[float, ...], expected: f
     assert reference[WRIST, 0] == pytest.approx(expected, nan_ok=True)
 
 
-def test_without_a_reference_nothing_is_swapped() -> None:
+def test_without_a_reference_nothing_is_swapped():
     events = Events()
     merged([person(), person(), person(), person()[MIRROR]], confidences=[0.0] * 4, events=events)
     assert events.total("swap") == 0
 
 
-def test_one_of_four_cameras_swapped_is_restored() -> None:
+def test_one_of_four_cameras_swapped_is_restored():
     poses = [person(0.01 * k) for k in range(4)]
     right = merged(poses)
     events = Events()
@@ -159,7 +153,7 @@ def test_one_of_four_cameras_swapped_is_restored() -> None:
 
 
 @pytest.mark.parametrize("rearrange", ["right", "both"])
-def test_one_swapped_pair_is_swapped_back_alone(rearrange: str) -> None:
+def test_one_swapped_pair_is_swapped_back_alone(rearrange):
     wrong = person()
     wrong[[WRIST, OTHER_WRIST]] = wrong[[OTHER_WRIST, WRIST]]
     events = Events()
@@ -169,7 +163,7 @@ def test_one_swapped_pair_is_swapped_back_alone(rearrange: str) -> None:
     assert events.total("swap") == 1
 
 
-def test_without_a_swap_nothing_changes() -> None:
+def test_without_a_swap_nothing_changes():
     rng = np.random.default_rng(3)
     events = Events()
     poses = [person() + rng.normal(0, 0.02, (8, 3)) for _ in range(4)]
@@ -177,7 +171,7 @@ def test_without_a_swap_nothing_changes() -> None:
     assert events.total("swap") == 0
 
 
-def test_a_missing_partner_leaves_a_joint_untouched() -> None:
+def test_a_missing_partner_leaves_a_joint_untouched():
     half = person()[MIRROR]
     half[[2, 4, WRIST]] = np.nan  # the left ones; the right ones are where the left should be
     events = Events()
@@ -186,20 +180,20 @@ def test_a_missing_partner_leaves_a_joint_untouched() -> None:
     assert result == pytest.approx(person())  # the stray right joints lose the vote
 
 
-def test_off_averages_the_swap_in() -> None:
+def test_off_averages_the_swap_in():
     params = ClusterParams(rearrange="off", method="average")
     result = merged([person(), person(), person(), person()[MIRROR]], params)
     assert result[WRIST] == pytest.approx(0.75 * person()[WRIST] + 0.25 * person()[OTHER_WRIST])
 
 
-def test_swapped_views_say_nothing_of_orientations() -> None:
+def test_swapped_views_say_nothing_of_orientations():
     frames = views([person(), person(), person(), person()[MIRROR]], turns=True)
     frames[3].links[:, :, 3:7] = [1.0, 0.0, 0.0, 0.0]
     (out,) = cluster(frames, MODEL, ClusterParams(cameras=4))
     assert out.orientations[0] == pytest.approx(np.tile([0.0, 0.0, 0.0, 1.0], (7, 1)))
 
 
-def test_reference_position_changes_the_winner() -> None:
+def test_reference_position_changes_the_winner():
     """Two pairs of candidates; the reference is the mean of the trusted ones and decides."""
     poses = [with_wrist(x, 0.0, 1.0) for x in (0.0, 0.04, 1.0, 1.04, 1.08)]
     trust = (0.66, 0.66, 0.33, 0.33, 0.33)
@@ -210,7 +204,7 @@ def test_reference_position_changes_the_winner() -> None:
 
 
 @pytest.mark.parametrize(("helps", "expected"), [(False, 1.02), (True, 0.0)])
-def test_previous_position_changes_the_winner(helps: bool, expected: float) -> None:
+def test_previous_position_changes_the_winner(helps, expected):
     """One candidate near the previous position against two trusted ones far away.
 
     The previous position makes it two against two; a trusted one more each would not.
@@ -225,7 +219,7 @@ def test_previous_position_changes_the_winner(helps: bool, expected: float) -> N
     assert out.positions[0, WRIST, 0] == pytest.approx(expected)
 
 
-def test_a_position_of_long_ago_is_not_the_previous_one() -> None:
+def test_a_position_of_long_ago_is_not_the_previous_one():
     frames = [*views([with_wrist(0.0, 0.0, 1.0)] * 3, 0)]
     late = views([with_wrist(x, 0.0, 1.0) for x in (0.0, 1.0, 1.04)], 4)
     for frame, confidence in zip(late, (0.66, 0.33, 0.33), strict=True):
@@ -235,7 +229,7 @@ def test_a_position_of_long_ago_is_not_the_previous_one() -> None:
     assert out.positions[0, WRIST, 0] == pytest.approx(1.02)
 
 
-def test_nobody_has_the_previous_position_of_another() -> None:
+def test_nobody_has_the_previous_position_of_another():
     """Many people come and go: each is merged as if alone."""
     rng = np.random.default_rng(12)
     frames = []
@@ -254,14 +248,14 @@ def test_nobody_has_the_previous_position_of_another() -> None:
             assert np.array_equal(mine.markers, single.markers, equal_nan=True)
 
 
-def test_largest_cluster_without_its_helpers() -> None:
+def test_largest_cluster_without_its_helpers():
     """Candidates at 0, 6 and 60 cm; the reference at 22 cm is alone and the first two win."""
     poses = [with_wrist(x, 0.0, 1.0) for x in (0.0, 0.06, 0.6)]
     params = ClusterParams(rearrange="off")
     assert merged(poses, params)[WRIST, 0] == pytest.approx(0.03)
 
 
-def test_helpers_alone_do_not_win() -> None:
+def test_helpers_alone_do_not_win():
     """Reference and previous position side by side, candidates scattered: these decide."""
     first = [with_wrist(0.5, 0.0, 1.0)] * 2
     second = [with_wrist(x, 0.0, 1.0) for x in (0.0, 1.02)]  # their mean is near 0.5
@@ -269,31 +263,31 @@ def test_helpers_alone_do_not_win() -> None:
     assert out.positions[0, WRIST, 0] == pytest.approx(0.0)  # nearer to the previous position
 
 
-def test_clusters_that_are_equal_in_all_win_together() -> None:
+def test_clusters_that_are_equal_in_all_win_together():
     poses = [with_wrist(x, 0.0, 1.0) for x in (0.0, 1.0)]
     assert merged(poses, ClusterParams(rearrange="off"))[WRIST, 0] == pytest.approx(0.5)
 
 
-def test_noise_only_is_averaged() -> None:
+def test_noise_only_is_averaged():
     poses = [with_wrist(x, 0.0, 1.0) for x in (0.0, 1.0, 2.0)]
     params = NO_HELP.model_copy(update={"min_neighbours": 2, "rearrange": "off"})
     assert merged(poses, params)[WRIST, 0] == pytest.approx(1.0)
 
 
-def test_outliers_are_counted_by_camera() -> None:
+def test_outliers_are_counted_by_camera():
     events = Events()
     merged([person(), person(), with_wrist(3.0, 0.0, 1.0)], events=events)
     assert events.counts == {("outlier", "c2"): 1}
 
 
-def test_links_come_from_the_views_that_placed_their_ends() -> None:
+def test_links_come_from_the_views_that_placed_their_ends():
     frames = views([person(), person(), with_wrist(3.0, 0.0, 1.0)], turns=True)
     frames[2].links[0, :, 3:7] = [1.0, 0.0, 0.0, 0.0]
     (out,) = cluster(frames, MODEL, ClusterParams(cameras=3))
     assert out.orientations[0, 5] == pytest.approx([0.0, 0.0, 0.0, 1.0])  # ends at the wrist
 
 
-def test_views_are_carried_to_the_merged_time() -> None:
+def test_views_are_carried_to_the_merged_time():
     """Two cameras 20 ms apart, a person at 2 m/s: 4 cm between the views, none once carried."""
     frames = [seen([person(0.04 * c)], at(0) + 20_000_000 * c, f"c{c}", ids=[0]) for c in range(2)]
     for frame in frames:
@@ -304,7 +298,7 @@ def test_views_are_carried_to_the_merged_time() -> None:
     assert out.velocities[0, :, 0] == pytest.approx(2.0)
 
 
-def test_views_that_are_not_carried_are_of_their_mean_time() -> None:
+def test_views_that_are_not_carried_are_of_their_mean_time():
     """Person 2 is seen by the later two of three cameras, and one of them gives a confidence."""
     frames = [seen([person()], at(0), "a", ids=[1])]
     frames += [
@@ -320,7 +314,7 @@ def test_views_that_are_not_carried_are_of_their_mean_time() -> None:
     assert out.confidences == pytest.approx([0.5, 0.7])
 
 
-def test_every_person_of_the_tracker_is_merged_alone() -> None:
+def test_every_person_of_the_tracker_is_merged_alone():
     """Two people, in the cameras' messages in different orders, and one without an id."""
     pair = {3: person(0.0, -1.0), 8: person(1.0, 1.0)}
     frames = [
@@ -336,7 +330,7 @@ def test_every_person_of_the_tracker_is_merged_alone() -> None:
         assert out.positions[row] == pytest.approx(pair[number])
 
 
-def random_views(cameras: int = 4, instants: int = 4, seed: int = 9) -> list[Frame]:
+def random_views(cameras=4, instants=4, seed=9):
     """Noisy views of two people with outliers, gaps and swaps."""
     rng = np.random.default_rng(seed)
     frames = []
@@ -351,12 +345,12 @@ def random_views(cameras: int = 4, instants: int = 4, seed: int = 9) -> list[Fra
     return frames
 
 
-def positions(frames: Sequence[Frame], params: ClusterParams | None = None) -> Floats:
+def positions(frames, params=None):
     params = params or ClusterParams(cameras=4)
     return np.stack([out.positions for out in cluster(frames, MODEL, params)])
 
 
-def test_the_order_of_cameras_and_people_does_not_matter() -> None:
+def test_the_order_of_cameras_and_people_does_not_matter():
     frames = random_views()
     result = positions(frames)
     for order in ([3, 1, 0, 2], [2, 3, 1, 0]):
@@ -369,7 +363,7 @@ def test_the_order_of_cameras_and_people_does_not_matter() -> None:
 
 
 @pytest.mark.parametrize("rearrange", ["off", "right", "both"])
-def test_one_camera_merges_to_itself(rearrange: str) -> None:
+def test_one_camera_merges_to_itself(rearrange):
     frames = [frame for frame in random_views() if frame.source == "c0"]
     out = list(cluster(frames, MODEL, ClusterParams(rearrange=rearrange)))
     for frame, result in zip(frames, out, strict=True):
@@ -378,14 +372,14 @@ def test_one_camera_merges_to_itself(rearrange: str) -> None:
         assert np.allclose(frame.orientations, result.orientations)
 
 
-def test_the_result_moves_with_the_world() -> None:
+def test_the_result_moves_with_the_world():
     frames = random_views()
     expected = TURN.apply(positions(frames).reshape(-1, 3)) + SHIFT
     turned = positions(moved(frames, TURN, SHIFT)).reshape(-1, 3)
     assert turned == pytest.approx(expected, nan_ok=True)
 
 
-def test_the_sides_are_alike_if_both_decide() -> None:
+def test_the_sides_are_alike_if_both_decide():
     """Everybody mirrored, the result is mirrored; as printed, the right side alone decides."""
     frames = random_views()
     mirrored = []
@@ -398,7 +392,7 @@ def test_the_sides_are_alike_if_both_decide() -> None:
     )
 
 
-def test_the_input_is_unchanged() -> None:
+def test_the_input_is_unchanged():
     frames = random_views()
     before = [frame.select(np.arange(2)) for frame in frames]
     positions(frames)
@@ -408,12 +402,12 @@ def test_the_input_is_unchanged() -> None:
         assert np.array_equal(frame.marker_confidences, copy.marker_confidences)
 
 
-def test_an_instant_without_people_gives_an_empty_frame() -> None:
+def test_an_instant_without_people_gives_an_empty_frame():
     (out,) = cluster([seen([], at(0), ids=[])], MODEL)
     assert out.n_people == 0
 
 
-def test_the_reference_is_taken_again_after_the_re_arrangement() -> None:
+def test_the_reference_is_taken_again_after_the_re_arrangement():
     """Three medium candidates and their reference draw with four low ones.
 
     One of the three called the right wrist the left one, which drew the first reference away.
@@ -428,9 +422,7 @@ def test_the_reference_is_taken_again_after_the_re_arrangement() -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 9999), st.permutations(range(4)), st.sampled_from([1, 2]))
-def test_cameras_commute_and_the_world_may_move(
-    seed: int, order: list[int], neighbours: int
-) -> None:
+def test_cameras_commute_and_the_world_may_move(seed, order, neighbours):
     frames = random_views(seed=seed)
     params = ClusterParams(cameras=4, min_neighbours=neighbours)
     renamed = [frame.replace(source=f"c{order[int(frame.source[1])]}") for frame in frames]
@@ -441,7 +433,7 @@ def test_cameras_commute_and_the_world_may_move(
     assert result == pytest.approx(expected, abs=1e-6, nan_ok=True)
 
 
-def test_the_previous_position_of_somebody_who_left_is_forgotten() -> None:
+def test_the_previous_position_of_somebody_who_left_is_forgotten():
     """The stamps start at zero, where a row that was never used seems recent."""
     frames = [f.replace(stamp=f.stamp - at(0), log_time=0) for f in views([person()] * 2)]
     far = [with_wrist(0.05, 0.4, 1.0), with_wrist(0.5, 0.4, 1.0)]
@@ -450,7 +442,7 @@ def test_the_previous_position_of_somebody_who_left_is_forgotten() -> None:
     assert out.positions[0, WRIST, 0] == pytest.approx(0.275)  # no previous position decides
 
 
-def test_the_links_of_a_view_stay_if_only_half_of_its_pairs_were_exchanged() -> None:
+def test_the_links_of_a_view_stay_if_only_half_of_its_pairs_were_exchanged():
     wrong = person()
     wrong[[WRIST, OTHER_WRIST]] = wrong[[OTHER_WRIST, WRIST]]
     wrong[[4, 5]] = np.nan  # no hips: two pairs are compared

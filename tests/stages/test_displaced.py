@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -12,10 +12,9 @@ from hiros_mcap.body.rotations import from_vector, to_matrix
 from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
 from hiros_mcap.frames import by_frame
-from hiros_mcap.skeletons import Floats, Frame
+from hiros_mcap.skeletons import Floats
 from hiros_mcap.stages.track.likeness import Displacement, likeness
 from hiros_mcap.stages.track.track import track_blocks
-from hiros_mcap.stages.track.track_params import TrackParams
 
 track = by_frame(track_blocks)
 
@@ -28,7 +27,7 @@ WALL = np.array([1.0, 1.0, 1.0]) - 2.0 * np.array([1.0, 0.0, 0.0])
 View = Callable[[Floats], Floats]
 
 
-def walker(k: float) -> Floats:
+def walker(k):
     """Somebody who walks a circle of 1 m, arms swinging, at frame ``k`` of 30 Hz."""
     angle = 0.04 * k
     pose = POSE.copy()
@@ -39,7 +38,7 @@ def walker(k: float) -> Floats:
     return np.asarray(turned + np.array([np.cos(angle), np.sin(angle), 0.0]))
 
 
-def stroller(k: float) -> Floats:
+def stroller(k):
     """Somebody else, who walks to and fro, waves, and turns."""
     pose = POSE.copy()
     pose[6, 2] += 0.3 * np.sin(0.15 * k)
@@ -48,16 +47,16 @@ def stroller(k: float) -> Floats:
     return pose @ to_matrix(from_vector(np.array([0.0, 0.0, heading]))).T + [4.0, way - 1.0, 0.0]
 
 
-def displaced(body: Floats) -> Floats:
+def displaced(body):
     return np.asarray(body @ TURN.T + SHIFT)
 
 
-def reflected(body: Floats) -> Floats:
+def reflected(body):
     """In a mirror 3 m off; the detector takes left for right."""
     return np.asarray((body * WALL)[MIRROR] + [6.0, 0.0, 0.0])
 
 
-def steps(body: Callable[[float], Floats], n: int = 20) -> Floats:
+def steps(body, n=20):
     rng = np.random.default_rng(5)
     poses = np.stack([body(1.5 * k) for k in range(n)])
     return np.asarray(poses + rng.normal(0.0, 0.02, poses.shape))
@@ -67,7 +66,7 @@ def steps(body: Callable[[float], Floats], n: int = 20) -> Floats:
 
 
 @pytest.mark.parametrize("swaps", [False, True])
-def test_a_rigid_copy_is_one_and_its_displacement_is_found(swaps: bool) -> None:
+def test_a_rigid_copy_is_one_and_its_displacement_is_found(swaps):
     own = steps(lambda k: displaced(walker(k))[MIRROR if swaps else slice(None)])
     like = likeness(own, steps(walker), SIDES)
     assert like is not None
@@ -77,14 +76,14 @@ def test_a_rigid_copy_is_one_and_its_displacement_is_found(swaps: bool) -> None:
     assert like.apart == pytest.approx(1.3, abs=0.5)
 
 
-def test_whom_the_camera_also_shows_in_place_has_no_rigid_copy() -> None:
+def test_whom_the_camera_also_shows_in_place_has_no_rigid_copy():
     like = likeness(steps(lambda k: displaced(walker(k))), steps(walker), SIDES)
     assert like is not None
     assert not like.is_copy(0.085, unseen=0.5)
 
 
 @pytest.mark.parametrize("swaps", [False, True])
-def test_a_mirror_image_is_a_copy_beside_the_person(swaps: bool) -> None:
+def test_a_mirror_image_is_a_copy_beside_the_person(swaps):
     own = steps(lambda k: reflected(walker(k))[slice(None) if swaps else MIRROR])
     like = likeness(own, steps(walker), SIDES)
     assert like is not None
@@ -92,7 +91,7 @@ def test_a_mirror_image_is_a_copy_beside_the_person(swaps: bool) -> None:
     assert like.is_copy(0.085, unseen=0.0)
 
 
-def test_a_mirror_image_that_is_turned_besides_is_of_somebody_else() -> None:
+def test_a_mirror_image_that_is_turned_besides_is_of_somebody_else():
     like = likeness(steps(lambda k: displaced(reflected(walker(k)))), steps(walker), SIDES)
     assert like is not None
     assert (like.distance < 0.085, like.by.mirrors) == (True, True)
@@ -100,24 +99,24 @@ def test_a_mirror_image_that_is_turned_besides_is_of_somebody_else() -> None:
 
 
 @pytest.mark.parametrize("start", [0, 15, 45])
-def test_two_people_who_both_walk_are_two(start: int) -> None:
+def test_two_people_who_both_walk_are_two(start):
     own = steps(lambda k: stroller(k + start))
     like = likeness(own, steps(walker), SIDES)
     assert like is not None
     assert not like.is_copy(0.12, unseen=1.0)
 
 
-def test_somebody_who_stands_still_is_no_evidence() -> None:
+def test_somebody_who_stands_still_is_no_evidence():
     assert likeness(steps(lambda k: person(2.0)), steps(lambda k: person()), SIDES) is None
 
 
-def test_few_markers_are_no_evidence() -> None:
+def test_few_markers_are_no_evidence():
     own = steps(lambda k: displaced(walker(k)))
     own[:, 5:] = np.nan
     assert likeness(own, steps(walker), SIDES) is None
 
 
-def test_the_inverse_takes_people_back() -> None:
+def test_the_inverse_takes_people_back():
     by = Displacement(TURN * WALL, SHIFT, mirrors=True, swaps=True)
     there = by.undo(walker(3.0), SIDES)
     assert by.inverse().undo(there, SIDES) == pytest.approx(walker(3.0))
@@ -126,9 +125,7 @@ def test_the_inverse_takes_people_back() -> None:
 # In the tracker
 
 
-def filmed(
-    views: dict[str, Callable[[float], Sequence[Floats]]], seconds: float = 5.0
-) -> list[Frame]:
+def filmed(views, seconds=5.0):
     """What cameras show of people at 30 Hz."""
     rng = np.random.default_rng(7)
     frames = []
@@ -139,9 +136,7 @@ def filmed(
     return frames
 
 
-def tracked(
-    frames: Sequence[Frame], params: TrackParams | None = None
-) -> tuple[dict[str, list[list[int]]], Events]:
+def tracked(frames, params=None):
     """Ids that each camera's messages got, and the events."""
     events = Events()
     ids: dict[str, list[list[int]]] = {}
@@ -150,21 +145,21 @@ def tracked(
     return ids, events
 
 
-def one(k: float) -> list[Floats]:
+def one(k):
     return [walker(k)]
 
 
-def moved_at(when: float, view: View = displaced) -> Callable[[float], list[Floats]]:
+def moved_at(when, view=displaced):
     return lambda k: [view(walker(k)) if k >= when else walker(k)]
 
 
-def displacements(events: Events) -> list[tuple[str, str]]:
+def displacements(events):
     kinds = "camera displaced", "mirror seen"
     return [(each.source, each.detail) for each in events.log if each.kind in kinds]
 
 
 @pytest.mark.parametrize("when", [0, 60])
-def test_a_displaced_camera_brings_nobody(when: int) -> None:
+def test_a_displaced_camera_brings_nobody(when):
     ids, events = tracked(filmed({"a": one, "b": one, "c": moved_at(when)}))
     assert ids["a"] == ids["b"] == [[0]] * 150
     assert ids["c"] == [[0]] * when + [[-1]] * (150 - when)
@@ -177,22 +172,20 @@ def test_a_displaced_camera_brings_nobody(when: int) -> None:
 
 
 @pytest.mark.parametrize("system", ["hiros-realtime", "fuse-realtime"])
-def test_causal_systems_leave_a_moved_camera_out_before_its_people_are_confirmed(
-    system: str,
-) -> None:
+def test_causal_systems_leave_a_moved_camera_out_before_its_people_are_confirmed(system):
     params = load_config(system=system).track
     ids, _ = tracked(filmed({"a": one, "b": one, "c": moved_at(60)}), params)
     assert {i for each in ids["c"][60:] for i in each} == {-1}
 
 
-def test_published_trackers_do_not_look_for_copies() -> None:
+def test_published_trackers_do_not_look_for_copies():
     params = load_config(preset="paper", system="hiros").track
     ids, events = tracked(filmed({"a": one, "b": one, "c": moved_at(0)}), params)
     assert ids["c"][-1] == [1]
     assert displacements(events) == []
 
 
-def test_a_mirror_brings_nobody_and_the_camera_still_counts() -> None:
+def test_a_mirror_brings_nobody_and_the_camera_still_counts():
     both = filmed({"a": one, "b": one, "c": lambda k: [walker(k), reflected(walker(k))]})
     ids, events = tracked(both)
     assert ids["c"] == [[0, -1]] * 150
@@ -200,7 +193,7 @@ def test_a_mirror_brings_nobody_and_the_camera_still_counts() -> None:
     assert (camera, detail.split(",")[0]) == ("c", "shows mirror images of people")
 
 
-def test_of_two_cameras_nobody_can_know_which_is_wrong() -> None:
+def test_of_two_cameras_nobody_can_know_which_is_wrong():
     ids, events = tracked(filmed({"a": one, "b": moved_at(0)}))
     assert {i for each in ids["a"] + ids["b"] for i in each} == {-1, 0}
     assert all(len({*x, *y} - {-1}) == 1 for x, y in zip(ids["a"], ids["b"], strict=True))
@@ -208,7 +201,7 @@ def test_of_two_cameras_nobody_can_know_which_is_wrong() -> None:
     assert detail.endswith("sees them; which of them is wrong cannot be known")
 
 
-def test_two_cameras_that_disagree_double_nobody_who_comes_back() -> None:
+def test_two_cameras_that_disagree_double_nobody_who_comes_back():
     """Whoever shows the person first: copies of the other camera are then left out."""
     frames = filmed({"a": one, "b": moved_at(0)}, 9.0)
     gone = [f for f in frames if not at(120) <= f.stamp < at(180)]
@@ -218,23 +211,23 @@ def test_two_cameras_that_disagree_double_nobody_who_comes_back() -> None:
     assert all(len({*x, *y} - {-1}) == 1 for x, y in zip(*last, strict=True))
 
 
-def test_one_cameras_own_person_is_somebody_new() -> None:
+def test_one_cameras_own_person_is_somebody_new():
     other = filmed({"a": one, "b": one, "c": lambda k: [stroller(k)]})
     ids, events = tracked(other)
     assert ids["c"][-1] == [1]
     assert displacements(events) == []
 
 
-def test_a_displaced_camera_may_have_a_person_of_its_own() -> None:
+def test_a_displaced_camera_may_have_a_person_of_its_own():
     alone = filmed({"a": one, "b": one, "c": lambda k: [displaced(walker(k)), stroller(k)]})
     ids, _ = tracked(alone)
     assert ids["c"][-1] == [-1, 1]
 
 
-def test_a_known_displacement_finds_copies_of_people_who_stand_still() -> None:
+def test_a_known_displacement_finds_copies_of_people_who_stand_still():
     """The second person enters and stops, when the camera is displaced already."""
 
-    def two(k: float) -> list[Floats]:
+    def two(k):
         return [walker(k), person(0.0, 3.0)] if k >= 90 else [walker(k)]
 
     ids, _ = tracked(filmed({"a": two, "b": two, "c": lambda k: [*map(displaced, two(k))]}))
@@ -242,14 +235,14 @@ def test_a_known_displacement_finds_copies_of_people_who_stand_still() -> None:
     assert {i for each in ids["c"] for i in each} == {-1}
 
 
-def test_a_displaced_camera_does_not_correct_people_within_the_gate() -> None:
+def test_a_displaced_camera_does_not_correct_people_within_the_gate():
     """Of two people one is displaced by little: the camera's view would be taken for a good one."""
 
-    def turned(body: Floats) -> Floats:  # about the second person
+    def turned(body):  # about the second person
         turn = to_matrix(from_vector(np.array([0.0, 0.0, 0.3])))
         return np.asarray((body - [4.5, 0.0, 0.0]) @ turn.T + [4.75, 0.0, 0.0])
 
-    def two(k: float) -> list[Floats]:
+    def two(k):
         return [walker(k), person(4.5 + 0.2 * np.sin(0.1 * k))]
 
     ids, _ = tracked(filmed({"a": two, "b": two, "c": lambda k: [*map(turned, two(k))]}))
@@ -257,8 +250,8 @@ def test_a_displaced_camera_does_not_correct_people_within_the_gate() -> None:
     assert ids["c"][-1] == [-1, -1]
 
 
-def test_a_camera_that_is_back_in_place_counts_again() -> None:
-    def back(k: float) -> list[Floats]:
+def test_a_camera_that_is_back_in_place_counts_again():
+    def back(k):
         return [displaced(walker(k)) if 45 <= k < 105 else walker(k)]
 
     ids, _ = tracked(filmed({"a": one, "b": one, "c": back}))

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 
 import numpy as np
 import pytest
 
 from hiros_mcap.events import Events
 from hiros_mcap.frames import by_frame
-from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.stages.fuse.displaced_views import LIMIT, SHARE, DisplacedViews, excess_of
 from hiros_mcap.stages.fuse.fuse import FuseParams, fuse_blocks
 from hiros_mcap.stages.fuse.fusing import Sightings
@@ -24,7 +23,7 @@ REALTIME = {"lookahead": 0.1, "max_lag": 0.1, "window": 0.0}
 SECOND = 1_000_000_000
 
 
-def views_of(cameras: int, seconds: float = 1.0, person: int = 0) -> Sightings:
+def views_of(cameras, seconds=1.0, person=0):
     """Views of one person by some cameras, ten a second each."""
     n = round(10 * seconds)
     stamps = np.repeat(np.arange(n) * SECOND // 10, cameras)
@@ -33,7 +32,7 @@ def views_of(cameras: int, seconds: float = 1.0, person: int = 0) -> Sightings:
     )
 
 
-def excess(*metres: float) -> Floats:
+def excess(*metres):
     """Excess of each camera, m2, of cameras that are off by so much along x."""
     views = views_of(len(metres))
     offsets = np.zeros((len(views.stamps), 3))
@@ -41,21 +40,21 @@ def excess(*metres: float) -> Floats:
     return excess_of(views, offsets, len(metres))[: len(metres)]
 
 
-def test_who_is_off_alone_loses_its_weight() -> None:
+def test_who_is_off_alone_loses_its_weight():
     assert excess(0.16, -0.04, -0.04, -0.04, -0.04) == pytest.approx([SHARE * 0.16**2, 0, 0, 0, 0])
     assert excess(-0.03, 0.06, -0.03) == pytest.approx([0, SHARE * 0.06**2, 0])
 
 
-def test_a_small_offset_is_that_of_the_detector() -> None:
+def test_a_small_offset_is_that_of_the_detector():
     assert not excess(0.9 * LIMIT, 0.0, 0.0).any()
 
 
-def test_without_a_majority_nobody_loses_weight() -> None:
+def test_without_a_majority_nobody_loses_weight():
     assert not excess(0.2, -0.2).any()
     assert not excess(0.07, -0.06, 0.06, -0.07).any()
 
 
-def test_each_second_and_each_person_counts_alone() -> None:
+def test_each_second_and_each_person_counts_alone():
     views = views_of(3, seconds=2)
     offsets = np.zeros((60, 3))
     offsets[(views.cameras == 2) & (views.stamps >= SECOND)] = 0.1
@@ -66,7 +65,7 @@ def test_each_second_and_each_person_counts_alone() -> None:
 
 
 @pytest.mark.parametrize("n_displaced", [1, 4])
-def test_a_camera_that_was_moved_shows_everybody_elsewhere(n_displaced: int) -> None:
+def test_a_camera_that_was_moved_shows_everybody_elsewhere(n_displaced):
     """Of people who touch, one camera may see some wrong for seconds."""
     views, events = DisplacedViews(), Events()
     views.name(("a", "b", "c"))
@@ -78,7 +77,7 @@ def test_a_camera_that_was_moved_shows_everybody_elsewhere(n_displaced: int) -> 
     assert told == ([("b", CAMERA_DISPLACED)] if n_displaced == 4 else [])
 
 
-def after(seconds: float, *, off: float, then: float = 0.0) -> Floats:
+def after(seconds, *, off, then=0.0):
     """Excess expected of three cameras after camera 2 was off for some seconds, then back."""
     memory = DisplacedViews()
     memory.name(("a", "b", "c"))
@@ -91,19 +90,19 @@ def after(seconds: float, *, off: float, then: float = 0.0) -> Floats:
     return memory.expected(views_of(3, 0.1))
 
 
-def test_a_filter_knows_it_from_the_views_before() -> None:
+def test_a_filter_knows_it_from_the_views_before():
     assert after(0.2, off=0.0) == pytest.approx([0, 0, 0])
     assert after(1.0, off=0.1) == pytest.approx([0, 0, SHARE * 0.1**2])
     assert after(1.0, off=0.1, then=1.5) == pytest.approx([0, 0, 0])
 
 
-def test_nothing_is_expected_of_somebody_new() -> None:
+def test_nothing_is_expected_of_somebody_new():
     memory = DisplacedViews()
     memory.name(("a", "b", "c"))
     assert not memory.expected(views_of(3, 0.1, person=7)).any()
 
 
-def detections(shift: Mapping[str, float]) -> list[Frame]:
+def detections(shift):
     """20 s of one who moves before four cameras, of which some are displaced from 10 s on."""
     rng = np.random.default_rng(5)
     times = np.arange(600) / 30
@@ -121,7 +120,7 @@ def detections(shift: Mapping[str, float]) -> list[Frame]:
     return frames
 
 
-def error(shift: Mapping[str, float], left_out: str = "", **params: float) -> tuple[float, Events]:
+def error(shift, left_out="", **params):
     """Mean error, m, in the last 8 s."""
     frames = [f for f in detections(shift) if f.source != left_out or f.stamp < 11 * SECOND]
     events = Events()
@@ -135,7 +134,7 @@ def error(shift: Mapping[str, float], left_out: str = "", **params: float) -> tu
 
 
 @pytest.mark.parametrize("params", [{"window": 5.0}, REALTIME])
-def test_a_camera_that_was_moved_hardly_harms_the_result(params: dict[str, float]) -> None:
+def test_a_camera_that_was_moved_hardly_harms_the_result(params):
     moved, events = error({"b": 0.15}, **params)
     without, _ = error({}, left_out="b", **params)
     assert moved < 1.2 * without
@@ -146,6 +145,6 @@ def test_a_camera_that_was_moved_hardly_harms_the_result(params: dict[str, float
 
 
 @pytest.mark.parametrize("params", [{"window": 5.0}, REALTIME])
-def test_healthy_cameras_are_not_named(params: dict[str, float]) -> None:
+def test_healthy_cameras_are_not_named(params):
     _, events = error({}, **params)
     assert not [e for e in events.log if e.kind == CAMERA_DISPLACED]

@@ -7,12 +7,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from builders import Room, room, same
+from builders import room, same
 
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import evaluate
 from hiros_mcap.frames import Block, by_frame, frames_of, join
-from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.stages.fuse import fusing
 from hiros_mcap.stages.fuse.constrain import ConstrainParams, constrain_blocks
 from hiros_mcap.stages.fuse.fuse import FuseParams, fuse_blocks
@@ -36,7 +36,7 @@ POINT = SkeletonModel.of(["A"], [])
 NOISE = JointNoise(np.array([5.0]), np.array([0.02**2]), 2.0, 10**9)
 
 
-def steps_of(seed: int = 0) -> Steps:
+def steps_of(seed=0):
     """Two cameras in turn with noise of 1 cm, a pose wanted after every second measurement."""
     rng = np.random.default_rng(seed)
     times = np.repeat(np.arange(60) / 30, 3) + np.tile([0.0, 0.011, 0.015], 60)
@@ -47,12 +47,7 @@ def steps_of(seed: int = 0) -> Steps:
     return Steps(times, cameras, z, np.full((180, 1), 0.01**2))
 
 
-def smoothed(
-    steps: Steps,
-    keep: int = 10**9,
-    states: JointStates | None = None,
-    work: FusionWork | None = None,
-) -> FusedPoses:
+def smoothed(steps, keep=10**9, states=None, work=None):
     states = states or JointStates.unknown(1, 1, 2)
     out = FusedPoses.absent(int((steps.cameras == POSE).sum()), 1)
     work = work or FusionWork.of(len(steps.times), 4)
@@ -60,7 +55,7 @@ def smoothed(
     return out
 
 
-def dense_solution(steps: Steps, factors: Floats) -> tuple[Floats, Floats]:
+def dense_solution(steps, factors):
     """Positions and variances by one Gaussian regression over all states at once.
 
     ``factors`` (T,) are those of the density of the acceleration before each step.
@@ -96,7 +91,7 @@ def dense_solution(steps: Steps, factors: Floats) -> tuple[Floats, Floats]:
     return found[poses], variances[poses]
 
 
-def test_the_smoother_equals_regression_over_all_states() -> None:
+def test_the_smoother_equals_regression_over_all_states():
     steps = Steps(*[array[:36] for array in steps_of()])
     work = FusionWork.of(len(steps.times), 4)
     found = smoothed(steps, work=work)
@@ -105,7 +100,7 @@ def test_the_smoother_equals_regression_over_all_states() -> None:
     np.testing.assert_allclose(found.variances[:, 0], variances, rtol=1e-6)
 
 
-def test_a_window_goes_on_where_the_last_one_ended() -> None:
+def test_a_window_goes_on_where_the_last_one_ended():
     steps, states = steps_of(), JointStates.unknown(1, 1, 2)
     smoothed(steps, 90, states)
     rest = smoothed(Steps(*[array[90:] for array in steps]), states=states)
@@ -113,7 +108,7 @@ def test_a_window_goes_on_where_the_last_one_ended() -> None:
     np.testing.assert_allclose(rest.positions, smoothed(steps).positions[30:], atol=2e-4)
 
 
-def moving(x: Floats) -> tuple[Floats, Floats]:
+def moving(x):
     """Errors, m, of one who moves along ``x`` (T,), m, at 30 Hz, and the chosen factors."""
     rng = np.random.default_rng(4)
     times = np.repeat(np.arange(len(x)) / 30, 2)
@@ -130,7 +125,7 @@ def moving(x: Floats) -> tuple[Floats, Floats]:
     return np.asarray(np.abs(out.positions[:, 0, 0] - x)), work.factors[::2]
 
 
-def test_a_fast_limb_gets_a_higher_level_for_as_long_as_it_is_fast() -> None:
+def test_a_fast_limb_gets_a_higher_level_for_as_long_as_it_is_fast():
     """A kick of 60 m/s2 lasts for half a second; before and after, the foot is at rest."""
     t = np.arange(120) / 30
     kick = np.where(abs(t - 2) < 0.25, 0.5 * (1 + np.cos(4 * np.pi * (t - 2))), 0.0)
@@ -142,7 +137,7 @@ def test_a_fast_limb_gets_a_higher_level_for_as_long_as_it_is_fast() -> None:
     assert errors[at_rest].mean() < 0.007
 
 
-def test_one_outlier_is_no_fast_motion() -> None:
+def test_one_outlier_is_no_fast_motion():
     z = np.zeros(120)
     z[60] = 0.5
     errors, factors = moving(z)
@@ -150,14 +145,14 @@ def test_one_outlier_is_no_fast_motion() -> None:
     assert errors[[58, 59, 61, 62]].max() < 0.05
 
 
-def test_smoothing_reduces_the_error_and_knows_its_size() -> None:
+def test_smoothing_reduces_the_error_and_knows_its_size():
     found = np.stack([smoothed(steps_of(seed)).positions[5:-5, 0] for seed in range(20)])
     times = steps_of().times[2::3][5:-5]
     error = found - np.stack([times, np.sin(times), times * 0], axis=1)
     assert error.std() < 0.006
 
 
-def test_a_gross_outlier_moves_nothing() -> None:
+def test_a_gross_outlier_moves_nothing():
     steps, robust = steps_of(), NOISE._replace(freedom=20)
     spoilt = steps._replace(positions=steps.positions.copy())
     spoilt.positions[90] += 1.0
@@ -167,7 +162,7 @@ def test_a_gross_outlier_moves_nothing() -> None:
     assert np.abs(out.positions - smoothed(steps).positions).max() < 0.01
 
 
-def test_lengths_are_right_in_spite_of_noise_and_never_shortened_by_a_wrong_one() -> None:
+def test_lengths_are_right_in_spite_of_noise_and_never_shortened_by_a_wrong_one():
     rng = np.random.default_rng(1)
     ends = np.zeros((4000, 2, 3))
     ends[:, 1, 0] = 0.1
@@ -177,7 +172,7 @@ def test_lengths_are_right_in_spite_of_noise_and_never_shortened_by_a_wrong_one(
     assert measured_lengths(ends, np.full((4000, 2), 0.02**2), pairs) == pytest.approx(0.1)
 
 
-def test_the_prior_takes_noise_off_and_keeps_motion() -> None:
+def test_the_prior_takes_noise_off_and_keeps_motion():
     rng = np.random.default_rng(2)
     swing = np.sin(np.arange(90) / 8)[:, None, None] * rng.normal(0, 0.1, (1, 12, 3))
     pose = rng.normal(0, 0.5, (1, 12, 3)) + swing
@@ -186,7 +181,7 @@ def test_the_prior_takes_noise_off_and_keeps_motion() -> None:
     assert (found - pose).std() < 0.6 * (noisy - pose).std()
 
 
-def test_the_prior_leaves_small_movements_of_who_stands_to_them() -> None:
+def test_the_prior_leaves_small_movements_of_who_stands_to_them():
     rng = np.random.default_rng(3)
     sway = 0.004 * np.sin(np.arange(90) / 6)[:, None, None] * rng.normal(0, 1, (1, 12, 3))
     pose = rng.normal(0, 0.5, (1, 12, 3)) + sway
@@ -194,7 +189,7 @@ def test_the_prior_leaves_small_movements_of_who_stands_to_them() -> None:
     assert (found - pose).std() < 0.2 * sway.std()
 
 
-def test_the_prior_leaves_alone_a_marker_that_is_absent_for_a_window() -> None:
+def test_the_prior_leaves_alone_a_marker_that_is_absent_for_a_window():
     pose = np.random.default_rng(4).normal(0, 0.5, (200, 12, 3))
     absent = pose.copy()
     absent[:150, 2] = np.nan
@@ -204,12 +199,12 @@ def test_the_prior_leaves_alone_a_marker_that_is_absent_for_a_window() -> None:
     assert np.isnan(nobody).all()
 
 
-def test_the_prior_takes_a_pose_that_never_changes() -> None:
+def test_the_prior_takes_a_pose_that_never_changes():
     still = np.ones((90, 12, 3))
     assert shrink_noise(still, np.full((90, 12), 0.02**2)) == pytest.approx(still)
 
 
-def test_results_wait_for_lengths_that_other_poses_show() -> None:
+def test_results_wait_for_lengths_that_other_poses_show():
     """The forearm that a detector shows grows from 0.2 to 0.3 m; the result has one length."""
     model = SkeletonModel.of(["A", "B"], [("forearm", 0, 1)])
     frames = []
@@ -236,29 +231,29 @@ def test_results_wait_for_lengths_that_other_poses_show() -> None:
 
 
 @cache
-def walk() -> Room:
+def walk():
     return room(people=1, cameras=4, seconds=5, seed=61, action="walk")
 
 
-def fused(where: Room, **changes: object) -> list[Frame]:
+def fused(where, **changes):
     stages = system("fuse").stages(run_of(where))
     frames = list(by_frame(stages["tracked"])(where.frames))
     return list(fuse(frames, where.model, FuseParams(**changes), cameras=where.cameras))
 
 
-def run_of(where: Room, name: str = "fuse") -> Run:
+def run_of(where, name="fuse"):
     config = load_config(system=name)
     return Run(where.model, config, cameras=where.cameras, fixed_frame="world", system=name)
 
 
-def result(where: Room, name: str) -> list[Frame]:
+def result(where, name):
     frames = where.frames
     for stage in system(name).stages(run_of(where, name)).values():
         frames = list(by_frame(stage)(frames))
     return frames
 
 
-def test_it_is_nearer_to_the_truth_than_hiros_and_keeps_lengths() -> None:
+def test_it_is_nearer_to_the_truth_than_hiros_and_keeps_lengths():
     where = walk()
     ours, theirs = (evaluate(result(where, n), where.truth, where.model) for n in ("fuse", "hiros"))
     assert ours.mean < theirs.mean
@@ -266,7 +261,7 @@ def test_it_is_nearer_to_the_truth_than_hiros_and_keeps_lengths() -> None:
     assert ours.jitter < theirs.jitter
 
 
-def test_cores_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cores_change_nothing(monkeypatch):
     where, frames = room(people=3, cameras=3, seconds=3, seed=62), []
     for n in (1, 3):
         monkeypatch.setattr("hiros_mcap.threads.cores", lambda n=n: n)
@@ -274,7 +269,7 @@ def test_cores_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(map(same, *frames))
 
 
-def test_more_cameras_give_more_confidence_and_smaller_deviations() -> None:
+def test_more_cameras_give_more_confidence_and_smaller_deviations():
     where = walk()
     few = sorted(where.cameras)[:2]
     fewer = replace(where, frames=[f for f in where.frames if f.source in few])
@@ -285,19 +280,19 @@ def test_more_cameras_give_more_confidence_and_smaller_deviations() -> None:
 
 
 @pytest.mark.parametrize("changes", [{"window": 1.0}, {"window": 0.0, "lookahead": 1.0}])
-def test_the_window_hardly_matters(changes: dict[str, float]) -> None:
+def test_the_window_hardly_matters(changes):
     for one, other in zip(fused(walk()), fused(walk(), **changes), strict=True):
         assert np.nanmedian(np.abs(one.positions - other.positions)) < 0.004
 
 
-def test_no_result_is_logged_before_its_look_ahead() -> None:
+def test_no_result_is_logged_before_its_look_ahead():
     frames = fused(walk(), window=0.0, lookahead=0.1)
     late = np.array([f.log_time - f.stamp for f in frames[:-10]])
     assert (late >= 100_000_000).all()
     assert np.median(late) < 400_000_000  # of which the tracker has a part
 
 
-def test_the_causal_variant_knows_nothing_of_the_future() -> None:
+def test_the_causal_variant_knows_nothing_of_the_future():
     """What was logged before the log is cut is the same without the rest of the log."""
     where = walk()
     cut = replace(where, frames=where.frames[:300])

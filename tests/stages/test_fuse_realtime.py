@@ -6,12 +6,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from builders import Room, room, same
+from builders import room, same
 
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import evaluate
 from hiros_mcap.frames import by_frame
-from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import SkeletonModel
 from hiros_mcap.stages.fuse import fusing
 from hiros_mcap.stages.fuse.constrain import ConstrainParams, constrain_blocks
 from hiros_mcap.stages.fuse.fusing import (
@@ -33,11 +33,11 @@ MS = 1_000_000
 
 
 @cache
-def walk(cameras: int = 4) -> Room:
+def walk(cameras=4):
     return room(people=2, cameras=cameras, seconds=4, seed=62, action="cross")
 
 
-def result(where: Room, frames: list[Frame], name: str = "fuse-realtime") -> list[Frame]:
+def result(where, frames, name="fuse-realtime"):
     config = load_config(system=name)
     run = Run(where.model, config, cameras=where.cameras, fixed_frame="world", system=name)
     stages = system(name).stages(run)
@@ -47,7 +47,7 @@ def result(where: Room, frames: list[Frame], name: str = "fuse-realtime") -> lis
 
 
 @pytest.mark.parametrize("seconds", [1.0, 2.7])
-def test_what_is_logged_later_changes_nothing(seconds: float) -> None:
+def test_what_is_logged_later_changes_nothing(seconds):
     """Until a time, the cameras report the same; then everybody is elsewhere and half are gone."""
     frames = walk().frames
     now = frames[0].log_time + round(seconds * 1e9)
@@ -63,7 +63,7 @@ def test_what_is_logged_later_changes_nothing(seconds: float) -> None:
 
 
 @pytest.mark.parametrize("cameras", [1, 2, 5, 10])
-def test_no_result_is_later_than_a_tenth_of_a_second(cameras: int) -> None:
+def test_no_result_is_later_than_a_tenth_of_a_second(cameras):
     frames = result(walk(cameras), walk(cameras).frames)
     late = np.array([f.log_time - f.stamp for f in frames])
     assert len(frames) > 100
@@ -71,7 +71,7 @@ def test_no_result_is_later_than_a_tenth_of_a_second(cameras: int) -> None:
     assert np.percentile(late, 98) < 100 * MS
 
 
-def test_it_is_nearer_to_the_truth_than_hiros_realtime() -> None:
+def test_it_is_nearer_to_the_truth_than_hiros_realtime():
     where = walk()
     ours, theirs = (
         evaluate(result(where, where.frames, name), where.truth, where.model)
@@ -81,7 +81,7 @@ def test_it_is_nearer_to_the_truth_than_hiros_realtime() -> None:
     assert ours.jitter < theirs.jitter
 
 
-def test_every_marker_says_how_well_it_is_known() -> None:
+def test_every_marker_says_how_well_it_is_known():
     for frame in result(walk(), walk().frames):
         assert frame.uncertainty is not None
         known = ~np.isnan(frame.positions[:, :, 0])
@@ -89,7 +89,7 @@ def test_every_marker_says_how_well_it_is_known() -> None:
         assert np.isnan(frame.uncertainty.deviations[~known]).all()
 
 
-def start_to_run() -> tuple[Floats, Floats]:
+def start_to_run():
     """Errors of estimates by what was measured so far: somebody stands, and runs from 1 s on.
 
     The second is that of a filter whose density does not change.
@@ -107,7 +107,7 @@ def start_to_run() -> tuple[Floats, Floats]:
     return x[1::2, 0, 0] - x[::2, 0, 0], steady(x[::2, 0, 0])
 
 
-def steady(z: Floats) -> Floats:
+def steady(z):
     """Errors of a Kalman filter of constant density, with the same numbers, at 30 Hz."""
     x, p, dt = np.array([z[0], 0.0]), np.diag([0.05, 1.0]), 1 / 30
     f, q = np.array([[1, dt], [0, 1]]), np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
@@ -121,13 +121,13 @@ def steady(z: Floats) -> Floats:
     return np.array(errors)
 
 
-def test_a_filter_whose_predictions_fail_follows_faster() -> None:
+def test_a_filter_whose_predictions_fail_follows_faster():
     agile, usual = start_to_run()
     assert np.abs(agile[:30]).max() < 1e-9
     assert np.abs(agile[34:36]).mean() < 0.7 * np.abs(usual[34:36]).mean()
 
 
-def test_running_lengths_become_those_of_the_whole() -> None:
+def test_running_lengths_become_those_of_the_whole():
     rng = np.random.default_rng(1)
     ends = np.zeros((600, 2, 3))
     ends[:, 1, 0] = 0.25
@@ -142,7 +142,7 @@ def test_running_lengths_become_those_of_the_whole() -> None:
     assert lengths == pytest.approx(0.25, abs=0.003)
 
 
-def swinging(seconds: float) -> tuple[Floats, Floats]:
+def swinging(seconds):
     """Noisy and true poses of twelve markers that swing together at 30 Hz."""
     rng = np.random.default_rng(2)
     times = np.arange(round(30 * seconds)) / 30
@@ -151,19 +151,19 @@ def swinging(seconds: float) -> tuple[Floats, Floats]:
     return pose + rng.normal(0, 0.02, pose.shape), pose
 
 
-def shrunk(poses: Floats) -> Floats:
+def shrunk(poses):
     recent, variances = RecentMotion(), np.full(12, 0.02**2)
     return np.array([recent.shrink(p, variances, k * 33 * MS) for k, p in enumerate(poses)])
 
 
-def test_the_motion_so_far_takes_noise_off() -> None:
+def test_the_motion_so_far_takes_noise_off():
     noisy, pose = swinging(6)
     found = shrunk(noisy)
     np.testing.assert_array_equal(found[:60], noisy[:60])  # nothing known for 2 s
     assert (found - pose)[90:].std() < 0.7 * (noisy - pose)[90:].std()
 
 
-def test_a_motion_that_was_never_seen_is_not_held_back() -> None:
+def test_a_motion_that_was_never_seen_is_not_held_back():
     noisy, pose = swinging(4)
     noisy[110:, 3, 2] += 0.5
     pose = pose.copy()
@@ -171,7 +171,7 @@ def test_a_motion_that_was_never_seen_is_not_held_back() -> None:
     assert np.abs(shrunk(noisy) - pose)[110:, 3].max() < 0.12
 
 
-def test_lengths_stay_once_they_are_known() -> None:
+def test_lengths_stay_once_they_are_known():
     frames = result(walk(), walk().frames, "hiros-realtime")
     params = ConstrainParams(window=0.0, enough=1.5)
     out = list(by_frame(constrain_blocks)(frames, walk().model, params))
@@ -182,7 +182,7 @@ def test_lengths_stay_once_they_are_known() -> None:
     assert (np.nanstd(lengths, axis=0) / np.nanmean(lengths, axis=0) < 0.02).all()
 
 
-def test_a_camera_with_twice_the_noise_gets_four_times_the_variance() -> None:
+def test_a_camera_with_twice_the_noise_gets_four_times_the_variance():
     rng = np.random.default_rng(3)
     n = 3600
     instants, cameras = np.arange(n), np.arange(n) % 2

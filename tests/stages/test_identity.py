@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
 from stick_figures import MODEL, POSE, SECOND, START, at, person, seen
 
 from hiros_mcap.config import load_config
-from hiros_mcap.events import Event, Events
+from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, by_frame
-from hiros_mcap.skeletons import Floats, Frame
 from hiros_mcap.stages.merge.merge import MergeParams, merge_blocks
 from hiros_mcap.stages.merge.unseen import Unseen
 from hiros_mcap.stages.track.reidentify import Limbs, PersonCues, limb_cue, place_cue, reidentify
@@ -27,23 +25,21 @@ CAMERAS = {"a": np.array([-3.0, 0.0, 1.0]), "b": np.array([0.0, -3.0, 1.0])}
 TALL = 1.1
 
 
-def ids(frames: Sequence[Frame], params: TrackParams | None = None) -> list[list[int]]:
+def ids(frames, params=None):
     return [f.ids.tolist() for f in track(frames, MODEL, params, cameras=CAMERAS)]
 
 
-def events_of(frames: Sequence[Frame], params: TrackParams | None = None) -> list[Event]:
+def events_of(frames, params=None):
     events = Events()
     list(track(frames, MODEL, params, events, CAMERAS))
     return events.log
 
 
-def kinds(log: Sequence[Event]) -> list[str]:
+def kinds(log):
     return [event.kind for event in log]
 
 
-def standing(
-    people: Sequence[Floats], start: float, end: float, cameras: str = "ab"
-) -> list[Frame]:
+def standing(people, start, end, cameras="ab"):
     """What cameras report of people who stand still, s."""
     steps = range(round(start * 30), round(end * 30))
     return [seen(people, at(k, c), name) for k in steps for c, name in enumerate(cameras)]
@@ -52,12 +48,12 @@ def standing(
 # Occlusions
 
 
-def distorted(shift: float) -> Floats:
+def distorted(shift):
     """Somebody whose body the detector moves, m, and lets sink to the floor."""
     return person(shift) * [1.0, 1.0, 0.7]
 
 
-def test_a_detection_that_leaps_is_left_out_and_does_not_spoil_the_track() -> None:
+def test_a_detection_that_leaps_is_left_out_and_does_not_spoil_the_track():
     """Distorted for two frames, then hidden: the person comes back near the old place."""
     before, after = standing([person()], 0, 1, "a"), standing([person(0.1)], 1.5, 2, "a")
     leaps = [seen([distorted(0.3)], at(30), "a"), seen([distorted(-0.4)], at(31), "a")]
@@ -67,7 +63,7 @@ def test_a_detection_that_leaps_is_left_out_and_does_not_spoil_the_track() -> No
     assert events.counts["leap", "a"] == 2
 
 
-def test_a_camera_that_insists_on_a_leap_is_believed() -> None:
+def test_a_camera_that_insists_on_a_leap_is_believed():
     frames = [*standing([person()], 0, 1), *standing([person(0.45)], 1, 3)]
     found = ids(frames)
     assert found[60] == [-1]
@@ -75,7 +71,7 @@ def test_a_camera_that_insists_on_a_leap_is_believed() -> None:
 
 
 @pytest.mark.parametrize(("growth", "expected"), [(0.0, 1), (0.75, 0)])
-def test_somebody_who_walks_while_hidden_keeps_the_id(growth: float, expected: int) -> None:
+def test_somebody_who_walks_while_hidden_keeps_the_id(growth, expected):
     """1.2 m/s, hidden for 0.9 s. Without a growing gate there is a new track."""
     steps = [k for k in range(90) if not 30 <= k < 57]
     frames = [seen([person(0.04 * k)], at(k), "a") for k in steps]
@@ -83,13 +79,13 @@ def test_somebody_who_walks_while_hidden_keeps_the_id(growth: float, expected: i
     assert ids(frames, params)[-1] == [expected]
 
 
-def test_a_gate_that_has_grown_takes_no_second_view_of_somebody_else() -> None:
+def test_a_gate_that_has_grown_takes_no_second_view_of_somebody_else():
     two = standing([person(), person(0.9)], 0, 1, "a")
     one = [seen([person(), person(0.0, 0.2)], at(k), "a") for k in range(45, 60)]
     assert ids([*two, *one])[30:] == [[0, -1]] * 15
 
 
-def behind(depth: float, start: float, end: float) -> list[Frame]:
+def behind(depth, start, end):
     """Somebody at the origin, hidden from both cameras by people in front of them."""
     front = [person(-depth, 0.0), person(0.0, -depth)]
     frames = standing([person(), *front], 0, 2)
@@ -97,14 +93,14 @@ def behind(depth: float, start: float, end: float) -> list[Frame]:
     return frames + standing([person(), *front], 2 + start, end)
 
 
-def merged_people(frames: Sequence[Frame], params: MergeParams | None = None) -> list[list[float]]:
+def merged_people(frames, params=None):
     """Confidences of person 0 in the merged frames between 2 s and the end."""
     tracked = track(frames, MODEL, cameras=CAMERAS)
     merged = merge(tracked, MODEL, params, cameras=CAMERAS)
     return [f.marker_confidences[f.ids == 0, 0].tolist() for f in merged if f.stamp >= at(60)]
 
 
-def test_whom_others_hide_goes_on_for_a_second_with_falling_confidence() -> None:
+def test_whom_others_hide_goes_on_for_a_second_with_falling_confidence():
     confidences = merged_people(behind(0.8, 1.4, 3.5))
     hidden = [each[0] for each in confidences[:29]]
     assert all(later <= sooner for sooner, later in itertools.pairwise(hidden))
@@ -114,14 +110,14 @@ def test_whom_others_hide_goes_on_for_a_second_with_falling_confidence() -> None
     assert confidences[-1] == [1.0]
 
 
-def test_nobody_is_carried_whom_a_camera_should_see() -> None:
+def test_nobody_is_carried_whom_a_camera_should_see():
     confidences = merged_people(behind(0.8, 1.4, 3.5), MergeParams(carry=0.0))
     alone = standing([person()], 0, 2) + standing([], 2, 3)
     assert confidences[5:40] == [[]] * 35
     assert merged_people(alone)[5:] == [[]] * 25
 
 
-def test_people_who_left_are_not_remembered_for_ever() -> None:
+def test_people_who_left_are_not_remembered_for_ever():
     unseen = Unseen(0.1, 1.0, CAMERAS)
     for k in range(50):
         shown = seen([person()], at(30 * k), ids=[k])
@@ -134,7 +130,7 @@ def test_people_who_left_are_not_remembered_for_ever() -> None:
 # Two tracks of one person, phantoms
 
 
-def test_nobody_is_there_twice_while_cameras_disagree() -> None:
+def test_nobody_is_there_twice_while_cameras_disagree():
     """Camera b sees the person 0.75 m off for 0.4 s, then camera a stops."""
     frames = [
         seen([person(0.75 if c and 40 <= k < 52 else 0.0)], at(k, c), "ab"[c])
@@ -145,10 +141,10 @@ def test_nobody_is_there_twice_while_cameras_disagree() -> None:
     assert ids(frames)[-1] == [0]
 
 
-def test_two_tracks_that_no_camera_showed_together_become_one() -> None:
+def test_two_tracks_that_no_camera_showed_together_become_one():
     """Camera b sees somebody 0.7 m off, and wider, for a second. Then it agrees."""
 
-    def body(k: int, c: int) -> Floats:
+    def body(k, c):
         strange = c and 40 <= k < 70
         return POSE * [1.0, 2.0, 1.0] + [0.02 * k, 0.7, 0.0] if strange else person(0.02 * k)
 
@@ -159,9 +155,7 @@ def test_two_tracks_that_no_camera_showed_together_become_one() -> None:
 
 
 @pytest.mark.parametrize(("seconds", "people"), [(0.8, 1), (1.3, 2)])
-def test_a_still_body_where_only_one_camera_looks_needs_a_second(
-    seconds: float, people: int
-) -> None:
+def test_a_still_body_where_only_one_camera_looks_needs_a_second(seconds, people):
     frames = standing([person()], 0, 2)
     for k in range(60, 150):
         body = [person(4.0, 4.0)] if k < 60 + 30 * seconds else []
@@ -172,12 +166,12 @@ def test_a_still_body_where_only_one_camera_looks_needs_a_second(
 # Re-identification
 
 
-def away(seconds: float, before: Sequence[Floats], after: Sequence[Floats]) -> list[Frame]:
+def away(seconds, before, after):
     """Two seconds of people, an absence, and two seconds of people."""
     return standing(before, 0, 2) + standing(after, 2 + seconds, 4 + seconds)
 
 
-def test_who_comes_back_has_the_old_id_from_the_first_detection_on() -> None:
+def test_who_comes_back_has_the_old_id_from_the_first_detection_on():
     frames = away(5.0, [person()], [person(1.0)])
     assert ids(frames) == [[0]] * 240
     found = [event for event in events_of(frames) if event.kind == "person re-identified"]
@@ -186,25 +180,25 @@ def test_who_comes_back_has_the_old_id_from_the_first_detection_on() -> None:
     assert found[0].detail.endswith("% person 0")
 
 
-def test_somebody_of_another_size_has_a_new_id() -> None:
+def test_somebody_of_another_size_has_a_new_id():
     frames = away(5.0, [person()], [person() * TALL])
     assert ids(frames)[-1] == [1]
     assert "not re-identified" in events_of(frames)[-1].detail
 
 
-def test_two_people_who_leave_and_change_places_are_told_apart_by_their_limbs() -> None:
+def test_two_people_who_leave_and_change_places_are_told_apart_by_their_limbs():
     shift = np.array([2.0, 0.0, 0.0])
     short, tall = person(-1.0), person() * TALL + shift / 2
     frames = away(4.0, [short, tall], [tall - shift, short + shift])
     assert ids(frames)[-1] == [1, 0]
 
 
-def test_two_people_who_are_alike_get_new_ids_rather_than_each_others() -> None:
+def test_two_people_who_are_alike_get_new_ids_rather_than_each_others():
     frames = away(8.0, [person(-0.5), person(0.5)], [person(0.0, -0.5), person(0.0, 0.5)])
     assert ids(frames)[-1] == [2, 3]
 
 
-def test_who_comes_back_second_is_not_whom_the_first_resembles() -> None:
+def test_who_comes_back_second_is_not_whom_the_first_resembles():
     """The first is measured too tall at first, so nobody knows who it is. The second is in between,
     but by then the limbs of the first are known."""
     frames = standing([person(-1.0), person(1.0) * 1.04], 0, 2)
@@ -214,7 +208,7 @@ def test_who_comes_back_second_is_not_whom_the_first_resembles() -> None:
 
 
 @pytest.mark.parametrize("chair", [True, False])
-def test_what_was_nobody_is_not_missing(chair: bool) -> None:
+def test_what_was_nobody_is_not_missing(chair):
     """A chair is a person until the second camera looks. It must not make a newcomer probable."""
     two, third = [person(-1.0), person(1.0)], person(0.0, 1.5)
     furniture = [person()] if chair else []
@@ -232,13 +226,13 @@ def test_what_was_nobody_is_not_missing(chair: bool) -> None:
 
 
 @pytest.mark.parametrize("absence", [29.0, 31.0])
-def test_nobody_is_remembered_for_longer_than_the_parameter_says(absence: float) -> None:
+def test_nobody_is_remembered_for_longer_than_the_parameter_says(absence):
     expected = 0 if absence < TrackParams().reidentify else 1
     assert ids(away(absence, [person()], [person()]))[-1] == [expected]
 
 
 @pytest.mark.parametrize("system", ["hiros-realtime", "lee"])
-def test_realtime_and_the_papers_give_new_ids_unless_asked(system: str) -> None:
+def test_realtime_and_the_papers_give_new_ids_unless_asked(system):
     frames = away(5.0, [person()], [person()])
     plain = load_config(system=system).track
     asked = load_config(system=system, overrides=["track.reidentify=30"]).track
@@ -246,9 +240,7 @@ def test_realtime_and_the_papers_give_new_ids_unless_asked(system: str) -> None:
     assert ids(frames, asked)[-1] == [0]
 
 
-def cues(
-    person_id: int, seconds: float, x: float, size: float = 1.0, n: float = 30.0
-) -> PersonCues:
+def cues(person_id, seconds, x, size=1.0, n=30.0):
     lengths = size * np.array([0.5, 0.3, 0.3, 0.4, 0.4])
     stamp = START + round(seconds * SECOND)
     return PersonCues(person_id, stamp, np.array([x, 0.0, 1.0]), lengths, np.full(5, n))
@@ -262,7 +254,7 @@ LEGS = Limbs.of(
 )
 
 
-def test_each_cue_speaks_for_whom_it_fits() -> None:
+def test_each_cue_speaks_for_whom_it_fits():
     old = cues(0, 0.0, 0.0)
     same, other = cues(9, 5.0, 0.0), cues(9, 5.0, 0.0, TALL)
     assert limb_cue(same, old, APART) > 0 > limb_cue(other, old, APART)
@@ -273,7 +265,7 @@ def test_each_cue_speaks_for_whom_it_fits() -> None:
     assert place_cue(cues(9, -0.2, 0.0), old) > 0
 
 
-def test_a_knee_that_is_misplaced_along_the_leg_is_no_other_leg() -> None:
+def test_a_knee_that_is_misplaced_along_the_leg_is_no_other_leg():
     """What the thigh gains the shank loses; two longer limbs are somebody else's."""
     old, new, taller = (cues(k, 0.0, 0.0) for k in range(3))
     new.lengths[:] += [0.0, 0.025, -0.025, 0.025, -0.025]
@@ -281,7 +273,7 @@ def test_a_knee_that_is_misplaced_along_the_leg_is_no_other_leg() -> None:
     assert limb_cue(new, old, LEGS) > 0 > limb_cue(taller, old, LEGS)
 
 
-def test_the_limbs_of_a_model_have_markers_in_common() -> None:
+def test_the_limbs_of_a_model_have_markers_in_common():
     assert LEGS.noise[1, 2] < 0 == LEGS.noise[1, 3]
     assert LEGS.noise[1, 2] == LEGS.noise[2, 1]
     assert LEGS.alike[1, 3] == LEGS.alike[0, 0] == 1 > LEGS.alike[1, 2]
@@ -289,40 +281,40 @@ def test_the_limbs_of_a_model_have_markers_in_common() -> None:
     assert beside.noise[0, 1] > 0 == beside.noise[2, 3]
 
 
-def test_nobody_runs_faster_than_people_do() -> None:
+def test_nobody_runs_faster_than_people_do():
     verdict = reidentify([cues(9, 0.1, 2.0)], [cues(0, 0.0, 0.0)], missing=1, limbs=APART)[9]
     assert verdict.probability == 0.0
     assert not verdict.accepted
 
 
-def test_two_people_of_almost_one_size_are_told_apart_by_each_other() -> None:
+def test_two_people_of_almost_one_size_are_told_apart_by_each_other():
     old = [cues(0, 0.0, 0.0), cues(1, 0.1, 0.0, 1.04)]
     verdicts = reidentify([cues(9, 5.0, 0.0, 1.04), cues(8, 5.1, 0.0)], old, missing=2, limbs=LEGS)
     assert {new: verdict.person for new, verdict in verdicts.items()} == {9: 1, 8: 0}
     assert all(verdict.accepted for verdict in verdicts.values())
 
 
-def test_a_noisy_measurement_of_the_size_does_not_rule_somebody_out() -> None:
+def test_a_noisy_measurement_of_the_size_does_not_rule_somebody_out():
     assert reidentify([cues(9, 5.0, 0.0, 1.05)], [cues(0, 0.0, 0.0)], missing=1, limbs=APART)[
         9
     ].accepted
 
 
-def test_an_old_id_is_given_once_at_most() -> None:
+def test_an_old_id_is_given_once_at_most():
     """Both newcomers fit the one who is absent: together they can't be him."""
     verdicts = reidentify([cues(8, 5.0, 0.0), cues(9, 5.0, 0.1)], [cues(0, 0.0, 0.0)], 1, APART)
     assert sum(verdict.probability for verdict in verdicts.values()) <= 1.0
     assert not any(verdict.accepted for verdict in verdicts.values())
 
 
-def test_the_number_of_people_tips_the_balance() -> None:
+def test_the_number_of_people_tips_the_balance():
     newcomer, old = [cues(9, 10.0, 2.0, n=0.0)], [cues(0, 0.0, 0.0, n=0.0)]
     missing, complete = (reidentify(newcomer, old, n, APART)[9].probability for n in (1, 0))
     assert missing > 0.8 > 0.6 > complete
     assert reidentify(newcomer, old, 1, APART)[9].cue == "number of people"
 
 
-def test_whom_one_camera_carries_off_for_a_moment_keeps_the_id() -> None:
+def test_whom_one_camera_carries_off_for_a_moment_keeps_the_id():
     """Two cameras are silent for 0.28 s; the third, 0.25 m off, jumps by 17 cm. 12 Hz."""
     rng = np.random.default_rng(2)
     frames = []

@@ -41,31 +41,31 @@ EPS = 1e-12
 class Track:
     """One track of the association, behind its kernels."""
 
-    def __init__(self, noise: float = 0.1, acceleration: float = 3.0) -> None:
+    def __init__(self, noise=0.1, acceleration=3.0):
         self.past = Bank(centroid_filter.Centroids.empty())
         self.past.row(0, 0)
         self.rows = np.array([0])
         self.settings = centroid_filter.CentroidSettings(1e9, noise, acceleration)
         self.state, self.p = self.past.past.states[0], self.past.past.covariances[0]
 
-    def start(self, place: Floats) -> None:
+    def start(self, place):
         centroid_filter.start_track(self.past.past, 0, 0, np.append(place, 0.0), self.settings)
 
-    def predict(self, stamp: int) -> None:
+    def predict(self, stamp):
         centroid_filter.predict_tracks(self.past.past, self.rows, stamp, self.settings)
 
-    def cost(self, place: Floats) -> float:
+    def cost(self, place):
         cost, places = np.empty((1, 1)), np.append(place, 0.0)[np.newaxis]
         arguments = self.past.past, self.rows, places, self.settings, cost
         centroid_filter.association_cost(*arguments)
         return float(cost[0, 0])
 
-    def correct(self, place: Floats) -> None:
+    def correct(self, place):
         places = np.append(place, 0.0)[np.newaxis]
         centroid_filter.correct_tracks(self.past.past, self.rows, places, self.settings)
 
 
-def test_the_cost_is_the_mahalanobis_distance_of_the_states() -> None:
+def test_the_cost_is_the_mahalanobis_distance_of_the_states():
     """The closed form equals eq 2 and 3 on the dense filter of 4 states."""
     rng = np.random.default_rng(0)
     for _ in range(50):
@@ -79,7 +79,7 @@ def test_the_cost_is_the_mahalanobis_distance_of_the_states() -> None:
         assert track.cost(place) == pytest.approx(step @ np.linalg.inv(covariance) @ step, rel=1e-9)
 
 
-def test_a_track_is_the_dense_filter() -> None:
+def test_a_track_is_the_dense_filter():
     track = Track()
     track.start(np.array([1.0, 2.0]))
     state, covariance = np.array([1.0, 2.0, 0, 0]), np.diag([0.01, 0.01, 1.0, 1.0])
@@ -93,11 +93,11 @@ def test_a_track_is_the_dense_filter() -> None:
         assert track.p == pytest.approx(numbers, abs=EPS)
 
 
-def test_the_gate_is_the_chi_squared_quantile() -> None:
+def test_the_gate_is_the_chi_squared_quantile():
     assert AssociateParams().gate == pytest.approx(chi2.ppf(0.999, 4), abs=5e-4)
 
 
-def test_people_who_pass_each_other_keep_their_ids() -> None:
+def test_people_who_pass_each_other_keep_their_ids():
     frames = [
         seen([person(-1 + 0.05 * k), person(1 - 0.05 * k, 0.3)], at(k), ids=[-1, -1])
         for k in range(40)
@@ -106,7 +106,7 @@ def test_people_who_pass_each_other_keep_their_ids() -> None:
         assert frame.ids.tolist() == [0, 1]
 
 
-def test_the_assignment_has_the_least_sum() -> None:
+def test_the_assignment_has_the_least_sum():
     """The nearest pair is 0.4 m from track 1 to the first detection; the sum wants it for 0."""
     frames = [seen([person(0.0), person(1.0)], at(k)) for k in range(10)]
     frames.append(seen([person(0.6), person(1.5)], at(10)))
@@ -114,7 +114,7 @@ def test_the_assignment_has_the_least_sum() -> None:
     assert last.ids.tolist() == [0, 1]
 
 
-def test_somebody_beyond_the_gate_is_new() -> None:
+def test_somebody_beyond_the_gate_is_new():
     frames = [seen([person()], at(k)) for k in range(10)]
     frames += [seen([person(), person(4.0)], at(10 + k)) for k in range(3)]
     ids = [frame.ids.tolist() for frame in associate(frames, MODEL, AT_ONCE)]
@@ -122,7 +122,7 @@ def test_somebody_beyond_the_gate_is_new() -> None:
     assert ids[10:] == [[0, 1]] * 3
 
 
-def test_a_track_counts_after_three_detections_and_ends_after_the_gap() -> None:
+def test_a_track_counts_after_three_detections_and_ends_after_the_gap():
     events = Events()
     frames = [seen([person()], at(k)) for k in (0, 1, 2, 3, 33, 34, 120, 121, 122)]
     ids = [int(f.ids[0]) for f in associate(frames, MODEL, events=events)]
@@ -133,7 +133,7 @@ def test_a_track_counts_after_three_detections_and_ends_after_the_gap() -> None:
     assert events.total("not confirmed") == 4
 
 
-def test_a_tentative_track_ends_without_a_note() -> None:
+def test_a_tentative_track_ends_without_a_note():
     events = Events()
     frames = [seen([person()], at(0)), seen([person()], at(100))]
     list(associate(frames, MODEL, events=events))
@@ -141,7 +141,7 @@ def test_a_tentative_track_ends_without_a_note() -> None:
 
 
 @pytest.mark.parametrize(("second", "expected"), [(0.29, [0, -1]), (0.31, [0, 1])])
-def test_a_second_report_of_a_person_starts_no_track(second: float, expected: list[int]) -> None:
+def test_a_second_report_of_a_person_starts_no_track(second, expected):
     events = Events()
     frames = [seen([person(), person(second)], at(k)) for k in range(2)]
     params = AT_ONCE.model_copy(update={"gate": 0.1})
@@ -149,12 +149,12 @@ def test_a_second_report_of_a_person_starts_no_track(second: float, expected: li
     assert events.total("duplicate") == expected.count(-1)
 
 
-def test_a_detection_without_markers_is_nobody() -> None:
+def test_a_detection_without_markers_is_nobody():
     frames = [seen([POSE * np.nan, person()], at(k)) for k in range(3)]
     assert [f.ids.tolist() for f in associate(frames, MODEL, AT_ONCE)] == [[-1, 0]] * 3
 
 
-def test_centroids_are_means_of_what_is_known() -> None:
+def test_centroids_are_means_of_what_is_known():
     frame = seen([POSE, POSE, POSE * np.nan], at(0))
     frame.markers[1, 2:] = np.nan
     places = np.empty((3, 3))
@@ -166,7 +166,7 @@ def test_centroids_are_means_of_what_is_known() -> None:
 
 @settings(deadline=None, max_examples=20)
 @given(st.permutations(range(4)), st.integers(0, 2**32 - 1))
-def test_the_order_of_detections_does_not_matter(order: list[int], seed: int) -> None:
+def test_the_order_of_detections_does_not_matter(order, seed):
     rng = np.random.default_rng(seed)
     walks = np.cumsum(rng.normal(scale=0.02, size=(10, 4, 2)), axis=0) + 2.0 * np.arange(4)[:, None]
     frames = [seen([person(*place) for place in places], at(k)) for k, places in enumerate(walks)]
@@ -179,9 +179,7 @@ def test_the_order_of_detections_does_not_matter(order: list[int], seed: int) ->
 # -- filter (III-B to III-D) ---------------------------------------------------------------------
 
 
-def dense_step(
-    x: Floats, p: Floats, dt: float, q: float, z: Floats, variances: Floats
-) -> tuple[Floats, Floats]:
+def dense_step(x, p, dt, q, z, variances):
     """One step of the filter of all states: all positions, then all velocities."""
     n = len(x) // 2
     move = np.eye(2 * n)
@@ -197,7 +195,7 @@ def dense_step(
 class Joints:
     """The filter of one person with M joints, behind its kernels."""
 
-    def __init__(self, joints: int = 1, **changes: object) -> None:
+    def __init__(self, joints=1, **changes):
         params = KalmanParams.model_validate(changes)
         names = joint_filter.JointFilterSettings._fields
         self.settings = joint_filter.JointFilterSettings(*[getattr(params, n) for n in names])
@@ -207,7 +205,7 @@ class Joints:
         self.x, self.p = self.past.states[0], self.past.covariances[0]
         self.now = self.past.stamps[:] = START
 
-    def take(self, z: Floats, confidences: float | Floats = 1.0, dt: float = 0.0) -> int:
+    def take(self, z, confidences=1.0, dt=0.0):
         """Measure positions (M, 3) ``dt`` s later; return how many are outliers."""
         people = People.allocate(1, len(z), 0)
         people.markers[:] = np.nan
@@ -216,19 +214,19 @@ class Joints:
         arguments = people, np.zeros(1, np.int64), self.now, np.zeros(1), self.settings
         return int(joint_filter.update(self.past, *arguments))
 
-    def measure(self, distance: float, confidence: float = 1.0) -> tuple[int, float]:
+    def measure(self, distance, confidence=1.0):
         """Measure ``distance`` from a state as uncertain as a detection; outliers and gain."""
         self.past.started[:], self.x[:], self.p[:] = True, 0.0, [0.0009, 0, 0, 1, 0, 0]
         found = self.take(np.array([[distance, 0, 0]]), confidence)
         return found, float(self.x[0, 0, 0] / distance)
 
-    def settle(self) -> None:
+    def settle(self):
         """Fill the history with innovations of 10 mm."""
         for _ in range(15):
             assert self.measure(0.01) == (0, pytest.approx(0.5))
 
 
-def test_joint_by_joint_equals_the_dense_filter() -> None:
+def test_joint_by_joint_equals_the_dense_filter():
     """15 joints, 90 states, 40 messages at uneven times, noise and gaps of their own per joint."""
     rng = np.random.default_rng(1)
     m, joints = 15, Joints(15, history=0)
@@ -253,7 +251,7 @@ def test_joint_by_joint_equals_the_dense_filter() -> None:
 NOTHING = np.full((1, 3), np.nan)
 
 
-def test_five_steps_at_once_are_five_steps() -> None:
+def test_five_steps_at_once_are_five_steps():
     once, often = Joints(step=0.033), Joints(step=0.033)
     for joints in (once, often):
         joints.take(np.array([[1.0, 2.0, 3.0]]))
@@ -266,7 +264,7 @@ def test_five_steps_at_once_are_five_steps() -> None:
     assert once.x[0, 0] == pytest.approx([1 + 0.165 * 0.1, 2 - 0.165 * 0.2, 3 + 0.165 * 0.3])
 
 
-def test_the_process_noise_of_a_step_is_g_g_transposed() -> None:
+def test_the_process_noise_of_a_step_is_g_g_transposed():
     joints = Joints(step=0.033, process_noise=2.0)
     joints.take(np.zeros((1, 3)))
     joints.p[:] = 0.0
@@ -280,23 +278,23 @@ def test_the_process_noise_of_a_step_is_g_g_transposed() -> None:
     ("confidence", "gain"), [(1.0, 1 / 2), (0.5, 1 / 3), (math.nan, 1 / 2), (0.49, 0.0)]
 )
 def test_the_confidence_divides_the_variance_and_below_one_half_the_prediction_stands(
-    confidence: float, gain: float
-) -> None:
+    confidence, gain
+):
     joints = Joints()
     assert joints.measure(0.3, confidence) == (0, pytest.approx(gain))
     if not gain:
         assert joints.p[0].tolist() == [0.0009, 0, 0, 1, 0, 0]
 
 
-def test_confidences_do_not_count_on_request() -> None:
+def test_confidences_do_not_count_on_request():
     assert Joints(use_confidence=False).measure(0.3, 0.2)[1] == pytest.approx(0.5)
 
 
-def test_a_confidence_of_zero_hardly_counts_where_all_are_accepted() -> None:
+def test_a_confidence_of_zero_hardly_counts_where_all_are_accepted():
     assert Joints(min_confidence=0.0).measure(0.3, 0.0)[1] == pytest.approx(1 / 1001)
 
 
-def test_a_jump_of_four_thresholds_has_four_times_the_variance() -> None:
+def test_a_jump_of_four_thresholds_has_four_times_the_variance():
     joints = Joints()
     assert joints.measure(0.02) == (0, pytest.approx(0.5))
     for _ in range(14):
@@ -305,14 +303,14 @@ def test_a_jump_of_four_thresholds_has_four_times_the_variance() -> None:
     assert joints.measure(4 * 1.25 * 0.0249) == (1, pytest.approx(1 / 5))
 
 
-def test_nothing_is_an_outlier_before_the_history_is_full() -> None:
+def test_nothing_is_an_outlier_before_the_history_is_full():
     joints = Joints()
     for _ in range(14):
         joints.measure(0.01)
     assert joints.measure(1.0) == (0, pytest.approx(0.5))
 
 
-def test_the_history_is_that_of_the_last_fifteen() -> None:
+def test_the_history_is_that_of_the_last_fifteen():
     joints = Joints()
     joints.measure(1.0)
     for _ in range(14):
@@ -323,7 +321,7 @@ def test_the_history_is_that_of_the_last_fifteen() -> None:
     assert joints.measure(0.5)[0] == 1
 
 
-def test_after_two_outliers_the_third_is_accepted() -> None:
+def test_after_two_outliers_the_third_is_accepted():
     joints = Joints()
     joints.settle()
     outcomes = [joints.measure(0.5) for _ in range(4)]
@@ -331,7 +329,7 @@ def test_after_two_outliers_the_third_is_accepted() -> None:
     assert outcomes[2][1] == pytest.approx(0.5)
 
 
-def test_after_an_accepted_jump_the_guard_is_on_again() -> None:
+def test_after_an_accepted_jump_the_guard_is_on_again():
     joints = Joints()
     joints.settle()
     for _ in range(3):
@@ -340,27 +338,27 @@ def test_after_an_accepted_jump_the_guard_is_on_again() -> None:
     assert [joints.measure(0.5)[0] for _ in range(3)] == [1, 1, 0]
 
 
-def test_only_outliers_in_a_row_count() -> None:
+def test_only_outliers_in_a_row_count():
     joints = Joints()
     joints.settle()
     found = [joints.measure(d)[0] for d in (0.5, 0.01, 0.5, 0.01, 0.5)]
     assert found == [1, 0, 1, 0, 1]
 
 
-def test_outliers_do_not_raise_the_threshold() -> None:
+def test_outliers_do_not_raise_the_threshold():
     joints = Joints(max_outliers=100)
     joints.settle()
     assert [joints.measure(0.5)[0] for _ in range(20)] == [1] * 20
 
 
-def test_a_rejected_joint_neither_counts_as_outlier_nor_enters_the_history() -> None:
+def test_a_rejected_joint_neither_counts_as_outlier_nor_enters_the_history():
     joints = Joints()
     joints.settle()
     assert joints.measure(5.0, 0.3) == (0, 0.0)
     assert joints.measure(0.5)[0] == 1
 
 
-def test_steady_motion_is_no_outlier_at_uneven_times() -> None:
+def test_steady_motion_is_no_outlier_at_uneven_times():
     """As printed, with consecutive positions, most long intervals give outliers."""
     rng, events = np.random.default_rng(5), Events()
     ticks = np.cumsum([1 if k % 16 else 9 for k in range(160)]) / 8
@@ -377,9 +375,7 @@ def test_steady_motion_is_no_outlier_at_uneven_times() -> None:
 @pytest.mark.parametrize(
     ("consecutive", "outliers", "x"), [(False, 0, 0.1 + 0.026 / 2), (True, 1, 0.1 + 0.026 / 3)]
 )
-def test_d_as_printed_is_between_consecutive_positions(
-    consecutive: bool, outliers: int, x: float
-) -> None:
+def test_d_as_printed_is_between_consecutive_positions(consecutive, outliers, x):
     """The joint was at 0 and is expected at 100 mm, as uncertain as its detection at 126 mm.
 
     The threshold is 1.25 x 50.4 = 63 mm. The detection is 26 mm from the prediction, which is no
@@ -394,7 +390,7 @@ def test_d_as_printed_is_between_consecutive_positions(
     assert joints.past.distances[0, 0, 0] == pytest.approx(x if consecutive else 0.026, abs=1e-9)
 
 
-def test_as_printed_the_steps_of_outliers_are_in_the_history() -> None:
+def test_as_printed_the_steps_of_outliers_are_in_the_history():
     joints = Joints(consecutive=True, history=2)
     assert [joints.measure(0.01) for _ in range(2)] == [(0, pytest.approx(0.5))] * 2  # 5 mm steps
     assert joints.measure(0.025) == (1, pytest.approx(1 / 5))  # 4 x 6.25 mm: another step of 5 mm
@@ -403,7 +399,7 @@ def test_as_printed_the_steps_of_outliers_are_in_the_history() -> None:
     assert joints.measure(0.025) == (0, pytest.approx(1 / 2))  # o_max
 
 
-def test_a_real_fast_motion_is_followed_after_two_samples() -> None:
+def test_a_real_fast_motion_is_followed_after_two_samples():
     """Still for a second, then a metre to the side for good."""
     frames = [seen([person(0.0 if k < 30 else 1.0)], at(k), ids=[0]) for k in range(36)]
     noisy, events = np.random.default_rng(2), Events()
@@ -415,12 +411,12 @@ def test_a_real_fast_motion_is_followed_after_two_samples() -> None:
     assert events.counts["outlier", "a"] == events.total("outlier") >= 16
 
 
-def moving(k: float) -> Floats:
+def moving(k):
     return person(0.4 * math.sin(0.1 * k), 0.01 * k)
 
 
 @pytest.mark.parametrize("rates", [(30,), (15, 50), (15, 30, 50, 15, 30)])
-def test_one_output_per_message_and_no_delay(rates: tuple[int, ...]) -> None:
+def test_one_output_per_message_and_no_delay(rates):
     """Cameras of any number and rate without a common clock: each message updates at once."""
     stamped = sorted(
         (at(0) + k * SECOND // rate + c * 1_000_003, f"c{c}")
@@ -434,7 +430,7 @@ def test_one_output_per_message_and_no_delay(rates: tuple[int, ...]) -> None:
     assert not any((new.positions == old.positions).all() for old, new in pairwise(fused))
 
 
-def test_at_a_fixed_rate_on_request() -> None:
+def test_at_a_fixed_rate_on_request():
     frames = [seen([person(0.03 * k)], at(k), ids=[0]) for k in range(60)]
     out = list(kalman(frames, MODEL, KalmanParams(rate=50.0)))
     stamps = [f.stamp for f in out]
@@ -444,14 +440,14 @@ def test_at_a_fixed_rate_on_request() -> None:
     assert last.positions[0, 0, 0] == pytest.approx(0.9 * (last.stamp - START) * 1e-9, abs=1e-3)
 
 
-def test_velocities_are_filled_and_right() -> None:
+def test_velocities_are_filled_and_right():
     frames = [seen([person(0.03 * k)], at(k), ids=[0]) for k in range(90)]
     (*_, last) = kalman(frames, MODEL)
     assert last.velocities[0, 0] == pytest.approx([0.9, 0, 0], abs=0.02)
     assert np.isnan(last.accelerations).all()
 
 
-def test_an_unseen_joint_is_predicted_and_an_unknown_one_is_absent() -> None:
+def test_an_unseen_joint_is_predicted_and_an_unknown_one_is_absent():
     frames = [seen([person(0.03 * k)], at(k), ids=[0]) for k in range(40)]
     for k, frame in enumerate(frames):
         frame.markers[0, 7] = np.nan
@@ -462,7 +458,7 @@ def test_an_unseen_joint_is_predicted_and_an_unknown_one_is_absent() -> None:
     assert np.isnan(last.markers[0, 7]).all()
 
 
-def test_openptracks_range_noise_is_squared() -> None:
+def test_openptracks_range_noise_is_squared():
     """A camera 1 m away measures 0, one 3 m away 1: the gain is v1 / (v1 + v3)."""
     model = SkeletonModel.of(["JOINT"], [])
     cameras = {"near": np.array([1.0, 0, 0]), "far": np.array([1.0, 3.0, 0])}
@@ -479,9 +475,7 @@ def test_openptracks_range_noise_is_squared() -> None:
 
 @settings(deadline=None, max_examples=20)
 @given(st.floats(-math.pi, math.pi), st.floats(-5, 5), st.integers(0, 2**32 - 1))
-def test_the_filter_moves_with_its_frame_and_people_do_not_mix(
-    angle: float, shift: float, seed: int
-) -> None:
+def test_the_filter_moves_with_its_frame_and_people_do_not_mix(angle, shift, seed):
     rng = np.random.default_rng(seed)
     frames = [seen([moving(k), person(2.0)], at(k), ids=[0, 1]) for k in range(25)]
     for frame in frames:
@@ -496,14 +490,14 @@ def test_the_filter_moves_with_its_frame_and_people_do_not_mix(
         assert same(one, both.select([1]))
 
 
-def test_a_late_message_is_counted_and_left_out() -> None:
+def test_a_late_message_is_counted_and_left_out():
     events = Events()
     frames = [seen([person()], at(k), ids=[0]) for k in (0, 1, 2, 1, 2, 3)]
     assert len(list(kalman(frames, MODEL, events=events))) == 5
     assert events.total("too late to be merged") == 1
 
 
-def test_somebody_who_is_not_detected_is_held_for_a_while() -> None:
+def test_somebody_who_is_not_detected_is_held_for_a_while():
     """With the links and confidences of the newest detection."""
     frames = [
         seen([person(0.03 * k)] if k < 10 else [], at(k), ids=[0] if k < 10 else [], turns=True)
@@ -519,20 +513,20 @@ def test_somebody_who_is_not_detected_is_held_for_a_while() -> None:
     assert out[15].stamps.tolist() == [at(15)]
 
 
-def held(frame: Frame) -> dict[str, object]:
+def held(frame):
     """What a person who is held does not keep."""
     return {n: getattr(frame, n) for n in ("stamp", "log_time", "stamps", "markers")}
 
 
 @pytest.mark.parametrize(("gap", "anew"), [(29, False), (31, True)])
-def test_after_a_second_unseen_a_filter_starts_anew(gap: int, anew: bool) -> None:
+def test_after_a_second_unseen_a_filter_starts_anew(gap, anew):
     frames = [seen([person()], at(k), ids=[0]) for k in range(10)]
     frames.append(seen([person(1.0)], at(9 + gap), ids=[0]))
     (*_, last) = kalman(frames, MODEL)
     assert bool(last.positions[0, 0, 0] == 1.0) is anew
 
 
-def test_people_without_an_id_are_left_out_and_the_others_sorted() -> None:
+def test_people_without_an_id_are_left_out_and_the_others_sorted():
     frames = [seen([person(), person(1), person(2)], at(k), ids=[5, -1, 3]) for k in range(3)]
     for frame in kalman(frames, MODEL):
         assert frame.ids.tolist() == [3, 5]
@@ -542,10 +536,10 @@ def test_people_without_an_id_are_left_out_and_the_others_sorted() -> None:
 # -- limb lengths (III-E) ------------------------------------------------------------------------
 
 
-def link_residuals(parent: Floats, theta: Floats, length: float) -> Callable[[Floats], Floats]:
+def link_residuals(parent, theta, length):
     """Length and direction of equation 12, of one link."""
 
-    def residuals(child: Floats) -> Floats:
+    def residuals(child):
         link = child - parent
         size = float(np.linalg.norm(link))
         return np.append(link / size - theta, size - length)
@@ -553,7 +547,7 @@ def link_residuals(parent: Floats, theta: Floats, length: float) -> Callable[[Fl
     return residuals
 
 
-def test_the_closed_form_is_the_minimum_of_eq_12() -> None:
+def test_the_closed_form_is_the_minimum_of_eq_12():
     """Levenberg-Marquardt, link by link from the root, ends where the closed form is."""
     rng, order = np.random.default_rng(3), link_order(MODEL)
     tree = limb_lengths.LinkTree(np.ascontiguousarray(MODEL.links), order)
@@ -578,7 +572,7 @@ def test_the_closed_form_is_the_minimum_of_eq_12() -> None:
         assert np.abs(lengths_of(frame) - lengths).max() < 1e-9
 
 
-def lengths_of(frame: Frame) -> Floats:
+def lengths_of(frame):
     """(L,) measured lengths of the first person's links, m."""
     ends = frame.positions[0][MODEL.links]
     return np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
@@ -587,7 +581,7 @@ def lengths_of(frame: Frame) -> Floats:
 TRUE = lengths_of(seen([POSE], START))
 
 
-def test_links_are_walked_from_the_root() -> None:
+def test_links_are_walked_from_the_root():
     assert link_order(MODEL).tolist() == [0, 3, 4, 1, 2, 5, 6]
     loop = SkeletonModel.of(
         ["a", "b", "c"], [("ab", 0, 1), ("bc", 1, 2), ("ca", 2, 0), ("ac", 0, 2)]
@@ -599,7 +593,7 @@ def test_links_are_walked_from_the_root() -> None:
     assert link_order(loose).tolist() == [0]
 
 
-def scaled(size: float, n: int = 1, start: int = 0) -> list[Frame]:
+def scaled(size, n=1, start=0):
     """Somebody of this size in ``n`` frames from frame ``start`` on."""
     frames = [seen([person()], at(start + k), ids=[0]) for k in range(n)]
     for frame in frames:
@@ -609,7 +603,7 @@ def scaled(size: float, n: int = 1, start: int = 0) -> list[Frame]:
 
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32 - 1))
-def test_once_calibrated_all_lengths_are_constant_and_directions_kept(seed: int) -> None:
+def test_once_calibrated_all_lengths_are_constant_and_directions_kept(seed):
     rng = np.random.default_rng(seed)
     frames = scaled(1.0, 40)
     for frame in frames[30:]:
@@ -623,7 +617,7 @@ def test_once_calibrated_all_lengths_are_constant_and_directions_kept(seed: int)
         assert np.cross(neck, moved_to) == pytest.approx(np.zeros(3), abs=EPS)
 
 
-def test_wrong_lengths_decay_steadily() -> None:
+def test_wrong_lengths_decay_steadily():
     """Lengths start 10 % too long; the error falls with every frame."""
     frames = scaled(1.1, 30) + scaled(1.0, 300, 60)
     result = list(straighten(frames, MODEL, StraightenParams(rate=0.01)))
@@ -631,7 +625,7 @@ def test_wrong_lengths_decay_steadily() -> None:
     assert errors == pytest.approx([0.05 * 0.99 ** (k + 1) for k in range(300)], abs=1e-9)
 
 
-def test_lengths_are_learned_from_whole_frames_only() -> None:
+def test_lengths_are_learned_from_whole_frames_only():
     """Half of the frames lack a wrist and show somebody twice as large."""
     partial = scaled(2.0, 60)
     for frame in partial:
@@ -647,7 +641,7 @@ def test_lengths_are_learned_from_whole_frames_only() -> None:
     assert {limb.frames for limb in table.people[0].values()} == {30}
 
 
-def test_the_first_lengths_are_means() -> None:
+def test_the_first_lengths_are_means():
     table = LimbTable()
     list(straighten(scaled(0.9, 10) + scaled(1.2, 20, 10), MODEL, limbs=table))
     neck = table.people[0]["NECK"]
@@ -655,13 +649,13 @@ def test_the_first_lengths_are_means() -> None:
     assert neck.deviation == pytest.approx(0.5 * np.std([0.9] * 10 + [1.2] * 20))
 
 
-def test_people_without_an_id_pass_unchanged() -> None:
+def test_people_without_an_id_pass_unchanged():
     frames = [seen([person(), 1.5 * person()], at(k), ids=[0, -1]) for k in range(40)]
     for before, after in zip(frames, straighten(frames, MODEL), strict=True):
         assert (after.positions[1] == before.positions[1]).all()
 
 
-def test_who_comes_back_after_ten_seconds_is_measured_again() -> None:
+def test_who_comes_back_after_ten_seconds_is_measured_again():
     table, events = LimbTable(), Events()
     frames = scaled(1.0, 30) + scaled(1.1, 30, 270) + scaled(1.2, 30, 700)
     out = list(straighten(frames, MODEL, events=events, limbs=table))
@@ -670,14 +664,14 @@ def test_who_comes_back_after_ten_seconds_is_measured_again() -> None:
     assert [e.stamp for e in events.log] == [at(29), at(729)]
 
 
-def test_lengths_of_who_left_are_in_the_table() -> None:
+def test_lengths_of_who_left_are_in_the_table():
     table = LimbTable()
     later = seen([person()], at(900), ids=[1])
     list(straighten([*scaled(1.0, 40), later], MODEL, limbs=table))
     assert list(table.people) == [0]
 
 
-def test_the_chest_is_the_middle_of_shoulders_and_hips() -> None:
+def test_the_chest_is_the_middle_of_shoulders_and_hips():
     names = ["chest", "LShoulder", "RShoulder", "LHip", "RHip"]
     model = SkeletonModel.of(names, [("", 0, k) for k in range(1, 5)])
     frame = Frame.empty(1, model, stamp=START)
@@ -689,7 +683,7 @@ def test_the_chest_is_the_middle_of_shoulders_and_hips() -> None:
 
 
 @pytest.mark.parametrize("name", ["HEAD", "Nose"])
-def test_the_head_can_be_left_out_of_the_tree(name: str) -> None:
+def test_the_head_can_be_left_out_of_the_tree(name):
     """Nobody ever sees it whole; with the head, the lengths of the others stay unknown."""
     model = SkeletonModel.of(
         ["PELVIS", "NECK", name, "EAR"], [("spine", 0, 1), ("head", 1, 2), ("ear", 2, 3)]
@@ -707,13 +701,13 @@ def test_the_head_can_be_left_out_of_the_tree(name: str) -> None:
     assert same(with_head, frames[39])
 
 
-def test_a_head_that_is_the_root_can_be_left_out() -> None:
+def test_a_head_that_is_the_root_can_be_left_out():
     model = SkeletonModel.of(["head", "neck", "hip"], [("", 0, 1), ("", 1, 2)])
     assert link_order(model).tolist() == [0, 1]
     assert link_order(model, [0]).tolist() == [1]
 
 
-def test_given_lengths_hold_from_the_first_frame_and_are_kept() -> None:
+def test_given_lengths_hold_from_the_first_frame_and_are_kept():
     """Person 0 has all lengths but one; person 1 is measured as usual."""
     frames = [seen([person(), person(2)], at(k), ids=[0, 1]) for k in range(60)]
     given = {name: Limb(1.1 * x, 0.01, 7) for name, x in zip(MODEL.link_names, TRUE, strict=True)}
@@ -727,7 +721,7 @@ def test_given_lengths_hold_from_the_first_frame_and_are_kept() -> None:
     assert [(e.kind, e.person) for e in events.log] == [("limbs calibrated", 1)]
 
 
-def test_given_lengths_of_unknown_links_are_refused() -> None:
+def test_given_lengths_of_unknown_links_are_refused():
     table = LimbTable({0: {"TAIL": Limb(0.3)}})
     with pytest.raises(ConfigError, match="person 0: this log has no link 'TAIL'"):
         next(straighten(scaled(1.0), MODEL, limbs=table))
@@ -736,7 +730,7 @@ def test_given_lengths_of_unknown_links_are_refused() -> None:
 # -- noise, baselines ------------------------------------------------------------------------------
 
 
-def test_noise_of_one_centimetre_is_found() -> None:
+def test_noise_of_one_centimetre_is_found():
     rng = np.random.default_rng(4)
     frames = []
     for k in range(400):
@@ -749,7 +743,7 @@ def test_noise_of_one_centimetre_is_found() -> None:
     assert found.detections == 400
 
 
-def test_openptrack_has_the_numbers_of_its_public_code() -> None:
+def test_openptrack_has_the_numbers_of_its_public_code():
     """Variances 0.036 and 100, gate of 99.9 %, three detections, 8 s; no outliers."""
     config = load_config(system="openptrack")
     kalman_params, association = config.kalman, config.associate
@@ -764,7 +758,7 @@ def test_openptrack_has_the_numbers_of_its_public_code() -> None:
     assert chain_of("openptrack") == ("tracked", "merged")
 
 
-def test_the_moving_average_is_that_of_the_last_five_detections() -> None:
+def test_the_moving_average_is_that_of_the_last_five_detections():
     frames = [seen([person(float(k))], at(k), ids=[0]) for k in range(10)]
     x = [f.positions[0, 0, 0] for f in moving_average(frames, MODEL)]
     assert x == pytest.approx([0, 0.5, 1, 1.5, 2, 3, 4, 5, 6, 7])
@@ -773,14 +767,14 @@ def test_the_moving_average_is_that_of_the_last_five_detections() -> None:
 
 
 @pytest.mark.parametrize(("late", "expected"), [(0.59, 4.0), (0.61, 6.0), (0.91, 9.0)])
-def test_detections_count_for_point_six_seconds(late: float, expected: float) -> None:
+def test_detections_count_for_point_six_seconds(late, expected):
     track = (0, 0.0), (3, 0.3), (9, late)
     frames = [seen([person(x)], at(0) + round(t * SECOND), ids=[0]) for x, t in track]
     (*_, last) = moving_average(frames, MODEL)
     assert last.positions[0, 0, 0] == expected
 
 
-def test_each_joint_of_each_person_is_averaged_on_its_own() -> None:
+def test_each_joint_of_each_person_is_averaged_on_its_own():
     frames = [seen([person(k), person(9), person(-k)], at(k), ids=[0, -1, 1]) for k in range(3)]
     frames[1].markers[0, 2], frames[1].markers[2] = np.nan, np.nan
     (*_, last) = moving_average(frames, MODEL, fixed_frame="lab")
@@ -799,12 +793,12 @@ Stage = Callable[..., Iterator[Frame]]
 
 
 @pytest.fixture
-def banks(monkeypatch: pytest.MonkeyPatch) -> list[Bank[tuple[Floats, ...]]]:
+def banks(monkeypatch):
     """Every bank that is made."""
     made: list[Bank[tuple[Floats, ...]]] = []
     plain = Bank.__init__
 
-    def recording(self: Bank[tuple[Floats, ...]], *args: object, **kwargs: object) -> None:
+    def recording(self, *args, **kwargs):
         plain(self, *args, **kwargs)  # type: ignore[arg-type]
         made.append(self)
 
@@ -813,9 +807,7 @@ def banks(monkeypatch: pytest.MonkeyPatch) -> list[Bank[tuple[Floats, ...]]]:
 
 
 @pytest.mark.parametrize("stage", [associate, kalman, straighten, moving_average, predict])
-def test_memory_does_not_grow_when_1000_people_come_and_go(
-    stage: Stage, banks: list[Bank[tuple[Floats, ...]]]
-) -> None:
+def test_memory_does_not_grow_when_1000_people_come_and_go(stage, banks):
     frames = [
         seen([person(5.0 * (i % 7))], START + 11 * i * SECOND + k * 30_000_000, ids=[i])
         for i in range(1000)
@@ -827,7 +819,7 @@ def test_memory_does_not_grow_when_1000_people_come_and_go(
     assert {len(array) for array in bank.past} == {8}
 
 
-def crossing() -> list[Frame]:
+def crossing():
     """Two people, one of whom comes and goes, by two cameras, with noise, gaps and a repeat."""
     rng, frames = np.random.default_rng(7), []
     for k in range(160):
@@ -862,19 +854,17 @@ CHANGES = [
 @pytest.mark.parametrize(
     ("stage", "params", "name", "value"), CHANGES, ids=[f"{c[0].__name__}.{c[2]}" for c in CHANGES]
 )
-def test_every_parameter_changes_something(
-    stage: Stage, params: type[KalmanParams], name: str, value: object
-) -> None:
+def test_every_parameter_changes_something(stage, params, name, value):
     more = {"cameras": {"a": np.zeros(3), "b": np.ones(3)}} if stage is kalman else {}
 
-    def run(**changes: object) -> list[Frame]:
+    def run(**changes):
         return list(stage(crossing(), MODEL, params.model_validate(changes), **more))
 
     plain, changed = run(), run(**{name: value})
     assert len(plain) != len(changed) or not all(map(same, plain, changed))
 
 
-def test_the_parameters_above_are_all() -> None:
+def test_the_parameters_above_are_all():
     named = {(params, name) for _, params, name, _ in CHANGES}
     named |= {(StraightenParams, "chest_midpoint"), (StraightenParams, "head")}
     kinds = AssociateParams, KalmanParams, StraightenParams, MovingAverageParams
@@ -882,7 +872,7 @@ def test_the_parameters_above_are_all() -> None:
 
 
 @pytest.mark.parametrize("stage", [associate, kalman, straighten, moving_average])
-def test_the_input_is_unchanged(stage: Stage) -> None:
+def test_the_input_is_unchanged(stage):
     frames = crossing()
     list(stage(frames, MODEL))
     assert all(map(same, frames, crossing()))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from stick_figures import MIRROR, MODEL, PERIOD, SECOND, START, at, person, seen
 from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, by_frame, frames_of, join
-from hiros_mcap.skeletons import Floats, Frame
 from hiros_mcap.stages.merge import merging
 from hiros_mcap.stages.merge.merge import MergeParams, merge_blocks
 
@@ -31,12 +29,12 @@ BOTH_WAYS = person(), person()[MIRROR]
 """A pose, and the same with its sides swapped."""
 
 
-def views(poses: Sequence[Floats], k: int = 0, *, turns: bool = False) -> list[Frame]:
+def views(poses, k=0, *, turns=False):
     """One frame per camera, at the same time, of person 0."""
     return [seen([p], at(k), f"c{c}", ids=[0], turns=turns) for c, p in enumerate(poses)]
 
 
-def stream(poses: Sequence[Sequence[Floats]], **changes: object) -> list[Frame]:
+def stream(poses, **changes):
     """Merge what ``poses[k][camera]`` shows."""
     frames = [frame for k, each in enumerate(poses) for frame in views(each, k)]
     return list(merge(frames, MODEL, PLAIN.model_copy(update=changes)))
@@ -45,7 +43,7 @@ def stream(poses: Sequence[Sequence[Floats]], **changes: object) -> list[Frame]:
 @pytest.mark.parametrize(
     "preset", [PLAIN, load_config(preset="paper", system="hiros").merge], ids=["plain", "paper"]
 )
-def test_eq12_weighs_by_confidence(preset: MergeParams) -> None:
+def test_eq12_weighs_by_confidence(preset):
     frames = views([person(x) for x in (0.0, 10.0, 20.0, 30.0)])
     for frame, confidence in zip(frames, (0.9, 0.3, 0.6, 0.9), strict=True):
         frame.marker_confidences[:] = confidence
@@ -55,7 +53,7 @@ def test_eq12_weighs_by_confidence(preset: MergeParams) -> None:
 
 
 @pytest.mark.parametrize("confidence", [np.nan, 0.0])
-def test_without_confidences_all_count_the_same(confidence: float) -> None:
+def test_without_confidences_all_count_the_same(confidence):
     frames = views([person(0.0), person(0.1)])
     for frame in frames:
         frame.marker_confidences[:] = confidence
@@ -63,25 +61,25 @@ def test_without_confidences_all_count_the_same(confidence: float) -> None:
     assert merged.positions[0, :, 0].mean() == pytest.approx(person()[:, 0].mean() + 0.05)
 
 
-def test_partial_skeletons_merge_to_the_union() -> None:
+def test_partial_skeletons_merge_to_the_union():
     left, right = person(), person()
     left[4:], right[:3] = np.nan, np.nan
     (merged,) = merge(views([left, right]), MODEL, PLAIN.model_copy(update={"cameras": 2}))
     assert merged.positions[0] == pytest.approx(person())
 
 
-def test_merged_stamp_is_the_mean_of_the_source_times() -> None:
+def test_merged_stamp_is_the_mean_of_the_source_times():
     frames = [seen([person()], START + t, f"c{t}", ids=[0]) for t in (0, 10, 1)]
     (merged,) = merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 3}))
     assert (merged.stamp, merged.source, merged.frame_id) == (START + 11 // 3, "world", "world")
 
 
-def emitted_after(frames: list[Frame], params: MergeParams) -> list[int]:
+def emitted_after(frames, params):
     """How many messages had gone in when each merged frame came out."""
     count = itertools.count(1)
     fed = 0
 
-    def feed() -> itertools.chain[Frame]:
+    def feed():
         nonlocal fed
         for frame in frames:
             fed = next(count)
@@ -90,31 +88,31 @@ def emitted_after(frames: list[Frame], params: MergeParams) -> list[int]:
     return [fed for _ in merge(feed(), MODEL, params)]
 
 
-def test_the_same_camera_again_closes_the_buffer() -> None:
+def test_the_same_camera_again_closes_the_buffer():
     frames = [seen([person()], at(k), c, ids=[0]) for k, c in ((0, "a"), (0.1, "b"), (1, "a"))]
     params = PLAIN.model_copy(update={"cameras": 9, "max_delta_time": 9.0})
     assert emitted_after(frames, params) == [3, 3]
 
 
-def test_a_late_message_closes_the_buffer() -> None:
+def test_a_late_message_closes_the_buffer():
     frames = [seen([person()], at(k), c, ids=[0]) for k, c in ((0, "a"), (0.1, "b"), (9, "c"))]
     params = PLAIN.model_copy(update={"cameras": 9, "max_delta_time": 0.07})
     assert emitted_after(frames, params) == [3, 3]
 
 
-def test_the_last_camera_closes_the_buffer() -> None:
+def test_the_last_camera_closes_the_buffer():
     frames = [seen([person()], at(0, c), f"c{c}", ids=[0]) for c in range(3)]
     params = PLAIN.model_copy(update={"cameras": 3, "max_delta_time": 9.0})
     assert emitted_after(frames, params) == [3]
 
 
-def test_the_last_buffer_is_flushed() -> None:
+def test_the_last_buffer_is_flushed():
     frames = [seen([person()], at(k, c), f"c{c}", ids=[0]) for k in range(3) for c in range(2)]
     merged = list(merge(frames[:-1], MODEL, PLAIN.model_copy(update={"cameras": 2})))
     assert [len(merged), merged[-1].stamp] == [3, frames[-2].stamp]
 
 
-def test_flipped_views_are_dropped() -> None:
+def test_flipped_views_are_dropped():
     frames = views([person()] * 3 + [person(0.05)[MIRROR]] * 2, turns=True)
     for frame in frames[3:]:
         frame.links[:, :, 3:7] = [0, 0, 1, 0]
@@ -127,34 +125,34 @@ def test_flipped_views_are_dropped() -> None:
 
 
 @pytest.mark.parametrize("flipped", [0, 1, 2])
-def test_a_view_with_swapped_sides_is_swapped_back_without_orientations(flipped: int) -> None:
+def test_a_view_with_swapped_sides_is_swapped_back_without_orientations(flipped):
     poses = [person()] * 3
     poses[flipped] = person()[MIRROR]
     (merged,) = merge(views(poses), MODEL, PLAIN.model_copy(update={"cameras": 3}))
     assert merged.positions[0] == pytest.approx(person())
 
 
-def test_one_camera_that_flips_for_a_second_is_held_against_the_past() -> None:
+def test_one_camera_that_flips_for_a_second_is_held_against_the_past():
     poses = [[person()[MIRROR] if 20 <= k < 50 else person()] for k in range(80)]
     merged = stream(poses, past_votes=True)
     assert all(f.positions[0] == pytest.approx(person()) for f in merged)
 
 
-def test_one_camera_that_stays_flipped_is_followed_in_the_end() -> None:
+def test_one_camera_that_stays_flipped_is_followed_in_the_end():
     poses = [[person()[MIRROR] if k >= 20 else person()] for k in range(200)]
     merged = stream(poses, past_votes=True)
     assert merged[60].positions[0] == pytest.approx(person())
     assert merged[-1].positions[0] == pytest.approx(person()[MIRROR])
 
 
-def test_a_pose_of_a_moment_does_not_outvote_what_follows_for_long() -> None:
+def test_a_pose_of_a_moment_does_not_outvote_what_follows_for_long():
     """A detector that starts with swapped sides is followed soon after it has noticed."""
     poses = [[person()[MIRROR] if k < 5 else person()] for k in range(60)]
     merged = stream(poses, past_votes=True)
     assert all(f.positions[0] == pytest.approx(person()) for f in merged[25:])
 
 
-def test_a_collapsed_pose_does_not_flip_what_follows() -> None:
+def test_a_collapsed_pose_does_not_flip_what_follows():
     """A hidden person shrinks to a blob, which may face anywhere."""
     middle = person().mean(axis=0)
     blob = middle + 0.2 * (person()[MIRROR] - middle)
@@ -162,7 +160,7 @@ def test_a_collapsed_pose_does_not_flip_what_follows() -> None:
     assert all(f.positions[0] == pytest.approx(person()) for f in merged[60:])
 
 
-def test_one_bad_marker_of_one_camera_is_left_out() -> None:
+def test_one_bad_marker_of_one_camera_is_left_out():
     """And nothing else of that camera, which is a little aside."""
     poses = [person() for _ in range(4)]
     poses[2] += [0.02, 0, 0]
@@ -175,7 +173,7 @@ def test_one_bad_marker_of_one_camera_is_left_out() -> None:
     assert events.counts == {("outlier", "c2"): 1}
 
 
-def test_one_bad_link_of_one_camera_is_left_out() -> None:
+def test_one_bad_link_of_one_camera_is_left_out():
     """And nothing else of that camera, which is turned a little."""
     frames = views([person()] * 4, turns=True)
     frames[1].links[0, :, 3:7] = Rotation.from_euler("z", 0.04).as_quat()
@@ -188,14 +186,14 @@ def test_one_bad_link_of_one_camera_is_left_out() -> None:
     assert about_z == pytest.approx(expected, abs=1e-5)
 
 
-def test_a_tie_keeps_the_view_nearest_to_the_past() -> None:
+def test_a_tie_keeps_the_view_nearest_to_the_past():
     still = [[person(), person()] for _ in range(5)]
     split = [person(0.25), person(-0.15)]
     merged = stream([*still, split], past_votes=True)
     assert merged[-1].positions[0] == pytest.approx(person(-0.15))
 
 
-def test_the_more_confident_view_breaks_a_tie() -> None:
+def test_the_more_confident_view_breaks_a_tie():
     frames = views([person(), person()], turns=True)
     frames[1].markers[0, 6, :3] += [0.5, 0, 0]
     frames[1].links[0, 3, 3:7] = turned = Rotation.from_euler("z", 1.5).as_quat()
@@ -208,14 +206,14 @@ def test_the_more_confident_view_breaks_a_tie() -> None:
     assert merged.orientations[0, 2] == pytest.approx([0, 0, 0, 1])
 
 
-def test_three_against_one_are_no_tie() -> None:
+def test_three_against_one_are_no_tie():
     poses = [person() for _ in range(4)]
     poses[2][6] += [0.3, 0, 0]
     (merged,) = merge(views(poses), MODEL, PLAIN.model_copy(update={"cameras": 4}))
     assert merged.positions[0] == pytest.approx(person())
 
 
-def test_votes_can_be_turned_off() -> None:
+def test_votes_can_be_turned_off():
     poses = [person(), person(), person(0.9)]
     (merged,) = merge(
         views(poses), MODEL, PLAIN.model_copy(update={"cameras": 3, "max_position_delta": 0.0})
@@ -223,7 +221,7 @@ def test_votes_can_be_turned_off() -> None:
     assert merged.positions[0, 0, 0] == pytest.approx(0.3)
 
 
-def test_the_robust_mean_follows_the_majority() -> None:
+def test_the_robust_mean_follows_the_majority():
     poses = [person(), person(), person(), person(0.19)]
     (plain,) = merge(views(poses), MODEL, PLAIN.model_copy(update={"cameras": 4}))
     robust_params = PLAIN.model_copy(update={"cameras": 4, "robust_scale": 0.05})
@@ -232,7 +230,7 @@ def test_the_robust_mean_follows_the_majority() -> None:
     assert abs(robust.positions[0, 0, 0]) < 0.01
 
 
-def test_unsynchronised_views_are_carried_to_the_merged_time() -> None:
+def test_unsynchronised_views_are_carried_to_the_merged_time():
     frames = [seen([person(3e-9 * c)], START + c, f"c{c}", ids=[0]) for c in (0, 16_000_000)]
     for frame in frames:
         frame.velocities[:] = [3.0, 0.0, 0.0]
@@ -240,7 +238,7 @@ def test_unsynchronised_views_are_carried_to_the_merged_time() -> None:
     assert merged.positions[0] == pytest.approx(person(3 * 0.008))
 
 
-def test_orientations_are_averaged_whatever_their_sign() -> None:
+def test_orientations_are_averaged_whatever_their_sign():
     frames = views([person()] * 2, turns=True)
     frames[0].links[0, :, 3:7] = Rotation.from_euler("z", 0.2).as_quat()
     frames[1].links[0, :, 3:7] = -Rotation.from_euler("z", -0.1).as_quat()
@@ -249,7 +247,7 @@ def test_orientations_are_averaged_whatever_their_sign() -> None:
     assert turned[:, 0] == pytest.approx(0.05, abs=1e-9)
 
 
-def test_somebody_unseen_for_a_moment_is_bridged_and_then_absent() -> None:
+def test_somebody_unseen_for_a_moment_is_bridged_and_then_absent():
     frames = [seen([person(), person(2)], at(k), "a", ids=[0, 1]) for k in range(5)]
     frames += [seen([person()], at(k), "a", ids=[0]) for k in range(5, 15)]
     merged = list(merge(frames, MODEL, MergeParams(bridge=0.12)))
@@ -257,12 +255,12 @@ def test_somebody_unseen_for_a_moment_is_bridged_and_then_absent() -> None:
     assert merged[7].positions[1] == pytest.approx(person(2))  # no velocity is known
 
 
-def test_untracked_people_are_left_out() -> None:
+def test_untracked_people_are_left_out():
     (merged,) = merge([seen([person(), person(2)], at(0), "a", ids=[-1, 4])], MODEL)
     assert merged.ids.tolist() == [4]
 
 
-def test_a_camera_with_an_offset_makes_no_jump_when_it_drops_out() -> None:
+def test_a_camera_with_an_offset_makes_no_jump_when_it_drops_out():
     poses = [[person(), person(0.06)] for _ in range(300)] + [[person()] for _ in range(5)]
     with_bias, without = stream(poses, offset_time=5.0, cameras=2), stream(poses, cameras=2)
     step = [
@@ -272,7 +270,7 @@ def test_a_camera_with_an_offset_makes_no_jump_when_it_drops_out() -> None:
     assert step[0] == pytest.approx(0.03 * np.exp(-2), rel=0.02)  # after two time constants
 
 
-def test_one_camera_merges_to_itself() -> None:
+def test_one_camera_merges_to_itself():
     rng = np.random.default_rng(0)
     poses = [[person() + rng.normal(0, 0.02, (8, 3))] for _ in range(50)]
     merged = list(merge([f for k, p in enumerate(poses) for f in views(p, k)], MODEL))
@@ -280,7 +278,7 @@ def test_one_camera_merges_to_itself() -> None:
         assert frame.positions[0] == pytest.approx(pose, abs=1e-9)
 
 
-def noisy(seed: int) -> list[Frame]:
+def noisy(seed):
     rng = np.random.default_rng(seed)
     frames = []
     for k, c in itertools.product(range(30), range(3)):
@@ -289,14 +287,14 @@ def noisy(seed: int) -> list[Frame]:
     return frames
 
 
-def test_the_order_of_people_does_not_matter() -> None:
+def test_the_order_of_people_does_not_matter():
     frames = noisy(1)
     turned = [frame.select([1, 0]) for frame in frames]
     for one, other in zip(merge(frames, MODEL), merge(turned, MODEL), strict=True):
         assert np.array_equal(one.markers, other.markers, equal_nan=True)
 
 
-def test_two_people_far_apart_are_two_single_runs() -> None:
+def test_two_people_far_apart_are_two_single_runs():
     frames = noisy(3)
     both = list(merge(frames, MODEL))
     for person_id in (0, 1):
@@ -305,7 +303,7 @@ def test_two_people_far_apart_are_two_single_runs() -> None:
             assert np.array_equal(one.markers[0], two.markers[person_id], equal_nan=True)
 
 
-def faulty_views(seed: int, cameras: int) -> list[Frame]:
+def faulty_views(seed, cameras):
     """Ten instants of noisy views with flips, outliers, gaps and any confidences."""
     rng = np.random.default_rng(seed)
     frames = []
@@ -323,9 +321,7 @@ def faulty_views(seed: int, cameras: int) -> list[Frame]:
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 9999), st.integers(1, 5), st.permutations("abcde"))
-def test_the_order_and_the_names_of_cameras_do_not_matter(
-    seed: int, cameras: int, names: list[str]
-) -> None:
+def test_the_order_and_the_names_of_cameras_do_not_matter(seed, cameras, names):
     frames, params = faulty_views(seed, cameras), MergeParams(cameras=cameras)
     renamed = [frame.replace(source=names[int(frame.source[1])]) for frame in frames]
     renamed.sort(key=lambda frame: (frame.stamp, frame.source))
@@ -335,7 +331,7 @@ def test_the_order_and_the_names_of_cameras_do_not_matter(
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 9999), st.integers(1, 5))
-def test_a_motion_of_the_world_moves_the_result_alike(seed: int, cameras: int) -> None:
+def test_a_motion_of_the_world_moves_the_result_alike(seed, cameras):
     motion = Rotation.random(random_state=seed), np.array([3.0, -1.0, 0.5])
     frames = faulty_views(seed, cameras)
     expected = moved(list(merge(frames, MODEL)), *motion)
@@ -345,7 +341,7 @@ def test_a_motion_of_the_world_moves_the_result_alike(seed: int, cameras: int) -
         assert np.nanmin(dots, initial=1.0) == pytest.approx(1.0)
 
 
-def test_given_frames_are_not_changed() -> None:
+def test_given_frames_are_not_changed():
     frames = noisy(5)
     before = [(f.markers.copy(), f.links.copy(), f.ids.copy()) for f in frames]
     list(merge(frames, MODEL))
@@ -356,13 +352,13 @@ def test_given_frames_are_not_changed() -> None:
         )
 
 
-def test_the_largest_group_wins_a_vote() -> None:
+def test_the_largest_group_wins_a_vote():
     positions = np.array([0.0, 0.05, 1.0, 0.1, 1.02])
     apart = np.abs(positions[:, None] - positions)
     assert merging.largest_group(apart, np.ones(5), False, 0.2) in (0, 1, 3)
 
 
-def test_people_who_left_are_forgotten() -> None:
+def test_people_who_left_are_forgotten():
     frames = [seen([person()], START + k * 20 * SECOND, "a", ids=[k]) for k in range(40)]
     assert [f.ids.tolist() for f in merge(frames, MODEL)] == [[k] for k in range(40)]
 
@@ -376,15 +372,13 @@ def test_people_who_left_are_forgotten() -> None:
         (2, [("a", 0), ("b", 4), ("c", 8)], [2, 8]),  # all cameras are there
     ],
 )
-def test_what_closes_a_buffer_does_not_get_into_it(
-    cameras: int, times: list[tuple[str, int]], merged: list[int]
-) -> None:
+def test_what_closes_a_buffer_does_not_get_into_it(cameras, times, merged):
     frames = [seen([person()], START + ms * 1_000_000, c, ids=[0]) for c, ms in times]
     out = merge(frames, MODEL, PLAIN.model_copy(update={"cameras": cameras}))
     assert [(f.stamp - START) // 1_000_000 for f in out] == merged
 
 
-def test_cameras_of_random_phase_merge_to_one_set_per_period() -> None:
+def test_cameras_of_random_phase_merge_to_one_set_per_period():
     """The number of cameras is counted while they appear."""
     phases = np.random.default_rng(5).uniform(0, 1, 5)
     stamped = sorted((at(k + phase), f"c{c}") for k in range(30) for c, phase in enumerate(phases))
@@ -394,7 +388,7 @@ def test_cameras_of_random_phase_merge_to_one_set_per_period() -> None:
     assert steps[5:-1] == pytest.approx(at(1) - at(0), abs=2)
 
 
-def test_a_message_out_of_order_is_merged() -> None:
+def test_a_message_out_of_order_is_merged():
     times = [("a", 0.0), ("c", 0.3), ("b", 0.1)]
     frames = [seen([person(i)], at(k), c, ids=[0]) for i, (c, k) in enumerate(times)]
     params = PLAIN.model_copy(update={"cameras": 3, "max_position_delta": 0.0})
@@ -402,7 +396,7 @@ def test_a_message_out_of_order_is_merged() -> None:
     assert merged.positions[0, 0, 0] == pytest.approx(1.0)
 
 
-def test_a_camera_without_confidences_counts_fully() -> None:
+def test_a_camera_without_confidences_counts_fully():
     frames = views([person(0.0), person(0.1)])
     frames[0].marker_confidences[:], frames[1].marker_confidences[:] = 0.25, np.nan
     (merged,) = merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 2}))
@@ -411,7 +405,7 @@ def test_a_camera_without_confidences_counts_fully() -> None:
 
 
 @pytest.mark.parametrize(("markers", "expected"), [(np.nan, 0.9), (0.5, 0.5)])
-def test_eq12_falls_back_to_the_confidence_of_the_skeleton(markers: float, expected: float) -> None:
+def test_eq12_falls_back_to_the_confidence_of_the_skeleton(markers, expected):
     frames = views([person(0.0), person(0.1)])
     for frame, confidence in zip(frames, (0.1, 0.9), strict=True):
         frame.confidences[:], frame.marker_confidences[:] = confidence, markers
@@ -420,7 +414,7 @@ def test_eq12_falls_back_to_the_confidence_of_the_skeleton(markers: float, expec
     assert merged.marker_confidences[0, 0] == pytest.approx(markers, nan_ok=True)
 
 
-def test_links_without_confidences_weigh_as_their_skeletons_do() -> None:
+def test_links_without_confidences_weigh_as_their_skeletons_do():
     frames = views([person()] * 2, turns=True)
     for frame, angle, confidence in zip(frames, (0.0, 0.1), (0.75, 0.25), strict=True):
         frame.links[0, :, 3:7] = Rotation.from_euler("z", angle).as_quat()
@@ -430,7 +424,7 @@ def test_links_without_confidences_weigh_as_their_skeletons_do() -> None:
     assert turned == pytest.approx(np.full(7, 0.025), abs=1e-4)
 
 
-def test_of_two_views_that_face_opposite_ways_the_more_confident_skeleton_is_right() -> None:
+def test_of_two_views_that_face_opposite_ways_the_more_confident_skeleton_is_right():
     frames = views(BOTH_WAYS)
     for frame, confidence in zip(frames, (0.1, 0.9), strict=True):
         frame.confidences[:], frame.marker_confidences[:] = confidence, np.nan
@@ -438,7 +432,7 @@ def test_of_two_views_that_face_opposite_ways_the_more_confident_skeleton_is_rig
     assert merged.positions[0] == pytest.approx(person()[MIRROR])
 
 
-def test_orientations_are_weighed_by_confidence() -> None:
+def test_orientations_are_weighed_by_confidence():
     frames = views([person()] * 2, turns=True)
     for frame, angle, confidence in zip(frames, (0.0, 0.1), (0.75, 0.25), strict=True):
         frame.links[0, :, 3:7] = Rotation.from_euler("z", angle).as_quat()
@@ -448,7 +442,7 @@ def test_orientations_are_weighed_by_confidence() -> None:
     assert turned == pytest.approx(np.full(7, 0.025), abs=1e-4)
 
 
-def test_relabelled_views_are_no_outliers() -> None:
+def test_relabelled_views_are_no_outliers():
     """Flips are corrected before outliers are sought."""
     events = Events()
     frames = views([person(), person(), person()[MIRROR]])
@@ -456,7 +450,7 @@ def test_relabelled_views_are_no_outliers() -> None:
     assert events.counts == {("flip", "c2"): 1}
 
 
-def test_flips_lose_their_vote_before_outliers_do_and_both_before_the_mean() -> None:
+def test_flips_lose_their_vote_before_outliers_do_and_both_before_the_mean():
     """A wrong wrist lies where two flipped views have it: three to two if these still had a vote.
 
     Wrist and flips are counted where they happened, and none of them is in the mean.
@@ -483,7 +477,7 @@ def test_flips_lose_their_vote_before_outliers_do_and_both_before_the_mean() -> 
         ({"max_facing_delta": -1.0, "max_position_delta": 0.0}, "flip"),
     ],
 )
-def test_a_threshold_of_zero_or_less_turns_a_vote_off(switch: dict[str, float], kind: str) -> None:
+def test_a_threshold_of_zero_or_less_turns_a_vote_off(switch, kind):
     frames = views([person(), person(0.5), person()[MIRROR]])
     on, off = Events(), Events()
     list(merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 3}), on))
@@ -492,7 +486,7 @@ def test_a_threshold_of_zero_or_less_turns_a_vote_off(switch: dict[str, float], 
 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0])
-def test_votes_of_links_can_be_turned_off(limit: float) -> None:
+def test_votes_of_links_can_be_turned_off(limit):
     frames = views([person()] * 3, turns=True)
     frames[1].links[0, 3, 3:7] = Rotation.from_euler("z", 1.5).as_quat()
     params = PLAIN.model_copy(update={"cameras": 3, "max_orientation_delta": limit})
@@ -504,7 +498,7 @@ def test_votes_of_links_can_be_turned_off(limit: float) -> None:
     ("facing", "flips"),
     [("auto", 1), ("pelvis", 1), ("sides", 0)],
 )
-def test_where_the_facing_comes_from(facing: str, flips: int) -> None:
+def test_where_the_facing_comes_from(facing, flips):
     """One view has the pelvis turned, and only it: "NECK" is the first link of the root."""
     frames = views([person()] * 3, turns=True)
     frames[0].links[0, MODEL.link_names.index("NECK"), 3:7] = [0, 0, 1, 0]
@@ -514,14 +508,14 @@ def test_where_the_facing_comes_from(facing: str, flips: int) -> None:
     assert events.total("flip") == flips
 
 
-def test_the_past_votes_only_if_it_may() -> None:
+def test_the_past_votes_only_if_it_may():
     poses = [[person(), person()]] * 5 + [[person(0.3), person(0.32)]]
     assert stream(poses, cameras=2)[-1].positions[0, 0, 0] == pytest.approx(0.31)
     tie = [[person(), person()]] * 5 + [[person(0.05), person(0.5)]]
     assert stream(tie, cameras=2, past_votes=True)[-1].positions[0, 0, 0] == pytest.approx(0.05)
 
 
-def test_a_flip_beside_a_view_without_shoulders_and_hips_is_corrected() -> None:
+def test_a_flip_beside_a_view_without_shoulders_and_hips_is_corrected():
     """A camera that sees neither shoulders nor hips must not shield the flip of another."""
     blind = person()
     blind[2:6] = np.nan
@@ -530,7 +524,7 @@ def test_a_flip_beside_a_view_without_shoulders_and_hips_is_corrected() -> None:
     assert all(f.positions[0] == pytest.approx(person()) for f in merged)
 
 
-def test_bridging_carries_on_at_constant_velocity() -> None:
+def test_bridging_carries_on_at_constant_velocity():
     frames = [seen([person(0.02 * k), person(2)], at(k), "a", ids=[0, 1]) for k in range(5)]
     for frame in frames:
         frame.velocities[:] = [[[0.6, 0.0, 0.0]], [[0.0, 0.0, 0.0]]]
@@ -543,9 +537,7 @@ def test_bridging_carries_on_at_constant_velocity() -> None:
 
 @pytest.mark.parametrize("past_votes", [True, False])
 @pytest.mark.parametrize("apart", [0.02, 0.08, 0.15])
-def test_which_camera_is_called_what_does_not_matter_even_at_first(
-    apart: float, past_votes: bool
-) -> None:
+def test_which_camera_is_called_what_does_not_matter_even_at_first(apart, past_votes):
     poses = [person(), person(apart), person(-0.3 * apart)]
     params = MergeParams(cameras=3, past_votes=past_votes)
     (one,) = merge(views(poses), MODEL, params)
@@ -553,12 +545,12 @@ def test_which_camera_is_called_what_does_not_matter_even_at_first(
     assert other.positions == pytest.approx(one.positions, abs=1e-9)
 
 
-def test_two_views_that_hardly_agree_are_averaged() -> None:
+def test_two_views_that_hardly_agree_are_averaged():
     (merged,) = merge(views([person(), person(0.15)]), MODEL, MergeParams(cameras=2))
     assert merged.positions[0, 0, 0] == pytest.approx(0.075)
 
 
-def test_the_order_in_which_a_buffer_fills_does_not_matter() -> None:
+def test_the_order_in_which_a_buffer_fills_does_not_matter():
     frames = noisy(6)
     shuffled = [frames[3 * k + c] for k in range(30) for c in (2, 0, 1)]
     params = MergeParams(cameras=3)
@@ -579,26 +571,26 @@ def test_the_order_in_which_a_buffer_fills_does_not_matter() -> None:
         ([0.0, 1.0, 0.9], True, 1),  # a tie goes to the view nearest to the past, the last
     ],
 )
-def test_largest_group(apart: list[float], past: bool, expected: int) -> None:
+def test_largest_group(apart, past, expected):
     at_x = np.array(apart)
     between = np.abs(at_x[:, None] - at_x)
     weights = np.ones(len(apart) - past)
     assert merging.largest_group(between, weights, past, 0.3) == expected
 
 
-def test_an_absent_view_leads_no_group() -> None:
+def test_an_absent_view_leads_no_group():
     apart = np.array([[np.nan, np.nan], [np.nan, 0.0]])
     assert merging.largest_group(apart, np.ones(2), False, 0.2) == 1
     assert merging.largest_group(apart[:1, :1].copy(), np.ones(1), False, 0.2) == -1
 
 
-def test_of_equal_groups_the_more_confident_wins() -> None:
+def test_of_equal_groups_the_more_confident_wins():
     apart = np.array([[0.0, 1.0], [1.0, 0.0]])
     assert merging.largest_group(apart, np.array([0.3, 0.6]), False, 0.2) == 1
     assert merging.largest_group(apart, np.array([0.6, 0.3]), False, 0.2) == 0
 
 
-def test_a_frame_older_than_the_last_merged_one_is_counted_and_left_out() -> None:
+def test_a_frame_older_than_the_last_merged_one_is_counted_and_left_out():
     events = Events()
     frames = [seen([person(0.01 * k)], at(k), ids=[0]) for k in range(20)]
     late = seen([person(0.03)], at(3, 1), "b", ids=[0])
@@ -608,7 +600,7 @@ def test_a_frame_older_than_the_last_merged_one_is_counted_and_left_out() -> Non
     assert events.counts["too late to be merged", "b"] == 1
 
 
-def test_messages_of_one_time_are_all_merged_even_before_every_camera_is_known() -> None:
+def test_messages_of_one_time_are_all_merged_even_before_every_camera_is_known():
     events = Events()
     frames = [seen([person()], at(k), camera, ids=[0]) for k in range(3) for camera in "abc"]
     merged = list(merge(frames, MODEL, events=events))
@@ -616,7 +608,7 @@ def test_messages_of_one_time_are_all_merged_even_before_every_camera_is_known()
     assert events.total("too late to be merged") == 0
 
 
-def test_of_two_views_that_face_opposite_ways_the_more_confident_is_right() -> None:
+def test_of_two_views_that_face_opposite_ways_the_more_confident_is_right():
     for right in (0, 1):
         frames = views(BOTH_WAYS)
         frames[1 - right].marker_confidences[:] = 0.5
@@ -624,7 +616,7 @@ def test_of_two_views_that_face_opposite_ways_the_more_confident_is_right() -> N
         assert merged.positions[0] == pytest.approx(BOTH_WAYS[right])
 
 
-def test_a_relabelled_view_takes_its_confidences_along() -> None:
+def test_a_relabelled_view_takes_its_confidences_along():
     """The flipped view calls the right wrist, which it hardly sees, the left one."""
     frames = views([person(), person(), person(0.1)[MIRROR]])
     frames[2].marker_confidences[0, 6] = 0.0
@@ -634,13 +626,13 @@ def test_a_relabelled_view_takes_its_confidences_along() -> None:
     assert merged.positions[0, 7, 0] == pytest.approx(person()[7, 0])
 
 
-def test_views_on_both_sides_of_the_past_that_are_too_far_from_each_other_need_a_vote() -> None:
+def test_views_on_both_sides_of_the_past_that_are_too_far_from_each_other_need_a_vote():
     poses = [[person(), person()]] * 5 + [[person(0.19), person(-0.15)]]
     merged = stream(poses, cameras=2, past_votes=True)
     assert merged[-1].positions[0] == pytest.approx(person(-0.15))
 
 
-def test_the_past_votes_where_it_is_by_now() -> None:
+def test_the_past_votes_where_it_is_by_now():
     poses = [[person(0.1 * k)] * 2 for k in range(5)] + [[person(0.61), person(0.38)]]
     frames = [frame for k, each in enumerate(poses) for frame in views(each, k)]
     for frame in frames:
@@ -649,7 +641,7 @@ def test_the_past_votes_where_it_is_by_now() -> None:
     assert list(merge(frames, MODEL, params))[-1].positions[0] == pytest.approx(person(0.61))
 
 
-def test_orientations_are_carried_to_the_merged_time() -> None:
+def test_orientations_are_carried_to_the_merged_time():
     """Angular velocities are about the axes of the world, here z, and the links lie across it."""
     lying = Rotation.from_euler("x", 90, degrees=True)
     frames = [seen([person()], START + c, f"c{c}", ids=[0], turns=True) for c in (0, 20_000_000)]
@@ -664,7 +656,7 @@ def test_orientations_are_carried_to_the_merged_time() -> None:
 
 
 @pytest.mark.parametrize(("away", "offset"), [(8, 0.03), (12, 0.06)])
-def test_the_offsets_for_people_who_left_are_forgotten(away: int, offset: float) -> None:
+def test_the_offsets_for_people_who_left_are_forgotten(away, offset):
     """Camera c1 sees person 0 at 6 cm beside c0; it takes half of that off."""
     frames = [f for k in range(600) for f in views([person(), person(0.06)], k)]
     back = at(600) + away * SECOND
@@ -674,7 +666,7 @@ def test_the_offsets_for_people_who_left_are_forgotten(away: int, offset: float)
     assert merged[-1].positions[0, 0, 0] == pytest.approx(offset, abs=1e-4)
 
 
-def test_a_long_block_gives_what_its_frames_give_one_by_one() -> None:
+def test_a_long_block_gives_what_its_frames_give_one_by_one():
     """Rows of people who left are taken by others meanwhile."""
     frames = [
         seen([person(0.01 * k), person(2)], START + k * SECOND // 2, c, ids=[k // 9, 90 + k // 30])
@@ -687,7 +679,7 @@ def test_a_long_block_gives_what_its_frames_give_one_by_one() -> None:
     assert all(map(same, together, merge(frames, MODEL, params)))
 
 
-def test_a_row_that_somebody_left_is_not_taken_before_it_is_done_with() -> None:
+def test_a_row_that_somebody_left_is_not_taken_before_it_is_done_with():
     """Person 0 leaves; person 1, in the same block, does not inherit the offset of camera c1."""
     frames = [f for k in range(60) for f in views([person(), person(0.06)], k)]
     others = [seen([person(3)], at(0) + s * SECOND, "c1", ids=[9]) for s in range(3, 14)]
@@ -699,7 +691,7 @@ def test_a_row_that_somebody_left_is_not_taken_before_it_is_done_with() -> None:
         assert merged.positions[0] == pytest.approx(person(0.06))
 
 
-def test_the_signs_of_orientations_are_aligned_with_their_mean() -> None:
+def test_the_signs_of_orientations_are_aligned_with_their_mean():
     """The first view, of little weight, lies across: by its signs the others would cancel out."""
     frames = views([person()] * 3, turns=True)
     turns = np.radians([0.0, 160.0, 200.0])
@@ -714,7 +706,7 @@ def test_the_signs_of_orientations_are_aligned_with_their_mean() -> None:
     assert 170.0 < np.degrees(turned[0]) <= 180.0
 
 
-def test_bridging_stops_moving_after_a_fifth_of_a_second_and_keeps_the_rest() -> None:
+def test_bridging_stops_moving_after_a_fifth_of_a_second_and_keeps_the_rest():
     frames = [seen([person(), person(2)], at(0), "a", ids=[0, 1], turns=True)]
     frames += [seen([person(2)], at(k), "a", ids=[1]) for k in range(1, 10)]
     frames[0].velocities[0], frames[0].confidences[0] = [1.0, 0.0, 0.0], 0.7
@@ -725,13 +717,13 @@ def test_bridging_stops_moving_after_a_fifth_of_a_second_and_keeps_the_rest() ->
     assert (last.confidences[0], last.marker_confidences[0, 3]) == pytest.approx((0.7, 0.8))
 
 
-def test_without_bridging_nobody_is_made_up_at_a_time_that_comes_twice() -> None:
+def test_without_bridging_nobody_is_made_up_at_a_time_that_comes_twice():
     frames = [seen([person()], at(0), c, ids=[k]) for k, c in enumerate("ab")]
     merged = list(merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 1})))
     assert [frame.ids.tolist() for frame in merged] == [[0], [1]]
 
 
-def test_a_guess_moves_an_offset_less_than_a_sighting() -> None:
+def test_a_guess_moves_an_offset_less_than_a_sighting():
     """Cameras b and c are alike aside, but c has a tenth of the weight."""
     poses = [person(), person(0.06), person(0.06)]
     frames = [f for k in range(30) for f in views(poses, k)]

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
 from stick_figures import MIRROR, MODEL, SECOND, at, person, seen
 
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, by_frame, join
-from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
 from hiros_mcap.stages.detections.plausible import PlausibleParams, drop_implausible_blocks
 from hiros_mcap.stages.merge.merge import merge_blocks
 
@@ -22,44 +20,44 @@ WRIST = MODEL.marker_names.index("WRIST_LEFT")
 KNOWN = 200  # frames after which the lengths of a person are known
 
 
-def noisy(n: int, x: float = 0.0, seed: int = 1) -> list[Floats]:
+def noisy(n, x=0.0, seed=1):
     """Views of somebody who stands still: 1 cm of noise along each axis."""
     noise = np.random.default_rng(seed).normal(0, 0.01, (n, MODEL.n_markers, 3))
     return list(person(x) + noise)
 
 
-def squeezed(x: float = 0.0) -> Floats:
+def squeezed(x=0.0):
     """Somebody half as large."""
     return np.asarray(person(x) * [1, 0.5, 0.5] + [0, 0, 0.5])
 
 
-def run(frames: Sequence[Frame], events: Events | None = None, **params: object) -> list[Frame]:
+def run(frames, events=None, **params):
     settings = PlausibleParams.model_validate(params)
     return list(drop_implausible(frames, MODEL, settings, events, CAMERAS))
 
 
-def alone(poses: Sequence[Floats]) -> list[Frame]:
+def alone(poses):
     return [seen([pose], at(k), ids=[7]) for k, pose in enumerate(poses)]
 
 
-def behind(poses: Sequence[Floats], aside: float = 0.0) -> list[Frame]:
+def behind(poses, aside=0.0):
     """Person 7, and person 8 a metre nearer to camera a."""
     front = person(-1.0, aside)
     return [seen([pose, front], at(k), ids=[7, 8]) for k, pose in enumerate(poses)]
 
 
-def is_blank(frame: Frame, row: int = 0) -> bool:
+def is_blank(frame, row=0):
     return bool(np.isnan(frame.positions[row]).all())
 
 
-def test_honest_views_stay_as_they_are() -> None:
+def test_honest_views_stay_as_they_are():
     frames = behind(noisy(300))
     for before, after in zip(frames, run(frames), strict=True):
         np.testing.assert_array_equal(before.positions, after.positions)
         np.testing.assert_array_equal(before.marker_confidences, after.marker_confidences)
 
 
-def test_the_far_end_of_a_stretched_limb_loses_confidence() -> None:
+def test_the_far_end_of_a_stretched_limb_loses_confidence():
     stretched = person()
     stretched[WRIST] += [0.0, 0.5, 0.0]
     events = Events()
@@ -70,7 +68,7 @@ def test_the_far_end_of_a_stretched_limb_loses_confidence() -> None:
     assert not is_blank(last)
 
 
-def test_a_distorted_view_behind_somebody_is_left_out() -> None:
+def test_a_distorted_view_behind_somebody_is_left_out():
     events = Events()
     last = run(behind([*noisy(KNOWN), squeezed()]), events)[-1]
     assert is_blank(last)
@@ -80,13 +78,13 @@ def test_a_distorted_view_behind_somebody_is_left_out() -> None:
 
 
 @pytest.mark.parametrize("aside", [0.8, -0.8])
-def test_a_distorted_view_beside_somebody_stays(aside: float) -> None:
+def test_a_distorted_view_beside_somebody_stays(aside):
     last = run(behind([*noisy(KNOWN), squeezed()], aside))[-1]
     assert not is_blank(last)
     assert (last.marker_confidences[0] < 0.5).any()
 
 
-def test_nothing_is_left_out_while_another_camera_shows_the_person() -> None:
+def test_nothing_is_left_out_while_another_camera_shows_the_person():
     frames = behind(noisy(KNOWN))
     other = seen([person()], at(KNOWN), "b", ids=[7])
     distorted = seen([squeezed(), person(-1.0)], at(KNOWN, 1), ids=[7, 8])
@@ -94,20 +92,20 @@ def test_nothing_is_left_out_while_another_camera_shows_the_person() -> None:
     assert is_blank(run([*frames, distorted])[-1])
 
 
-def test_distorted_views_are_left_out_for_a_second_only() -> None:
+def test_distorted_views_are_left_out_for_a_second_only():
     after = run(behind([*noisy(KNOWN), *[squeezed()] * 45]))[KNOWN:]
     blank = [is_blank(frame) for frame in after]
     assert blank == [True] * 31 + [False] * 14  # 30 periods are a little less than 1 s
 
 
-def test_nothing_happens_before_a_person_is_known() -> None:
+def test_nothing_happens_before_a_person_is_known():
     frames = behind([*noisy(100), squeezed()])
     last = run(frames)[-1]
     np.testing.assert_array_equal(last.positions, frames[-1].positions)
     np.testing.assert_array_equal(last.marker_confidences, frames[-1].marker_confidences)
 
 
-def test_a_fast_kick_and_exchanged_sides_are_no_contradiction() -> None:
+def test_a_fast_kick_and_exchanged_sides_are_no_contradiction():
     """Lengths do not depend on speed, nor on which side is which."""
     poses = [pose + np.array([0.4 * k, 0, 0]) for k, pose in enumerate(noisy(20, seed=2))]  # 12 m/s
     mirrored = noisy(1, seed=3)[0][MIRROR]
@@ -115,7 +113,7 @@ def test_a_fast_kick_and_exchanged_sides_are_no_contradiction() -> None:
     assert all((frame.marker_confidences == 1.0).all() for frame in after)
 
 
-def test_detections_without_an_id_and_without_links_stay() -> None:
+def test_detections_without_an_id_and_without_links_stay():
     nobody = [seen([pose], at(k), ids=[UNTRACKED]) for k, pose in enumerate(noisy(KNOWN))]
     strange = seen([squeezed()], at(KNOWN), ids=[UNTRACKED])
     assert not is_blank(run([*nobody, strange])[-1])
@@ -126,12 +124,12 @@ def test_detections_without_an_id_and_without_links_stay() -> None:
     assert len(list(drop_implausible(frames, loose))) == 3
 
 
-def test_without_it_nothing_changes() -> None:
+def test_without_it_nothing_changes():
     frames = behind([*noisy(KNOWN), squeezed()])
     assert not is_blank(run(frames, limbs=False)[-1])
 
 
-def test_the_cut_into_blocks_does_not_matter() -> None:
+def test_the_cut_into_blocks_does_not_matter():
     frames = behind([*noisy(KNOWN), *[squeezed()] * 10, *noisy(10)])
     whole = join([*map(Block.of, frames)])
     (at_once,) = drop_implausible_blocks([whole], MODEL, None, None, CAMERAS)
@@ -141,7 +139,7 @@ def test_the_cut_into_blocks_does_not_matter() -> None:
         np.testing.assert_array_equal(one.marker_confidences, other.marker_confidences)
 
 
-def test_the_merger_carries_a_person_whose_views_are_left_out() -> None:
+def test_the_merger_carries_a_person_whose_views_are_left_out():
     """As long as they come, and with less and less confidence."""
     frames = behind([*noisy(KNOWN), *[squeezed()] * 20])
     merged = list(merge(run(frames), MODEL, cameras=CAMERAS))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from hiros_mcap.body.rotations import Rigid, from_vector, rotate
-from hiros_mcap.skeletons import Floats
 from hiros_mcap.stages.fuse.fusing import Sightings
 from hiros_mcap.stages.fuse.pose_error import PoseError
 
@@ -17,7 +16,7 @@ ASSUMED = 0.01
 """m; with no error of the orientation."""
 
 
-def learned(shifts: Floats) -> PoseError:
+def learned(shifts):
     """Three cameras see a body, each shifted by a row of ``shifts`` (3, 3)."""
     error = PoseError(0.0, ASSUMED, PLACES, {})
     views = Sightings.allocate(3, 12)._replace(
@@ -27,36 +26,36 @@ def learned(shifts: Floats) -> PoseError:
     return error
 
 
-def stated(error: PoseError, seen: int) -> float:
+def stated(error, seen):
     """Variance, m2, of a marker that some cameras see."""
     return float(error.variances(BODY[None, :1], np.array([[seen]]), NAMES)[0, 0])
 
 
-def test_without_evidence_the_variance_is_that_assumed() -> None:
+def test_without_evidence_the_variance_is_that_assumed():
     error = PoseError(0.0, ASSUMED, PLACES, {})
     assert stated(error, 0b1) == pytest.approx(ASSUMED**2)
     assert stated(error, 0b111) == pytest.approx(ASSUMED**2 / 3)
 
 
-def test_a_rotation_counts_more_from_afar() -> None:
+def test_a_rotation_counts_more_from_afar():
     near, far = (PoseError(0.01, 0.0, {"a": np.array([x, 0.0, 0.0])}, {}) for x in (2.0, 4.0))
     positions, seen = np.zeros((1, 1, 3)), np.array([[1]])
     ratio = far.variances(positions, seen, ["a"]) / near.variances(positions, seen, ["a"])
     assert ratio == pytest.approx(4.0)
 
 
-def test_cameras_that_agree_have_better_poses_than_assumed() -> None:
+def test_cameras_that_agree_have_better_poses_than_assumed():
     assert learned(np.zeros((3, 3))).ratio == pytest.approx(3 / 9)
 
 
-def test_cameras_that_disagree_as_assumed_change_nothing_and_others_do() -> None:
+def test_cameras_that_disagree_as_assumed_change_nothing_and_others_do():
     shifts = np.random.default_rng(1).normal(0, 1, (3, 3))
     shifts *= ASSUMED * np.sqrt(6 / ((shifts - shifts.mean(axis=0)) ** 2).sum())
     assert learned(shifts).ratio == pytest.approx(1.0)
     assert learned(2 * shifts).ratio == pytest.approx(3.0)
 
 
-def refined(angle: float, shift: float, bad: float = 0.0) -> PoseError:
+def refined(angle, shift, bad=0.0):
     """Cameras whose given poses deviate from the refined rig by rad and m; c by more."""
     rng = np.random.default_rng(3)
     moved = {}
@@ -68,17 +67,17 @@ def refined(angle: float, shift: float, bad: float = 0.0) -> PoseError:
     return PoseError(0.005, 0.006, PLACES, moved)
 
 
-def unit(rng: np.random.Generator) -> Floats:
+def unit(rng):
     vector = rng.normal(size=3)
     return np.asarray(vector / np.linalg.norm(vector))
 
 
-def test_refined_cameras_share_the_placement_of_the_rig() -> None:
+def test_refined_cameras_share_the_placement_of_the_rig():
     error = refined(0.005, 0.006)
     assert stated(error, 0b1) == pytest.approx(stated(error, 0b111))
 
 
-def test_a_rig_whose_given_poses_deviate_more_is_less_sure() -> None:
+def test_a_rig_whose_given_poses_deviate_more_is_less_sure():
     small, turned, shifted = (refined(a, s) for a, s in ((0.0, 0.0), (0.05, 0.0), (0.0, 0.05)))
     assert stated(turned, 0b111) > stated(small, 0b111)
     # Positions that are right hold the rig, whatever the orientations are.
@@ -86,17 +85,17 @@ def test_a_rig_whose_given_poses_deviate_more_is_less_sure() -> None:
     assert stated(shifted, 0b111) > 5 * stated(small, 0b111)
 
 
-def test_one_bad_camera_does_not_count_as_all() -> None:
+def test_one_bad_camera_does_not_count_as_all():
     usual, one_bad = refined(0.005, 0.006), refined(0.005, 0.006, bad=0.07)
     assert stated(one_bad, 0b111) < 1.5 * stated(usual, 0b111)
 
 
-def test_a_camera_whose_pose_was_not_refined_adds_its_own_error() -> None:
+def test_a_camera_whose_pose_was_not_refined_adds_its_own_error():
     moved = {name: Rigid.identity() for name in NAMES[:2]}
     error = PoseError(0.005, 0.006, PLACES, moved)
     assert stated(error, 0b100) > stated(error, 0b11)
 
 
-def test_a_confused_identity_does_not_make_the_poses_arbitrarily_bad() -> None:
+def test_a_confused_identity_does_not_make_the_poses_arbitrarily_bad():
     far, farther = (learned(np.eye(3) * metres) for metres in (1.0, 2.0))
     assert far.ratio == farther.ratio < 30

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +9,6 @@ from hypothesis import strategies as st
 from stick_figures import MODEL, PERIOD, START, person, seen
 
 from hiros_mcap.events import Events
-from hiros_mcap.skeletons import Floats, Frame
 from hiros_mcap.stages.lee.predict import PredictParams, predict
 
 MODELS = {"constant_position": 1, "constant_velocity": 2, "constant_acceleration": 3}
@@ -19,20 +16,18 @@ MODELS = {"constant_position": 1, "constant_velocity": 2, "constant_acceleration
 STEP = 1_000_000_000 / 30
 
 
-def stream(xs: Floats, step: float = STEP) -> list[Frame]:
+def stream(xs, step=STEP):
     """Person 2 at x = ``xs``, m, one frame per ``step`` ns; NaN = the joints are absent."""
     return [seen([person(x)], START + round(k * step), "world", ids=[2]) for k, x in enumerate(xs)]
 
 
-def filtered(frames: list[Frame], **params: object) -> Floats:
+def filtered(frames, **params):
     """(K,) x of the pelvis."""
     out = predict(frames, MODEL, PredictParams.model_validate(params))
     return np.array([frame.positions[0, 0, 0] for frame in out])
 
 
-def by_the_book(
-    xs: Floats, size: int, ratio: float, steps: Sequence[int] = ()
-) -> tuple[Floats, Floats]:
+def by_the_book(xs, size, ratio, steps=()):
     """Predicted and corrected positions by the printed equations, with matrices and R = 1.
 
     ``steps`` are the steps before each of ``xs`` but the first; Q comes once per step.
@@ -51,7 +46,7 @@ def by_the_book(
     return np.array(predicted), np.array(corrected)
 
 
-def test_trace_of_five_steps() -> None:
+def test_trace_of_five_steps():
     """Constant velocity, Q = 0.01, R = 1, by hand.
 
     P = I at first, so P~ = [[2.01 1] [1 1.01]] and K = (2.01, 1) / 3.01, then P~ = [[2.02 1.01]
@@ -67,7 +62,7 @@ def test_trace_of_five_steps() -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_every_model_follows_the_printed_equations(model: str) -> None:
+def test_every_model_follows_the_printed_equations(model):
     xs = np.random.default_rng(1).normal(size=40)
     book = by_the_book(xs, MODELS[model], 0.07)
     for output, expected in zip(("predicted", "corrected"), book, strict=True):
@@ -82,9 +77,7 @@ def test_every_model_follows_the_printed_equations(model: str) -> None:
     st.floats(1e-4, 10.0),
     st.integers(0, 2**32 - 1),
 )
-def test_q_accumulates_with_the_steps_that_have_passed(
-    model: str, steps: list[int], ratio: float, seed: int
-) -> None:
+def test_q_accumulates_with_the_steps_that_have_passed(model, steps, ratio, seed):
     xs = np.random.default_rng(seed).normal(size=len(steps) + 1)
     times = START + np.round(np.cumsum([0, *steps]) * STEP).astype(np.int64)
     frames = [seen([person(x)], int(t), ids=[2]) for x, t in zip(xs, times, strict=True)]
@@ -97,7 +90,7 @@ def test_q_accumulates_with_the_steps_that_have_passed(
 @pytest.mark.parametrize(
     ("model", "gain"), [("constant_position", 0.095), ("constant_velocity", 0.37)]
 )
-def test_gain_of_the_papers_noises(model: str, gain: float) -> None:
+def test_gain_of_the_papers_noises(model, gain):
     """The answer to a jump of 1 m after a long rest is the gain."""
     xs = np.zeros(200)
     xs[-1] = 1.0
@@ -106,7 +99,7 @@ def test_gain_of_the_papers_noises(model: str, gain: float) -> None:
     )
 
 
-def test_a_constant_position_lags_by_a_third_of_a_second() -> None:
+def test_a_constant_position_lags_by_a_third_of_a_second():
     xs = np.arange(300) / 30  # 1 m/s
     lag = {m: (xs - filtered(stream(xs), model=m, output="corrected"))[-1] for m in MODELS}
     assert lag["constant_position"] == pytest.approx(0.32, abs=0.02)
@@ -114,10 +107,10 @@ def test_a_constant_position_lags_by_a_third_of_a_second() -> None:
 
 
 @pytest.mark.parametrize("rate", [15, 60])
-def test_other_rates_are_as_smooth_in_seconds(rate: int) -> None:
+def test_other_rates_are_as_smooth_in_seconds(rate):
     """A step seen at another rate is followed as fast, in seconds, as at 30 Hz."""
 
-    def rise(rate: int) -> float:
+    def rise(rate):
         times = np.arange(12 * rate) / rate
         smooth = filtered(stream((times >= 10.0) * 1.0, 1e9 / rate), output="corrected")
         return float(np.interp(0.5, smooth[times >= 9.9], times[times >= 9.9]))
@@ -125,7 +118,7 @@ def test_other_rates_are_as_smooth_in_seconds(rate: int) -> None:
     assert rise(rate) - 10.0 == pytest.approx(rise(30) - 10.0, abs=0.05)
 
 
-def test_velocities_and_accelerations_are_per_second() -> None:
+def test_velocities_and_accelerations_are_per_second():
     times = np.arange(200) / 30
     frames = stream(0.5 * 2.0 * times**2)
     out = list(predict(frames, MODEL, PredictParams(model="constant_acceleration")))[-1]
@@ -133,7 +126,7 @@ def test_velocities_and_accelerations_are_per_second() -> None:
     assert out.velocities[0, 0, 0] == pytest.approx(2.0 * times[-1], rel=1e-3)
 
 
-def test_absent_joints_stay_absent_and_go_on() -> None:
+def test_absent_joints_stay_absent_and_go_on():
     xs = np.arange(40) / 30
     xs[30:33] = np.nan
     result = filtered(stream(xs))
@@ -142,7 +135,7 @@ def test_absent_joints_stay_absent_and_go_on() -> None:
 
 
 @pytest.mark.parametrize(("gap", "anew"), [(14, False), (16, True), (90, True)])
-def test_a_joint_that_is_unseen_for_half_a_second_starts_anew(gap: int, anew: bool) -> None:
+def test_a_joint_that_is_unseen_for_half_a_second_starts_anew(gap, anew):
     """It stands where it is measured; the person's other joints go on."""
     xs = np.append(np.arange(60) / 30, np.full(gap, 2.0))
     frames = stream(xs)
@@ -155,13 +148,13 @@ def test_a_joint_that_is_unseen_for_half_a_second_starts_anew(gap: int, anew: bo
 
 
 @pytest.mark.parametrize(("gap", "anew"), [(0.49, False), (0.51, True)])
-def test_after_half_a_second_a_person_starts_anew(gap: float, anew: bool) -> None:
+def test_after_half_a_second_a_person_starts_anew(gap, anew):
     frames = stream(np.arange(60) / 30)
     late = seen([person(7.0)], frames[-1].stamp + round(gap * 1e9), "world", ids=[2])
     assert bool(filtered([*frames, late])[-1] == 7.0) is anew
 
 
-def test_a_person_has_a_time_of_their_own() -> None:
+def test_a_person_has_a_time_of_their_own():
     """Where the message gives none, its own counts."""
     xs = np.random.default_rng(4).normal(size=20)
     frames = stream(xs)
@@ -181,13 +174,13 @@ def test_a_person_has_a_time_of_their_own() -> None:
         {"output": "corrected"},
     ],
 )
-def test_every_parameter_changes_something(change: dict[str, object]) -> None:
+def test_every_parameter_changes_something(change):
     xs = np.random.default_rng(3).normal(size=20)
     assert filtered(stream(xs), **change).tolist() != filtered(stream(xs)).tolist()
     assert len(PredictParams.model_fields) == 3
 
 
-def test_a_frame_of_the_same_time_passes_unchanged() -> None:
+def test_a_frame_of_the_same_time_passes_unchanged():
     frames = stream(np.arange(5.0))
     events = Events()
     again = frames[-1].replace(markers=frames[-1].markers + 1.0)
@@ -196,7 +189,7 @@ def test_a_frame_of_the_same_time_passes_unchanged() -> None:
     assert events.total("predict: time not increasing") == 1
 
 
-def test_people_do_not_mix_and_strangers_pass() -> None:
+def test_people_do_not_mix_and_strangers_pass():
     frames = []
     for k in range(20):
         poses = [person(0.05 * k), person(-0.03 * k, 1.0), person(5.0)]
@@ -209,7 +202,7 @@ def test_people_do_not_mix_and_strangers_pass() -> None:
     assert np.array_equal(both[-1].markers[2], frames[-1].markers[2], equal_nan=True)
 
 
-def test_the_input_is_unchanged() -> None:
+def test_the_input_is_unchanged():
     frames = stream(np.arange(5.0))
     before = [frame.markers.copy() for frame in frames]
     list(predict(frames, MODEL))

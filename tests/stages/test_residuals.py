@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import numpy as np
 import pytest
 from builders import same
@@ -18,10 +15,9 @@ from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.simulation import Simulation
 from hiros_mcap.simulate.write_log import write_log
-from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.stages.fuse.fuse import FuseParams, fuse_blocks
 from hiros_mcap.stages.fuse.log_histograms import histograms, medians
-from hiros_mcap.summary import ScatterSummary, Summary
 
 fuse = by_frame(fuse_blocks)
 
@@ -30,7 +26,7 @@ CAMERAS = "abc"
 REALTIME = {"lookahead": 0.1, "max_lag": 0.1, "window": 0.0}
 
 
-def wander(rng: np.random.Generator, steps: int, shape: tuple[int, ...]) -> Floats:
+def wander(rng, steps, shape):
     """Gauss-Markov offsets of 1 cm with a time constant of 1.7 s at 30 Hz."""
     keep = np.exp(-1 / 30 / 1.7)
     b = [rng.normal(0, 0.01, shape)]
@@ -39,7 +35,7 @@ def wander(rng: np.random.Generator, steps: int, shape: tuple[int, ...]) -> Floa
     return np.stack(b)
 
 
-def detections(noise: dict[str, float], shift: Floats | None = None) -> list[Frame]:
+def detections(noise, shift=None):
     """20 s of one who moves; noise of each camera in units of the model's, a shift of camera c."""
     rng = np.random.default_rng(5)
     times = np.arange(600) / 30
@@ -60,7 +56,7 @@ def detections(noise: dict[str, float], shift: Floats | None = None) -> list[Fra
     return frames
 
 
-def found(frames: list[Frame], **params: float) -> tuple[float, list[ScatterSummary]]:
+def found(frames, **params):
     events = Events()
     for _ in fuse(frames, BODY, FuseParams(**params), events):
         pass
@@ -68,7 +64,7 @@ def found(frames: list[Frame], **params: float) -> tuple[float, list[ScatterSumm
 
 
 @pytest.mark.parametrize("params", [{}, REALTIME])
-def test_cameras_as_the_model_has_them_scatter_as_expected(params: dict[str, float]) -> None:
+def test_cameras_as_the_model_has_them_scatter_as_expected(params):
     ratio, cameras = found(detections({}), **params)
     assert ratio == pytest.approx(1.0, abs=0.1)
     assert [c.name for c in cameras] == ["a", "b", "c"]
@@ -77,21 +73,21 @@ def test_cameras_as_the_model_has_them_scatter_as_expected(params: dict[str, flo
 
 
 @pytest.mark.parametrize("params", [{}, REALTIME])
-def test_a_camera_that_is_noisier_is_named(params: dict[str, float]) -> None:
+def test_a_camera_that_is_noisier_is_named(params):
     _, cameras = found(detections({"b": 2.5}), **params)
     (note,) = scatter_notes(cameras)
     assert "detections of b scatter" in note
     assert "hiros calibrate noise" in note
 
 
-def test_a_camera_that_stands_elsewhere_is_told_from_a_noisy_one() -> None:
+def test_a_camera_that_stands_elsewhere_is_told_from_a_noisy_one():
     _, cameras = found(detections({}, np.array([0.0, 0.15, 0.0])))
     assert max(cameras, key=lambda c: c.ratio).name == "c"
     assert any("hiros calibrate people" in note for note in scatter_notes(cameras))
     assert cameras[2].common > 0.6
 
 
-def test_the_worst_joint_is_named() -> None:
+def test_the_worst_joint_is_named():
     frames = detections({"b": 3.0})
     rng = np.random.default_rng(6)
     for frame in frames[1::3]:
@@ -101,14 +97,14 @@ def test_the_worst_joint_is_named() -> None:
     assert "(m5 " in next(iter(scatter_notes(cameras)))
 
 
-def test_a_noisy_camera_counts_less_from_its_third_second_on() -> None:
+def test_a_noisy_camera_counts_less_from_its_third_second_on():
     _, cameras = found(detections({"b": 2.5}), **REALTIME, follow_noise=True)
     assert [c.ratio for c in cameras] == pytest.approx([1, 1.15, 1], abs=0.15)
     assert not list(scatter_notes(cameras))
 
 
 @pytest.mark.parametrize("params", [{"window": 1.0}, {**REALTIME, "follow_noise": True}])
-def test_blocks_change_no_histogram_and_no_result(params: dict[str, float]) -> None:
+def test_blocks_change_no_histogram_and_no_result(params):
     frames, settings = detections({"b": 2.5})[:600], FuseParams(**params)
     one, other = Events(), Events()
     results = list(fuse(frames, BODY, settings, one))
@@ -120,7 +116,7 @@ def test_blocks_change_no_histogram_and_no_result(params: dict[str, float]) -> N
         np.testing.assert_array_equal(counts, other.histograms[key])
 
 
-def test_medians_of_histograms_are_those_of_the_values() -> None:
+def test_medians_of_histograms_are_those_of_the_values():
     values = np.random.default_rng(7).lognormal(0, 2, (3, 4001))
     values[1, 100:] = np.nan
     found = medians(histograms(values), 50)
@@ -128,27 +124,25 @@ def test_medians_of_histograms_are_those_of_the_values() -> None:
     assert np.isnan(medians(histograms(values[:, :40]), 50)).all()
 
 
-def summary_of(folder: Path, system: str) -> Summary:
+def summary_of(folder, system):
     log = folder / "log.mcap"
     write_log(log, SimulateParams(cameras=4, seconds=4, seed=4, flips=0, occlusion=0))
     config = load_config(system=system)
     return process(log, None, config=config, options=ProcessOptions(system=system))
 
 
-def test_a_run_on_a_log_as_expected_says_nothing(tmp_path: Path) -> None:
+def test_a_run_on_a_log_as_expected_says_nothing(tmp_path):
     summary = summary_of(tmp_path, "fuse")
     assert 0.5 < summary.scatter < 1.3
     assert len(summary.to_dict()["scatters"]) == 4
     assert not any("scatter" in note for note in summary.notes)
 
 
-def test_a_run_says_which_camera_contradicts_the_model(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_says_which_camera_contradicts_the_model(tmp_path, monkeypatch):
     rng = np.random.default_rng(8)
     usual = Simulation.detections.fget
 
-    def noisier(simulation: Simulation) -> Iterator[Frame]:
+    def noisier(simulation):
         for frame in usual(simulation):
             if frame.source == "camera_1":
                 frame.positions[:] += rng.normal(0, 0.03, frame.positions.shape)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
@@ -17,7 +17,7 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of, join
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.simulate.body_model import MODEL, SLOT, SYMMETRY
-from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
 from hiros_mcap.stages.detections.body_axes import find_upright, follow_line
 from hiros_mcap.stages.detections.sides import SidesParams, decide_sides, knows_sides
 from hiros_mcap.systems import Run, system
@@ -29,7 +29,7 @@ Change = Callable[[Frame, int, float], Frame]
 
 
 @cache
-def truth(seconds: float, warp: str = "") -> tuple[Frame, ...]:
+def truth(seconds, warp=""):
     """Somebody walks about the room; ``warp`` "backwards" lets time run back from 3 s on."""
     simulation = simulate(SimulateParams.model_validate({**FAULTLESS, "seed": 3}))
     t = np.arange(round(seconds / PERIOD)) * PERIOD
@@ -43,9 +43,7 @@ def truth(seconds: float, warp: str = "") -> tuple[Frame, ...]:
     )
 
 
-def views(
-    seconds: float, change: Change | None = None, *, cameras: int = 2, warp: str = ""
-) -> list[Frame]:
+def views(seconds, change=None, *, cameras=2, warp=""):
     """What the cameras report of person 0, one message after the other, 3 ms apart."""
     frames = []
     for k, frame in enumerate(truth(seconds, warp)):
@@ -57,11 +55,11 @@ def views(
     return frames
 
 
-def mirror(frame: Frame) -> Frame:
+def mirror(frame):
     return frame.replace(markers=frame.markers[:, SYMMETRY.mirror].copy())
 
 
-def turned_toes(frame: Frame) -> Frame:
+def turned_toes(frame):
     """Mirror the labels, and let the toes point backwards."""
     out = mirror(frame)
     for side in ("LEFT", "RIGHT"):
@@ -70,24 +68,22 @@ def turned_toes(frame: Frame) -> Frame:
     return out
 
 
-def faces_away(frame: Frame, camera: int) -> bool:
+def faces_away(frame, camera):
     """Whether the person turns the back to a camera far away on the x axis or the y axis."""
     hips = frame.positions[0, [SLOT["HIP_LEFT"], SLOT["HIP_RIGHT"]], :2]
     x, y = hips[1] - hips[0]
     return bool(((-y, x)[camera]) < 0)
 
 
-def decided(
-    frames: Sequence[Frame], params: SidesParams | None = None, events: Events | None = None
-) -> list[Frame]:
+def decided(frames, params=None, events=None):
     return list(frames_of(decide_sides(map(Block.of, frames), MODEL, params, events)))
 
 
-def same_markers(one: Frame, other: Frame) -> bool:
+def same_markers(one, other):
     return np.array_equal(one.markers, other.markers, equal_nan=True)
 
 
-def right(frames: Iterable[Frame], seconds: float, warp: str = "") -> float:
+def right(frames, seconds, warp=""):
     """Share of the frames whose hips are on the right sides."""
     hips = [SLOT["HIP_LEFT"], SLOT["HIP_RIGHT"]]
     true = {f.stamp: f.positions[0, hips] for f in truth(seconds, warp)}
@@ -99,7 +95,7 @@ def right(frames: Iterable[Frame], seconds: float, warp: str = "") -> float:
 
 
 @pytest.mark.parametrize("params", [SidesParams(), LIVE])
-def test_honest_views_stay_as_they_are(params: SidesParams) -> None:
+def test_honest_views_stay_as_they_are(params):
     frames, events = views(4), Events()
     results = decided(frames, params, events)
     assert len(results) == len(frames) and events.total("flip") == 0
@@ -108,8 +104,8 @@ def test_honest_views_stay_as_they_are(params: SidesParams) -> None:
 
 @pytest.mark.parametrize("cameras", [1, 2, 3])
 @pytest.mark.parametrize("params", [SidesParams(), LIVE])
-def test_a_flip_of_all_cameras_is_not_believed(params: SidesParams, cameras: int) -> None:
-    def flip(frame: Frame, _: int, t: float) -> Frame:
+def test_a_flip_of_all_cameras_is_not_believed(params, cameras):
+    def flip(frame, _, t):
         return mirror(frame) if 1.5 <= t < 2.8 else frame
 
     events = Events()
@@ -119,10 +115,8 @@ def test_a_flip_of_all_cameras_is_not_believed(params: SidesParams, cameras: int
 
 @pytest.mark.parametrize("wrong", [mirror, turned_toes])
 @pytest.mark.parametrize("params", [SidesParams(), LIVE])
-def test_cameras_that_mirror_all_who_turn_away(
-    params: SidesParams, wrong: Callable[[Frame], Frame]
-) -> None:
-    def from_behind(frame: Frame, camera: int, _: float) -> Frame:
+def test_cameras_that_mirror_all_who_turn_away(params, wrong):
+    def from_behind(frame, camera, _):
         return wrong(frame) if faces_away(frame, camera) else frame
 
     frames = views(12, from_behind)
@@ -130,13 +124,13 @@ def test_cameras_that_mirror_all_who_turn_away(
     assert right(decided(frames, params), 12) > 0.95
 
 
-def test_walking_backwards_is_believed() -> None:
+def test_walking_backwards_is_believed():
     results = decided(views(6, warp="backwards"))
     assert right(results, 6, "backwards") == 1
 
 
-def test_toes_that_follow_the_label_are_turned_round() -> None:
-    def one_mirrors(frame: Frame, camera: int, _: float) -> Frame:
+def test_toes_that_follow_the_label_are_turned_round():
+    def one_mirrors(frame, camera, _):
         return turned_toes(frame) if camera == 0 else frame
 
     toes = SLOT["FOOT_LEFT"]
@@ -145,22 +139,22 @@ def test_toes_that_follow_the_label_are_turned_round() -> None:
     assert np.linalg.norm(gap) < 0.06
 
 
-def test_physical_toes_stay() -> None:
-    def one_mirrors(frame: Frame, camera: int, _: float) -> Frame:
+def test_physical_toes_stay():
+    def one_mirrors(frame, camera, _):
         return mirror(frame) if camera == 0 else frame
 
     result, honest = decided(views(4, one_mirrors))[-2:]
     assert np.array_equal(result.positions, honest.positions)
 
 
-def test_links_of_mirrored_views_are_unknown() -> None:
+def test_links_of_mirrored_views_are_unknown():
     frames = views(3, lambda frame, _, t: mirror(frame) if t > 2 else frame)
     results = decided(frames)
     assert not np.isnan(results[0].orientations).any()
     assert np.isnan(results[-1].links).all() and np.isnan(results[-1].link_confidences).all()
 
 
-def turned(frame: Frame, degrees: float) -> Frame:
+def turned(frame, degrees):
     """Turn a person about the upright line through the hips."""
     hips = frame.positions[0, [SLOT["HIP_LEFT"], SLOT["HIP_RIGHT"]]].mean(axis=0) * [1, 1, 0]
     turn = Rotation.from_euler("z", degrees, degrees=True)
@@ -172,19 +166,19 @@ SLAVED = 2.5
 """s in which a detector shows that its toes follow its labels: camera 0 is wrong all the time."""
 
 
-def slaved(frame: Frame, camera: int, t: float) -> Frame:
+def slaved(frame, camera, t):
     """Return what such a detector reports: its lines tell nothing of turns either."""
     return turned_toes(frame) if camera == 0 and t < SLAVED else frame
 
 
-def swinging(frame: Frame, camera: int, t: float) -> Frame:
+def swinging(frame, camera, t):
     """Let the line through shoulders and hips swing round to the other labelling, after that."""
     angle = min(max((t - SLAVED - 0.5) * 600, 0.0), 180.0)
     frame = slaved(frame, camera, t)
     return turned(frame, angle) if angle < 90 else mirror(turned(frame, angle - 180))
 
 
-def largest_turn(frames: Iterable[Frame]) -> float:
+def largest_turn(frames):
     """Largest change of the facing from one frame of camera 0 to the next, degrees."""
     hips = [SLOT["HIP_LEFT"], SLOT["HIP_RIGHT"]]
     across = np.array(
@@ -195,15 +189,15 @@ def largest_turn(frames: Iterable[Frame]) -> float:
 
 
 @pytest.mark.parametrize("params", [SidesParams(), LIVE])
-def test_the_facing_does_not_jump_while_the_line_swings_round(params: SidesParams) -> None:
+def test_the_facing_does_not_jump_while_the_line_swings_round(params):
     frames = views(4.5, swinging)
     results = [f for f in decided(frames, params) if f.stamp > frames[0].stamp + SLAVED * 1e9]
     assert right(results[-30:], 4.5) == 1
     assert largest_turn(results) < 60
 
 
-def test_a_trunk_at_a_right_angle_is_turned_towards_the_facing() -> None:
-    def askew(frame: Frame, camera: int, t: float) -> Frame:
+def test_a_trunk_at_a_right_angle_is_turned_towards_the_facing():
+    def askew(frame, camera, t):
         return turned(frame, 80) if camera == 0 and t > 3.8 else slaved(frame, camera, t)
 
     frames = views(4, askew)
@@ -219,10 +213,10 @@ def test_a_trunk_at_a_right_angle_is_turned_towards_the_facing() -> None:
 
 
 @pytest.mark.parametrize("params", [SidesParams(), LIVE])
-def test_labels_that_go_round_with_a_person_are_honest(params: SidesParams) -> None:
+def test_labels_that_go_round_with_a_person_are_honest(params):
     """Whatever toes have shown before: no trunk is turned any more."""
 
-    def go_round(frame: Frame, camera: int, t: float) -> Frame:
+    def go_round(frame, camera, t):
         angle = 240 * min(max(t - SLAVED - 0.5, 0), 3) + (80 if camera == 0 and t > 8 else 0)
         return turned(slaved(frame, camera, t), angle)
 
@@ -230,13 +224,13 @@ def test_labels_that_go_round_with_a_person_are_honest(params: SidesParams) -> N
     assert all(map(same_markers, decided(frames, params)[-12:], frames[-12:]))
 
 
-def test_the_first_view_keeps_its_labels() -> None:
+def test_the_first_view_keeps_its_labels():
     """Nothing but that view speaks of the facing."""
     frames = [turned_toes(frame) for frame in views(0.1, cameras=1)]
     assert same_markers(decided(frames, LIVE)[0], frames[0])
 
 
-def test_the_input_is_not_written_into() -> None:
+def test_the_input_is_not_written_into():
     block = join([Block.of(f) for f in views(3, lambda f, c, t: mirror(f) if t > 2 else f)])
     before = block.people.copy()
     list(decide_sides([block], MODEL))
@@ -245,12 +239,12 @@ def test_the_input_is_not_written_into() -> None:
     )
 
 
-def test_ids_may_come_after_earlier_frames_of_the_same_arrays() -> None:
+def test_ids_may_come_after_earlier_frames_of_the_same_arrays():
     whole = join([Block.of(f) for f in views(8, lambda f, c, t: mirror(f) if t > 2 else f)])
     ids = whole.people.ids.copy()
     whole.people.ids[:] = UNTRACKED
 
-    def feed() -> Iterable[Block]:
+    def feed():
         for i, (begin, end) in enumerate(whole.rows.tolist()):
             whole.people.ids[begin:end] = ids[begin:end]
             yield whole.select([i])
@@ -260,22 +254,22 @@ def test_ids_may_come_after_earlier_frames_of_the_same_arrays() -> None:
 
 
 @pytest.mark.parametrize("params", [SidesParams(lookahead=1.0), LIVE])
-def test_blocks_may_be_cut_anywhere(params: SidesParams) -> None:
+def test_blocks_may_be_cut_anywhere(params):
     frames = views(5, lambda f, c, t: mirror(f) if c == 0 and t % 2 > 1 else f)
     whole = join([Block.of(frame) for frame in frames])
     together = frames_of(decide_sides([whole], MODEL, params))
     assert all(map(same, together, decided(frames, params)))
 
 
-def test_a_live_decision_does_not_know_the_future() -> None:
+def test_a_live_decision_does_not_know_the_future():
     frames = views(3, lambda f, c, t: mirror(f) if t > 1.5 else f)
     assert all(map(same, decided(frames[:90], LIVE), decided(frames, LIVE)))
 
 
-def test_frames_come_in_order_when_they_are_decided() -> None:
+def test_frames_come_in_order_when_they_are_decided():
     frames, params, fed = views(8), SidesParams(lookahead=1.0), [0]
 
-    def feed() -> Iterable[Block]:
+    def feed():
         for frame in frames:
             fed[0] = frame.stamp
             yield Block.of(frame)
@@ -289,10 +283,10 @@ def test_frames_come_in_order_when_they_are_decided() -> None:
     assert max(waits) < 2.1 and min(waits[:100]) > 0.95
 
 
-def test_z_need_not_point_up() -> None:
+def test_z_need_not_point_up():
     """Frames of cameras look along z, and y points down."""
 
-    def from_behind(frame: Frame, camera: int, _: float) -> Frame:
+    def from_behind(frame, camera, _):
         return mirror(frame) if faces_away(frame, camera) else frame
 
     frames, turn = views(8, from_behind), Rotation.from_euler("x", -90, degrees=True)
@@ -303,7 +297,7 @@ def test_z_need_not_point_up() -> None:
 # People who are not upright.
 
 
-def down_and_up(frame: Frame, t: float) -> Frame:
+def down_and_up(frame, t):
     """Fall forwards from 1 s to 2 s, roll over from 2.5 s to 4.5 s, get up from 5 s to 6 s."""
     hips = frame.positions[0, [SLOT["HIP_LEFT"], SLOT["HIP_RIGHT"]]]
     across = (hips[1] - hips[0]) / np.linalg.norm(hips[1] - hips[0])
@@ -316,10 +310,10 @@ def down_and_up(frame: Frame, t: float) -> Frame:
     return replace(out, source=frame.source)
 
 
-def floor_views(change: Change | None = None, *, cameras: int = 2, begin: float = 0) -> list[Frame]:
+def floor_views(change=None, *, cameras=2, begin=0):
     """As :func:`views`, of somebody who is on the floor; ``begin`` s of it are left out."""
 
-    def seen(frame: Frame, camera: int, t: float) -> Frame:
+    def seen(frame, camera, t):
         out = down_and_up(frame, t + begin)
         return change(out, camera, t + begin) if change else out
 
@@ -329,19 +323,15 @@ def floor_views(change: Change | None = None, *, cameras: int = 2, begin: float 
 @pytest.mark.parametrize("begin", [0.0, 2.0, 3.5])
 @pytest.mark.parametrize("cameras", [1, 2])
 @pytest.mark.parametrize("params", [SidesParams(), LIVE])
-def test_honest_views_of_people_on_the_floor_stay(
-    params: SidesParams, cameras: int, begin: float
-) -> None:
+def test_honest_views_of_people_on_the_floor_stay(params, cameras, begin):
     frames = floor_views(cameras=cameras, begin=begin)
     assert all(map(same_markers, decided(frames, params), frames))
 
 
 @pytest.mark.parametrize(("begin", "cameras"), [(1.2, 1), (2.6, 2), (3.6, 1), (5.0, 2)])
 @pytest.mark.parametrize("params", [SidesParams(), LIVE])
-def test_a_flip_on_the_floor_is_not_believed(
-    params: SidesParams, cameras: int, begin: float
-) -> None:
-    def flip(frame: Frame, _: int, t: float) -> Frame:
+def test_a_flip_on_the_floor_is_not_believed(params, cameras, begin):
+    def flip(frame, _, t):
         return mirror(frame) if begin <= t < begin + 1 else frame
 
     results = decided(floor_views(flip, cameras=cameras), params)
@@ -352,12 +342,12 @@ def test_a_flip_on_the_floor_is_not_believed(
 
 
 @pytest.mark.parametrize("params", [SidesParams(), LIVE])
-def test_a_spin_exchanges_nothing(params: SidesParams) -> None:
+def test_a_spin_exchanges_nothing(params):
     frames = views(4, lambda frame, _, t: turned(frame, 600 * min(max(t - 1.5, 0), 1.5)))
     assert all(map(same_markers, decided(frames, params), frames))
 
 
-def turned_axes(speed: float, trust: tuple[float, float]) -> float:
+def turned_axes(speed, trust):
     """Degrees by which the axes turn in a second with a line of that speed, degrees/s."""
     line, axes, total = np.full(3, np.nan), np.eye(3), 0.0
     for k in range(31):
@@ -369,7 +359,7 @@ def turned_axes(speed: float, trust: tuple[float, float]) -> float:
     return float(np.degrees(total))
 
 
-def test_axes_follow_slow_turns_and_fast_ones_apart() -> None:
+def test_axes_follow_slow_turns_and_fast_ones_apart():
     """A line that swings back slowly takes no axes along while nothing is known of labels."""
     assert turned_axes(150, (0, 1)) == pytest.approx(0)
     assert turned_axes(600, (0, 1)) > 450
@@ -378,10 +368,10 @@ def test_axes_follow_slow_turns_and_fast_ones_apart() -> None:
 
 
 @pytest.mark.parametrize("params", [SidesParams(), LIVE])
-def test_labels_decide_after_the_trunk_was_hidden(params: SidesParams) -> None:
+def test_labels_decide_after_the_trunk_was_hidden(params):
     """Meanwhile, somebody may have turned round or rolled over in any way."""
 
-    def hidden(frame: Frame, _: int, t: float) -> Frame:
+    def hidden(frame, _, t):
         if 2 <= t < 3.5:
             for part in ("SHOULDER", "HIP"):
                 frame.markers[:, [SLOT[f"{part}_LEFT"], SLOT[f"{part}_RIGHT"]]] = np.nan
@@ -391,7 +381,7 @@ def test_labels_decide_after_the_trunk_was_hidden(params: SidesParams) -> None:
     assert all(map(same_markers, decided(frames, params), frames))
 
 
-def uprightness(velocities: Sequence[object], trunks: Sequence[object]) -> list[float]:
+def uprightness(velocities, trunks):
     """Repeat these for 2 s, each; return how upright each is."""
     axes = np.repeat(np.zeros((len(trunks), 3, 3)), 60, axis=0)
     for k, trunk in enumerate(np.repeat(np.array(trunks, float), 60, axis=0)):
@@ -404,7 +394,7 @@ def uprightness(velocities: Sequence[object], trunks: Sequence[object]) -> list[
     return out[::60].tolist()
 
 
-def test_those_who_walk_show_which_way_is_up() -> None:
+def test_those_who_walk_show_which_way_is_up():
     x, y, z = np.eye(3)
     assert uprightness([x, y], [z, z]) == [1, 1]
     assert uprightness([x, z], [-y, -y]) == [1, 1]  # in the frame of a camera
@@ -412,31 +402,31 @@ def test_those_who_walk_show_which_way_is_up() -> None:
     assert uprightness([x, x], [z, z + 0.8 * x]) == [1, pytest.approx(0.72, abs=0.02)]
 
 
-def test_nobody_shows_which_way_is_up() -> None:
+def test_nobody_shows_which_way_is_up():
     x, y, z = np.eye(3)
     assert uprightness([0 * x, y], [z, y]) == [0, 0]  # nobody walks
     assert uprightness([x, y, x], [z, x, y]) == [0, 0, 0]  # trunks contradict each other
 
 
-def test_without_hips_the_views_vote() -> None:
+def test_without_hips_the_views_vote():
     names = [name for name in MODEL.marker_names if not name.startswith("HIP")]
     assert knows_sides(MODEL) and not knows_sides(SkeletonModel.of(names, []))
 
 
-def test_nothing_is_done_without_names_of_sides() -> None:
+def test_nothing_is_done_without_names_of_sides():
     model = SkeletonModel.of([f"m{k}" for k in range(32)], [])
     blocks = [Block.of(frame) for frame in views(1)]
     assert list(decide_sides(iter(blocks), model)) == blocks
 
 
-def test_it_can_be_turned_off() -> None:
+def test_it_can_be_turned_off():
     blocks = [Block.of(frame) for frame in views(1, lambda f, c, t: mirror(f))]
     assert list(decide_sides(iter(blocks), MODEL, SidesParams(over_time=False))) == blocks
 
 
 @pytest.mark.parametrize("params", [SidesParams(), LIVE])
-def test_people_without_markers_or_ids_pass(params: SidesParams) -> None:
-    def lose(frame: Frame, camera: int, t: float) -> Frame:
+def test_people_without_markers_or_ids_pass(params):
+    def lose(frame, camera, t):
         frame.markers[:, :: camera + 1 if t < 1 else 1] = np.nan
         return frame.replace(ids=np.array([-1 if t > 0.5 else 0], np.int32))
 
@@ -444,13 +434,13 @@ def test_people_without_markers_or_ids_pass(params: SidesParams) -> None:
     assert all(map(same_markers, decided(frames, params), frames))
 
 
-def test_a_message_that_is_very_late_passes() -> None:
+def test_a_message_that_is_very_late_passes():
     frames = views(8, lambda f, c, t: mirror(f) if c == 0 and t > 1 else f)
     late = [*frames[:30], *frames[32:400], *frames[30:32], *frames[400:]]
     assert [f.stamp for f in decided(late, SidesParams(lookahead=1.0))] == [f.stamp for f in late]
 
 
-def test_cues_are_found_by_their_names() -> None:
+def test_cues_are_found_by_their_names():
     kinect = ["Head", "Neck", "ElbowLeft", "ShoulderLeft", "WristLeft", "AnkleRight", "FootRight"]
     cues = ForwardCues.of(SkeletonModel.of(kinect, []))
     found = [(CUES[cue], *(kinect[k] for k in rest if k >= 0)) for cue, *rest in cues.vectors]
@@ -458,7 +448,7 @@ def test_cues_are_found_by_their_names() -> None:
     assert found == [("head", "Neck", "Head"), arm, ("toe", "AnkleRight", "FootRight")]
 
 
-def merged(preset: str, frames: Sequence[Frame]) -> list[Floats]:
+def merged(preset, frames):
     """Merge tracked frames as hiros does with a preset."""
     stages = system("hiros").stages(
         Run(MODEL, load_config(preset=preset, system="hiros"), fixed_frame="world")
@@ -466,7 +456,7 @@ def merged(preset: str, frames: Sequence[Frame]) -> list[Floats]:
     return [f.positions[0] for f in frames_of(stages["merged"](map(Block.of, frames)))]
 
 
-def test_hiros_decides_over_time_and_the_paper_votes() -> None:
+def test_hiros_decides_over_time_and_the_paper_votes():
     frames = views(6, lambda f, c, t: mirror(f) if t > 2 else f)
     swapped, kept = merged("paper", frames)[-1], merged("default", frames)[-1]
     hips = SLOT["HIP_LEFT"], SLOT["HIP_RIGHT"]

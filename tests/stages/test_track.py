@@ -5,8 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,8 +28,6 @@ from hiros_mcap.skeletons import (
     ORIENTATION,
     POSITION,
     VELOCITY,
-    Floats,
-    Frame,
     People,
 )
 from hiros_mcap.stages.time_order import in_time_order
@@ -49,17 +45,17 @@ AT_ONCE = TrackParams(
 CAMERAS = {name: np.array([x, y, 2.0]) for name, x, y in (("a", 4, 0), ("b", -4, 0), ("c", 0, 4))}
 
 
-def ids(frames: Iterable[Frame]) -> list[list[int]]:
+def ids(frames):
     return [frame.ids.tolist() for frame in frames]
 
 
-def about_z(*angles: float) -> Floats:
+def about_z(*angles):
     """Quaternions (len, 4), x y z w, of rotations about the vertical, rad."""
     half = np.array(angles) / 2
     return np.stack([0 * half, 0 * half, np.sin(half), np.cos(half)], axis=-1)
 
 
-def settings(**changes: float) -> tracking.TrackSettings:
+def settings(**changes):
     """Settings of eq 6 to 11 in their plainest form."""
     plain = {"max_distance": 10.0, "orientation_weight": 1.0, "velocity_weight": 0.0}
     plain |= {"velocity_decay": 0.0, "horizon": 1.0, "flip_aware": False}
@@ -67,10 +63,7 @@ def settings(**changes: float) -> tracking.TrackSettings:
     return tracking.TrackSettings(**usual | plain | changes)
 
 
-def compared(
-    tracks: tracking.Tracks, markers: Floats, links: Floats, confidence: float = 1.0,
-    **changes: float,
-) -> tracking.TrackPairs:  # fmt: skip
+def compared(tracks, markers, links, confidence=1.0, **changes):  # fmt: skip
     """Compare tracks at 1 s with detections at rest, markers (P, M, 3) and links (P, L, 4)."""
     (p, m), n = markers.shape[:2], links.shape[1]
     people, used = People.allocate(p, m, n), settings(**changes)
@@ -86,7 +79,7 @@ def compared(
     return work.pairs
 
 
-def predicted_at(stamp: int, tracks: tracking.Tracks, **changes: float) -> tracking.PredictedTracks:
+def predicted_at(stamp, tracks, **changes):
     """Eq 7 of the first track."""
     m, n = tracks.seen.shape[1], tracks.links_seen.shape[1]
     predicted = tracking.TrackWork.allocate(1, 1, m, n).predicted
@@ -94,7 +87,7 @@ def predicted_at(stamp: int, tracks: tracking.Tracks, **changes: float) -> track
     return predicted
 
 
-def tracks_at(positions: Floats, orientations: Floats) -> tracking.Tracks:
+def tracks_at(positions, orientations):
     """Tracks (T, M, 3), (T, L, 4) that were seen at 1 s."""
     tracks = tracking.Tracks.allocate(*positions.shape[:2], orientations.shape[1])
     tracks.positions[:], tracks.orientations[:] = positions, orientations
@@ -103,9 +96,8 @@ def tracks_at(positions: Floats, orientations: Floats) -> tracking.Tracks:
 
 
 def distances(
-    track_at: Floats, detection: Floats, *, confidence: float = 1.0,
-    speed: float = 0.0, decay: float = 0.0, velocity_weight: float = 0.0,
-) -> tuple[float, float]:  # fmt: skip
+    track_at, detection, *, confidence=1.0, speed=0.0, decay=0.0, velocity_weight=0.0
+):  # fmt: skip
     """Eq 8 and the mean distance of one track and one detection, all markers in common."""
     tracks = tracks_at(track_at[None], np.empty((1, 0, 4)))
     tracks.velocities[0, :, 0] = speed
@@ -116,7 +108,7 @@ def distances(
     return float(pairs.cost[0, 0]), float(pairs.distances[0, 0])
 
 
-def test_eq8_is_the_weighted_mean_distance() -> None:
+def test_eq8_is_the_weighted_mean_distance():
     off = np.array([[0.3, 0, 0], [0, 0.1, 0]])
     linear, gap = distances(np.zeros((2, 3)), off, confidence=0.5)
     assert linear == pytest.approx(0.5 * (0.3 + 0.1) / 2, abs=1e-12)
@@ -124,19 +116,19 @@ def test_eq8_is_the_weighted_mean_distance() -> None:
 
 
 @pytest.mark.parametrize(("speed", "weight"), [(0, 1.0), (10, 0.5491), (100, 0.3154)])
-def test_eq11_fast_markers_count_less(speed: float, weight: float) -> None:
+def test_eq11_fast_markers_count_less(speed, weight):
     assert distances(
         np.zeros((1, 3)), np.array([[1.0, 0, 0]]), speed=speed, decay=0.25
     )[0] == pytest.approx(weight, abs=1e-4)  # fmt: skip
 
 
-def test_eq8_adds_the_velocity_difference() -> None:
+def test_eq8_adds_the_velocity_difference():
     linear, _ = distances(np.zeros((1, 3)), np.array([[1.0, 0, 0]]), speed=2, velocity_weight=0.1)
     assert linear == pytest.approx(1.2)
 
 
 @pytest.mark.parametrize(("weight", "expected"), [(0.05, 1), (1.0, 0)])
-def test_orientations_of_weight_decide_within_the_gate(weight: float, expected: int) -> None:
+def test_orientations_of_weight_decide_within_the_gate(weight, expected):
     """Who comes is nearer to 1, and faces as 0 does."""
     frames = [seen([person(), person(0.5)], at(k), turns=True) for k in range(5)]
     for frame in frames:
@@ -148,11 +140,11 @@ def test_orientations_of_weight_decide_within_the_gate(weight: float, expected: 
 @pytest.mark.parametrize(
     ("dot", "angle"), [(1, 0), (-1, 0), (1.1, 0), (math.sqrt(0.5), math.pi / 2)]
 )
-def test_eq10(dot: float, angle: float) -> None:
+def test_eq10(dot, angle):
     assert angle_of(dot) == pytest.approx(angle, abs=1e-12)
 
 
-def test_assignment_is_optimal() -> None:
+def test_assignment_is_optimal():
     rng = np.random.default_rng(1)
     for _ in range(1000):
         cost = rng.random((rng.integers(1, 7), rng.integers(1, 7)))
@@ -162,7 +154,7 @@ def test_assignment_is_optimal() -> None:
         assert len(set(match[match >= 0])) == min(cost.shape)
 
 
-def test_assignment_among_many_is_that_of_scipy() -> None:
+def test_assignment_among_many_is_that_of_scipy():
     rng = np.random.default_rng(3)
     for size in ((40, 90), (90, 40), (60, 60)):
         places = [rng.uniform(0, 4, (n, 2)) for n in size]
@@ -175,7 +167,7 @@ def test_assignment_among_many_is_that_of_scipy() -> None:
         assert sum(taken) == pytest.approx(best[best < 1e4].sum())
 
 
-def test_people_who_are_apart_are_assigned_in_no_time() -> None:
+def test_people_who_are_apart_are_assigned_in_no_time():
     cost = np.full((4000, 400), np.inf)
     cost[np.arange(400) * 10, np.arange(400)] = cost[np.arange(400) * 10 + 1, np.arange(400)] = 0.1
     start = time.perf_counter()
@@ -183,7 +175,7 @@ def test_people_who_are_apart_are_assigned_in_no_time() -> None:
     assert time.perf_counter() - start < 2.0  # 0.01 s; all at once would take minutes
 
 
-def test_pairs_beyond_the_gate_are_infinitely_far_and_the_others_exact() -> None:
+def test_pairs_beyond_the_gate_are_infinitely_far_and_the_others_exact():
     rng = np.random.default_rng(4)
     poses, seen_at = rng.normal(size=(30, 12, 3)), rng.normal(size=(40, 12, 3))
     poses[:, :, :2] *= 0.1
@@ -201,13 +193,13 @@ def test_pairs_beyond_the_gate_are_infinitely_far_and_the_others_exact() -> None
     assert (pairs.distances[~near] > 1.5).all() and 20 < near.sum() < 1100
 
 
-def test_assignment_never_takes_a_forbidden_pair() -> None:
+def test_assignment_never_takes_a_forbidden_pair():
     cost = np.array([[np.inf, 1.0], [np.inf, np.inf]])
     assert assign(cost).tolist() == [-1, 0]
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_constant_velocity_is_predicted_exactly(seed: int) -> None:
+def test_constant_velocity_is_predicted_exactly(seed):
     rng = np.random.default_rng(seed)
     start, twist = Rotation.random(random_state=seed), 3 * rng.normal(size=3)
     tracks = tracks_at(rng.normal(size=(1, 1, 3)), start.as_quat()[None, None])
@@ -221,7 +213,7 @@ def test_constant_velocity_is_predicted_exactly(seed: int) -> None:
     assert (expected.inv() * turned).magnitude() < 1e-9
 
 
-def test_enter_stay_leave() -> None:
+def test_enter_stay_leave():
     frames = [seen([person()], at(k)) for k in range(30)]
     frames += [seen([], at(k)) for k in range(30, 90)]
     events = Events()
@@ -230,7 +222,7 @@ def test_enter_stay_leave() -> None:
     assert [event.kind for event in events.log] == ["track born", "track lost"]
 
 
-def test_the_second_of_two_people_enters_and_leaves_at_its_time() -> None:
+def test_the_second_of_two_people_enters_and_leaves_at_its_time():
     frames = [seen([person()] + [person(2)] * (10 <= k < 40), at(k)) for k in range(60)]
     frames += [seen([], at(k)) for k in range(60, 150)]
     events = Events()
@@ -246,21 +238,21 @@ def test_the_second_of_two_people_enters_and_leaves_at_its_time() -> None:
 
 
 @pytest.mark.parametrize(("part", "expected"), [(0.99, 0), (1.01, 1)])
-def test_gate(part: float, expected: int) -> None:
+def test_gate(part, expected):
     jump = part * AT_ONCE.max_distance
     frames = [seen([person()], at(k)) for k in range(5)] + [seen([person(jump)], at(5))]
     assert ids(track(frames, MODEL, AT_ONCE))[-1] == [expected]
 
 
 @pytest.mark.parametrize(("more", "expected"), [(-1, 0), (1, 1)])
-def test_id_outlives_a_gap_of_max_gap_and_no_longer(more: int, expected: int) -> None:
+def test_id_outlives_a_gap_of_max_gap_and_no_longer(more, expected):
     gap = round(AT_ONCE.max_gap * 30) + more
     frames = [seen([person()], at(k)) for k in range(5)] + [seen([person()], at(4 + gap))]
     assert ids(track(frames, MODEL, AT_ONCE))[-1] == [expected]
 
 
 @pytest.mark.parametrize("cameras", [1, 5])
-def test_velocities_of_a_sinusoid(cameras: int) -> None:
+def test_velocities_of_a_sinusoid(cameras):
     """Also with cameras 0.2 ms apart, where finite differences explode."""
     frames, stamps = [], []
     for k, camera in itertools.product(range(90), range(cameras)):
@@ -274,7 +266,7 @@ def test_velocities_of_a_sinusoid(cameras: int) -> None:
     assert np.sqrt(np.mean(error**2)) < 0.1 * peak
 
 
-def shuffled() -> tuple[list[Frame], list[Frame]]:
+def shuffled():
     """Frames of three cameras in order, and up to 80 ms late."""
     frames = [
         seen([person(0.02 * k), person(2)], at(k, c), f"c{c}") for k in range(40) for c in range(3)
@@ -285,18 +277,18 @@ def shuffled() -> tuple[list[Frame], list[Frame]]:
     return frames, late
 
 
-def everything(frames: Iterable[Frame]) -> list[tuple[object, ...]]:
+def everything(frames):
     return [
         (f.stamp, f.source, f.ids.tolist(), f.markers.tobytes(), f.links.tobytes()) for f in frames
     ]
 
 
-def test_shuffled_channels_give_the_same_tracks() -> None:
+def test_shuffled_channels_give_the_same_tracks():
     frames, late = shuffled()
     assert everything(track(late, MODEL)) == everything(track(frames, MODEL))
 
 
-def test_shuffled_channels_of_a_log_give_the_same_tracks(tmp_path: Path) -> None:
+def test_shuffled_channels_of_a_log_give_the_same_tracks(tmp_path):
     tracked = []
     for number, frames in enumerate(shuffled()):
         path = tmp_path / f"{number}.mcap"
@@ -314,17 +306,17 @@ def test_shuffled_channels_of_a_log_give_the_same_tracks(tmp_path: Path) -> None
     assert tracked[0] == tracked[1]
 
 
-def test_a_frame_too_late_to_sort_is_used_all_the_same() -> None:
+def test_a_frame_too_late_to_sort_is_used_all_the_same():
     frames = [seen([person()], at(k)) for k in range(30)]
     frames.append(seen([person()], at(2, 1), "b"))
     assert len(list(by_frame(in_time_order)(frames, 0.1))) == 31
     assert all(i == [0] for i in ids(track(frames, MODEL)))
 
 
-def order_of(arrivals: list[tuple[int, str]], delay: float) -> list[tuple[int, str, int]]:
+def order_of(arrivals, delay):
     """(stamp, camera, latest stamp that arrived before it was let go), ms, of such frames."""
 
-    def frames() -> Iterator[Frame]:
+    def frames():
         for stamp, camera in arrivals:
             now.append(stamp)
             yield seen([person()], stamp * 1_000_000, camera)
@@ -334,11 +326,11 @@ def order_of(arrivals: list[tuple[int, str]], delay: float) -> list[tuple[int, s
     return [(frame.stamp // 1_000_000, frame.source, max(now)) for frame in found]
 
 
-def every(period: int, start: int, end: int, camera: str) -> list[tuple[int, str]]:
+def every(period, start, end, camera):
     return [(stamp, camera) for stamp in range(start, end, period)]
 
 
-def test_frames_wait_for_every_camera_but_no_longer() -> None:
+def test_frames_wait_for_every_camera_but_no_longer():
     """Camera b lags by a third of a second: the frames of a wait for it, and go in order."""
     frames = every(33, 1000, 4000, "a") + every(33, 1001, 4000, "b")
     arrivals = sorted(frames, key=lambda f: f[0] + (330 if f[1] == "b" else 0))
@@ -347,7 +339,7 @@ def test_frames_wait_for_every_camera_but_no_longer() -> None:
     assert all(290 < now - stamp < 450 for stamp, _, now in order if 2500 < stamp < 3500)
 
 
-def test_a_camera_that_stalls_is_waited_for_up_to_the_delay() -> None:
+def test_a_camera_that_stalls_is_waited_for_up_to_the_delay():
     """What b saw from 3 s on arrives 0.9 s late, all at once; from 3.9 s on it is silent."""
     a, b = every(33, 1000, 7000, "a"), every(33, 1001, 3900, "b")
     arrivals = sorted(a + b, key=lambda f: max(f[0], 3900) if f[1] == "b" and f[0] > 3000 else f[0])
@@ -356,13 +348,13 @@ def test_a_camera_that_stalls_is_waited_for_up_to_the_delay() -> None:
     assert all(now - stamp < 1034 for stamp, _, now in order)
 
 
-def test_a_camera_that_fell_silent_is_not_waited_for_any_more() -> None:
+def test_a_camera_that_fell_silent_is_not_waited_for_any_more():
     frames = every(33, 1000, 10000, "a") + every(33, 1001, 3000, "b")
     order = order_of(sorted(frames), 1.0)
     assert all(now - stamp < 200 for stamp, _, now in order if 5000 < stamp < 9500)
 
 
-def test_a_camera_that_was_late_once_is_waited_for_as_long_again() -> None:
+def test_a_camera_that_was_late_once_is_waited_for_as_long_again():
     """A message of b is overtaken by 0.4 s of its own later ones at 2 s, and another at 3 s."""
     frames = every(50, 1000, 5000, "a") + every(50, 1000, 5000, "b")
     late = {(2000, "b"), (3000, "b")}
@@ -372,12 +364,12 @@ def test_a_camera_that_was_late_once_is_waited_for_as_long_again() -> None:
     assert after == sorted(after)
 
 
-def test_frames_in_which_nothing_can_change_are_not_held() -> None:
+def test_frames_in_which_nothing_can_change_are_not_held():
     """Two cameras see somebody: once that is settled, the look-ahead has nothing to wait for."""
     params = TrackParams(reorder=0.0)
     arrived, waits = 0, []
 
-    def frames() -> Iterator[Frame]:
+    def frames():
         nonlocal arrived
         for k, camera in itertools.product(range(90), "ab"):
             arrived = at(k)
@@ -391,18 +383,18 @@ def test_frames_in_which_nothing_can_change_are_not_held() -> None:
     assert len(list(itertools.takewhile(lambda f: f.stamp < at(30), track(alone, MODEL)))) == 30
 
 
-def test_equal_times_and_no_ids_keep_everybody() -> None:
+def test_equal_times_and_no_ids_keep_everybody():
     frames = [seen([person(), person(1)], at(k), c) for k in range(30) for c in "ab"]
     assert all(sorted(i) == [0, 1] for i in ids(track(frames, MODEL)))
 
 
 @pytest.mark.parametrize("apart", [0.45, 0.6])
-def test_people_close_to_each_other_keep_their_ids(apart: float) -> None:
+def test_people_close_to_each_other_keep_their_ids(apart):
     frames = [seen([person(), person(apart)], at(k, c), f"c{c}") for k in range(60) for c in (0, 1)]
     assert {tuple(i) for i in ids(track(frames, MODEL))} == {(0, 1)}
 
 
-def test_two_people_crossing_keep_their_ids() -> None:
+def test_two_people_crossing_keep_their_ids():
     frames = [
         seen([person(-1 + 0.03 * k), person(1 - 0.03 * k, 0.4)], at(k, c), f"c{c}")
         for k in range(66)
@@ -411,31 +403,31 @@ def test_two_people_crossing_keep_their_ids() -> None:
     assert {tuple(i) for i in ids(track(frames, MODEL))} == {(0, 1)}
 
 
-def test_an_id_lasts_while_one_camera_or_another_sees_the_person() -> None:
+def test_an_id_lasts_while_one_camera_or_another_sees_the_person():
     """Three cameras see a walker for two seconds each, one after the other (section 4.3)."""
     frames = [seen([person(0.03 * k)], at(k, k // 60), "abc"[k // 60]) for k in range(180)]
     assert ids(track(frames, MODEL)) == [[0]] * 180
 
 
-def test_a_body_of_a_few_frames_is_nobody() -> None:
+def test_a_body_of_a_few_frames_is_nobody():
     frames = [seen([person()] + [person(3)] * (10 <= k < 18), at(k)) for k in range(90)]
     events = Events()
     assert {i for frame in ids(track(frames, MODEL, events=events)) for i in frame} == {0, -1}
     assert events.counts["not confirmed", "a"] == 8
 
 
-def test_somebody_confirmed_has_the_id_from_the_first_detection() -> None:
+def test_somebody_confirmed_has_the_id_from_the_first_detection():
     frames = [seen([person()], at(k)) for k in range(90)]
     assert all(i == [0] for i in ids(track(frames, MODEL)))
 
 
-def walkers(k: int) -> list[Floats]:
+def walkers(k):
     """Two people who walk up and down in front of everybody."""
     return [person(1.5 * math.sin(k / 20), 1.5), person(1.5 * math.cos(k / 20), -1.5)]
 
 
 @pytest.mark.parametrize("late", [0, 100])
-def test_a_static_phantom_of_one_camera_of_three_is_nobody(late: int) -> None:
+def test_a_static_phantom_of_one_camera_of_three_is_nobody(late):
     frames = []
     for k in range(300):
         for c, name in enumerate("abc"):
@@ -448,7 +440,7 @@ def test_a_static_phantom_of_one_camera_of_three_is_nobody(late: int) -> None:
 
 
 @pytest.mark.parametrize("since", [0, 40])
-def test_a_second_body_on_a_person_is_not_a_person(since: int) -> None:
+def test_a_second_body_on_a_person_is_not_a_person(since):
     frames = [seen([person()] + [person(0.15)] * (k >= since), at(k)) for k in range(90)]
     events = Events()
     assert all(sorted(i) == [-1, 0] for i in ids(track(frames, MODEL, events=events))[since:])
@@ -456,7 +448,7 @@ def test_a_second_body_on_a_person_is_not_a_person(since: int) -> None:
     assert events.total("duplicate") > 30
 
 
-def test_a_second_body_is_found_also_beyond_the_gate() -> None:
+def test_a_second_body_is_found_also_beyond_the_gate():
     frames = [seen([person()] + [person(0.5)] * (k > 60), at(k)) for k in range(90)]
     events = Events()
     tracked = list(track(frames, MODEL, TrackParams(max_distance=0.2, min_distance=0.8), events))
@@ -464,12 +456,12 @@ def test_a_second_body_is_found_also_beyond_the_gate() -> None:
     assert events.total("duplicate") == 29
 
 
-def test_somebody_who_enters_beside_another_gets_an_own_id() -> None:
+def test_somebody_who_enters_beside_another_gets_an_own_id():
     frames = [seen([person()] + [person(0.5)] * (k > 30), at(k)) for k in range(120)]
     assert ids(track(frames, MODEL))[-1] == [0, 1]
 
 
-def test_two_people_who_enter_close_together_have_their_ids_from_the_start() -> None:
+def test_two_people_who_enter_close_together_have_their_ids_from_the_start():
     """A detection beside a tentative track is no duplicate: nobody knows yet who is who."""
     apart = [0.2, *[0.6] * 40]
     frames = [seen([person()], at(k)) for k in range(2)]
@@ -477,7 +469,7 @@ def test_two_people_who_enter_close_together_have_their_ids_from_the_start() -> 
     assert ids(track(frames, MODEL)) == [[0]] * 2 + [[0, 1]] * 41
 
 
-def test_a_camera_that_reported_a_person_does_not_contradict_itself() -> None:
+def test_a_camera_that_reported_a_person_does_not_contradict_itself():
     """Camera b stops; a alone reports somebody for a second, then for another second does not."""
     frames = [seen(walkers(k), at(k, c), "ab"[c]) for k in range(60) for c in range(2)]
     for k in range(60, 150):
@@ -489,21 +481,21 @@ def test_a_camera_that_reported_a_person_does_not_contradict_itself() -> None:
     assert "track withdrawn" not in {event.kind for event in events.log}
 
 
-def test_a_swapped_body_keeps_its_id_and_does_not_throw_the_track() -> None:
+def test_a_swapped_body_keeps_its_id_and_does_not_throw_the_track():
     frames = [seen([person()[MIRROR] if 20 <= k < 40 else person()], at(k)) for k in range(60)]
     tracked = list(track(frames, MODEL))
     assert all(i == [0] for i in ids(tracked))
     assert max(np.nanmax(np.abs(f.velocities)) for f in tracked) < 0.1
 
 
-def test_no_common_marker_does_not_hang() -> None:
+def test_no_common_marker_does_not_hang():
     first, second = person(), person()
     first[4:], second[:4] = np.nan, np.nan
     frames = [seen([first], at(0)), seen([second], at(1))]
     assert ids(track(frames, MODEL, AT_ONCE)) == [[0], [1]]
 
 
-def test_unknown_confidences_do_no_harm() -> None:
+def test_unknown_confidences_do_no_harm():
     frames = [seen([person()], at(k)) for k in range(10)]
     for frame in frames:
         frame.marker_confidences[:] = np.nan
@@ -520,7 +512,7 @@ def test_unknown_confidences_do_no_harm() -> None:
         (lambda f: f.markers[:, 2:].fill(np.nan), "too few markers"),
     ],
 )
-def test_what_is_left_out_is_counted(change: Callable[[Frame], None], reason: str) -> None:
+def test_what_is_left_out_is_counted(change, reason):
     frame, events = seen([person()], at(0)), Events()
     change(frame)
     params = AT_ONCE.model_copy(update={"min_skeleton_confidence": 0.5})
@@ -528,7 +520,7 @@ def test_what_is_left_out_is_counted(change: Callable[[Frame], None], reason: st
     assert events.counts[reason, "a"] == 1
 
 
-def test_frames_are_not_changed_and_memory_of_the_gone_is_freed() -> None:
+def test_frames_are_not_changed_and_memory_of_the_gone_is_freed():
     frames = [seen([person(3.0 * (k // 60))], at(k + 60 * (k // 60))) for k in range(600)]
     before = [frame.markers.copy() for frame in frames]
     tracked = list(track(frames, MODEL, TrackParams(reidentify=0.0)))
@@ -538,7 +530,7 @@ def test_frames_are_not_changed_and_memory_of_the_gone_is_freed() -> None:
     assert tracked[-1].ids.tolist() == [9]
 
 
-def test_log_time_is_that_of_the_frame_that_settled_it() -> None:
+def test_log_time_is_that_of_the_frame_that_settled_it():
     frames = [seen([person()], at(k)) for k in range(90)]
     params = TrackParams(lookahead=1.0, reorder=0.0)
     first = next(iter(track(frames, MODEL, params)))
@@ -546,10 +538,8 @@ def test_log_time_is_that_of_the_frame_that_settled_it() -> None:
 
 
 def table(
-    tracks: Floats, turns: Floats, detections: Floats, links: Floats, *, gamma: float = 0.0,
-    omega: float = 0.0, omega_weight: float = 0.0,
-    confidence: float = 1.0,
-) -> tuple[Floats, Floats, Floats]:  # fmt: skip
+    tracks, turns, detections, links, *, gamma=0.0, omega=0.0, omega_weight=0.0, confidence=1.0
+):  # fmt: skip
     """Eq 8, eq 9 and mean distances (T, P) of tracks (T, M, 3), (T, L, 4) and detections."""
     states = tracks_at(tracks, turns)
     states.angular_velocities[..., 2] = omega
@@ -563,7 +553,7 @@ def table(
     return linear.cost, total.cost - linear.cost, linear.distances
 
 
-def test_eq8_and_eq9_of_two_tracks_and_two_detections() -> None:
+def test_eq8_and_eq9_of_two_tracks_and_two_detections():
     """Two markers and two links each; every entry worked out by hand."""
     tracks = np.array([[[0.0, 0, 0], [0, 0, 1]], [[1, 0, 0], [1, 0, 1]]])
     seen_at = np.array([[[0.0, 0, 0], [0, 0.2, 1]], [[1, 0, 0], [1, 0, 1.5]]])
@@ -587,13 +577,13 @@ def test_eq8_and_eq9_of_two_tracks_and_two_detections() -> None:
         ({"omega": 3.0, "gamma": 0.5}, 0.2),
     ],
 )
-def test_eq9(changes: dict[str, float], expected: float) -> None:
+def test_eq9(changes, expected):
     here, turned = np.zeros((1, 2, 3)), about_z(0.3, -0.5)[None]
     angular = table(here, about_z(0.0, 0.0)[None], here, turned, **changes)[1]
     assert angular[0, 0] == pytest.approx(expected, abs=1e-12)
 
 
-def test_unknown_confidences_count_as_1() -> None:
+def test_unknown_confidences_count_as_1():
     """Eq 11."""
     off = np.array([[0.3, 0, 0], [0, 0.1, 0]])
     linear, _ = distances(np.zeros((2, 3)), off, confidence=math.nan)
@@ -603,12 +593,12 @@ def test_unknown_confidences_count_as_1() -> None:
     assert angular[0, 0] == pytest.approx(0.4, abs=1e-12)
 
 
-def test_a_link_of_opposite_sign_is_the_same_orientation() -> None:
+def test_a_link_of_opposite_sign_is_the_same_orientation():
     here, turned = np.zeros((1, 1, 3)), about_z(2.0)[None]
     assert table(here, turned, here, -turned)[1][0, 0] == pytest.approx(0, abs=1e-7)
 
 
-def nearest(places: tuple[float, float], turns: tuple[float, float], weight: float) -> int:
+def nearest(places, turns, weight):
     """Which of two tracks, at so many m and turned by so many rad, a detection at 0 is given to."""
     positions = np.zeros((2, 1, 3))
     positions[:, 0, 0] = places
@@ -618,19 +608,19 @@ def nearest(places: tuple[float, float], turns: tuple[float, float], weight: flo
 
 
 @pytest.mark.parametrize(("weight", "expected"), [(0.0, 1), (1.0, 0)])
-def test_eq6_adds_turns_to_distances(weight: float, expected: int) -> None:
+def test_eq6_adds_turns_to_distances(weight, expected):
     """The nearer track is turned by 0.5 rad: which one wins is up to the weight of eq 6."""
     assert nearest((0.2, 0.1), (0.0, 0.5), weight) == expected
 
 
 @pytest.mark.parametrize("weight", [1.0, 0.5])
 @pytest.mark.parametrize(("more", "expected"), [(-1e-12, 1), (1e-12, 0)])
-def test_eq6_is_the_sum(weight: float, more: float, expected: int) -> None:
+def test_eq6_is_the_sum(weight, more, expected):
     """A hair's breadth from the place where a turn of 0.05 rad makes up for the distance."""
     assert nearest((0.2, 0.2 - weight * 0.05 + more), (0.0, 0.05), weight) == expected
 
 
-def test_assignment_with_forbidden_pairs_is_largest_and_then_cheapest() -> None:
+def test_assignment_with_forbidden_pairs_is_largest_and_then_cheapest():
     rng = np.random.default_rng(2)
     for _ in range(300):
         n = int(rng.integers(1, 6))
@@ -646,14 +636,14 @@ def test_assignment_with_forbidden_pairs_is_largest_and_then_cheapest() -> None:
         assert sum(taken) == pytest.approx(cheapest)
 
 
-def test_prediction_stands_still_beyond_the_horizon() -> None:
+def test_prediction_stands_still_beyond_the_horizon():
     tracks = tracks_at(np.zeros((1, 1, 3)), about_z(0.0)[None])
     tracks.velocities[0, 0, 0] = 2.0
     predicted = predicted_at(3 * SECOND, tracks, horizon=0.2, fade=0.0)
     assert predicted.positions[0, 0] == pytest.approx([0.4, 0, 0])
 
 
-def test_the_limbs_stop_at_the_horizon_and_the_body_fades_to_a_stop() -> None:
+def test_the_limbs_stop_at_the_horizon_and_the_body_fades_to_a_stop():
     tracks = tracks_at(np.zeros((1, 2, 3)), about_z(0.0)[None])
     tracks.velocities[0, :, 0] = 1.0, 3.0  # the body: 2 m/s
     soon = predicted_at(SECOND + 300_000_000, tracks, horizon=0.2, fade=0.3)
@@ -663,7 +653,7 @@ def test_the_limbs_stop_at_the_horizon_and_the_body_fades_to_a_stop() -> None:
     assert late.positions[0, :, 0] == pytest.approx([0.2 + 0.6, 0.6 + 0.6])
 
 
-def test_the_gate_of_an_unseen_track_grows_up_to_twice_its_size() -> None:
+def test_the_gate_of_an_unseen_track_grows_up_to_twice_its_size():
     tracks = tracks_at(np.zeros((1, 1, 3)), about_z(0.0)[None])
     gates = [
         predicted_at(SECOND + ms * 1_000_000, tracks, max_distance=0.6, horizon=0.2).gates[0]
@@ -672,19 +662,19 @@ def test_the_gate_of_an_unseen_track_grows_up_to_twice_its_size() -> None:
     assert gates == pytest.approx([0.6, 0.6, 0.9, 1.2, 1.2])
 
 
-def test_a_track_out_of_reach_is_not_moved() -> None:
+def test_a_track_out_of_reach_is_not_moved():
     far = [seen([person(5.0)], at(k)) for k in range(5, 10)]
     frames = [seen([person()], at(k)) for k in range(5)] + far + [seen([person()], at(10))]
     assert ids(track(frames, MODEL, AT_ONCE)) == [[0]] * 5 + [[1]] * 5 + [[0]]
 
 
-def test_accelerations_of_a_steady_push() -> None:
+def test_accelerations_of_a_steady_push():
     frames = [seen([person(0.5 * 2.0 * (k / 30) ** 2)], at(k)) for k in range(45)]
     last = list(track(frames, MODEL, AT_ONCE))[-1]
     assert last.accelerations[0, :, 0] == pytest.approx(np.full(8, 2.0), rel=0.1)
 
 
-def test_angular_velocities_of_a_steady_turn() -> None:
+def test_angular_velocities_of_a_steady_turn():
     frames = [seen([person()], at(k), turns=True) for k in range(45)]
     for k, frame in enumerate(frames):
         frame.links[0, :, 3:7] = about_z(3.0 * k / 30)
@@ -693,7 +683,7 @@ def test_angular_velocities_of_a_steady_turn() -> None:
     assert last.orientations == pytest.approx(frames[-1].orientations)
 
 
-def test_a_link_that_was_not_seen_turns_on_for_the_horizon_only() -> None:
+def test_a_link_that_was_not_seen_turns_on_for_the_horizon_only():
     frames = [seen([person()], at(k), turns=k < 45 or k == 59) for k in range(60)]
     for k, frame in enumerate(frames[:45]):
         frame.links[0, :, 3:7] = about_z(3.0 * k / 30)
@@ -703,14 +693,14 @@ def test_a_link_that_was_not_seen_turns_on_for_the_horizon_only() -> None:
     assert last.links[0, :, 12] == pytest.approx(np.full(7, 3.0), abs=0.1)
 
 
-def test_velocities_of_the_detector_are_kept() -> None:
+def test_velocities_of_the_detector_are_kept():
     frames = [seen([person()], at(k)) for k in range(10)]
     for frame in frames:
         frame.velocities[:] = [0.5, 0.0, 0.0]
     assert all(np.all(f.velocities == [0.5, 0, 0]) for f in track(frames, MODEL, AT_ONCE))
 
 
-def test_markers_below_the_threshold_are_absent() -> None:
+def test_markers_below_the_threshold_are_absent():
     frame = seen([person()], at(0))
     frame.marker_confidences[0, 6:] = 0.1, np.nan
     params = AT_ONCE.model_copy(update={"min_marker_confidence": 0.2})
@@ -720,7 +710,7 @@ def test_markers_below_the_threshold_are_absent() -> None:
 
 
 @pytest.mark.parametrize("rates", [(15,), (15, 50), (15, 30, 50, 15, 30)])
-def test_far_cameras_of_mixed_rates_lose_nothing(rates: tuple[int, ...]) -> None:
+def test_far_cameras_of_mixed_rates_lose_nothing(rates):
     """15, 30 and 50 Hz together; every message comes out, in order, with the same person."""
     stamped = sorted(
         (at(0) + k * SECOND // rate + c * 1_000_003, f"c{c}")
@@ -732,7 +722,7 @@ def test_far_cameras_of_mixed_rates_lose_nothing(rates: tuple[int, ...]) -> None
     assert all(f.ids.tolist() == [0] for f in tracked)
 
 
-def test_jittered_clocks_lose_nobody() -> None:
+def test_jittered_clocks_lose_nobody():
     rng = np.random.default_rng(4)
     frames = [
         seen([person(0.02 * k), person(0.02 * k, 1.0)], at(k + rng.uniform(-0.6, 0.6)), c)
@@ -742,13 +732,13 @@ def test_jittered_clocks_lose_nobody() -> None:
     assert {tuple(i) for i in ids(track(frames, MODEL))} == {(0, 1)}
 
 
-def test_somebody_two_cameras_agree_on_counts_at_once() -> None:
+def test_somebody_two_cameras_agree_on_counts_at_once():
     frames = [seen([person()], at(k, c), "ab"[c]) for k in range(3) for c in range(2)]
     assert ids(track(frames, MODEL)) == [[0]] * 6
     assert ids(track(frames[::2], MODEL)) == [[-1]] * 3
 
 
-def test_a_doubted_person_who_walks_after_all_has_the_old_id() -> None:
+def test_a_doubted_person_who_walks_after_all_has_the_old_id():
     """Behind a pillar for two of three cameras: the third alone sees him stand, then walk."""
     frames = []
     for k in range(420):
@@ -767,12 +757,12 @@ def test_a_doubted_person_who_walks_after_all_has_the_old_id() -> None:
 # What the switches of eq 8 to 11 do to a run: each scene is close to where another person wins.
 
 
-def last_id(frames: list[Frame], **changes: object) -> list[int]:
+def last_id(frames, **changes):
     return ids(track(frames, MODEL, AT_ONCE.model_copy(update=changes)))[-1]
 
 
 @pytest.mark.parametrize(("confidence", "expected"), [(0.01, 0), (1.0, 1)])
-def test_markers_of_little_confidence_need_not_count(confidence: float, expected: int) -> None:
+def test_markers_of_little_confidence_need_not_count(confidence, expected):
     odd = person()
     odd[4:] += [0, 2.0, 0]
     last = seen([odd], at(5))
@@ -782,7 +772,7 @@ def test_markers_of_little_confidence_need_not_count(confidence: float, expected
 
 
 @pytest.mark.parametrize(("weight", "expected"), [(0.0, 1), (1.0, 0)])
-def test_velocities_may_tell_people_apart(weight: float, expected: int) -> None:
+def test_velocities_may_tell_people_apart(weight, expected):
     """0 walks at 1 m/s and 1 stands; who comes walks, and is a little nearer to 1."""
     frames = [seen([person(-0.5 + k / 30), person(0.4)], at(k)) for k in range(15)]
     last = seen([person(0.22)], at(15))
@@ -791,7 +781,7 @@ def test_velocities_may_tell_people_apart(weight: float, expected: int) -> None:
 
 
 @pytest.mark.parametrize(("weight", "expected"), [(0.0, 1), (1.0, 0)])
-def test_angular_velocities_may_tell_people_apart(weight: float, expected: int) -> None:
+def test_angular_velocities_may_tell_people_apart(weight, expected):
     """0 turns at 3 rad/s and 1 does not; who comes turns, and is a little nearer to 1."""
     frames = [seen([person(), person(0.5)], at(k), turns=True) for k in range(30)]
     for k, frame in enumerate(frames):
@@ -806,10 +796,10 @@ def test_angular_velocities_may_tell_people_apart(weight: float, expected: int) 
     ("changes", "expected"),
     [({}, 0), ({"velocity_decay": 0.0}, 1)],
 )
-def test_markers_that_fly_need_not_count(changes: dict[str, float], expected: int) -> None:
+def test_markers_that_fly_need_not_count(changes, expected):
     """Some fly at 10 m/s and are 1.4 m from where they were to be; the others stand."""
 
-    def pose(k: int, more: float = 0.0) -> Floats:
+    def pose(k, more=0.0):
         points = person()
         points[4:, 1] += k / 3 + more
         return points
@@ -821,20 +811,20 @@ def test_markers_that_fly_need_not_count(changes: dict[str, float], expected: in
 # When a tentative track counts, and when it is forgotten
 
 
-def test_one_report_of_a_second_camera_confirms_nobody() -> None:
+def test_one_report_of_a_second_camera_confirms_nobody():
     """A phantom of camera a lasts three frames; b reports it once, too."""
     frames = [seen([person()], at(k), "a") for k in range(4)] + [seen([person()], at(4), "b")]
     frames += [seen([], at(k), "a") for k in range(5, 60)]
     assert {i for frame in ids(track(frames, MODEL)) for i in frame} == {-1}
 
 
-def test_two_reports_of_a_second_camera_confirm_a_person() -> None:
+def test_two_reports_of_a_second_camera_confirm_a_person():
     frames = [seen([person()], at(k), "aabba"[k]) for k in range(5)]
     assert ids(track(frames, MODEL)) == [[0]] * 5
 
 
 @pytest.mark.parametrize(("gap", "expected"), [(0.45, 0), (0.55, -1)])
-def test_a_tentative_track_outlives_a_gap_of_half_a_second(gap: float, expected: int) -> None:
+def test_a_tentative_track_outlives_a_gap_of_half_a_second(gap, expected):
     """Three detections, a gap, two more: five of one track confirm it, with no time to last."""
     later = round(30 * gap) + 2 if expected else 2 + 13
     frames = [seen([person()], at(k)) for k in (0, 1, 2, later, later + 1)]
@@ -843,9 +833,7 @@ def test_a_tentative_track_outlives_a_gap_of_half_a_second(gap: float, expected:
 
 
 @pytest.mark.parametrize(("part", "mirrored"), [(0.45, True), (0.55, False)])
-def test_a_detection_is_mirrored_only_if_that_halves_its_distance(
-    part: float, mirrored: bool
-) -> None:
+def test_a_detection_is_mirrored_only_if_that_halves_its_distance(part, mirrored):
     """A swapped pose, moved until the distances of both readings have that ratio."""
     pose, away = person()[MIRROR], np.linspace(0.0, 0.5, 5001)
     apart = pose - person() + np.stack([away, 0 * away, 0 * away], axis=1)[:, None]
@@ -858,10 +846,10 @@ def test_a_detection_is_mirrored_only_if_that_halves_its_distance(
     assert (across < 0.1) == mirrored
 
 
-def test_a_leap_corrects_a_track_less_than_its_size_says() -> None:
+def test_a_leap_corrects_a_track_less_than_its_size_says():
     """Innovations beyond the gate are inflated to it: a leap moves the track less than in full."""
 
-    def velocity(leap: float, gate: float) -> float:
+    def velocity(leap, gate):
         frames = [seen([person()], at(k)) for k in range(30)] + [seen([person(leap)], at(30))]
         params = AT_ONCE.model_copy(update={"innovation_gate": gate})
         return float(list(track(frames, MODEL, params))[-1].velocities[0, 0, 0])
@@ -871,8 +859,8 @@ def test_a_leap_corrects_a_track_less_than_its_size_says() -> None:
     assert velocity(0.5, 3.0) < 0.5 * velocity(0.5, 1e6)
 
 
-def test_markers_of_little_confidence_move_velocities_little() -> None:
-    def velocity(confidence: float) -> float:
+def test_markers_of_little_confidence_move_velocities_little():
+    def velocity(confidence):
         frames = [seen([person()], at(k)) for k in range(30)] + [seen([person(0.05)], at(30))]
         frames[-1].marker_confidences[:] = confidence
         return float(list(track(frames, MODEL, AT_ONCE))[-1].velocities[0, 0, 0])
@@ -881,7 +869,7 @@ def test_markers_of_little_confidence_move_velocities_little() -> None:
     assert velocity(0.01) == pytest.approx(velocity(0.05))
 
 
-def test_no_marker_is_faster_than_a_person() -> None:
+def test_no_marker_is_faster_than_a_person():
     frames = [seen([person(0.5 * k)], at(k)) for k in range(30)]
     params = AT_ONCE.model_copy(update={"max_distance": 5.0, "innovation_gate": 1e6})
     tracked = list(track(frames, MODEL, params))
@@ -890,7 +878,7 @@ def test_no_marker_is_faster_than_a_person() -> None:
     assert np.all(tracked[-1].accelerations == 0.0)
 
 
-def test_a_marker_unseen_for_long_starts_anew() -> None:
+def test_a_marker_unseen_for_long_starts_anew():
     """Away for a second, a hand is 1 m off: no velocity comes of that."""
     frames = [seen([person()], at(k)) for k in range(60)]
     for k in range(20, 50):
@@ -903,14 +891,14 @@ def test_a_marker_unseen_for_long_starts_anew() -> None:
 
 @settings_of_hypothesis
 @given(st.lists(st.tuples(st.integers(0, 200), st.sampled_from("abc")), max_size=40))
-def test_time_order_loses_and_invents_nothing(arrivals: list[tuple[int, str]]) -> None:
+def test_time_order_loses_and_invents_nothing(arrivals):
     order = order_of(arrivals, 0.05)
     assert sorted(found[:2] for found in order) == sorted(arrivals)
 
 
 @settings_of_hypothesis
 @given(st.integers(1, 3), st.integers(1, 3), st.integers(0, 2**32 - 1))
-def test_every_detection_comes_out_where_it_was(people: int, cameras: int, seed: int) -> None:
+def test_every_detection_comes_out_where_it_was(people, cameras, seed):
     rng = np.random.default_rng(seed)
     frames = [
         seen([person(*rng.normal(size=2)) for _ in range(people)], at(k, c), "abc"[c])

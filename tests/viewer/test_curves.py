@@ -6,7 +6,6 @@ import base64
 import gzip
 import json
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -27,18 +26,18 @@ from hiros_viewer.page import Page  # noqa: E402
 
 
 @pytest.fixture(scope="module")
-def processed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def processed(tmp_path_factory):
     out = tmp_path_factory.mktemp("plot") / "crossing.hiros.mcap"
     process(SAMPLES / "two_people_crossing.mcap", out)
     return out
 
 
-def collected(path: Path, *, with_truth: bool = True) -> curves.Curves:
+def collected(path, *, with_truth=True):
     frames, model, _ = read_channel(path, "/hiros/filtered")
     return curves.collect("x", frames, model, find_truth(path) if with_truth else None)
 
 
-def test_angles_are_drawn_beside_the_truth(processed: Path) -> None:
+def test_angles_are_drawn_beside_the_truth(processed):
     figure = curves.figure_of(collected(processed), "angles", 1)
     assert [axes.get_title(loc="left") for axes in figure.axes[:2]] == [
         "left hip flexion, degrees",
@@ -51,14 +50,14 @@ def test_angles_are_drawn_beside_the_truth(processed: Path) -> None:
         assert np.nanmean(np.abs(np.asarray(true) - np.asarray(result))) < 12
 
 
-def test_hips_swing_through_zero(processed: Path) -> None:
+def test_hips_swing_through_zero(processed):
     axes = curves.figure_of(collected(processed), "angles", 1).axes[0]
     hip = np.asarray(axes.lines[-1].get_ydata())
     assert np.nanmin(hip) < -5
     assert np.nanmax(hip) > 20
 
 
-def test_limbs_are_flat_and_errors_small(processed: Path) -> None:
+def test_limbs_are_flat_and_errors_small(processed):
     plots = curves.figure_of(collected(processed), "limbs").axes
     assert [len(axes.lines) for axes in plots] == [2, 2, 2, 2]
     for axes in plots:
@@ -70,13 +69,13 @@ def test_limbs_are_flat_and_errors_small(processed: Path) -> None:
     assert np.nanmin(np.asarray(largest.get_ydata()) - np.asarray(mean.get_ydata())) >= 0
 
 
-def test_no_line_is_drawn_over_a_pause() -> None:
+def test_no_line_is_drawn_over_a_pause():
     seconds, values = with_gaps(np.array([0.0, 0.1, 2.0]), np.array([1.0, 2.0, 3.0]))
     assert np.isnan(seconds).tolist() == [False, False, True, False]
     assert np.isnan(values).tolist() == [False, False, True, False]
 
 
-def test_who_and_what_is_missing_is_said(processed: Path) -> None:
+def test_who_and_what_is_missing_is_said(processed):
     with pytest.raises(ConfigError, match=r"no person 9 \(there are: 0, 1\)"):
         curves.figure_of(collected(processed), "angles", 9)
     with pytest.raises(ConfigError, match="no truth"):
@@ -84,24 +83,22 @@ def test_who_and_what_is_missing_is_said(processed: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def plotted(processed: Path) -> dict[str, bytes]:
+def plotted(processed):
     """A picture and a page of it."""
     return {name: plot(processed, processed.with_name(name)) for name in ("a.png", "a.html")}
 
 
-def plot(log: Path, path: Path) -> bytes:
+def plot(log, path):
     assert run(["plot", str(log), "-o", str(path), "-q"]) == 0
     return path.read_bytes()
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.html"])
-def test_the_same_log_gives_the_same_bytes(
-    processed: Path, plotted: dict[str, bytes], tmp_path: Path, name: str
-) -> None:
+def test_the_same_log_gives_the_same_bytes(processed, plotted, tmp_path, name):
     assert plot(processed, tmp_path / name) == plotted[name]
 
 
-def test_the_page_holds_everybody_and_loads_nothing(plotted: dict[str, bytes]) -> None:
+def test_the_page_holds_everybody_and_loads_nothing(plotted):
     text = plotted["a.html"].decode()
     assert text.count('<div class="curves"') == 6
     assert len(text) < 4e6
@@ -111,7 +108,7 @@ def test_the_page_holds_everybody_and_loads_nothing(plotted: dict[str, bytes]) -
     assert not re.findall(r"""(?:src|href)=["'](?!#)""", outside)
 
 
-def test_a_page_says_of_what_it_is_and_how_good(processed: Path, plotted: dict[str, bytes]) -> None:
+def test_a_page_says_of_what_it_is_and_how_good(processed, plotted):
     text = plotted["a.html"].decode()
     for fact in (
         f"<h1>{processed}: /hiros/filtered</h1>",
@@ -122,17 +119,17 @@ def test_a_page_says_of_what_it_is_and_how_good(processed: Path, plotted: dict[s
         assert fact in text
 
 
-def curves_in(text: str) -> list[tuple[np.ndarray, np.ndarray]]:
+def curves_in(text):
     """The x and y of every curve of a page's plots."""
 
-    def objects(node: object) -> Iterator[dict]:
+    def objects(node):
         if isinstance(node, dict):
             yield node
         children = node.values() if isinstance(node, dict) else node
         for child in children if isinstance(node, dict | list) else ():
             yield from objects(child)
 
-    def values(array: dict) -> np.ndarray:
+    def values(array):
         return np.frombuffer(
             gzip.decompress(base64.b64decode(array["array"]["data"])), array["dtype"]
         )
@@ -142,7 +139,7 @@ def curves_in(text: str) -> list[tuple[np.ndarray, np.ndarray]]:
     return [(values(c["x"]), values(c[y])) for c in columns for y in c if y != "x"]
 
 
-def test_a_page_holds_the_values_of_its_curves(processed: Path) -> None:
+def test_a_page_holds_the_values_of_its_curves(processed):
     figure = curves.figure_of(collected(processed), "angles", 1)
     shown = curves_in(curves_json(figure, "f1"))
     assert len(shown) == 28  # truth and result of 14 angles
@@ -151,7 +148,7 @@ def test_a_page_holds_the_values_of_its_curves(processed: Path) -> None:
         assert any(np.array_equal(y, drawn, equal_nan=True) for _, y in shown)
 
 
-def test_five_minutes_of_two_people_with_a_truth_stay_below_4_mb() -> None:
+def test_five_minutes_of_two_people_with_a_truth_stay_below_4_mb():
     """Noise, which no compression makes smaller; the times stand there once."""
     page = Page("two people")
     seconds = np.cumsum(np.random.default_rng(0).uniform(0.02, 0.04, 9000))
@@ -163,7 +160,7 @@ def test_five_minutes_of_two_people_with_a_truth_stay_below_4_mb() -> None:
     assert len(page.html().encode()) < 4_000_000
 
 
-def test_a_long_curve_is_thinned_and_the_page_says_so() -> None:
+def test_a_long_curve_is_thinned_and_the_page_says_so():
     page = Page("long")
     figure, axes = new_axes(8, 3)
     axes.plot(np.arange(9000) / 30, np.sin(np.arange(9000)), label="knee")
@@ -183,14 +180,7 @@ def test_a_long_curve_is_thinned_and_the_page_says_so() -> None:
         (["-o", "a.png", "--channel", "/hiros/none"], "/hiros/none"),
     ],
 )
-def test_faults_are_one_line(
-    processed: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    arguments: list[str],
-    fault: str,
-) -> None:
+def test_faults_are_one_line(processed, tmp_path, monkeypatch, capsys, arguments, fault):
     monkeypatch.chdir(tmp_path)
     assert run(["plot", str(processed), *arguments]) == 2
     captured = capsys.readouterr()

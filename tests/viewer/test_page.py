@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import pytest
 from matplotlib.figure import Figure
@@ -12,7 +11,7 @@ from hiros_mcap.errors import LogError
 from hiros_viewer.page import Page
 
 
-def page() -> Page:
+def page():
     result = Page("A <title> & more")
     result.heading("Errors")
     result.text("per joint")
@@ -24,7 +23,7 @@ def page() -> Page:
     return result
 
 
-def test_the_page_is_self_contained_and_escaped(tmp_path: Path) -> None:
+def test_the_page_is_self_contained_and_escaped(tmp_path):
     path = tmp_path / "report.html"
     page().write(path)
     text = path.read_text(encoding="utf-8")
@@ -37,7 +36,7 @@ def test_the_page_is_self_contained_and_escaped(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
 
 
-def test_ids_are_unique_and_every_reference_resolves() -> None:
+def test_ids_are_unique_and_every_reference_resolves():
     text = re.sub(r"<script>.*?</script>", "", page().html(), flags=re.DOTALL)
     ids = re.findall(r'\bid="([^"]+)"', text)
     assert len(ids) == len(set(ids))
@@ -46,11 +45,11 @@ def test_ids_are_unique_and_every_reference_resolves() -> None:
     assert set(references) <= set(ids)
 
 
-def test_the_same_page_has_the_same_bytes() -> None:
+def test_the_same_page_has_the_same_bytes():
     assert page().html() == page().html()
 
 
-def test_a_page_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
+def test_a_page_that_cannot_be_written_leaves_nothing(tmp_path):
     target = tmp_path / "folder"
     target.mkdir()
     with pytest.raises(LogError, match="folder: cannot be written"):
@@ -58,7 +57,7 @@ def test_a_page_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["folder"]
 
 
-def test_a_page_is_dark_where_the_reader_wants_that() -> None:
+def test_a_page_is_dark_where_the_reader_wants_that():
     style = page().html().split("<style>")[1].split("</style>")[0]
     assert "color-scheme: light dark" in style
     dark = style.split("@media (prefers-color-scheme: dark)")[1]

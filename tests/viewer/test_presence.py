@@ -14,7 +14,7 @@ Frames = list[tuple[int, set[int]]]
 MS = 1_000_000
 
 
-def poses(frames: Frames) -> Poses:
+def poses(frames):
     stamps = np.array([stamp for stamp, _ in frames], np.int64)
     ids = np.array([i for _, people in frames for i in sorted(people)], np.int32)
     counts = np.array([len(people) for _, people in frames])
@@ -22,7 +22,7 @@ def poses(frames: Frames) -> Poses:
     return Poses(times, counts, ids, np.zeros((len(ids), 1, 3)), np.ones((len(ids), 1)))
 
 
-def expected(frames: Frames, person: int, patience: int) -> list[tuple[int, bool]]:
+def expected(frames, person, patience):
     """Walk through the frames one by one: stamps of rows, and whether the person is shown."""
     rows, seen, before = [], None, frames[0][0]
     for stamp, people in frames:
@@ -41,7 +41,7 @@ def expected(frames: Frames, person: int, patience: int) -> list[tuple[int, bool
 
 @pytest.mark.parametrize("patience", [0, GONE_NS])
 @pytest.mark.parametrize("size", [1, 3, 7, 60])
-def test_people_are_hidden_when_frames_lack_them_or_stop(patience: int, size: int) -> None:
+def test_people_are_hidden_when_frames_lack_them_or_stop(patience, size):
     rng = np.random.default_rng(size)
     steps = rng.choice([33, 66, 240, 400, 501, 900], 60, p=[0.6, 0.1, 0.1, 0.1, 0.05, 0.05])
     stamps = np.cumsum(steps * MS).tolist()
@@ -63,7 +63,7 @@ def test_people_are_hidden_when_frames_lack_them_or_stop(patience: int, size: in
         assert rows[person] == expected(frames, person, patience)
 
 
-def test_a_visit_begins_when_somebody_was_not_shown_before() -> None:
+def test_a_visit_begins_when_somebody_was_not_shown_before():
     visits = Visits(0)
     (first,) = visits.of(poses([(0, {4}), (MS, set()), (2 * MS, {4})]))
     assert first.begins.tolist() == [True, False, True]
@@ -71,7 +71,7 @@ def test_a_visit_begins_when_somebody_was_not_shown_before() -> None:
     assert second.begins.tolist() == [False, False, True]
 
 
-def test_detections_are_hidden_in_a_pause() -> None:
+def test_detections_are_hidden_in_a_pause():
     crowd = Crowd()
     times, counts = crowd.rows(poses([(0, {1, 2}), (900 * MS, set()), (1800 * MS, {1})]))
     assert times[:, 0].tolist() == [0, 250 * MS, 900 * MS, 1800 * MS]

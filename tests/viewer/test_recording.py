@@ -22,7 +22,7 @@ from hiros_mcap.evaluate.truth_files import load_truth
 from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
-from hiros_mcap.io.export.colours import PEOPLE, RGB, person_colour
+from hiros_mcap.io.export.colours import PEOPLE, person_colour
 from hiros_mcap.io.log import open_log
 from hiros_mcap.io.marker_uncertainty import read_uncertainty
 from hiros_mcap.io.result import open_result
@@ -47,20 +47,20 @@ Rows = dict[int, Floats]
 
 
 @pytest.fixture(scope="module")
-def processed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def processed(tmp_path_factory):
     out = tmp_path_factory.mktemp("view") / "crossing.hiros.mcap"
     process(CROSSING, out)
     return out
 
 
 @pytest.fixture(scope="module")
-def recording(processed: Path) -> Path:
+def recording(processed):
     target = processed.with_suffix(".rrd")
     assert run(["view", str(processed), "--save", str(target), "--quiet"]) == 0
     return target
 
 
-def test_a_viewer_shows_two_layouts_of_a_log_side_by_side(processed: Path, recording: Path) -> None:
+def test_a_viewer_shows_two_layouts_of_a_log_side_by_side(processed, recording):
     from rerun.chunk import RrdReader
 
     other = processed.with_suffix(".stages.rrd")
@@ -71,7 +71,7 @@ def test_a_viewer_shows_two_layouts_of_a_log_side_by_side(processed: Path, recor
         assert (first.recording_id == second.recording_id) == (layout == "overview")
 
 
-def rows(recording: Path, entity: str, component: str, timeline: str = "stamp") -> Rows:
+def rows(recording, entity, component, timeline="stamp"):
     """Time, ns -> values of a component of an entity."""
     import rerun.chunk
 
@@ -86,7 +86,7 @@ def rows(recording: Path, entity: str, component: str, timeline: str = "stamp") 
     return found
 
 
-def texts(recording: Path, entity: str, component: str = "TextLog:text") -> list[str]:
+def texts(recording, entity, component="TextLog:text"):
     import rerun.chunk
 
     chunks = rerun.chunk.RrdReader(str(recording)).stream().filter(content=entity).to_chunks()
@@ -95,7 +95,7 @@ def texts(recording: Path, entity: str, component: str = "TextLog:text") -> list
     return [str(text) for column in known for row in column.to_pylist() for text in row]
 
 
-def entities(recording: Path) -> set[str]:
+def entities(recording):
     import rerun.chunk
 
     chunks = rerun.chunk.RrdReader(str(recording)).stream().to_chunks()
@@ -103,9 +103,7 @@ def entities(recording: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("stage", ["tracked", "merged", "optimized", "filtered"])
-def test_joints_of_every_stage_are_those_of_the_log(
-    recording: Path, processed: Path, stage: str
-) -> None:
+def test_joints_of_every_stage_are_those_of_the_log(recording, processed, stage):
     frames, _, _ = read_channel(processed, f"/hiros/{stage}")
     for person in (0, 1):
         drawn = rows(recording, f"/{stage}/person_{person}", "Points3D:positions")
@@ -118,7 +116,7 @@ def test_joints_of_every_stage_are_those_of_the_log(
         assert compared > 140
 
 
-def test_detections_are_drawn_in_the_fixed_frame(recording: Path, processed: Path) -> None:
+def test_detections_are_drawn_in_the_fixed_frame(recording, processed):
     with open_log(processed) as log:
         frames = list(transform_to_fixed(log.frames(), log.transforms, log.fixed_frame))
     drawn = {
@@ -131,7 +129,7 @@ def test_detections_are_drawn_in_the_fixed_frame(recording: Path, processed: Pat
     assert len(frames) == sum(len(table) for table in drawn.values()) - 3  # hidden at the end
 
 
-def test_bones_join_the_joints_that_are_known(processed: Path, tmp_path: Path) -> None:
+def test_bones_join_the_joints_that_are_known(processed, tmp_path):
     from hiros_viewer import destinations
 
     frames, model, _ = read_channel(processed, "/hiros/merged")
@@ -141,7 +139,7 @@ def test_bones_join_the_joints_that_are_known(processed: Path, tmp_path: Path) -
         frame.markers[:, rng.choice(model.n_markers, 5)] = np.nan
     frames[0].markers[:] = np.nan
 
-    def draw(recording: Any) -> None:
+    def draw(recording):
         scene = Scene(recording, model, final="merged")
         for first in range(0, len(frames), 40):
             some = [Poses.of(frame) for frame in frames[first : first + 40]]
@@ -165,7 +163,7 @@ def test_bones_join_the_joints_that_are_known(processed: Path, tmp_path: Path) -
     assert [len(labels[frame.stamp]) for frame in frames] == [0, *[1] * (len(frames) - 1)]
 
 
-def test_bones_of_detections_join_joints_of_one_person(recording: Path, processed: Path) -> None:
+def test_bones_of_detections_join_joints_of_one_person(recording, processed):
     drawn = [
         rows(recording, f"/detections/camera_0/{part}", "LineStrips3D:strips")
         for part in ("bones", "left_bones")
@@ -181,7 +179,7 @@ def test_bones_of_detections_join_joints_of_one_person(recording: Path, processe
             assert np.allclose(np.sort(found, axis=0), np.sort(known, axis=0), atol=1e-5)
 
 
-def test_left_limbs_have_a_darker_shade_of_the_persons_colour(recording: Path) -> None:
+def test_left_limbs_have_a_darker_shade_of_the_persons_colour(recording):
     right, left = (
         next(iter(colours(recording, f"/filtered/person_1/{part}").values()))
         for part in ("bones", "left_bones")
@@ -191,7 +189,7 @@ def test_left_limbs_have_a_darker_shade_of_the_persons_colour(recording: Path) -
     assert contrast(right, left) > 2
 
 
-def colours(recording: Path, entity: str) -> dict[int, RGB]:
+def colours(recording, entity):
     """Time, ns -> colour of bones from then on."""
     (context,) = look(recording, "/", "AnnotationContext:context")
     classes = {row["class_id"]: row["class_description"]["info"] for row in context}
@@ -199,7 +197,7 @@ def colours(recording: Path, entity: str) -> dict[int, RGB]:
     return {t: unpacked(classes[int(c[0])]["color"]) for t, c in sorted(changes.items())}
 
 
-def test_every_colour_of_a_person_has_a_distinct_shade() -> None:
+def test_every_colour_of_a_person_has_a_distinct_shade():
     for colour in PEOPLE:
         room = (24, 27, 31)
         assert contrast(colour, shade(colour)) > 2
@@ -210,22 +208,22 @@ def test_every_colour_of_a_person_has_a_distinct_shade() -> None:
     assert contrast(SIDES["right"], SIDES["left"]) > 1.2
 
 
-def contrast(a: RGB, b: RGB) -> float:
+def contrast(a, b):
     """Ratio of luminances, which everybody sees, by WCAG 2.1."""
     bright, dark = sorted((luminance(a), luminance(b)), reverse=True)
     return (bright + 0.05) / (dark + 0.05)
 
 
-def luminance(colour: RGB) -> float:
+def luminance(colour):
     linear = (np.array(colour) / 255) ** 2.2
     return float(linear @ [0.2126, 0.7152, 0.0722])
 
 
-def unpacked(colour: int) -> RGB:
+def unpacked(colour):
     return colour >> 24, colour >> 16 & 255, colour >> 8 & 255
 
 
-def look(recording: Path, entity: str, component: str) -> list[Any]:
+def look(recording, entity, component):
     """Return a component that was logged once for all times."""
     import rerun.chunk
 
@@ -236,14 +234,14 @@ def look(recording: Path, entity: str, component: str) -> list[Any]:
     raise AssertionError(f"{entity} has no {component}")
 
 
-def test_detections_are_thinner_than_the_result(recording: Path) -> None:
+def test_detections_are_thinner_than_the_result(recording):
     thin = look(recording, "/detections/camera_0/bones", "LineStrips3D:radii")
     strong = look(recording, "/filtered/person_0/bones", "LineStrips3D:radii")
     assert thin == look(recording, "/merged/person_0/bones", "LineStrips3D:radii")
     assert thin[0] < 0 < strong[0]  # points on the screen, metres in the room
 
 
-def test_curves_tell_left_from_right_by_colour_and_width(recording: Path) -> None:
+def test_curves_tell_left_from_right_by_colour_and_width(recording):
     path = "/angles/person_0/knee_flexion"
     assert look(recording, path, "SeriesLines:names") == [
         "left knee flexion", "right knee flexion"]  # fmt: skip
@@ -253,7 +251,7 @@ def test_curves_tell_left_from_right_by_colour_and_width(recording: Path) -> Non
     assert right > left
 
 
-def test_people_and_cameras_go_by_their_names(recording: Path) -> None:
+def test_people_and_cameras_go_by_their_names(recording):
     assert set(texts(recording, "/filtered/person_1/name", "Points3D:labels")) == {"person 1"}
     assert look(recording, "/result/person_1", "StateConfiguration:labels") == ["person 1", "gone"]
     for camera in ("camera_0", "camera_1", "camera_2"):
@@ -264,9 +262,7 @@ def test_people_and_cameras_go_by_their_names(recording: Path) -> None:
 @pytest.mark.parametrize(
     ("ahead", "height", "target"), [((0, 0, 0, 1), -0.3, 3.0), ((1, 0, 0, 0), 0.0, 5.0)]
 )
-def test_a_camera_is_shown_from_its_own_pose(
-    ahead: tuple[float, ...], height: float, target: float
-) -> None:
+def test_a_camera_is_shown_from_its_own_pose(ahead, height, target):
     """From a little behind it along its z axis, or at the people if they are behind that."""
     pose = Rigid(np.array(ahead, float), np.array([1.0, 2.0, 0.0]))
     box = np.array([0.0, 1.0, 4.0]), np.array([2.0, 3.0, 6.0])
@@ -279,7 +275,7 @@ def test_a_camera_is_shown_from_its_own_pose(
     assert np.allclose(looked_at, [1.0, 2.0, target])
 
 
-def test_a_camera_beside_the_eye_does_not_hide_the_picture() -> None:
+def test_a_camera_beside_the_eye_does_not_hide_the_picture():
     places = {"left": [0.0, 0.0, 0.0], "beside": [0.3, 0.0, 0.0], "far": [3.0, 0.0, 0.0]}
     poses = {name: Rigid(np.array([0, 0, 0, 1.0]), np.array(p)) for name, p in places.items()}
     box = np.array([-1.0, -1.0, 2.0]), np.array([1.0, 1.0, 4.0])
@@ -293,7 +289,7 @@ def test_a_camera_beside_the_eye_does_not_hide_the_picture() -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("layout", ["overview", "stages"])
-def test_everybody_and_every_camera_is_in_the_first_view(layout: str, seed: int) -> None:
+def test_everybody_and_every_camera_is_in_the_first_view(layout, seed):
     """From the feet to the head, wherever people walk and cameras stand."""
     rng = np.random.default_rng(seed)
     low = rng.uniform(-4, 0, 3)
@@ -322,7 +318,7 @@ def test_everybody_and_every_camera_is_in_the_first_view(layout: str, seed: int)
 @pytest.mark.parametrize(
     "high", [0.0, 0.004, 0.31, 1.0, 1.36, 2.0, 3.0, 3.4, 7.0, 18.0, 36.0, 95.0]
 )
-def test_an_axis_has_two_numbers_with_room_between_them(high: float) -> None:
+def test_an_axis_has_two_numbers_with_room_between_them(high):
     """The viewer writes multiples of a power of ten that are 21 pixels apart."""
     low, top = numbered_axis(high, 3.3)
     assert low < 0
@@ -331,7 +327,7 @@ def test_an_axis_has_two_numbers_with_room_between_them(high: float) -> None:
     assert any(each > 21 for each in pixels)
 
 
-def test_somebody_who_is_predicted_is_faint(processed: Path, tmp_path: Path) -> None:
+def test_somebody_who_is_predicted_is_faint(processed, tmp_path):
     from hiros_viewer import destinations
 
     frames, model, _ = read_channel(processed, "/hiros/filtered")
@@ -339,7 +335,7 @@ def test_somebody_who_is_predicted_is_faint(processed: Path, tmp_path: Path) -> 
     for frame in hidden:
         frame.marker_confidences[frame.ids == 1] = 0.05
 
-    def draw(recording: Any) -> None:
+    def draw(recording):
         scene = Scene(recording, model)
         scene.begin({})
         for first in range(0, len(frames), 40):
@@ -360,7 +356,7 @@ def test_somebody_who_is_predicted_is_faint(processed: Path, tmp_path: Path) -> 
     assert set(labels) == {"person 1", "person 1, predicted"}
 
 
-def test_who_is_faint_is_who_counts_as_predicted(processed: Path) -> None:
+def test_who_is_faint_is_who_counts_as_predicted(processed):
     """The summary counts by the person's confidence, the viewer by that of the joints."""
     frames, _, _ = read_channel(processed, "/hiros/filtered")
     for k, frame in enumerate(frames):
@@ -371,7 +367,7 @@ def test_who_is_faint_is_who_counts_as_predicted(processed: Path) -> None:
         assert (Poses.of(frame).is_predicted == (frame.confidences < LEAST_CONFIDENCE)).all()
 
 
-def test_time_without_data_is_named(processed: Path, tmp_path: Path) -> None:
+def test_time_without_data_is_named(processed, tmp_path):
     """The cameras are silent for 2 s, and for 0.5 s, which is none."""
     gap, target = tmp_path / "gap.mcap", tmp_path / "gap.rrd"
     with open_log(CROSSING) as log, McapWriter(gap) as writer:
@@ -393,7 +389,7 @@ def test_time_without_data_is_named(processed: Path, tmp_path: Path) -> None:
     assert shown == [1, 0]
 
 
-def test_seconds_count_from_the_logs_start(recording: Path, processed: Path) -> None:
+def test_seconds_count_from_the_logs_start(recording, processed):
     with open_log(processed) as log:
         start = log.span[0]
     for path, component in (
@@ -404,9 +400,7 @@ def test_seconds_count_from_the_logs_start(recording: Path, processed: Path) -> 
         assert list(seconds) == [s - start for s in rows(recording, path, component)]
 
 
-def test_displacements_lead_five_times_as_far_as_joints_moved(
-    recording: Path, processed: Path
-) -> None:
+def test_displacements_lead_five_times_as_far_as_joints_moved(recording, processed):
     merged = {f.stamp: f for f in read_channel(processed, "/hiros/merged")[0]}
     drawn = rows(recording, "/displacement/merged/person_0", "LineStrips3D:strips")
     moved = rows(recording, "/moved/merged/person_0", "Scalars:scalars")
@@ -421,7 +415,7 @@ def test_displacements_lead_five_times_as_far_as_joints_moved(
         assert np.isclose(moved[frame.stamp][0], 1000 * np.nanmean(apart))
 
 
-def test_displacements_do_not_depend_on_the_size_of_batches() -> None:
+def test_displacements_do_not_depend_on_the_size_of_batches():
     """A result may come much later than the stage before it."""
     earlier, whole = EarlierPoses(), EarlierPoses()
     stamps, poses = np.arange(9, dtype=np.int64), np.random.default_rng(1).normal(size=(9, 4, 3))
@@ -435,7 +429,7 @@ def test_displacements_do_not_depend_on_the_size_of_batches() -> None:
     assert np.isnan(earlier.at(np.array([20, 21]), 4)).all()
 
 
-def test_labels_stand_above_the_head(recording: Path) -> None:
+def test_labels_stand_above_the_head(recording):
     joints = rows(recording, "/merged/person_1", "Points3D:positions")
     labels = rows(recording, "/merged/person_1/name", "Points3D:positions")
     for stamp, label in labels.items():
@@ -445,7 +439,7 @@ def test_labels_stand_above_the_head(recording: Path) -> None:
             assert np.allclose(label[0], [*middle, top], atol=1e-5)
 
 
-def test_residuals_are_those_of_the_frame_nearest_in_time(recording: Path, processed: Path) -> None:
+def test_residuals_are_those_of_the_frame_nearest_in_time(recording, processed):
     """From the first second on, though the last stage is logged seconds later."""
     filtered, _, _ = read_channel(processed, "/hiros/filtered")
     stamps = np.array([frame.stamp for frame in filtered])
@@ -461,7 +455,7 @@ def test_residuals_are_those_of_the_frame_nearest_in_time(recording: Path, proce
         assert np.allclose(drawn[frame.stamp], 1000 * mean[mean < 1].mean())
 
 
-def test_residual_is_the_distance_to_the_nearest_person() -> None:
+def test_residual_is_the_distance_to_the_nearest_person():
     from hiros_mcap.kernels.distance import nearest
 
     rng = np.random.default_rng(1)
@@ -477,7 +471,7 @@ def test_residual_is_the_distance_to_the_nearest_person() -> None:
     assert np.isinf(found[2:]).all()
 
 
-def test_curves_are_angles_limbs_and_people(recording: Path, processed: Path) -> None:
+def test_curves_are_angles_limbs_and_people(recording, processed):
     frames, _, _ = read_channel(processed, "/hiros/filtered")
     motion = replace(open_result(processed).motions[0], orientations=None, axes={})
     by_markers = replace(open_result(processed), motions={0: motion}).angles()
@@ -495,7 +489,7 @@ def test_curves_are_angles_limbs_and_people(recording: Path, processed: Path) ->
     assert set(people.ravel()) <= {0.0, 1.0, 2.0}
 
 
-def test_a_curve_ends_before_a_pause_and_begins_anew() -> None:
+def test_a_curve_ends_before_a_pause_and_begins_anew():
     curve = CurveRows([Line("left", (0, 0, 0)), Line("right", (0, 0, 0))])
     times = np.array([[0, 3], [100, 103], [5000, 5003]]) * 1_000_000
     values = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
@@ -509,7 +503,7 @@ def test_a_curve_ends_before_a_pause_and_begins_anew() -> None:
         np.testing.assert_array_equal(shown, np.insert(values, 2, np.nan, axis=0))
 
 
-def test_millimetres_look_small_on_the_axis_of_a_limb(processed: Path) -> None:
+def test_millimetres_look_small_on_the_axis_of_a_limb(processed):
     import rerun as rr
 
     content = replaying.replay([processed], rr.RecordingStream("test"))
@@ -519,7 +513,7 @@ def test_millimetres_look_small_on_the_axis_of_a_limb(processed: Path) -> None:
     assert all(low < 0.0 and high > 100.0 for low, high in angles)
 
 
-def test_who_is_there_for_longest_is_seen_first(processed: Path) -> None:
+def test_who_is_there_for_longest_is_seen_first(processed):
     import rerun as rr
 
     frames, model, _ = read_channel(processed, "/hiros/filtered")
@@ -531,7 +525,7 @@ def test_who_is_there_for_longest_is_seen_first(processed: Path) -> None:
     assert scene.longest == 7
 
 
-def test_ellipsoids_hold_the_stated_deviations(tmp_path: Path) -> None:
+def test_ellipsoids_hold_the_stated_deviations(tmp_path):
     result, target = tmp_path / "fused.mcap", tmp_path / "fused.rrd"
     process(CROSSING, result, options=ProcessOptions(system="fuse"))
     assert run(["view", str(result), "--uncertainty", "--save", str(target), "-q"]) == 0
@@ -550,9 +544,7 @@ def test_ellipsoids_hold_the_stated_deviations(tmp_path: Path) -> None:
     assert chi2.cdf(HALF_SIZE**2, 3) == pytest.approx(0.68, abs=1e-4)
 
 
-def test_ellipsoids_are_drawn_on_request_alone(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_ellipsoids_are_drawn_on_request_alone(recording, tmp_path, capsys):
     assert not any(path.startswith("/uncertainty") for path in entities(recording))
     plain = tmp_path / "plain.mcap"
     process(CROSSING, plain, options=ProcessOptions(system="hiros"))
@@ -561,7 +553,7 @@ def test_ellipsoids_are_drawn_on_request_alone(
     assert "does not say how well its markers are known" in capsys.readouterr().err
 
 
-def test_the_tree(recording: Path) -> None:
+def test_the_tree(recording):
     found = entities(recording)
     for path in (
         "/world/cameras/camera_2/view", "/merged/person_1/left_bones", "/filtered/person_0/trail",
@@ -571,7 +563,7 @@ def test_the_tree(recording: Path) -> None:
         assert path in found
 
 
-def test_cameras_have_their_numbers(recording: Path) -> None:
+def test_cameras_have_their_numbers(recording):
     (table,) = texts(recording, "/cameras", "TextDocument:text")
     lines = [line.split(" | ") for line in table.splitlines() if "camera_" in line]
     assert [line[0] for line in lines] == ["| camera_0", "| camera_1", "| camera_2"]
@@ -582,15 +574,13 @@ def test_cameras_have_their_numbers(recording: Path) -> None:
         assert 10 < int(line[3].removesuffix(" mm")) < 100
 
 
-def test_a_mirrored_view_is_marked_and_listed(
-    processed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_mirrored_view_is_marked_and_listed(processed, tmp_path, monkeypatch):
     """Of camera_1's detections, the viewer is shown mirrored ones for a second."""
     target, shown = tmp_path / "mirrored.rrd", Scene.detections
     with open_log(processed) as log:
         start, mirror = log.span[0], symmetry_of(log.model).mirror
 
-    def mirrored(scene: Scene, camera: str, poses: Poses) -> None:
+    def mirrored(scene, camera, poses):
         if camera == "camera_1":
             since = poses.stamps[poses.frames] - start
             some = (since > 2e9) & (since < 3e9)
@@ -606,7 +596,7 @@ def test_a_mirrored_view_is_marked_and_listed(
     assert "/wrong_view/camera_1/mirrored" in entities(target)
 
 
-def test_a_time_range(processed: Path, tmp_path: Path) -> None:
+def test_a_time_range(processed, tmp_path):
     target = tmp_path / "part.rrd"
     arguments = ["view", str(processed), "--time-range", "1:2", "--save", str(target), "-q"]
     assert run(arguments) == 0
@@ -617,9 +607,7 @@ def test_a_time_range(processed: Path, tmp_path: Path) -> None:
     assert stamps[-2] <= start + 2_000_000_000
 
 
-def test_a_time_range_has_its_results_though_they_were_logged_much_later(
-    processed: Path, tmp_path: Path
-) -> None:
+def test_a_time_range_has_its_results_though_they_were_logged_much_later(processed, tmp_path):
     """A system may wait until it knows limbs; nobody may be there meanwhile."""
     late, target = tmp_path / "late.mcap", tmp_path / "late.rrd"
     with (
@@ -642,7 +630,7 @@ def test_a_time_range_has_its_results_though_they_were_logged_much_later(
     assert start + 1_000_000_000 <= stamps[0] < stamps[-2] <= start + 2_000_000_000
 
 
-def test_two_logs_are_overlaid_with_their_distance(processed: Path, tmp_path: Path) -> None:
+def test_two_logs_are_overlaid_with_their_distance(processed, tmp_path):
     from hiros_mcap.config import load_config
 
     other, target = tmp_path / "other.mcap", tmp_path / "both.rrd"
@@ -664,7 +652,7 @@ def test_two_logs_are_overlaid_with_their_distance(processed: Path, tmp_path: Pa
 
 
 @pytest.mark.parametrize("stage", [[], ["--stage", "merged"]])
-def test_a_result_is_overlaid_with_a_truth_and_its_error(tmp_path: Path, stage: list[str]) -> None:
+def test_a_result_is_overlaid_with_a_truth_and_its_error(tmp_path, stage):
     result, truth = tmp_path / "result.mcap", tmp_path / "truth.mcap"
     process(CROSSING, result, options=ProcessOptions(keep=()))
     cut_to_truth(CROSSING, truth)
@@ -688,7 +676,7 @@ def test_a_result_is_overlaid_with_a_truth_and_its_error(tmp_path: Path, stage: 
         assert not any(map(len, own.values()))  # beside the name of the result, or not at all
 
 
-def test_two_results_are_each_compared_with_a_truth(processed: Path, tmp_path: Path) -> None:
+def test_two_results_are_each_compared_with_a_truth(processed, tmp_path):
     truth, target = tmp_path / "truth.mcap", tmp_path / "both.rrd"
     cut_to_truth(CROSSING, truth)
     arguments = [str(processed), str(processed), "--truth", str(truth)]
@@ -697,9 +685,7 @@ def test_two_results_are_each_compared_with_a_truth(processed: Path, tmp_path: P
     assert "/b/truth/person_0" not in entities(target)
 
 
-def test_a_truth_of_another_time_is_refused(
-    processed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_truth_of_another_time_is_refused(processed, tmp_path, capsys):
     truth = tmp_path / "truth.csv"
     lines = [f"{100 + k / 30},0,PELVIS,0,0,1" for k in range(30)]
     truth.write_text("\n".join(["time,person,marker,x,y,z", *lines]))
@@ -709,7 +695,7 @@ def test_a_truth_of_another_time_is_refused(
     assert not (tmp_path / "a.rrd").exists()
 
 
-def cut_to_truth(log: Path, target: Path) -> None:
+def cut_to_truth(log, target):
     """Write the truth of a log to a file of its own, without some of its markers."""
     frames, model, _ = read_channel(log, "/truth/skeletons")
     with McapWriter(target) as writer:
@@ -723,9 +709,7 @@ def cut_to_truth(log: Path, target: Path) -> None:
         writer.commit()
 
 
-def test_logs_without_a_common_stage_are_refused_in_one_line(
-    processed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_logs_without_a_common_stage_are_refused_in_one_line(processed, tmp_path, capsys):
     tracks, merged = tmp_path / "tracks.mcap", tmp_path / "merged.mcap"
     process(CROSSING, tracks, options=ProcessOptions(keep=(), stages="T"))
     write_golden(processed, merged, ["/hiros/merged"])
@@ -733,16 +717,14 @@ def test_logs_without_a_common_stage_are_refused_in_one_line(
     assert "do not both hold a stage" in capsys.readouterr().err
 
 
-def test_a_raw_recording_is_drawn_too(tmp_path: Path) -> None:
+def test_a_raw_recording_is_drawn_too(tmp_path):
     target = tmp_path / "raw.rrd"
     assert run(["view", str(CROSSING), "--save", str(target), "-q", "--layout", "cameras"]) == 0
     assert "/detections/camera_1" in entities(target)
     assert "/filtered/person_0" not in entities(target)
 
 
-def test_frames_are_drawn_many_at_a_time_and_in_their_own_order(
-    processed: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_frames_are_drawn_many_at_a_time_and_in_their_own_order(processed, monkeypatch):
     """So memory stays bounded, and rerun is called seldom."""
     monkeypatch.setattr(drawn_poses, "BATCH", 100)
     newest = dict[object, int]()
@@ -761,8 +743,8 @@ def test_frames_are_drawn_many_at_a_time_and_in_their_own_order(
 
 
 def test_a_recording_does_not_depend_on_how_many_frames_are_drawn_at_once(
-    processed: Path, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    processed, recording, tmp_path, monkeypatch
+):
     monkeypatch.setattr(drawn_poses, "BATCH", 77)
     monkeypatch.setattr(drawn_poses, "HORIZON_NS", 2_500_000_000)
     target = tmp_path / "small.rrd"
@@ -785,7 +767,7 @@ def test_a_recording_does_not_depend_on_how_many_frames_are_drawn_at_once(
                 np.testing.assert_allclose(value, parts[time], atol=1e-6)
 
 
-def test_log_times_are_those_of_the_messages(recording: Path, processed: Path) -> None:
+def test_log_times_are_those_of_the_messages(recording, processed):
     frames = read_channel(processed, "/hiros/filtered")[0]
     shown = rows(recording, "/filtered/person_0", "Points3D:positions", LOGGED)
     assert {frame.log_time for frame in frames} == set(list(shown)[:-1])
@@ -793,9 +775,7 @@ def test_log_times_are_those_of_the_messages(recording: Path, processed: Path) -
     assert {frame.log_time for frame in frames} == set(angles)
 
 
-def test_a_long_log_is_drawn_with_fewer_frames(
-    processed: Path, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_long_log_is_drawn_with_fewer_frames(processed, recording, tmp_path, monkeypatch):
     monkeypatch.setattr(replaying, "LONG_S", 3.0)
     monkeypatch.setattr(replaying, "WHOLE_S", 3.0)
     monkeypatch.setattr(replaying, "MOST_FRAMES", 50)
@@ -824,13 +804,7 @@ def test_a_long_log_is_drawn_with_fewer_frames(
         (["{log}", "--web"], "use only one of"),
     ],
 )
-def test_faults_are_one_line_and_leave_no_file(
-    processed: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    arguments: list[str],
-    fault: str,
-) -> None:
+def test_faults_are_one_line_and_leave_no_file(processed, tmp_path, capsys, arguments, fault):
     given = [a.format(log=processed) for a in arguments]
     assert run(["view", *given, "--save", str(tmp_path / "a.rrd")]) == 2
     captured = capsys.readouterr()
@@ -839,14 +813,14 @@ def test_faults_are_one_line_and_leave_no_file(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_that_is_no_recording_is_not_replaced(processed: Path, tmp_path: Path) -> None:
+def test_a_file_that_is_no_recording_is_not_replaced(processed, tmp_path):
     precious = tmp_path / "thesis.txt"
     precious.write_text("words")
     assert run(["view", str(processed), "--save", str(precious)]) == 2
     assert precious.read_text() == "words"
 
 
-def test_nothing_listens_where_it_should_connect() -> None:
+def test_nothing_listens_where_it_should_connect():
     from hiros_viewer.destinations import connect, free_port
 
     with pytest.raises(ConfigError, match="no viewer at"):
@@ -855,7 +829,7 @@ def test_nothing_listens_where_it_should_connect() -> None:
         connect("http://127.0.0.1", "x", lambda recording: None)
 
 
-def test_a_damaged_list_of_events_is_told(processed: Path) -> None:
+def test_a_damaged_list_of_events_is_told(processed):
     from hiros_mcap.events import events_from_json
 
     for text in ("{", "[1]", '[{"stamp": 1}]'):
@@ -864,7 +838,7 @@ def test_a_damaged_list_of_events_is_told(processed: Path) -> None:
     assert issubclass(ConfigError, HirosError)
 
 
-def test_systems_are_overlaid_each_in_its_own_tree(tmp_path: Path) -> None:
+def test_systems_are_overlaid_each_in_its_own_tree(tmp_path):
     target = tmp_path / "systems.rrd"
     walking = SAMPLES / "one_person_walking.mcap"
     arguments = ["--system", "hiros", "--system", "malaguti:TM", "--jobs", "1", "-q"]
@@ -876,7 +850,7 @@ def test_systems_are_overlaid_each_in_its_own_tree(tmp_path: Path) -> None:
     } <= entities(target)
 
 
-def test_a_golden_log_is_overlaid_at_the_same_time(processed: Path, tmp_path: Path) -> None:
+def test_a_golden_log_is_overlaid_at_the_same_time(processed, tmp_path):
     """Golden logs hold no recording: their log times begin later than their stamps."""
     from hiros_mcap.regression.golden import write_golden
 
@@ -887,7 +861,7 @@ def test_a_golden_log_is_overlaid_at_the_same_time(processed: Path, tmp_path: Pa
     assert {"/a/filtered/person_0", "/b/filtered/person_0"} <= entities(target)
 
 
-def test_a_calibration_shows_poses_before_and_after(tmp_path: Path) -> None:
+def test_a_calibration_shows_poses_before_and_after(tmp_path):
     with open_log(CROSSING) as log:
         poses, start = {c.frames[0]: log.pose_of(c) for c in log.cameras}, log.span[0]
     file, target = tmp_path / "cameras.toml", tmp_path / "moved.rrd"

@@ -16,7 +16,7 @@ PERSON = np.array(
 AWAY = np.array([0, 0.3, 0])
 
 
-def detections(*messages: np.ndarray, first: int = 0) -> Poses:
+def detections(*messages, first=0):
     """Messages of a camera, FRAME_NS apart."""
     counts = np.array([len(message) for message in messages])
     stamps = FRAME_NS * np.arange(first, first + len(messages))
@@ -27,38 +27,38 @@ def detections(*messages: np.ndarray, first: int = 0) -> Poses:
     )
 
 
-def compared(check: ViewCheck, seen: Poses, people: np.ndarray = PERSON) -> dict[str, np.ndarray]:
+def compared(check, seen, people=PERSON):
     """Compare with the same people at all times."""
     rows = np.tile([0, len(people)], (len(seen), 1))
     return dict(check.compare(seen, people, rows)[1])
 
 
-def faults_of(detection: np.ndarray) -> dict[str, bool]:
+def faults_of(detection):
     found = compared(ViewCheck(MIRROR), detections(detection))
     return {kind: bool(rows.any()) for kind, rows in found.items()}
 
 
-def test_a_mirrored_detection_is_told_from_one_that_is_far_off() -> None:
+def test_a_mirrored_detection_is_told_from_one_that_is_far_off():
     assert faults_of(PERSON + 0.03) == {MIRRORED: False, FAR_OFF: False}
     assert faults_of(PERSON[:, MIRROR]) == {MIRRORED: True, FAR_OFF: False}
     assert faults_of(PERSON + AWAY) == {MIRRORED: False, FAR_OFF: True}
 
 
-def test_somebody_else_is_no_fault_and_not_covered() -> None:
+def test_somebody_else_is_no_fault_and_not_covered():
     check = ViewCheck(MIRROR)
     found = compared(check, detections(PERSON + 3.0))
     assert not any(rows.any() for rows in found.values())
     assert (check.seen, check.people, check.row()[1]) == (0, 1, "-")
 
 
-def test_coverage_counts_people_of_the_result() -> None:
+def test_coverage_counts_people_of_the_result():
     check = ViewCheck(MIRROR)
     compared(check, detections(PERSON), np.concatenate([PERSON, PERSON + 3.0]))
     compared(check, detections(PERSON[:0]))
     assert check.row()[:2] == ("33%", "0 mm")
 
 
-def test_each_message_is_compared_with_its_own_instant() -> None:
+def test_each_message_is_compared_with_its_own_instant():
     check, people = ViewCheck(MIRROR), np.concatenate([PERSON, PERSON + 3.0, PERSON + 6.0])
     seen = detections(PERSON + 3.1, PERSON[:0], np.concatenate([PERSON, PERSON + 0.1]))
     distances, _ = check.compare(seen, people, np.array([[1, 3], [0, 3], [0, 1]]))
@@ -66,7 +66,7 @@ def test_each_message_is_compared_with_its_own_instant() -> None:
     assert (check.seen, check.people) == (2, 6)
 
 
-def test_a_fault_lasts_until_it_is_not_seen_any_more() -> None:
+def test_a_fault_lasts_until_it_is_not_seen_any_more():
     """One frame without it is bridged; a single faulty frame later is noise."""
     wrong = [True, True, False, True, True, True, *[False] * 20, True, *[False] * 20]
     messages = [PERSON[:, MIRROR] if is_wrong else PERSON for is_wrong in wrong]
@@ -82,7 +82,7 @@ def test_a_fault_lasts_until_it_is_not_seen_any_more() -> None:
         assert check.row()[2:] == ("0.2 s", "0.0 s")
 
 
-def test_a_fault_at_the_end_is_told() -> None:
+def test_a_fault_at_the_end_is_told():
     check = ViewCheck(MIRROR)
     seen = detections(*[PERSON + AWAY] * 6)
     assert list(check.spans(seen, compared(check, seen))) == []

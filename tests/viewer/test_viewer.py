@@ -7,7 +7,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from urllib.request import urlopen
@@ -27,11 +26,9 @@ from viewers import (
 )
 
 from hiros_cli.app import run
-from hiros_mcap.events import Events
 from hiros_mcap.io.export.colours import person_colour
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.pipeline import process
-from hiros_mcap.skeletons import Frame
 from hiros_viewer.blueprint import LAYOUTS
 from hiros_viewer.palette import curve_colour
 from hiros_viewer.poses import Poses
@@ -41,21 +38,19 @@ CROSSING = SAMPLES / "two_people_crossing.mcap"
 
 
 @pytest.fixture(scope="module")
-def processed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def processed(tmp_path_factory):
     out = tmp_path_factory.mktemp("viewer") / "crossing.hiros.mcap"
     process(CROSSING, out)
     return out
 
 
-def start_of(log: Path) -> float:
+def start_of(log):
     with open_log(log) as opened:
         return opened.span[0] / 1e9
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_every_layout_opens_without_a_complaint(
-    processed: Path, tmp_path: Path, layout: str
-) -> None:
+def test_every_layout_opens_without_a_complaint(processed, tmp_path, layout):
     target = tmp_path / "log.rrd"
     with headless() as (url, _):
         from rerun.experimental import ViewerClient
@@ -73,7 +68,7 @@ def test_every_layout_opens_without_a_complaint(
         assert pixels_like(image, person_colour(person)) > 300
 
 
-def test_a_raw_recording_has_bright_detections_and_no_empty_views(tmp_path: Path) -> None:
+def test_a_raw_recording_has_bright_detections_and_no_empty_views(tmp_path):
     target = tmp_path / "raw.rrd"
     with headless() as (url, _):
         from rerun.experimental import ViewerClient
@@ -91,7 +86,7 @@ def test_a_raw_recording_has_bright_detections_and_no_empty_views(tmp_path: Path
         assert pixels_like(image, curve_colour(camera), apart=15) > 100
 
 
-def wait_until_loaded(client: object, seconds: float = 30.0) -> None:
+def wait_until_loaded(client, seconds=30.0):
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         state = client.get_state()  # type: ignore[attr-defined]
@@ -101,14 +96,14 @@ def wait_until_loaded(client: object, seconds: float = 30.0) -> None:
     raise AssertionError("the recording does not load")
 
 
-def test_an_ended_track_is_not_shown(processed: Path, tmp_path: Path) -> None:
+def test_an_ended_track_is_not_shown(processed, tmp_path):
     """Person 1 leaves the log after 2 s: seen at 1 s, no pixel of them at 4 s."""
     from hiros_viewer import destinations, replay
 
     target = tmp_path / "left.rrd"
     cut = round((start_of(processed) + 2.0) * 1e9)
 
-    def draw(recording: object) -> None:
+    def draw(recording):
         with open_log(processed, topics=["/hiros/filtered"], output_prefix="/none") as log:
             scene = replay.Scene(recording, log.model)  # type: ignore[arg-type]
             scene.begin({})
@@ -139,14 +134,14 @@ def test_an_ended_track_is_not_shown(processed: Path, tmp_path: Path) -> None:
     assert counts[4.0][1] == 0
 
 
-def test_the_viewer_listens_on_the_loopback_address_alone() -> None:
+def test_the_viewer_listens_on_the_loopback_address_alone():
     with headless() as (_, viewer):
         addresses = listeners(viewer.pid)
         assert addresses
         assert set(addresses) <= LOOPBACK
 
 
-def test_live_view_shows_the_run_and_outlives_it(tmp_path: Path) -> None:
+def test_live_view_shows_the_run_and_outlives_it(tmp_path):
     from hiros_viewer.destinations import new_recording
     from hiros_viewer.live import LiveView
 
@@ -167,7 +162,7 @@ def test_live_view_shows_the_run_and_outlives_it(tmp_path: Path) -> None:
     assert pixels_like(image, person_colour(0)) > 300
 
 
-def test_the_viewers_death_does_not_stop_the_processing(tmp_path: Path) -> None:
+def test_the_viewers_death_does_not_stop_the_processing(tmp_path):
     from hiros_viewer.destinations import new_recording
     from hiros_viewer.live import LiveView
 
@@ -180,17 +175,17 @@ def test_the_viewers_death_does_not_stop_the_processing(tmp_path: Path) -> None:
         class Killer(LiveView):
             count = 0
 
-            def frame(self, channel: str, frame: Frame) -> None:
+            def frame(self, channel, frame):
                 Killer.count += 1
                 if Killer.count == 300:
                     viewer.kill()
                     viewer.wait()
                 view.frame(channel, frame)
 
-            def begin(self, log: object, chain: object) -> None:
+            def begin(self, log, chain):
                 view.begin(log, chain)  # type: ignore[arg-type]
 
-            def end(self, events: Events) -> None:
+            def end(self, events):
                 view.end(events)
 
         killer = Killer(recording, lambda: True, lambda: None)
@@ -201,7 +196,7 @@ def test_the_viewers_death_does_not_stop_the_processing(tmp_path: Path) -> None:
 
 
 @contextmanager
-def served(log: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+def served(log):
     """Run ``hiros view --web``; yield it and the address that it names."""
     command = [sys.executable, "-m", "hiros_cli", "view", str(log), "--web", "-q"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
@@ -214,7 +209,7 @@ def served(log: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
             server.terminate()
 
 
-def children_of(pid: int) -> list[int]:
+def children_of(pid):
     return [
         int(path.name)
         for path in Path("/proc").iterdir()
@@ -224,7 +219,7 @@ def children_of(pid: int) -> list[int]:
     ]
 
 
-def test_the_web_viewer_listens_on_the_loopback_address_alone(processed: Path) -> None:
+def test_the_web_viewer_listens_on_the_loopback_address_alone(processed):
     with served(processed) as (server, _):
         end = time.monotonic() + 20
         addresses: list[str] = []
@@ -236,9 +231,7 @@ def test_the_web_viewer_listens_on_the_loopback_address_alone(processed: Path) -
 
 
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
-def test_no_server_is_left_behind_by_who_stops_at_once(
-    processed: Path, sent: signal.Signals
-) -> None:
+def test_no_server_is_left_behind_by_who_stops_at_once(processed, sent):
     with served(processed) as (server, _):
         children = children_of(server.pid)
         server.send_signal(sent)
@@ -247,7 +240,7 @@ def test_no_server_is_left_behind_by_who_stops_at_once(
     assert not [pid for pid in children if Path(f"/proc/{pid}").exists()]
 
 
-def test_the_web_viewer_shows_skeletons(processed: Path, tmp_path: Path) -> None:
+def test_the_web_viewer_shows_skeletons(processed, tmp_path):
     chromium = need_chromium()
     shown = [0, 0]
     with (
@@ -262,25 +255,21 @@ def test_the_web_viewer_shows_skeletons(processed: Path, tmp_path: Path) -> None
     assert min(shown) > 100
 
 
-def test_the_window_ends_with_one_line_where_there_is_no_screen(
-    processed: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_window_ends_with_one_line_where_there_is_no_screen(processed, monkeypatch, capsys):
     without_screen(monkeypatch)
     assert run(["view", str(processed), "-q"]) == 2
     assert "there is no screen here; use --web" in capsys.readouterr().err
     assert threading.active_count() < 20
 
 
-def without_screen(monkeypatch: pytest.MonkeyPatch) -> None:
+def without_screen(monkeypatch):
     if sys.platform != "linux":
         pytest.skip("elsewhere there is always a screen")
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delenv(name, raising=False)
 
 
-def test_a_run_without_a_screen_says_how_to_look_at_its_result(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_without_a_screen_says_how_to_look_at_its_result(tmp_path, monkeypatch, capsys):
     without_screen(monkeypatch)
     out = tmp_path / "out.mcap"
     assert run(["process", str(CROSSING), "-o", str(out), "--view", "-q"]) == 0
@@ -288,7 +277,7 @@ def test_a_run_without_a_screen_says_how_to_look_at_its_result(
     assert out.exists()
 
 
-def test_a_run_without_a_screen_is_served_as_a_page(tmp_path: Path) -> None:
+def test_a_run_without_a_screen_is_served_as_a_page(tmp_path):
     from hiros_viewer.live import live_page
 
     pages: list[str] = []
@@ -304,7 +293,7 @@ def test_a_run_without_a_screen_is_served_as_a_page(tmp_path: Path) -> None:
         urlopen(pages[0], timeout=1)
 
 
-def test_without_a_driver_there_is_a_reason_to_skip(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_driver_there_is_a_reason_to_skip(monkeypatch):
     for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
         monkeypatch.setenv(name, "/nonexistent")
     assert "mesa-vulkan-drivers" in fault_of_headless_viewer.__wrapped__()

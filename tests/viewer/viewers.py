@@ -11,7 +11,6 @@ import shutil
 import subprocess
 import time
 import urllib.request
-from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -33,14 +32,14 @@ PACKAGES = "libvulkan1 mesa-vulkan-drivers"
 Picture = npt.NDArray[np.uint8]
 
 
-def skip(reason: str) -> None:
+def skip(reason):
     """Skip, unless the viewer must be there."""
     if REQUIRED:
         pytest.fail(reason)
     pytest.skip(reason)
 
 
-def need_chromium() -> str:
+def need_chromium():
     names = ("chromium", "chromium-browser", "google-chrome")
     found = next((path for name in names if (path := shutil.which(name))), None)
     if found is None or os.environ.get("HIROS_WEB_TEST") != "1":
@@ -51,7 +50,7 @@ def need_chromium() -> str:
 
 
 @cache
-def fault_of_headless_viewer() -> str:
+def fault_of_headless_viewer():
     """Why the viewer cannot draw without a screen here; "" if it can."""
     from rerun.experimental import ViewerClient
 
@@ -64,7 +63,7 @@ def fault_of_headless_viewer() -> str:
 
 
 @contextmanager
-def headless() -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+def headless():
     """Start the viewer that ``hiros process --view`` starts, without a screen."""
     if fault := fault_of_headless_viewer():
         skip(fault)
@@ -73,7 +72,7 @@ def headless() -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
 
 
 @contextmanager
-def _viewer() -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+def _viewer():
     with running_viewer("--headless") as (url, process):
         try:
             yield url, process
@@ -82,13 +81,13 @@ def _viewer() -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
             process.wait()
 
 
-def picture(png: bytes) -> Picture:
+def picture(png):
     """(H, W, 3) pixels of a PNG."""
     pixels = imread(io.BytesIO(png), format="png")
     return np.asarray(np.rint(pixels[..., :3] * 255), np.uint8)
 
 
-def pixels_like(image: Picture, colour: tuple[int, int, int], apart: int = 60) -> int:
+def pixels_like(image, colour, apart=60):
     """How many pixels have the hue of a colour: shading makes joints darker, not greyer."""
     colours = image.reshape(-1, 3).astype(float)
     brightness = np.maximum(colours.max(axis=1), 1)
@@ -97,7 +96,7 @@ def pixels_like(image: Picture, colour: tuple[int, int, int], apart: int = 60) -
     return int((close & (brightness > 90)).sum())
 
 
-def settled_picture(client: object, view_id: object = None) -> bytes:
+def settled_picture(client, view_id=None):
     """Return the screenshot once it does not change any more."""
     before = b""
     for _ in range(60):
@@ -109,7 +108,7 @@ def settled_picture(client: object, view_id: object = None) -> bytes:
     raise AssertionError("the picture does not settle")
 
 
-def listeners(pid: int) -> list[str]:
+def listeners(pid):
     """Addresses that a process listens on, by the kernel's tables (Linux)."""
     if not Path("/proc/net/tcp").exists():
         pytest.skip("needs /proc")
@@ -144,20 +143,20 @@ class Browser:
         *("--window-size=1200,700", "--remote-debugging-port=0"),
     )
 
-    def __init__(self, chromium: str, profile: Path, address: str) -> None:
+    def __init__(self, chromium, profile, address):
         command = [chromium, *self.FLAGS, f"--user-data-dir={profile}", address]
         quiet = subprocess.DEVNULL
         self._process = subprocess.Popen(command, stdout=quiet, stderr=quiet)
         self._port_file = profile / "DevToolsActivePort"
 
-    def __enter__(self) -> Browser:
+    def __enter__(self):
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *_):
         self._process.kill()
         self._process.wait()
 
-    def screenshot(self) -> bytes:
+    def screenshot(self):
         """Return what the page looks like right now, as PNG."""
         from websockets.sync.client import connect
 
@@ -168,7 +167,7 @@ class Browser:
                 if answer.get("id") == 1:
                     return base64.b64decode(answer["result"]["data"])
 
-    def _page(self, seconds: float = 30.0) -> str:
+    def _page(self, seconds=30.0):
         """Address of the page's DevTools socket, as soon as there is one."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
