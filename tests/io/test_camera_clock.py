@@ -16,7 +16,7 @@ from hiros_mcap.io.camera_clock import (
     STEP,
     WRONG,
     CameraTimes,
-    ClockJudgement,
+    ClockVerdict,
     clock_verdict,
     clocks_in_words,
 )
@@ -67,12 +67,12 @@ def three(**faulty: object) -> dict[str, CameraTimes]:
     return {"a": camera(1), "b": camera(2, **faulty), "c": camera(3)}  # type: ignore[arg-type]
 
 
-def only(verdicts: ClockJudgement) -> ClockFault:
+def only(verdicts: ClockVerdict) -> ClockFault:
     (fault,) = verdicts.faults
     return fault
 
 
-def worst(cameras: dict[str, CameraTimes], verdicts: ClockJudgement, right: CameraTimes) -> float:
+def worst(cameras: dict[str, CameraTimes], verdicts: ClockVerdict, right: CameraTimes) -> float:
     """Largest error of a corrected stamp of camera b, s."""
     stamps = verdicts.corrections["b"].apply(cameras["b"].stamps, cameras["b"].log_times)
     return float(np.abs(stamps - right.stamps).max() * 1e-9)
