@@ -261,11 +261,11 @@ class Frame:
 
         Raises :class:`TypeError` for a field that does not exist.
         """
-        fields = {name: changes.pop(name) for name in _OWN if name in changes}
+        fields = {name: changes.pop(name) for name in _FIELDS if name in changes}
         people = fields.pop("people", self.people)
         if changes.keys() - set(People._fields):
             raise TypeError(f"a frame has no {', '.join(sorted(changes))}")
-        values = {n: fields.get(n, getattr(self, n)) for n in _OWN if n != "people"}
+        values = {n: fields.get(n, getattr(self, n)) for n in _FIELDS if n != "people"}
         return Frame(**values, people=people._replace(**changes) if changes else people)
 
     def select(self, people: npt.NDArray[Any] | list[int]) -> Frame:
@@ -293,7 +293,7 @@ class Frame:
         return cls(stamp, stamp if log_time is None else log_time, source, frame_id, people)
 
 
-_OWN = Frame.__slots__
+_FIELDS = Frame.__slots__
 
 
 def widened(states: Floats) -> Floats:

@@ -2,7 +2,7 @@
 
 ::
 
-    found = calibrate_ball(Path("ball.mcap"), BallOptions(radius=0.12))
+    report = calibrate_ball(Path("ball.mcap"), BallOptions(radius=0.12))
 
 A camera is a colour image, a depth image and the CameraInfo of both. Where another program has
 found the ball already, a camera is a channel of PointStamped messages. Each step is a module:

@@ -2,7 +2,7 @@
 
 ::
 
-    found = calibrate_board(Path("board.mcap"))
+    report = calibrate_board(Path("board.mcap"))
 
 The board lies still where the cameras see it. Marker 1 is the origin, x points from it to marker 2,
 y towards marker 0, and z is up. A camera is a colour image, a depth image and the CameraInfo of

@@ -2,8 +2,8 @@
 
 Each stretch of some seconds gives a pose of the camera in another one. Each instant tells how far
 its people are apart by each of these poses. The camera stood where the sum of the distances is
-least; it pays for every move, so that it takes another pose only where people are nearer by it for
-some seconds (Viterbi 1967).
+least. Every move has a price: another pose has to bring people nearer for some seconds
+(Viterbi 1967).
 """
 
 from __future__ import annotations

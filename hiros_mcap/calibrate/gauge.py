@@ -72,9 +72,9 @@ def placement_error(
 ) -> PlacementError | None:
     """Return how wrong the placement of a rig is that was fitted to the given poses.
 
-    The given poses deviate from the refined rig, which shows how wrong they are: in orientation and
-    in position apart, by the median over the cameras, with the assumption as some more coordinates
-    (scaled inverse chi square, Gelman et al. 2013, section 2.6).
+    How far the given poses deviate from the refined rig shows how wrong they are. Orientation and
+    position are treated apart, by the median over the cameras. The assumption counts as some more
+    measured coordinates (scaled inverse chi square, Gelman et al. 2013, section 2.6).
 
     Parameters
     ----------

@@ -119,8 +119,8 @@ def ranked(fits: Sequence[PairFit]) -> list[PairFit]:
     Who repeats a movement fits at several lags in one pose. As in :func:`best_lag`, the lag that is
     nearest to the stamps counts, unless another one is clearly better.
 
-    Of two poses that both "fit", one may be twice as far off. So the nearest of those that explain
-    much sets the scale: if it is off by the noise of the detectors only, the others have to be.
+    The best pose that explains much of what both see sets the scale. If only the noise of the
+    detectors is left in it, a pose that leaves twice as much does not fit.
     """
     scored = [_scored(one, FIT_M) for one in fits if len(one.distances)]
     most = max((one.quality for one in scored), default=0.0)

@@ -3,7 +3,7 @@
 ::
 
     with open_log("lab.mcap") as log:
-        found = calibrate_people(log)
+        calibration = calibrate_people(log)
 
 Nothing is asked of the people but to walk about where two cameras see them at the same time. Each
 step is a module: ``camera_views`` and ``tracklets``, ``coarse_clock``, ``pair_pose``,
@@ -223,7 +223,7 @@ class Solution(NamedTuple):
 
     @property
     def is_fitting(self) -> bool:
-        """Whether nothing speaks against some of the cameras."""
+        """Whether nothing speaks against these cameras."""
         return self.fit is not None and bool(set(self.fit.cameras) - set(self.faults))
 
 
@@ -257,7 +257,7 @@ def _placed(
 ) -> Iterator[tuple[int, CalibratedCamera]]:
     """Yield the cameras with poses; those that do not fit keep the log's, if it has some.
 
-    A pose that puts people elsewhere than the other cameras do is none.
+    The log's pose is not kept if it puts people elsewhere than the other cameras do.
 
     ``rig`` is that of the fit in the fixed frame.
     """

@@ -2,10 +2,9 @@
 
 The joint refinement starts near the right poses: at those that pairs of cameras gave
 (:mod:`hiros_mcap.calibrate.people`), or at the log's. While a camera does not fit, the worst is
-left out. What is better than the log's poses also has to fit what it has not seen: it is estimated
-on some joints at some times, and compared with the given poses on the other joints at the other
-times. Errors of a detector last for seconds and belong to a joint, so that neither may be the same
-in both.
+left out. New poses replace the log's only if they also fit better what they were not estimated on:
+other joints at other times. Both have to be others, because an error of a detector belongs to a
+joint and lasts for seconds.
 """
 
 from __future__ import annotations

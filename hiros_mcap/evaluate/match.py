@@ -232,7 +232,7 @@ _UNMATCHED = 0.9
 """Of his frames, that no true person matches."""
 _WALKS_M = 0.5
 """RMS distance of somebody who walks about from his own mean position."""
-_FOUND = 0.5
+_LEAST_MATCHED = 0.5
 """Of all true people and instants: a result that finds fewer says nothing about the truth."""
 
 
@@ -253,7 +253,7 @@ def people_without_truth(
     truth : on the markers of the result.
     max_distance : m, that the matches were found with.
     """
-    if len(matches.people) < _FOUND * (len(matches.people) + len(matches.missed)):
+    if len(matches.people) < _LEAST_MATCHED * (len(matches.people) + len(matches.missed)):
         return ()
     matched = dict(zip(*np.unique(matches.ids, return_counts=True), strict=True))
     others = []

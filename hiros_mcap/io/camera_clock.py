@@ -31,14 +31,14 @@ STEP, DRIFT, OFFSET = "clock step", "clock drift", "clock offset"
 LATE, WRONG = "late delivery", "wrong time"
 
 _LEAST = 10  # messages of a camera that say anything
-_NEAR = 30  # messages on each side of a step that give its size
+_STEP_SIDE = 30  # messages on each side of a step that give its size
 LEAST_AFTER = 5  # messages that confirm a step
-_FAR = 10.0  # s: a lag that has not lasted so long may be a late delivery
+_LASTING = 10.0  # s: a lag that has not lasted so long may be a late delivery
 IRREGULAR = 0.025  # s: an interval between stamps that differs so much from the usual one is odd
 _LEAST_STEP = 0.03  # s
 _PAUSE = 1.0  # s: whoever pauses longer may do so for any time
-_LATE = 0.5  # s
-_TOLD = 0.05  # s
+_LATENESS = 0.5  # s
+_REMARKABLE = 0.05  # s
 LONGEST_WAIT = 60.0
 """s: so much of a log is held in memory at most until late messages have come."""
 _FUTURE = 0.5  # s: no delivery is so much faster than the fastest
@@ -124,7 +124,7 @@ class ClockCorrection:
 
 
 @dataclass(frozen=True, slots=True)
-class ClockJudgement:
+class ClockVerdict:
     """What is known of all clocks of a log."""
 
     corrections: Mapping[str, ClockCorrection] = field(default_factory=dict)
@@ -144,8 +144,8 @@ class ClockJudgement:
 
 def clock_verdict(
     cameras: Mapping[str, CameraTimes], given: Mapping[str, float] | None = None
-) -> ClockJudgement:
-    """Judge the clocks of a log by the times of all its messages.
+) -> ClockVerdict:
+    """Return what is known of the clocks of a log from the times of all its messages.
 
     ``given`` are seconds that the user adds to the stamps of some cameras. Their offsets are taken
     as right, their steps and drifts are looked for all the same.
@@ -173,7 +173,7 @@ def clock_verdict(
     for name, seconds in given.items():
         if name in fixed:
             fixed[name] = replace(fixed[name].plus(seconds), floor=fixed[name].floor)
-    return ClockJudgement(
+    return ClockVerdict(
         fixed,
         tuple(sorted(faults, key=lambda fault: (fault.at_ns, fault.camera))),
         right,
@@ -272,7 +272,7 @@ def _largest_step(stamps: Floats, logged: Floats) -> _Step | None:
     odd = np.flatnonzero(np.abs(intervals - period) > IRREGULAR) + 1
     steps: list[tuple[float, _Step]] = []
     for k in odd[(odd >= LEAST_AFTER) & (odd <= len(lags) - LEAST_AFTER)].tolist():
-        before, after = lags[max(0, k - _NEAR) : k], lags[k : k + _NEAR]
+        before, after = lags[max(0, k - _STEP_SIDE) : k], lags[k : k + _STEP_SIDE]
         shift = float(np.median(before) - np.median(after))
         least = _LEAST_STEP + _LARGEST_DRIFT * max(0.0, float(intervals[k - 1]))
         at_once = abs(jumps[k - 1] - shift) <= max(0.3 * abs(shift), 4 * jitter, 0.02)
@@ -336,8 +336,8 @@ def _oddity(interval: float, period: float, spread: float) -> float:
 def _lasts(step: _Step, stamps: Floats, logged: Floats) -> bool:
     """Whether the least lag changes, too: a late delivery ends where it began."""
     lags, k = logged - stamps, step.place
-    before = lags[:k][logged[:k] > logged[k] - _FAR]
-    after = lags[k:][logged[k:] < logged[k] + _FAR]
+    before = lags[:k][logged[:k] > logged[k] - _LASTING]
+    after = lags[k:][logged[k:] < logged[k] + _LASTING]
     if min(before.size, after.size) < LEAST_AFTER:
         return False
     change = float(np.quantile(before, 0.1) - np.quantile(after, 0.1))
@@ -502,10 +502,10 @@ def _late(cameras: Mapping[str, CameraTimes]) -> Iterator[ClockFault]:
     """Yield the deliveries of a camera that were late while those of the others were not."""
     for name, times in cameras.items():
         late = times.lags - np.quantile(times.lags, 0.1)
-        places = np.flatnonzero(late > _LATE)
+        places = np.flatnonzero(late > _LATENESS)
         if len(places) >= LEAST_AFTER:
             late -= _lateness(_but(name, cameras), times.log_times)
-            places = places[late[places] > _LATE]
+            places = places[late[places] > _LATENESS]
         places = places[np.argsort(times.stamps[places], kind="stable")]
         for group in np.split(places, np.flatnonzero(np.diff(times.stamps[places]) > 2e9) + 1):
             if len(group) >= LEAST_AFTER:
@@ -559,13 +559,13 @@ def described(fault: ClockFault, start: int) -> str:
     return f"{fault.camera}: {some} with a wrong time (by up to {size}), {at} of the log"
 
 
-def clocks_in_words(verdict: ClockJudgement, start: int) -> tuple[str, ...]:
+def clocks_in_words(verdict: ClockVerdict, start: int) -> tuple[str, ...]:
     """Return everything that times alone say about the clocks of a log, in words."""
     texts = [described(fault, start) for fault in verdict.faults]
     lags = verdict.lags
     for name, lag in lags.items() if len(lags) > 1 else ():
         ahead = middle_of(lags) - lag
-        if abs(ahead) > _TOLD:
+        if abs(ahead) > _REMARKABLE:
             size = ClockFault(name, OFFSET, ahead, start, corrected=False).size.lstrip("+-")
             which = "ahead, or its delivery is faster" if ahead > 0 else "behind, or it is slower"
             texts.append(

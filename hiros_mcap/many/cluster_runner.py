@@ -25,7 +25,7 @@ LOCAL = "local"
 _PATIENCE_S = 60.0
 """How long a cluster may be without any worker."""
 _CONNECT_S = 10.0
-_LOOK_S = 5.0
+_WAKE_S = 5.0
 _AHEAD = 4
 """Tasks per thread of the cluster that are handed over: enough for one that grows on demand."""
 
@@ -176,7 +176,7 @@ def _finished(client: Any, futures: Sequence[Any]) -> list[Any]:
     last_seen = time.monotonic()
     while True:
         try:
-            return list(wait(futures, timeout=_LOOK_S, return_when="FIRST_COMPLETED").done)
+            return list(wait(futures, timeout=_WAKE_S, return_when="FIRST_COMPLETED").done)
         except TimeoutError:
             pass
         if client.status != "running":

@@ -213,7 +213,7 @@ def run_suite(
     return [done[k] for k in range(len(cases))]
 
 
-KNOWN_WHEN = "output.log_time=causal"
+LOG_TIMES = "output.log_time=causal"
 """What the cases of a suite are run with, unless they set it themselves."""
 
 
@@ -226,7 +226,7 @@ def run_case(folder: Path, case: Case, bless: bool = False, keep: Path | None = 
             file = folder / case.config if case.config else None
             system = case.system or default_system(case.preset)
             # A golden log also guards how late results are.
-            config = load_config(file, [KNOWN_WHEN, *case.set], case.preset, system)
+            config = load_config(file, [LOG_TIMES, *case.set], case.preset, system)
             options = ProcessOptions(system=system, stages=case.stages, keep=("/truth/*",))
             # Whether ``out`` may be replaced was asked before the first case ran.
             process(folder / case.input, out, config=config, options=options, force=True)

@@ -1,7 +1,7 @@
 """Finds cameras that were moved in the middle of a log, and where they stood before and after.
 
-Only a camera whose people do not fit those of the others, or fit much better with two poses than
-with one, is looked at (:func:`suspects`). Then stretches of the log have to give different poses
+A camera is a suspect if its people do not fit those of the others, or fit much better with two
+poses than with one (:func:`suspects`). Then stretches of the log have to give different poses
 (:mod:`hiros_mcap.calibrate.camera_change`), and each part has to fit by itself.
 """
 
@@ -50,9 +50,9 @@ LEAST_M = 0.03
 1 to 2 cm."""
 NARROW_S = 0.5
 """If nobody was seen in the read parts of the log for longer around the change, more is read."""
-LOOK_S = 10.0
-LOOKS = 6
-"""Each look narrows the gap to a third or less."""
+PART_S = 10.0
+MOST_PARTS = 6
+"""Each part that is read narrows the gap to a third or less."""
 
 
 class Move(NamedTuple):
@@ -197,12 +197,12 @@ class _Splitter:
         self, change: CameraChange, posed: PosedViews, pair: tuple[int, int]
     ) -> CameraChange:
         """Look into the log where it was not read yet, until the time of the change is known."""
-        for _ in range(LOOKS):
+        for _ in range(MOST_PARTS):
             if change.end - change.begin < NARROW_S:
                 break
             name = posed.cameras[pair[0]].name
             ends = [self._first_message(name, s)[1] for s in (change.begin, change.end)]
-            seen = self._survey.between((ends[0], ends[1]), LOOK_S, self._clocks.corrections)
+            seen = self._survey.between((ends[0], ends[1]), PART_S, self._clocks.corrections)
             views = self.views_of([posed.cameras[k] for k in pair], seen)
             nearer = located(views, change.early, change.late, self._mirror)
             begin, end = max(change.begin, nearer.begin), min(change.end, nearer.end)

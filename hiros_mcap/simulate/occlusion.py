@@ -43,7 +43,7 @@ for _side in ("LEFT", "RIGHT"):
 _FIRST = np.array([SLOT[a] for a, _, _, _ in _CAPSULES])
 _SECOND = np.array([SLOT[b] for _, b, _, _ in _CAPSULES])
 _RADIUS = np.array([radius for _, _, radius, _ in _CAPSULES])
-_OWN = np.array([[marker in inside for *_, inside in _CAPSULES] for marker in MARKERS])
+_INSIDE = np.array([[marker in inside for *_, inside in _CAPSULES] for marker in MARKERS])
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ def _cover(image: Floats, depth: Floats, covered: Mask, by_self: Mask) -> None:
     """Fill in which joints people hide from the camera, their own and each other's."""
     people = range(depth.shape[1])
     for person in people:
-        by_self[:, person] = (_in_front(image, depth, person, person) & ~_OWN).any(axis=-1)
+        by_self[:, person] = (_in_front(image, depth, person, person) & ~_INSIDE).any(axis=-1)
         for other in people:
             if other == person:
                 continue

@@ -13,7 +13,7 @@ import numpy as np
 from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
 from hiros_mcap.skeletons import Floats, Ints, SkeletonModel
 
-_SURE = 0.005  # m; added to the deviations that weight a length
+_LENGTH_DEVIATION = 0.005  # m; added to the deviations that weight a length
 _OUTLIER = 4.0  # robust standard deviations
 _FEWEST = 30  # poses that give a length
 
@@ -55,7 +55,7 @@ def measured_lengths(positions: Floats, variances: Floats, pairs: Ints) -> Float
     middle = np.nanmedian(squares, axis=0)
     spread = 1.4826 * np.nanmedian(np.abs(squares - middle), axis=0)
     clipped = np.clip(squares, middle - _OUTLIER * spread, middle + _OUTLIER * spread)
-    weights = seen / (noise + 2 * _SURE**2)
+    weights = seen / (noise + 2 * _LENGTH_DEVIATION**2)
     mean = np.nansum(weights * clipped, axis=0) / weights.sum(axis=0)
     stated = np.nansum(weights * noise, axis=0) / weights.sum(axis=0)
     lengths[enough] = without_noise(mean, np.nanvar(np.sqrt(clipped), axis=0), stated)
@@ -119,7 +119,7 @@ class RunningLengths:
             spread = np.sqrt(np.maximum(mean_square - mean**2, 0.0))
             clipped = np.clip(squares, mean - _OUTLIER * spread, mean + _OUTLIER * spread)
             squares = np.where(self._counts >= _FEWEST, clipped, squares)
-            new = seen / (noise + 2 * _SURE**2)
+            new = seen / (noise + 2 * _LENGTH_DEVIATION**2)
             self._weight += new
             gain = new / np.maximum(self._weight, 1e-12)
             values = np.stack([squares, squares**2, np.sqrt(squares), noise])

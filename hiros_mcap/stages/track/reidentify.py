@@ -42,7 +42,7 @@ _PLACE, _WALK, _ROOM = 0.4, 0.7, 2.5  # SD of the place, m: at once, more per s,
 _TOP_SPEED = 4.0  # m/s on the floor; nobody comes back faster
 _REACH = 0.6  # m, besides
 OVERLAP = 300_000_000  # ns for which two tracks of a person may run side by side
-_KNOWN_IF_MISSING, _KNOWN_IF_COMPLETE = 0.95, 0.5  # that a newcomer was there before
+_SURE_IF_MISSING, _SURE_IF_COMPLETE = 0.95, 0.5  # that a newcomer was there before
 _MOST = 4  # newcomers, and absent people, that are weighed together; older ones wait or are left
 
 LIMBS, PLACE, NUMBER = "limb lengths", "place and time", "number of people"
@@ -107,7 +107,7 @@ def reidentify(
     limbs : of their skeleton.
     """
     newcomers, absent = newcomers[:_MOST], absent[-_MOST:]
-    enough = _KNOWN_IF_MISSING if missing > 0 else _KNOWN_IF_COMPLETE
+    enough = _SURE_IF_MISSING if missing > 0 else _SURE_IF_COMPLETE
     number = math.log(enough / (1 - enough))
     cues = {
         (n, a): {LIMBS: limb_cue(new, old, limbs), PLACE: place_cue(new, old), NUMBER: number}

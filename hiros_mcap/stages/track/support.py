@@ -22,8 +22,8 @@ from hiros_mcap.stages.track.tracked_people import (
     TrackedPeople,
 )
 
-_DOUBT = 800_000_000  # ns for which a track beside a person may be a second view of that person
-_YOUNG = 2_400_000_000  # ns for which a track may be merged into an older one
+_SECOND_VIEW = 800_000_000  # ns for which a track beside a person may be another view of them
+_MERGEABLE = 2_400_000_000  # ns for which a track may be merged into an older one
 _DOUBTFUL = 1.5  # gates: cameras whose views of a person differ by more are not calibrated
 
 
@@ -67,7 +67,7 @@ class Confirmation:
             moved = float(np.linalg.norm(self._people.centre(track) - support.origin))
             support.travelled = max(support.travelled, moved)
             support.lone = support.misses == 0 and bool(self._people.heard_besides(group))
-            if group.stamp - support.first < _YOUNG:
+            if group.stamp - support.first < _MERGEABLE:
                 track.beside |= scene.numbers
         elif source not in support.reports and self._ought_to_see(source, track, scene):
             support.misses += 1
@@ -96,7 +96,7 @@ class Confirmation:
         distances = self._people.distances(track, scene.persons)
         if (distances < self._params.min_distance).any():
             return True
-        if not self._params.merge_tracks or stamp - track.support.first >= _DOUBT:
+        if not self._params.merge_tracks or stamp - track.support.first >= _SECOND_VIEW:
             return False
         near = np.flatnonzero(distances < _DOUBTFUL * self._params.max_distance)
         return any(self._hides(scene.persons[i], track, stamp) for i in near.tolist())
@@ -112,7 +112,7 @@ class Confirmation:
         """
         if not (self._params.merge_tracks and track.confirmed):
             return
-        if group.stamp - track.support.first >= _YOUNG or track.is_there(group.stamp):
+        if group.stamp - track.support.first >= _MERGEABLE or track.is_there(group.stamp):
             return
         distances = self._people.distances(track, scene.persons)
         for person, distance in zip(scene.persons, distances, strict=True):

@@ -17,7 +17,7 @@ from hiros_mcap.stages.track.track_params import TrackParams
 
 INSISTENCE = 500_000_000
 """ns for which a camera's leaps are left out, and for which a silent camera still counts."""
-_NOW = 200_000_000  # ns since the last detection of a person who is there
+_PRESENT = 200_000_000  # ns since the last detection of a person who is there
 _STANDS = 0.3  # m from its start; a coat on a stand never moves as far
 
 _centre = direct(centre)
@@ -88,7 +88,7 @@ class PersonTrack:
 
     def is_there(self, stamp: int) -> bool:
         """Whether a camera has just shown it, at ``stamp``, ns."""
-        return stamp - self.seen < _NOW
+        return stamp - self.seen < _PRESENT
 
     def is_lone(self, source: str) -> bool:
         """Whether no camera but one reports it."""
