@@ -11,9 +11,9 @@ from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import Landmarks, lag_candidates, signatures_of
 from hiros_mcap.calibrate.pair_pose import PairFit, best_lag
 from hiros_mcap.calibrate.sampling import Rig
-from hiros_mcap.calibrate.spanning_tree import Pair, links_from
 from hiros_mcap.skeletons import Floats, Ints
 
+Pair = tuple[int, int]
 Fits = Mapping[Pair, list[PairFit]]
 """Cameras a < b -> poses of b in a that differ, the best first."""
 
@@ -84,3 +84,19 @@ def coarse_clocks(
         fits[a, b] = [best_lag(pair, rig.select([a, b]).anchored(), tried, mirror)]
     tree, _ = spanning_tree(fits, list(range(len(views))))
     return chained(tree, fits, len(views)).clocks
+
+
+def links_from(root: int, pairs: Sequence[Pair]) -> list[Pair]:
+    """Return the links by which cameras are reached from one of them: from where, and where to.
+
+    Of the spanning tree that prefers the first of ``pairs``; cameras that no pair joins to the root
+    are left out.
+    """
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
+
+    ends = np.array(pairs, np.int64).reshape(-1, 2)
+    n = 1 + max(root, int(ends.max(initial=0)))
+    graph = csr_array((np.arange(1.0, len(ends) + 1.0), (ends[:, 0], ends[:, 1])), shape=(n, n))
+    order, before = breadth_first_order(minimum_spanning_tree(graph), root, directed=False)
+    return [(int(before[c]), int(c)) for c in order[1:]]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.body.symmetry import split_side
-from hiros_mcap.calibrate.robust import cauchy
+from hiros_mcap.calibrate.registration import cauchy
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
 LEAN_DEG = 8.0

@@ -16,7 +16,7 @@ import numpy as np
 
 from hiros_mcap.body.rotations import from_vector, to_matrix
 from hiros_mcap.calibrate.camera_views import CameraView
-from hiros_mcap.calibrate.robust import jackknife
+from hiros_mcap.calibrate.registration import jackknife
 from hiros_mcap.calibrate.sampling import Rig, Samples, group, placed, sample
 from hiros_mcap.kernels.grouping import Groups
 from hiros_mcap.kernels.rig_equations import (

@@ -17,7 +17,7 @@ from hiros_mcap.calibrate.joint_refinement import (
     refine,
     residuals_of,
 )
-from hiros_mcap.calibrate.robust import robust_kabsch
+from hiros_mcap.calibrate.registration import robust_kabsch
 from hiros_mcap.calibrate.sampling import Rig, Samples, group, instants_of, placed, sample
 from hiros_mcap.skeletons import Floats, Ints
 

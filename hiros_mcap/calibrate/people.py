@@ -24,7 +24,7 @@ from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import same_place
 from hiros_mcap.calibrate.agreement import camera_distances
 from hiros_mcap.calibrate.camera_change import find_moves, split_views, with_times
-from hiros_mcap.calibrate.camera_graph import Fits, ambiguous, chained, spanning_tree
+from hiros_mcap.calibrate.camera_graph import Fits, Pair, ambiguous, chained, spanning_tree
 from hiros_mcap.calibrate.camera_result import NAN, CalibratedCamera
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
@@ -41,7 +41,6 @@ from hiros_mcap.calibrate.refinement import (
     refine_together,
 )
 from hiros_mcap.calibrate.sampling import Rig, instants_of
-from hiros_mcap.calibrate.spanning_tree import Pair
 from hiros_mcap.calibrate.survey import (
     MOST_S,
     FixedCamera,

@@ -12,15 +12,17 @@ from operator import attrgetter
 import numpy as np
 
 from hiros_mcap.calibrate.gauge import placement_error
-from hiros_mcap.events import TOO_LATE, Event, counted
+from hiros_mcap.events import COMMON, RESIDUAL, TOO_LATE, Event, Events, counted
 from hiros_mcap.io.channels import OUTPUT_PREFIX
 from hiros_mcap.io.log import DAMAGED, FAR_FUTURE, STALE, Account, CameraChannel, Log, Reading
 from hiros_mcap.running.clock_alignment import ClockAlignment, clock_notes, clock_warnings
-from hiros_mcap.running.model_check import scatter_by_camera, scatter_notes, scatter_of
 from hiros_mcap.running.observe import Observer, Presence
 from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.running.preparation import Prepared
 from hiros_mcap.running.write import unmatched_globs
+from hiros_mcap.skeletons import SkeletonModel
+from hiros_mcap.stages.fuse.log_histograms import medians
+from hiros_mcap.stages.fuse.residuals import FEWEST, ratios
 from hiros_mcap.stages.track.displaced import CAMERA_DISPLACED, DISPLACED, MIRROR_SEEN
 from hiros_mcap.summary import (
     CameraSummary,
@@ -28,6 +30,7 @@ from hiros_mcap.summary import (
     PersonSummary,
     PlacementSummary,
     PoseSummary,
+    ScatterSummary,
     StageTime,
     Summary,
     quantity,
@@ -49,6 +52,9 @@ _DISPLACED = {
     MIRROR_SEEN: "cover the mirror",
 }
 """Event of a camera that shows people elsewhere than the others do -> what to do."""
+_LARGE = 1.4  # times as far as expected
+_WORSE = 1.2  # a joint is named if it is so many times worse than its camera
+_TOGETHER = 0.6  # share in common from which the camera as a whole is off
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,3 +301,49 @@ def _input_notes(account: Account) -> Iterator[str]:
             f"{topic}: {quantity(account.untimed, 'message')} without a time, or with one before "
             "1970; hiros uses the log time instead"
         )
+
+
+def scatter_of(events: Events) -> float:
+    """Return how many times as large as expected all residuals are; NaN if there are none."""
+    some = [counts for (kind, _), counts in events.histograms.items() if kind == RESIDUAL]
+    return float(ratios(sum(each.sum(axis=0) for each in some)[None])[0]) if some else math.nan
+
+
+def scatter_by_camera(events: Events, model: SkeletonModel) -> Iterator[ScatterSummary]:
+    """Yield the same of each camera, by name."""
+    for (kind, name), counts in sorted(events.histograms.items()):
+        if kind != RESIDUAL:
+            continue
+        (ratio,) = ratios(counts.sum(axis=0, keepdims=True)).tolist()
+        (common,) = medians(events.histograms[COMMON, name], FEWEST).tolist()
+        joints = np.nan_to_num(ratios(counts))
+        worst = int(joints.argmax())
+        seen = joints[worst] > 0
+        yield ScatterSummary(
+            name=name,
+            ratio=ratio,
+            worst_joint=model.marker_names[worst] if seen else "",
+            worst_ratio=float(joints[worst]) if seen else math.nan,
+            common=common,
+        )
+
+
+def scatter_notes(cameras: Sequence[ScatterSummary]) -> Iterator[str]:
+    """Yield whose detections contradict the model, and what to do."""
+    for camera in cameras:
+        if not camera.ratio >= _LARGE:
+            continue
+        joint = ""
+        if camera.worst_ratio > _WORSE * camera.ratio:
+            joint = f" ({camera.worst_joint} {camera.worst_ratio:.1f} times)"
+        yield (
+            f"the detections of {camera.name} scatter {camera.ratio:.1f} times as much as the "
+            f"model expects{joint}; the standard deviations of the result allow for it; "
+            f"{_remedy(camera)}"
+        )
+
+
+def _remedy(camera: ScatterSummary) -> str:
+    if camera.common > _TOGETHER:
+        return "all joints are off together: check its pose with hiros calibrate people"
+    return "its joints are off one by one: hiros calibrate noise shows its noise"

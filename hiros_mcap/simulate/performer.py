@@ -16,10 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.simulate.asf_amc import read_amc, read_asf
 from hiros_mcap.simulate.body_model import SEGMENTS, SLOT, BodyModel
-from hiros_mcap.simulate.bvh import read_bvh
-from hiros_mcap.simulate.clip import Clip, euler
+from hiros_mcap.simulate.motion_files import Clip, euler, read_amc, read_asf, read_bvh
 from hiros_mcap.simulate.settings import SimulateParams
 from hiros_mcap.skeletons import Floats
 

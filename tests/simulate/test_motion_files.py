@@ -14,10 +14,8 @@ from hiros_cli.app import run
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.truth_files import load_truth
 from hiros_mcap.simulate import SimulateParams, simulate
-from hiros_mcap.simulate.asf_amc import read_amc, read_asf
 from hiros_mcap.simulate.body_model import MODEL, SLOT
-from hiros_mcap.simulate.bvh import read_bvh
-from hiros_mcap.simulate.clip import euler
+from hiros_mcap.simulate.motion_files import euler, read_amc, read_asf, read_bvh
 from hiros_mcap.simulate.performer import load_clip
 
 ASF = """# two bones

@@ -9,9 +9,9 @@ from builders import same
 from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, by_frame, frames_of, join
-from hiros_mcap.running.model_check import scatter_by_camera, scatter_notes, scatter_of
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.running.process_options import ProcessOptions
+from hiros_mcap.running.report import scatter_by_camera, scatter_notes, scatter_of
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.simulation import Simulation
 from hiros_mcap.simulate.write_log import write_log
