@@ -21,6 +21,7 @@ from queue import SimpleQueue
 from typing import Any, TypeVar
 
 from hiros_mcap.errors import HirosError
+from hiros_mcap.threads import cores
 
 Result = TypeVar("Result")
 
@@ -66,13 +67,6 @@ def run_tasks(
         finally:
             for worker in pool:
                 worker.close()
-
-
-def cores() -> int:
-    """Return how many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _work(

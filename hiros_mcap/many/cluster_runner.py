@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from hiros_mcap._version import __version__
 from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.io import remote
-from hiros_mcap.workers import ATTEMPTS, cores
+from hiros_mcap.threads import cores
+from hiros_mcap.workers import ATTEMPTS
 
 if TYPE_CHECKING:
     from hiros_mcap.many.run_logs import Runner

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
 from hiros_mcap.frames import Block
+from hiros_mcap.threads import cpu_time
 
 
 class Stopwatch:
@@ -18,7 +19,7 @@ class Stopwatch:
         """Of each step, s."""
         self.started = time.perf_counter()
         self._running = ""
-        self._since = time.thread_time()
+        self._since = cpu_time()
 
     def charge(self, name: str, seconds: float) -> None:
         """Add what another thread did for a step."""
@@ -26,7 +27,7 @@ class Stopwatch:
 
     def _switch(self, name: str) -> str:
         """Charge the time since the last switch to what was running; return its name."""
-        now = time.thread_time()
+        now = cpu_time()
         before = self._running
         self.cpu[before] += now - self._since
         self._running, self._since = name, now

@@ -33,7 +33,7 @@ constrain = by_frame(constrain_blocks)
 
 START = 1_700_000_000_000_000_000  # ns
 POINT = SkeletonModel.of(["A"], [])
-NOISE = JointNoise(np.array([5.0]), np.array([0.02**2]), 2.0, 1e9)
+NOISE = JointNoise(np.array([5.0]), np.array([0.02**2]), 2.0, 10**9)
 
 
 def steps_of(seed: int = 0) -> Steps:
@@ -124,7 +124,7 @@ def moving(x: Floats) -> tuple[Floats, Floats]:
         np.repeat(z, 2, axis=0)[:, None],
         np.full((len(times), 1), 0.01**2),
     )
-    noise = JointNoise(np.array([3.0]), np.array([1e-6]), 2.0, 4.0)
+    noise = JointNoise(np.array([3.0]), np.array([1e-6]), 2.0, 4)
     work, out = FusionWork.of(len(times), 3), FusedPoses.absent(len(x), 1)
     fusing.smooth_joints(steps, 0, noise, JointStates.unknown(1, 1, 1), 0, out, work)
     return np.asarray(np.abs(out.positions[:, 0, 0] - x)), work.factors[::2]
@@ -158,7 +158,7 @@ def test_smoothing_reduces_the_error_and_knows_its_size() -> None:
 
 
 def test_a_gross_outlier_moves_nothing() -> None:
-    steps, robust = steps_of(), NOISE._replace(freedom=20.0)
+    steps, robust = steps_of(), NOISE._replace(freedom=20)
     spoilt = steps._replace(positions=steps.positions.copy())
     spoilt.positions[90] += 1.0
     states = JointStates.unknown(1, 1, 2)
@@ -264,6 +264,14 @@ def test_it_is_nearer_to_the_truth_than_hiros_and_keeps_lengths() -> None:
     assert ours.mean < theirs.mean
     assert ours.limb_variation < 0.002
     assert ours.jitter < theirs.jitter
+
+
+def test_cores_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    where, frames = room(people=3, cameras=3, seconds=3, seed=62), []
+    for n in (1, 3):
+        monkeypatch.setattr("hiros_mcap.threads.cores", lambda n=n: n)
+        frames.append(result(where, "fuse"))
+    assert all(map(same, *frames))
 
 
 def test_more_cameras_give_more_confidence_and_smaller_deviations() -> None:

@@ -98,7 +98,7 @@ def start_to_run() -> tuple[Floats, Floats]:
     x = np.where(times > 1, 3 * (times - 1), 0.0)[:, None, None] * [1.0, 0.0, 0.0]
     cameras = np.tile([0, POSE], 60)
     steps = Steps(times, cameras, x, np.full((120, 1), 0.01**2))
-    noise = JointNoise(np.array([1.0]), np.array([1e-8]), 1.7, 8.0)
+    noise = JointNoise(np.array([1.0]), np.array([1e-8]), 1.7, 8)
     states, out = JointStates.unknown(1, 1, 1), FusedPoses.absent(1, 1)
     for k in range(60):
         some = Steps(*[array[2 * k : 2 * k + 2] for array in steps])

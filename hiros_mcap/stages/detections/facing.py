@@ -16,7 +16,8 @@ import numpy as np
 from hiros_mcap.kernels.array_types import B1, F1, F2, F3, I1, I2, J1, J2, arrays
 from hiros_mcap.kernels.averaging import copy_row
 from hiros_mcap.kernels.compile import entry, inlined, kernel
-from hiros_mcap.kernels.distance import centre, step_between
+from hiros_mcap.kernels.distance import centre
+from hiros_mcap.kernels.points import step_between
 from hiros_mcap.skeletons import Floats, Ints, People, Stamps
 from hiros_mcap.stages.detections.body_axes import (
     component,
@@ -387,7 +388,7 @@ def measure(
 
     Parameters
     ----------
-    looks : cells, stamps, cameras and rows are given; the others are written.
+    measured : cells, stamps, cameras and rows are given; the others are written.
     """
     for i in range(len(views)):
         _measure(people, views[i], markers, measured, i, past, tables)
@@ -641,7 +642,7 @@ def follow(
 
     Parameters
     ----------
-    people, views, markers, looks : as in :func:`measure`; views of anybody, in order.
+    people, views, markers, measured : as in :func:`measure`; views of anybody, in order.
     past : brought to the last view.
     work : (2 * BINS,) scratch.
     """

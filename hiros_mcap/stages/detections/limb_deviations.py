@@ -28,7 +28,8 @@ import numpy as np
 
 from hiros_mcap.kernels.array_types import B1, F1, F2, I1, I2, J2, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel
-from hiros_mcap.kernels.distance import centre, norm3, point_distance
+from hiros_mcap.kernels.distance import centre
+from hiros_mcap.kernels.points import norm3, point_distance
 from hiros_mcap.skeletons import UNTRACKED, Floats, People
 
 _PRIOR = 300.0  # views that the assumed deviation counts as much as: 5 s of two cameras

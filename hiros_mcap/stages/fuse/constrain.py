@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -29,9 +30,11 @@ from hiros_mcap.stages.fuse.fuse_params import ConstrainParams
 from hiros_mcap.stages.fuse.pair_lengths import AllPoses, MeasuredLengths, PairLimbs, RunningLengths
 from hiros_mcap.stages.fuse.pose_prior import RecentMotion, local_frames, shrink_noise
 from hiros_mcap.stages.fuse.residuals import restated
+from hiros_mcap.threads import run_each
 
 UNKNOWN_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
 _FORGET = 600.0  # s; somebody who returns has the same body
+_PIECE = 256  # poses that are projected together
 _SWEEPS, _TOLERANCE = 20, 1e-3
 """Most sweeps of the projection onto the lengths, and the relative accuracy at which they end."""
 
@@ -63,7 +66,7 @@ def constrain_blocks(
     events = Events() if events is None else events
     bodies = _Bodies(model, params, events, LimbTable() if limbs is None else limbs)
     waiting: deque[_WaitingWindow] = deque()
-    held, first, begin, end = HeldFrames(packed=True), 0, None, 0
+    held, first, begin, end = HeldFrames(packed=params.window > 0), 0, None, 0
     for block in blocks:
         for number, (stamp, _, end) in enumerate(block.messages(), held.add(block)):
             begin = stamp if begin is None else begin
@@ -192,7 +195,12 @@ class _Bodies:
     def _project(self, out: Block, which: Stamps, lengths: Floats, variances: Floats) -> None:
         from hiros_mcap.stages.filter.link_lengths import project_all
 
-        project_all(out.people.markers, which, variances, self._pairs, lengths, _SWEEPS, _TOLERANCE)
+        def project(rows: slice) -> None:
+            markers, given = out.people.markers[rows], (self._pairs, lengths, _SWEEPS, _TOLERANCE)
+            project_all(markers, which[rows], variances[rows], *given)
+
+        starts = range(0, len(which), _PIECE)
+        run_each([partial(project, slice(start, start + _PIECE)) for start in starts])
 
     def _shrink(self, out: Block, people: list[tuple[int, Stamps]], variances: Floats) -> None:
         """Move everybody towards what the person does, in the person's own frame."""

@@ -122,7 +122,7 @@ class DisplacedViews:
 
     def count(self, views: Sightings, excess: Floats, done: Flags) -> None:
         """Note which of the views whose results are ``done`` have lost their weight."""
-        for camera in np.unique(views.cameras[done]).tolist():
+        for camera in np.unique(views.cameras[done & (excess > 0)]).tolist():
             these = done & (views.cameras == camera)
             self._spans.setdefault(camera, _Span()).add(views.stamps[these], excess[these])
 

@@ -43,8 +43,8 @@ class FuseParams(Params):
     )
     offset_time: ClassVar[float] = 1.7
     """Time constant, s, with which such an offset wanders."""
-    freedom: float = fixed(
-        4.0,
+    freedom: int = fixed(
+        4,
         "Degrees of freedom of the noise (Student's t). With fewer, outliers count less. 4 to "
         "20 differ by 0 to 4 %.",
     )

@@ -65,7 +65,7 @@ class JointNoise(NamedTuple):
     accelerations: F1  # (M,) spectral density of the acceleration, m2/s3
     offsets: F1  # (M,) variance of a camera's offset, m2
     time: float  # time constant of the offsets, s
-    freedom: float  # degrees of freedom of Student's t
+    freedom: int  # degrees of freedom of Student's t
 
 
 class JointStates(NamedTuple):
@@ -101,6 +101,7 @@ class FusionWork(NamedTuple):
     """Scratch for one joint with states of length N over T steps."""
 
     intervals: F1  # (T,) s since the step before; _UNKNOWN = no part
+    remains: F1  # (T,) share of an offset that is left after the interval
     gains: F2  # (T, N) gain of a measurement; the covariances of x at a pose
     velocities: F2  # (T, N) the covariances of v at a pose
     innovations: F2  # (T, 3); the predicted x at a pose
@@ -110,15 +111,16 @@ class FusionWork(NamedTuple):
     covariance: F2  # (N, 3) and (N, N) state; the adjoint and its covariance on the way back
     row: F1  # (N,)
     levels: F2
-    """(T, LEVELS) log likelihood of a measurement by level; then the probability of the level."""
+    """(T, LEVELS) likelihood of a measurement by level; then the probability of the level."""
+    stays: F1  # (T,) probability that a level lasts from the step before
     factors: F1  # (T,) of the density of the acceleration in the interval before a step
 
     @classmethod
     def of(cls, steps: int, size: int) -> FusionWork:
         """Make room."""
         t, n = steps, size
-        many, levels = ((t, n), (t, n), (t, 3), (t, 3)), ((t, LEVELS), t)
-        return arrays(cls, t, *many, t, (n, 3), (n, n), n, *levels)
+        many, levels = ((t, n), (t, n), (t, 3), (t, 3)), ((t, LEVELS), t, t)
+        return arrays(cls, t, t, *many, t, (n, 3), (n, n), n, *levels)
 
 
 @entry
@@ -193,10 +195,10 @@ def _start(z: Floats, offset_variance: float, mean: Floats, covariance: Floats) 
 
 
 @inlined
-def _predict(dt: float, q: float, offset_variance: float, time: float, work: FusionWork) -> None:
-    """Carry the state on by ``dt``: F x, F P F' + Q."""
+def _predict(dt: float, q: float, offset_variance: float, keep: float, work: FusionWork) -> None:
+    """Carry the state on by ``dt``, after which ``keep`` of an offset is left: F x, F P F' + Q."""
     x, p = work.mean, work.covariance
-    n, keep = len(x), math.exp(-dt / time)
+    n = len(x)
     for c in range(3):
         x[POSITION, c] += dt * x[VELOCITY, c]
     for j in range(n):
@@ -220,20 +222,23 @@ def _predict(dt: float, q: float, offset_variance: float, time: float, work: Fus
 
 
 @inlined
-def _log_likelihood(scaled: float, variance: float, freedom: float) -> float:
+def _likelihood(scaled: float, variance: float, freedom: int) -> float:
     """Of an innovation in space under Student's t, by its square over its ``variance``."""
-    tail: float = 0.5 * (freedom + 3.0) * math.log1p(scaled / freedom)
-    return -1.5 * math.log(variance) - tail
+    tail: float = (1.0 + scaled / freedom) ** (freedom + 3)
+    return 1.0 / math.sqrt(variance * variance * variance * tail)
 
 
 @inlined
-def _weight(scaled: float, freedom: float) -> float:
-    """Weight of a measurement under Student's t, at most 1, by its ``scaled`` square."""
-    return min((freedom + 3.0) / (freedom + scaled), 1.0)
+def _excess(scaled: float, freedom: int) -> float:
+    """Return the factor by which an outlier adds to its noise's variance, by its scaled square.
+
+    It is 1 / w - 1, where w is the weight that Student's t gives the measurement, at most 1.
+    """
+    return max((freedom + scaled) / (freedom + 3), 1.0) - 1.0
 
 
 @inlined
-def _correct(steps: Steps, t: int, m: int, freedom: float, work: FusionWork) -> None:
+def _correct(steps: Steps, t: int, m: int, freedom: int, work: FusionWork) -> None:
     """Correct the state by a measurement."""
     x, p, h = work.mean, work.covariance, work.row
     n, k = len(x), OFFSETS + steps.cameras[t]
@@ -246,10 +251,10 @@ def _correct(steps: Steps, t: int, m: int, freedom: float, work: FusionWork) -> 
         work.innovations[t, c] = y
         square += y * y
     scaled = square / variance
-    variance += steps.variances[t, m] * (1.0 / _weight(scaled, freedom) - 1.0)
-    work.information[t] = 1.0 / variance
+    information = 1.0 / (variance + steps.variances[t, m] * _excess(scaled, freedom))
+    work.information[t] = information
     for i in range(n):
-        gain = h[i] / variance
+        gain = h[i] * information
         work.gains[t, i] = gain
         for c in range(3):
             x[i, c] += gain * work.innovations[t, c]
@@ -274,7 +279,7 @@ def _rate(
     xx, xv, vv = p[POSITION, POSITION], p[POSITION, VELOCITY], p[VELOCITY, VELOCITY]
     q = noise.accelerations[m] * _LEVELS[level]
     for t in range(len(steps.times)):
-        work.levels[t, level] = 0.0
+        work.levels[t, level] = 1.0
         if steps.cameras[t] < 0 or math.isnan(steps.positions[t, m, 0]):
             continue
         z = steps.positions[t, m]
@@ -294,21 +299,21 @@ def _rate(
             square += (z[c] - x[c]) ** 2
         variance = xx + noise_variance
         scaled = square / variance
-        work.levels[t, level] = _log_likelihood(scaled, variance, noise.freedom)
-        variance += noise_variance * (1.0 / _weight(scaled, noise.freedom) - 1.0)
+        work.levels[t, level] = _likelihood(scaled, variance, noise.freedom)
+        variance += noise_variance * _excess(scaled, noise.freedom)
+        gain, gain_of_speed = xx / variance, xv / variance
         for c in range(3):
             innovation = z[c] - x[c]
-            x[c] += xx / variance * innovation
-            v[c] += xv / variance * innovation
-        vv -= xv * xv / variance
-        xv -= xx * xv / variance
-        xx -= xx * xx / variance
+            x[c] += gain * innovation
+            v[c] += gain_of_speed * innovation
+        vv -= gain_of_speed * xv
+        xv -= gain * xv
+        xx -= gain * xx
 
 
 @kernel
-def _go_over(before: Floats, dt: float, after: Floats) -> None:
-    """Write the probabilities of the levels ``dt`` s later: each goes over to any other."""
-    stay = math.exp(-_CHANGES * dt)
+def _go_over(before: Floats, stay: float, after: Floats) -> None:
+    """Write the probabilities of the levels later: each goes over to any other, or stays."""
     for k in range(LEVELS):
         after[k] = stay * before[k] + (1.0 - stay) / LEVELS
 
@@ -337,21 +342,18 @@ def _choose_levels(
     if states.covariances[row, m, POSITION, POSITION] == 0.0:
         time = -np.inf  # nothing is known: all levels are equally likely
     for t in range(n):
-        _go_over(previous, max(steps.times[t] - time, 0.0), next_level)
+        work.stays[t] = math.exp(-_CHANGES * max(steps.times[t] - time, 0.0))
         time = max(steps.times[t], time)
-        most = -np.inf
+        _go_over(previous, work.stays[t], next_level)
         for k in range(LEVELS):
-            most = max(most, level[t, k])
-        for k in range(LEVELS):
-            level[t, k] = next_level[k] * math.exp(level[t, k] - most)
+            level[t, k] *= next_level[k]
         _normalize(level[t])
         previous = level[t]
     if min(keep, n) > 0:
         _copy(level[min(keep, n) - 1], states.levels[row, m])
     for t in range(n - 2, -1, -1):
-        dt = steps.times[t + 1] - steps.times[t]
-        stay = math.exp(-_CHANGES * dt)
-        _go_over(level[t], dt, next_level)
+        stay = work.stays[t + 1]
+        _go_over(level[t], stay, next_level)
         others = 0.0
         for k in range(LEVELS):
             others += level[t + 1, k] / next_level[k] * (1.0 - stay) / LEVELS
@@ -400,8 +402,9 @@ def _forward(
         dt = max(steps.times[t] - time, 0.0)
         time = max(steps.times[t], time)
         work.intervals[t] = dt
+        work.remains[t] = math.exp(-dt / noise.time)
         if dt > 0.0:
-            _predict(dt, q * work.factors[t], offset_variance, noise.time, work)
+            _predict(dt, q * work.factors[t], offset_variance, work.remains[t], work)
         if is_pose:
             work.information[t] = p[POSITION, POSITION]
             _copy(p[POSITION], work.gains[t])
@@ -447,10 +450,10 @@ def _measured(steps: Steps, t: int, work: FusionWork) -> None:
 
 
 @inlined
-def _unpredict(dt: float, time: float, work: FusionWork) -> None:
+def _unpredict(dt: float, keep: float, work: FusionWork) -> None:
     """Carry the adjoint back over an interval: F' l, F' L F."""
     adjoint, square = work.mean, work.covariance
-    n, keep = len(adjoint), math.exp(-dt / time)
+    n = len(adjoint)
     for c in range(3):
         adjoint[VELOCITY, c] += dt * adjoint[POSITION, c]
     for j in range(n):
@@ -468,7 +471,7 @@ def _unpredict(dt: float, time: float, work: FusionWork) -> None:
 
 
 @kernel
-def _backward(steps: Steps, m: int, time: float, out: FusedPoses, work: FusionWork) -> None:
+def _backward(steps: Steps, m: int, out: FusedPoses, work: FusionWork) -> None:
     """Smooth one joint: x - P l, P - P L P at every step that wants a pose."""
     adjoint, square = work.mean, work.covariance
     adjoint[:] = 0.0
@@ -496,7 +499,7 @@ def _backward(steps: Steps, m: int, time: float, out: FusedPoses, work: FusionWo
                 out.positions[pose, m, c] = x
                 out.velocities[pose, m, c] = v
         if work.intervals[t] > 0.0:
-            _unpredict(work.intervals[t], time, work)
+            _unpredict(work.intervals[t], work.remains[t], work)
 
 
 @entry
@@ -517,4 +520,4 @@ def smooth_joints(
             _rate(steps, m, noise, states, row, level, work)
         _choose_levels(steps, keep, m, states, row, work)
         _forward(steps, keep, m, noise, states, row, work)
-        _backward(steps, m, noise.time, out, work)
+        _backward(steps, m, out, work)

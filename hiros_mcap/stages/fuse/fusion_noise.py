@@ -14,7 +14,7 @@ from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.skeletons import Floats, SkeletonModel
 from hiros_mcap.stages.fuse.fusing import JointNoise, Sightings
 
-FREEDOM = 4.0
+FREEDOM = 4
 """Degrees of freedom of Student's t: gross outliers count little. 4 to 20 differ by 0 to 4 %."""
 _REFERENCE = 2.0  # m; distance at which the white noise of a joint is stated
 _EXTREMITIES = ("wrist", "hand", "handtip", "hand_tip", "thumb", "ankle", "foot", "toe", "bigtoe")
@@ -83,7 +83,7 @@ class FusionNoise:
         power, guessed = numbers.get("power", self.power), numbers.get("guessed", self.guessed)
         return replace(self, joints=white, cameras=dict(cameras), power=power, guessed=guessed)
 
-    def motion(self, freedom: float = FREEDOM) -> JointNoise:
+    def motion(self, freedom: int = FREEDOM) -> JointNoise:
         """Return the part that the filter takes; the number is that of FuseParams."""
         return JointNoise(self.accelerations, self.offsets**2, self.time, freedom)
 

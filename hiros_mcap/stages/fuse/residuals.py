@@ -62,6 +62,8 @@ class ResidualMeter:
         self._fused: list[Block] = []
         self._recent: dict[str, Floats] = {}
         """Camera -> histogram of its residuals, of which the old ones count less."""
+        self._ratios: dict[str, float] = {}
+        """Camera -> size of these as a multiple of the expected one."""
         self._last: int | None = None
         self._seen = self._first = self._waiting = 0
         """Instants so far, those that were compared, and frames in ``_fused``."""
@@ -102,8 +104,7 @@ class ResidualMeter:
         uncertainty = fused.uncertainty
         if uncertainty is None:
             return fused
-        ratio_of = {name: float(ratios(counts[None])[0]) for name, counts in self._recent.items()}
-        ratio = np.array([ratio_of.get(name, np.nan) for name in uncertainty.names])
+        ratio = np.array([self._ratios.get(name, np.nan) for name in uncertainty.names])
         factors = np.fmax(np.nan_to_num(ratio, nan=1.0) / self._healthy, 1.0) ** 2
         if (factors == 1.0).all():
             return fused
@@ -171,7 +172,8 @@ class ResidualMeter:
         self._last = stamp
         for k, name in enumerate(self._names):
             counts = histograms(squares[keys[0] == k].reshape(1, -1))[0]
-            self._recent[name] = counts + keep * self._recent.get(name, np.zeros(1))
+            recent = self._recent[name] = counts + keep * self._recent.get(name, np.zeros(1))
+            self._ratios[name] = float(ratios(recent[None])[0])
 
 
 def ratios(counts: NDArray[Any]) -> Floats:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ from hiros_mcap.stages.fuse.fusing import POSE, FusedPoses, JointStates, Sightin
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 from hiros_mcap.stages.fuse.pose_error import PoseError
 from hiros_mcap.stages.fuse.sightings import rows_of
+from hiros_mcap.threads import run_each
 
 _FOLLOW = 0.05  # share of each interval in the mean of all
 _FORGET = 10.0  # s without a sighting after which a person's filter starts anew
@@ -66,7 +68,7 @@ class WindowSmoother:
         self._pose_error = pose_error
         self.displaced = DisplacedViews()
         self._names: tuple[str, ...] = ()
-        self._held = HeldFrames(packed=True)
+        self._held = HeldFrames(packed=params.window > 0)
         self._stamps: list[int] = []
         """Of the instants that are held and known, ns."""
         self._views: list[Sightings] = []
@@ -181,19 +183,30 @@ class WindowSmoother:
     def _smooth_people(self, window: _Window, variances: Floats, boundary: int) -> FusedPoses:
         """Smooth everybody; the filters stand at ``boundary``, ns, afterwards."""
         poses = FusedPoses.absent(len(window.people), variances.shape[1])
-        for person in np.unique(window.people):
-            rows = np.flatnonzero(window.people == person)
-            theirs = (window.views.people == person) & window.new
-            steps, keep = self._steps(
-                chosen(window.views, theirs), variances[theirs], window.stamps[rows], boundary
-            )
-            row = self._bank.row(int(person), boundary)
-            smoothed = FusedPoses.absent(len(rows), poses.variances.shape[1])
-            work = fusing.FusionWork.of(len(steps.times), self._bank.past.means.shape[2])
-            fusing.smooth_joints(steps, keep, self._motion, self._bank.past, row, smoothed, work)
-            for whole, part in zip(poses, smoothed, strict=True):
-                whole[rows] = part
+        people, smooth = np.unique(window.people).tolist(), self._smooth_person
+        calls = [partial(smooth, window, variances, boundary, poses, p) for p in people]
+        if self._params.window > 0:
+            run_each(calls)
+        else:  # one pose of each takes less time than to start a thread
+            for call in calls:
+                call()
         return poses
+
+    def _smooth_person(
+        self, window: _Window, variances: Floats, boundary: int, out: FusedPoses, person: int
+    ) -> None:
+        """Write one person's rows of ``out``."""
+        rows = np.flatnonzero(window.people == person)
+        theirs = (window.views.people == person) & window.new
+        steps, keep = self._steps(
+            chosen(window.views, theirs), variances[theirs], window.stamps[rows], boundary
+        )
+        row = self._bank.rows[person]
+        smoothed = FusedPoses.absent(len(rows), variances.shape[1])
+        work = fusing.FusionWork.of(len(steps.times), self._bank.past.means.shape[2])
+        fusing.smooth_joints(steps, keep, self._motion, self._bank.past, row, smoothed, work)
+        for whole, part in zip(out, smoothed, strict=True):
+            whole[rows] = part
 
     def _steps(
         self, views: Sightings, variances: Floats, wanted: Stamps, boundary: int

@@ -29,9 +29,9 @@ import numpy as np
 from hiros_mcap.kernels.array_types import B2, F1, F2, F3, F4, I1, I3, arrays
 from hiros_mcap.kernels.averaging import copy_row
 from hiros_mcap.kernels.compile import entry, kernel
-from hiros_mcap.kernels.distance import point_distance
 from hiros_mcap.kernels.kalman_filter import prior, white_acceleration
 from hiros_mcap.kernels.point_filter import TRIANGLE, correct, predict, start
+from hiros_mcap.kernels.points import point_distance
 from hiros_mcap.skeletons import POSITION, STATE, VELOCITY, Floats, People, Stamps
 from hiros_mcap.stages.malaguti.centroid_filter import NOISE_RATE, STARTING_SPEED
 

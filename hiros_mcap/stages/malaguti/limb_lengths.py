@@ -8,7 +8,7 @@ import numpy as np
 
 from hiros_mcap.kernels.array_types import B1, F2, F3, I1, J2
 from hiros_mcap.kernels.compile import entry, kernel
-from hiros_mcap.kernels.distance import point_distance
+from hiros_mcap.kernels.points import point_distance
 from hiros_mcap.skeletons import Floats
 
 _SHORTEST = 1e-6  # m; a shorter link has no direction

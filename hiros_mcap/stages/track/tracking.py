@@ -15,8 +15,9 @@ from hiros_mcap.kernels import kalman_filter
 from hiros_mcap.kernels.array_types import B1, B2, F1, F2, F3, I1, I2, J1, J2, arrays
 from hiros_mcap.kernels.assignment import AssignmentWork, solve
 from hiros_mcap.kernels.compile import entry, inlined, rows_of
-from hiros_mcap.kernels.distance import centre, norm3, point_distance, weighted_mean_distance
+from hiros_mcap.kernels.distance import centre, weighted_mean_distance
 from hiros_mcap.kernels.kalman_filter import Covariance
+from hiros_mcap.kernels.points import norm3, point_distance
 from hiros_mcap.kernels.quaternions import (
     Quaternion,
     Vector,

@@ -1,0 +1,47 @@
+"""Several threads for what leaves the interpreter to others: kernels and linear algebra."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+_LOCAL = threading.local()
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def run_each(calls: Sequence[Callable[[], object]]) -> None:
+    """Make calls that do not depend on each other on all cores; their CPU is this thread's."""
+    waiting = iter(calls)  # which gives each call to one thread only
+
+    def work() -> float:
+        begin = time.thread_time()
+        for call in waiting:
+            call()
+        return time.thread_time() - begin
+
+    n = min(cores(), len(calls)) - 1
+    if n < 1:
+        work()
+        return
+    with ThreadPoolExecutor(n, thread_name_prefix="hiros-people") as pool:
+        others = [pool.submit(work) for _ in range(n)]
+        work()
+    _LOCAL.cpu_s = _others_cpu() + sum(other.result() for other in others)
+
+
+def cpu_time() -> float:
+    """Return the CPU of this thread and of those that :func:`run_each` started for it, s."""
+    return time.thread_time() + _others_cpu()
+
+
+def _others_cpu() -> float:
+    return getattr(_LOCAL, "cpu_s", 0.0)
