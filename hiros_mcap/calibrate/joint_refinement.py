@@ -126,7 +126,11 @@ def refine(
     The rig, and the points on which it was found.
     """
     if points is None:
-        points = _first_points(views, rig, instants, mirror, gates[0])
+        widest = gates[0]
+        points = common_points(views, rig, instants, mirror, widest)
+        while not len(points.seconds) and widest < WIDEST_M:  # the start puts people far off
+            widest *= 1.5
+            points = common_points(views, rig, instants, mirror, widest)
     for k, gate in enumerate(gates):
         if k:
             points = common_points(views, rig, instants, mirror, gate)
@@ -134,22 +138,22 @@ def refine(
     return rig, common_points(views, rig, instants, mirror, gates[-1])
 
 
-def _first_points(
-    views: Sequence[CameraView], rig: Rig, instants: Floats, mirror: Ints, gate: float
-) -> Points:
-    """Find the joints that two cameras see, also if the start puts people far off."""
-    points = common_points(views, rig, instants, mirror, gate)
-    while not len(points.seconds) and gate < WIDEST_M:
-        gate *= 1.5
-        points = common_points(views, rig, instants, mirror, gate)
-    return points
-
-
 def solve(points: Points, rig: Rig, free: Flags, sampled: Rig, steps: int) -> Rig:
-    """Improve poses and clocks on points that were taken at the clocks of the rig ``sampled``."""
+    """Improve poses and clocks by Gauss-Newton steps.
+
+    The points were taken at the clocks of the rig ``sampled``.
+    """
     for _ in range(steps if len(points.seconds) else 0):
         residuals = residuals_of(points, rig, sampled)
-        rig = _stepped(rig, residuals, points, free)
+        hessian, slopes = normal_equations(residuals, points.seconds, free)
+        step = np.zeros(free.shape)
+        step[free] = -_solution(hessian, slopes[0])
+        rig = Rig(
+            to_matrix(from_vector(step[:, :3])) @ rig.rotations,
+            rig.shifts + step[:, 3:6],
+            rig.clocks + step[:, CLOCK],
+            rig.drifts + step[:, DRIFT],
+        )
     return rig
 
 
@@ -252,33 +256,14 @@ def normal_equations(
     return hessian, equations.slopes[:, chosen]
 
 
-def _stepped(rig: Rig, residuals: RigResiduals, points: Points, free: Flags) -> Rig:
-    """Return the rig after one Gauss-Newton step."""
-    hessian, slopes = normal_equations(residuals, points.seconds, free)
-    step = np.zeros(free.shape)
-    step[free] = -_solution(hessian, slopes[0])
-    turns = to_matrix(from_vector(step[:, :3]))
-    return Rig(
-        turns @ rig.rotations,
-        rig.shifts + step[:, 3:6],
-        rig.clocks + step[:, CLOCK],
-        rig.drifts + step[:, DRIFT],
-    )
-
-
 def _solution(hessian: Floats, slopes: Floats) -> Floats:
     """Solve the normal equations; nothing changes that no data show.
 
     The small ridge stands for a pseudo-inverse, which takes 20 times as long with five cameras.
     """
-    scale = _scale(hessian)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-12))  # ones on the diagonal
     scaled = hessian * np.outer(scale, scale) + RIDGE * np.eye(len(hessian))
     return np.asarray(scale * np.linalg.solve(scaled, scale * slopes))
-
-
-def _scale(hessian: Floats) -> Floats:
-    """(F,) units in which a Hessian has ones on its diagonal."""
-    return np.asarray(1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-12)))
 
 
 class RigErrors(NamedTuple):

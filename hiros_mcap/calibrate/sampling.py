@@ -104,20 +104,16 @@ def sample(views: Sequence[CameraView], instants: Floats, rig: Rig) -> Samples:
                     Samples(inside, np.full_like(inside, c), np.full_like(inside, k), lines)
                 )
     if not parts:
-        return _nobody(views)
+        none = np.zeros(0, np.int64)
+        markers = next((v.tracks[0].weights.shape[1] for v in views if v.tracks), 0)
+        places, weights = np.zeros((0, markers, 3)), np.zeros((0, markers))
+        return Samples(none, none, none, Lines(places, places, weights))
     joined = [np.concatenate(each) for each in zip(*(part[:3] for part in parts), strict=True)]
     lines = Lines(*map(np.concatenate, zip(*(part.lines for part in parts), strict=True)))
     order = np.lexsort((joined[1], joined[0]))
     order = order[np.count_nonzero(lines.weights[order] > 0.0, axis=1) >= 4]
     rows, cameras, tracks = (each[order].astype(np.int64) for each in joined)
     return Samples(rows, cameras, tracks, Lines(*(each[order] for each in lines)))
-
-
-def _nobody(views: Sequence[CameraView]) -> Samples:
-    none = np.zeros(0, np.int64)
-    markers = next((v.tracks[0].weights.shape[1] for v in views if v.tracks), 0)
-    empty = Lines(np.zeros((0, markers, 3)), np.zeros((0, markers, 3)), np.zeros((0, markers)))
-    return Samples(none, none, none, empty)
 
 
 def placed(samples: Samples, rig: Rig) -> Floats:

@@ -36,22 +36,8 @@ class Sighting(NamedTuple):
     """(P, M) 0 = absent."""
 
 
-class _Growing:
-    """A tracklet that may go on."""
-
-    def __init__(self, seconds: float, pose: Floats, weights: Floats) -> None:
-        self.seconds = [seconds]
-        self.poses = [pose]
-        self.weights = [weights]
-
-    def add(self, seconds: float, pose: Floats, weights: Floats) -> None:
-        self.seconds.append(seconds)
-        self.poses.append(pose)
-        self.weights.append(weights)
-
-    def finish(self) -> Tracklet:
-        positions, weights = np.stack(self.poses), np.stack(self.weights)
-        return Tracklet(np.array(self.seconds), np.nan_to_num(positions), weights)
+_Growing = list[tuple[float, Floats, Floats]]
+"""A tracklet that may go on: time, pose and weights of each frame."""
 
 
 def find_tracklets(sightings: Iterable[Sighting], mirror: Ints) -> list[Tracklet]:
@@ -64,18 +50,17 @@ def find_tracklets(sightings: Iterable[Sighting], mirror: Ints) -> list[Tracklet
     growing: list[_Growing] = []
     done: list[_Growing] = []
     for seconds, positions, weights in sightings:
-        done += [one for one in growing if seconds - one.seconds[-1] > GAP_S]
-        growing = [one for one in growing if seconds - one.seconds[-1] <= GAP_S]
-        owners, swapped = _continue(positions, [one.poses[-1] for one in growing], mirror)
+        done += [one for one in growing if seconds - one[-1][0] > GAP_S]
+        growing = [one for one in growing if seconds - one[-1][0] <= GAP_S]
+        owners, swapped = _continue(positions, [one[-1][1] for one in growing], mirror)
         for p, owner in enumerate(owners):
             order = mirror if swapped[p] else slice(None)
-            pose, weight = positions[p, order], weights[p, order]
-            if owner >= 0:
-                growing[owner].add(seconds, pose, weight)
-            else:
-                growing.append(_Growing(seconds, pose, weight))
-    long = (one for one in done + growing if one.seconds[-1] - one.seconds[0] >= SHORTEST_S)
-    return sorted((one.finish() for one in long), key=lambda track: float(track.seconds[0]))
+            if owner < 0:
+                growing.append([])
+            growing[owner].append((seconds, positions[p, order], weights[p, order]))
+    long = (one for one in done + growing if one[-1][0] - one[0][0] >= SHORTEST_S)
+    columns = (map(np.array, zip(*one, strict=True)) for one in sorted(long, key=lambda f: f[0][0]))
+    return [Tracklet(times, np.nan_to_num(poses), some) for times, poses, some in columns]
 
 
 def _continue(poses: Floats, last: list[Floats], mirror: Ints) -> tuple[list[int], list[bool]]:

@@ -1,4 +1,4 @@
-"""Corrects the stamps of a live system: each message is judged by those before it.
+"""Corrects the stamps of a live system: each message by those before it.
 
 The tests are those of :mod:`hiros_mcap.io.camera_clock`, on the last seconds of the log. A step is
 known some messages after it. Until then, stamps far in the future are replaced, so that no camera

@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -53,7 +53,7 @@ def process_live(
     source : the input.
     target : descriptor of a pipe, or a file, which appears when the input ends; None for neither.
     config, options, watcher, progress : as of :func:`hiros_mcap.running.pipeline.process`; the
-        default system is ``fuse-realtime``. Clocks are judged as the messages come.
+        default system is ``fuse-realtime``. Clocks are corrected as the messages come.
     started : is called with the log when the first messages are read.
 
     Raises
@@ -67,35 +67,21 @@ def process_live(
         the reader of the output is gone.
     """
     options = options or ProcessOptions(system=LIVE_SYSTEM)
-    try:
-        return _process(source, target, config, options, watcher, started, progress)
-    finally:
-        source.close()
-
-
-def _process(
-    source: LiveInput,
-    target: int | Path | None,
-    config: Config | None,
-    options: ProcessOptions,
-    watcher: Watcher | None,
-    started: Callable[[LiveLog], None] | None,
-    progress: Progress | None,
-) -> Summary:
-    config = _causal(config or load_config(system=options.system), options)
-    check_limbs(options)
-    watch = Stopwatch()
-    log = open_live(
-        source,
-        topics=options.topics or None,
-        extrinsics=options.extrinsics,
-        fixed_frame=config.input.fixed_frame or None,
-    )
-    if started is not None:
-        started(log)
-    prepared = prepare(log, config, options, watch)
-    report = run_log(prepared, partial(_open_output, target, source, log), watcher, progress)
-    return conclude(report, str(target) if isinstance(target, Path) else None)
+    with closing(source):
+        config = _causal(config or load_config(system=options.system), options)
+        check_limbs(options)
+        watch = Stopwatch()
+        log = open_live(
+            source,
+            topics=options.topics or None,
+            extrinsics=options.extrinsics,
+            fixed_frame=config.input.fixed_frame or None,
+        )
+        if started is not None:
+            started(log)
+        prepared = prepare(log, config, options, watch)
+        report = run_log(prepared, partial(_open_output, target, source, log), watcher, progress)
+        return conclude(report, str(target) if isinstance(target, Path) else None)
 
 
 def subscription(options: ProcessOptions) -> Callable[[str, str], bool]:
@@ -111,7 +97,7 @@ def subscription(options: ProcessOptions) -> Callable[[str, str], bool]:
 
 
 def _causal(config: Config, options: ProcessOptions) -> Config:
-    """Return the configuration with clocks that are judged by what came before."""
+    """Return the configuration with clocks that are corrected by what came before."""
     if config.optimize.calibration == "two-pass":
         raise ConfigError("--two-pass reads the whole log first, which live input does not allow")
     if options.recover or options.strict:

@@ -15,9 +15,8 @@ from hiros_mcap.calibrate.gauge import placement_error
 from hiros_mcap.events import COMMON, RESIDUAL, TOO_LATE, Event, Events, counted
 from hiros_mcap.io.channels import OUTPUT_PREFIX
 from hiros_mcap.io.log import DAMAGED, FAR_FUTURE, STALE, Account, CameraChannel, Log, Reading
-from hiros_mcap.running.clock_alignment import ClockAlignment, clock_notes, clock_warnings
+from hiros_mcap.running.clock_alignment import clock_notes, clock_warnings
 from hiros_mcap.running.observe import Observer, Presence
-from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.running.preparation import Prepared
 from hiros_mcap.running.write import unmatched_globs
 from hiros_mcap.skeletons import SkeletonModel
@@ -71,22 +70,12 @@ class Report:
         """The log that is read, as far as it is known."""
         return self.reading.log
 
-    @property
-    def clocks(self) -> ClockAlignment:
-        """Of the cameras."""
-        return self.prepared.clocks
-
-    @property
-    def poses(self) -> PoseAlignment:
-        """Of the cameras."""
-        return self.prepared.poses
-
     def summary(self, target: str | None) -> Summary:
         """Return everything that is known so far."""
         start, end = self.log.span
         watch = self.prepared.watch
         people, chain, cpu = self.observer.people, self.observer.chain, watch.cpu
-        before = ("read", "calibrate") if self.poses.cameras else ("read",)
+        before = ("read", "calibrate") if self.prepared.poses.cameras else ("read",)
         steps = [name for name in (*before, *chain, "write") if name in cpu]
         cameras = tuple(map(self._camera, self.log.cameras))
         scatters = tuple(scatter_by_camera(self.run.events, self.run.model))
@@ -98,7 +87,7 @@ class Report:
             system=self.run.system,
             settings=str(self.prepared.options.settings or ""),
             cameras=cameras,
-            poses=tuple(map(self._pose, self.poses.cameras)),
+            poses=tuple(map(self._pose, self.prepared.poses.cameras)),
             placement=self._placement(),
             scatter=scatter_of(self.run.events),
             scatters=scatters,
@@ -131,7 +120,7 @@ class Report:
 
     def _placement(self) -> PlacementSummary | None:
         """Return how uncertain the placement of the rig is."""
-        if len(self.poses.cameras) < 2 or self.poses.from_nothing:
+        if len(self.prepared.poses.cameras) < 2 or self.prepared.poses.from_nothing:
             return None
         error = placement_error(self.run.cameras, self.run.to_given)
         return PlacementSummary(1000.0 * error.metres, error.degrees) if error else None
@@ -153,7 +142,7 @@ class Report:
             skipped={**account.skipped, **({TOO_LATE: late} if late else {})},
             flips=sum(counts["flip", source] for source in sources),
             outliers=sum(counts["outlier", source] for source in sources),
-            clock=tuple(fault for fault in self.clocks.faults if fault.camera in sources),
+            clock=tuple(fault for fault in self.prepared.clocks.faults if fault.camera in sources),
         )
 
     def _person(self, person: int, presence: Presence) -> PersonSummary:
@@ -205,8 +194,8 @@ class Report:
                     f"{account.first_error}. Look for the fault at its source; --strict refuses it"
                 )
         yield from self._distortions(cameras)
-        yield from clock_warnings(self.clocks.faults, self.log.span[0])
-        yield from self.poses.warnings()
+        yield from clock_warnings(self.prepared.clocks.faults, self.log.span[0])
+        yield from self.prepared.poses.warnings()
         yield from self._displaced()
         yield from self.reading.warnings
         if not self.observer.people:
@@ -252,7 +241,7 @@ class Report:
         """Yield what nobody asked for but should know."""
         yield from unmatched_globs(self.log, self.prepared.options)
         yield from self.observer.pauses.notes(self.log.span[0])
-        yield from self.poses.notes()
+        yield from self.prepared.poses.notes()
         yield from self.reading.remarks
         for account in self.reading.accounts.values():
             yield from _input_notes(account)
@@ -266,7 +255,7 @@ class Report:
         optimized = self.observer.people and "optimized" in self.observer.chain
         if windows and optimized and not measured:
             yield "limb lengths not calibrated: nobody was seen in the calibration windows"
-        yield from clock_notes(self.clocks.faults, self.log.span[0])
+        yield from clock_notes(self.prepared.clocks.faults, self.log.span[0])
 
 
 def _loss(camera: CameraSummary, lost: Mapping[str, int], stage: str) -> str:

@@ -73,19 +73,12 @@ def open_output(
         McapWriter(target, inputs=[log.path], compression=options.compression) as writer,
         digest_of(Path(log.path)) as digest,
     ):
-        copier = _file_copier(log, writer, options, moved=prepared.poses.replaced)
+        kept = kept_channels(log, options, moved=prepared.poses.replaced)
+        # Where players need /tf_static latched, it is copied at once.
+        latched = [info for info in log.channels if info.id in kept and needs_latching(info)]
+        copier = ChunkCopier(log.reader, writer, set(kept) - {info.id for info in latched})
+        copy_latched(log.reader, writer, latched)
         yield LogOutput(writer, copier, prepared, run, digest.result)
-
-
-def _file_copier(
-    log: Log, writer: McapWriter, options: ProcessOptions, *, moved: bool
-) -> ChunkCopier:
-    """Copy /tf_static at once if players need it latched; return what copies the rest."""
-    kept = kept_channels(log, options, moved=moved)
-    latched = [info for info in log.channels if info.id in kept and needs_latching(info)]
-    copier = ChunkCopier(log.reader, writer, set(kept) - {info.id for info in latched})
-    copy_latched(log.reader, writer, latched)
-    return copier
 
 
 class Copier(Protocol):

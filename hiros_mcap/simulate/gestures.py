@@ -81,6 +81,14 @@ def _lean(posture: Posture, forward: Floats) -> None:
     posture.add("thorax", angles(-0.2 * forward))
 
 
+def _arms(posture: Posture, *swing: Floats | float, elbow: Floats | None = None) -> None:
+    """Move both arms alike; see :func:`arm`."""
+    for side in ("left", "right"):
+        posture.add(f"upper_arm_{side}", arm(side, *swing))
+        if elbow is not None:
+            posture.add(f"forearm_{side}", angles(elbow))
+
+
 def idle(posture: Posture, t: Floats, style: Style) -> None:
     """Sway slowly by a few millimetres, breathe, let the arms hang."""
     slow, breath = TURN * (0.21 * t + style.phase), TURN * (0.27 * t + 2 * style.phase)
@@ -89,9 +97,7 @@ def idle(posture: Posture, t: Floats, style: Style) -> None:
     )
     posture.add("thorax", angles(0.01 * np.sin(breath), 0.01 * np.sin(slow), 0.02 * np.cos(slow)))
     posture.add("head", angles(0.03 * np.sin(1.3 * slow), 0.0, 0.10 * np.sin(0.7 * slow)))
-    for side in ("left", "right"):
-        posture.add(f"upper_arm_{side}", arm(side, 0.02 * np.sin(breath), 0.10, 0.1))
-        posture.add(f"forearm_{side}", angles(0.18 + 0.02 * np.sin(slow)))
+    _arms(posture, 0.02 * np.sin(breath), 0.10, 0.1, elbow=0.18 + 0.02 * np.sin(slow))
 
 
 def squat(posture: Posture, t: Floats, style: Style) -> None:
@@ -99,8 +105,7 @@ def squat(posture: Posture, t: Floats, style: Style) -> None:
     depth = style.extent * bump(style.cycle(t, 3.0), 0.05, 0.95)
     _shift_pelvis(posture, -0.20 * depth, -0.36 * depth)
     _lean(posture, 0.75 * depth)
-    for side in ("left", "right"):
-        posture.add(f"upper_arm_{side}", arm(side, 1.7 * depth))
+    _arms(posture, 1.7 * depth)
 
 
 def bend(posture: Posture, t: Floats, style: Style) -> None:
@@ -109,8 +114,7 @@ def bend(posture: Posture, t: Floats, style: Style) -> None:
     _shift_pelvis(posture, -0.16 * depth, -0.05 * depth)
     _lean(posture, 1.35 * depth)
     posture.add("neck", angles(0.3 * depth))
-    for side in ("left", "right"):
-        posture.add(f"upper_arm_{side}", arm(side, 1.25 * depth))
+    _arms(posture, 1.25 * depth)
 
 
 def sit(posture: Posture, t: Floats, style: Style) -> None:
@@ -119,9 +123,7 @@ def sit(posture: Posture, t: Floats, style: Style) -> None:
     depth = hold(x, 0.1, 0.35, 0.65, 0.9)
     _shift_pelvis(posture, -0.36 * depth, -0.40 * depth)
     _lean(posture, 0.65 * (bump(x, 0.08, 0.40) + bump(x, 0.60, 0.92)))
-    for side in ("left", "right"):
-        posture.add(f"upper_arm_{side}", arm(side, 0.45 * depth))
-        posture.add(f"forearm_{side}", angles(0.9 * depth))
+    _arms(posture, 0.45 * depth, elbow=0.9 * depth)
 
 
 def jump(posture: Posture, t: Floats, style: Style) -> None:
@@ -133,8 +135,7 @@ def jump(posture: Posture, t: Floats, style: Style) -> None:
     _lean(posture, 0.5 * crouch)
     posture.toes[:, :, 2] += (0.20 * flight)[:, None]
     posture.foot_pitch += (0.5 * flight)[:, None]
-    for side in ("left", "right"):
-        posture.add(f"upper_arm_{side}", arm(side, 1.6 * flight - 0.5 * crouch, 0.2 * flight))
+    _arms(posture, 1.6 * flight - 0.5 * crouch, 0.2 * flight)
 
 
 def lunge(posture: Posture, t: Floats, style: Style) -> None:
@@ -150,17 +151,13 @@ def lunge(posture: Posture, t: Floats, style: Style) -> None:
         posture.toes[:, foot] += np.stack([0.72 * step * c, 0.72 * step * s, 0.08 * lift], axis=-1)
         posture.foot_pitch[:, 1 - foot] += 0.95 * ahead  # the heel behind rises
         _lean(posture, 0.12 * down)
-        for side in ("left", "right"):
-            posture.add(f"upper_arm_{side}", arm(side, 0.15 * down, 0.25 * down))
-            posture.add(f"forearm_{side}", angles(0.5 * down))
+        _arms(posture, 0.15 * down, 0.25 * down, elbow=0.5 * down)
 
 
 def hands_up_down(posture: Posture, t: Floats, style: Style) -> None:
     """Raise both stretched arms in front over the head and lower them, every 3 s."""
     up = hold(style.cycle(t, 3.0), 0.05, 0.42, 0.54, 0.92)
-    for side in ("left", "right"):
-        posture.add(f"upper_arm_{side}", arm(side, 2.8 * up, 0.12 * up))
-        posture.add(f"forearm_{side}", angles(-0.08 * up))
+    _arms(posture, 2.8 * up, 0.12 * up, elbow=-0.08 * up)
     posture.add("thorax", angles(0.06 * up))
 
 
@@ -271,8 +268,7 @@ def roll(posture: Posture, t: Floats, style: Style) -> None:
     x = style.cycle(t, 8.0)
     rolled = TURN * hold(x, 0.05, 0.45, 0.55, 0.95)
     size = posture.body.height / ADULT_HEIGHT
-    for side in ("left", "right"):
-        posture.add(f"upper_arm_{side}", arm(side, 2.95, -0.45))
+    _arms(posture, 2.95, -0.45)
     _raise_toes(posture, np.full_like(t, -0.9))
     # On the side the body lies on a shoulder; the hips' way over the floor is that of a barrel.
     height = size * (0.12 + 0.08 * np.sin(rolled) ** 2) - posture.body.standing
@@ -322,8 +318,7 @@ def spin(posture: Posture, t: Floats, style: Style) -> None:
         x = 8.0 * (cycle - first)
         turning = smoothstep((x - 1.0) / SPIN_SECONDS)
         tucked = hold(x, 0.6, 1.1, 1.9, 2.5)
-        for side in ("left", "right"):
-            posture.add(f"upper_arm_{side}", arm(side, 0.5 * tucked, 0.3 * tucked, 0.5 * tucked))
+        _arms(posture, 0.5 * tucked, 0.3 * tucked, 0.5 * tucked)
         posture.toes[:, 0 if sign > 0 else 1, 2] += 0.12 * tucked
         _rotate(posture, np.zeros_like(t), sign * TURN * turning)
 
