@@ -76,10 +76,10 @@ def constrain_blocks(
             copied, window = numbers, held.copies(numbers)
             waiting.append(bodies.measure(window, numbers))
             while waiting and bodies.can_correct(waiting[0], stamp):
-                numbers = waiting.popleft().numbers
+                numbers, _, people = waiting.popleft()
                 if numbers != copied:
                     copied, window = numbers, held.copies(numbers)
-                yield bodies.corrected(window, end)
+                yield bodies.corrected(window, people, end)
             del window  # it takes more memory than what waits
         del block  # for the same reason
         held.keep(range(waiting[0].numbers.start if waiting else first, held.count))
@@ -88,7 +88,7 @@ def constrain_blocks(
         waiting.append(bodies.measure(held.copies(numbers), numbers))
     bodies.end_of_log()
     for each in waiting:
-        yield bodies.corrected(held.copies(each.numbers), end)
+        yield bodies.corrected(held.copies(each.numbers), each.people, end)
 
 
 class _WaitingWindow(NamedTuple):
@@ -96,7 +96,7 @@ class _WaitingWindow(NamedTuple):
 
     numbers: range  # of these frames
     begin: int  # time of the first, ns
-    people: list[int]  # who has an id in them
+    people: list[tuple[int, Stamps]]  # who has an id in them, and the rows
 
 
 @dataclass
@@ -143,7 +143,7 @@ class _Bodies:
             if not body.is_fixed and body.last - body.first >= self._params.enough * 1e9:
                 self._keep(person, body)
                 body.is_fixed, body.meter = True, self._meter()
-        return _WaitingWindow(numbers, int(out.stamps[0]), [person for person, _ in people])
+        return _WaitingWindow(numbers, int(out.stamps[0]), people)
 
     def _meter(self) -> AllPoses | RunningLengths:
         if self._params.window > 0:
@@ -173,11 +173,11 @@ class _Bodies:
         """Whether nothing more about the people of a window is worth waiting for at ``now``, ns."""
         patience = self._params.enough + self._params.window if self._params.window > 0 else 0.0
         waited = now - window.begin >= patience * 1e9
-        return waited or all(self._people[person].is_fixed for person in window.people)
+        return waited or all(self._people[person].is_fixed for person, _ in window.people)
 
-    def corrected(self, out: Block, log_time: int) -> Block:
+    def corrected(self, out: Block, people: list[tuple[int, Stamps]], log_time: int) -> Block:
         """Project a window onto the lengths; move towards what people do; project again."""
-        variances, people = unshared_variances(out), list(_tracked(out))
+        variances = unshared_variances(out)
         lengths = np.ones((len(people), len(self._pairs), 2))
         which = np.full(len(out.people.ids), -1)
         for k, (person, rows) in enumerate(people):
