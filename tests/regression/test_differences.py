@@ -77,6 +77,13 @@ def test_one_joint_that_moved_is_named_with_its_frame():
     assert result.first.what == "WRIST_LEFT of person 1 is off by 20 mm"
 
 
+def test_a_small_difference_is_shown_with_all_its_digits():
+    new = frames()
+    new[5].positions[1, 6] += [0, 0, 2e-6]
+    (difference,) = compared(new).differences(Tolerances())
+    assert (difference.was, difference.now) == ("2.1, 0.4, 1 m", "2.1, 0.4, 1.000002 m")
+
+
 def test_a_turned_link():
     new = frames()
     half = math.radians(0.5) / 2
