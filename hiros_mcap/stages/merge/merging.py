@@ -290,7 +290,7 @@ def largest_group(distances: F2, weights: F1, has_past: bool, limit: float) -> i
             elif abs(weight - best_weight) > 1e-12:
                 better = weight > best_weight
             else:
-                better = total < best_sum
+                better = total < best_sum - 1e-6  # a view may be 1e-8 rad from itself
         if best < 0 or better:
             best, best_votes, best_past, best_weight, best_sum = k, votes, past, weight, total
     return best
