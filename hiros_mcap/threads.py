@@ -1,4 +1,4 @@
-"""Several threads for what leaves the interpreter to others: kernels and linear algebra."""
+"""Several threads, for kernels: these run without the interpreter."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def cores() -> int:
 
 
 def run_each(calls: Sequence[Callable[[], object]]) -> None:
-    """Make calls that do not depend on each other on all cores; their CPU is this thread's."""
+    """Make independent calls on all cores. Their CPU time counts as that of this thread."""
     waiting = iter(calls)  # which gives each call to one thread only
 
     def work() -> float:

@@ -17,7 +17,7 @@ import numpy as np
 
 from hiros_mcap.config import Config, load_config
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.evaluate.leave_one_out import leave_each_out
+from hiros_mcap.evaluate.leave_one_out import frames_of_cameras, leave_each_out
 from hiros_mcap.evaluate.logs import consistency, find_truth, fused_topics
 from hiros_mcap.evaluate.match import Matches, match
 from hiros_mcap.evaluate.same_detections import (
@@ -239,7 +239,7 @@ def _read(task: Task) -> tuple[Recording, Truth | None]:
 def _without_truth(
     task: Task, outcome: Outcome, recording: Recording, frames: Sequence[Frame]
 ) -> tuple[Outcome, list[Distances]]:
-    cameras, distances = leave_each_out(recording, *_settings(task))
+    cameras, distances = leave_each_out(recording, frames_of_cameras(recording), *_settings(task))
     detections = sum(camera.detections for camera in cameras)
     unmatched = sum(camera.unmatched for camera in cameras)
     result = consistency(frames, recording.model)

@@ -96,9 +96,9 @@ def leave_one_out(
     options = options or ProcessOptions()
     config = config or load_config(system=options.system)
     recording = Recording.read(source, config, options)
-    model, frames_of = recording.model, _frames_of_cameras(recording)
+    model, frames_of = recording.model, frames_of_cameras(recording)
     everybody = _fused(recording, config, options, frames_of)
-    cameras, _ = leave_each_out(recording, config, options, progress)
+    cameras, _ = leave_each_out(recording, frames_of, config, options, progress)
     residuals = {topic: _residuals(frames, everybody, model) for topic, frames in frames_of.items()}
     mirrored = {topic: int(each.mirrored.sum()) for topic, each in residuals.items()}
     return SelfScores(
@@ -112,15 +112,15 @@ def leave_one_out(
 
 
 def leave_each_out(
-    recording: Recording, config: Config, options: ProcessOptions, progress: Progress | None = None
-) -> tuple[tuple[LeftOut, ...], list[Distances]]:
+    recording: Recording, frames_of: Mapping[str, Sequence[Frame]], config: Config,
+    options: ProcessOptions, progress: Progress | None = None,
+) -> tuple[tuple[LeftOut, ...], list[Distances]]:  # fmt: skip
     """Return each camera against the result of the others, and its distances one by one.
 
-    Raises ConfigError for fewer than two cameras' channels.
+    ``frames_of`` : as :func:`frames_of_cameras` returns it.
     """
     progress, model = progress or Silent(), recording.model
     cameras, distances = [], []
-    frames_of = _frames_of_cameras(recording)
     for k, (topic, frames) in enumerate(frames_of.items(), start=1):
         progress.update(k, len(frames_of) + 1)
         others = _fused(recording, config, options, frames_of.keys() - {topic})
@@ -131,7 +131,7 @@ def leave_each_out(
     return tuple(cameras), distances
 
 
-def _frames_of_cameras(recording: Recording) -> dict[str, list[Frame]]:
+def frames_of_cameras(recording: Recording) -> dict[str, list[Frame]]:
     """Topic -> its detections; raises ConfigError for fewer than two."""
     frames_of: dict[str, list[Frame]] = {topic: [] for topic in recording.topics.values()}
     for frame in recording.frames():

@@ -195,8 +195,8 @@ def _start(z: Floats, offset_variance: float, mean: Floats, covariance: Floats) 
 
 
 @inlined
-def _predict(dt: float, q: float, offset_variance: float, keep: float, work: FusionWork) -> None:
-    """Carry the state on by ``dt``, after which ``keep`` of an offset is left: F x, F P F' + Q."""
+def _predict(dt: float, q: float, offset_variance: float, remains: float, work: FusionWork) -> None:
+    """Carry the state on by ``dt``: F x, F P F' + Q. ``remains`` : share of an offset then."""
     x, p = work.mean, work.covariance
     n = len(x)
     for c in range(3):
@@ -209,21 +209,21 @@ def _predict(dt: float, q: float, offset_variance: float, keep: float, work: Fus
     p[0, 1] += q * dt * dt / 2.0
     p[1, 0] += q * dt * dt / 2.0
     p[1, 1] += q * dt
-    driven = offset_variance * (1.0 - keep * keep)
+    driven = offset_variance * (1.0 - remains * remains)
     for i in range(OFFSETS, n):
         for c in range(3):
-            x[i, c] *= keep
+            x[i, c] *= remains
         for j in range(OFFSETS):
-            p[i, j] *= keep
-            p[j, i] *= keep
+            p[i, j] *= remains
+            p[j, i] *= remains
         for j in range(OFFSETS, n):
-            p[i, j] *= keep * keep
+            p[i, j] *= remains * remains
         p[i, i] += driven
 
 
 @inlined
 def _likelihood(scaled: float, variance: float, freedom: int) -> float:
-    """Of an innovation in space under Student's t, by its square over its ``variance``."""
+    """Likelihood of an innovation in space, but for a factor, by its square over its variance."""
     tail: float = (1.0 + scaled / freedom) ** (freedom + 3)
     return 1.0 / math.sqrt(variance * variance * variance * tail)
 
@@ -450,7 +450,7 @@ def _measured(steps: Steps, t: int, work: FusionWork) -> None:
 
 
 @inlined
-def _unpredict(dt: float, keep: float, work: FusionWork) -> None:
+def _unpredict(dt: float, remains: float, work: FusionWork) -> None:
     """Carry the adjoint back over an interval: F' l, F' L F."""
     adjoint, square = work.mean, work.covariance
     n = len(adjoint)
@@ -462,12 +462,12 @@ def _unpredict(dt: float, keep: float, work: FusionWork) -> None:
         square[i, VELOCITY] += dt * square[i, POSITION]
     for i in range(OFFSETS, n):
         for c in range(3):
-            adjoint[i, c] *= keep
+            adjoint[i, c] *= remains
         for j in range(OFFSETS):
-            square[i, j] *= keep
-            square[j, i] *= keep
+            square[i, j] *= remains
+            square[j, i] *= remains
         for j in range(OFFSETS, n):
-            square[i, j] *= keep * keep
+            square[i, j] *= remains * remains
 
 
 @kernel
