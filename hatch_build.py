@@ -68,19 +68,15 @@ class CustomBuildHook(BuildHookInterface):
 
 
 def compile_into(target: Path) -> None:
-    """Compile all kernels; copy the code of those that Python calls, and write the manifest."""
+    """Compile all kernels; copy their code, and write the manifest."""
     from hiros_cli.compiling import prepare
     from hiros_mcap import kernels
     from hiros_mcap.kernels import shipped
 
     prepare(quiet=True, everything=True)
-    target.mkdir()
     for module in kernels.sources():
-        kernels.load([module])
-        for name, kernel in vars(sys.modules[module]).items():
-            if getattr(kernel, "signatures", ()) and not kernel._can_compile:
-                for path in kernels.folder_of(module).glob(f"*.{name}-*.nb?"):
-                    shutil.copy(path, target)
+        kernels.load([module])  # what a process had no memory for is compiled now
+        shutil.copytree(kernels.folder_of(module), target, dirs_exist_ok=True)
     (target / shipped.MANIFEST.name).write_text(json.dumps(shipped.identity(), indent=1))
 
 

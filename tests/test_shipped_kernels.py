@@ -26,10 +26,6 @@ FITTING = {"sources": "a", "numba": "0.60.0", "python": "cpython-311", "platform
 
 COUNT = """
 import sys
-from pathlib import Path
-from numba.core import event
-recorder = event.RecordingListener()
-event.register("numba:compile", recorder)
 from hiros_cli.app import run
 log, folder, *systems = sys.argv[1:]
 for system in systems:
@@ -44,8 +40,7 @@ for command in (
     ["view", result, "--save", f"{folder}/o.rrd"],
 ):
     run(command)
-names = [e.data["dispatcher"].py_func.__qualname__ for _, e in recorder.buffer if e.is_start]
-print("compiled", *names)
+print("numba" in sys.modules)
 """
 
 
@@ -97,7 +92,7 @@ def test_no_system_and_no_command_compiles_or_writes_beside_its_results(tmp_path
         text=True,
         check=True,
     )
-    assert done.stdout.splitlines()[-1] == "compiled"
+    assert done.stdout.splitlines()[-1] == "False", "numba compiles, and costs time"
     assert "compiling kernels" not in done.stderr
     assert files(package) == before
     assert [path.name for path in home.rglob("*") if "hiros" in str(path.relative_to(home))] == []
@@ -122,7 +117,7 @@ def test_kernels_of_another_numba_are_compiled_again(tmp_path):
         text=True,
         check=True,
     )
-    assert list(Path(done.stdout.strip()).glob("local_line.*.nbc"))
+    assert list(Path(done.stdout.strip()).glob("*.local_line.*"))
 
 
 def test_kernels_that_fit_are_used(manifest):

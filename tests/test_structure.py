@@ -39,7 +39,7 @@ UPWARDS = {
 }
 """Imports that do not go down the list of CONTRIBUTING.md. This set only shrinks."""
 CEILINGS = {
-    "hiros_cli": 3942,
+    "hiros_cli": 3930,
     "hiros_viewer": 4523,
     "hiros_mcap": 2342,
     "body": 1675,
@@ -56,7 +56,7 @@ CEILINGS = {
     "optimize": 1561,
     "track": 2612,
     "stages": 228,
-    "kernels": 2922,
+    "kernels": 3100,
     "plan": 570,
     "regression": 1510,
     "running": 3205,

@@ -37,7 +37,6 @@ def prepare(*, quiet: bool, everything: bool = False) -> None:
     from hiros_mcap.kernels import shipped
 
     _ensure_memory()
-    _load_numba()
     if shipped.usable():
         return
     _ensure_writable()
@@ -75,17 +74,6 @@ def _compile(tasks: Sequence[tuple[Sequence[str]]]) -> None:
             pass
 
 
-def _load_numba() -> None:
-    """Load numba without scipy, which it looks for and which no kernel calls."""
-    if "scipy" in sys.modules:
-        return
-    sys.modules["scipy"] = None  # type: ignore[assignment]
-    try:
-        import numba.np.arraymath  # noqa: F401
-    finally:
-        del sys.modules["scipy"]
-
-
 def _ensure_memory() -> None:
     """Raise MemoryError where ``ulimit -v`` leaves too little to load the libraries."""
     try:
@@ -102,8 +90,8 @@ def _ensure_memory() -> None:
 def _ensure_writable() -> None:
     """Use a private folder, removed at exit, where the user's cache cannot be written, or is full.
 
-    Without a folder numba refuses to import a cached kernel at all. The folder is private to the
-    process: compiled code that another user could have put there must not be loaded.
+    Without a folder each process would compile all that it uses. The folder is private to this one
+    and its workers: code that another user could have put there must not be loaded.
     """
     from hiros_mcap.kernels import cache_folder
 

@@ -22,6 +22,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
 
 NOTICE = "compiling kernels for this machine, once (about a minute with two cores)"
@@ -62,13 +63,21 @@ def digest(module: str) -> str:
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
+@cache
+def numba_version() -> str:
+    """Version of numba, which this does not import: it takes a third of a second."""
+    return version("numba")
+
+
 def cache_folder() -> Path:
-    """Folder for what this Python and this numba have compiled on this machine."""
-    import numba
+    """Folder for what this Python and this numba have compiled for this processor."""
+    import llvmlite.binding as llvm  # type: ignore[import-untyped]
     import platformdirs
 
     root = os.environ.get("NUMBA_CACHE_DIR") or platformdirs.user_cache_dir("hiros")
-    return Path(root, f"kernels-{sys.implementation.cache_tag}-numba-{numba.__version__}")
+    can = hashlib.sha256(llvm.get_host_cpu_features().flatten().encode()).hexdigest()[:8]
+    compiler = f"{sys.implementation.cache_tag}-numba-{numba_version()}"
+    return Path(root, f"kernels-{compiler}-{llvm.get_host_cpu_name()}-{can}")
 
 
 def folder_of(module: str) -> Path:

@@ -1,17 +1,32 @@
-"""numba's names for what kernels take: arrays, and NamedTuples of them."""
+"""What kernels take: arrays, and NamedTuples of them."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
 from functools import cache
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from numba import types
 
 from hiros_mcap.skeletons import Flags, Floats, Ints, People, Stamps
+
+
+class Array(NamedTuple):
+    """A C-contiguous array: its numbers by NumPy's name, and whether a kernel writes into it."""
+
+    numbers: str
+    dimensions: int
+    written: bool = True
+
+
+class Fields(NamedTuple):
+    """A NamedTuple of arrays and numbers, or a tuple."""
+
+    kind: type[Any]
+    fields: tuple[Any, ...]
+
 
 # C-contiguous arrays of 1 to 4 dimensions: floats, 64-bit integers, 32-bit integers, flags, floats
 # of 32 bits, bytes (C1: only read) and words of 64 bits. They annotate what a kernel takes.
@@ -33,51 +48,68 @@ if TYPE_CHECKING:
     C1 = npt.NDArray[np.uint8]
     U1 = npt.NDArray[np.uint8]
     W1 = npt.NDArray[np.uint64]
+    W2 = npt.NDArray[np.uint64]
 else:
-    F1, F2 = types.float64[::1], types.float64[:, ::1]
-    F3, F4 = types.float64[:, :, ::1], types.float64[:, :, :, ::1]
-    I1, I2, I3 = types.int64[::1], types.int64[:, ::1], types.int64[:, :, ::1]
-    J1, J2, J3 = types.int32[::1], types.int32[:, ::1], types.int32[:, :, ::1]
-    B1, B2 = types.boolean[::1], types.boolean[:, ::1]
-    S2, S3 = types.float32[:, ::1], types.float32[:, :, ::1]
-    C1, U1, W1 = (
-        types.Array(types.uint8, 1, "C", readonly=True),
-        types.uint8[::1],
-        types.uint64[::1],
-    )
+    F1, F2, F3, F4 = (Array("float64", n) for n in (1, 2, 3, 4))
+    I1, I2, I3 = (Array("int64", n) for n in (1, 2, 3))
+    J1, J2, J3 = (Array("int32", n) for n in (1, 2, 3))
+    B1, B2 = (Array("bool", n) for n in (1, 2))
+    S2, S3 = (Array("float32", n) for n in (2, 3))
+    C1, U1 = Array("uint8", 1, written=False), Array("uint8", 1)
+    W1, W2 = (Array("uint64", n) for n in (1, 2))
 
 _BUILT_IN = {
-    "float": types.float64, "int": types.int64, "bool": types.boolean, "None": types.void,
-    "tuple[int, int]": types.UniTuple(types.int64, 2),  # type: ignore[no-untyped-call]
+    "float": float, "int": int, "bool": bool, "None": None,
+    "tuple[int, int]": Fields(tuple, (int,) * 2),
+    "tuple[int, int, int, int]": Fields(tuple, (int,) * 4),
 }  # fmt: skip
+_NUMBERS: dict[Any, Any] = {
+    float: (float, int, np.floating, np.integer),
+    int: (int, np.integer),
+    bool: (bool, np.bool_),
+}
 
 N = TypeVar("N", bound=tuple[Any, ...])
 
 
-def numba_type(annotation: str, names: Mapping[str, Any]) -> Any:
-    """Return the type that an annotation stands for, where a module defines ``names``."""
+def type_of(annotation: str, names: Mapping[str, Any]) -> Any:
+    """Return what an annotation stands for, where a module defines ``names``.
+
+    An :class:`Array`, a :class:`Fields`, float, int, bool or None.
+    """
     if annotation in _BUILT_IN:
         return _BUILT_IN[annotation]
-    return named_tuple(kind) if isinstance(kind := names[annotation], type) else kind
+    return fields_of(kind) if isinstance(kind := names[annotation], type) else kind
 
 
 @cache
-def named_tuple(kind: type[Any]) -> Any:
-    """Return numba's type of a NamedTuple, from the annotations of its fields."""
+def fields_of(kind: type[Any]) -> Fields:
+    """Return what a NamedTuple holds, from the annotations of its fields."""
     if kind is People:
-        fields = [J1, I1, F1, F3, F2, F3, F2, F2]
-        return types.NamedTuple(fields, kind)  # type: ignore[no-untyped-call]
+        return Fields(kind, (J1, I1, F1, F3, F2, F3, F2, F2))
     names = vars(sys.modules[kind.__module__])
-    fields = [numba_type(each.__forward_arg__, names) for each in kind.__annotations__.values()]
-    if len(set(fields)) == 1:  # numba has a type of its own for equal fields
-        return types.NamedUniTuple(fields[0], len(fields), kind)  # type: ignore[no-untyped-call]
-    return types.NamedTuple(fields, kind)  # type: ignore[no-untyped-call]
+    fields = kind.__annotations__.values()
+    return Fields(kind, tuple(type_of(each.__forward_arg__, names) for each in fields))
+
+
+def fits(value: Any, kind: Any) -> bool:
+    """Whether a kernel can take a value as what :func:`type_of` returns."""
+    if isinstance(kind, Array):
+        return (
+            isinstance(value, np.ndarray)
+            and value.dtype == kind.numbers
+            and value.ndim == kind.dimensions
+            and (value.flags.carray if kind.written else value.flags.c_contiguous)
+        )
+    if isinstance(kind, Fields):
+        return type(value) is kind.kind and all(map(fits, value, kind.fields))
+    return isinstance(value, _NUMBERS[kind])
 
 
 def arrays(kind: type[N], *shapes: Any) -> N:
     """Return a NamedTuple of zeros, from the shapes of its arrays; tuples in it are given whole."""
-    fields = zip(shapes, named_tuple(kind).types, strict=True)
-    return kind(*[s if hasattr(s, "_fields") else np.zeros(s, str(t.dtype)) for s, t in fields])
+    fields = zip(shapes, fields_of(kind).fields, strict=True)
+    return kind(*[s if hasattr(s, "_fields") else np.zeros(s, t.numbers) for s, t in fields])
 
 
 def settings_of(kind: type[N], params: object, **others: Any) -> N:

@@ -1,110 +1,122 @@
-"""How kernels are compiled."""
+"""How kernels are compiled, and called."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
+from functools import cached_property, partial
 from types import FunctionType
 from typing import Any
 
-from numba import njit
-from numba.core import caching
-from numba.core.runtime.nrt import rtsys
-
 from hiros_mcap.kernels import folder_of, shipped
-from hiros_mcap.kernels.array_types import numba_type
+from hiros_mcap.kernels.array_types import Array, Fields, fits, type_of
+from hiros_mcap.kernels.machine_code import MachineCode, load, read, write
 from hiros_mcap.skeletons import People
 
-# Without numba's reference counts, which kernels that make no arrays have no use for, the code is
-# four times as fast.
-_njit: Any = partial(njit, nogil=True, error_model="numpy", _nrt=False)
+
+class Helper:
+    """A kernel for other kernels. It is compiled when one of them is."""
+
+    def __init__(self, function: FunctionType, **options: Any) -> None:
+        self.function = function
+        self._options = options
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Compile for Python, which takes seconds in each process; tests do so."""
+        return self._for_python(*arguments)
+
+    @cached_property
+    def _for_python(self) -> Any:
+        return _numba(self.function)
+
+    @cached_property
+    def _for_kernels(self) -> Any:
+        return _numba(self.function, no_cpython_wrapper=True, **self._options)
+
+    @property
+    def _numba_type_(self) -> Any:
+        return self._for_kernels._numba_type_
 
 
-class _Folder(caching._CacheLocator):
-    """Tells numba where the code of a kernel lies.
+class Kernel(Helper):
+    """A kernel that Python calls.
 
-    numba's own setting for that would hold for all other functions of the process, too.
+    Attributes
+    ----------
+    raw : the compiled function, which looks at no types. A check of every array costs 0.3 us, more
+        than many kernels need for one message. Pass only what the caller has made itself.
     """
 
-    def __init__(self, function: FunctionType) -> None:
-        self._module = function.__module__
-        self._line = function.__code__.co_firstlineno
+    def __init__(self, function: FunctionType, nogil: bool) -> None:
+        super().__init__(function)
+        self._nogil = nogil
+        names = function.__globals__
+        *self._takes, self._gives = [type_of(a, names) for a in function.__annotations__.values()]
+        self.raw: Callable[..., Any] = load(self._code(), function)
 
-    def get_cache_path(self) -> str:
-        return str(shipped.FOLDER if shipped.usable() else folder_of(self._module))
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the kernel. Raises TypeError where it would read what is not there."""
+        if len(arguments) != len(self._takes) or not all(map(fits, arguments, self._takes)):
+            raise TypeError(f"{self.function.__name__} takes {self._takes}, not {arguments}")
+        return self.raw(*arguments)
 
-    def get_source_stamp(self) -> str:
-        return ""  # the folder holds code of the present sources only
-
-    def get_disambiguator(self) -> str:
-        return str(self._line)
-
-    @classmethod
-    def from_function(cls, function: FunctionType, _: str) -> _Folder:
-        return cls(function)
-
-
-class _Files(caching.CompileResultCacheImpl):
-    _locator_classes = [_Folder]  # type: ignore[list-item]  # noqa: RUF012
-
-
-class _KernelCache(caching.FunctionCache):
-    """numba's cache of compiled code, which shipped code comes from as well."""
-
-    _impl_class = _Files
-
-    def _index_key(self, signature: Any, codegen: Any) -> Any:
-        signature, target, code = super()._index_key(signature, codegen)  # type: ignore[no-untyped-call]
-        if shipped.usable():
-            target = target[0], shipped.CPU, ""  # this processor runs it, whatever its own name is
-        return signature, target, code
-
-    def load_overload(self, signature: Any, context: Any) -> Any:
-        if not shipped.usable():
-            return super().load_overload(signature, context)  # type: ignore[no-untyped-call]
-        # numba's own way loads all that a compilation would need, a fifth of a second.
-        rtsys.initialize(context)
-        return self._load_overload(signature, context)  # type: ignore[no-untyped-call]
-
-    def save_overload(self, signature: Any, data: Any) -> None:
-        if not shipped.usable():
+    def _code(self) -> MachineCode:
+        """Read the machine code, or compile it and keep it."""
+        module = self.function.__module__
+        brought = shipped.usable()
+        folder = shipped.FOLDER if brought else folder_of(module)
+        path = folder / f"{module}.{self.function.__name__}"
+        if code := read(path):
+            return code
+        code = self._compile()
+        if not brought:
             with suppress(OSError):  # the folder cannot be written: the next process compiles again
-                super().save_overload(signature, data)  # type: ignore[no-untyped-call]
+                write(path, code)
+        return code
+
+    def _compile(self) -> MachineCode:
+        dispatcher = _numba(self.function, nogil=self._nogil)
+        dispatcher.compile(_numba_type(self._gives)(*map(_numba_type, self._takes)))
+        (compiled,) = dispatcher.overloads.values()
+        _, _, (machine, _) = compiled.library.serialize_using_object_code()
+        names = compiled.fndesc
+        return MachineCode(names.llvm_cpython_wrapper_name, names.env_name, machine)
+
+
+def _numba(function: FunctionType, **options: Any) -> Any:
+    """Return what numba compiles for its callers.
+
+    Without numba's reference counts, which kernels that make no arrays have no use for, the code is
+    four times as fast.
+    """
+    from numba import njit
+
+    numba: Any = partial(njit, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
+    return numba(**options)(function)
+
+
+def _numba_type(kind: Any) -> Any:
+    """Return numba's type of what a kernel takes or gives."""
+    from numba import types
+
+    if isinstance(kind, Array):
+        numbers = getattr(types, kind.numbers)
+        return types.Array(numbers, kind.dimensions, "C", readonly=not kind.written)
+    if isinstance(kind, Fields):
+        fields = [*map(_numba_type, kind.fields)]
+        named = () if kind.kind is tuple else (kind.kind,)
+        numba: Any = types
+        if len(set(fields)) > 1:
+            return numba.NamedTuple(fields, *named)
+        # numba has a type of its own for equal fields.
+        equal = numba.NamedUniTuple if named else numba.UniTuple
+        return equal(fields[0], len(fields), *named)
+    return {float: types.float64, int: types.int64, bool: types.boolean, None: types.void}[kind]
 
 
 def kernel(function: Any) -> Any:
-    """Compile a function that makes no arrays, for other kernels; see :func:`entry`.
-
-    A private one cannot be called from Python: the process would die of it. To make those callable,
-    too, would take an eighth of the time that compiling all of them takes. A public one must not be
-    called from Python either: nothing ships it.
-    """
-    private = function.__name__.startswith("_")
-    return _cached(function, no_cpython_wrapper=private, no_cfunc_wrapper=private)
-
-
-def entry(function: Any = None, *, signature: Any = None, **options: Any) -> Any:
-    """Compile a kernel that Python calls, when its module is imported.
-
-    Its signature is what its annotations name: numba's types, NamedTuples of them, or float, int
-    and bool. ``_nrt=True`` is for a kernel that makes arrays after all.
-    """
-    if function is None:
-        return partial(entry, signature=signature, **options)
-    if signature is None:
-        names = function.__globals__
-        *given, result = [numba_type(name, names) for name in function.__annotations__.values()]
-        signature = result(*given)
-    compiled = _cached(function, **options)
-    compiled.compile(signature)
-    compiled.disable_compile()
-    return compiled
-
-
-def _cached(function: FunctionType, **options: Any) -> Any:
-    dispatcher = _njit(**options)(function)
-    dispatcher._cache = _KernelCache(function)  # type: ignore[no-untyped-call]
-    return dispatcher
+    """Compile a function that makes no arrays, for other kernels."""
+    return Helper(function)
 
 
 def inlined(function: Any) -> Any:
@@ -113,20 +125,16 @@ def inlined(function: Any) -> Any:
     A call that is left to the compiler's choice may cost more than the helper does: a NamedTuple of
     arrays is passed as some 100 numbers.
     """
-    private = function.__name__.startswith("_")
-    wrappers = {"no_cpython_wrapper": private, "no_cfunc_wrapper": private}
-    return _cached(function, forceinline=True, **wrappers)
+    return Helper(function, forceinline=True)
 
 
-def direct(function: Any) -> Any:
-    """Return the only compiled version of a kernel, for calls from Python.
+def entry(function: Any = None, *, nogil: bool = True) -> Any:
+    """Compile a kernel that Python calls, when its module is imported.
 
-    A call of the kernel itself looks up the type of every array in its NamedTuples, which takes
-    0.2 us each, more than many kernels need for one message. Without the look-up nothing refuses
-    an array of a wrong type, so pass only arrays that the caller has made itself.
+    Its signature is what its annotations name: arrays (``array_types.py``), NamedTuples of them, or
+    float, int and bool. ``nogil``: whether other threads run meanwhile.
     """
-    (compiled,) = function.overloads.values()
-    return compiled.entry_point
+    return partial(Kernel, nogil=nogil) if function is None else Kernel(function, nogil)
 
 
 @inlined

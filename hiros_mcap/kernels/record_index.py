@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import types
 
+from hiros_mcap.kernels.array_types import C1, W2
 from hiros_mcap.kernels.compile import entry, kernel
 
 if TYPE_CHECKING:
@@ -16,9 +16,6 @@ OK, PAST_END, SHORT_MESSAGE, FORBIDDEN = 0, 1, 2, 3
 COLUMNS = 6
 CHANNEL, SEQUENCE, LOG_TIME, PUBLISH_TIME, START, STOP = range(COLUMNS)
 
-_BYTES = types.Array(types.uint8, 1, "C", readonly=True)
-_TABLE = types.uint64[:, ::1]
-_RESULT = types.Tuple((types.int64, types.int64, _TABLE, _TABLE))  # type: ignore[no-untyped-call]
 _HEAD = 9
 _FIXED = 22
 
@@ -31,11 +28,11 @@ def _number(data, at, width):  # type: ignore[no-untyped-def]
     return value
 
 
-@kernel
-def _walk(data, messages, definitions):  # type: ignore[no-untyped-def]
+@entry
+def _walk(data: C1, messages: W2, definitions: W2) -> tuple[int, int, int, int]:
     """Fill the tables as far as they reach; return status, where, and how many there are."""
     n_messages, n_definitions, size = 0, 0, len(data)
-    at = np.int64(0)
+    at = 0
     while at < size:
         if size - at < _HEAD:
             return PAST_END, at, n_messages, n_definitions
@@ -43,7 +40,7 @@ def _walk(data, messages, definitions):  # type: ignore[no-untyped-def]
         begin = at + _HEAD
         if length > np.uint64(size - begin):
             return PAST_END, at, n_messages, n_definitions
-        stop = begin + np.int64(length)
+        stop = begin + int(length)
         if opcode == 5:
             if stop - begin < _FIXED:
                 return SHORT_MESSAGE, at, n_messages, n_definitions
@@ -68,7 +65,6 @@ def _walk(data, messages, definitions):  # type: ignore[no-untyped-def]
     return OK, at, n_messages, n_definitions
 
 
-@entry(signature=_RESULT(_BYTES), _nrt=True)
 def index_records(
     data: npt.NDArray[np.uint8],
 ) -> tuple[int, int, npt.NDArray[np.uint64], npt.NDArray[np.uint64]]:

@@ -49,11 +49,9 @@ def announce() -> None:
 
 def identity() -> dict[str, str]:
     """Return what compiled kernels depend on, apart from the processor."""
-    import numba
-
     return {
         "sources": digest(),
-        "numba": numba.__version__,
+        "numba": kernels.numba_version(),
         "python": f"{sys.implementation.cache_tag}{getattr(sys, 'abiflags', '')}",
         "platform": f"{sys.platform}-{platform.machine()}",
     }

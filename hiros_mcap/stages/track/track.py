@@ -32,7 +32,6 @@ from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
 from hiros_mcap.kernels.array_types import settings_of
-from hiros_mcap.kernels.compile import direct
 from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.delay import Delay
 from hiros_mcap.stages.time_order import in_time_order
@@ -59,8 +58,8 @@ _REASONS = {
 }
 
 # The steps of one message take arrays that the tracker itself has made.
-_screen, _predict = direct(kernels.screen), direct(kernels.predict)
-_associate, _correct = direct(kernels.associate), direct(kernels.correct)
+_screen, _predict = kernels.screen.raw, kernels.predict.raw
+_associate, _correct = kernels.associate.raw, kernels.correct.raw
 
 _Message = tuple[Block, int, int]
 """A message that is done: its block, its place there, its log time, ns."""

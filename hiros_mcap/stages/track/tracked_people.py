@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hiros_mcap.frames import Block
-from hiros_mcap.kernels.compile import direct
 from hiros_mcap.kernels.distance import centre, mean_distances
 from hiros_mcap.skeletons import UNTRACKED, Floats, People, SkeletonModel
 from hiros_mcap.stages.bank import Bank
@@ -20,7 +19,7 @@ INSISTENCE = 500_000_000
 _PRESENT = 200_000_000  # ns since the last detection of a person who is there
 _STANDS = 0.3  # m from its start; a coat on a stand never moves as far
 
-_centre = direct(centre)
+_centre = centre.raw
 
 
 @dataclass(slots=True, eq=False)

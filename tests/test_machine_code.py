@@ -1,0 +1,112 @@
+"""Kernels as Python calls them: what they take, and their files."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from hiros_mcap.kernels import folder_of, shipped
+from hiros_mcap.kernels.array_types import F1
+from hiros_mcap.kernels.bytes import load32
+from hiros_mcap.kernels.compile import Kernel, entry
+from hiros_mcap.kernels.machine_code import MachineCode, read, write
+from hiros_mcap.kernels.record_index import _walk
+
+
+def number(numbers: F1, first: int) -> float:
+    if first >= len(numbers):
+        raise ValueError("there is none")
+    return numbers[first]
+
+
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory):
+    """A kernel that was compiled now, by this machine."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("NUMBA_CACHE_DIR", str(tmp_path_factory.mktemp("kernels")))
+        patch.setenv("HIROS_KERNELS", "compile")
+        shipped.usable.cache_clear()
+        yield entry(number)
+    shipped.usable.cache_clear()
+
+
+def file_of(kernel):
+    (path,) = folder_of(kernel.function.__module__).iterdir()
+    return path
+
+
+def test_a_kernel_takes_what_its_annotations_name(compiled):
+    numbers = np.array([3.0, 1.0, 2.0])
+    assert compiled(numbers, 0) == 3.0
+    assert compiled(numbers, np.int64(1)) == 1.0
+    for wrong in (numbers.astype(np.float32), numbers[::2], numbers[:, None], [3.0]):
+        with pytest.raises(TypeError, match="number takes"):
+            compiled(wrong, 0)
+    for few in ((numbers,), (numbers, 0.5), (numbers, 0, 0)):
+        with pytest.raises(TypeError, match="number takes"):
+            compiled(*few)
+
+
+def test_an_array_that_a_kernel_writes_into_must_be_writable():
+    data, table = np.frombuffer(b"", np.uint8), np.zeros((1, 6), np.uint64)
+    assert _walk(data, table, table)[0] == 0
+    table.flags.writeable = False
+    with pytest.raises(TypeError, match="_walk takes"):
+        _walk(data, table, table)
+
+
+def test_an_error_in_a_kernel_is_one_in_python(compiled):
+    for call in (compiled, compiled.raw):
+        with pytest.raises(ValueError, match="there is none"):
+            call(np.zeros(2), 2)
+
+
+def test_what_was_compiled_is_read_again(compiled, monkeypatch):
+    monkeypatch.setattr(Kernel, "_compile", lambda _: pytest.fail("compiled twice"))
+    assert entry(number)(np.array([5.0]), 0) == 5.0
+
+
+@pytest.mark.parametrize("damage", [b"", b"[", b"[1, 2]\n", b"cut", b"flipped"])
+def test_a_damaged_file_is_compiled_again(damage, compiled, monkeypatch):
+    path = file_of(compiled)
+    whole, code = path.read_bytes(), read(path)
+    cut, flipped = whole[:-1], whole[:-9] + bytes([whole[-9] ^ 1]) + whole[-8:]
+    path.write_bytes({b"cut": cut, b"flipped": flipped}.get(damage, damage))
+    again = []
+    monkeypatch.setattr(Kernel, "_compile", lambda _: again.append(1) or code)
+    assert entry(number)(np.array([5.0]), 0) == 5.0
+    assert again == [1]
+    assert path.read_bytes() == whole
+
+
+def test_a_file_holds_what_was_written(tmp_path):
+    code = MachineCode("f", "e", b"a\nb\x00")
+    write(tmp_path / "new" / "f", code)
+    assert read(tmp_path / "new" / "f") == code
+    assert read(tmp_path / "none") is None
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["f"]
+
+
+def test_an_operation_is_for_kernels_only():
+    with pytest.raises(TypeError, match="only kernels call this"):
+        load32(np.zeros(3), 0)
+
+
+def test_compiled_kernels_do_without_numba_and_leave_it_whole():
+    code = (
+        "import sys\n"
+        "from hiros_mcap.kernels import local_line\n"
+        "print('numba' in sys.modules)\n"
+        "import numba\n"
+        "@numba.njit\n"
+        "def f(x):\n"
+        "    return [x + 1]\n"
+        "print(f(1))\n"
+    )
+    command = [sys.executable, "-c", code]
+    for _ in range(2):  # the first one may have to compile
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n[2]\n"
