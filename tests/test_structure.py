@@ -39,7 +39,7 @@ UPWARDS = {
 }
 """Imports that do not go down the list of CONTRIBUTING.md. This set only shrinks."""
 CEILINGS = {
-    "hiros_cli": 3930,
+    "hiros_cli": 3945,
     "hiros_viewer": 4523,
     "hiros_mcap": 2342,
     "body": 1675,

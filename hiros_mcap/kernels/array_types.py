@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
+from operator import call
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -92,18 +93,23 @@ def fields_of(kind: type[Any]) -> Fields:
     return Fields(kind, tuple(type_of(each.__forward_arg__, names) for each in fields))
 
 
-def fits(value: Any, kind: Any) -> bool:
-    """Whether a kernel can take a value as what :func:`type_of` returns."""
+def check_of(kind: Any) -> Callable[[Any], bool]:
+    """Return what tells whether a value is of a kind that :func:`type_of` returns."""
     if isinstance(kind, Array):
-        return (
+        numbers, dimensions = np.dtype(kind.numbers), kind.dimensions
+        order = "carray" if kind.written else "c_contiguous"
+        return lambda value: (
             isinstance(value, np.ndarray)
-            and value.dtype == kind.numbers
-            and value.ndim == kind.dimensions
-            and (value.flags.carray if kind.written else value.flags.c_contiguous)
+            and value.dtype == numbers
+            and value.ndim == dimensions
+            and getattr(value.flags, order)
         )
     if isinstance(kind, Fields):
-        return type(value) is kind.kind and all(map(fits, value, kind.fields))
-    return isinstance(value, _NUMBERS[kind])
+        checks, named = [*map(check_of, kind.fields)], kind.kind
+        return lambda value: (
+            type(value) is named and len(value) == len(checks) and all(map(call, checks, value))
+        )
+    return lambda value: isinstance(value, _NUMBERS[kind])
 
 
 def arrays(kind: type[N], *shapes: Any) -> N:

@@ -9,7 +9,7 @@ from types import FunctionType
 from typing import Any
 
 from hiros_mcap.kernels import folder_of, shipped
-from hiros_mcap.kernels.array_types import Array, Fields, fits, type_of
+from hiros_mcap.kernels.array_types import Array, Fields, check_of, type_of
 from hiros_mcap.kernels.machine_code import MachineCode, load, read, write
 from hiros_mcap.skeletons import People
 
@@ -51,13 +51,15 @@ class Kernel(Helper):
         super().__init__(function)
         self._nogil = nogil
         names = function.__globals__
-        *self._takes, self._gives = [type_of(a, names) for a in function.__annotations__.values()]
+        *takes, self._gives = [type_of(a, names) for a in function.__annotations__.values()]
+        self._takes = Fields(tuple, tuple(takes))
+        self._check = check_of(self._takes)
         self.raw: Callable[..., Any] = load(self._code(), function)
 
     def __call__(self, *arguments: Any) -> Any:
         """Call the kernel. Raises TypeError where it would read what is not there."""
-        if len(arguments) != len(self._takes) or not all(map(fits, arguments, self._takes)):
-            raise TypeError(f"{self.function.__name__} takes {self._takes}, not {arguments}")
+        if not self._check(arguments):
+            raise TypeError(f"{self.function.__name__} takes {self._takes.fields}, not {arguments}")
         return self.raw(*arguments)
 
     def _code(self) -> MachineCode:
@@ -76,7 +78,7 @@ class Kernel(Helper):
 
     def _compile(self) -> MachineCode:
         dispatcher = _numba(self.function, nogil=self._nogil)
-        dispatcher.compile(_numba_type(self._gives)(*map(_numba_type, self._takes)))
+        dispatcher.compile(_numba_type(self._gives)(*map(_numba_type, self._takes.fields)))
         (compiled,) = dispatcher.overloads.values()
         _, _, (machine, _) = compiled.library.serialize_using_object_code()
         names = compiled.fndesc

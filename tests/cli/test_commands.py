@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import json
 import os
+import platform
 import re
 import shlex
 import shutil
@@ -245,6 +246,31 @@ def test_a_run_imports_its_own_stages_only(tmp_path):
     assert {f"{prefix}{name}" for name in ("track.tracking", "fuse.fusing")} <= modules
     others = ("optimize.energy", "lee.clustering", "malaguti.kalman", "filter.butterworth")
     assert not {"hiros_mcap.kernels.drawing", *(f"{prefix}{name}" for name in others)} & modules
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="a setting of glibc")
+@pytest.mark.parametrize(("variables", "shared"), [({}, True), ({"MALLOC_ARENA_MAX": "8"}, False)])
+def test_threads_share_a_heap_unless_the_user_wants_more(variables, shared):
+    code = (
+        "import ctypes, threading\n"
+        "from hiros_cli.compiling import prepare\n"
+        "prepare(quiet=True)\n"
+        "libc, ready = ctypes.CDLL(None), threading.Barrier(5)\n"
+        "def work():\n"
+        "    libc.malloc(100)\n"
+        "    ready.wait()\n"
+        "for _ in range(4):\n"
+        "    threading.Thread(target=work).start()\n"
+        "ready.wait()\n"
+        "stdout = ctypes.c_void_p.in_dll(libc, 'stdout')\n"
+        "libc.malloc_info(0, stdout)\n"
+        "libc.fflush(stdout)\n"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "MALLOC_ARENA_MAX"} | variables
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+    assert (done.stdout.count("<heap") == 1) == shared
 
 
 def test_nothing_is_collected_while_a_command_imports():
