@@ -158,6 +158,13 @@ class _Packed(NamedTuple):
         markers, links = (np.take(s, c, axis=2) for s, c in zip(states, used, strict=True))
         return cls(replace(block, people=people._replace(markers=markers, links=links)), *used)
 
+    @property
+    def is_one_frame(self) -> bool:
+        """Whether these are all people of one frame, with all columns."""
+        frames, people = self.block.rows.tolist(), self.block.people
+        whole = len(self.markers) == len(self.links) == STATE
+        return whole and frames == [[0, len(people.ids)]]
+
 
 _ALL = np.arange(STATE)
 
@@ -215,6 +222,11 @@ class HeldFrames:
         wanted = np.array(numbers)
         first, last = wanted.min(), wanted.max()
         held = [pair for pair in self._blocks if first <= pair[0][-1] and pair[0][0] <= last]
+        if len(held) == len(wanted) == 1 and held[0][1].is_one_frame:
+            block = held[0][1].block  # a live input has one such frame after the other
+            rows = np.arange(len(block.people.ids))
+            sure = block.uncertainty and block.uncertainty.at(rows)
+            return replace(block, people=block.people.at(rows), uncertainty=sure)
         every = np.concatenate([ids for ids, _ in held])
         return _joined([packed for _, packed in held], np.searchsorted(every, wanted))
 

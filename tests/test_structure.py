@@ -41,7 +41,7 @@ UPWARDS = {
 CEILINGS = {
     "hiros_cli": 3945,
     "hiros_viewer": 4523,
-    "hiros_mcap": 2342,
+    "hiros_mcap": 2354,
     "body": 1675,
     "calibrate": 5426,
     "evaluate": 3040,
@@ -49,7 +49,7 @@ CEILINGS = {
     "many": 1120,
     "detections": 1815,
     "filter": 1495,
-    "fuse": 2648,
+    "fuse": 2737,
     "lee": 803,
     "malaguti": 986,
     "merge": 1381,

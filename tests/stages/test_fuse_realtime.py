@@ -194,9 +194,10 @@ def test_a_camera_with_twice_the_noise_gets_four_times_the_variance():
         positions=np.sin(instants / 200)[:, None, None]
         + rng.normal(size=(n, 1, 3)) * np.array([0.004, 0.008])[cameras][:, None, None],
         confidences=np.full((n, 1), 0.9),
+        distances=np.full(n, 2.0),
     )
     model = SkeletonModel.of(["A"], [])
     noise = RunningNoise.of(FusionNoise.default(model))
     for part in np.array_split(instants, 60):
-        noise.variances(chosen(views, part), ["a", "b"], {})
+        noise.variances(chosen(views, part), ["a", "b"])
     assert noise.cameras["b"] / noise.cameras["a"] == pytest.approx(4.0, rel=0.2)

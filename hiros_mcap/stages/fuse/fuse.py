@@ -59,9 +59,9 @@ def fuse_blocks(
     # variances, filters, smoother, confidences
     angle = math.radians(params.pose_angle)
     pose_error = PoseError(angle, params.pose_shift, cameras or {}, noise.to_given)
-    smoother = WindowSmoother(model, params, noise, pose_error, cameras or {})
+    smoother = WindowSmoother(model, params, noise, pose_error)
     causal = params.window == 0
-    residuals = ResidualMeter(model, noise, cameras or {}, events, causal=causal)
+    residuals = ResidualMeter(model, noise, events, causal=causal)
 
     def finished(fused: Block) -> Block:
         residuals.compare(fused)

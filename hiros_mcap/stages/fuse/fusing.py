@@ -19,10 +19,13 @@ import numpy as np
 from hiros_mcap.kernels.array_types import F1, F2, F3, F4, I1, J1, arrays
 from hiros_mcap.kernels.averaging import BEGIN, CAMERA, END, TIME, Buffers
 from hiros_mcap.kernels.compile import entry, inlined, kernel
+from hiros_mcap.kernels.points import norm3
 from hiros_mcap.skeletons import Floats, People
 from hiros_mcap.stages.merge.merging import EXCHANGED, LEFT_OUT
 
 POSITION, VELOCITY, OFFSETS = 0, 1, 2  # rows of the state of a joint
+REFERENCE = 2.0  # m; distance at which the white noise of a joint is stated
+_NEAREST = 0.3  # m from a camera; no detector sees more of whom is nearer
 POSE = -1  # the camera of a step at which a pose is wanted and nothing is measured
 
 _POSITION_VARIANCE, _VELOCITY_VARIANCE = 0.05, 1.0  # of a joint that is seen first, m2 and m2/s2
@@ -43,11 +46,12 @@ class Sightings(NamedTuple):
     stamps: I1  # (N,) time of the camera's message, ns
     positions: F3  # (N, M, 3) m, sides corrected; NaN = not seen
     confidences: F2  # (N, M) 0..1; NaN = not given
+    distances: F1  # (N,) of the person from the camera, m; REFERENCE where that is not known
 
     @classmethod
     def allocate(cls, views: int, markers: int) -> Sightings:
         """Return arrays whose numbers are still to be set."""
-        return arrays(cls, *4 * [views], (views, markers, 3), (views, markers))
+        return arrays(cls, *4 * [views], (views, markers, 3), (views, markers), views)
 
 
 class Steps(NamedTuple):
@@ -123,9 +127,22 @@ class FusionWork(NamedTuple):
         return arrays(cls, t, t, *many, t, (n, 3), (n, n), n, *levels)
 
 
+@kernel
+def _distance(positions: Floats, place: Floats) -> float:
+    """Distance, m, of the mean of the positions (M, 3) that are known from a camera's place."""
+    n, x, y, z = 0, 0.0, 0.0, 0.0
+    for m in range(len(positions)):
+        if not math.isnan(positions[m, 0]):
+            n += 1
+            x, y, z = x + positions[m, 0], y + positions[m, 1], z + positions[m, 2]
+    n = max(n, 1)
+    away = norm3(x / n - place[0], y / n - place[1], z / n - place[2])
+    return REFERENCE if math.isnan(away) else max(away, _NEAREST)
+
+
 @entry
 def gather_sightings(
-    buffers: Buffers, people: People, ids: J1, sides: I1, mirror: J1, out: Sightings
+    buffers: Buffers, people: People, ids: J1, sides: I1, mirror: J1, places: F2, out: Sightings
 ) -> int:
     """Write what the messages of buffers show of the people to be merged; return how many views.
 
@@ -133,6 +150,7 @@ def gather_sightings(
     ----------
     ids : (P,) whom the buffers merge. sides : per row of ``people``, whether its sides are to be
         exchanged (``merging.EXCHANGED``) or it is to be left out (``merging.LEFT_OUT``).
+    places : (C, 3) position of each camera, m; NaN = unknown. out : has room for all.
     """
     n = 0
     for q in range(len(buffers.stamps)):
@@ -153,6 +171,7 @@ def gather_sightings(
                     out.confidences[n, m] = people.confidences[i] if math.isnan(given) else given
                     for c in range(3):
                         out.positions[n, m, c] = people.markers[i, s, c]
+                out.distances[n] = _distance(out.positions[n], places[out.cameras[n]])
                 n += 1
     return n
 

@@ -12,11 +12,10 @@ from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.skeletons import Floats, SkeletonModel
-from hiros_mcap.stages.fuse.fusing import JointNoise, Sightings
+from hiros_mcap.stages.fuse.fusing import REFERENCE, JointNoise, Sightings
 
 FREEDOM = 4
 """Degrees of freedom of Student's t: gross outliers count little. 4 to 20 differ by 0 to 4 %."""
-_REFERENCE = 2.0  # m; distance at which the white noise of a joint is stated
 _EXTREMITIES = ("wrist", "hand", "handtip", "hand_tip", "thumb", "ankle", "foot", "toe", "bigtoe")
 _WHITE = 0.007  # m; these and the next: median over simulated logs
 _EXTREMITY_FACTOR = 1.7
@@ -87,29 +86,15 @@ class FusionNoise:
         """Return the part that the filter takes; the number is that of FuseParams."""
         return JointNoise(self.accelerations, self.offsets**2, self.time, freedom)
 
-    def variances(
-        self, views: Sightings, names: Sequence[str], places: Mapping[str, Floats]
-    ) -> Floats:
+    def variances(self, views: Sightings, names: Sequence[str]) -> Floats:
         """(N, M) Variance of the white noise of every measurement along each axis, m2.
 
-        ``names`` are the cameras by index, ``places`` their positions, m, as far as known.
+        ``names`` are the cameras by index.
         """
         guesses = np.where(views.confidences < self.guessed_below, self.guessed**2, 1.0)
         cameras = np.array([self.cameras.get(name, 1.0) for name in names])
-        near = distances(views, names, places) / _REFERENCE
-        scale = cameras[views.cameras] * near ** (2 * self.power)
+        scale = cameras[views.cameras] * (views.distances / REFERENCE) ** (2 * self.power)
         return np.ascontiguousarray(self.joints * guesses * scale[:, None])
-
-
-def distances(views: Sightings, names: Sequence[str], places: Mapping[str, Floats]) -> Floats:
-    """(N,) Distance of the people from the camera, m; 2 m where its position is unknown."""
-    nowhere = np.full(3, np.nan)
-    cameras = np.array([places.get(name, nowhere) for name in names]).reshape(-1, 3)
-    seen = ~np.isnan(views.positions[:, :, 0])
-    sums = np.where(seen[:, :, None], views.positions, 0.0).sum(axis=1)
-    centres = sums / np.maximum(seen.sum(axis=1), 1)[:, None]
-    away = np.linalg.norm(centres - cameras[views.cameras], axis=1)
-    return np.where(np.isnan(away), _REFERENCE, np.maximum(away, 0.3))
 
 
 @dataclass
@@ -134,9 +119,7 @@ class RunningNoise(FusionNoise):
         """Start from ``noise``."""
         return cls(**vars(replace(noise, cameras=dict(noise.cameras))))
 
-    def variances(
-        self, views: Sightings, names: Sequence[str], places: Mapping[str, Floats]
-    ) -> Floats:
+    def variances(self, views: Sightings, names: Sequence[str]) -> Floats:
         """Do what :meth:`FusionNoise.variances` does, after learning from views that are new.
 
         Instants are numbered through the log; a view comes again for as long as it is needed.
@@ -146,12 +129,12 @@ class RunningNoise(FusionNoise):
             self.next_instant = int(new.instants[-1]) + 1
             self.held.append(new)
             if new.stamps[-1] - self.held[0].stamps[0] >= _STRETCH:
-                self._learn(joined(self.held), names, places)
+                self._learn(joined(self.held), names)
                 self.held = []
-        return super().variances(views, names, places)
+        return super().variances(views, names)
 
-    def _learn(self, views: Sightings, names: Sequence[str], places: Mapping[str, Floats]) -> None:
-        away = np.log(distances(views, names, places) / 2.0)
+    def _learn(self, views: Sightings, names: Sequence[str]) -> None:
+        away = np.log(views.distances / REFERENCE)
         offsets_of: dict[str, list[float]] = {}
         for camera, logs, distance, guesses in _binned(views, away, self.guessed_below):
             expected = np.log(self.joints) + 2 * self.power * distance

@@ -8,19 +8,16 @@ are in the person's own frame (:func:`local_frames`).
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from hiros_mcap.skeletons import Flags, Floats, Ints
+from hiros_mcap.stages.fuse.estimating import EstimateWork, PoseSpace, estimate_poses
 
 WINDOW = 90  # poses, 3 s at 30 Hz
 FEWEST = 30  # poses that a prior needs
 _EXCESS = 1.5  # eigenvalue, in units of the noise, that noise alone may have
-_FREE = 0.003  # m; what each marker may do by itself
 _SHOWN = 0.4  # share of its variance that a Gauss-Markov offset of 1.7 s shows within 3 s
 _LEAST = 1e-9  # m; noise of a marker that does not move at all
-_ABSENT = 1.0  # m2; variance of a marker that is missing
 _RATE = 15.0  # Hz; a prior of the poses before needs no more poses
 _FIRST, _RENEWED = 2.0, 0.5  # s of a person before the first such prior, and between two
 _LARGEST_STEP = 0.5  # by it, in standard deviations: a new motion is believed
@@ -47,7 +44,7 @@ def shrink_noise(positions: Floats, variances: Floats) -> Floats:
         if n >= FEWEST and present.any():
             some = positions[part][:, present]
             noise = at_most_shown(some, variances[part][:, present])
-            estimate[:, present] = estimated(motion_of(some, noise), some, noise)
+            estimate[:, present] = _estimated(motion_of(some, noise), some, noise)
         out[part] += fade[:, None, None] * estimate
         weights[part] += fade
     return np.asarray(out / weights[:, None, None])
@@ -81,13 +78,10 @@ class RecentMotion:
     def _estimate(self, local: Floats, variances: Floats) -> Floats:
         if self._motion is None:
             return local
-        motion, present = self._motion
-        estimate = local.copy()
-        estimate[present] = estimated(motion, local[None, present], variances[None, present])[0]
-        steps = estimate - local
-        sizes, most = np.linalg.norm(steps, axis=1), _LARGEST_STEP * np.sqrt(3 * variances)
-        scale = most / np.maximum(sizes, np.maximum(most, 1e-9))
-        return np.asarray(np.where(np.isnan(sizes), 1.0, scale)[:, None] * steps + local)
+        motion, seen = self._motion
+        estimate, some, noise = local.copy(), local[None, seen], variances[None, seen]
+        estimate[seen] = _estimated(motion, some, noise, _LARGEST_STEP)[0]
+        return estimate
 
     def _remember(self, local: Floats, variances: Floats, stamp: int) -> None:
         """Keep a pose; renew the prior if it is due."""
@@ -136,22 +130,14 @@ def local_frames(positions: Floats, lateral: Ints) -> tuple[Floats, Floats]:
     return frames, origins
 
 
-class PoseSpace(NamedTuple):
-    """In which directions the poses of a window vary by more than noise does."""
-
-    mean: Floats  # (N,) mean pose
-    basis: Floats
-    """(N, R) directions times the standard deviation along each; P = B B' + free variance."""
-
-
 def motion_of(positions: Floats, variances: Floats) -> PoseSpace:
     """Find the motion in poses (T, M, 3), m, with variances (T, M): the excess over the noise."""
     y = positions.reshape(len(positions), -1)
     absent = np.isnan(y)
-    v = _of_axes(variances, absent)
     mean = np.nanmean(y, axis=0)
     off = np.where(absent, 0.0, y - mean)
-    noise = np.maximum(np.sqrt(np.nanmean(np.where(absent, np.nan, v), axis=0)), _LEAST)
+    stated = np.where(absent, np.nan, np.repeat(variances, 3, axis=1))
+    noise = np.maximum(np.sqrt(np.nanmean(stated, axis=0)), _LEAST)
     # P: directions in which the whitened poses vary by more than noise does.
     white = off / noise
     squares, poses = np.linalg.eigh(white @ white.T)  # half the time of the singular values
@@ -161,27 +147,10 @@ def motion_of(positions: Floats, variances: Floats) -> PoseSpace:
     return PoseSpace(mean, noise[:, None] * (white.T @ (poses[:, used] * sizes)))
 
 
-def estimated(motion: PoseSpace, positions: Floats, variances: Floats) -> Floats:
-    """Estimate poses (T, M, 3) as mu + P (P + V)^-1 (y - mu), V from the variances (T, M)."""
-    mean, basis = motion
-    y = positions.reshape(len(positions), -1)
-    absent = np.isnan(y)
-    off = np.where(absent, 0.0, y - mean)
-    # (B B' + D)^-1 by Woodbury, with the variances of each pose.
-    rank = basis.shape[1]
-    d = _FREE**2 + _of_axes(variances, absent)
-    if len(y) == 1:
-        inner = ((basis / d.T).T @ basis + np.eye(rank))[None]
-    else:  # one product for all poses
-        pairs = (basis[:, :, None] * basis[:, None, :]).reshape(len(basis), rank * rank)
-        inner = (1 / d @ pairs).reshape(len(y), rank, rank) + np.eye(rank)
-    right = (off / d) @ basis
-    solved = np.linalg.solve(inner, right[:, :, None])[:, :, 0]
-    u = (off - solved @ basis.T) / d
-    estimate = mean + u @ basis @ basis.T + _FREE**2 * u
-    return np.where(absent, y, estimate).reshape(positions.shape)
-
-
-def _of_axes(variances: Floats, absent: Flags) -> Floats:
-    """(T, 3 M) Variance of each coordinate, m2."""
-    return np.where(absent, _ABSENT, np.repeat(variances, 3, axis=1))
+def _estimated(
+    motion: PoseSpace, positions: Floats, variances: Floats, largest: float = np.inf
+) -> Floats:
+    """Estimate poses (T, M, 3), m, with variances (T, M); see :func:`estimate_poses`."""
+    poses = np.array(positions, order="C")
+    estimate_poses(poses, np.ascontiguousarray(variances), motion, largest, EstimateWork.of(motion))
+    return poses

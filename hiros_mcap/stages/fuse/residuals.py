@@ -12,7 +12,6 @@ chi-square distribution with three degrees of freedom if the model is right.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -45,17 +44,16 @@ class ResidualMeter:
 
     Parameters
     ----------
-    model, noise : what the fuser assumes. places : source -> (3,) position of the camera, m.
+    model, noise : what the fuser assumes.
     events : gets a histogram of every camera. causal : whether the poses are those of a filter.
     """
 
     def __init__(
-        self, model: SkeletonModel, noise: FusionNoise, places: Mapping[str, Floats],
-        events: Events, *, causal: bool = False,
-    ) -> None:  # fmt: skip
+        self, model: SkeletonModel, noise: FusionNoise, events: Events, *, causal: bool = False
+    ) -> None:
         self._healthy = _HEALTHY_CAUSAL if causal else _HEALTHY
         self._n_markers = model.n_markers
-        self._noise, self._places, self._events = noise, places, events
+        self._noise, self._events = noise, events
         self._names: tuple[str, ...] = ()
         self._views: list[Sightings] = []
         """Not yet compared; instants are numbered through the log."""
@@ -127,7 +125,7 @@ class ResidualMeter:
         expected = markers[rows, :, POSITION] + late[:, None, None] * velocities
         residuals = views.positions - expected
         posterior = uncertainty.deviations[rows] ** 2 - uncertainty.shared[rows] ** 2
-        white = self._noise.variances(views, self._names, self._places)
+        white = self._noise.variances(views, self._names)
         variances = white + self._noise.offsets**2 - posterior
         # An estimate that no measurement supports is as uncertain as the measurement.
         variances[variances <= 0.1 * white] = np.nan

@@ -5,7 +5,8 @@ Who is there at an instant, and how the links are oriented, is decided as in the
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,8 @@ from hiros_mcap.stages.merge.instants import InstantMerger
 from hiros_mcap.stages.merge.merge import ViewMerger
 from hiros_mcap.stages.merge.merge_params import MergeParams
 from hiros_mcap.stages.merge.unseen import Unseen
+
+_NOWHERE = np.full(3, np.nan)
 
 
 class SightingGatherer:
@@ -40,8 +43,12 @@ class SightingGatherer:
         self, blocks: Iterable[Block], events: Events, fixed_frame: str = ""
     ) -> Iterator[tuple[Block, Sightings, tuple[str, ...]]]:
         """Yield merged people, the views of each instant (numbered in the block), the cameras."""
+
+        def gather(*given: Any) -> None:
+            self._gather(merger.cameras, *given)
+
         merger = InstantMerger(
-            self._model, self._gather, self._merge.bank, events, fixed_frame, ("outlier", "flip"),
+            self._model, gather, self._merge.bank, events, fixed_frame, ("outlier", "flip"),
             Unseen(self._params.bridge, self._params.carry, self._cameras),
         )  # fmt: skip
         for block in merger.run(blocks, self._params.cameras, self._params.max_delta_time):
@@ -49,14 +56,16 @@ class SightingGatherer:
             yield block, joined(gathered), merger.cameras
 
     def _gather(
-        self, buffers: Buffers, people: People, views: int, out: People, counts: Stamps
-    ) -> None:
+        self, names: Sequence[str], buffers: Buffers, people: People, views: int, out: People,
+        counts: Stamps,
+    ) -> None:  # fmt: skip
         """Merge links; keep what each camera saw. A ``MergeKernel`` of instants."""
         self._merge(buffers, people, views, out, counts)
         n, m = int((buffers.messages[:, 1] - buffers.messages[:, 0]).sum()), self._model.n_markers
         some = Sightings.allocate(n, m)
+        places = np.array([self._cameras.get(name, _NOWHERE) for name in names]).reshape(-1, 3)
         n = fusing.gather_sightings(
-            buffers, people, out.ids, self._merge.sides_changed, self._mirror, some
+            buffers, people, out.ids, self._merge.sides_changed, self._mirror, places, some
         )
         some = chosen(some, slice(n))
         self._gathered.append(some._replace(instants=some.instants + self._n_instants))

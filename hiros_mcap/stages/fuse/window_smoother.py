@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -56,14 +56,12 @@ class WindowSmoother:
     ----------
     model, params, noise : the skeleton; how long results wait; what is assumed of the cameras.
     pose_error : what the cameras' poses add.
-    cameras : source -> (3,) position, m, as far as known.
     """
 
     def __init__(
-        self, model: SkeletonModel, params: FuseParams, noise: FusionNoise, pose_error: PoseError,
-        cameras: Mapping[str, Floats],
-    ) -> None:  # fmt: skip
-        self._params, self._noise, self._places = params, noise, cameras
+        self, model: SkeletonModel, params: FuseParams, noise: FusionNoise, pose_error: PoseError
+    ) -> None:
+        self._params, self._noise = params, noise
         self._motion = noise.motion(params.freedom)
         self._pose_error = pose_error
         self.displaced = DisplacedViews()
@@ -158,7 +156,7 @@ class WindowSmoother:
     def _without_displaced(self, window: _Window, of_views: Stamps, boundary: int) -> FusedPoses:
         """Smooth a window. Cameras that prove to be displaced lose their weight."""
         views, new = window.views, window.new
-        white = self._noise.variances(views, self._names, self._places)
+        white = self._noise.variances(views, self._names)
         ahead = self._params.window > 0
         excess = np.zeros(len(new)) if ahead else self.displaced.expected(views)
         for person in np.unique(window.people).tolist():
@@ -182,48 +180,49 @@ class WindowSmoother:
 
     def _smooth_people(self, window: _Window, variances: Floats, boundary: int) -> FusedPoses:
         """Smooth everybody; the filters stand at ``boundary``, ns, afterwards."""
-        poses = FusedPoses.absent(len(window.people), variances.shape[1])
-        people, smooth = np.unique(window.people).tolist(), self._smooth_person
-        calls = [partial(smooth, window, variances, boundary, poses, p) for p in people]
+        people, stamps, steps = self._steps(window, variances)
+        rows = np.argsort(window.people, kind="stable")
+        smoothed = FusedPoses.absent(len(rows), variances.shape[1])
+        everybody = np.unique(window.people)
+        calls = []
+        for person, theirs, poses in zip(
+            everybody.tolist(),
+            _parts(people, everybody),
+            _parts(window.people[rows], everybody),
+            strict=True,
+        ):
+            keep = int(np.searchsorted(stamps[theirs], boundary))
+            arrays = chosen(steps, theirs), keep, self._bank.rows[person], chosen(smoothed, poses)
+            calls.append(partial(self._smooth_person, *arrays))
         if self._params.window > 0:
             run_each(calls)
         else:  # one pose of each takes less time than to start a thread
             for call in calls:
                 call()
-        return poses
+        back = np.argsort(rows)
+        return chosen(smoothed, back)
 
-    def _smooth_person(
-        self, window: _Window, variances: Floats, boundary: int, out: FusedPoses, person: int
-    ) -> None:
-        """Write one person's rows of ``out``."""
-        rows = np.flatnonzero(window.people == person)
-        theirs = (window.views.people == person) & window.new
-        steps, keep = self._steps(
-            chosen(window.views, theirs), variances[theirs], window.stamps[rows], boundary
-        )
-        row = self._bank.rows[person]
-        smoothed = FusedPoses.absent(len(rows), variances.shape[1])
+    def _smooth_person(self, steps: Steps, keep: int, row: int, out: FusedPoses) -> None:
+        """Write one person's poses; ``keep`` is the number of steps that the filter takes over."""
         work = fusing.FusionWork.of(len(steps.times), self._bank.past.means.shape[2])
-        fusing.smooth_joints(steps, keep, self._motion, self._bank.past, row, smoothed, work)
-        for whole, part in zip(out, smoothed, strict=True):
-            whole[rows] = part
+        fusing.smooth_joints(steps, keep, self._motion, self._bank.past, row, out, work)
 
-    def _steps(
-        self, views: Sightings, variances: Floats, wanted: Stamps, boundary: int
-    ) -> tuple[Steps, int]:
-        """Order measurements and wanted poses by time; the number of steps before ``boundary``."""
-        stamps = np.concatenate([views.stamps, wanted])
-        cameras = np.concatenate([views.cameras, np.full(len(wanted), POSE)])
+    def _steps(self, window: _Window, variances: Floats) -> tuple[Ints, Stamps, Steps]:
+        """Order new measurements and wanted poses by person and time: ids, times (ns), steps."""
+        views, (k, m) = chosen(window.views, window.new), (len(window.people), variances.shape[1])
+        people = np.concatenate([views.people, window.people])
+        stamps = np.concatenate([views.stamps, window.stamps])
+        cameras = np.concatenate([views.cameras, np.full(k, POSE)])
         # At one time: measurements by camera, then the pose.
-        order = np.lexsort((np.where(cameras == POSE, len(self._names), cameras), stamps))
-        m = variances.shape[1]
+        last = np.where(cameras == POSE, len(self._names), cameras)
+        order = np.lexsort((last, stamps, people))
         steps = Steps(
             (stamps[order] - (self._origin or 0)) * 1e-9,
             cameras[order],
-            np.concatenate([views.positions, np.full((len(wanted), m, 3), np.nan)])[order],
-            np.concatenate([variances, np.full((len(wanted), m), np.nan)])[order],
+            np.concatenate([views.positions, np.full((k, m, 3), np.nan)])[order],
+            np.concatenate([variances[window.new], np.full((k, m), np.nan)])[order],
         )
-        return steps, int((stamps < boundary).sum())
+        return people[order], stamps[order], steps
 
     def _finished(self, out: Block, log_time: int, poses: FusedPoses, seen: Stamps) -> Block:
         """Write poses, confidences and uncertainty."""
@@ -241,6 +240,12 @@ class WindowSmoother:
         people.confidences[:] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
         uncertainty = Uncertainty(np.sqrt(variances), seen, self._names, np.sqrt(shared))
         return replace(out.logged_at([log_time] * len(out)), uncertainty=uncertainty)
+
+
+def _parts(numbers: Ints, wanted: Ints) -> list[slice]:
+    """Return where each wanted number lies among sorted ones."""
+    begins, ends = (np.searchsorted(numbers, wanted, side) for side in ("left", "right"))
+    return list(map(slice, begins.tolist(), ends.tolist()))
 
 
 def cameras_by_row(views: Sightings, rows: Stamps, shape: tuple[int, int]) -> Stamps:
