@@ -97,13 +97,13 @@ class Reading:
         reader, times = self.log.reader, self._times
         decoder = Decoder(self.log.model, layouts=self._layouts, poses=poses, slim=self._slim)
         batches = reader.batches(self._inputs, spans=self._spans if times is None else None)
-        if self._step:  # few messages: to decode them takes as long as to unpack their chunks
+        if self._step:
             spans = None if times is None else self._spans
             spacing = Spacing(self._step, self.log.cameras, spans)
-            batches = spacing.thinned(reader.ahead(batches), decoder, times)
+            batches = spacing.thinned(batches, decoder, times)
         decoded = (d for batch in batches for d in decoder.decode(batch))
         order = LogOrder[Decoded]()
-        for some in decoded if self._step else reader.ahead(decoded):
+        for some in reader.ahead(decoded):
             order.add(some, some.keys)
             for part, messages in order.before(some.until):
                 yield from self._accounted(part, messages)
