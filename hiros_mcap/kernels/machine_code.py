@@ -74,7 +74,11 @@ def load(code: MachineCode, function: FunctionType) -> Callable[..., Any]:
 
 @cache
 def _engine() -> Any:
-    """LLVM's loader, which knows what compiled kernels call by the names that numba gives it."""
+    """LLVM's loader, which knows what compiled kernels call by the names that numba gives it.
+
+    Raises OSError where the system lets no process make code.
+    """
+    llvm.check_jit_execution()
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     addresses = {"_Py_NoneStruct": id(None)}
