@@ -1,5 +1,7 @@
 """Frames are views of people; blocks hold several of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -85,3 +87,22 @@ def test_held_frames_come_back_with_all_columns(packed, width):
         np.testing.assert_array_equal(frame.markers[..., :width], expected.markers[..., :width])
         np.testing.assert_array_equal(frame.links, expected.links)
         assert np.isnan(frame.markers[..., width:]).all()
+
+
+@pytest.mark.parametrize("width", [19, 7])
+@pytest.mark.parametrize("others", [0, 1])
+def test_a_frame_that_waits_alone_is_copied_with_all_columns(others, width):
+    frames = [numbered(2, 10), numbered(2 * others, 20)]
+    block = join([Block.of(frame) for frame in frames]).select([0])
+    markers = np.ascontiguousarray(block.people.markers[:, :, :width])
+    block = replace(block, people=block.people._replace(markers=markers))
+    held = HeldFrames()
+    held.add(block)
+    copy = held.copies([0])
+    assert copy.people.ids.tolist() == [10, 11]
+    assert copy.people.markers.shape == (2, 2, 19)
+    np.testing.assert_array_equal(copy.people.markers[:, :, :width], markers[:2])
+    for array in copy.people:
+        array[:] = 0
+    assert markers[:2].min() == 10
+    assert held.copies([0]).people.ids.tolist() == [10, 11]

@@ -15,6 +15,7 @@ from hiros_mcap.frames import Block, by_frame, frames_of, join
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.stages.fuse import fusing
 from hiros_mcap.stages.fuse.constrain import ConstrainParams, constrain_blocks
+from hiros_mcap.stages.fuse.estimating import EstimateWork, PoseSpace, estimate_poses
 from hiros_mcap.stages.fuse.fuse import FuseParams, fuse_blocks
 from hiros_mcap.stages.fuse.fusing import (
     POSE,
@@ -204,6 +205,25 @@ def test_the_prior_takes_a_pose_that_never_changes():
     assert shrink_noise(still, np.full((90, 12), 0.02**2)) == pytest.approx(still)
 
 
+def test_the_prior_estimates_as_wiener_does():
+    """mu + P (P + V)^-1 (y - mu), where an absent marker has a variance of 1 m2."""
+    rng = np.random.default_rng(5)
+    mean, basis = rng.normal(size=12), 0.05 * rng.normal(size=(12, 3))
+    measured = mean.reshape(4, 3) + rng.normal(0, 0.05, (2, 4, 3))
+    measured[1, 2] = np.nan
+    variances = rng.uniform(1e-6, 4e-4, (2, 4))
+    poses, space = measured.copy(), PoseSpace(mean, basis)
+    estimate_poses(poses, variances, space, np.inf, EstimateWork.of(space))
+    p = basis @ basis.T + 0.003**2 * np.eye(12)
+    for pose, y, v in zip(poses, measured, variances, strict=True):
+        absent = np.isnan(y.ravel())
+        off = np.where(absent, 0, y.ravel() - mean)
+        noise = np.diag(np.where(absent, 1.0, np.repeat(v, 3)))
+        expected = mean + p @ np.linalg.inv(p + noise) @ off
+        np.testing.assert_allclose(pose.ravel()[~absent], expected[~absent], atol=1e-12)
+        assert np.isnan(pose.ravel()[absent]).all()
+
+
 def test_results_wait_for_lengths_that_other_poses_show():
     """The forearm that a detector shows grows from 0.2 to 0.3 m; the result has one length."""
     model = SkeletonModel.of(["A", "B"], [("forearm", 0, 1)])
@@ -277,6 +297,12 @@ def test_more_cameras_give_more_confidence_and_smaller_deviations():
     assert np.nanmean(all_.marker_confidences) > np.nanmean(two.marker_confidences) + 0.05
     assert np.nanmean(all_.uncertainty.deviations) < np.nanmean(two.uncertainty.deviations)
     assert set(np.unique(two.uncertainty.cameras)) <= {0, 1, 2, 3}
+
+
+@pytest.mark.parametrize("name", ["fuse", "fuse-realtime"])
+def test_everybody_is_where_the_cameras_saw_them(name):
+    where = room(people=3, cameras=4, seconds=3, seed=63)
+    assert evaluate(result(where, name), where.truth, where.model).mean < 20  # mm
 
 
 @pytest.mark.parametrize("changes", [{"window": 1.0}, {"window": 0.0, "lookahead": 1.0}])
