@@ -7,10 +7,10 @@ Kernels state their signatures, so they are compiled (or loaded) when their modu
 never in the middle of a run, and a wrong array layout is a TypeError rather than a silent second
 compilation.
 
-A wheel brings them compiled (``shipped.py``). Elsewhere numba compiles them once into a folder of
-the user. It has a folder for each module, whose name holds a hash of the module and of all that it
-imports: numba itself does not notice that a callee in another module changed, and would go on
-running the old code.
+A wheel brings them compiled (``shipped.py``). Elsewhere numba compiles them once (``compile.py``)
+into a folder of the user. It has a folder for each module, whose name holds a hash of the module
+and of all that it imports: a change of a callee in another module compiles it anew. To run them
+takes no numba (``machine_code.py``).
 """
 
 from __future__ import annotations
