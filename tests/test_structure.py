@@ -56,7 +56,7 @@ CEILINGS = {
     "optimize": 1561,
     "track": 2612,
     "stages": 228,
-    "kernels": 3112,
+    "kernels": 3115,
     "plan": 570,
     "regression": 1510,
     "running": 3205,

@@ -6,6 +6,7 @@ numba's. numba itself would cost each process a third of a second and 70 MB.
 
 from __future__ import annotations
 
+import builtins
 import ctypes
 import json
 import sys
@@ -82,6 +83,9 @@ def _engine() -> Any:
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     addresses = {"_Py_NoneStruct": id(None)}
+    for each in vars(builtins).values():
+        if isinstance(each, type) and issubclass(each, BaseException):
+            addresses[f"PyExc_{each.__name__}"] = id(each)
     for library in (_library("_helperlib"), _library("_dynfunc")):
         addresses |= {f"numba_{name}": at for name, at in library.c_helpers.items()}
     for name, address in addresses.items():
@@ -94,13 +98,12 @@ def _engine() -> Any:
 def _library(name: str) -> Any:
     """Load a library of numba's, without numba."""
     full = f"numba.{name}"
-    if full not in sys.modules:
-        package = find_spec("numba")
-        folders = package.submodule_search_locations if package else None
-        spec = PathFinder.find_spec(full, folders)
-        if spec is None or spec.loader is None:
-            raise ImportError(f"{full} is missing")
-        library = module_from_spec(spec)
-        spec.loader.exec_module(library)
-        return library
-    return sys.modules[full]
+    if full in sys.modules:
+        return sys.modules[full]
+    package = find_spec("numba")
+    spec = PathFinder.find_spec(full, package.submodule_search_locations if package else None)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{full} is missing")
+    library = module_from_spec(spec)
+    spec.loader.exec_module(library)
+    return library
