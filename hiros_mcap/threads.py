@@ -7,8 +7,10 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 
 _LOCAL = threading.local()
+_ARENA_MAX = -8  # M_ARENA_MAX in malloc.h
 
 
 def cores() -> int:
@@ -16,6 +18,19 @@ def cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def share_heap() -> None:
+    """Let all threads of this process take memory from one place, for programs and workers.
+
+    What one thread gives back, another can use: that saves 20 to 40 MB where the C library is
+    glibc. Others have no such setting.
+    """
+    import ctypes
+
+    if "MALLOC_ARENA_MAX" not in os.environ:
+        with suppress(AttributeError, TypeError):
+            ctypes.CDLL(None).mallopt(_ARENA_MAX, 1)
 
 
 def run_each(calls: Sequence[Callable[[], object]]) -> None:

@@ -21,7 +21,7 @@ from queue import SimpleQueue
 from typing import Any, TypeVar
 
 from hiros_mcap.errors import HirosError
-from hiros_mcap.threads import cores
+from hiros_mcap.threads import cores, share_heap
 
 Result = TypeVar("Result")
 
@@ -172,6 +172,7 @@ def _starting() -> Iterator[None]:
 
 def _set_up(folder: str) -> None:
     """Prepare a worker: its temporary files, and its end if the first process is killed."""
+    share_heap()
     tempfile.tempdir = folder
     threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
 

@@ -39,9 +39,9 @@ UPWARDS = {
 }
 """Imports that do not go down the list of CONTRIBUTING.md. This set only shrinks."""
 CEILINGS = {
-    "hiros_cli": 3945,
+    "hiros_cli": 3932,
     "hiros_viewer": 4523,
-    "hiros_mcap": 2354,
+    "hiros_mcap": 2372,
     "body": 1675,
     "calibrate": 5426,
     "evaluate": 3040,

@@ -12,7 +12,6 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 
 _ADDRESSES = 512 << 20  # bytes; below that, libraries abort the program while they are loaded
-_ARENAS, _ARENA_MAX = "MALLOC_ARENA_MAX", -8  # its name in malloc.h is M_ARENA_MAX
 _SPACE = 32 << 20  # bytes; all kernels take a tenth of that
 
 
@@ -36,9 +35,10 @@ def prepare(*, quiet: bool, everything: bool = False) -> None:
     """
     from hiros_mcap import kernels
     from hiros_mcap.kernels import shipped
+    from hiros_mcap.threads import share_heap
 
     _ensure_memory()
-    _share_heap()
+    share_heap()
     if shipped.usable():
         return
     _ensure_writable()
@@ -87,19 +87,6 @@ def _ensure_memory() -> None:
         raise MemoryError(
             f"the process may take {limit >> 20} MiB (ulimit -v), and needs {_ADDRESSES >> 20} MiB"
         )
-
-
-def _share_heap() -> None:
-    """Let all threads take memory from one place: what one gives back, another can use.
-
-    It saves 20 to 40 MB where the C library is glibc; others have no such setting.
-    """
-    import ctypes
-
-    if _ARENAS not in os.environ:
-        os.environ[_ARENAS] = "1"  # for processes that work for this one
-        with contextlib.suppress(AttributeError, TypeError):
-            ctypes.CDLL(None).mallopt(_ARENA_MAX, 1)
 
 
 def _ensure_writable() -> None:
