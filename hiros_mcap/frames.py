@@ -7,14 +7,14 @@ makes one call for all of them. Results do not depend on how the frames are cut 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Concatenate, NamedTuple, ParamSpec
 
 import numpy as np
 
 from hiros_mcap.kernels.gathering import gather
-from hiros_mcap.skeletons import STATE, Frame, People, Stage, Stamps, Uncertainty
+from hiros_mcap.skeletons import STATE, Floats, Frame, People, Stage, Stamps, Uncertainty
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,6 +127,11 @@ class CameraNumbers(dict[str, int]):
         return np.asarray(numbers[block.sources])
 
 
+def places_of(names: Iterable[str], places: Mapping[str, Floats]) -> Floats:
+    """(C, 3) Positions of cameras, m; NaN where ``places`` has none."""
+    return np.array([places.get(name, 3 * [np.nan]) for name in names]).reshape(-1, 3)
+
+
 def join(blocks: Sequence[Block], order: Stamps | None = None) -> Block:
     """Return the frames of blocks, one block behind the other; arrays are copied, to all columns.
 
@@ -161,9 +166,8 @@ class _Packed(NamedTuple):
     @property
     def is_one_frame(self) -> bool:
         """Whether these are all people of one frame, with all columns."""
-        frames, people = self.block.rows.tolist(), self.block.people
         whole = len(self.markers) == len(self.links) == STATE
-        return whole and frames == [[0, len(people.ids)]]
+        return whole and self.block.rows.tolist() == [[0, len(self.block.people.ids)]]
 
 
 _ALL = np.arange(STATE)
@@ -172,6 +176,11 @@ _ALL = np.arange(STATE)
 def _joined(packed: Sequence[_Packed], order: Stamps | None) -> Block:
     """Do what :func:`join` does, with all columns."""
     blocks = [one.block for one in packed]
+    if len(packed) == 1 and packed[0].is_one_frame and (order is None or len(order) == 1):
+        block = blocks[0]  # a live input has one such frame after the other
+        every = np.arange(len(block.people.ids))
+        sure = block.uncertainty and block.uncertainty.at(every)
+        return replace(block, people=block.people.at(every), uncertainty=sure)
     of_block = np.repeat(np.arange(len(blocks)), [len(block) for block in blocks])
     wanted = np.arange(len(of_block)) if order is None else order
     of_block, rows = of_block[wanted], np.concatenate([block.rows for block in blocks])[wanted]
@@ -222,11 +231,6 @@ class HeldFrames:
         wanted = np.array(numbers)
         first, last = wanted.min(), wanted.max()
         held = [pair for pair in self._blocks if first <= pair[0][-1] and pair[0][0] <= last]
-        if len(held) == len(wanted) == 1 and held[0][1].is_one_frame:
-            block = held[0][1].block  # a live input has one such frame after the other
-            rows = np.arange(len(block.people.ids))
-            sure = block.uncertainty and block.uncertainty.at(rows)
-            return replace(block, people=block.people.at(rows), uncertainty=sure)
         every = np.concatenate([ids for ids, _ in held])
         return _joined([packed for _, packed in held], np.searchsorted(every, wanted))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import threading
 import time
@@ -23,11 +24,8 @@ def cores() -> int:
 def share_heap() -> None:
     """Let all threads of this process take memory from one place, for programs and workers.
 
-    What one thread gives back, another can use: that saves 20 to 40 MB where the C library is
-    glibc. Others have no such setting.
+    What one thread gives back, another can use: 20 to 40 MB less, where the C library is glibc.
     """
-    import ctypes
-
     if "MALLOC_ARENA_MAX" not in os.environ:
         with suppress(AttributeError, TypeError):
             ctypes.CDLL(None).mallopt(_ARENA_MAX, 1)

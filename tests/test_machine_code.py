@@ -11,7 +11,7 @@ import pytest
 from hiros_mcap.kernels import folder_of, shipped
 from hiros_mcap.kernels.array_types import F1
 from hiros_mcap.kernels.bytes import load32
-from hiros_mcap.kernels.compile import Kernel, entry
+from hiros_mcap.kernels.compile import EntryKernel, entry
 from hiros_mcap.kernels.machine_code import MachineCode, read, write
 from hiros_mcap.kernels.record_index import _walk
 
@@ -65,7 +65,7 @@ def test_an_error_in_a_kernel_is_one_in_python(compiled):
 
 
 def test_what_was_compiled_is_read_again(compiled, monkeypatch):
-    monkeypatch.setattr(Kernel, "_compile", lambda _: pytest.fail("compiled twice"))
+    monkeypatch.setattr(EntryKernel, "_compile", lambda _: pytest.fail("compiled twice"))
     assert entry(number)(np.array([5.0]), 0) == 5.0
 
 
@@ -76,7 +76,7 @@ def test_a_damaged_file_is_compiled_again(damage, compiled, monkeypatch):
     cut, flipped = whole[:-1], whole[:-9] + bytes([whole[-9] ^ 1]) + whole[-8:]
     path.write_bytes({b"cut": cut, b"flipped": flipped}.get(damage, damage))
     again = []
-    monkeypatch.setattr(Kernel, "_compile", lambda _: again.append(1) or code)
+    monkeypatch.setattr(EntryKernel, "_compile", lambda _: again.append(1) or code)
     assert entry(number)(np.array([5.0]), 0) == 5.0
     assert again == [1]
     assert path.read_bytes() == whole

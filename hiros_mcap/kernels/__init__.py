@@ -64,20 +64,21 @@ def digest(module: str) -> str:
 
 
 @cache
-def numba_version() -> str:
-    """Version of numba, which this does not import: it takes a third of a second."""
-    return version("numba")
+def _compiler() -> str:
+    """Python, numba (which is not imported for it), this processor, and a hash of what it can."""
+    import llvmlite.binding as llvm  # type: ignore[import-untyped]
+
+    can = hashlib.sha256(llvm.get_host_cpu_features().flatten().encode()).hexdigest()[:8]
+    numba, python = version("numba"), sys.implementation.cache_tag
+    return f"{python}-numba-{numba}-{llvm.get_host_cpu_name()}-{can}"
 
 
 def cache_folder() -> Path:
     """Folder for what this Python and this numba have compiled for this processor."""
-    import llvmlite.binding as llvm  # type: ignore[import-untyped]
     import platformdirs
 
     root = os.environ.get("NUMBA_CACHE_DIR") or platformdirs.user_cache_dir("hiros")
-    can = hashlib.sha256(llvm.get_host_cpu_features().flatten().encode()).hexdigest()[:8]
-    compiler = f"{sys.implementation.cache_tag}-numba-{numba_version()}"
-    return Path(root, f"kernels-{compiler}-{llvm.get_host_cpu_name()}-{can}")
+    return Path(root, f"kernels-{_compiler()}")
 
 
 def folder_of(module: str) -> Path:

@@ -13,7 +13,10 @@ from typing import Any
 
 
 class Operation:
-    """An operation that numba gets from us, for kernels; ``make(*given)`` returns its intrinsic."""
+    """An operation that numba gets from us, for kernels.
+
+    ``make(ir, types, *given)``, with LLVM's instructions and numba's types, returns its intrinsic.
+    """
 
     def __init__(self, make: Callable[..., Any], *given: Any) -> None:
         self._make, self._given = make, given
@@ -24,31 +27,29 @@ class Operation:
 
     @cached_property
     def _numba_type_(self) -> Any:
+        from llvmlite import ir  # type: ignore[import-untyped]
+        from numba import types
         from numba.core.registry import cpu_target
         from numba.extending import intrinsic
 
-        self._intrinsic = intrinsic(self._make(*self._given))
+        self._intrinsic = intrinsic(self._make(ir, types, *self._given))
         context = cpu_target.typing_context
         context.refresh()
         return context.resolve_value_type(self._intrinsic)
 
 
-def _place(context: Any, builder: Any, kind: Any, array: Any, offset: Any) -> Any:
+def _place(ir: Any, context: Any, builder: Any, kind: Any, array: Any, offset: Any) -> Any:
     """Emit the pointer to a byte of an array."""
-    from llvmlite import ir  # type: ignore[import-untyped]
-
     data = context.make_array(kind)(context, builder, array).data
     return builder.gep(builder.bitcast(data, ir.IntType(8).as_pointer()), [offset])
 
 
-def _load(bits: int) -> Any:
+def _load(ir: Any, types: Any, bits: int) -> Any:
     """Make a load of an integer: ``load(array, offset)``."""
-    from llvmlite import ir
-    from numba import types
 
     def load(typing_context: Any, data: Any, offset: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            place = _place(context, builder, signature.args[0], args[0], args[1])
+            place = _place(ir, context, builder, signature.args[0], args[0], args[1])
             word = builder.load(builder.bitcast(place, ir.IntType(bits).as_pointer()))
             word.align = 1
             return word
@@ -58,14 +59,12 @@ def _load(bits: int) -> Any:
     return load
 
 
-def _store(bits: int) -> Any:
+def _store(ir: Any, types: Any, bits: int) -> Any:
     """Make a store of an integer: ``store(array, offset, value)``."""
-    from llvmlite import ir
-    from numba import types
 
     def store(typing_context: Any, data: Any, offset: Any, value: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            place = _place(context, builder, signature.args[0], args[0], args[1])
+            place = _place(ir, context, builder, signature.args[0], args[0], args[1])
             builder.store(args[2], builder.bitcast(place, ir.IntType(bits).as_pointer())).align = 1
             return context.get_dummy_value()
 
@@ -74,9 +73,8 @@ def _store(bits: int) -> Any:
     return store
 
 
-def _swap(bits: int) -> Any:
+def _swap(ir: Any, types: Any, bits: int) -> Any:
     """Make a reversal of the bytes of an integer."""
-    from numba import types
 
     def swap(typing_context: Any, value: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -88,11 +86,8 @@ def _swap(bits: int) -> Any:
     return swap
 
 
-def _cast(source: str, target: str) -> Any:
+def _cast(ir: Any, types: Any, source: str, target: str) -> Any:
     """Make a change of the type of 64 bits."""
-    from llvmlite import ir
-    from numba import types
-
     bits = ir.DoubleType() if target == "float64" else ir.IntType(64)
 
     def cast(typing_context: Any, value: Any) -> Any:
@@ -104,15 +99,14 @@ def _cast(source: str, target: str) -> Any:
     return cast
 
 
-def _copy() -> Any:
+def _copy(ir: Any, types: Any) -> Any:
     """Make a copy of bytes."""
-    from numba import types
     from numba.core import cgutils
 
     def copy(typing_context: Any, to: Any, at: Any, source: Any, start: Any, size: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            target = _place(context, builder, signature.args[0], args[0], args[1])
-            origin = _place(context, builder, signature.args[2], args[2], args[3])
+            target = _place(ir, context, builder, signature.args[0], args[0], args[1])
+            origin = _place(ir, context, builder, signature.args[2], args[2], args[3])
             move: Any = cgutils.raw_memcpy
             move(builder, target, origin, args[4], 1)
             return context.get_dummy_value()

@@ -8,13 +8,14 @@ from functools import cached_property, partial
 from types import FunctionType
 from typing import Any
 
+from hiros_mcap.errors import LogError
 from hiros_mcap.kernels import folder_of, shipped
 from hiros_mcap.kernels.array_types import Array, Fields, check_of, type_of
 from hiros_mcap.kernels.machine_code import MachineCode, load, read, write
 from hiros_mcap.skeletons import People
 
 
-class Helper:
+class Kernel:
     """A kernel for other kernels. It is compiled when one of them is."""
 
     def __init__(self, function: FunctionType, **options: Any) -> None:
@@ -30,15 +31,12 @@ class Helper:
         return _numba(self.function)
 
     @cached_property
-    def _for_kernels(self) -> Any:
-        return _numba(self.function, no_cpython_wrapper=True, **self._options)
-
-    @property
     def _numba_type_(self) -> Any:
-        return self._for_kernels._numba_type_
+        self._for_kernels = _numba(self.function, no_cpython_wrapper=True, **self._options)
+        return self._for_kernels._numba_type_  # which does not keep it alive
 
 
-class Kernel(Helper):
+class EntryKernel(Kernel):
     """A kernel that Python calls.
 
     Attributes
@@ -72,7 +70,9 @@ class Kernel(Helper):
             return code
         code = self._compile()
         if not brought:
-            with suppress(OSError):  # the folder cannot be written: the next process compiles again
+            with suppress(
+                OSError, LogError
+            ):  # the folder cannot be written: the next process compiles again
                 write(path, code)
         return code
 
@@ -91,10 +91,10 @@ def _numba(function: FunctionType, **options: Any) -> Any:
     Without numba's reference counts, which kernels that make no arrays have no use for, the code is
     four times as fast.
     """
-    from numba import njit
+    import numba
 
-    numba: Any = partial(njit, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
-    return numba(**options)(function)
+    njit: Any = numba.njit
+    return njit(error_model="numpy", _nrt=False, no_cfunc_wrapper=True, **options)(function)
 
 
 def _numba_type(kind: Any) -> Any:
@@ -118,7 +118,7 @@ def _numba_type(kind: Any) -> Any:
 
 def kernel(function: Any) -> Any:
     """Compile a function that makes no arrays, for other kernels."""
-    return Helper(function)
+    return Kernel(function)
 
 
 def inlined(function: Any) -> Any:
@@ -127,7 +127,7 @@ def inlined(function: Any) -> Any:
     A call that is left to the compiler's choice may cost more than the helper does: a NamedTuple of
     arrays is passed as some 100 numbers.
     """
-    return Helper(function, forceinline=True)
+    return Kernel(function, forceinline=True)
 
 
 def entry(function: Any = None, *, nogil: bool = True) -> Any:
@@ -136,7 +136,7 @@ def entry(function: Any = None, *, nogil: bool = True) -> Any:
     Its signature is what its annotations name: arrays (``array_types.py``), NamedTuples of them, or
     float, int and bool. ``nogil``: whether other threads run meanwhile.
     """
-    return partial(Kernel, nogil=nogil) if function is None else Kernel(function, nogil)
+    return partial(EntryKernel, nogil=nogil) if function is None else EntryKernel(function, nogil)
 
 
 @inlined

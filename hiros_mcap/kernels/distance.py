@@ -12,18 +12,21 @@ from hiros_mcap.kernels.points import point_distance
 from hiros_mcap.skeletons import Floats, Ints
 
 
-@entry
-def centre(positions: F2, out: F1) -> None:
-    """Write the mean of those of some positions (M, >= 3) that are known, m; NaN if none is."""
-    n = 0
-    out[:] = 0.0
+@inlined
+def mean_position(positions: Floats) -> tuple[float, float, float]:
+    """Mean of those of some positions (M, >= 3) that are known, m; NaN if none is."""
+    n, x, y, z = 0, 0.0, 0.0, 0.0
     for m in range(len(positions)):
         if not math.isnan(positions[m, 0]):
             n += 1
-            for c in range(3):
-                out[c] += positions[m, c]
-    for c in range(3):
-        out[c] = out[c] / n if n > 0 else np.nan
+            x, y, z = x + positions[m, 0], y + positions[m, 1], z + positions[m, 2]
+    return (x / n, y / n, z / n) if n > 0 else (np.nan, np.nan, np.nan)
+
+
+@entry
+def centre(positions: F2, out: F1) -> None:
+    """Write the :func:`mean_position` of some positions."""
+    out[0], out[1], out[2] = mean_position(positions)
 
 
 @inlined

@@ -16,7 +16,6 @@ from functools import cache
 from importlib.machinery import PathFinder
 from importlib.util import find_spec, module_from_spec
 from pathlib import Path
-from tempfile import NamedTemporaryFile
 from types import FunctionType
 from typing import Any, NamedTuple
 
@@ -46,12 +45,13 @@ def read(path: Path) -> MachineCode | None:
 
 
 def write(path: Path, code: MachineCode) -> None:
-    """Write a file at once: another process never reads a part of it. Raises OSError."""
+    """Write a file, whole or not at all. Raises OSError or LogError if it cannot be written."""
+    from hiros_mcap.outputs import replacing  # not above: its changes need no compilation
+
     path.parent.mkdir(parents=True, exist_ok=True)
     head = json.dumps([code.function, code.environment, zlib.crc32(code.machine)])
-    with NamedTemporaryFile(dir=path.parent, prefix=path.name, delete=False) as file:
-        file.write(f"{head}\n".encode() + code.machine)
-    Path(file.name).replace(path)
+    with replacing(path) as temporary:
+        temporary.write_bytes(f"{head}\n".encode() + code.machine)
 
 
 def load(code: MachineCode, function: FunctionType) -> Callable[..., Any]:

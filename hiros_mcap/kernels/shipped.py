@@ -13,6 +13,7 @@ import os
 import platform
 import sys
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 
 from hiros_mcap import kernels
@@ -51,7 +52,7 @@ def identity() -> dict[str, str]:
     """Return what compiled kernels depend on, apart from the processor."""
     return {
         "sources": digest(),
-        "numba": kernels.numba_version(),
+        "numba": version("numba"),
         "python": f"{sys.implementation.cache_tag}{getattr(sys, 'abiflags', '')}",
         "platform": f"{sys.platform}-{platform.machine()}",
     }

@@ -23,7 +23,7 @@ import numpy as np
 
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, CameraNumbers
+from hiros_mcap.frames import Block, CameraNumbers, places_of
 from hiros_mcap.kernels.array_types import settings_of
 from hiros_mcap.skeletons import Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
@@ -84,8 +84,7 @@ class _LimbHistories:
             block.stamps, self._cameras.of(block), block.rows, past_rows
         )
         work = kernels.PlausibleWork.of(*people.markers.shape[:2])
-        nowhere = np.full(3, np.nan)
-        places = np.array([self._places.get(name, nowhere) for name in self._cameras])
+        places = places_of(self._cameras, self._places)
         seen = self._bank.past.seen
         if len(places) > seen.shape[1]:
             seen = np.pad(seen, ((0, 0), (0, len(places))))

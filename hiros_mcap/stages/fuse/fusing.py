@@ -19,6 +19,7 @@ import numpy as np
 from hiros_mcap.kernels.array_types import F1, F2, F3, F4, I1, J1, arrays
 from hiros_mcap.kernels.averaging import BEGIN, CAMERA, END, TIME, Buffers
 from hiros_mcap.kernels.compile import entry, inlined, kernel
+from hiros_mcap.kernels.distance import mean_position
 from hiros_mcap.kernels.points import norm3
 from hiros_mcap.skeletons import Floats, People
 from hiros_mcap.stages.merge.merging import EXCHANGED, LEFT_OUT
@@ -130,13 +131,8 @@ class FusionWork(NamedTuple):
 @kernel
 def _distance(positions: Floats, place: Floats) -> float:
     """Distance, m, of the mean of the positions (M, 3) that are known from a camera's place."""
-    n, x, y, z = 0, 0.0, 0.0, 0.0
-    for m in range(len(positions)):
-        if not math.isnan(positions[m, 0]):
-            n += 1
-            x, y, z = x + positions[m, 0], y + positions[m, 1], z + positions[m, 2]
-    n = max(n, 1)
-    away = norm3(x / n - place[0], y / n - place[1], z / n - place[2])
+    x, y, z = mean_position(positions)
+    away = norm3(x - place[0], y - place[1], z - place[2])
     return REFERENCE if math.isnan(away) else max(away, _NEAREST)
 
 

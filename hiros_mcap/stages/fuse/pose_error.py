@@ -22,6 +22,7 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.calibrate.gauge import placement_error
+from hiros_mcap.frames import places_of
 from hiros_mcap.skeletons import Floats, Stamps
 from hiros_mcap.stages.fuse.fusing import Sightings
 
@@ -68,13 +69,13 @@ class PoseError:
         if self._learned is not None and now - self._learned < _RENEWED:
             return
         self._learned = now
-        seen = ~np.isnan(offsets[:, 0])
+        places, seen = places_of(names, self._places), ~np.isnan(offsets[:, 0])
         for person in np.unique(views.people[seen]):
             scaled = []
             for camera in np.unique(views.cameras[seen & (views.people == person)]):
                 these = seen & (views.people == person) & (views.cameras == camera)
                 centre = np.nanmean(views.positions[these], axis=(0, 1))
-                assumed = self._assumed(centre, self._place_of(names[camera]))
+                assumed = self._assumed(centre, places[camera])
                 scaled.append(offsets[these].mean(axis=0) / np.sqrt(assumed))
             self._count(np.array(scaled))
 
@@ -86,10 +87,6 @@ class PoseError:
             self._observed += min(square, _MOST * free)
             self._compared += free
             self._most = max(self._most, free)
-
-    def _place_of(self, name: str) -> Floats:
-        """(3,) Position of a camera, m; NaN = unknown."""
-        return self._places.get(name, np.full(3, np.nan))
 
     def _assumed(self, positions: Floats, places: Floats) -> Floats:
         """(...) Assumed variance along each axis, m2, of positions from cameras (..., 3), m."""
@@ -113,7 +110,7 @@ class PoseError:
         agrees = [self._placement is not None and name in self._refined for name in names]
         these = np.flatnonzero(~np.array(agrees, np.bool_))
         refined, count = sees[agrees].sum(axis=0), sees.sum(axis=0)
-        places = np.array([self._place_of(names[k]) for k in these.tolist()]).reshape(-1, 1, 1, 3)
+        places = places_of(names, self._places)[these, None, None]
         alone = (sees[these] * self._assumed(positions, places)).sum(axis=0)
         shared = np.zeros(seen.shape)
         if self._placement is not None:

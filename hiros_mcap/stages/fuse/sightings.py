@@ -12,7 +12,7 @@ import numpy as np
 
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block
+from hiros_mcap.frames import Block, places_of
 from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.kernels.averaging import Buffers
 from hiros_mcap.skeletons import Floats, Ints, People, SkeletonModel, Stamps
@@ -22,8 +22,6 @@ from hiros_mcap.stages.merge.instants import InstantMerger
 from hiros_mcap.stages.merge.merge import ViewMerger
 from hiros_mcap.stages.merge.merge_params import MergeParams
 from hiros_mcap.stages.merge.unseen import Unseen
-
-_NOWHERE = np.full(3, np.nan)
 
 
 class SightingGatherer:
@@ -63,7 +61,7 @@ class SightingGatherer:
         self._merge(buffers, people, views, out, counts)
         n, m = int((buffers.messages[:, 1] - buffers.messages[:, 0]).sum()), self._model.n_markers
         some = Sightings.allocate(n, m)
-        places = np.array([self._cameras.get(name, _NOWHERE) for name in names]).reshape(-1, 3)
+        places = places_of(names, self._cameras)
         n = fusing.gather_sightings(
             buffers, people, out.ids, self._merge.sides_changed, self._mirror, places, some
         )

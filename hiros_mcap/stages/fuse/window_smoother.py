@@ -47,6 +47,7 @@ class _Window(NamedTuple):
     new: Flags  # (N,) whether the filters have not taken a view yet
     people: Ints  # (K,) whose pose is wanted
     stamps: Stamps  # (K,) at which time, ns
+    everybody: Ints  # of ``people``, each once, sorted
 
 
 class WindowSmoother:
@@ -140,7 +141,8 @@ class WindowSmoother:
         views = joined(self._views)
         self._views = [views]
         owners = np.repeat(np.arange(n), out.sizes)
-        window = _Window(views, views.stamps >= self._taken, out.people.ids, out.stamps[owners])
+        ids, new = out.people.ids, views.stamps >= self._taken
+        window = _Window(views, new, ids, out.stamps[owners], np.unique(ids))
         of_views = rows_of(views, self._first + owners, out.people.ids)
         self._bank.expire(self._stamps[0])
         poses = self._without_displaced(window, of_views, boundary)
@@ -159,7 +161,7 @@ class WindowSmoother:
         white = self._noise.variances(views, self._names)
         ahead = self._params.window > 0
         excess = np.zeros(len(new)) if ahead else self.displaced.expected(views)
-        for person in np.unique(window.people).tolist():
+        for person in window.everybody.tolist():
             self._bank.row(person, boundary)
         for again in range(1 + _ROUNDS):
             before = self._bank.past
@@ -183,14 +185,9 @@ class WindowSmoother:
         people, stamps, steps = self._steps(window, variances)
         rows = np.argsort(window.people, kind="stable")
         smoothed = FusedPoses.absent(len(rows), variances.shape[1])
-        everybody = np.unique(window.people)
-        calls = []
-        for person, theirs, poses in zip(
-            everybody.tolist(),
-            _parts(people, everybody),
-            _parts(window.people[rows], everybody),
-            strict=True,
-        ):
+        everybody, calls = window.everybody, []
+        parts = _parts(people, everybody), _parts(window.people[rows], everybody)
+        for person, theirs, poses in zip(everybody.tolist(), *parts, strict=True):
             keep = int(np.searchsorted(stamps[theirs], boundary))
             arrays = chosen(steps, theirs), keep, self._bank.rows[person], chosen(smoothed, poses)
             calls.append(partial(self._smooth_person, *arrays))
@@ -199,8 +196,7 @@ class WindowSmoother:
         else:  # one pose of each takes less time than to start a thread
             for call in calls:
                 call()
-        back = np.argsort(rows)
-        return chosen(smoothed, back)
+        return chosen(smoothed, np.argsort(rows))  # as they came
 
     def _smooth_person(self, steps: Steps, keep: int, row: int, out: FusedPoses) -> None:
         """Write one person's poses; ``keep`` is the number of steps that the filter takes over."""
