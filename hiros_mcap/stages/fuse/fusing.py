@@ -26,7 +26,7 @@ from hiros_mcap.stages.merge.merging import EXCHANGED, LEFT_OUT
 
 POSITION, VELOCITY, OFFSETS = 0, 1, 2  # rows of the state of a joint
 REFERENCE = 2.0  # m; distance at which the white noise of a joint is stated
-_NEAREST = 0.3  # m from a camera; no detector sees more of whom is nearer
+_NEAREST = 0.3  # m; noise is not assumed to fall any further nearer to a camera
 POSE = -1  # the camera of a step at which a pose is wanted and nothing is measured
 
 _POSITION_VARIANCE, _VELOCITY_VARIANCE = 0.05, 1.0  # of a joint that is seen first, m2 and m2/s2
@@ -211,7 +211,7 @@ def _start(z: Floats, offset_variance: float, mean: Floats, covariance: Floats) 
 
 @inlined
 def _predict(dt: float, q: float, offset_variance: float, remains: float, work: FusionWork) -> None:
-    """Carry the state on by ``dt``: F x, F P F' + Q. ``remains`` : share of an offset then."""
+    """Carry the state on by ``dt``: F x, F P F' + Q; ``remains`` of an offset is left then."""
     x, p = work.mean, work.covariance
     n = len(x)
     for c in range(3):
