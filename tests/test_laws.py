@@ -229,20 +229,6 @@ def test_stages_stream():
     assert all_same(list(frames), through("TMOF", crossing().frames, crossing()))
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_the_tracker_gives_the_same_message_by_message(seed, monkeypatch):
-    """With and without the compiled loop over many messages: ids, states, order and log times."""
-    rng = np.random.default_rng(seed)
-    frames = [f.select([]) if rng.random() < 0.05 else f for f in crossing().frames]
-    block = join([Block.of(frame) for frame in frames])
-    at_once = list(frames_of(track_blocks([block], crossing().model, cameras=crossing().cameras)))
-    monkeypatch.setattr("hiros_mcap.stages.track.track._Tracker._follow", lambda *_: 0)
-    one_by_one = list(track_blocks([block], crossing().model, cameras=crossing().cameras))
-    assert all_same(at_once, list(frames_of(one_by_one)))
-    times = [t for some in one_by_one for t in some.log_times.tolist()]
-    assert [frame.log_time for frame in at_once] == times
-
-
 def test_tracks_move_with_the_room():
     cameras = {name: TURN.apply(place) + SHIFT for name, place in crossing().cameras.items()}
     turned = moved(crossing().frames, TURN, SHIFT)

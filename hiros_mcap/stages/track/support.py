@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from hiros_mcap.events import Events
-from hiros_mcap.skeletons import UNTRACKED, Floats, Stamps
+from hiros_mcap.skeletons import UNTRACKED, Floats
 from hiros_mcap.stages.track.coverage import Coverage
 from hiros_mcap.stages.track.identity import Identities
 from hiros_mcap.stages.track.track_params import TrackParams
@@ -132,8 +132,3 @@ class Confirmation:
             centres = [self._people.centre(person) for person in scene.persons]
             scene.centres = np.reshape(centres, (-1, 3))
         return self._coverage.sees(source, self._people.centre(track), scene.centres)
-
-    def learn(self, source: str, stamp: int, centres: Floats, tracks: Stamps) -> None:
-        """Learn what a camera looks at from people (P, 3), m, of certain tracks, by their order."""
-        if self._coverage.is_due(source, stamp):
-            self._coverage.learn(source, centres[np.argsort(tracks, kind="stable")], stamp)

@@ -16,7 +16,6 @@ Beyond the paper:
   to be hidden. The gate of an unseen track grows.
 - A camera that shows people elsewhere than the others do brings nobody new
   (:mod:`~hiros_mcap.stages.track.copies`).
-- Where every detection is of a confirmed track, one compiled call takes many messages.
 """
 
 from __future__ import annotations
@@ -160,14 +159,9 @@ class _Tracker:
 
     def take(self, block: Block) -> Iterator[_Message]:
         """Track messages, and write into them; yield those that are decided."""
-        log_times, place = block.log_times.tolist(), 0
-        while place < len(block):
-            end = place + self._follow(block, place)
-            yield from ((block, i, log_times[i]) for i in range(place, end))
-            if end < len(block):
-                for group in self.update(DetectionGroup.of(block, end)):
-                    yield self._finish(group, log_times[end])
-            place = end + 1
+        for place, log_time in enumerate(block.log_times.tolist()):
+            for group in self.update(DetectionGroup.of(block, place)):
+                yield self._finish(group, log_time)
 
     def finish(self) -> Iterator[_Message]:
         """Yield the messages that are still held, now that nothing more comes."""
@@ -267,46 +261,6 @@ class _Tracker:
         size, n_tracks = self._work.pairs.cost.shape, len(self._people.tracks) + n_people
         if n_tracks > size[0] or n_people > size[1]:
             self._work = self._allocate(2 * n_tracks, 2 * n_people)
-
-    # Many messages at once
-
-    def _follow(self, block: Block, place: int) -> int:
-        """Track messages in which everybody is certain, as update would; return how many."""
-        tracks = self._people.tracks
-        if len(self._delay) or not all(track.certain for track in tracks):
-            return 0
-        stamps = block.stamps[place : self._next_stop(block, place)]
-        confirmed = kernels.ConfirmedTracks(
-            _rows(tracks),
-            np.array([track.id for track in tracks], np.int32),
-            np.array([track.seen for track in tracks], np.int64),
-        )
-        spans, n = block.rows[place:], len(block.people.ids)
-        followed = kernels.Followed(np.empty(n, np.int64), np.empty((n, 3)))
-        self._make_room(int((spans[:, 1] - spans[:, 0]).max()))
-        done: int = kernels.follow(
-            stamps, spans, block.people, self._people.bank.past, confirmed, self._slots,
-            self._settings, self._work, followed,
-        )  # fmt: skip
-        for track, seen in zip(tracks, confirmed.last_seen.tolist(), strict=True):
-            track.seen = seen
-        messages = block.select(slice(place, place + done)).messages()
-        for (stamp, source, _), span in zip(messages, spans.tolist(), strict=False):
-            people = slice(*span)
-            centres, match = followed.centres[people], followed.match[people]
-            self._support.learn(source, stamp, centres, match)
-        return done
-
-    def _next_stop(self, block: Block, place: int) -> int:
-        """Place of the first message of a displaced camera, or that may delete a track."""
-        seen = min((track.seen for track in self._people.tracks), default=None)
-        if seen is None:
-            return len(block)
-        late = block.stamps[place:] - seen >= int(self._params.max_gap * 1e9)
-        displaced = self._copies.displaced
-        if displaced:
-            late |= np.array([name in displaced for name in block.names])[block.sources[place:]]
-        return place + int(late.argmax()) if late.any() else len(block)
 
 
 def _rows(tracks: Sequence[PersonTrack]) -> Stamps:

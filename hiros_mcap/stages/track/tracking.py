@@ -1,7 +1,7 @@
 """Kernels of the tracker: predict, compare, correct (Hi-ROS 2023, section 3.1.2).
 
-:func:`associate` and :func:`correct` are the paper's steps for one message. ``track.py`` calls
-them; so does :func:`follow`, for many messages at once.
+:func:`associate` and :func:`correct` are the paper's steps for one message; ``track.py`` calls
+them.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 from hiros_mcap.kernels import kalman_filter
 from hiros_mcap.kernels.array_types import B1, B2, F1, F2, F3, I1, I2, J1, J2, arrays
 from hiros_mcap.kernels.assignment import AssignmentWork, solve
-from hiros_mcap.kernels.compile import entry, inlined, rows_of
-from hiros_mcap.kernels.distance import centre, weighted_mean_distance
+from hiros_mcap.kernels.compile import entry, inlined
+from hiros_mcap.kernels.distance import weighted_mean_distance
 from hiros_mcap.kernels.kalman_filter import Covariance
 from hiros_mcap.kernels.points import norm3, point_distance
 from hiros_mcap.kernels.quaternions import (
@@ -170,21 +170,6 @@ class SlotOrders(NamedTuple):
     ends: J2
     """(L, 2) the track's markers at the ends of each link whose length is learned; of no link if
     nobody asks for lengths."""
-
-
-class ConfirmedTracks(NamedTuple):
-    """The tracks that :func:`follow` goes on with."""
-
-    rows: I1  # (T,) their rows in Tracks
-    ids: J1  # (T,) their ids
-    last_seen: I1  # (T,) ns; brought up to date
-
-
-class Followed(NamedTuple):
-    """What :func:`follow` finds out about the P people of its messages."""
-
-    match: I1  # (P,) index into ConfirmedTracks
-    centres: F2  # (P, 3) mean position of the track's markers after the message, m
 
 
 # Detections
@@ -729,43 +714,3 @@ def correct(
         _learn_lengths(row, tracks, markers, confidences, which, slots.ends)
         if not swapped:
             _correct_links(stamp, row, tracks, people.links[j], settings)
-
-
-# Many messages at once
-
-
-@entry
-def follow(
-    stamps: I1, spans: I2, people: People, tracks: Tracks, confirmed: ConfirmedTracks,
-    slots: SlotOrders, settings: TrackSettings, work: TrackWork, followed: Followed,
-) -> int:  # fmt: skip
-    """Take messages in which everybody is of a confirmed track; return how many.
-
-    Stops before the first message with anybody else. Ids and velocities are written into
-    ``people``. The results are those of the steps that stages/track/track.py calls.
-
-    Parameters
-    ----------
-    stamps, spans : (K,), (K, 2) time of each message, ns; first row of its people, row after the
-        last.
-    people : of all messages, and others.
-    """
-    pairs = work.pairs
-    for k in range(len(stamps)):
-        begin, end = spans[k, 0], spans[k, 1]
-        group = rows_of(people, begin, end)
-        screen(group, settings.min_marker_confidence, settings.min_skeleton_confidence, work.faults)
-        for j in range(end - begin):
-            pairs.wanted[j] = work.faults[j] == USABLE
-        associate(stamps[k], confirmed.rows, group, tracks, slots, settings, work)
-        for j in range(end - begin):
-            if pairs.match[j] < 0 or pairs.broken[j]:
-                return k
-        correct(stamps[k], confirmed.rows, pairs, group, tracks, slots, settings)
-        for j in range(end - begin):
-            i = pairs.match[j]
-            group.ids[j] = confirmed.ids[i]
-            confirmed.last_seen[i] = max(confirmed.last_seen[i], stamps[k])
-            followed.match[begin + j] = i
-            centre(tracks.positions[confirmed.rows[i]], followed.centres[begin + j])
-    return len(stamps)
