@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Concatenate, NamedTuple, ParamSpec
+from typing import Concatenate, ParamSpec
 
 import numpy as np
 
@@ -137,46 +137,7 @@ def join(blocks: Sequence[Block], order: Stamps | None = None) -> Block:
 
     ``order`` : which frames, counted through all blocks, come in which order; None = all.
     """
-    return _joined(list(map(_Packed.as_is, blocks)), order)
-
-
-class _Packed(NamedTuple):
-    """A block whose markers and links have some columns of a KinematicState only."""
-
-    block: Block
-    markers: Stamps
-    links: Stamps
-    """Which columns these are."""
-
-    @classmethod
-    def as_is(cls, block: Block) -> _Packed:
-        """Take all columns of a block, without a copy."""
-        people = block.people
-        return cls(block, *[_ALL[: each.shape[2]] for each in (people.markers, people.links)])
-
-    @classmethod
-    def of(cls, block: Block) -> _Packed:
-        """Copy the columns that hold numbers."""
-        people = block.people
-        states = people.markers, people.links
-        used = [np.flatnonzero(~np.isnan(each).all(axis=(0, 1))) for each in states]
-        markers, links = (np.take(s, c, axis=2) for s, c in zip(states, used, strict=True))
-        return cls(replace(block, people=people._replace(markers=markers, links=links)), *used)
-
-    @property
-    def is_one_frame(self) -> bool:
-        """Whether these are all people of one frame, with all columns."""
-        whole = len(self.markers) == len(self.links) == STATE
-        return whole and self.block.rows.tolist() == [[0, len(self.block.people.ids)]]
-
-
-_ALL = np.arange(STATE)
-
-
-def _joined(packed: Sequence[_Packed], order: Stamps | None) -> Block:
-    """Do what :func:`join` does, with all columns."""
-    blocks = [one.block for one in packed]
-    if len(packed) == 1 and packed[0].is_one_frame and (order is None or len(order) == 1):
+    if len(blocks) == 1 and _is_one_frame(blocks[0]) and (order is None or len(order) == 1):
         block = blocks[0]  # a live input has one such frame after the other
         every = np.arange(len(block.people.ids))
         sure = block.uncertainty and block.uncertainty.at(every)
@@ -188,8 +149,9 @@ def _joined(packed: Sequence[_Packed], order: Stamps | None) -> Block:
     targets = ends - (rows[:, 1] - rows[:, 0])
     some = blocks[0].people
     people = People.allocate(int(ends[-1]), some.markers.shape[1], some.links.shape[1])
-    for k, (block, *columns) in enumerate(packed):
+    for k, block in enumerate(blocks):
         mask = of_block == k
+        columns = [_ALL[: each.shape[2]] for each in (block.people.markers, block.people.links)]
         gather(rows[mask], targets[mask], block.people, *columns, people)
     names, sources, frame_ids = _common_names(blocks)
     return Block(
@@ -204,16 +166,20 @@ def _joined(packed: Sequence[_Packed], order: Stamps | None) -> Block:
     )
 
 
+_ALL = np.arange(STATE)
+
+
+def _is_one_frame(block: Block) -> bool:
+    """Whether these are all people of one frame, with all columns."""
+    whole = block.people.markers.shape[2] == block.people.links.shape[2] == STATE
+    return bool(whole and block.rows.tolist() == [[0, len(block.people.ids)]])
+
+
 class HeldFrames:
-    """Frames that wait, numbered as they come.
+    """Frames that wait, numbered as they come."""
 
-    ``packed`` : of their markers and links, only the columns that hold numbers are kept, as copies:
-    for frames that wait for long.
-    """
-
-    def __init__(self, *, packed: bool = False) -> None:
-        self._is_packed = packed
-        self._blocks: list[tuple[Stamps, _Packed]] = []
+    def __init__(self) -> None:
+        self._blocks: list[tuple[Stamps, Block]] = []
         """Numbers of the frames that wait in a block, and these frames."""
         self.count = 0
         """Frames so far: the number of the next one."""
@@ -222,8 +188,7 @@ class HeldFrames:
         """Hold the frames of a block; return the number of the first."""
         first, self.count = self.count, self.count + len(block)
         if len(block):
-            packed = _Packed.of(block) if self._is_packed else _Packed.as_is(block)
-            self._blocks.append((np.arange(first, self.count), packed))
+            self._blocks.append((np.arange(first, self.count), block))
         return first
 
     def copies(self, numbers: Sequence[int]) -> Block:
@@ -232,20 +197,19 @@ class HeldFrames:
         first, last = wanted.min(), wanted.max()
         held = [pair for pair in self._blocks if first <= pair[0][-1] and pair[0][0] <= last]
         every = np.concatenate([ids for ids, _ in held])
-        return _joined([packed for _, packed in held], np.searchsorted(every, wanted))
+        return join([block for _, block in held], np.searchsorted(every, wanted))
 
     def keep(self, numbers: Sequence[int]) -> None:
         """Let go of all frames but these."""
         kept, blocks = np.array(sorted(numbers), np.int64), self._blocks
         self._blocks = []
-        for ids, packed in blocks:
+        for ids, block in blocks:
             begin, end = np.searchsorted(kept, [ids[0], ids[-1] + 1])
             if end - begin == len(ids):
-                self._blocks.append((ids, packed))
+                self._blocks.append((ids, block))
             elif end > begin:
                 places = np.searchsorted(ids, kept[begin:end])
-                some = packed._replace(block=packed.block.select(places))
-                self._blocks.append((ids[places], some))
+                self._blocks.append((ids[places], block.select(places)))
 
 
 def _common_names(blocks: Sequence[Block]) -> tuple[tuple[str, ...], Stamps, Stamps]:

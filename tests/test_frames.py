@@ -70,10 +70,9 @@ def test_joined_frames_keep_their_people_in_this_order():
     assert joined.people.markers[:, 1, 4].tolist() == joined.people.ids.tolist()
 
 
-@pytest.mark.parametrize("packed", [False, True])
 @pytest.mark.parametrize("width", [7, 19])
-def test_held_frames_come_back_with_all_columns(packed, width):
-    held, frames = HeldFrames(packed=packed), [numbered(n, 10 * n) for n in (2, 1, 3)]
+def test_held_frames_come_back_with_all_columns(width):
+    held, frames = HeldFrames(), [numbered(n, 10 * n) for n in (2, 1, 3)]
     for frame in frames:
         frame.markers[:, :, 3:7] = frame.markers[:, :, 8:] = np.nan
         frame.links[:, :, 1] = 5.0

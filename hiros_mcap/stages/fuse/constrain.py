@@ -66,7 +66,7 @@ def constrain_blocks(
     events = Events() if events is None else events
     bodies = _Bodies(model, params, events, LimbTable() if limbs is None else limbs)
     waiting: deque[_WaitingWindow] = deque()
-    held, first, begin, end = HeldFrames(packed=params.window > 0), 0, None, 0
+    held, first, begin, end = HeldFrames(), 0, None, 0
     for block in blocks:
         for number, (stamp, _, end) in enumerate(block.messages(), held.add(block)):
             begin = stamp if begin is None else begin

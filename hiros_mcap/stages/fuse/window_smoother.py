@@ -67,7 +67,7 @@ class WindowSmoother:
         self._pose_error = pose_error
         self.displaced = DisplacedViews()
         self._names: tuple[str, ...] = ()
-        self._held = HeldFrames(packed=params.window > 0)
+        self._held = HeldFrames()
         self._stamps: list[int] = []
         """Of the instants that are held and known, ns."""
         self._views: list[Sightings] = []
