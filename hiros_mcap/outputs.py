@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import secrets
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
@@ -171,55 +171,8 @@ _IS_OURS: Mapping[Kind, Callable[[bytes], bool]] = {
 
 
 def temporary_name(target: Path) -> Path:
-    """Return a new name beside ``target``, for :func:`create_locked`."""
+    """Return a new name beside ``target``."""
     return target.with_name(f".hiros-{secrets.token_hex(6)}.tmp")
-
-
-def create_locked(path: Path) -> int:
-    """Create a temporary file and return its descriptor, which holds a lock until it is closed.
-
-    Temporary files in the same folder that nobody locks are removed: their process was killed.
-
-    Raises OSError.
-    """
-    remove_abandoned(path.parent)
-    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
-    while True:
-        # Mode 0666 less the umask, as for any file that a program makes.
-        descriptor = os.open(path, flags, 0o666)
-        if _lock(descriptor) is not False and path.exists():
-            return descriptor
-        # Another process took it for an abandoned one before it was locked.
-        os.close(descriptor)
-        path.unlink(missing_ok=True)
-
-
-def _lock(descriptor: int) -> bool | None:
-    """Lock a file: True = done, False = another one has the lock, None = there are no locks."""
-    try:
-        import fcntl
-
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except (ImportError, OSError):
-        return None
-    return True
-
-
-def remove_abandoned(folder: Path) -> None:
-    """Remove the temporary files of processes that were killed."""
-    if os.name != "posix":  # no locks
-        return
-    for path in folder.glob(".hiros-*.tmp"):
-        with suppress(OSError):
-            # Never waits for a pipe, never follows a link.
-            descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
-            try:
-                if _lock(descriptor):
-                    path.unlink()
-            finally:
-                os.close(descriptor)
 
 
 @contextmanager
@@ -232,10 +185,7 @@ def replacing(path: Path) -> Iterator[Path]:
     """
     target = Path(os.path.realpath(path))
     temporary = temporary_name(target)
-    lock = None
     try:
-        if os.name == "posix":  # elsewhere an open file cannot be renamed
-            lock = create_locked(temporary)
         yield temporary
         temporary.replace(target)
     except OSError as error:
@@ -243,8 +193,6 @@ def replacing(path: Path) -> Iterator[Path]:
         raise LogError(f"cannot be written: {fault}", path=path) from error
     finally:
         temporary.unlink(missing_ok=True)
-        if lock is not None:
-            os.close(lock)
 
 
 def write_text(path: Path, text: str) -> None:

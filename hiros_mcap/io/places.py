@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 
 from hiros_mcap.errors import LogError
 from hiros_mcap.io import remote
-from hiros_mcap.outputs import HEAD, Kind, check_outputs, may_replace, remove_abandoned, write_text
+from hiros_mcap.outputs import HEAD, Kind, check_outputs, may_replace, write_text
 
 _READ_ONLY = frozenset({"http", "https"})  # protocols
 
@@ -86,7 +86,6 @@ class Place:
                 pass  # not every file system has locks
             yield
         finally:
-            remove_abandoned(self._folder)
             os.close(folder)
 
     @contextmanager

@@ -5,8 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -15,8 +13,7 @@ import hiros_mcap
 from hiros_cli.app import run
 from hiros_cli.output import check_outputs
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.container import McapWriter
-from hiros_mcap.outputs import replacing, write_text
+from hiros_mcap.outputs import replacing
 from hiros_mcap.running.pipeline import ProcessOptions
 
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "one_person_walking.mcap"
@@ -216,38 +213,3 @@ def test_an_unfinished_log_leaves_no_page(lab, capsys):
     (lab / "bad.mcap").write_bytes(b"no log at all")
     assert run(["eval", str(lab / "bad.mcap"), "--html", str(page)]) == 2
     assert not page.exists()
-
-
-def test_what_a_killed_run_left_is_removed_by_the_next_and_nothing_else(tmp_path):
-    code = (
-        "import sys, time; from pathlib import Path\n"
-        "from hiros_mcap.io.container import McapWriter; from hiros_mcap.outputs import replacing\n"
-        "with McapWriter(sys.argv[1] + '/a.mcap'), replacing(Path(sys.argv[1], 'b.csv')):\n"
-        "    print('ready', flush=True); time.sleep(60)\n"
-    )
-    command = [sys.executable, "-c", code, str(tmp_path)]
-    killed, running = (subprocess.Popen(command, stdout=subprocess.PIPE) for _ in range(2))
-    try:
-        for process in (killed, running):
-            assert process.stdout is not None
-            with process.stdout as said:
-                assert said.readline() == b"ready\n"
-        assert len(list(tmp_path.glob(".hiros-*.tmp"))) == 4
-        killed.kill()
-        killed.wait()
-        write_text(tmp_path / "notes.md", "text")
-        assert len(list(tmp_path.glob(".hiros-*.tmp"))) == 2
-    finally:
-        running.kill()
-        running.wait()
-    with McapWriter(tmp_path / "c.mcap") as writer:
-        writer.commit()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["c.mcap", "notes.md"]
-
-
-def test_own_temporary_files_are_not_removed(tmp_path):
-    with replacing(tmp_path / "a.csv") as first, McapWriter(tmp_path / "b.mcap") as writer:
-        write_text(tmp_path / "notes.md", "text")
-        writer.commit()
-        assert first.exists()
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.csv", "b.mcap", "notes.md"]

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container.atomic import Sink
+from hiros_mcap.io.container.records import Bytes
 from hiros_mcap.io.container.writer import McapWriter
 
 
@@ -41,7 +43,7 @@ class _Pipe(Sink):
         super().__init__(name)
         self._descriptor = descriptor
 
-    def _put(self, parts: list[memoryview]) -> None:
+    def _put(self, parts: Iterable[Bytes]) -> None:
         """Write everything, however long that takes; raises BrokenPipeError or LogError."""
         data = memoryview(b"".join(parts))
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from hiros_mcap.io.container.atomic import Sink
@@ -45,6 +46,6 @@ class MemorySink(Sink):
         """What was written."""
         return MemoryFile(self.path, self._data)
 
-    def _put(self, parts: list[memoryview]) -> None:
+    def _put(self, parts: Iterable[Bytes]) -> None:
         for part in parts:
             self._data += part

@@ -22,12 +22,9 @@ def remedy(path: Path | str) -> str:
     return f"`hiros recover {shlex.quote(str(path))}` saves what is readable"
 
 
-def scan(file: LogFile, *, checksum: bool = True) -> Contents:
-    """Walk the file; raises LogError naming the fault and its place.
-
-    Without ``checksum`` that of the data section is left alone, which saves reading all of it.
-    """
-    walk = StrictWalk(file, checksum=checksum)
+def scan(file: LogFile) -> Contents:
+    """Walk the file; raises LogError naming the fault and its place."""
+    walk = StrictWalk(file)
     walk.run()
     return walk.contents
 
@@ -35,8 +32,8 @@ def scan(file: LogFile, *, checksum: bool = True) -> Contents:
 class StrictWalk(Walk):
     """Stops at the first fault; believes of a chunk what its record and its indexes claim."""
 
-    def __init__(self, file: LogFile, *, checksum: bool = True) -> None:
-        super().__init__(file, checksum=checksum)
+    def __init__(self, file: LogFile) -> None:
+        super().__init__(file)
         self.chunk_indexes: list[r.ChunkIndex] = []
         self.extras: list[int] = []
         """First bytes of the attachments and the metadata, by the summary."""
