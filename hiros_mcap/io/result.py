@@ -23,6 +23,7 @@ import numpy as np
 import hiros_schemas
 from hiros_mcap.body.anatomy import ANGLE_NAMES, anatomical_angles
 from hiros_mcap.body.segments import LinkAxes, link_axes
+from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.events import Event
 from hiros_mcap.io.attachments import stored_events
@@ -207,26 +208,47 @@ class Result:
             )
         return grid(times, rate)
 
-    def joints(self) -> pd.DataFrame:
-        """Marker positions, m: a row per person and time (s), columns (marker, x y z)."""
+    def trusted(self, least: float) -> Result:
+        """Return the result with a gap for each marker whose confidence is below ``least``."""
+        motions = {person: motion.trusted(least) for person, motion in self.motions.items()}
+        return replace(self, motions=motions)
+
+    def joints(self, least_confidence: float = LEAST_CONFIDENCE) -> pd.DataFrame:
+        """Marker positions, m: a row per person and time (s), columns (marker, x y z).
+
+        NaN where a marker's confidence is below ``least_confidence``, as in exported files: hiros
+        predicted it there, and nobody saw it. 0 gives them all.
+        """
         import pandas as pd
 
         columns = pd.MultiIndex.from_product(
             [self.model.marker_names, ["x", "y", "z"]], names=["marker", "axis"]
         )
-        rows = [m.positions.reshape(len(m.times), -1) for m in self.motions.values()]
+        rows = [
+            m.positions.reshape(len(m.times), -1)
+            for m in self.trusted(least_confidence).motions.values()
+        ]
         return pd.DataFrame(_stacked(rows, len(columns)), self._index(), columns)
 
-    def angles(self) -> pd.DataFrame:
+    def confidences(self) -> pd.DataFrame:
+        """Confidences of the markers, 0 to 1: a row per person and time (s), columns by marker."""
+        import pandas as pd
+
+        rows = [m.confidences for m in self.motions.values()]
+        columns = pd.Index(self.model.marker_names, name="marker")
+        return pd.DataFrame(_stacked(rows, len(columns)), self._index(), columns)
+
+    def angles(self, least_confidence: float = LEAST_CONFIDENCE) -> pd.DataFrame:
         """Signed joint angles, degrees: a row per person and time (s), columns by angle.
 
-        NaN where an angle cannot be known. :mod:`hiros_mcap.body.anatomy` says what they mean.
+        NaN where an angle cannot be known, also because a marker's confidence is below
+        ``least_confidence``. :mod:`hiros_mcap.body.anatomy` says what the angles mean.
         """
         import pandas as pd
 
         rows = [
             np.degrees(anatomical_angles(self.model, m.positions, m.orientations, m.axes))
-            for m in self.motions.values()
+            for m in self.trusted(least_confidence).motions.values()
         ]
         return pd.DataFrame(_stacked(rows, len(ANGLE_NAMES)), self._index(), list(ANGLE_NAMES))
 

@@ -219,6 +219,7 @@ class ExportJob(Job):
     end: float = float("inf")
     marker_set: str = ""
     least_confidence: float = LEAST_CONFIDENCE
+    keep_gaps: bool = False
 
     command: ClassVar[str] = "export"
     kind: ClassVar[Kind] = "export"
@@ -234,8 +235,11 @@ class ExportJob(Job):
         result, what = result.select(self.person, self.start, self.end, self.rate), self.what
         if self.marker_set:
             result, what = renamed(result, load_marker_set(self.marker_set, result.model)), "joints"
-        files = tuple(export(result, target, what, self.least_confidence))
-        return Finding({"people": len(result.people), "files": len(files)}, files=files)
+        least, warnings = self.least_confidence, list[str]()
+        keep = self.keep_gaps
+        files = export(result, target, what, least, keep_gaps=keep, warn=warnings.append)
+        values = {"people": len(result.people), "files": len(files)}
+        return Finding(values, warnings=tuple(warnings), files=tuple(files))
 
 
 @dataclass(frozen=True, slots=True)

@@ -226,6 +226,24 @@ def test_what_nobody_saw_is_a_gap_unless_it_is_asked_for(result, tmp_path):
     assert "\t\t\t\t" in path.read_text().split("\n", 6)[-1]
 
 
+def test_tables_in_python_have_the_gaps_of_files(result):
+    doubtful = uncertain(result)
+    assert doubtful.joints().loc[0, ("KNEE_LEFT", "x")].isna().sum() == 15
+    assert doubtful.angles()["left knee flexion"].isna().sum() == 15
+    assert doubtful.joints(least_confidence=0).notna().all().all()
+    assert (doubtful.confidences()["KNEE_LEFT"] == 0.05).sum() == 15
+
+
+def test_warnings_of_export_reach_the_user(log, tmp_path, capsys, monkeypatch):
+    faceless = open_result(log)
+    names = [name.replace("WRIST", "GRIP") for name in faceless.model.marker_names]
+    renamed = replace(faceless, model=replace(faceless.model, marker_names=tuple(names)))
+    monkeypatch.setattr("hiros_mcap.io.result.open_result", lambda *_: renamed)
+    assert run(["export", str(log), "-o", str(tmp_path / "out.mot"), "--person", "0", "-q"]) == 0
+    assert "hiros: warning: " in (err := capsys.readouterr().err)
+    assert "left out arm_add_l" in err
+
+
 NASTY = "=KNEE\tLEFT\n{"
 
 

@@ -41,7 +41,7 @@ def turned(result, degrees, about="z"):
 
 def errors(result, folder):
     """(T,) degrees between each bone of the posed model and of the person; "hips" in mm."""
-    (path,) = export(result, folder / "pose.mot")
+    (path,) = export(result, folder / "pose.mot", warn=lambda text: None)
     model = joints(read_mot(path))
     (motion,) = result.motions.values()
     at = finder(result.model, motion.positions @ Y_UP.T)
@@ -125,7 +125,7 @@ def test_raised_bent_and_crossed_limbs(result, tmp_path):
 def test_a_person_who_stands_straight_has_the_angles_of_standing(result, tmp_path):
     """A detector that bends a knee backwards a little does not turn the leg round."""
     backwards = {"ankle_left": (0.08, 0.09, 0.1), "ankle_right": (0.08, -0.09, 0.1)}
-    (path,) = export(stick(result, **(STANDING | backwards)), tmp_path / "out.mot")
+    (path,) = export(stick(result, **(STANDING | backwards)), tmp_path / "out.mot", warn=len)
     pose = read_mot(path).iloc[0]
     for coordinate in ("pelvis_list", "pelvis_rotation", "hip_rotation_l", "hip_rotation_r"):
         assert abs(pose[coordinate]) < 5
@@ -133,13 +133,13 @@ def test_a_person_who_stands_straight_has_the_angles_of_standing(result, tmp_pat
     assert "ankle_angle_l" not in pose  # there are no toes
 
 
-def test_coordinates_that_nothing_shows_are_left_out_and_named(result, tmp_path, caplog):
+def test_coordinates_that_nothing_shows_are_left_out_and_named(result, tmp_path):
     armless = {name: at for name, at in STANDING.items() if "wrist" not in name}
-    (path,) = export(stick(result, **armless), tmp_path / "out.mot")
+    with pytest.warns(match="need shoulder, elbow and wrist"):
+        (path,) = export(stick(result, **armless), tmp_path / "out.mot")
     table = read_mot(path)
     assert not {"arm_flex_l", "elbow_flex_r", "ankle_angle_l"} & {*table}
     assert {"hip_flexion_l", "lumbar_bending"} <= {*table}
-    assert "shoulder, elbow and wrist" in caplog.text
 
 
 def test_no_pelvis_no_motion(result, tmp_path):
@@ -149,15 +149,30 @@ def test_no_pelvis_no_motion(result, tmp_path):
     assert not (tmp_path / "out.mot").exists()
 
 
-def test_gaps_are_bridged_in_a_motion(result, tmp_path):
+def with_gap(result):
+    """Nobody sees the person from .7 to 1.3 s."""
     (motion,) = result.motions.values()
     positions = motion.positions.copy()
     positions[20:40] = np.nan
-    (path,) = export(replace(result, motions={0: replace(motion, positions=positions)}),
-                     tmp_path / "out.mot")  # fmt: skip
+    return replace(result, motions={0: replace(motion, positions=positions)})
+
+
+def test_gaps_are_bridged_in_a_motion_and_named(result, tmp_path):
+    told = []
+    (path,) = export(with_gap(result), tmp_path / "out.mot", warn=told.append)
     table = read_mot(path)
     assert not table.isna().any().any()
     assert np.abs(np.diff(table["pelvis_tx"])).max() < 0.1
+    times = result.motions[0].times
+    span = f"{times[19]:.1f} to {times[40]:.1f} s"
+    assert told == [f"{path}: bridged the whole pose: {span}; --keep-gaps leaves such rows out"]
+
+
+def test_gaps_of_a_motion_may_stay(result, tmp_path):
+    (path,) = export(with_gap(result), tmp_path / "out.mot", keep_gaps=True)
+    assert len(read_mot(path)) == len(result.motions[0].times) - 20
+    with pytest.raises(ConfigError, match="BVH has no gaps"):
+        export(result, tmp_path / "out.bvh", keep_gaps=True)
 
 
 def test_every_row_of_a_trc_file_has_all_its_cells(result, tmp_path):

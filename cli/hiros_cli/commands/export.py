@@ -9,7 +9,7 @@ import typer
 from hiros_cli.compiling import prepare
 from hiros_cli.completing import topics
 from hiros_cli.many_logs import ManyLogs, one_log, run
-from hiros_cli.options import CLUSTER, FORCE, JOBS, JSON, MANY, QUIET, TABLE, argument, option
+from hiros_cli.options import CLUSTER, FORCE, JOBS, JSON, MANY, QUIET, TABLE, argument, flag, option
 from hiros_cli.output import check_outputs, print_json, warn
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
@@ -62,6 +62,9 @@ def export(
         min=0,
         max=1,
     ),
+    keep_gaps: bool = flag(
+        "--keep-gaps", "For .mot: leave out the rows that have gaps. Default: bridge them."
+    ),
     jobs: int | None = JOBS,
     cluster: str | None = CLUSTER,
     csv: Path | None = TABLE,
@@ -86,7 +89,7 @@ def export(
         prepare(quiet=quiet, everything=True)
         names = str(Path(marker_set).absolute()) if Path(marker_set).is_file() else marker_set
         part = (what, person, channel, rate, start, end)
-        job = ExportJob(suffix, *part, names, least_confidence)
+        job = ExportJob(suffix, *part, names, least_confidence, keep_gaps)
         raise typer.Exit(run(job, many))
     many.refuse_alone()
     log = one_log(context, logs[0])
@@ -99,9 +102,13 @@ def export(
             result, what = renamed(result, load_marker_set(marker_set, result.model)), "joints"
         targets = files_of(target, result.people)
         check_outputs(*((path, "export") for path in targets), inputs=(log,), force=force)
-        written = write(result, target, what, least_confidence)
+        warnings: list[str] = []
+        least, keep = least_confidence, keep_gaps
+        written = write(result, target, what, least, keep_gaps=keep, warn=warnings.append)
+    for text in warnings:
+        warn(text)
     if json:
-        print_json("export", {"log": logs[0], "files": list(map(str, written))})
+        print_json("export", {"log": logs[0], "files": list(map(str, written))}, warnings)
     for path in () if quiet or json else written:
         print(f"wrote {path}")
 

@@ -11,6 +11,7 @@ import numpy as np
 from hiros_mcap.body.rotations import Y_UP, nearest_rotation
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.export.biomechanics import only
+from hiros_mcap.io.export.choices import Choices, pauses
 from hiros_mcap.io.export.rajagopal import bridged
 from hiros_mcap.io.export.tables import write_lines
 from hiros_mcap.outputs import BVH_START
@@ -23,16 +24,22 @@ Tree = dict[int, list[int]]
 """Marker slot -> slots of its children."""
 
 
-def write_bvh(result: Result, target: Path, parts: tuple[str, ...]) -> int:
+def write_bvh(result: Result, target: Path, choices: Choices) -> int:
     """Write one person as a hierarchy of joints with constant offsets, cm, y up.
 
     A joint's rotation brings the offsets of its children to where the markers are: exactly where
-    there is one child, by least squares where there are several. Short gaps are bridged by the
-    last rotation, since BVH has no gaps.
+    there is one child, by least squares where there are several. Gaps are bridged and named,
+    since BVH has none.
     """
+    if choices.keep_gaps:
+        raise ConfigError("BVH has no gaps; choose another format, or let them be bridged")
     motion = only(result)
     root, tree = tree_of(result.model)
-    points = _without_gaps(100 * motion.positions @ Y_UP.T, [root, *_descendants(tree, root)])
+    needed = [root, *_descendants(tree, root)]
+    absent = np.asarray(np.isnan(motion.positions[:, needed]).any(axis=(1, 2)))
+    if absent.any():
+        choices.warn(f"{result.path}: bridged markers: {pauses(motion.times, absent)}")
+    points = _without_gaps(100 * motion.positions @ Y_UP.T, needed)
     rest = _rest_offsets(points, tree)
     lines = [BVH_START]
     order: list[int] = []

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import logging
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -12,6 +12,7 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Y_UP
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.io.export.choices import Choices, pauses
 from hiros_mcap.io.export.rajagopal import NEEDS, PELVIS, bridged, coordinates
 from hiros_mcap.io.export.tables import write_lines
 from hiros_mcap.io.result import safe_name
@@ -21,8 +22,6 @@ from hiros_mcap.skeletons import Floats
 if TYPE_CHECKING:
     from hiros_mcap.io.result import Motion, Result
 
-_log = logging.getLogger(__name__)
-
 
 def only(result: Result) -> Motion:
     """Return the motion of the one person in a result."""
@@ -30,7 +29,7 @@ def only(result: Result) -> Motion:
     return motion
 
 
-def write_trc(result: Result, target: Path, parts: tuple[str, ...]) -> int:
+def write_trc(result: Result, target: Path, choices: Choices) -> int:
     """Write one person's markers, mm, y up; an empty cell is a gap."""
     motion = only(result)
     names = result.model.marker_names
@@ -58,11 +57,11 @@ def _cell(value: float) -> str:
     return "" if np.isnan(value) else f"{value:.4f}"
 
 
-def write_mot(result: Result, target: Path, parts: tuple[str, ...]) -> int:
+def write_mot(result: Result, target: Path, choices: Choices) -> int:
     """Write one person's pose as coordinates of OpenSim's Rajagopal model, degrees and m.
 
-    Gaps are bridged, since OpenSim reads none. Coordinates that are never known are left out, with
-    a warning.
+    OpenSim reads no gaps. They are bridged, or with ``keep_gaps`` their rows are left out.
+    Coordinates that are never known are left out. A warning names both.
 
     Raises ConfigError if the pose of the pelvis is never known.
     """
@@ -77,14 +76,19 @@ def write_mot(result: Result, target: Path, parts: tuple[str, ...]) -> int:
     if absent & {*PELVIS}:
         raise ConfigError(f"{result.path}: MOT has no pelvis: {lacking[0]}")
     if lacking:
-        _log.warning(
-            "%s: left out %s: %s",
-            safe_name(result.path.name),
-            ", ".join(sorted(absent)),
-            "; ".join(lacking),
-        )
-    present = {name: bridged(column) for name, column in columns.items() if name not in absent}
-    numbers = np.stack([motion.times, *present.values()], axis=-1)
+        choices.warn(f"{result.path}: left out {', '.join(sorted(absent))}: {'; '.join(lacking)}")
+    columns = {name: column for name, column in columns.items() if name not in absent}
+    gaps = np.isnan(np.stack([*columns.values()])).any(axis=0)
+    if choices.keep_gaps:
+        columns = {name: column[~gaps] for name, column in columns.items()}
+    else:
+        for text in _bridges(motion.times, columns):
+            choices.warn(f"{result.path}: {text}")
+        columns = {name: bridged(column) for name, column in columns.items()}
+    times = motion.times[~gaps] if choices.keep_gaps else motion.times
+    numbers = np.stack([times, *columns.values()], axis=-1)
+    if not len(numbers):
+        raise ConfigError(f"{result.path}: no row of MOT has all joints; bridge the gaps")
     head = [
         safe_name(result.path.name),
         EXPORT_MARK,
@@ -93,13 +97,28 @@ def write_mot(result: Result, target: Path, parts: tuple[str, ...]) -> int:
         f"nColumns={numbers.shape[1]}",
         "inDegrees=yes",
         "endheader",
-        "\t".join(["time", *present]),
+        "\t".join(["time", *columns]),
     ]
     rows = ["\t".join(f"{value:.6f}" for value in row) for row in numbers.tolist()]
     return write_lines(target, [*head, *rows])
 
 
-def write_c3d(result: Result, target: Path, parts: tuple[str, ...]) -> int:
+def _bridges(times: Floats, columns: Mapping[str, Floats]) -> list[str]:
+    """Name the gaps that are bridged: of the whole pose, and of limbs besides."""
+    whole = np.isnan(columns[PELVIS[0]])
+    names: dict[bytes, list[str]] = {}
+    for name, column in columns.items():
+        names.setdefault((np.isnan(column) & ~whole).tobytes(), []).append(name)
+    texts = [f"bridged the whole pose: {pauses(times, whole)}"] if whole.any() else []
+    for mask, limb in names.items():
+        if (gaps := np.frombuffer(mask, bool)).any():
+            texts.append(f"bridged {', '.join(limb)}: {pauses(times, gaps)}")
+    if texts:
+        texts[-1] += "; --keep-gaps leaves such rows out"
+    return texts
+
+
+def write_c3d(result: Result, target: Path, choices: Choices) -> int:
     """Write everybody's markers, mm, and angles, degrees, z up; a gap has the residual -1.
 
     An angle is the x of a point that POINT:ANGLES names.
@@ -117,11 +136,11 @@ def write_c3d(result: Result, target: Path, parts: tuple[str, ...]) -> int:
     for person, motion in motions.items():
         places = np.round((motion.times - first) * rate).astype(int)
         before = f"{person}:" if len(motions) > 1 else ""
-        if "joints" in parts:
+        if "joints" in choices.parts:
             labels += [f"{before}{name}" for name in result.model.marker_names]
             columns += _placed(1000 * motion.positions, places, n)
-        if "angles" in parts:
-            angles = result.select(person).angles()
+        if "angles" in choices.parts:
+            angles = result.select(person).angles(0)
             names = [f"{before}{name}" for name in angles.columns]
             labels, angle_labels = [*labels, *names], [*angle_labels, *names]
             values = np.zeros((*angles.shape, 3))

@@ -13,6 +13,7 @@ import numpy as np
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.export import animation, biomechanics, tables
+from hiros_mcap.io.export.choices import Choices, warn_in_python
 from hiros_mcap.io.result import safe_name
 from hiros_mcap.outputs import replacing
 
@@ -28,7 +29,7 @@ class ExportFormat:
 
     text: str
     """What it is, for a list."""
-    write: Callable[[Result, Path, tuple[str, ...]], int]
+    write: Callable[[Result, Path, Choices], int]
     """Writes the parts "joints" and "angles" of a result, and returns how much."""
     read: Callable[[Path], int] = tables.read_lines
     """Returns how much of that a file holds."""
@@ -96,6 +97,9 @@ def export(
     target: str | os.PathLike[str],
     what: str = "",
     least_confidence: float = LEAST_CONFIDENCE,
+    *,
+    keep_gaps: bool = False,
+    warn: Callable[[str], object] = warn_in_python,
 ) -> list[Path]:
     """Write a result in the format of the target's suffix.
 
@@ -106,6 +110,8 @@ def export(
     ----------
     result : what to write. target : the file. what : "joints", "angles" or "both"; "" is
         whatever the format holds. least_confidence : markers below it are gaps; 0 writes them all.
+    keep_gaps : leave out the rows of a MOT file that have gaps, instead of bridging them.
+    warn : is called with what a file lacks or bridges; by default Python's own warning.
 
     Returns
     -------
@@ -131,12 +137,13 @@ def export(
     result = _prepared(result, least_confidence)
     if kind.steady:
         result = steady(result)
+    choices = Choices(parts, keep_gaps, warn)
     targets = files_of(target, result.people)
     each = [result] if len(targets) == 1 else [result.select(p) for p in result.people]
     for one, path in zip(each, targets, strict=True):
         with replacing(path) as temporary:
             # Its header names the file itself.
-            written = kind.write(replace(one, path=path), temporary, parts)
+            written = kind.write(replace(one, path=path), temporary, choices)
             if _readable(kind, temporary) != written:
                 raise LogError("cannot be written: the file was cut", path=path)
     return targets
@@ -153,8 +160,8 @@ def _readable(kind: ExportFormat, path: Path) -> int:
 def _prepared(result: Result, least_confidence: float) -> Result:
     """Return a result with gaps where it is uncertain, and marker names that fit into a cell."""
     names = tuple(map(safe_name, result.model.marker_names))
-    motions = {person: m.trusted(least_confidence) for person, m in result.motions.items()}
-    return replace(result, model=replace(result.model, marker_names=names), motions=motions)
+    model = replace(result.model, marker_names=names)
+    return replace(result.trusted(least_confidence), model=model)
 
 
 def files_of(target: Path, people: tuple[int, ...]) -> list[Path]:

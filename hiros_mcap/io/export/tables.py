@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hiros_mcap.io.export.choices import Choices
 from hiros_mcap.outputs import EXPORT_MARK
 from hiros_mcap.skeletons import Floats
 
@@ -30,14 +31,14 @@ def table(result: Result, parts: tuple[str, ...]) -> pd.DataFrame:
     columns = []
     if "joints" in parts:
         names = result.model.marker_names
-        joints = result.joints()
+        joints = result.joints(0)
         index = joints.index
         joints.columns = pd.Index([f"{name} {axis} (m)" for name in names for axis in "xyz"])
         columns.append(joints)
         for values, text in _certainties(result):
             columns.append(pd.DataFrame(values, index, [f"{name} {text}" for name in names]))
     if "angles" in parts:
-        angles = result.angles()
+        angles = result.angles(0)
         columns.append(angles.rename(columns=lambda name: f"{name} (deg)"))
     return pd.concat(columns, axis=1).rename_axis(index=["person", "time (s)"])
 
@@ -57,16 +58,16 @@ def deviations_of(motion: Motion) -> Floats:
     return absent if motion.deviations is None else motion.deviations
 
 
-def write_csv(result: Result, target: Path, parts: tuple[str, ...]) -> int:
+def write_csv(result: Result, target: Path, choices: Choices) -> int:
     """Write a table with a header line; an empty cell is a gap."""
-    rows = table(result, parts).round(6)
+    rows = table(result, choices.parts).round(6)
     rows.to_csv(target, lineterminator="\n")
     return len(rows) + 1
 
 
-def write_parquet(result: Result, target: Path, parts: tuple[str, ...]) -> int:
+def write_parquet(result: Result, target: Path, choices: Choices) -> int:
     """Write the table of :func:`write_csv` at full precision."""
-    rows = table(result, parts).reset_index()
+    rows = table(result, choices.parts).reset_index()
     rows.attrs["hiros"] = EXPORT_MARK  # pandas stores them as metadata of the file
     rows.to_parquet(target, index=False)
     return len(rows)
@@ -79,34 +80,34 @@ def read_parquet(path: Path) -> int:
     return int(pyarrow.parquet.read_table(path).num_rows)
 
 
-def write_jsonl(result: Result, target: Path, parts: tuple[str, ...]) -> int:
+def write_jsonl(result: Result, target: Path, choices: Choices) -> int:
     """Write one object per person and time; null is a gap."""
     names, lines = result.model.marker_names, []
-    angles = result.angles()
+    angles = result.angles(0)
     for person, motion in result.motions.items():
         degrees, deviations = angles.loc[[person]].to_numpy(), deviations_of(motion)
         for k, time in enumerate(motion.times.tolist()):
             row: dict[str, Any] = {"person": int(person), "time": round(time, 6)}
-            if "joints" in parts:
+            if "joints" in choices.parts:
                 row["joints"] = dict(zip(names, map(_numbers, motion.positions[k]), strict=True))
                 row["confidences"] = _named(names, motion.confidences[k])
                 if motion.deviations is not None:
                     row["deviations"] = _named(names, deviations[k])
-            if "angles" in parts:
+            if "angles" in choices.parts:
                 row["angles"] = _named(angles.columns, degrees[k])
             lines.append(json.dumps(row))
     return write_lines(target, lines)
 
 
-def write_npz(result: Result, target: Path, parts: tuple[str, ...]) -> int:
+def write_npz(result: Result, target: Path, choices: Choices) -> int:
     """Write ``person_<id>_times``, ``..._positions`` and so on, with the names of the columns."""
     arrays: dict[str, Any] = {EXPORT_MARK: [], "markers": np.array(result.model.marker_names)}
-    angles = result.angles() if "angles" in parts else None
+    angles = result.angles(0) if "angles" in choices.parts else None
     if angles is not None:
         arrays["angles"] = np.array(angles.columns, dtype=str)
     for person, motion in result.motions.items():
         arrays[f"person_{person}_times"] = motion.times
-        if "joints" in parts:
+        if "joints" in choices.parts:
             arrays[f"person_{person}_positions"] = motion.positions
             arrays[f"person_{person}_confidences"] = motion.confidences
             if motion.deviations is not None:
