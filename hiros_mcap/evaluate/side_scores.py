@@ -12,8 +12,14 @@ from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.frames import Block, join
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.detections import facing as kernels
 from hiros_mcap.stages.detections.body_axes import find_upright
+from hiros_mcap.stages.detections.facing_evidence import (
+    FacingMarkers,
+    FacingPast,
+    FacingTables,
+    MeasuredViews,
+    measure,
+)
 
 WALKING = 0.5
 """m/s: somebody who is faster walks."""
@@ -88,17 +94,18 @@ def facing_tracks(frames: Iterable[Frame], model: SkeletonModel) -> list[FacingT
     ]
 
 
-def _measured(people: People, stamps: Stamps, model: SkeletonModel) -> kernels.MeasuredViews:
+def _measured(people: People, stamps: Stamps, model: SkeletonModel) -> MeasuredViews:
     """Measure everybody in axes of his own."""
     symmetry, cues = symmetry_of(model), ForwardCues.of(model)
-    markers = kernels.FacingMarkers(
-        symmetry.mirror, symmetry.lateral, cues.vectors, cues.feet, cues.trunk
+    markers = FacingMarkers(symmetry.mirror, symmetry.lateral, cues.vectors, cues.feet, cues.trunk)
+    bodies, bank = (
+        MeasuredViews.allocate(len(stamps)),
+        Bank(FacingPast.empty()),
     )
-    bodies, bank = kernels.MeasuredViews.allocate(len(stamps)), Bank(kernels.FacingPast.empty())
     bodies.stamps[:] = stamps
     bodies.rows[:] = [bank.row(person, 0) for person in people.ids.tolist()]
-    tables = kernels.FacingTables.make()
-    kernels.measure(people, np.arange(len(stamps)), markers, bodies, bank.past, tables)
+    tables = FacingTables.make()
+    measure(people, np.arange(len(stamps)), markers, bodies, bank.past, tables)
     return bodies
 
 

@@ -18,8 +18,14 @@ from hiros_mcap.frames import Block, frames_of, join
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.simulate.body_model import MODEL, SLOT, SYMMETRY
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
-from hiros_mcap.stages.detections import facing
 from hiros_mcap.stages.detections.body_axes import find_upright, follow_line
+from hiros_mcap.stages.detections.facing_evidence import (
+    BINS,
+    FacingPast,
+    FacingTables,
+    MeasuredViews,
+    write_evidence,
+)
 from hiros_mcap.stages.detections.sides import SidesParams, decide_sides, knows_sides
 from hiros_mcap.systems import Run, system
 
@@ -466,11 +472,11 @@ def test_hiros_decides_over_time_and_the_paper_votes():
 
 
 def test_labels_count_in_proportion_to_the_line_that_they_rest_on():
-    views = facing.MeasuredViews.allocate(2)
+    views = MeasuredViews.allocate(2)
     views.facing[:], views.widths[:], views.weights[:] = [1.0, 0.0], [0.5, 0.25], 1.0
-    past = facing.FacingPast.empty()._replace(widths=np.array([0.5]))
-    evidence = np.zeros((2, facing.BINS))
-    facing.write_evidence(views, past, facing.FacingTables.make(), evidence)
-    full, short = evidence[:, : facing.BINS // 2] - evidence[:, facing.BINS // 2 :]
+    past = FacingPast.empty()._replace(widths=np.array([0.5]))
+    evidence = np.zeros((2, BINS))
+    write_evidence(views, past, FacingTables.make(), evidence)
+    full, short = evidence[:, : BINS // 2] - evidence[:, BINS // 2 :]
     assert short == pytest.approx(full / 2)
     assert full[0] > 0.1

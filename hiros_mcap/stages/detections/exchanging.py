@@ -9,7 +9,7 @@ from hiros_mcap.kernels.averaging import ACCELERATION, POSITION, VELOCITY, blank
 from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.skeletons import Floats, People
 from hiros_mcap.stages.detections.body_axes import component
-from hiros_mcap.stages.detections.facing import FacingMarkers
+from hiros_mcap.stages.detections.facing_evidence import FacingMarkers
 
 
 @kernel

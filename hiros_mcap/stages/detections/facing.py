@@ -1,9 +1,8 @@
-"""Kernels that decide which way a person faces: evidence of each view, and a hidden Markov model.
+"""Which way a person faces: a hidden Markov model over what all views show.
 
-The hidden state is the facing: BINS directions across the person's trunk, in axes that are carried
-along with the body (body_axes.py). Time is divided into cells of 1/30 s. The logarithms of the
-likelihoods of a cell's views add up. Weights and scales were fitted to recordings of two cameras at
-30 Hz.
+The hidden state is one of BINS directions across the person's trunk (facing_evidence.py). Time is
+divided into cells of 1/30 s; the evidence of a cell's views adds up. :func:`follow` decides by the
+past alone (the forward pass), :func:`smooth` by past and future (forward and backward).
 """
 
 from __future__ import annotations
@@ -13,157 +12,36 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.array_types import B1, F1, F2, F3, I1, I2, J1, J2, arrays
+from hiros_mcap.kernels.array_types import B1, F1, F2, F3, I1, arrays
 from hiros_mcap.kernels.averaging import copy_row
 from hiros_mcap.kernels.compile import entry, inlined, kernel
-from hiros_mcap.kernels.distance import centre
-from hiros_mcap.kernels.points import step_between
-from hiros_mcap.skeletons import Floats, Ints, People, Stamps
-from hiros_mcap.stages.detections.body_axes import (
-    component,
-    follow_line,
-    follow_trunk,
-    learn_up,
-    left_to_right,
-    ramp,
-    upright,
+from hiros_mcap.skeletons import Floats, People, Stamps
+from hiros_mcap.stages.detections.body_axes import learn_up, ramp
+from hiros_mcap.stages.detections.facing_evidence import (
+    BINS,
+    CELLS,
+    HALF,
+    LABEL_SHARPNESS,
+    LONGEST_GAP,
+    TELEPORT,
+    TOES,
+    FacingMarkers,
+    FacingPast,
+    FacingTables,
+    MeasuredViews,
+    add_step,
+    add_walking_direction,
+    honesty_of,
+    line_reliability,
+    measure_view,
+    mistrust,
+    velocity_between,
+    write_view_evidence,
 )
 
-CELL = 33_333_333  # ns
-BINS = 36
-CUES = 4  # rows of body.forward_cues.CUES
-VIEWS = 16  # of a person that are remembered
-CELLS = 16  # of a person's way that are remembered
-_HALF = BINS // 2
-TOES = 3
-
-_VIEW = 0.1  # weight of a view's label and cues: neighbours in time err together
-_LINE_SHARPNESS, _LINE_OUTLIERS = 3.0, 0.05
-_LABEL_SHARPNESS = 2.0
-_CUE_WEIGHTS = (2.0, 1.7, 1.7, 3.0)
-_CUE_SCALES = (0.05, 0.05, 0.05, 0.06)  # m
-_CUE_SIGNS = (1.0, -1.0, 1.0, 1.0)  # of what is measured: elbows bend backwards
-_WALK_SPEED, _WALK_SLOPE = 0.4, 0.08  # m/s
-_WALK_SHARPNESS, _WALK_BACKWARDS = 2.5, 0.06
-_TURN = math.radians(8.0)  # SD of the change of the facing from one cell to the next
-_LONGEST_GAP = 30  # cells
-_TELEPORT = 1e-10  # probability of any other facing
-_WIDTH_QUANTILE, _WIDTH_STEP = 0.8, 0.02
-_OPPOSITE = -0.5  # cosine of labelled facings that contradict each other
-_LABELS = 0.2, 0.5  # honesty with which labels say nothing; they say all that labels can
-_FAST_TURNS = 0.45, 0.5  # lines show no fast turn; they show it (0.5 = nothing is known yet)
-_SLOW_TURNS = 0.45, 0.7  # the same of slow turns: a fifth of them counts while nothing is known
 _HONEST = 0.5, 0.7  # labels are not known to be honest; they are
-_ROUND = math.radians(270.0)  # a turn that a detector never shows if it assumes a facing
-_ROUND_MEMORY = 5.0  # s in which it is made
-_LARGEST_STEP = math.radians(60.0)  # from one view to the next; beyond, labels are exchanged
 _SURE = 0.5  # length of the mean direction of a belief that overrules labels
 _LARGEST_DEVIATION = math.radians(45.0)  # of a view's facing from the decided one
-_PRIOR_SAMPLES, _SAMPLE = 7.5, 0.125
-
-PRIOR_AGREEMENT = (0.8, 0.8, 0.8, 0.5)
-"""Share of contradicting labels in which a cue points the same way in both views, by cue."""
-
-
-class FacingMarkers(NamedTuple):
-    """Slots of markers, as in body.symmetry and body.forward_cues."""
-
-    mirror: J1  # (M,)
-    lateral: J2  # (K, 2)
-    vectors: J2  # (V, 4)
-    feet: J2  # (F, 2)
-    trunk: J2  # (T, 2)
-
-
-class MeasuredViews(NamedTuple):
-    """What N views of anybody show, across the person's trunk."""
-
-    cells: I1  # (N,) number of the cell of time
-    stamps: I1  # (N,) ns
-    cameras: I1  # (N,) index of the camera
-    rows: I1  # (N,) row of the person in what is remembered
-    facing: F2  # (N, 2) unit vector: the facing by the labels left and right; NaN = not known
-    widths: F1  # (N,) length of the line that it was measured on, m
-    centres: F2  # (N, 3) mean position of the markers, m
-    cues: F2  # (N, CUES * 2) vectors that point forwards, m; 0 = not known
-    axes: F3  # (N, 3, 3) the person's: two across the trunk, one along it; NaN = not known
-    starts: I1
-    """(N,) how often the axes were chosen anew; facings before and after are unrelated."""
-    weights: F1  # (N,) 1 for a camera of 30 Hz or slower, less for a faster one
-
-    @classmethod
-    def allocate(cls, n: int) -> MeasuredViews:
-        """Make room."""
-        pair, cues, axes = (n, 2), (n, 2 * CUES), (n, 3, 3)
-        return arrays(cls, n, n, n, n, pair, n, (n, 3), cues, axes, n, n)
-
-
-class FacingPast(NamedTuple):
-    """What is remembered of S people, a row each."""
-
-    cells: I1  # (S,) number of the current cell; 0 = never seen
-    beliefs: F2  # (S, BINS) probabilities before the current cell's views
-    evidence: F2  # (S, BINS) logarithm of the likelihood of the current cell's views so far
-    widths: F1  # (S,) 80 % quantile of MeasuredViews.widths, m
-    view_stamps: I2
-    view_cameras: I2  # (S, VIEWS) the last views, a ring; stamp 0 = none
-    view_measures: F3  # (S, VIEWS, 2 + CUES * 2) their facing and cues
-    view_ranges: F3
-    """(S, VIEWS, 3) their facing, rad, however the axes were turned, and the least and the
-    largest one that the camera showed lately without a step; NaN = not known."""
-    next_view: I1  # (S,) place of the next one in the ring
-    way_cells: I2  # (S, CELLS) the last cells, a ring
-    way: F3  # (S, CELLS, 4) sum of the centres of their views, m, and the number of these
-    next_cell: I1  # (S,) place of the next one in the ring
-    axes: F3  # (S, 3, 3) as MeasuredViews.axes, of the last view
-    trunks: F2  # (S, 3) mean of the last unit vectors along the trunk
-    trunk_stamps: I1  # (S,) time of the last view that showed it, ns
-    lines: F2  # (S, 3) see body_axes.follow_line; NaN = not known
-    starts: I1
-    belief_starts: I1  # (S,) as MeasuredViews.starts: of the last view; of the current cell
-
-    @classmethod
-    def empty(cls) -> FacingPast:
-        """Return arrays with no rows."""
-        views, cells, bins, three = (0, VIEWS), (0, CELLS), (0, BINS), (0, 3)
-        return arrays(
-            cls, 0, bins, bins, 0, views, views, (*views, 2 + CUES * 2), (*views, 3), 0, cells,
-            (*cells, 4), 0, (0, 3, 3), three, 0, three, 0, 0,
-        )  # fmt: skip
-
-
-class FacingTables(NamedTuple):
-    """What the kernels share."""
-
-    directions: F2  # (BINS, 2) unit vectors
-    turns: F2
-    """(_LONGEST_GAP + 1, _HALF + 1) probability of a turn by so many bins in so many cells."""
-    agreement: F2
-    """(CUES, 2) learned: how often a cue points the same way in views whose labels contradict each
-    other, and how often it was asked. It tells physical cues from those that follow the label."""
-    rounds: F1  # (1,) learned: how often labels went round with a person; such labels are honest
-    up: F1  # (4,) learned, see body_axes.learn_up
-
-    @classmethod
-    def make(cls) -> FacingTables:
-        """Return the tables, with nothing learned yet."""
-        angles = np.arange(BINS) * (2 * np.pi / BINS)
-        steps = np.arange(_HALF + 1) * (2 * np.pi / BINS)
-        turns = np.exp(-0.5 * (steps / (_TURN * np.arange(1, _LONGEST_GAP + 2)[:, None])) ** 2)
-        # Every turn but that by 0 and by half a circle has two directions.
-        turns /= 2 * turns.sum(axis=1, keepdims=True) - turns[:, :1] - turns[:, -1:]
-        return cls(
-            np.stack([np.cos(angles), np.sin(angles)], axis=1),
-            turns + _TELEPORT,
-            np.array([[p * _PRIOR_SAMPLES, _PRIOR_SAMPLES] for p in PRIOR_AGREEMENT]),
-            np.zeros(1),
-            np.zeros(4),
-        )
-
-    def reliability(self, cue: int) -> float:
-        """Share of contradicting labels in which a cue points the same way in both views."""
-        same, asked = self.agreement[cue].tolist()
-        return float(same / asked)
 
 
 class Facings(NamedTuple):
@@ -180,344 +58,7 @@ class Facings(NamedTuple):
         return arrays(cls, (n, 2), n, n, n)
 
 
-# What a view shows.
-
-
-@kernel
-def _measure_cues(positions: Floats, axes: Floats, vectors: Ints, out: Floats) -> None:
-    """Mean of each cue over the sides that show it."""
-    out[:] = 0.0
-    if math.isnan(axes[0, 0]):
-        return
-    for k in range(CUES):
-        n = 0
-        sx = sy = 0.0
-        for v in range(len(vectors)):
-            if vectors[v, 0] != k:
-                continue
-            x, y, z = _cue(positions, vectors[v, 1], vectors[v, 2], vectors[v, 3])
-            if not math.isnan(x):
-                n += 1
-                sx, sy = sx + component(x, y, z, axes, 0), sy + component(x, y, z, axes, 1)
-        scale = _CUE_SIGNS[k] / n if n > 0 else 0.0
-        out[2 * k], out[2 * k + 1] = scale * sx, scale * sy
-
-
-@kernel
-def _cue(positions: Floats, a: int, b: int, joint: int) -> tuple[float, float, float]:
-    """Vector from a to b, or from the line between them to a joint, m; NaN if not known."""
-    x, y, z = step_between(positions, a, b)
-    if joint < 0:
-        return x, y, z
-    jx, jy, jz = step_between(positions, a, joint)
-    length2 = x * x + y * y + z * z
-    if not length2 > 1e-6:
-        return np.nan, np.nan, np.nan
-    share = (x * jx + y * jy + z * jz) / length2
-    return jx - share * x, jy - share * y, jz - share * z
-
-
-# What is learned from one view after the other.
-
-
-@kernel
-def _learn(measured: MeasuredViews, i: int, past: FacingPast, tables: FacingTables) -> None:
-    """Learn from view ``i``, and write its weight."""
-    row, stamp, camera = measured.rows[i], measured.stamps[i], measured.cameras[i]
-    last = _last_view(camera, past, row)
-    cells = (stamp - past.view_stamps[row, last]) / CELL if last >= 0 else np.inf
-    # A camera of 30 Hz whose stamps jitter counts as one of 30 Hz.
-    weight: float = min(1.0, 1.25 * max(cells, 0.0))
-    measured.weights[i] = weight
-    if not math.isnan(measured.facing[i, 0]):
-        for v in range(VIEWS):
-            if (
-                past.view_cameras[row, v] != camera
-                and past.view_stamps[row, v] > 0
-                and abs(stamp - past.view_stamps[row, v]) < CELL
-            ):
-                _compare(measured, i, past.view_measures[row, v], weight, tables.agreement)
-    place = past.next_view[row]
-    if _goes_round(measured, i, last, past, past.view_ranges[row, place]):
-        tables.rounds[0] += _SAMPLE * weight
-    past.view_stamps[row, place], past.view_cameras[row, place] = stamp, camera
-    for c in range(2):
-        past.view_measures[row, place, c] = measured.facing[i, c]
-    for c in range(2 * CUES):
-        past.view_measures[row, place, 2 + c] = measured.cues[i, c]
-    past.next_view[row] = (place + 1) % VIEWS
-
-
-@kernel
-def _last_view(camera: int, past: FacingPast, row: int) -> int:
-    """Return the place of a camera's last view of a person, or -1."""
-    last, stamp = -1, 0
-    for v in range(VIEWS):
-        if past.view_cameras[row, v] == camera and past.view_stamps[row, v] > stamp:
-            last, stamp = v, past.view_stamps[row, v]
-    return last
-
-
-@kernel
-def _goes_round(measured: MeasuredViews, i: int, last: int, past: FacingPast, out: Floats) -> bool:
-    """Whether the labels of a camera went round with a person; write the range of the facing.
-
-    A detector that assumes that people face it shows at most half a turn, then exchanges labels.
-    """
-    row = measured.rows[i]
-    facing = math.atan2(measured.facing[i, 1], measured.facing[i, 0]) + past.lines[row, 2]
-    if not _line_reliability(measured.widths[i], past.widths[row]) > 0.0:
-        facing = np.nan
-    low = high = facing
-    if last >= 0:
-        before = past.view_ranges[row, last]
-        step = facing - before[0]
-        step -= 2.0 * math.pi * math.floor(step / (2.0 * math.pi) + 0.5)
-        if abs(step) < _LARGEST_STEP:  # False for NaN
-            facing = before[0] + step
-            seconds = 1e-9 * max(measured.stamps[i] - past.view_stamps[row, last], 0)
-            share = min(seconds / _ROUND_MEMORY, 1.0)
-            low = min(facing, before[1] + share * (facing - before[1]))
-            high = max(facing, before[2] + share * (facing - before[2]))
-    out[0], out[1], out[2] = facing, low, high
-    return high - low > _ROUND
-
-
-@kernel
-def _learn_width(width: float, past: FacingPast, row: int) -> None:
-    """Move the quantile of a person's widths."""
-    if past.widths[row] == 0.0:
-        past.widths[row] = width
-    elif width > past.widths[row]:
-        past.widths[row] += _WIDTH_STEP * _WIDTH_QUANTILE * past.widths[row]
-    else:
-        past.widths[row] -= _WIDTH_STEP * (1.0 - _WIDTH_QUANTILE) * past.widths[row]
-
-
-@kernel
-def _compare(
-    measured: MeasuredViews, i: int, other: Floats, weight: float, agreement: Floats
-) -> None:
-    """Count which cues point the same way in two views whose labels contradict each other."""
-    x, y = measured.facing[i, 0], measured.facing[i, 1]
-    if not x * other[0] + y * other[1] < _OPPOSITE:
-        return
-    for k in range(CUES):
-        mine = x * measured.cues[i, 2 * k] + y * measured.cues[i, 2 * k + 1]
-        theirs = x * other[2 + 2 * k] + y * other[3 + 2 * k]
-        if mine * theirs != 0.0:
-            agreement[k, 0] += _SAMPLE * weight * (1.0 if mine * theirs > 0.0 else 0.0)
-            agreement[k, 1] += _SAMPLE * weight
-
-
-@inlined
-def _honesty(tables: FacingTables) -> float:
-    """Whether labels err by chance, from 0 to 1.
-
-    Such a detector leaves the toes alone when it errs, and its labels go round with a person.
-    """
-    same, asked, rounds = tables.agreement[TOES, 0], tables.agreement[TOES, 1], tables.rounds[0]
-    return (same + rounds) / (asked + rounds)
-
-
-@inlined
-def _mistrust(tables: FacingTables) -> float:
-    """Probability that a label is wrong: 0.5 for a detector that assumes that people face it."""
-    return 0.5 - 0.4 * ramp(_honesty(tables), *_LABELS)
-
-
-@inlined
-def _line_reliability(width: float, usual: float) -> float:
-    """How far the line through shoulders and hips is trusted: 0 if it is short, at most 1."""
-    return 0.0 if math.isnan(width) else ramp(width / usual, 0.25, 0.75)
-
-
-# Views, one after the other, in the axes of each person.
-
-
-@inlined
-def _follow_body(
-    positions: Floats, markers: FacingMarkers, stamp: int, past: FacingPast, row: int,
-    honesty: float,
-) -> tuple[float, float]:  # fmt: skip
-    """Bring a person's axes to a view; return the line through shoulders and hips in them, m."""
-    axes = past.axes[row]
-    seconds = 1e-9 * max(stamp - past.trunk_stamps[row], 0) if past.starts[row] > 0 else np.inf
-    seen, anew = follow_trunk(positions, markers.trunk, seconds, past.trunks[row], axes)
-    if seen:
-        past.trunk_stamps[row] = max(stamp, past.trunk_stamps[row])
-    if anew:
-        past.starts[row] += 1
-        past.lines[row] = np.nan
-        past.view_measures[row], past.view_ranges[row] = np.nan, np.nan
-    x, y = left_to_right(positions, markers.lateral, axes)
-    width = math.sqrt(x * x + y * y)
-    if not width > 1e-6:
-        return np.nan, np.nan
-    _learn_width(width, past, row)
-    reliable = _line_reliability(width, past.widths[row])
-    trust = ramp(honesty, *_SLOW_TURNS), ramp(honesty, *_FAST_TURNS)
-    turn = follow_line(past.lines[row], math.atan2(y, x), reliable, seconds, trust, axes)
-    cosine, sine = math.cos(turn), math.sin(turn)
-    return cosine * x + sine * y, cosine * y - sine * x
-
-
-@inlined
-def _measure(
-    people: People, view: int, markers: FacingMarkers, measured: MeasuredViews, i: int,
-    past: FacingPast, tables: FacingTables,
-) -> None:  # fmt: skip
-    """Measure what view ``i`` shows in the person's axes, and learn from it."""
-    positions, row = people.markers[view], measured.rows[i]
-    x, y = _follow_body(positions, markers, measured.stamps[i], past, row, _honesty(tables))
-    width = math.sqrt(x * x + y * y)
-    measured.widths[i], measured.facing[i, 0], measured.facing[i, 1] = width, -y / width, x / width
-    measured.starts[i] = past.starts[row]
-    copy_row(measured.axes, i, past.axes, row)
-    centre(positions, measured.centres[i])
-    _measure_cues(positions, measured.axes[i], markers.vectors, measured.cues[i])
-    _learn(measured, i, past, tables)
-
-
-@entry
-def measure(
-    people: People, views: I1, markers: FacingMarkers, measured: MeasuredViews, past: FacingPast,
-    tables: FacingTables,
-) -> None:  # fmt: skip
-    """Measure what ``views``, rows of ``people``, show, and learn from one after the other.
-
-    Parameters
-    ----------
-    measured : cells, stamps, cameras and rows are given; the others are written.
-    """
-    for i in range(len(views)):
-        _measure(people, views[i], markers, measured, i, past, tables)
-
-
-# What a view tells of the facing.
-
-
-@inlined
-def _squash(x: float) -> float:
-    """Hyperbolic tangent within 0.025, in a tenth of its time."""
-    x = min(max(x, -3.0), 3.0)
-    return x * (27.0 + x * x) / (27.0 + 9.0 * x * x)
-
-
-@kernel
-def _write_evidence(
-    measured: MeasuredViews, i: int, past: FacingPast, tables: FacingTables, out: Floats
-) -> None:
-    """Write the logarithm of the likelihood of view ``i`` for every facing."""
-    x, y, cues = measured.facing[i, 0], measured.facing[i, 1], measured.cues[i]
-    weight = measured.weights[i]
-    reliable = _line_reliability(measured.widths[i], past.widths[measured.rows[i]])
-    wrong, sharpness = _mistrust(tables), 2.0 * _LINE_SHARPNESS * reliable
-    for b in range(_HALF if reliable > 0.0 else 0):
-        cosine = x * tables.directions[b, 0] + y * tables.directions[b, 1]
-        # cos(2 a) - 1 = 2 (cos(a)^2 - 1). The line has twice the weight of the label: a square.
-        line = (1.0 - _LINE_OUTLIERS) * math.exp(sharpness * (cosine * cosine - 1.0))
-        line = (line + _LINE_OUTLIERS) ** 2
-        p = 0.5 + 0.5 * _squash(_LABEL_SHARPNESS * cosine)
-        p = p * (1.0 - wrong) + (1.0 - p) * wrong
-        shared = _VIEW * math.log(line)
-        out[b] = weight * (shared + _VIEW * reliable * math.log(p))
-        out[b + _HALF] = weight * (shared + _VIEW * reliable * math.log(1.0 - p))
-    if not reliable > 0.0:
-        out[:] = 0.0
-    for k in range(CUES):
-        cx, cy = cues[2 * k] / _CUE_SCALES[k], cues[2 * k + 1] / _CUE_SCALES[k]
-        # 0 of a cue that follows the label, 1 of one that is physical
-        trust = (
-            weight
-            * _VIEW
-            * _CUE_WEIGHTS[k]
-            * ramp(tables.agreement[k, 0] / tables.agreement[k, 1], 0.5, 0.8)
-        )
-        if trust > 0.0 and (cx != 0.0 or cy != 0.0):
-            for b in range(_HALF):
-                along = _squash(cx * tables.directions[b, 0] + cy * tables.directions[b, 1])
-                out[b] += trust * along
-                out[b + _HALF] -= trust * along
-
-
-# The way of a person.
-
-
-@kernel
-def _step(measured: MeasuredViews, i: int, past: FacingPast) -> None:
-    """Add the centre of view ``i`` to the person's way."""
-    if math.isnan(measured.centres[i, 0]):
-        return
-    row, cell = measured.rows[i], measured.cells[i]
-    place = (past.next_cell[row] - 1) % CELLS
-    if past.way_cells[row, place] != cell:
-        place = past.next_cell[row]
-        past.next_cell[row] = (place + 1) % CELLS
-        past.way_cells[row, place] = cell
-        past.way[row, place, :] = 0.0
-    for c in range(3):
-        past.way[row, place, c] += measured.centres[i, c]
-    past.way[row, place, 3] += 1.0
-
-
-@kernel
-def _velocity(cells: Stamps, way: Floats, first: int, last: int) -> tuple[float, float, float]:
-    """Slope of a line through the way from cell ``first`` to cell ``last``, m/s; 0 = not known."""
-    n = st = sx = sy = sz = 0.0
-    for j in range(len(cells)):
-        if first <= cells[j] <= last and way[j, 3] > 0.0:
-            n, st, views = n + 1.0, st + (cells[j] - first), way[j, 3]
-            sx, sy, sz = sx + way[j, 0] / views, sy + way[j, 1] / views, sz + way[j, 2] / views
-    if n < 3.0:
-        return 0.0, 0.0, 0.0
-    st, sx, sy, sz = st / n, sx / n, sy / n, sz / n
-    tt = tx = ty = tz = 0.0
-    for j in range(len(cells)):
-        if first <= cells[j] <= last and way[j, 3] > 0.0:
-            t, views = cells[j] - first - st, way[j, 3]
-            tt += t * t
-            tx += t * (way[j, 0] / views - sx)
-            ty += t * (way[j, 1] / views - sy)
-            tz += t * (way[j, 2] / views - sz)
-    if tt < 1.0:
-        return 0.0, 0.0, 0.0
-    rate = 1e9 / CELL / tt
-    return rate * tx, rate * ty, rate * tz
-
-
-@inlined
-def _forwards(along: float, against: float) -> float:
-    """Likelihood of a facing, from its agreement with the walking direction and the opposite."""
-    return (1.0 - _WALK_BACKWARDS) * along + _WALK_BACKWARDS * against + 0.01
-
-
-@kernel
-def _walk(
-    velocity: tuple[float, float, float], axes: Floats, tables: FacingTables, out: Floats
-) -> None:
-    """Add the evidence of the walking direction: people seldom walk backwards.
-
-    There is none while a person is not upright, or while it is unknown which way is up.
-    """
-    weight = _VIEW * upright(axes, tables.up)
-    if weight == 0.0:
-        return
-    x, y, z = velocity
-    vx, vy = component(x, y, z, axes, 0), component(x, y, z, axes, 1)
-    speed = math.sqrt(vx * vx + vy * vy)
-    weight /= 1.0 + math.exp(-(speed - _WALK_SPEED) / _WALK_SLOPE)
-    if weight < 0.01 * _VIEW:
-        return
-    for b in range(_HALF):
-        cosine = (vx * tables.directions[b, 0] + vy * tables.directions[b, 1]) / speed
-        along = math.exp(_WALK_SHARPNESS * (cosine - 1.0))
-        against = math.exp(_WALK_SHARPNESS * (-cosine - 1.0))
-        out[b] += weight * math.log(_forwards(along, against))
-        out[b + _HALF] += weight * math.log(_forwards(against, along))
-
-
-# The hidden Markov model.
+# The model.
 
 
 @kernel
@@ -526,13 +67,13 @@ def _turn(belief: Floats, gap: int, tables: FacingTables, out: Floats) -> None:
     if gap == 0:
         out[:] = 1.0 / BINS
         return
-    gap = min(gap, _LONGEST_GAP)
-    reach = min(_HALF - 1, 6 * gap)
+    gap = min(gap, LONGEST_GAP)
+    reach = min(HALF - 1, 6 * gap)
     total = 0.0
     for b in range(BINS):
         total += belief[b]
     for b in range(BINS):
-        p = belief[b] * tables.turns[gap - 1, 0] + _TELEPORT * total
+        p = belief[b] * tables.turns[gap - 1, 0] + TELEPORT * total
         for k in range(1, reach + 1):
             low, high = b - k, b + k
             if low < 0:
@@ -610,23 +151,22 @@ def _decide(
 ) -> None:
     """Decide whether view ``i`` is mirrored, and by how much its trunk is turned.
 
-    The likelihoods of its label are (1 + tanh(2 cos)) / 2 and the complement, as in
-    :func:`_write_evidence`: the logarithm of their ratio is 4 cos. An honest detector's label is
-    right beforehand in 90 %. Labels that do not follow a detector's assumption stay while the
-    facing is not sure.
+    The likelihoods of its label are (1 + tanh(2 cos)) / 2 and the complement (LABEL_SHARPNESS):
+    the logarithm of their ratio is 4 cos. An honest detector's label is right beforehand in 90 %.
+    Labels that do not follow a detector's assumption stay while the facing is not sure.
     """
     x, y = measured.facing[i, 0], measured.facing[i, 1]
     fx, fy = out.facing[i, 0], out.facing[i, 1]
     sure = max(math.sqrt(fx * fx + fy * fy), 1e-12)
-    if math.isnan(x) or (sure < _SURE and _mistrust(tables) < 0.5):
+    if math.isnan(x) or (sure < _SURE and mistrust(tables) < 0.5):
         return
     cosine, sine = (fx * x + fy * y) / sure, (fx * y - fy * x) / sure
-    honesty = ramp(_honesty(tables), *_HONEST)
+    honesty = ramp(honesty_of(tables), *_HONEST)
     right = 0.5 + 0.4 * honesty
     odds = math.log(right / (1.0 - right)) if honesty > 0.0 else 0.0
     usual = past.widths[measured.rows[i]]
-    reliable = _line_reliability(measured.widths[i], usual) if honesty > 0.0 else 1.0
-    if odds + 2.0 * _LABEL_SHARPNESS * reliable * cosine < 0.0:
+    reliable = line_reliability(measured.widths[i], usual) if honesty > 0.0 else 1.0
+    if odds + 2.0 * LABEL_SHARPNESS * reliable * cosine < 0.0:
         out.swapped[i] = True
         cosine, sine = -cosine, -sine
     if honesty == 0.0:
@@ -642,35 +182,26 @@ def follow(
 
     Parameters
     ----------
-    people, views, markers, measured : as in :func:`measure`; views of anybody, in order.
+    people, views, markers, measured : as in facing_evidence.measure; views of anybody, in order.
     past : brought to the last view.
     work : (2 * BINS,) scratch.
     """
     here, belief = work[:BINS], work[BINS:]
     for i in range(len(views)):
         row, cell = measured.rows[i], measured.cells[i]
-        _measure(people, views[i], markers, measured, i, past, tables)
-        _step(measured, i, past)
+        measure_view(people, views[i], markers, measured, i, past, tables)
+        add_step(measured, i, past)
         if _open_cell(measured, i, past, tables, here):
-            velocity = _velocity(past.way_cells[row], past.way[row], cell - 12, cell)
+            velocity = velocity_between(past.way_cells[row], past.way[row], cell - 12, cell)
             learn_up(velocity, measured.axes[i], tables.up)
-            _walk(velocity, measured.axes[i], tables, past.evidence[row])
-        _write_evidence(measured, i, past, tables, here)
+            add_walking_direction(velocity, measured.axes[i], tables, past.evidence[row])
+        write_view_evidence(measured, i, past, tables, here)
         for b in range(BINS):
             past.evidence[row, b] += here[b]
         _multiply(past.beliefs[row], past.evidence[row], belief)
         _mean_direction(belief, tables, out.facing[i])
         _decide(measured, i, past, tables, out)
         out.toes[i] = tables.agreement[TOES, 0] / tables.agreement[TOES, 1]
-
-
-@entry
-def write_evidence(
-    measured: MeasuredViews, past: FacingPast, tables: FacingTables, out: F2
-) -> None:
-    """Write the evidence (N, BINS) of each view."""
-    for i in range(len(measured.cells)):
-        _write_evidence(measured, i, past, tables, out[i])
 
 
 class SmoothWork(NamedTuple):
@@ -748,10 +279,10 @@ def _add_walking(first: int, n: int, until: int, tables: FacingTables, work: Smo
     for j in range(first, n):
         begin, end = max(j - 8, 0), min(j + 9, n)
         cells, way = work.cells[begin:end], work.way[begin:end]
-        velocity = _velocity(cells, way, work.cells[j] - 8, work.cells[j] + 8)
+        velocity = velocity_between(cells, way, work.cells[j] - 8, work.cells[j] + 8)
         if work.cells[j] < until:
             learn_up(velocity, work.axes[j], tables.up)
-        _walk(velocity, work.axes[j], tables, work.evidence[j])
+        add_walking_direction(velocity, work.axes[j], tables, work.evidence[j])
 
 
 @kernel
@@ -811,7 +342,7 @@ class FacingWindow(NamedTuple):
 
     order: I1  # (N,) the views, person by person, each person's by time
     ends: I1  # (P + 1,) where each person's views begin in ``order``; the last number is N
-    evidence: F2  # (N, BINS) of the views, from :func:`write_evidence`
+    evidence: F2  # (N, BINS) of the views, from facing_evidence.write_evidence
 
 
 @entry

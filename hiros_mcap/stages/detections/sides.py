@@ -2,8 +2,8 @@
 
 Detectors mirror people, some whenever these turn their backs. A vote of the cameras cannot mend
 that where most of them are wrong. So the facing of each person is the state of a hidden Markov
-model (kernels.facing). It is measured across the trunk, in axes that are carried along with the
-body (kernels.body_axes), so people may lie, crawl, roll and spin. Every view tells of it:
+model (facing.py). It is measured across the trunk, in axes that are carried along with the
+body (body_axes.py), so people may lie, crawl, roll and spin. Every view tells of it:
 
 - the line through shoulders and hips: the facing is at a right angle to it;
 - the labels left and right: which of the two sides of the line is in front;
@@ -37,9 +37,19 @@ from hiros_mcap.frames import Block, CameraNumbers, join
 from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.skeletons import UNTRACKED, Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.detections import exchanging
-from hiros_mcap.stages.detections import facing as kernels
+from hiros_mcap.stages.detections import exchanging, facing
 from hiros_mcap.stages.detections.detection_params import SidesParams
+from hiros_mcap.stages.detections.facing_evidence import (
+    BINS,
+    CELL,
+    TOES,
+    FacingMarkers,
+    FacingPast,
+    FacingTables,
+    MeasuredViews,
+    measure,
+    write_evidence,
+)
 
 _SLAVED = 0.3  # toes that point the same way less often than this follow the label
 
@@ -84,7 +94,7 @@ class _Piece:
     block: Block
     views: Stamps  # (N,) rows of the people with an id in the block's arrays
     owners: Stamps  # (N,) the frame of each view
-    measured: kernels.MeasuredViews
+    measured: MeasuredViews
     evidence: Floats  # (N, BINS), or (0, BINS) before they were weighed
 
     def cut(self, k: int) -> tuple[_Piece, _Piece]:
@@ -109,13 +119,13 @@ class _Sides:
 
     def __init__(self, model: SkeletonModel, params: SidesParams, events: Events) -> None:
         symmetry, cues = symmetry_of(model), ForwardCues.of(model)
-        self._markers = kernels.FacingMarkers(
+        self._markers = FacingMarkers(
             symmetry.mirror, symmetry.lateral, cues.vectors, cues.feet, cues.trunk
         )
-        self._ahead = round(params.lookahead * 1e9 / kernels.CELL)
+        self._ahead = round(params.lookahead * 1e9 / CELL)
         self._events = events
-        self._bank = Bank(kernels.FacingPast.empty(), forget_after=10 + 2 * params.lookahead)
-        self._tables = kernels.FacingTables.make()
+        self._bank = Bank(FacingPast.empty(), forget_after=10 + 2 * params.lookahead)
+        self._tables = FacingTables.make()
         self._cameras = CameraNumbers()
         self._held: list[_Piece] = []
         self._decided = 0
@@ -128,7 +138,7 @@ class _Sides:
             yield self._mirrored(piece, self._follow(piece))
             return
         while len(piece.block):
-            cells = piece.block.stamps // kernels.CELL
+            cells = piece.block.stamps // CELL
             self._decided = self._decided or int(cells[0])
             due = cells >= self._decided + 2 * self._ahead
             if not due.any():
@@ -149,20 +159,20 @@ class _Sides:
         views, owners = block.everybody()
         tracked = block.people.ids[views] != UNTRACKED
         views, owners = views[tracked], owners[tracked]
-        measured = kernels.MeasuredViews.allocate(len(views))
+        measured = MeasuredViews.allocate(len(views))
         measured.stamps[:] = block.stamps[owners]
-        measured.cells[:] = measured.stamps // kernels.CELL
+        measured.cells[:] = measured.stamps // CELL
         measured.cameras[:] = self._cameras.of(block)[owners]
         measured.rows[:] = self._bank.rows_of(block.people.ids[views], measured.stamps)
-        return _Piece(block, views, owners, measured, np.empty((0, kernels.BINS)))
+        return _Piece(block, views, owners, measured, np.empty((0, BINS)))
 
     # Decisions
 
-    def _follow(self, piece: _Piece) -> kernels.Facings:
+    def _follow(self, piece: _Piece) -> facing.Facings:
         """Decide by the past alone."""
-        out = kernels.Facings.allocate(len(piece.views))
-        people, past, work = piece.block.people, self._bank.past, np.empty(2 * kernels.BINS)
-        kernels.follow(
+        out = facing.Facings.allocate(len(piece.views))
+        people, past, work = piece.block.people, self._bank.past, np.empty(2 * BINS)
+        facing.follow(
             people, piece.views, self._markers, piece.measured, past, self._tables, work, out
         )
         return out
@@ -172,14 +182,14 @@ class _Sides:
         self._add_evidence()
         held, self._held = self._held, []
         measured = joined([piece.measured for piece in held])
-        out = kernels.Facings.allocate(len(measured.cells))
+        out = facing.Facings.allocate(len(measured.cells))
         order = np.lexsort((measured.stamps, measured.rows))  # each person's views, by time
         starts = np.flatnonzero(np.diff(measured.rows[order], prepend=-1))
         evidence = np.concatenate([piece.evidence for piece in held])
-        window = kernels.FacingWindow(order, np.append(starts, len(order)), evidence)
-        work = kernels.SmoothWork.of(int(np.diff(window.ends).max(initial=0)))
-        kernels.smooth(measured, window, until, self._bank.past, self._tables, work, out)
-        out.toes[:] = self._tables.reliability(kernels.TOES)
+        window = facing.FacingWindow(order, np.append(starts, len(order)), evidence)
+        work = facing.SmoothWork.of(int(np.diff(window.ends).max(initial=0)))
+        facing.smooth(measured, window, until, self._bank.past, self._tables, work, out)
+        out.toes[:] = self._tables.reliability(TOES)
         self._decided = until
         now = int(held[-1].block.log_times.max())
         first = 0
@@ -187,7 +197,7 @@ class _Sides:
             n = len(piece.views)
             facings = chosen(out, slice(first, first + n))
             first += n
-            late = piece.block.stamps // kernels.CELL >= until
+            late = piece.block.stamps // CELL >= until
             if late.any():
                 done, kept = piece.cut(int(late.argmax()))
                 self._held = [kept, *held[k + 1 :]]
@@ -203,17 +213,17 @@ class _Sides:
         parts = [self._held[k] for k in new]
         for part in parts:
             people, past = part.block.people, self._bank.past
-            kernels.measure(people, part.views, self._markers, part.measured, past, self._tables)
+            measure(people, part.views, self._markers, part.measured, past, self._tables)
         measured = joined([part.measured for part in parts])
-        evidence = np.empty((len(measured.cells), kernels.BINS))
-        kernels.write_evidence(measured, self._bank.past, self._tables, evidence)
+        evidence = np.empty((len(measured.cells), BINS))
+        write_evidence(measured, self._bank.past, self._tables, evidence)
         ends = np.cumsum([len(part.views) for part in parts])
         for k, some in zip(new, np.split(evidence, ends[:-1]), strict=True):
             self._held[k] = replace(self._held[k], evidence=some)
 
     # The result
 
-    def _mirrored(self, piece: _Piece, facings: kernels.Facings) -> Block:
+    def _mirrored(self, piece: _Piece, facings: facing.Facings) -> Block:
         """Return the frames with the sides of swapped views exchanged, and trunks turned."""
         n = len(piece.views)
         swapped, turned = np.flatnonzero(facings.swapped[:n]), np.flatnonzero(facings.turns[:n])
