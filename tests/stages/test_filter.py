@@ -532,7 +532,7 @@ def test_people_who_left_are_forgotten():
     skeletons = _SkeletonFilter(MODEL, FilterParams(), Events())
     for k in range(600):
         list(skeletons.update(Block.of(frame_at(k / 5, ids=(k // 5,)))))
-    assert len(skeletons._people) == len(skeletons._bank.rows) <= 3
+    assert len(skeletons._numbers) == len(skeletons._bank.rows) <= 3
     assert len(skeletons._bank.past.ring) == 8
 
 

@@ -11,22 +11,21 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from statistics import median
-from typing import NamedTuple
 
 import numpy as np
 
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, HeldFrames
+from hiros_mcap.frames import Block, CameraNumbers
 from hiros_mcap.kernels.array_types import arrays, settings_of
-from hiros_mcap.skeletons import POSITION, UNTRACKED, People, SkeletonModel, Stamps
+from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Ints, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.delay import Delay
 from hiros_mcap.stages.filter import state_space
 from hiros_mcap.stages.filter.filter_params import FilterParams
 from hiros_mcap.stages.filter.filtering import FilterMethod, FilterPast, FilterSettings, FilterSteps
 from hiros_mcap.stages.filter.link_lengths import average_lengths, restore_lengths
+from hiros_mcap.stages.filter.numbering import PROGRESS, find_ends, number_steps
+from hiros_mcap.stages.look_ahead import LookAhead
 
 _JITTER = 0.001
 """s by which a frame may come early and still complete a look-ahead: stamps are rounded."""
@@ -70,14 +69,13 @@ def filter_blocks(
     events = Events() if events is None else events
     skeletons = _SkeletonFilter(model, params, events, keep_positions=keep_positions)
     for block in blocks:
-        for start in range(0, len(block), _BATCH):
-            yield from skeletons.update(block.select(slice(start, start + _BATCH)))
+        yield from skeletons.update(block)
         del block  # else it lies in memory until the next one is made
     yield from skeletons.rest()
 
 
 class _SkeletonFilter:
-    """Hi-ROS 2023, section 3.4: the filters of all people, and the frames that are held."""
+    """Hi-ROS 2023, section 3.4: the filters of all people."""
 
     def __init__(
         self, model: SkeletonModel, params: FilterParams, events: Events, *,
@@ -87,113 +85,132 @@ class _SkeletonFilter:
         self._keep_positions = keep_positions
         self._settings = settings_of(FilterSettings, params)
         self._links = np.ascontiguousarray(model.links)
-        self._bank = Bank(
-            _nobody(model, params.order, self._method), params.max_gap + params.lookahead
-        )
+        self._max_gap = round(params.max_gap * 1e9)
+        nobody = _nobody(model, params.order, self._method)
+        self._bank = Bank(nobody, params.max_gap + params.lookahead)
         self._work = self._method.work(params.order, _SLOTS)
-        self._people: dict[tuple[str, int], _FilteredPerson] = {}
+        self._numbers: dict[int, int] = {}
+        """Source and id to the person's number in the bank."""
         self._n_people = 0
-        self._sample_times: dict[str, _SampleTime] = {}
-        self._delay: Delay[_HeldFrame] = Delay(max(params.lookahead - _JITTER, 0.0))
-        self._held = HeldFrames()
+        self._sources = CameraNumbers()
+        self._sample_times: list[_SampleTime] = []
+        self._ahead = LookAhead(max(params.lookahead - _JITTER, 0.0))
+        self._waiting = np.empty((0, 3), np.int64)
+        """Bank row, step (-1 = none) and source of the people in the frames that wait."""
         self._last: tuple[int, int] | None = None
         """Stamp and log time of the latest frame."""
 
     def update(self, block: Block) -> Iterator[Block]:
         """Filter frames; yield those whose look-ahead is complete."""
-        plan, first = _FilterPlan(), self._held.add(block)
-        for i, (stamp, source, log_time) in enumerate(block.messages()):
-            if self._last and stamp - self._last[0] > self._params.max_gap * 1e9:
-                self._estimate(plan, self._delay.rest(), self._last[1])  # no frame waits over a gap
-            people = self._add(plan, block.people, block.rows[i], stamp, source)  # 3.4: with ids
-            held = _HeldFrame(first + i, int(block.sizes[i]), people, self._sample_times[source])
-            self._delay.push(stamp, held)  # until its look-ahead is complete
-            self._estimate(plan, self._delay.release(stamp, lambda held: False), log_time)
-            self._last = stamp, log_time
-        yield from self._filter(plan, block.people)
+        begin = 0
+        while begin < len(block):
+            stamp = int(block.stamps[begin])
+            if self._last and stamp - self._last[0] > self._max_gap:
+                yield from self.rest()  # no frame waits over a gap
+            end = int(np.searchsorted(block.stamps, stamp + self._max_gap, "right"))
+            end = max(begin + 1, min(end, begin + _BATCH))  # nobody has a gap within a batch
+            yield from self._update(block.select(slice(begin, end)))
+            begin = end
 
     def rest(self) -> Iterator[Block]:
         """Yield the frames that are left, after the last one of the log."""
-        plan = _FilterPlan()
-        if self._last:
-            self._estimate(plan, self._delay.rest(), self._last[1])
-            yield from self._filter(plan, None)
+        if self._last and len(self._ahead):
+            completing, log_times = np.zeros(len(self._ahead), np.int64), np.array([self._last[1]])
+            designs = np.array([[each.design for each in self._sample_times]])
+            nobody = self._waiting[:0], self._waiting[:0, 0]
+            yield self._estimate(completing, log_times, designs, *nobody)
 
-    def _filter(self, plan: _FilterPlan, people: People | None) -> Iterator[Block]:
-        """Take over the poses of ``people``, then write the estimates that are complete."""
-        self._reserve(plan)
-        past, settings, work = self._bank.past, self._settings, self._work
-        if people is not None:
-            steps = plan.updates(past)
-            # 3.4: low-pass of marker positions and link orientations, by the chosen method
-            self._method.update(people, steps, past, settings, work)
-            if self._params.keep_lengths:
-                average_lengths(people, steps, past, self._links, self._params.length_time)
-        if plan.done:
-            out, steps = self._held.copies(plan.done), plan.estimates()
-            self._held.keep(range(plan.done[-1] + 1, self._held.count))
-            given = out.people.markers[:, :, POSITION].copy()
-            # Beyond 3.4: the look-ahead, which removes the lag (fixed-lag smoothing)
-            self._method.estimate(out.people, steps, past, settings, work)
-            if self._keep_positions:
-                positions = out.people.markers[:, :, POSITION]
-                positions[:] = np.where(np.isnan(given), positions, given)
-            elif self._params.keep_lengths:
-                restore_lengths(out.people, steps, past, self._links)
-            yield out.logged_at(plan.log_times)
-        if self._last and self._bank.expire(self._last[0]):
-            rows = self._bank.rows
-            self._people = {key: p for key, p in self._people.items() if p.number in rows}
+    def _update(self, block: Block) -> Iterator[Block]:
+        """Filter a batch of frames."""
+        rows, owners = block.everybody()
+        codes, stamps = self._sources.of(block), block.stamps[owners]
+        designs, sources = self._designs(block, codes), codes[owners]
+        people = self._bank_rows(sources, block.people.ids[rows], stamps)
+        own = block.people.stamps[rows]
+        steps, seconds = np.empty_like(rows), np.empty(len(rows))
+        most = number_steps(
+            people, np.where(own != 0, own, stamps), self._bank.past.progress, steps, seconds
+        )
+        self._reserve(most + 1)
+        for late in np.flatnonzero((steps < 0) & (people >= 0)).tolist():
+            self._events.count("filter: time not increasing", block.source(owners[late]))
+        new, past = np.flatnonzero(steps >= 0), self._bank.past
+        past.times[people[new], steps[new] & (past.times.shape[1] - 1)] = seconds[new]
+        design = designs[owners[new], sources[new]].T.copy()
+        todo = FilterSteps(rows[new], people[new], steps[new], steps[new] + 1, *design)
+        # 3.4: low-pass of marker positions and link orientations, by the chosen method
+        self._method.update(block.people, todo, past, self._settings, self._work)
+        if self._params.keep_lengths:
+            average_lengths(block.people, todo, past, self._links, self._params.length_time)
+        known = np.stack([people, steps, sources], axis=1)
+        self._waiting = np.concatenate([self._waiting, known])
+        completing = self._ahead.add(block)
+        if len(completing):
+            yield self._estimate(completing, block.log_times, designs, known, owners)
+        self._last = int(block.stamps[-1]), int(block.log_times[-1])
+        if self._bank.expire(self._last[0]):
+            rows_of = self._bank.rows
+            self._numbers = {key: n for key, n in self._numbers.items() if n in rows_of}
 
-    def _add(
-        self, plan: _FilterPlan, people: People, rows: Stamps, stamp: int, source: str
-    ) -> list[tuple[int, _FilteredPerson, int]]:
-        """Plan a step of everybody in a frame; return them as in :class:`_HeldFrame`."""
-        if source not in self._sample_times:
-            self._sample_times[source] = _SampleTime(self._params, self._method, source)
-        sample_time = self._sample_times[source]
-        sample_time.update(stamp, self._events)
-        begin, end = rows.tolist()
-        ids, times = people.ids[begin:end].tolist(), people.stamps[begin:end].tolist()
-        steps = []
-        for row, (identity, given) in enumerate(zip(ids, times, strict=True)):
-            if identity == UNTRACKED:
-                continue
-            time = given or stamp
-            person = self._person((source, identity), stamp, time)
-            if person.n_steps and time <= person.stamp:
-                self._events.count("filter: time not increasing", source)
-                continue
-            bank_row = self._bank.row(person.number, stamp)
-            plan.update(begin + row, bank_row, person, time, sample_time)
-            steps.append((row, person, person.n_steps - 1))
-        return steps
+    def _estimate(
+        self, completing: Stamps, log_times: Stamps, designs: Floats, known: Stamps, owners: Stamps
+    ) -> Block:
+        """Write the estimates of the oldest frames.
 
-    def _person(self, key: tuple[str, int], stamp: int, time: int) -> _FilteredPerson:
-        """Return who goes on, or starts anew after a long gap."""
-        person = self._people.get(key)
-        gap = stamp - self._bank.last_seen[person.number] if person else np.inf
-        if person is None or gap > self._params.max_gap * 1e9:
-            person = self._people[key] = _FilteredPerson(self._n_people, time, time)
-            self._n_people += 1
-        return person
+        ``completing`` says which new frame completes the look-ahead of each; ``known`` are the
+        people of the new frames, ``owners`` their frames, ``designs`` the filters at each.
+        """
+        out, past = self._ahead.release(len(completing)), self._bank.past
+        n = len(out.people.ids)
+        leaving, self._waiting = self._waiting[:n].copy(), self._waiting[n:]
+        at = np.repeat(completing, out.sizes)
+        ends = np.empty(n, np.int64)
+        find_ends(known, owners, leaving, at, past.progress, ends)
+        rows = np.flatnonzero(leaving[:, 1] >= 0)
+        people, steps, sources = leaving[rows].T.copy()
+        design = designs[at[rows], sources].T.copy()
+        todo = FilterSteps(rows, people, steps, ends[rows], *design)
+        positions = out.people.markers[:, :, POSITION]
+        smoothed = positions.copy() if self._keep_positions else positions
+        # Beyond 3.4: the look-ahead, which removes the lag (fixed-lag smoothing)
+        self._method.estimate(out.people, todo, past, self._settings, self._work)
+        if self._keep_positions:
+            positions[:] = np.where(np.isnan(smoothed), positions, smoothed)
+        elif self._params.keep_lengths:
+            restore_lengths(out.people, todo, past, self._links)
+        return out.logged_at(log_times[completing])
 
-    def _estimate(self, plan: _FilterPlan, frames: Iterable[_HeldFrame], log_time: int) -> None:
-        """Plan to write the estimates of frames, with all the data so far."""
-        for held in frames:
-            for row, person, step in held.people:
-                bank_row = self._bank.rows[person.number]
-                plan.estimate(row, bank_row, person, step, held.sample_time)
-            plan.finish(held, log_time)
+    def _designs(self, block: Block, sources: Stamps) -> Floats:
+        """(N, S, 2) Tuning and sample time, s, of the filter of each source at each frame."""
+        for name in list(self._sources)[len(self._sample_times) :]:
+            self._sample_times.append(_SampleTime(self._params, self._method, name))
+        designs = []
+        for stamp, source in zip(block.stamps.tolist(), sources.tolist(), strict=True):
+            self._sample_times[source].update(stamp, self._events)
+            designs.append([each.design for each in self._sample_times])
+        return np.array(designs)
 
-    def _reserve(self, plan: _FilterPlan) -> None:
-        """Let the rings hold all steps that are waited for, and the one before."""
-        needed = plan.most_steps() + 1
+    def _bank_rows(self, sources: Stamps, ids: Ints, stamps: Stamps) -> Stamps:
+        """(P,) Rows of people in the bank; -1 where UNTRACKED. Nobody goes on after a long gap."""
+        rows = np.full(len(ids), -1)
+        keys = np.where(ids == UNTRACKED, -1, (sources << 32) + ids + (1 << 31))
+        for key in sorted({*keys.tolist()} - {-1}):
+            theirs = np.flatnonzero(keys == key)
+            first, last = stamps[theirs[[0, -1]]].tolist()
+            number = self._numbers.get(key)
+            if number is None or first - self._bank.last_seen[number] > self._max_gap:
+                number = self._numbers[key] = self._n_people
+                self._n_people += 1
+            rows[theirs] = self._bank.row(number, last)
+        return rows
+
+    def _reserve(self, needed: int) -> None:
+        """Let the rings hold so many steps: all that are waited for, and the one before."""
         past = self._bank.past
         while past.ring.shape[1] < needed:
             # Twice the same: wherever a step belongs in the longer ring, there it is.
-            ring, times, lengths = (np.concatenate([a, a], axis=1) for a in past[1:])
-            past = FilterPast(past.states, ring, times, lengths)
+            ring, times, lengths = (np.concatenate([a, a], axis=1) for a in past[1:4])
+            past = past._replace(ring=ring, times=times, lengths=lengths)
         if past is not self._bank.past:
             self._bank.past = past
             self._work = self._method.work(self._params.order, past.ring.shape[1])
@@ -211,7 +228,7 @@ def _method(params: FilterParams) -> FilterMethod:
 def _nobody(model: SkeletonModel, order: int, method: FilterMethod) -> FilterPast:
     n = 2 * (model.n_markers + model.n_links)
     rings = (0, _SLOTS, n, method.slot_columns), (0, _SLOTS), (0, _SLOTS, model.n_links, 2)
-    return arrays(FilterPast, (0, n, method.state_columns(order)), *rings)
+    return arrays(FilterPast, (0, n, method.state_columns(order)), *rings, (0, PROGRESS))
 
 
 class _SampleTime:
@@ -224,6 +241,11 @@ class _SampleTime:
         self._designed_for = 0.0
         self.period = 1 / 30
         self.tuning = 0.0
+
+    @property
+    def design(self) -> tuple[float, float]:
+        """What ``FilterMethod.tune`` returned, and the sample time, s."""
+        return self.tuning, self.period
 
     def update(self, stamp: int, events: Events) -> None:
         """Add a frame; design the filter anew if the sample time has changed."""
@@ -245,82 +267,3 @@ class _SampleTime:
             events.count("filter: cut-off lowered", self._source)
         ahead = int(np.ceil(max(params.lookahead - _JITTER, 0.0) / self.period))
         self.tuning = self._method.tune(params.order, cutoff, self.period, ahead)
-
-
-@dataclass(slots=True, eq=False)
-class _FilteredPerson:
-    """How far the filters of one person are."""
-
-    number: int  # in the bank; whoever comes back after a long gap gets a new one
-    start: int  # time of the first step, ns
-    stamp: int  # time of the latest step, ns
-    n_steps: int = 0
-    n_estimated: int = 0  # steps whose estimates are written
-
-
-class _HeldFrame(NamedTuple):
-    """A frame whose look-ahead is not complete."""
-
-    number: int
-    n_rows: int
-    people: list[tuple[int, _FilteredPerson, int]]
-    """Row in the frame, who, and the number of the step."""
-    sample_time: _SampleTime
-
-
-class _FilterPlan:
-    """What the kernels are to do with a batch of frames."""
-
-    def __init__(self) -> None:
-        self.done: list[int] = []
-        """Numbers of frames whose look-ahead is complete."""
-        self.log_times: list[int] = []
-        """Of these frames, ns."""
-        self._n_rows = 0
-        self._updates: list[tuple[float, ...]] = []
-        self._estimates: list[tuple[float, ...]] = []
-        self._times: list[float] = []
-        self._first: dict[_FilteredPerson, int] = {}
-        """The first step of each person that is estimated in this batch or later."""
-
-    def update(
-        self, row: int, bank_row: int, person: _FilteredPerson, time: int, sample: _SampleTime
-    ) -> None:
-        """Add a step of a person, measured at ``time``, ns."""
-        self._first.setdefault(person, person.n_estimated)
-        self._times.append((time - person.start) * 1e-9)
-        step, person.stamp, person.n_steps = person.n_steps, time, person.n_steps + 1
-        self._updates.append((row, bank_row, step, step + 1, sample.tuning, sample.period))
-
-    def estimate(
-        self, row: int, bank_row: int, person: _FilteredPerson, step: int, sample: _SampleTime
-    ) -> None:
-        """Add the estimate of a step, with all the data of the person so far."""
-        self._first.setdefault(person, person.n_estimated)
-        person.n_estimated, row, end = step + 1, self._n_rows + row, person.n_steps
-        self._estimates.append((row, bank_row, step, end, sample.tuning, sample.period))
-
-    def finish(self, held: _HeldFrame, log_time: int) -> None:
-        """Add a frame whose estimates are all planned."""
-        self.done.append(held.number)
-        self.log_times.append(log_time)
-        self._n_rows += held.n_rows
-
-    def most_steps(self) -> int:
-        """Most steps of a person that the kernels need at once."""
-        return max((p.n_steps - first for p, first in self._first.items()), default=0)
-
-    def updates(self, past: FilterPast) -> FilterSteps:
-        """Return the steps to add, after writing their times into the ring."""
-        steps = _columns(self._updates)
-        past.times[steps.rows, steps.steps & (past.times.shape[1] - 1)] = self._times
-        return steps
-
-    def estimates(self) -> FilterSteps:
-        """Return the steps to estimate; rows of people are those of the joined frames."""
-        return _columns(self._estimates)
-
-
-def _columns(rows: list[tuple[float, ...]]) -> FilterSteps:
-    columns = np.array(rows, np.float64).reshape(-1, 6).T
-    return FilterSteps(*columns[:4].astype(np.int64, order="C"), *columns[4:].copy())

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hiros_mcap.kernels import quaternions
-from hiros_mcap.kernels.array_types import F1, F2, F3, F4, I1
+from hiros_mcap.kernels.array_types import F1, F2, F3, F4, I1, I2
 from hiros_mcap.kernels.compile import kernel
 from hiros_mcap.kernels.quaternions import Quaternion, Vector
 from hiros_mcap.skeletons import (
@@ -63,6 +63,7 @@ class FilterPast(NamedTuple):
     ring: F4  # (B, R, T, ...) the latest steps
     times: F2  # (B, R) their times since the person's first step, s
     lengths: F4  # (B, R, L, 2) mean length of each link at these steps, m, and the s that it covers
+    progress: I2  # (B, PROGRESS) how far their steps are; see numbering.py
 
 
 class FilterSettings(NamedTuple):

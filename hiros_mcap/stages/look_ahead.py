@@ -1,0 +1,59 @@
+"""Frames that wait until what comes after them is known: how every stage looks ahead."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from hiros_mcap.frames import Block, join
+from hiros_mcap.skeletons import Stamps
+
+
+class LookAhead:
+    """Frames that wait, in the order in which they came.
+
+    Parameters
+    ----------
+    seconds : how far a stage looks ahead, s in time of the data; a stage that decides by something
+        else does not need it.
+
+    Attributes
+    ----------
+    stamps : (N,) times of the frames that wait, ns.
+    """
+
+    def __init__(self, seconds: float = 0.0) -> None:
+        self._ahead = round(seconds * 1e9)
+        self._blocks: deque[Block] = deque()
+        self.stamps: Stamps = np.empty(0, np.int64)
+
+    def __len__(self) -> int:
+        """N."""
+        return len(self.stamps)
+
+    def add(self, block: Block) -> Stamps:
+        """Let the frames of a block wait, too.
+
+        Returns which frame of the block completes the look-ahead of each of the oldest that wait,
+        (K,); a frame's own look-ahead is not complete before it comes.
+        """
+        n = len(self.stamps)
+        if len(block):
+            self._blocks.append(block)
+            self.stamps = np.concatenate([self.stamps, block.stamps])
+        completing = np.searchsorted(block.stamps, self.stamps + self._ahead)
+        completing[n:] = np.maximum(completing[n:], np.arange(len(block)))
+        completing = np.maximum.accumulate(completing)
+        return completing[: np.searchsorted(completing, len(block))]
+
+    def release(self, n: int) -> Block:
+        """Let the oldest ``n`` frames go; they are copied. There must be as many, at least one."""
+        self.stamps, parts = self.stamps[n:], list[Block]()
+        while n > 0:
+            block = self._blocks.popleft()
+            if len(block) > n:
+                self._blocks.appendleft(block.select(slice(n, None)))
+            parts.append(block.select(slice(n)))
+            n -= len(block)
+        return join(parts)
