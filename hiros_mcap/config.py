@@ -11,6 +11,7 @@ import json
 import os
 import textwrap
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
@@ -21,6 +22,7 @@ from pydantic import ConfigDict, Field, ValidationError, model_validator
 from hiros_mcap._version import __version__
 from hiros_mcap.defaults import DEFAULT_SYSTEM, NO_PRESET, takes_presets
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.io.remote import is_remote
 from hiros_mcap.outside import parse, read_toml
 from hiros_mcap.params import Params, advanced, explain, is_advanced, is_fixed
 from hiros_mcap.stages.detections.detection_params import PlausibleParams, SidesParams
@@ -42,7 +44,7 @@ Table = dict[str, dict[str, Any]]
 
 WIDTH = 80
 SETTINGS = "hiros.toml"
-"""A file of this name holds the parameters for the logs in its folder."""
+"""A file of this name holds the parameters for the logs in its folder and in those below."""
 
 
 class InputParams(Params):
@@ -284,11 +286,34 @@ def load_config(
 
 
 def settings_beside(log: str | os.PathLike[str]) -> Path | None:
-    """Return the file with the parameters for a log, or for a folder of logs, if there is one."""
-    path = Path(log)
-    is_folder = path.is_dir() and not (path / "metadata.yaml").is_file()  # a bag is one log
-    file = (path if is_folder else path.parent) / SETTINGS
-    return file if file.is_file() else None
+    """Return the file hiros.toml of a log: in its folder, or else in the nearest one above.
+
+    None if there is none; a pipe, a server and an address of a store have none.
+    """
+    if str(log) == "-" or is_remote(str(log)):
+        return None
+    files = (folder / SETTINGS for folder in Path(log).absolute().parents)
+    return next((file for file in files if file.is_file()), None)
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Where the parameters of a run come from; :func:`load_config` has the meaning of each."""
+
+    system: str = DEFAULT_SYSTEM
+    preset: str = NO_PRESET
+    file: Path | None = None
+    """None = the file hiros.toml of each log."""
+    assignments: tuple[str, ...] = ()
+    named: Mapping[str, Table] = field(default_factory=dict)
+
+    def of(self, log: str | os.PathLike[str]) -> Settings:
+        """Return the settings of a log: with its own file, if none is named."""
+        return self if self.file else replace(self, file=settings_beside(log))
+
+    def load(self) -> Config:
+        """Return the parameters; raises ConfigError as :func:`load_config` does."""
+        return load_config(self.file, self.assignments, self.preset, self.system, self.named)
 
 
 def _assignment(text: str) -> Table:

@@ -17,12 +17,12 @@ import pytest
 
 from hiros_cli.app import run
 from hiros_cli.many_logs import exit_code
-from hiros_mcap.config import Config
+from hiros_mcap.config import Settings
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.places import place_of
 from hiros_mcap.many.find import are_many, distinct_names, find_logs
-from hiros_mcap.many.jobs import Finding, ProcessJob
+from hiros_mcap.many.jobs import Finding, Job, ProcessJob
 from hiros_mcap.many.manifest import Identity, LogRecord, Manifest
 from hiros_mcap.many.run_logs import Folder, in_processes, run_logs, run_one
 from hiros_mcap.many.totals import ColumnTotal, column_totals
@@ -190,7 +190,7 @@ def test_other_parameters_do_everything_again(walking, tmp_path):
 
 
 def test_a_stopped_run_has_its_manifest(recordings, tmp_path):
-    job, out = ProcessJob(Config()), str(tmp_path / "out")
+    job, out = ProcessJob(Settings()), str(tmp_path / "out")
     runs = run_logs(job, find_logs([str(recordings)]), Folder(out), in_processes(1))
     done = [next(runs)[0], next(runs)[0]]
     runs.close()  # type: ignore[attr-defined]
@@ -208,13 +208,10 @@ def test_a_log_that_kills_its_process_is_reported(recordings):
     assert walk.error == "stopped its process more than once: a process was killed by signal 9"
 
 
-class Nothing:
+class Nothing(Job):
     """A job without any work."""
 
-    command, kind, counted, suffix = "info", "log", frozenset[str](), ""
-
-    def sides(self, name):
-        return ()
+    command, counted = "info", frozenset[str]()
 
     def run(self, log, target):
         return Finding()
@@ -431,7 +428,7 @@ def test_a_log_is_known_if_nothing_has_changed():
 def test_totals_are_those_of_the_numbers_that_are_known():
     values = [1.0, 2, 6.0, float("nan"), "text"]
     records = [LogRecord(f"/{v}", "x", "done", values={"n": v}) for v in values]
-    totals = column_totals(records, ProcessJob(Config()))
+    totals = column_totals(records, ProcessJob(Settings()))
     assert totals == {"n": ColumnTotal(3, mean=3.0, median=2.0, least=1.0, most=6.0, sum=None)}
 
 

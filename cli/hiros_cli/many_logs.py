@@ -10,11 +10,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
-from typer import Context
+from typer import Context, Exit
 
-from hiros_cli.options import LOSSES
+from hiros_cli.options import FORCE, JSON, LOSSES, MANY, QUIET, option
 from hiros_cli.output import check_outputs, print_json, warn
 from hiros_cli.printable import printable
 from hiros_mcap.errors import ConfigError
@@ -32,32 +32,42 @@ _ALL_ROWS = 40
 
 @dataclass(frozen=True, slots=True)
 class ManyLogs:
-    """What the user asked for, besides the settings of the command."""
+    """Options of commands that take many logs."""
 
-    named: Sequence[str]
-    folder: str = ""
-    jobs: int | None = None
-    cluster: str | None = None
-    csv: Path | None = None
-    force: bool = False
-    json: bool = False
-    quiet: bool = False
+    jobs: int | None = option(
+        "NUMBER",
+        "Logs at once; 0 = one per core. With it, one log is treated as many are.",
+        min=0,
+        show_default="0",
+        panel=MANY,
+    )
+    cluster: str | None = option(
+        "ADDRESS",
+        "Run on a Dask cluster: its address, a scheduler file (.json), or local to start one.",
+        panel=MANY,
+    )
+    csv: Path | None = option("FILE", "Also write the table of all logs as CSV.", panel=MANY)
+    force: bool = FORCE
+    json: bool = JSON
+    quiet: bool = QUIET
 
-    @property
-    def wanted(self) -> bool:
-        """Whether there is more than one log, or one is to be treated so."""
+    def wanted(self, logs: Sequence[str], folder: str = "", **for_one: object) -> bool:
+        """Whether there is more than one log, or one is to be treated so.
+
+        Raises ConfigError for an option of ``for_one`` log if there are many, and the reverse.
+        """
         from hiros_mcap.io.remote import is_remote
         from hiros_mcap.many.find import are_many
 
-        asked = self.jobs is not None or self.cluster is not None or is_remote(self.folder)
-        return asked or are_many(self.named)
-
-    def refuse(self, **given: object) -> None:
-        """Refuse options that are for one log; raises ConfigError."""
-        for name, value in given.items():
+        asked = self.jobs is not None or self.cluster is not None or is_remote(folder)
+        if not (asked or are_many(logs)):
+            self.refuse_alone()
+            return False
+        for name, value in for_one.items():
             if value:
-                option = f"--{name.replace('_', '-')}"
-                raise ConfigError(f"{option} is for one log, and there are many")
+                shown = name.replace("_", "-")
+                raise ConfigError(f"--{shown} is for one log, and there are many")
+        return True
 
     def refuse_alone(self) -> None:
         """Refuse options that are for many logs; raises ConfigError."""
@@ -77,8 +87,8 @@ def one_log(context: Context, named: str) -> Path:
     return path
 
 
-def run(job: Job, many: ManyLogs) -> int:
-    """Do the work of a command for many logs; return the exit code.
+def run(job: Job, named: Sequence[str], many: ManyLogs, folder: str = "") -> NoReturn:
+    """Do the work of a command for many logs, and end with the exit code.
 
     Raises HirosError or OSError if the logs are not found, or the folder cannot be written.
     """
@@ -87,23 +97,47 @@ def run(job: Job, many: ManyLogs) -> int:
     from hiros_mcap.outputs import write_text
 
     check_outputs((many.csv, "table of logs"), inputs=(), force=many.force)
-    if many.folder.endswith((".mcap", ".json", ".csv")) and not Path(many.folder).is_dir():
-        raise ConfigError(f"{many.folder}: with many logs, -o names a folder, not a file")
-    logs = find_logs(many.named, many.folder)
+    logs = find_logs(named, folder)
+    if folder.endswith((".mcap", ".json", ".csv")) and not Path(folder).is_dir():
+        raise ConfigError(f"{folder}: with many logs, -o names a folder, not a file")
+    _name_settings(job, logs)
     by_log: dict[str, LogRecord] = {}
     with _follower(len(logs), quiet=many.quiet) as follower:
-        runner = _runner(many, logs)
-        folder = Folder(many.folder, many.force)
-        for record, is_new in run_logs(job, logs, folder, runner):
-            by_log[record.log] = record
-            follower.finished(record, is_new=is_new)
+        runner = _runner(many, logs, folder)
+        try:
+            for record, is_new in run_logs(job, logs, Folder(folder, many.force), runner):
+                by_log[record.log] = record
+                follower.finished(record, is_new=is_new)
+        except Exception:
+            raise
+        except BaseException:  # a signal
+            follower.stopped(folder)
+            raise
     records = [by_log[log] for log in logs]
-    _report(job, records, many)
+    if many.json:
+        from hiros_mcap.many.totals import to_dict
+
+        warnings = [f"{record.log}: {text}" for record in records for text in record.warnings]
+        print_json("logs", to_dict(records, job), warnings)
+    elif not many.quiet:
+        _show(job, records, folder)
     if many.csv is not None:
         from hiros_mcap.many.totals import as_csv
 
         write_text(many.csv, as_csv(records))
-    return exit_code(records)
+    raise Exit(exit_code(records))
+
+
+def _name_settings(job: Job, logs: Sequence[str]) -> None:
+    """Say on stderr which files hiros.toml count, and for how many logs."""
+    from hiros_mcap.config import settings_beside
+    from hiros_mcap.summary import quantity
+
+    if job.settings is None or job.settings.file is not None:
+        return
+    for file, n in Counter(map(settings_beside, logs)).items():
+        if file is not None:
+            print(f"hiros: {quantity(n, 'log')} with parameters of {file}", file=sys.stderr)
 
 
 def exit_code(records: Sequence[LogRecord]) -> int:
@@ -117,14 +151,14 @@ def exit_code(records: Sequence[LogRecord]) -> int:
     return 0
 
 
-def _runner(many: ManyLogs, logs: Sequence[str]) -> Runner:
+def _runner(many: ManyLogs, logs: Sequence[str], folder: str) -> Runner:
     from hiros_mcap.many.run_logs import in_processes
 
     if many.cluster is None:
         return in_processes(many.jobs or 0)
     from hiros_mcap.many.cluster_runner import on_cluster
 
-    paths = [*logs[:1], *([many.folder] if many.folder else [])]
+    paths = [*logs[:1], *([folder] if folder else [])]
     return on_cluster(many.cluster, paths, many.jobs or 0)
 
 
@@ -171,6 +205,12 @@ class _Follower:
             line = f"[{n}/{self._total}] {name}: {record.verdict}, {time_taken}"
             print(line, file=sys.stderr, flush=True)
 
+    def stopped(self, folder: str) -> None:
+        """Say how far the logs are when the run ends early, and how it goes on."""
+        how = "the same command goes on" if folder else "nothing is kept without a folder"
+        done = f"{sum(self._counts.values())} of {self._total} logs done"
+        print(f"hiros: stopped: {done}; {how}", file=sys.stderr, flush=True)
+
     def __rich__(self) -> Any:
         from rich.console import Group
         from rich.text import Text
@@ -205,17 +245,7 @@ def _follower(total: int, *, quiet: bool) -> Iterator[_Follower]:
         yield follower
 
 
-def _report(job: Job, records: Sequence[LogRecord], many: ManyLogs) -> None:
-    if many.json:
-        from hiros_mcap.many.totals import to_dict
-
-        warnings = [f"{record.log}: {text}" for record in records for text in record.warnings]
-        print_json("logs", to_dict(records, job), warnings)
-    elif not many.quiet:
-        _show(job, records, many)
-
-
-def _show(job: Job, records: Sequence[LogRecord], many: ManyLogs) -> None:
+def _show(job: Job, records: Sequence[LogRecord], folder: str) -> None:
     from rich.text import Text
 
     from hiros_cli.run_report import page, table
@@ -241,8 +271,8 @@ def _show(job: Job, records: Sequence[LogRecord], many: ManyLogs) -> None:
     lines: list[str | Text] = [Text(f"{quantity(len(records), 'log')}: {counts}", style="bold")]
     if shown < len(records):
         lines.append("the table has those that are not simply done; --csv and --json have all")
-    if many.folder:
-        lines.append(f"manifest: {many.folder.rstrip('/')}/hiros-{job.command}.json")
+    if folder:
+        lines.append(f"manifest: {folder.rstrip('/')}/hiros-{job.command}.json")
     page((), table("Log", "Verdict", *titles, rows=rows), lines)
 
 

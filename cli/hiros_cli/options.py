@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from functools import wraps
+from inspect import Parameter, signature
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, get_type_hints
 
 import typer
 
 from hiros_cli.completing import parameters, presets, systems, topics
 from hiros_mcap.defaults import default_system
 from hiros_mcap.errors import ConfigError
+
+if TYPE_CHECKING:
+    from hiros_mcap.config import Settings, Table
 
 PARAMETERS, INPUT, OUTPUT = "Parameters", "Input", "Output"
 """Groups of options in a command's help."""
@@ -35,6 +42,33 @@ def argument(metavar: str, text: str, default: Any = ...) -> Any:
     return typer.Argument(default, metavar=metavar, help=text)
 
 
+GROUP: Any = None
+"""Stands for the value of a parameter that is a group of options."""
+
+
+def grouped(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Let a command take groups of options: a dataclass whose fields are the options."""
+    hints = get_type_hints(command)
+    groups: dict[str, Any] = {n: hint for n, hint in hints.items() if is_dataclass(hint)}
+    flat: list[Parameter] = []
+    for parameter in signature(command).parameters.values():
+        group = groups.get(parameter.name)
+        types = hints if group is None else get_type_hints(group)
+        for member in (parameter,) if group is None else fields(group):
+            kinds = {"default": member.default, "annotation": types[member.name]}
+            flat.append(Parameter(member.name, Parameter.KEYWORD_ONLY, **kinds))
+
+    @wraps(command)
+    def run(**values: Any) -> Any:
+        for name, group in groups.items():
+            values[name] = group(**{field.name: values.pop(field.name) for field in fields(group)})
+        return command(**values)
+
+    run.__signature__ = signature(command).replace(parameters=flat)  # type: ignore[attr-defined]
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in flat}
+    return run
+
+
 LOSSES = 3
 """Exit code: a damaged log was recovered, and something is lost."""
 
@@ -43,79 +77,69 @@ CAMERAS = option(
 )
 EXTRINSICS = option("FILE", "Camera poses that replace the log's transforms.", panel=INPUT)
 HTML = option("FILE", "Also write an HTML page with plots.", panel=OUTPUT)
-PRESET = option(
-    "NAME",
-    "Start from a preset of hiros: default, realtime, paper or upstream.",
-    default="default",
-    panel=PARAMETERS,
-    autocompletion=presets,
-)
 CONFIG = option(
     "FILE",
     "TOML file with parameters, as `hiros config` prints. Default: hiros.toml in the "
-    "folder of the log, if there is one.",
+    "folder of the log, or the nearest one above.",
     panel=PARAMETERS,
-)
-SYSTEM = option(
-    "NAME",
-    "System to run; `hiros systems` lists them. Default: fuse, on live input "
-    "fuse-realtime; with a preset hiros, on live input hiros-realtime.",
-    panel=PARAMETERS,
-    autocompletion=systems,
-)
-ASSIGNMENTS = option(
-    "STAGE.PARAM=VALUE",
-    "Change one parameter; may be repeated.",
-    "--set",
-    panel=PARAMETERS,
-    autocompletion=parameters,
 )
 JSON = flag("--json", "Print JSON instead.", panel=OUTPUT)
 QUIET = flag("--quiet", "Print only warnings and errors.", "-q", panel=OUTPUT)
-QUIET_RESULT = flag(
-    "--quiet",
-    "Print only warnings and errors; use the exit code and the files.",
-    "-q",
-    panel=OUTPUT,
-)
 FORCE = flag("--force", "Also overwrite files that hiros did not write.", "-f", panel=OUTPUT)
-
 MANY = "Many logs"
-JOBS = option(
-    "NUMBER",
-    "Logs at once; 0 = one per core. With it, one log is treated as many are.",
-    min=0,
-    show_default="0",
-    panel=MANY,
-)
-CLUSTER = option(
-    "ADDRESS",
-    "Run on a Dask cluster: its address, a scheduler file (.json), or local to start one.",
-    panel=MANY,
-)
-TABLE = option("FILE", "Also write the table of all logs as CSV.", "--csv", panel=MANY)
 
 
-def config_file(given: Path | None, logs: Sequence[str]) -> Path | None:
-    """Return the file with the parameters: the one that is named, or hiros.toml beside the logs.
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """What the stages are run with."""
 
-    Raises ConfigError if that of some logs is not that of others.
-    """
-    if given is not None:
-        return given
-    from hiros_mcap.config import SETTINGS, settings_beside
+    system: str | None = option(
+        "NAME",
+        "System to run; `hiros systems` lists them. Default: fuse, on live input "
+        "fuse-realtime; with a preset hiros, on live input hiros-realtime.",
+        panel=PARAMETERS,
+        autocompletion=systems,
+    )
+    preset: str = option(
+        "NAME",
+        "Start from a preset of hiros: default, realtime, paper or upstream.",
+        default="default",
+        panel=PARAMETERS,
+        autocompletion=presets,
+    )
+    config: Path | None = CONFIG
+    assignments: list[str] | None = option(
+        "STAGE.PARAM=VALUE",
+        "Change one parameter; may be repeated.",
+        "--set",
+        panel=PARAMETERS,
+        autocompletion=parameters,
+    )
 
-    files = {settings_beside(log) for log in logs}
-    if len(files) > 1:
-        raise ConfigError(
-            f"not all logs have the same {SETTINGS} beside them; name one by --config"
+    def settings(self, named: Mapping[str, Table] | None = None, *, live: bool = False) -> Settings:
+        """Return where the parameters come from; ``named`` are those of options of their own."""
+        from hiros_mcap.config import Settings
+
+        system = self.system or default_system(self.preset, live=live)
+        return Settings(
+            system, self.preset, self.config, tuple(self.assignments or ()), dict(named or {})
         )
-    return files.pop()
+
+    @property
+    def asked(self) -> bool:
+        """Whether the user named any."""
+        return any((self.config, self.assignments, self.system, self.preset != "default"))
 
 
-def chosen_system(system: str | None, preset: str, *, live: bool = False) -> str:
-    """Return the system to run: the one that is named, or the default."""
-    return default_system(preset, live=live) if system is None else system
+def settings_of(log: str | Path, settings: Settings | None = None) -> Settings:
+    """Return the settings of a log, and say on stderr if it has a file of its own."""
+    from hiros_mcap.config import Settings
+
+    asked = settings or Settings()
+    chosen = asked.of(log)
+    if chosen.file != asked.file:
+        print(f"hiros: parameters of {chosen.file}", file=sys.stderr, flush=True)
+    return chosen
 
 
 def seconds_range(option: str, text: str) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from hiros_mcap.config import Config, load_config
+from hiros_mcap.config import Config, Settings
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.leave_one_out import frames_of_cameras, leave_each_out
 from hiros_mcap.evaluate.logs import consistency, find_truth, fused_topics
@@ -63,8 +63,12 @@ class Entry:
         head, *assignments = text.split(",")
         name, _, stages = head.partition(":")
         chain_of(name, stages)
-        load_config(None, assignments, "default", name)
+        Settings(name, assignments=tuple(assignments)).load()
         return cls(name, stages.upper(), tuple(assignments))
+
+    def config(self, log: Path) -> Config:
+        """Return the parameters on a log, with those of its hiros.toml; raises ConfigError."""
+        return Settings(self.system, assignments=self.assignments).of(log).load()
 
     @property
     def name(self) -> str:
@@ -217,7 +221,7 @@ def _by_second(matches: Matches, truth: Truth) -> Distances:
 def _settings(task: Task) -> tuple[Config, ProcessOptions]:
     """Return the settings with which ``hiros process`` would run a system on a log."""
     entry = task.entry
-    config = load_config(None, entry.assignments, "default", entry.system)
+    config = entry.config(task.log)
     topics = fused_topics(task.log, task.truth)
     return config, ProcessOptions(system=entry.system, stages=entry.stages, topics=topics)
 

@@ -30,6 +30,7 @@ from hiros_mcap.io.channels import (
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.container.chunks import Table
 from hiros_mcap.io.container.records import Bytes
+from hiros_mcap.io.detectors.conversion import SkeletonChoice
 from hiros_mcap.io.log import Log, Reading, open_log, open_reader
 from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
 from hiros_mcap.summary import plain
@@ -194,6 +195,7 @@ def overview_of(
     *,
     topics: Sequence[str] | None = None,
     extrinsics: str | os.PathLike[str] | None = None,
+    skeletons: SkeletonChoice | None = None,
 ) -> Overview:
     """Read a log from end to end and report what is in it.
 
@@ -209,7 +211,7 @@ def overview_of(
         ``extrinsics`` is wrong.
     """
     try:
-        log = open_log(path, topics=topics, extrinsics=extrinsics)
+        log = open_log(path, topics=topics, extrinsics=extrinsics, skeletons=skeletons)
     except LogError as error:
         if topics is not None:
             raise

@@ -49,6 +49,8 @@ def find_logs(named: Sequence[str], leave_out: str = "") -> list[str]:
     distinct: dict[str, None] = {}
     for text in named:
         logs = list(_remote(text) if remote.is_remote(text) else _local(text, leave_out))
+        if not logs and glob.has_magic(text):
+            raise ConfigError(f"{text}: no log matches this pattern (.mcap, .bag, .db3)")
         if not logs:
             raise ConfigError(f"{text}: there is no log (.mcap, .bag, .db3 or ROS 2 bag folder)")
         if remote.is_remote(leave_out):

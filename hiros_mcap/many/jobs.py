@@ -7,14 +7,14 @@ log after the other.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from hiros_mcap.config import Config
-from hiros_mcap.defaults import DEFAULT_SYSTEM, LEAST_CONFIDENCE
+from hiros_mcap.config import Settings
+from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.leave_one_out import leave_one_out
 from hiros_mcap.evaluate.logs import (
@@ -40,7 +40,7 @@ from hiros_mcap.outputs import Kind
 from hiros_mcap.regression.provenance import Provenance
 from hiros_mcap.regression.quantities import Tolerances
 from hiros_mcap.regression.suite import GOLDEN_SUFFIXES, Golden, check_output
-from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.running.pipeline import ProcessOptions, process, skeletons_read
 
 TRUTH_SUFFIXES = (".truth.mcap", ".mcap", ".trc", ".csv")
 
@@ -72,6 +72,12 @@ class Job:
     """Columns of which a sum makes sense; of the others the table has means."""
     suffix: str = ""
     """Suffix of the output, "" if there is none."""
+    settings: Settings | None = None
+    """Where the parameters come from; None = the job needs none."""
+
+    def of(self, log: str) -> Self:
+        """Return the job as it is done for a log, which may have parameters of its own."""
+        return self
 
     def sides(self, name: str) -> tuple[Path, ...]:
         """Return further files that the result depends on; ``name`` is the base name of the log."""
@@ -89,16 +95,24 @@ class Job:
 class ProcessJob(Job):
     """Turns recordings into clean motion."""
 
-    config: Config
+    settings: Settings
     options: ProcessOptions = field(default_factory=ProcessOptions)
 
     command: ClassVar[str] = "process"
     counted: ClassVar[frozenset[str]] = frozenset({"people", "log_s", "messages", "skipped"})
     suffix = ".hiros.mcap"
 
+    def of(self, log: str) -> ProcessJob:
+        """Return the job with the parameters of a log."""
+        settings = self.settings.of(log)
+        return replace(
+            self, settings=settings, options=replace(self.options, settings=settings.file)
+        )
+
     def sides(self, name: str) -> tuple[Path, ...]:
-        """Return the files of poses and limb lengths."""
-        return tuple(p for p in (self.options.extrinsics, self.options.limbs_in) if p is not None)
+        """Return the files of parameters, poses and limb lengths."""
+        files = (self.settings.file, self.options.extrinsics, self.options.limbs_in)
+        return tuple(file for file in files if file is not None)
 
     def run(self, log: Path, target: Path) -> Finding:
         """Process a recording. A result of hiros and a truth are skipped."""
@@ -107,7 +121,9 @@ class ProcessJob(Job):
         if is_truth(log):
             return Finding(verdict="skipped", error="is a truth, not a recording")
         # Which files may be replaced was asked before the first log.
-        summary = process(log, target, config=self.config, options=self.options, force=True)
+        summary = process(
+            log, target, config=self.settings.load(), options=self.options, force=True
+        )
         values = {
             "people": len(summary.people),
             "cameras": len(summary.cameras),
@@ -124,7 +140,8 @@ class ProcessJob(Job):
 class EvalJob(Job):
     """Scores results, or recordings after a run on them."""
 
-    config: Config
+    settings: Settings
+    """What recordings are processed with."""
     truth: str | None = None
     """Folder with a file of the same name for each log, or a channel; None = the log's own."""
     channels: tuple[str, ...] = ()
@@ -133,17 +150,20 @@ class EvalJob(Job):
     match_distance: float = 1.0
     shift: float = 0.0
     up: str = "z"
-    system: str = DEFAULT_SYSTEM
-    """What recordings are processed with."""
     asked: bool = False
     """Whether the user named the system or a parameter; otherwise results keep their own."""
 
     command: ClassVar[str] = "eval"
     counted: ClassVar[frozenset[str]] = frozenset(m.name for m in MEASURES.values() if not m.digits)
 
+    def of(self, log: str) -> EvalJob:
+        """Return the job with the parameters of a log."""
+        return replace(self, settings=self.settings.of(log))
+
     def sides(self, name: str) -> tuple[Path, ...]:
-        """Return the file with the truth."""
-        return () if (file := self._truth_file(name)) is None else (file,)
+        """Return the files of parameters and of the truth."""
+        files = (self.settings.file, self._truth_file(name))
+        return tuple(file for file in files if file is not None)
 
     def _truth_file(self, name: str) -> Path | None:
         if self.truth is None or (self.truth.startswith("/") and not Path(self.truth).is_dir()):
@@ -160,7 +180,8 @@ class EvalJob(Job):
             if truth is None:
                 return self._by_itself(reader)
             truth = truth.moved(self.shift, start=start_of(reader), up=self.up)
-            channels = results_of(reader, self.config, self.truth, self.channels, self.system)
+            config, system = self.settings.load(), self.settings.system
+            channels = results_of(reader, config, self.truth, self.channels, system)
         truth, others = covered_by(channels, truth, self.covers, self.match_distance)
         results = evaluate_channels(channels, truth, self.match_distance)
         scores = list(results.values())[-1].scores
@@ -169,7 +190,8 @@ class EvalJob(Job):
         return Finding({**values, "people": len(truth.people)}, warnings=tuple(warnings))
 
     def _by_itself(self, log: McapReader) -> Finding:
-        config, options = settings_of(log, self.config, self.system, asked=self.asked)
+        settings = self.settings
+        config, options = settings_of(log, settings.load(), settings.system, asked=self.asked)
         scores = leave_one_out(log, config=config, options=options)
         medians = [camera.median for camera in scores.cameras]
         values = {m.name: m.compared(scores.consistency) for m in CONSISTENCY}
@@ -248,13 +270,21 @@ class InfoJob(Job):
 
     topics: tuple[str, ...] = ()
     extrinsics: Path | None = None
+    settings: Settings = field(default_factory=Settings)
 
     command: ClassVar[str] = "info"
     counted: ClassVar[frozenset[str]] = frozenset({"seconds", "megabytes"})
 
+    def of(self, log: str) -> InfoJob:
+        """Return the job with the parameters of a log."""
+        return replace(self, settings=self.settings.of(log))
+
     def run(self, log: Path, target: Path) -> Finding:
         """Look at a log."""
-        overview = overview_of(log, topics=list(self.topics) or None, extrinsics=self.extrinsics)
+        skeletons = skeletons_read(self.settings.load())
+        overview = overview_of(
+            log, topics=self.topics or None, extrinsics=self.extrinsics, skeletons=skeletons
+        )
         values = {
             "kind": overview.kind,
             "seconds": overview.seconds,

@@ -3,7 +3,7 @@
 ::
 
     logs = find_logs(["recordings/"])
-    for record, _ in run_logs(ProcessJob(load_config()), logs, Folder("results"), in_processes(2)):
+    for record, _ in run_logs(ProcessJob(Settings()), logs, Folder("results"), in_processes(2)):
         print(record.log, record.verdict)
 """
 
@@ -110,13 +110,13 @@ def _base(file: str, suffix: str) -> str:
 def _planned(job: Job, logs: Sequence[str], manifest: Manifest) -> list[LogRecord]:
     """Return what is known of each log before anything is done; the verdict is not."""
     names = distinct_names(logs, {r.log: r.name for r in manifest.records.values()})
-    settings = _settings(job)
     planned = []
     for log in logs:
         configuration, identity = "", Identity(0, "")
         with suppress(HirosError, OSError):  # the job will say why
-            contents = (path.read_bytes() for path in job.sides(base_name(log)))
-            configuration = hashlib.sha256(b"".join([settings, *contents])).hexdigest()
+            its_job = job.of(log)
+            contents = (path.read_bytes() for path in its_job.sides(base_name(log)))
+            configuration = hashlib.sha256(b"".join([_settings(its_job), *contents])).hexdigest()
             if log in manifest.records:
                 identity = identity_of(log)
         planned.append(
@@ -168,7 +168,7 @@ def run_one(job: Job, record: LogRecord, folder: str) -> LogRecord:
     with _one_at_a_time:
         start = time.perf_counter()
         try:
-            record = _run(job, record, place_of(folder) if folder else None)
+            record = _run(job.of(record.log), record, place_of(folder) if folder else None)
         except (HirosError, OSError) as error:
             record = replace(record, verdict="failed", error=_in_one_line(error, record.log))
         except MemoryError:

@@ -157,8 +157,13 @@ def open_input(source: Source, config: Config, options: ProcessOptions) -> Log:
         fixed_frame=config.input.fixed_frame or None,
         recover=options.recover,
         memory=int(options.memory * 2**30),
-        skeletons=SkeletonChoice(config.input.model, config.input.unit),
+        skeletons=skeletons_read(config),
     )
+
+
+def skeletons_read(config: Config) -> SkeletonChoice:
+    """Return which skeleton a log is read as, and in which unit."""
+    return SkeletonChoice(config.input.model, config.input.unit)
 
 
 def check_limbs(options: ProcessOptions) -> None:

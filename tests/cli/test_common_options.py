@@ -12,6 +12,7 @@ import pytest
 
 import hiros_mcap
 from hiros_cli.app import run
+from hiros_mcap.config import settings_beside
 from hiros_mcap.errors import ConfigError
 
 Captured = pytest.CaptureFixture[str]
@@ -114,21 +115,39 @@ def test_parameters_beside_a_log_count_and_are_named(lab, capsys):
     assert f"; parameters of {own}\n" in capsys.readouterr().out
 
 
-def test_parameters_of_a_folder_count_for_its_logs(lab, capsys):
-    logs = lab.parent / "logs"
-    (logs / "bag").mkdir(parents=True)
-    (logs / "bag" / "metadata.yaml").touch()
-    for folder in (lab.parent, logs):
-        (folder / "a.mcap").touch()
-        (folder / "b.mcap").touch()
-        (folder / "hiros.toml").write_text("nonsense")
-        assert run(["process", str(folder), "-o", str(lab.parent / "out")]) == 2
-        assert str(folder / "hiros.toml") in capsys.readouterr().err
-    assert hiros_mcap.config.settings_beside(logs / "bag") == logs / "hiros.toml"
-    (lab.parent / "hiros.toml").unlink()
-    assert hiros_mcap.config.settings_beside(lab) is None
-    assert run(["process", str(lab), str(logs), "-o", str(lab.parent / "out")]) == 2
-    assert "not all logs have the same hiros.toml beside them" in capsys.readouterr().err
+def test_the_nearest_folder_above_has_the_parameters_of_a_log(lab):
+    (lab.parent / "a" / "bag").mkdir(parents=True)
+    lab.with_name("hiros.toml").touch()
+    assert settings_beside(lab.parent / "a" / "log.mcap") == lab.with_name("hiros.toml")
+    (lab.parent / "a" / "hiros.toml").touch()
+    assert settings_beside(lab.parent / "a" / "bag") == lab.parent / "a" / "hiros.toml"
+    assert settings_beside("-") is settings_beside("s3://lab/log.mcap") is None
+
+
+def test_each_of_many_logs_has_the_parameters_of_its_folder(lab, tmp_path, capsys):
+    for name, cutoff in (("a", 7), ("b", 9)):
+        (tmp_path / "logs" / name).mkdir(parents=True)
+        shutil.copy(lab, tmp_path / "logs" / name / f"{name}.mcap")
+        (tmp_path / "logs" / name / "hiros.toml").write_text(f"[filter]\ncutoff = {cutoff}.0\n")
+    out = tmp_path / "out"
+    assert run(["process", str(tmp_path / "logs"), "-o", str(out), "--calibrate", "off", "-q"]) == 0
+    assert f"1 log with parameters of {tmp_path}/logs/b/hiros.toml" in capsys.readouterr().err
+    for name, cutoff in (("a", 7), ("b", 9)):
+        assert run(["info", str(out / f"{name}.hiros.mcap")]) == 0
+        assert f"changed: filter.cutoff = {cutoff}.0" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", [["info"], ["eval"], ["calibrate", "people"], ["compare"]])
+def test_every_command_that_reads_a_log_reads_its_parameters(lab, capsys, command):
+    lab.with_name("hiros.toml").write_text("[input]\nunit = 'ell'\n")
+    assert run([*command, str(lab)]) == 2
+    assert f"{lab.with_name('hiros.toml')}: input.unit" in capsys.readouterr().err
+
+
+def test_quiet_still_names_the_file_with_the_parameters(lab, capsys):
+    lab.with_name("hiros.toml").touch()
+    assert run(["process", str(lab), "--calibrate", "off", "-q"]) == 0
+    assert capsys.readouterr().err == f"hiros: parameters of {lab.with_name('hiros.toml')}\n"
 
 
 def test_wrong_parameters_beside_a_log_are_named(lab):

@@ -14,7 +14,6 @@ import numpy as np
 import rerun as rr
 
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.comparison import Entry
 from hiros_mcap.evaluate.logs import find_truth, has_cameras, has_outputs, start_of
@@ -442,9 +441,8 @@ def save_overlay(target: Path, log: Path, entries: Sequence[Entry]) -> None:
         with tempfile.TemporaryDirectory() as folder:
             for k, entry in enumerate(entries):
                 out = Path(folder) / f"{k}.mcap"
-                config = load_config(None, entry.assignments, "default", entry.system)
                 options = ProcessOptions(system=entry.system, stages=entry.stages)
-                process(log, out, config=config, options=options)
+                process(log, out, config=entry.config(log), options=options)
                 part = "".join(c if c.isalnum() else "_" for c in entry.name)
                 layer = Layer(f"/{part}", entry.name, k, one_colour=True)
                 scenes.append(_draw_one(recording, out, layer))

@@ -10,7 +10,7 @@ import typer
 
 from hiros_cli.compiling import prepare
 from hiros_cli.help_page import HelpfulCommand
-from hiros_cli.options import FORCE, JSON, argument, flag, option, seconds_range
+from hiros_cli.options import FORCE, JSON, argument, flag, option, seconds_range, settings_of
 from hiros_cli.output import check_outputs, print_json, warn
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.running.progress_bar import bar
@@ -58,9 +58,13 @@ def people(
     from hiros_mcap.calibrate.cameras_file import save_cameras
     from hiros_mcap.calibrate.corrected_log import write_corrected_log
     from hiros_mcap.calibrate.people import calibrate_people
-    from hiros_mcap.io.log import open_log
+    from hiros_mcap.running.pipeline import ProcessOptions, open_input
 
-    with bar(f"calibrating on {log.name}", quiet=False), open_log(log, topics=topic) as opened:
+    config, options = settings_of(log).load(), ProcessOptions(topics=tuple(topic or ()))
+    with (
+        bar(f"calibrating on {log.name}", quiet=False),
+        open_input(log, config, options) as opened,
+    ):
         calibration = calibrate_people(opened)
         if write_log is not None and calibration.verdict != "impossible":
             write_corrected_log(opened, calibration, write_log)
@@ -171,11 +175,15 @@ def noise(
     span = None if window is None else seconds_range("--window", window)
     prepare(quiet=json)
     from hiros_mcap.calibrate.noise import measure_noise, measure_noise_model
-    from hiros_mcap.io.log import open_log
+    from hiros_mcap.running.pipeline import ProcessOptions, open_input
     from hiros_mcap.stages.malaguti.associate import associate
     from hiros_mcap.summary import number
 
-    with bar(f"calibrating on {log.name}", quiet=False), open_log(log) as opened:
+    config = settings_of(log).load()
+    with (
+        bar(f"calibrating on {log.name}", quiet=False),
+        open_input(log, config, ProcessOptions()) as opened,
+    ):
         start = opened.span[0]
         detections = opened.detections()
         frames = [

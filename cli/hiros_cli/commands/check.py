@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 from shlex import quote
@@ -10,13 +9,12 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from hiros_cli import options as shared
 from hiros_cli.compiling import prepare
 from hiros_cli.completing import topics
 from hiros_cli.many_logs import ManyLogs, one_log, run
-from hiros_cli.options import argument, flag, option
+from hiros_cli.options import GROUP, argument, flag, grouped, option
 from hiros_cli.output import check_outputs, print_json
-from hiros_cli.printable import error_line, printable
+from hiros_cli.printable import printable
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.running.progress_bar import bar
 
@@ -27,6 +25,7 @@ if TYPE_CHECKING:
 EQUAL, DIFFERENT, CANNOT = 0, 1, 2
 
 
+@grouped
 def check(
     context: typer.Context,
     targets: list[str] = argument(
@@ -51,57 +50,44 @@ def check(
     ),
     bless: bool = flag("--bless", "Accept the result as the new golden file; print what changed."),
     only: list[str] | None = option("NAME", "With SUITE: this log only; may be repeated."),
-    jobs: int | None = shared.JOBS,
-    cluster: str | None = shared.CLUSTER,
-    csv: Path | None = shared.TABLE,
     keep: Path | None = option("FOLDER", "With SUITE: keep the outputs in this folder."),
     junit: Path | None = option("FILE", "With SUITE: also write JUnit XML."),
     markdown: Path | None = option("FILE", "With SUITE: also write a summary for a pull request."),
-    force: bool = shared.FORCE,
-    json: bool = shared.JSON,
-    quiet: bool = shared.QUIET_RESULT,
+    many: ManyLogs = GROUP,
 ) -> int:
     """Compare a result with its golden log, or run a suite of logs.
 
     Exit code: 0 equal within the tolerances, 1 different, 2 cannot be compared.
     """
     is_suite = len(targets) == 1 and Path(targets[0]).suffix == ".toml"
-    many = ManyLogs(targets, "", jobs, cluster, csv, force, json, quiet)
-    is_many = not is_suite and many.wanted
-    if not is_many:
+    if is_suite:
         many.refuse_alone()
+    is_many = not is_suite and many.wanted(targets)
+    for_log = {"golden": golden, "tolerances": tolerances, "channel": channel}
+    for_suite = {"only": only, "keep": keep, "junit": junit, "markdown": markdown}
+    wrong = {**for_log, "cluster": many.cluster} if is_suite else for_suite
+    what = "a suite" if is_suite else "an output; a suite's name ends in .toml"
+    for name, value in wrong.items():
+        if value:
+            raise ConfigError(f"--{name} has no effect on {what} (see hiros check --help)")
     target = Path() if is_many else one_log(context, targets[0])
-    _check_options(
-        is_suite,
-        for_log={
-            "--golden": golden,
-            "--tolerances": tolerances,
-            "--channel": channel,
-            "--cluster": cluster,
-        },
-        for_suite={"--only": only, "--keep": keep, "--junit": junit, "--markdown": markdown},
-    )
-    prepare(quiet=quiet or json, everything=is_suite or is_many)
-    if is_many:
-        return run(_job(golden, tolerances, channel, bless=bless), many)
+    prepare(quiet=many.quiet or many.json, everything=is_suite or is_many)
     if is_suite:
         from hiros_mcap.regression.suite import SuiteOptions
 
-        options = SuiteOptions(bless, tuple(only or ()), jobs or 0, keep, force)
-        results = _run_suite(target, options, junit, markdown, quiet=quiet)
-    elif golden is None:
+        options = SuiteOptions(bless, tuple(only or ()), many.jobs or 0, keep, many.force)
+        results = _run_suite(target, options, junit, markdown, quiet=many.quiet)
+        return _show(results, json=many.json, quiet=many.quiet)
+    if is_many:
+        run(_job(golden, tolerances, channel, bless=bless), targets, many)
+    if golden is None:
         raise ConfigError(f"{target}: name the golden log with --golden")
-    else:
-        from hiros_mcap.regression.quantities import load_tolerances
-        from hiros_mcap.regression.suite import Golden, check_output
+    from hiros_mcap.regression.quantities import load_tolerances
+    from hiros_mcap.regression.suite import Golden, check_output
 
-        limits = None if tolerances is None else load_tolerances(tolerances)
-        result = check_output(target, Golden(golden, limits, channel or ()), bless=bless)
-        results = [_with_hint(result, target, golden)]
-    _show(results, json=json, quiet=quiet)
-    if any(result.status == "error" for result in results):
-        return CANNOT
-    return DIFFERENT if any(result.status == "different" for result in results) else EQUAL
+    limits = None if tolerances is None else load_tolerances(tolerances)
+    result = check_output(target, Golden(golden, limits, channel or ()), bless=bless)
+    return _show([_with_hint(result, target, golden)], json=many.json, quiet=many.quiet)
 
 
 def _job(
@@ -114,17 +100,6 @@ def _job(
         raise ConfigError("with many outputs, --golden names a folder with a golden file for each")
     limits = None if tolerances is None else load_tolerances(tolerances)
     return CheckJob(golden.absolute(), limits, tuple(channels or ()), bless)
-
-
-def _check_options(
-    is_suite: bool, *, for_log: dict[str, object], for_suite: dict[str, object]
-) -> None:
-    """Refuse options that would have no effect."""
-    wrong = for_log if is_suite else for_suite
-    what = "a suite" if is_suite else "an output; a suite's name ends in .toml"
-    for name, value in wrong.items():
-        if value:
-            raise ConfigError(f"{name} has no effect on {what} (see hiros check --help)")
 
 
 def _run_suite(
@@ -165,26 +140,33 @@ def _with_hint(result: CaseResult, target: Path, golden: Path) -> CaseResult:
     return replace(result, notes=(*result.notes, f"see it: {command}"))
 
 
-def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:
+def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> int:
+    """Print what differs, without ``quiet`` everything; return the exit code."""
     from hiros_mcap.regression import check_report
 
     if json:
         print_json("check", check_report.as_dict(results))
-        return
-    if quiet:
-        for result in results:  # the exit code says whether there is a difference
-            if result.status == "error":
-                print(error_line(ConfigError(f"{result.name}: {result.error}")), file=sys.stderr)
-        return
+    else:
+        _print([r for r in results if r.status != "equal"] if quiet else results, quiet=quiet)
+    statuses = {result.status for result in results}
+    return CANNOT if "error" in statuses else DIFFERENT if "different" in statuses else EQUAL
+
+
+def _print(results: list[CaseResult], *, quiet: bool) -> None:
     from rich.text import Text
 
     from hiros_cli.run_report import page
+    from hiros_mcap.regression import check_report
 
     styles = {"equal": "green", "different": "red", "error": "yellow"}
     lines: list[str | Text] = []
     for result in results:
         head = Text(f"{result.status:9} ", style=styles[result.status])
         lines.append(head + Text(printable(result.name, 500)))
-        lines += [f"  {line}" for line in (*check_report.lines(result), *result.notes)]
-    totals = [Text(check_report.totals(results), style="bold")] if len(results) > 1 else None
-    page((), lines, totals)
+        notes = () if quiet else result.notes
+        lines += [f"  {line}" for line in (*check_report.lines(result), *notes)]
+    totals = None
+    if len(results) > 1 and not quiet:
+        totals = [Text(check_report.totals(results), style="bold")]
+    if lines:
+        page((), lines, totals)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hiros_cli.compiling import prepare
-from hiros_cli.options import FORCE, HTML, JSON, QUIET_RESULT, argument, option
+from hiros_cli.options import FORCE, HTML, JSON, QUIET, argument, option, settings_of
 from hiros_cli.output import check_outputs, print_json
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.running.progress_bar import bar
@@ -45,7 +45,7 @@ def compare(
     rrd: Path | None = option("FILE", "Also write a Rerun recording that overlays all systems."),
     force: bool = FORCE,
     json: bool = JSON,
-    quiet: bool = QUIET_RESULT,
+    quiet: bool = QUIET,
 ) -> None:
     """Run several systems on the same logs.
 
@@ -65,6 +65,7 @@ def compare(
 
     for path in paths:
         check_recording(path)
+        settings_of(path)
     prepare(quiet=quiet or json, everything=True)
     from hiros_mcap.evaluate.comparison import DEFAULT, Entry, Task, camera_subsets, comparison
 

@@ -2,136 +2,168 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
 
 import typer
 
-from hiros_cli import options as shared
 from hiros_cli.compiling import prepare
 from hiros_cli.completing import topics
 from hiros_cli.many_logs import ManyLogs, one_log, run
-from hiros_cli.options import argument, chosen_system, config_file, flag, option
+from hiros_cli.options import (
+    GROUP,
+    HTML,
+    MANY,
+    Parameters,
+    argument,
+    flag,
+    grouped,
+    option,
+    settings_of,
+)
 from hiros_cli.output import check_outputs
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.running.progress_bar import bar
 
+if TYPE_CHECKING:
+    from hiros_cli.evaluation import Output
+    from hiros_mcap.config import Settings
 
+
+@dataclass(frozen=True, slots=True)
+class Scoring:
+    """Options on how a result is scored."""
+
+    truth: str | None = option(
+        "FILE|TOPIC",
+        "MCAP, TRC or CSV file, or a channel of LOG. Default: LOG's /truth channel. With many "
+        "logs: a channel, or a folder of files with the logs' names.",
+    )
+    channel: list[str] | None = option(
+        "GLOB", "Output channels to score; may be repeated. Default: all.", autocompletion=topics
+    )
+    leave_one_out: bool = flag(
+        "--leave-one-out",
+        "Score each camera against the result of the others. Default if LOG has no truth.",
+    )
+    truth_covers: str = option(
+        "all|partial|auto",
+        "Whether the truth has everybody: skeletons of nobody in a partial truth don't count. "
+        "auto: partial only if the result shows people walking whom it lacks.",
+        default="auto",
+    )
+    match_distance: float = option(
+        "M",
+        "Largest mean joint distance, m, at which a skeleton matches a true person.",
+        default=1.0,
+        min=0.01,
+    )
+    shift: float = option(
+        "S", "Seconds to add to the times of the truth.", default=0.0, min=-4e9, max=4e9
+    )
+    up: str = option("AXIS", "Axis of the truth that points up: z or y.", default="z")
+
+    def __post_init__(self) -> None:
+        if self.up not in ("z", "y"):
+            raise ConfigError(f"--up: {self.up!r} is neither z nor y")
+        if self.truth_covers not in ("all", "partial", "auto"):
+            raise ConfigError(
+                f"--truth-covers: {self.truth_covers!r} is none of all, partial, auto"
+            )
+
+
+@grouped
 def evaluate(
     context: typer.Context,
     logs: list[str] = argument(
         "LOG",
         "Outputs of `hiros process`, or recordings to process first: files, folders, globs, URLs.",
     ),
-    truth: str | None = option(
-        "FILE|TOPIC",
-        "MCAP, TRC or CSV file, or a channel of LOG. Default: LOG's /truth channel. With many "
-        "logs: a channel, or a folder of files with the logs' names.",
-    ),
-    channel: list[str] | None = option(
-        "GLOB", "Output channels to score; may be repeated. Default: all.", autocompletion=topics
-    ),
-    leave_one_out: bool = flag(
-        "--leave-one-out",
-        "Score each camera against the result of the others. Default if LOG has no truth.",
-    ),
-    truth_covers: str = option(
-        "all|partial|auto",
-        "Whether the truth has everybody: skeletons of nobody in a partial truth don't count. "
-        "auto: partial only if the result shows people walking whom it lacks.",
-        default="auto",
-    ),
-    match_distance: float = option(
-        "M",
-        "Largest mean joint distance, m, at which a skeleton matches a true person.",
-        default=1.0,
-        min=0.01,
-    ),
-    shift: float = option(
-        "S", "Seconds to add to the times of the truth.", default=0.0, min=-4e9, max=4e9
-    ),
-    up: str = option("AXIS", "Axis of the truth that points up: z or y.", default="z"),
+    scoring: Scoring = GROUP,
     joints: bool = flag("--joints", "Also show every joint and the signed angles."),
-    system: str | None = shared.SYSTEM,
-    preset: str = shared.PRESET,
-    config: Path | None = shared.CONFIG,
-    assignments: list[str] | None = shared.ASSIGNMENTS,
-    html: Path | None = shared.HTML,
+    parameters: Parameters = GROUP,
+    html: Path | None = HTML,
     output: str = option(
         "FOLDER",
         "Keep the scores of many logs there; the same command goes on where it stopped.",
         "--output",
         "-o",
         default="",
-        panel=shared.MANY,
+        panel=MANY,
     ),
-    jobs: int | None = shared.JOBS,
-    cluster: str | None = shared.CLUSTER,
-    csv: Path | None = shared.TABLE,
-    force: bool = shared.FORCE,
-    json: bool = shared.JSON,
-    quiet: bool = shared.QUIET_RESULT,
+    many: ManyLogs = GROUP,
 ) -> None:
     """Score a result: joints, angles, limbs, jitter, lag, people.
 
     A recording is first processed with the given parameters. Without a truth, hiros scores each
     camera against the result of the others.
     """
-    if up not in ("z", "y"):
-        raise ConfigError(f"--up: {up!r} is neither z nor y")
-    if truth_covers not in ("all", "partial", "auto"):
-        raise ConfigError(f"--truth-covers: {truth_covers!r} is none of all, partial, auto")
-    many = ManyLogs(logs, output, jobs, cluster, csv, force, json, quiet)
-    is_many, log = many.wanted, Path(logs[0])
-    if is_many:
-        many.refuse(html=html, joints=joints)
-    else:
-        many.refuse_alone()
-        if output:
-            raise ConfigError("--output is for many logs; for one, use --json or --html")
-        log = one_log(context, logs[0])
-        check_outputs((html, "HTML page"), inputs=(log, truth, config), force=force)
-    default = chosen_system(system, preset)
-    prepare(quiet=quiet or json, everything=is_many)
+    if many.wanted(logs, output, html=html, joints=joints):
+        _many(scoring, parameters, logs, many, output)
+    if output:
+        raise ConfigError("--output is for many logs; for one, use --json or --html")
+    log = one_log(context, logs[0])
+    inputs = (log, scoring.truth, parameters.config)
+    check_outputs((html, "HTML page"), inputs=inputs, force=many.force)
+    prepare(quiet=many.quiet or many.json)
+    from hiros_cli.evaluation import Output
 
-    from hiros_mcap.config import load_config
-    from hiros_mcap.evaluate.logs import (
-        check_scorable,
-        covered_by,
-        evaluate_channels,
-        find_truth,
-        results_of,
-        settings_of,
-        start_of,
-    )
+    settings = settings_of(logs[0], parameters.settings())
+    shown = Output(log, html, json=many.json, quiet=many.quiet, joints=joints)
+    _one(scoring, settings, shown, asked=parameters.asked)
+
+
+def _one(scoring: Scoring, settings: Settings, shown: Output, *, asked: bool) -> None:
+    """Score one log against the truth, or without one each camera against the others."""
+    from hiros_cli.evaluation import show_self, show_truth
+    from hiros_mcap.evaluate import logs
+    from hiros_mcap.evaluate.leave_one_out import leave_one_out
     from hiros_mcap.evaluate.remarks import warnings_of
     from hiros_mcap.io.log import open_reader
 
-    asked = config is not None or assignments or system is not None or preset != "default"
-    effective = load_config(config_file(config, logs), list(assignments or ()), preset, default)
-    if is_many:
-        from hiros_mcap.many.jobs import EvalJob
-
-        folder = truth if truth is None or not Path(truth).is_dir() else str(Path(truth).absolute())
-        scoring = (leave_one_out, truth_covers, match_distance, shift, up)
-        scored = tuple(channel or ())
-        job = EvalJob(effective, folder, scored, *scoring, default, asked=bool(asked))
-        raise typer.Exit(run(job, many))
-    from hiros_cli.evaluation import Output, show_self, show_truth
-    from hiros_mcap.evaluate.leave_one_out import leave_one_out as score_cameras
-
-    shown = Output(log, html, json=json, quiet=quiet, joints=joints)
-    with open_reader(log) as reader:
-        true = None if leave_one_out else find_truth(reader, truth)
-        check_scorable(reader, truth, has_truth=true is not None)
+    config, truth = settings.load(), scoring.truth
+    with open_reader(shown.log) as reader:
+        true = None if scoring.leave_one_out else logs.find_truth(reader, truth)
+        logs.check_scorable(reader, truth, has_truth=true is not None)
         if true is None:
-            used, options = settings_of(reader, effective, default, asked=bool(asked))
-            with bar(f"leaving each camera of {log.name} out", quiet=quiet) as progress:
-                scores = score_cameras(reader, config=used, options=options, progress=progress)
+            used, options = logs.settings_of(reader, config, settings.system, asked=asked)
+            title = f"leaving each camera of {shown.log.name} out"
+            with bar(title, quiet=shown.quiet) as progress:
+                scores = leave_one_out(reader, config=used, options=options, progress=progress)
             show_self(shown, scores)
             return
-        true = true.moved(shift, start=start_of(reader), up=up)
-        channels = results_of(reader, effective, truth, channel or (), default)
-    true, others = covered_by(channels, true, truth_covers, match_distance)
-    results = evaluate_channels(channels, true, match_distance)
-    named = truth_covers != "auto"
+        true = true.moved(scoring.shift, start=logs.start_of(reader), up=scoring.up)
+        channels = logs.results_of(reader, config, truth, scoring.channel or (), settings.system)
+    true, others = logs.covered_by(channels, true, scoring.truth_covers, scoring.match_distance)
+    results = logs.evaluate_channels(channels, true, scoring.match_distance)
+    named = scoring.truth_covers != "auto"
     show_truth(shown, true, results, others, warnings_of(true, results, others, asked=named))
+
+
+def _many(
+    scoring: Scoring, parameters: Parameters, logs: Sequence[str], many: ManyLogs, folder: str
+) -> NoReturn:
+    """Score many logs, each with the parameters of its own folder."""
+    prepare(quiet=many.quiet or many.json, everything=True)
+    from hiros_mcap.many.jobs import EvalJob
+
+    settings, truth = parameters.settings(), scoring.truth
+    if settings.file is not None:
+        settings = replace(settings, file=settings.file.absolute())
+    settings.load()  # what is wrong for all logs is said before the first one
+    if truth is not None and Path(truth).is_dir():
+        truth = str(Path(truth).absolute())
+    job = EvalJob(
+        settings,
+        truth,
+        tuple(scoring.channel or ()),
+        scoring.leave_one_out,
+        scoring.truth_covers,
+        scoring.match_distance,
+        scoring.shift,
+        scoring.up,
+        asked=parameters.asked,
+    )
+    run(job, logs, many, folder)

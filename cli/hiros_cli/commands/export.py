@@ -9,13 +9,14 @@ import typer
 from hiros_cli.compiling import prepare
 from hiros_cli.completing import topics
 from hiros_cli.many_logs import ManyLogs, one_log, run
-from hiros_cli.options import CLUSTER, FORCE, JOBS, JSON, MANY, QUIET, TABLE, argument, flag, option
+from hiros_cli.options import FORCE, GROUP, MANY, QUIET, argument, flag, grouped, option
 from hiros_cli.output import check_outputs, print_json, warn
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.running.progress_bar import bar
 
 
+@grouped
 def export(
     context: typer.Context,
     logs: list[str] = argument("LOG", "Outputs of `hiros process`: files, folders, globs, URLs."),
@@ -65,20 +66,14 @@ def export(
     keep_gaps: bool = flag(
         "--keep-gaps", "For .mot: leave out the rows that have gaps. Default: bridge them."
     ),
-    jobs: int | None = JOBS,
-    cluster: str | None = CLUSTER,
-    csv: Path | None = TABLE,
-    force: bool = FORCE,
-    json: bool = JSON,
-    quiet: bool = QUIET,
+    many: ManyLogs = GROUP,
 ) -> None:
     """Write joints and angles as CSV, Parquet, TRC, MOT, C3D, BVH."""
     from hiros_mcap.io.export.files import export as write
     from hiros_mcap.io.export.files import files_of, format_of
     from hiros_mcap.io.export.marker_set import SUFFIXES, load_marker_set, renamed
 
-    many = ManyLogs(logs, output, jobs, cluster, csv, force, json, quiet)
-    is_many, suffix = many.wanted, f".{file_format.lstrip('.').lower()}"
+    is_many, suffix = many.wanted(logs, output), f".{file_format.lstrip('.').lower()}"
     target = Path("log").with_suffix(suffix) if is_many else Path(output)
     format_of(target)
     if marker_set and (target.suffix.lower() not in SUFFIXES or what not in ("", "joints")):
@@ -86,30 +81,29 @@ def export(
     if is_many:
         from hiros_mcap.many.jobs import ExportJob
 
-        prepare(quiet=quiet, everything=True)
+        prepare(quiet=many.quiet, everything=True)
         names = str(Path(marker_set).absolute()) if Path(marker_set).is_file() else marker_set
         part = (what, person, channel, rate, start, end)
         job = ExportJob(suffix, *part, names, least_confidence, keep_gaps)
-        raise typer.Exit(run(job, many))
-    many.refuse_alone()
+        run(job, logs, many, output)
     log = one_log(context, logs[0])
-    prepare(quiet=quiet)
+    prepare(quiet=many.quiet)
     from hiros_mcap.io.result import open_result
 
-    with bar(f"exporting {log.name}", quiet=quiet):
+    with bar(f"exporting {log.name}", quiet=many.quiet):
         result = open_result(log, channel).select(person, start, end, rate)
         if marker_set:
             result, what = renamed(result, load_marker_set(marker_set, result.model)), "joints"
         targets = files_of(target, result.people)
-        check_outputs(*((path, "export") for path in targets), inputs=(log,), force=force)
+        check_outputs(*((path, "export") for path in targets), inputs=(log,), force=many.force)
         warnings: list[str] = []
         least, keep = least_confidence, keep_gaps
         written = write(result, target, what, least, keep_gaps=keep, warn=warnings.append)
     for text in warnings:
         warn(text)
-    if json:
+    if many.json:
         print_json("export", {"log": logs[0], "files": list(map(str, written))}, warnings)
-    for path in () if quiet or json else written:
+    for path in () if many.quiet or many.json else written:
         print(f"wrote {path}")
 
 

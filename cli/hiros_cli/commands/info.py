@@ -9,51 +9,46 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from hiros_cli import options as shared
 from hiros_cli.compiling import prepare
 from hiros_cli.many_logs import ManyLogs, one_log, run
-from hiros_cli.options import argument
+from hiros_cli.options import CAMERAS, EXTRINSICS, GROUP, argument, grouped, settings_of
 from hiros_cli.output import print_json, warn
 
 if TYPE_CHECKING:
     from hiros_mcap.io.overview import CameraRow, ChannelRow, Overview
 
 
+@grouped
 def info(
     context: typer.Context,
     logs: list[str] = argument("LOG", "MCAP files, ROS bags, folders of them, globs, URLs."),
-    topic: list[str] | None = shared.CAMERAS,
-    extrinsics: Path | None = shared.EXTRINSICS,
-    jobs: int | None = shared.JOBS,
-    cluster: str | None = shared.CLUSTER,
-    csv: Path | None = shared.TABLE,
-    force: bool = shared.FORCE,
-    json: bool = shared.JSON,
-    quiet: bool = shared.QUIET,
+    topic: list[str] | None = CAMERAS,
+    extrinsics: Path | None = EXTRINSICS,
+    many: ManyLogs = GROUP,
 ) -> None:
     """Show what an MCAP file or bag holds.
 
     It lists channels, cameras, people, rates and gaps. Of what hiros wrote, it also shows the
     version, the system and the changed parameters.
     """
-    many = ManyLogs(logs, "", jobs, cluster, csv, force, json, quiet)
-    if many.wanted:
-        prepare(quiet=json or quiet, everything=True)
+    json, quiet, is_many = many.json, many.quiet, many.wanted(logs)
+    prepare(quiet=json or quiet, everything=is_many)
+    if is_many:
         from hiros_mcap.many.jobs import InfoJob
 
-        side = extrinsics and extrinsics.absolute()
-        raise typer.Exit(run(InfoJob(tuple(topic or ()), side), many))
-    many.refuse_alone()
+        run(InfoJob(tuple(topic or ()), extrinsics and extrinsics.absolute()), logs, many)
     source = one_log(context, logs[0])
-    prepare(quiet=json or quiet)
     from hiros_mcap.io.overview import overview_of
+    from hiros_mcap.running.pipeline import ProcessOptions, open_input, skeletons_read
 
-    overview = overview_of(source, topics=topic, extrinsics=extrinsics)
+    config = settings_of(logs[0]).load()
+    skeletons = skeletons_read(config)
+    overview = overview_of(source, topics=topic, extrinsics=extrinsics, skeletons=skeletons)
     if overview.kind == "recording" and not overview.fault:
-        from hiros_mcap.io.log import open_log
         from hiros_mcap.running.pose_alignment import pose_faults
 
-        with open_log(source, topics=topic, extrinsics=extrinsics) as log:
+        options = ProcessOptions(topics=tuple(topic or ()), extrinsics=extrinsics)
+        with open_input(source, config, options) as log:
             faults = pose_faults(log)
         overview = replace(overview, warnings=(*overview.warnings, *faults))
     for text in overview.warnings:

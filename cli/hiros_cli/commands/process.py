@@ -3,127 +3,83 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack, redirect_stdout
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import typer
 
-from hiros_cli import options as shared
 from hiros_cli.compiling import importing, prepare
 from hiros_cli.completing import topics
 from hiros_cli.live_run import STREAM, check_live, is_live, run_live
 from hiros_cli.many_logs import ManyLogs, one_log
+from hiros_cli.many_logs import run as run_many
 from hiros_cli.options import (
+    CAMERAS,
+    EXTRINSICS,
+    GROUP,
     INPUT,
     LOSSES,
     OUTPUT,
     PARAMETERS,
+    Parameters,
     argument,
-    chosen_system,
-    config_file,
     flag,
+    grouped,
     option,
     seconds_range,
+    settings_of,
 )
 from hiros_cli.output import beside, check_outputs, print_json, warn
 from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.running.progress_bar import bar
 
 if TYPE_CHECKING:
+    from hiros_mcap.config import Settings, Table
     from hiros_mcap.running.pipeline import Watcher
-    from hiros_mcap.running.process_options import Calibration
+    from hiros_mcap.running.process_options import Calibration, ProcessOptions
     from hiros_mcap.summary import Summary
 
-
+LIMBS = "Limb lengths"
 EXPORTED = frozenset({".csv", ".parquet", ".jsonl", ".npz", ".trc", ".mot", ".c3d", ".bvh"})
 BAGS = frozenset({".db3", ".bag"})
 SUFFIX = ".hiros.mcap"
 
 
-def process(
-    context: typer.Context,
-    logs: list[str] = argument(
-        "LOG", "Recordings: MCAP files, ROS bags, folders of them, globs, URLs; - is a pipe."
-    ),
-    output: str | None = option(
-        "OUT",
-        f"Output file, DIR/ for a ROS 2 bag, - for a pipe; with many logs, the folder for "
-        f"all. Default: LOG's name with {SUFFIX}.",
-        "--output",
-        "-o",
-        panel=OUTPUT,
-    ),
-    system: str | None = shared.SYSTEM,
-    stages: str = option(
-        "CHAIN",
-        "Stages to run (track, merge, optimize, filter): T, TM, TO, TF, TMF, TMO or TMOF. "
-        "Default: all stages of the system.",
-        default="",
-        panel=PARAMETERS,
-    ),
-    topic: list[str] | None = shared.CAMERAS,
-    keep: list[str] | None = option(
-        "GLOB",
-        "Input channels to copy; may be repeated; '' copies none. Default: the cameras read, "
-        "the transforms and /truth.",
-        autocompletion=topics,
-        panel=OUTPUT,
-    ),
-    preset: str = shared.PRESET,
-    config: Path | None = shared.CONFIG,
-    assignments: list[str] | None = shared.ASSIGNMENTS,
-    extrinsics: Path | None = shared.EXTRINSICS,
+@dataclass(frozen=True, slots=True)
+class InputOptions:
+    """Options on how a log is read."""
+
+    topic: list[str] | None = CAMERAS
+    extrinsics: Path | None = EXTRINSICS
     fixed_frame: str | None = option(
         "FRAME", "Frame of the output. Default: root of the transforms.", panel=INPUT
-    ),
+    )
     model: str | None = option(
         "NAME",
         "Skeleton of the output: union, azure-kinect, zed-38, ..., or a camera's topic.",
         panel=INPUT,
-    ),
-    unit: str | None = option("UNIT", "Unit of the positions: m (default), cm or mm.", panel=INPUT),
+    )
+    unit: str | None = option("UNIT", "Unit of the positions: m (default), cm or mm.", panel=INPUT)
     clock: list[str] | None = option(
         "CAMERA=SECONDS", "Add seconds to the stamps of a camera; may be repeated.", panel=INPUT
-    ),
-    limbs: Path | None = option(
-        "FILE", "Use these limb lengths of an earlier session.", panel="Limb lengths"
-    ),
-    save_limbs: Path | None = option(
-        "FILE", "Write the limb lengths to this file.", panel="Limb lengths"
-    ),
+    )
     calibrate: str = option(
         "off|auto|require",
         "Camera poses: off keeps the log's, auto takes better ones where the people in the "
         "log prove them, require also refuses poses that they do not confirm.",
         default="auto",
         panel=INPUT,
-    ),
-    limb_window: list[str] | None = option(
-        "START:END",
-        "Calibrate limbs in this time range only, s from the log's start; may be repeated.",
-        panel="Limb lengths",
-    ),
-    two_pass: bool = flag(
-        "--two-pass", "Calibrate limbs on the whole log first.", panel="Limb lengths"
-    ),
-    solver: str | None = option(
-        "NAME", "Optimizer: lm (default) or ceres (slow, for comparison).", panel="Limb lengths"
-    ),
-    markers: bool = flag(
-        "--markers",
-        "Also write MarkerArray, JointState and Log for RViz and Foxglove.",
-        panel=OUTPUT,
-    ),
-    view: bool = flag("--view", "Show the run live in the Rerun viewer.", panel=OUTPUT),
-    strict: bool = flag("--strict", "Fail if any message would be skipped.", panel=INPUT),
+    )
+    strict: bool = flag("--strict", "Fail if any message would be skipped.", panel=INPUT)
     recover: bool = flag(
         "--recover", "Run on what can be read of a damaged log; exit with 3 on losses.", panel=INPUT
-    ),
+    )
     follow: bool = flag(
         "--follow", "Process a log while it is being written; Ctrl-C ends it.", panel=INPUT
-    ),
+    )
     memory: float = option(
         "GIB",
         "Memory for a log whose chunks overlap in time, GiB; a message of a server may take a "
@@ -131,130 +87,230 @@ def process(
         default=1.0,
         min=0.25,
         panel=INPUT,
+    )
+
+    def parameters(self) -> dict[str, Table]:
+        """Return the parameters that have options of their own, by option."""
+        named = {"fixed_frame": self.fixed_frame, "model": self.model, "unit": self.unit}
+        tables: dict[str, Table] = {
+            f"--{name.replace('_', '-')}": {"input": {name: value}}
+            for name, value in named.items()
+            if value is not None
+        }
+        if self.clock:
+            tables["--clock"] = {"clock": dict(map(_clock, self.clock))}
+        return tables
+
+
+@dataclass(frozen=True, slots=True)
+class LimbOptions:
+    """Options on limb lengths."""
+
+    limbs: Path | None = option(
+        "FILE", "Use these limb lengths of an earlier session.", panel=LIMBS
+    )
+    save_limbs: Path | None = option("FILE", "Write the limb lengths to this file.", panel=LIMBS)
+    limb_window: list[str] | None = option(
+        "START:END",
+        "Calibrate limbs in this time range only, s from the log's start; may be repeated.",
+        panel=LIMBS,
+    )
+    two_pass: bool = flag("--two-pass", "Calibrate limbs on the whole log first.", panel=LIMBS)
+    solver: str | None = option(
+        "NAME", "Optimizer: lm (default) or ceres (slow, for comparison).", panel=LIMBS
+    )
+
+    def parameters(self) -> dict[str, Table]:
+        """Return the parameters that have options of their own, by option."""
+        values = {
+            "--limb-window": ("calibration_windows", list(map(_window, self.limb_window or ()))),
+            "--two-pass": ("calibration", "two-pass" if self.two_pass else ""),
+            "--solver": ("solver", self.solver),
+        }
+        return {name: {"optimize": {key: value}} for name, (key, value) in values.items() if value}
+
+
+@dataclass(frozen=True, slots=True)
+class OutputOptions:
+    """Options on what is written and shown."""
+
+    output: str | None = option(
+        "OUT",
+        f"Output file, DIR/ for a ROS 2 bag, - for a pipe; with many logs, the folder for "
+        f"all. Default: LOG's name with {SUFFIX}.",
+        "--output",
+        "-o",
+        panel=OUTPUT,
+    )
+    keep: list[str] | None = option(
+        "GLOB",
+        "Input channels to copy; may be repeated; '' copies none. Default: the cameras read, "
+        "the transforms and /truth.",
+        autocompletion=topics,
+        panel=OUTPUT,
+    )
+    markers: bool = flag(
+        "--markers",
+        "Also write MarkerArray, JointState and Log for RViz and Foxglove.",
+        panel=OUTPUT,
+    )
+    view: bool = flag("--view", "Show the run live in the Rerun viewer.", panel=OUTPUT)
+
+
+class _Run(NamedTuple):
+    """What the user asked for, whatever the logs are."""
+
+    parameters: Parameters
+    stages: str
+    reading: InputOptions
+    limbs: LimbOptions
+    writing: OutputOptions
+    many: ManyLogs
+
+    def settings(self, *, live: bool = False) -> Settings:
+        """Return where the parameters come from."""
+        named = {**self.reading.parameters(), **self.limbs.parameters()}
+        return self.parameters.settings(named, live=live)
+
+    def target(self, source: Path, settings: Settings) -> str:
+        """Return where the result of one log goes; refuses what must not be written."""
+        from hiros_mcap.outputs import target_kind
+
+        wanted = self.writing.output or str(beside(source, SUFFIX))
+        kind, target = target_kind(wanted), Path(wanted)
+        inputs = (source, settings.file, self.reading.extrinsics, self.limbs.limbs)
+        saved = self.limbs.save_limbs
+        check_outputs((target, kind), (saved, "limb table"), inputs=inputs, force=self.many.force)
+        if kind == "log":
+            _refuse_other_formats(target)
+        return wanted
+
+    def options(self, settings: Settings) -> ProcessOptions:
+        """Return what is read, run and written; refuses what has no effect."""
+        reading, limbs, writing = self.reading, self.limbs, self.writing
+        if reading.strict and reading.recover:
+            raise ConfigError("--strict refuses what --recover accepts; choose one")
+        with importing():
+            prepare(quiet=self.many.quiet, everything=True)
+            from hiros_mcap.running.pipeline import ProcessOptions
+
+        _check_assignments(settings.system, settings.assignments)
+        _check_effects(settings.system, self.stages, limbs)
+        return ProcessOptions(
+            system=settings.system,
+            stages=self.stages,
+            settings=settings.file,
+            topics=tuple(reading.topic or ()),
+            keep=None if writing.keep is None else tuple(filter(None, writing.keep)),
+            extrinsics=reading.extrinsics,
+            limbs_in=limbs.limbs,
+            limbs_out=limbs.save_limbs,
+            markers=writing.markers,
+            calibrate=_calibration(reading.calibrate),
+            strict=reading.strict,
+            recover=reading.recover,
+            memory=reading.memory,
+        )
+
+
+@grouped
+def process(
+    context: typer.Context,
+    logs: list[str] = argument(
+        "LOG", "Recordings: MCAP files, ROS bags, folders of them, globs, URLs; - is a pipe."
     ),
-    jobs: int | None = shared.JOBS,
-    cluster: str | None = shared.CLUSTER,
-    csv: Path | None = shared.TABLE,
-    force: bool = shared.FORCE,
-    json: bool = shared.JSON,
-    quiet: bool = shared.QUIET,
+    parameters: Parameters = GROUP,
+    stages: str = option(
+        "CHAIN",
+        "Stages to run (track, merge, optimize, filter): T, TM, TO, TF, TMF, TMO or TMOF. "
+        "Default: all stages of the system.",
+        default="",
+        panel=PARAMETERS,
+    ),
+    reading: InputOptions = GROUP,
+    limbs: LimbOptions = GROUP,
+    writing: OutputOptions = GROUP,
+    many: ManyLogs = GROUP,
 ) -> None:
     """Track, merge, optimize and filter the skeletons of a log.
 
     The output holds the input channels and the results: /hiros/tracked, /hiros/merged,
     /hiros/optimized and /hiros/filtered. The command prints a summary.
     """
+    run, output = _Run(parameters, stages, reading, limbs, writing, many), writing.output
+    if is_live(logs, output, follow=reading.follow):
+        many.refuse_alone()
+        _live(run, logs)
+    elif many.wanted(logs, output or "", view=writing.view, save_limbs=limbs.save_limbs):
+        _many(run, logs)
+    else:
+        _one(run, one_log(context, logs[0]), logs[0])
+
+
+def _one(run: _Run, source: Path, named: str) -> None:
+    """Process one log; ``named`` is how the user named it, such as an address."""
     from hiros_mcap.io.remote import is_remote
 
-    many = ManyLogs(logs, output or "", jobs, cluster, csv, force, json, quiet)
-    source, wanted = Path(logs[0]), STREAM
-    live = is_live(logs, output, follow=follow)
-    is_many = not live and many.wanted
-    config = config if live else config_file(config, logs)
-    sides = (config, extrinsics, limbs)
-    if is_many:
-        many.refuse(view=view, save_limbs=save_limbs)
-        if output is None:
-            raise ConfigError("with many logs, name a folder for the results: -o FOLDER")
-    elif live:
-        many.refuse_alone()
-        check_live(logs, output, follow=follow)
-        if output != STREAM:
-            wanted = _checked_output(source, output, sides, save_limbs, force=force)
-    else:
-        many.refuse_alone()
-        source = one_log(context, logs[0])
-        named = Path(source.name) if is_remote(logs[0]) else source
-        wanted = _checked_output(named, output, sides, save_limbs, force=force)
-    system = chosen_system(system, preset, live=live)
-    if strict and recover:
-        raise ConfigError("--strict refuses what --recover accepts; choose one")
-    windows = list(map(_window, limb_window)) if limb_window else None
-    settings: tuple[tuple[str, str, str, Any], ...] = (
-        ("--fixed-frame", "input", "fixed_frame", fixed_frame),
-        ("--limb-window", "optimize", "calibration_windows", windows),
-        ("--two-pass", "optimize", "calibration", "two-pass" if two_pass else None),
-        ("--solver", "optimize", "solver", solver),
-        ("--model", "input", "model", model),
-        ("--unit", "input", "unit", unit),
-    )
-    shortcuts = {
-        name: {part: {key: value}} for name, part, key, value in settings if value is not None
-    }
-    if clock:
-        shortcuts["--clock"] = {"clock": dict(map(_clock, clock))}
-    with importing():
-        prepare(quiet=quiet, everything=True)
-        if output is None and not live:
-            _refuse_result(source)
-        from hiros_mcap.config import load_config
-        from hiros_mcap.running.pipeline import ProcessOptions
-        from hiros_mcap.running.pipeline import process as run
+    settings, many = run.settings(), run.many
+    settings = settings_of(named, settings) if many.quiet else settings.of(named)
+    target = run.target(Path(source.name) if is_remote(named) else source, settings)
+    options = run.options(settings)
+    if run.writing.output is None:
+        _refuse_result(source)
+    from hiros_mcap.running.pipeline import process
 
-    _check_assignments(system, assignments or ())
-    on_limbs = {"--limbs": limbs, "--save-limbs": save_limbs, "--limb-window": limb_window}
-    _check_effects(system, stages, {**on_limbs, "--two-pass": two_pass, "--solver": solver})
-    options = ProcessOptions(
-        system=system,
-        stages=stages,
-        settings=config.absolute() if is_many and config else config,
-        topics=tuple(topic or ()),
-        keep=None if keep is None else tuple(filter(None, keep)),
-        extrinsics=extrinsics.absolute() if is_many and extrinsics else extrinsics,
-        limbs_in=limbs.absolute() if is_many and limbs else limbs,
-        limbs_out=save_limbs,
-        markers=markers,
-        calibrate=_calibration(calibrate),
-        strict=strict,
-        recover=recover,
-        memory=memory,
-    )
-    effective = load_config(config, assignments or (), preset, system, shortcuts)
-    if is_many:
-        from hiros_cli.many_logs import run as run_many
-        from hiros_mcap.many.jobs import ProcessJob
-
-        raise typer.Exit(run_many(ProcessJob(effective, options), many))
+    config = settings.load()
     with ExitStack() as stack:
-        watcher = _live(source, wanted, stack) if view else None
-        if live:
-            if wanted == STREAM:  # what is printed must not go into the output
-                stack.enter_context(redirect_stdout(sys.stderr))
-            summary = run_live(logs[0], wanted, effective, options, watcher, quiet=quiet)
-            _show(summary, json=json, quiet=quiet)
-            return
-        with bar(source.name, quiet=quiet) as progress:
-            summary = run(
+        watcher = _viewer(source, target, stack) if run.writing.view else None
+        with bar(source.name, quiet=many.quiet) as progress:
+            summary = process(
                 source,
-                wanted,
-                config=effective,
+                target,
+                config=config,
                 options=options,
                 progress=progress,
                 watcher=watcher,
-                force=force,
+                force=many.force,
             )
-        _show(summary, json=json, quiet=quiet)
+        _show(summary, json=many.json, quiet=many.quiet)
     if summary.losses:
         raise typer.Exit(LOSSES)
 
 
-def _checked_output(
-    source: Path,
-    output: str | None,
-    sides: Sequence[Path | None],
-    limbs: Path | None,
-    *,
-    force: bool,
-) -> str:
-    """Return where the result of one log goes, after what must not be written was refused."""
-    from hiros_mcap.outputs import target_kind
+def _many(run: _Run, logs: Sequence[str]) -> None:
+    """Process many logs, each with the parameters of its own folder."""
+    if run.writing.output is None:
+        raise ConfigError("with many logs, name a folder for the results: -o FOLDER")
+    settings = run.settings()
+    options = run.options(settings)
+    settings.load()  # what is wrong for all logs is said before the first one
+    from hiros_mcap.many.jobs import ProcessJob
 
-    wanted = str(beside(source, SUFFIX)) if output is None else output
-    kind, target = target_kind(wanted), Path(wanted)
-    check_outputs((target, kind), (limbs, "limb table"), inputs=(source, *sides), force=force)
-    if kind == "log":
-        _refuse_other_formats(target)
-    return wanted
+    files = {
+        name: path.absolute()
+        for name in ("extrinsics", "limbs_in")
+        if (path := getattr(options, name)) is not None
+    }
+    if settings.file is not None:
+        settings = replace(settings, file=settings.file.absolute())
+    run_many(ProcessJob(settings, replace(options, **files)), logs, run.many, run.writing.output)
+
+
+def _live(run: _Run, logs: Sequence[str]) -> None:
+    """Process input that is still being written."""
+    source, output, many = logs[0], run.writing.output, run.many
+    check_live(logs, output, follow=run.reading.follow)
+    settings = run.settings(live=True)
+    settings = settings_of(source, settings) if many.quiet else settings.of(source)
+    target = STREAM if output == STREAM else run.target(Path(source), settings)
+    options = run.options(settings)
+    config = settings.load()
+    with ExitStack() as stack:
+        watcher = _viewer(Path(source), target, stack) if run.writing.view else None
+        if target == STREAM:  # what is printed must not go into the output
+            stack.enter_context(redirect_stdout(sys.stderr))
+        summary = run_live(source, target, config, options, watcher, quiet=many.quiet)
+        _show(summary, json=many.json, quiet=many.quiet)
 
 
 def _refuse_result(source: Path) -> None:
@@ -285,7 +341,7 @@ def _refuse_other_formats(target: Path) -> None:
         raise ConfigError(f"{target}: process writes MCAP; name it {named}{folder}")
 
 
-def _live(source: Path, target: str, stack: ExitStack) -> Watcher | None:
+def _viewer(source: Path, target: str, stack: ExitStack) -> Watcher | None:
     """Open a viewer to watch the run; without a screen, a page that somebody may open.
 
     None if there is nobody to look or nothing to look with: the result matters more.
@@ -355,28 +411,27 @@ def _check_assignments(system: str, assignments: Sequence[str]) -> None:
             )
 
 
-def _check_effects(system: str, stages: str, given: Mapping[str, object]) -> None:
+def _check_effects(system: str, stages: str, limbs: LimbOptions) -> None:
     """Refuse options on limb lengths that would change nothing."""
     from hiros_mcap.systems import chain_of, sections_of
 
     if "optimized" not in chain_of(system, stages):
         what = f"--stages {stages}" if stages else f"--system {system}"
-        unused, why = set(given), f"{what} has no optimizer"
+        unused, why = {field.name for field in fields(limbs)}, f"{what} has no optimizer"
     elif "optimize" not in sections_of(system):
         # It calibrates in its own way; the lengths can be saved and given.
-        unused = {*given} - {"--save-limbs", "--limbs"}
+        unused = {"limb_window", "two_pass", "solver"}
         why = f"--system {system} has an optimizer of its own; --system hiros reads it"
-    elif given["--limbs"]:
-        unused, why = {"--two-pass"}, "the limb lengths come from --limbs"
+    elif limbs.limbs:
+        unused, why = {"two_pass"}, "the limb lengths come from --limbs"
     else:
         return
-    for name, value in given.items():
-        if value and name in unused:
-            raise ConfigError(f"{name} has no effect: {why}")
+    for field in fields(limbs):
+        if field.name in unused and getattr(limbs, field.name):
+            raise ConfigError(f"--{field.name.replace('_', '-')} has no effect: {why}")
 
 
 def _show(summary: Summary, *, json: bool, quiet: bool) -> None:
-
     for text in summary.warnings:
         warn(text, logged=True)
     if json:

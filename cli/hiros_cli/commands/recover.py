@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from hiros_cli.compiling import prepare
-from hiros_cli.options import FORCE, JSON, LOSSES, QUIET_RESULT, argument, option
+from hiros_cli.options import FORCE, JSON, LOSSES, QUIET, argument, option
 from hiros_cli.output import beside, check_outputs, print_json, warn
 from hiros_mcap.running.progress_bar import bar
 
@@ -25,7 +25,7 @@ def recover(
     ),
     force: bool = FORCE,
     json: bool = JSON,
-    quiet: bool = QUIET_RESULT,
+    quiet: bool = QUIET,
 ) -> None:
     """Save what can be read of a damaged or truncated recording.
 

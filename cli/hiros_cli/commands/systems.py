@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from hiros_cli.compiling import prepare
-from hiros_cli.options import ASSIGNMENTS, CONFIG, PRESET, SYSTEM, chosen_system, flag
+from hiros_cli.options import GROUP, Parameters, flag, grouped
 
 
 def systems() -> None:
@@ -21,19 +19,16 @@ def systems() -> None:
     page((), table("System", "What it is", "Stages", rows=rows))
 
 
+@grouped
 def config(
-    system: str | None = SYSTEM,
-    preset: str = PRESET,
-    config: Path | None = CONFIG,
-    assignments: list[str] | None = ASSIGNMENTS,
+    parameters: Parameters = GROUP,
     everything: bool = flag("--all", "Also print the advanced parameters."),
 ) -> None:
     """Print the parameters of a system as TOML for --config."""
     prepare(quiet=False)
-    from hiros_mcap.config import load_config, to_toml
+    from hiros_mcap.config import to_toml
     from hiros_mcap.systems import sections_of
 
-    system = chosen_system(system, preset)
-    effective = load_config(config, assignments or (), preset, system)
-    shown = to_toml(effective, sections_of(system), everything=everything, fixed=False)
-    print(shown, end="")
+    settings = parameters.settings()
+    sections = sections_of(settings.system)
+    print(to_toml(settings.load(), sections, everything=everything, fixed=False), end="")
