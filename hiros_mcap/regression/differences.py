@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -163,6 +163,8 @@ def compare_logs(
     output: str | os.PathLike[str],
     golden: str | os.PathLike[str],
     tolerances: Tolerances | None = None,
+    *,
+    log_times: bool = True,
 ) -> Comparison:
     """Compare every output channel of a golden log with the same channel of another log.
 
@@ -171,6 +173,7 @@ def compare_logs(
     output, golden : logs that ``hiros process`` wrote; the golden one may be compact.
     tolerances : of the times that make two frames the same one, and of the first frame that
         differs; None = those beside the golden log.
+    log_times : whether they are compared, too.
 
     Raises LogError if a log cannot be read, or the golden log holds no output channel; ConfigError
     if the skeleton models differ: there is nothing to compare.
@@ -186,7 +189,8 @@ def compare_logs(
         fault = f"holds no channel {OUTPUT_PREFIX}/*; there is nothing to compare"
         raise LogError(fault, path=output) from None
     both = [topic for topic in topics if topic in there]
-    channels = [_compare_channel(topic, output, golden, tolerances) for topic in both]
+    logs = output, golden
+    channels = [_compare_channel(t, *logs, tolerances, log_times=log_times) for t in both]
     ids = {k: v for channel in channels for k, v in channel.ids.items()}
     lengths = compare_limbs(limbs_of(output), limbs_of(golden), ids)
     return Comparison(channels, [topic for topic in topics if topic not in there], lengths)
@@ -197,9 +201,13 @@ def _compare_channel(
     output: str | os.PathLike[str],
     golden: str | os.PathLike[str],
     tolerances: Tolerances,
+    *,
+    log_times: bool,
 ) -> ChannelComparison:
     new, now, _ = read_channel(output, topic)
     old, model, _ = read_channel(golden, topic)
+    if not log_times:
+        new, old = ([replace(f, log_time=f.stamp) for f in frames] for frames in (new, old))
     if (now.marker_names, now.link_names) != (model.marker_names, model.link_names):
         if not set(now.marker_names) & set(model.marker_names):
             fault = f"cannot be compared with {golden}: the skeletons share no marker"

@@ -25,7 +25,7 @@ from typing import Any, Literal
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from hiros_mcap.config import load_config
+from hiros_mcap.config import Settings
 from hiros_mcap.defaults import default_system
 from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.evaluate import load_truth
@@ -66,7 +66,9 @@ class Case(Params):
     require: tuple[str, ...] = Field((), description='Thresholds: "mpjpe <= 25 mm".')
     truth: str = Field("", description="File with the truth. Default: the log's own.")
     preset: str = "default"
-    config: str = Field("", description="TOML file with parameters.")
+    config: str = Field(
+        "", description="TOML file with parameters. Default: hiros.toml of the input."
+    )
     set: tuple[str, ...] = Field((), description="Parameters: stage.param=value.")
     system: str = Field("", description="Default: fuse; with a preset hiros.")
     stages: str = Field("", description="Chain of the system's stages. Default: all.")
@@ -163,8 +165,6 @@ def _case(path: Path, number: int, defaults: dict[str, Any], row: Any) -> Case:
         label = row.get("name") or row.get("input") or number
         key = f"{'.'.join(where)}: " if where else ""
         raise ConfigError(f"{path}: log {label}: {key}{message}") from None
-    if not (path.parent / case.input).is_file():
-        raise ConfigError(f"{path}: log {case.title}: no file {case.input}")
     validated(case.tolerances, f"{path}: log {case.title}: tolerances")
     return case
 
@@ -213,7 +213,8 @@ def run_suite(
     return [done[k] for k in range(len(cases))]
 
 
-LOG_TIMES = "output.log_time=causal"
+LOG_TIME = "output.log_time"
+LOG_TIMES = f"{LOG_TIME}=causal"
 """What the cases of a suite are run with, unless they set it themselves."""
 
 
@@ -221,15 +222,18 @@ def run_case(folder: Path, case: Case, bless: bool = False, keep: Path | None = 
     """Process one log and check it; whatever is wrong with it becomes the result."""
     start = time.perf_counter()
     try:
+        if not (folder / case.input).exists():
+            raise ConfigError(f"{folder / case.input}: there is no such input")
         with tempfile.TemporaryDirectory() as temporary:
             out = kept_path(keep or Path(temporary), case)
             file = folder / case.config if case.config else None
             system = case.system or default_system(case.preset)
             # A golden log also guards how late results are.
-            config = load_config(file, [LOG_TIMES, *case.set], case.preset, system)
+            assignments = (LOG_TIMES, *case.set)
+            settings = Settings(system, case.preset, file, assignments).of(folder / case.input)
             options = ProcessOptions(system=system, stages=case.stages, keep=("/truth/*",))
             # Whether ``out`` may be replaced was asked before the first case ran.
-            process(folder / case.input, out, config=config, options=options, force=True)
+            process(folder / case.input, out, config=settings.load(), options=options, force=True)
             result = _check_case(folder, case, out, bless=bless)
     except (HirosError, OSError) as error:
         result = CaseResult(case.title, "error", str(error))
@@ -317,9 +321,16 @@ class Golden:
             golden = load_metrics(self.path)
             lost, gains = worse(result.metrics, golden.values, tolerances.metrics)
             return golden.provenance, gains, replace(result, differences=tuple(lost))
-        comparison = compare_logs(output, self.path, tolerances)
-        by_channel = comparison.differences(tolerances)
         provenance, notes = Provenance.of_log(self.path), []
+        kinds = [p.parameters.get(LOG_TIME) for p in (provenance, Provenance.of_log(output))]
+        one_kind = kinds[0] == kinds[1] or None in kinds
+        if not one_kind:
+            notes.append(
+                f"log times are not compared: of the golden log they are {kinds[0]}, of the result "
+                f"{kinds[1]} ({LOG_TIME})"
+            )
+        comparison = compare_logs(output, self.path, tolerances, log_times=one_kind)
+        by_channel = comparison.differences(tolerances)
         equal = [c.topic for c in comparison.channels if c.topic not in by_channel]
         if by_channel and equal:
             stage = next(iter(by_channel))
