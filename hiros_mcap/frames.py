@@ -14,7 +14,7 @@ from typing import Concatenate, ParamSpec
 import numpy as np
 
 from hiros_mcap.kernels.gathering import gather
-from hiros_mcap.skeletons import STATE, Floats, Frame, People, Stage, Stamps, Uncertainty
+from hiros_mcap.skeletons import Floats, Frame, People, Stage, Stamps, Uncertainty
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,12 +132,17 @@ def places_of(names: Iterable[str], places: Mapping[str, Floats]) -> Floats:
     return np.array([places.get(name, 3 * [np.nan]) for name in names]).reshape(-1, 3)
 
 
-def join(blocks: Sequence[Block], order: Stamps | None = None) -> Block:
-    """Return the frames of blocks, one block behind the other; arrays are copied, to all columns.
+def join(blocks: Sequence[Block], order: Stamps | None = None, width: int = 0) -> Block:
+    """Return copies of the frames of blocks, one block behind the other.
 
     ``order`` : which frames, counted through all blocks, come in which order; None = all.
+    ``width`` : columns that markers and links get at least; those that are new are NaN.
     """
-    if len(blocks) == 1 and _is_one_frame(blocks[0]) and (order is None or len(order) == 1):
+    widths = (
+        max(width, *(block.people.markers.shape[2] for block in blocks)),
+        max(width, *(block.people.links.shape[2] for block in blocks)),
+    )
+    if len(blocks) == 1 and _is_one_frame(blocks[0], widths) and (order is None or len(order) == 1):
         block = blocks[0]  # a live input has one such frame after the other
         every = np.arange(len(block.people.ids))
         sure = block.uncertainty and block.uncertainty.at(every)
@@ -148,11 +153,10 @@ def join(blocks: Sequence[Block], order: Stamps | None = None) -> Block:
     ends = np.cumsum(rows[:, 1] - rows[:, 0])
     targets = ends - (rows[:, 1] - rows[:, 0])
     some = blocks[0].people
-    people = People.allocate(int(ends[-1]), some.markers.shape[1], some.links.shape[1])
+    people = People.allocate(int(ends[-1]), some.markers.shape[1], some.links.shape[1], *widths)
     for k, block in enumerate(blocks):
         mask = of_block == k
-        columns = [_ALL[: each.shape[2]] for each in (block.people.markers, block.people.links)]
-        gather(rows[mask], targets[mask], block.people, *columns, people)
+        gather(rows[mask], targets[mask], block.people, people)
     names, sources, frame_ids = _common_names(blocks)
     return Block(
         np.concatenate([block.stamps for block in blocks])[wanted],
@@ -166,12 +170,9 @@ def join(blocks: Sequence[Block], order: Stamps | None = None) -> Block:
     )
 
 
-_ALL = np.arange(STATE)
-
-
-def _is_one_frame(block: Block) -> bool:
-    """Whether these are all people of one frame, with all columns."""
-    whole = block.people.markers.shape[2] == block.people.links.shape[2] == STATE
+def _is_one_frame(block: Block, widths: tuple[int, int]) -> bool:
+    """Whether these are all people of one frame, with as many columns of markers and links."""
+    whole = (block.people.markers.shape[2], block.people.links.shape[2]) == widths
     return bool(whole and block.rows.tolist() == [[0, len(block.people.ids)]])
 
 
@@ -191,13 +192,13 @@ class HeldFrames:
             self._blocks.append((np.arange(first, self.count), block))
         return first
 
-    def copies(self, numbers: Sequence[int]) -> Block:
-        """Return copies of the frames with these numbers, in this order; at least one."""
+    def copies(self, numbers: Sequence[int], width: int = 0) -> Block:
+        """Return copies of the frames with these numbers, in this order; see :func:`join`."""
         wanted = np.array(numbers)
         first, last = wanted.min(), wanted.max()
         held = [pair for pair in self._blocks if first <= pair[0][-1] and pair[0][0] <= last]
         every = np.concatenate([ids for ids, _ in held])
-        return join([block for _, block in held], np.searchsorted(every, wanted))
+        return join([block for _, block in held], np.searchsorted(every, wanted), width)
 
     def keep(self, numbers: Sequence[int]) -> None:
         """Let go of all frames but these."""

@@ -116,12 +116,12 @@ class People(NamedTuple):
     markers: Floats
     """(P, M, W) KinematicState of each marker; m, m/s, rad/s, m/s2, rad/s2.
 
-    W is 19, or 7 in what is read with ``slim``: velocities and accelerations are absent then.
+    W is 19, or less where no stage has filled in the rest: 7 in a log of poses, 10 with velocities.
     """
     marker_confidences: Floats
     """(P, M) 0..1, NaN = not given."""
     links: Floats
-    """(P, L, W) KinematicState of each link."""
+    """(P, L, W) KinematicState of each link; W as of the markers, or another."""
     link_confidences: Floats
     """(P, L) 0..1, NaN = not given."""
     boxes: Floats
@@ -132,10 +132,15 @@ class People(NamedTuple):
         return f"<People {n} rows, {m} markers, {links} links>"
 
     @classmethod
-    def allocate(cls, n_people: int, n_markers: int, n_links: int, width: int = STATE) -> People:
-        """Return arrays whose numbers are still to be set; ``width`` is W."""
+    def allocate(
+        cls, n_people: int, n_markers: int, n_links: int, width: int = STATE, of_links: int = 0
+    ) -> People:
+        """Return arrays whose numbers are still to be set.
+
+        ``width`` and ``of_links`` are W of the markers and of the links; 0 = as of the markers.
+        """
         p, m, n = n_people, n_markers, n_links
-        shapes = (p,), (p, m, width), (p, m), (p, n, width), (p, n), (p, BOX)
+        shapes = (p,), (p, m, width), (p, m), (p, n, of_links or width), (p, n), (p, BOX)
         numbers = [np.empty(shape) for shape in shapes]
         return cls(np.empty(p, np.int32), np.empty(p, np.int64), *numbers)
 

@@ -79,13 +79,21 @@ def test_held_frames_come_back_with_all_columns(width):
         slim = [np.ascontiguousarray(each[..., :width]) for each in (frame.markers, frame.links)]
         held.add(Block.of(frame.replace(markers=slim[0], links=slim[1])))
     held.keep([0, 2])
-    for frame, number in zip(held.copies([2, 0]).frames(), (2, 0), strict=True):
+    for frame, number in zip(held.copies([2, 0], 19).frames(), (2, 0), strict=True):
         expected = frames[number]
         assert frame.ids.tolist() == expected.ids.tolist()
         assert frame.markers.shape == expected.markers.shape
         np.testing.assert_array_equal(frame.markers[..., :width], expected.markers[..., :width])
         np.testing.assert_array_equal(frame.links, expected.links)
         assert np.isnan(frame.markers[..., width:]).all()
+
+
+def test_joined_people_have_as_many_columns_as_the_widest():
+    narrow, wide = (People.allocate(1, 2, 1, *widths) for widths in ((7, 7), (10, 7)))
+    blocks = [Block.of(numbered(1, 0).replace(people=people)) for people in (narrow, wide)]
+    people = join(blocks).people
+    assert (people.markers.shape[2], people.links.shape[2]) == (10, 7)
+    assert np.isnan(people.markers[0, :, 7:]).all()
 
 
 @pytest.mark.parametrize("width", [19, 7])
@@ -97,7 +105,7 @@ def test_a_frame_that_waits_alone_is_copied_with_all_columns(others, width):
     block = replace(block, people=block.people._replace(markers=markers))
     held = HeldFrames()
     held.add(block)
-    copy = held.copies([0])
+    copy = held.copies([0], 19)
     assert copy.people.ids.tolist() == [10, 11]
     assert copy.people.markers.shape == (2, 2, 19)
     np.testing.assert_array_equal(copy.people.markers[:, :, :width], markers[:2])

@@ -192,10 +192,12 @@ def mean_state(
     states, confidences : (K, M, 19) and (K, M) markers or links of the views.
     weights : (K,). reference : view with whose orientation the others' signs are aligned; if it
         has none, the mean has none.
-    out, out_confidences : (M, 19) and (M,), of which slot ``m`` is written.
+    out, out_confidences : (M, W) and (M,), of which slot ``m`` is written: as many columns as it
+        has, at least the pose.
     """
     for first in _VECTORS:
-        _mean_vector(states, m, first, weights, out)
+        if first + 3 <= out.shape[1]:
+            _mean_vector(states, m, first, weights, out)
     if not math.isnan(states[reference, m, ORIENTATION]):
         _mean_orientation(states, m, weights, reference, out)
     total = norm = 0.0

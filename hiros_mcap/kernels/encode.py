@@ -14,7 +14,7 @@ from hiros_mcap.kernels.array_types import C1, I1, I2, U1, W1
 from hiros_mcap.kernels.bytes import load64, store32, store64, to_word
 from hiros_mcap.kernels.cdr import BOX, MIN_PERSON, NANO, STATE, Bytes, Table, Words, align4, align8
 from hiros_mcap.kernels.compile import entry, kernel
-from hiros_mcap.skeletons import ORIENTATION, Floats, People
+from hiros_mcap.skeletons import ORIENTATION, POSE, Floats, People
 
 # Faults of a frame.
 SHAPE = 1
@@ -88,10 +88,10 @@ def _put_numbers(out: Bytes, at: int, values: Floats, first: int, n: int, droppe
 
 
 @kernel
-def _put_state(out: Bytes, at: int, values: Floats, first: int, form: Format) -> int:
-    """Write a KinematicState, of which some columns may be left out."""
-    at = _put_numbers(out, at, values, first, form.columns, form.dropped)
-    for _ in range(STATE - form.columns):
+def _put_state(out: Bytes, at: int, values: Floats, first: int, columns: int, dropped: int) -> int:
+    """Write a KinematicState, of which so many columns are not left out."""
+    at = _put_numbers(out, at, values, first, columns, dropped)
+    for _ in range(STATE - columns):
         store64(out, at, _ABSENT)
         at += 8
     return at
@@ -121,11 +121,11 @@ def _has_seconds(stamp: int) -> bool:
 
 
 @kernel
-def _is_present(states: Floats, confidences: Floats, row: int, columns: int) -> bool:
+def _is_present(states: Floats, first: int, confidence: float, columns: int) -> bool:
     """Whether any of the numbers that would be written is known."""
-    present = not np.isnan(confidences[row])
-    k = row * STATE
-    while not present and k < row * STATE + columns:
+    present = not np.isnan(confidence)
+    k = first
+    while not present and k < first + columns:
         present = not np.isnan(states[k])
         k += 1
     return present
@@ -152,26 +152,26 @@ def _put_elements(
     """Write the markers or the links of a person that are present, after their count."""
     count_at, count = at, 0
     at += 4
+    width = len(states) // max(len(confidences), 1)
+    columns = min(width, form.columns)
     for slot in range(len(table)):
         row = person * len(table) + slot
-        if _is_present(states, confidences, row, form.columns):
+        if _is_present(states, row * width, confidences[row], columns):
             count += 1
             at = _put_element(out, at, table, slot, words)
             at = _put_numbers(out, at, confidences, row, 1, form.dropped)
-            at = _put_state(out, at, states, row * STATE, form)
+            at = _put_state(out, at, states, row * width, columns, form.dropped)
     _put(out, count_at, count)
     return at
 
 
 @kernel
-def _span(markers: Floats, first: int, count: int, axis: int) -> tuple[float, float]:
-    """Return the least and the greatest coordinate of a person's markers; NaN if none is known.
-
-    ``markers`` are flat; the person's ``count`` markers start at ``first``.
-    """
+def _span(flat: People, person: int, count: int, axis: int) -> tuple[float, float]:
+    """Return the least and the greatest coordinate of a person's ``count`` markers; NaN = none."""
     least, greatest = np.nan, np.nan
+    markers, width = flat.markers, len(flat.markers) // max(len(flat.marker_confidences), 1)
     for m in range(count):
-        at = first + m * STATE
+        at = (person * count + m) * width
         if np.isnan(markers[at] + markers[at + 1] + markers[at + 2]):
             continue
         x = markers[at + axis]
@@ -193,13 +193,12 @@ def _put_box(out: Bytes, at: int, person: int, n_markers: int, flat: People, for
     Height is along z, length along x, width along y. Of a person without markers the box is
     written as given.
     """
-    first = person * n_markers * STATE
-    x0, x1 = _span(flat.markers, first, n_markers, 0)
+    x0, x1 = _span(flat, person, n_markers, 0)
     if not form.boxed or np.isnan(x0):
-        at = _put_state(out, at, flat.boxes, person * BOX, form)
+        at = _put_state(out, at, flat.boxes, person * BOX, form.columns, form.dropped)
         return _put_numbers(out, at, flat.boxes, person * BOX + STATE, BOX - STATE, form.dropped)
-    y0, y1 = _span(flat.markers, first, n_markers, 1)
-    z0, z1 = _span(flat.markers, first, n_markers, 2)
+    y0, y1 = _span(flat, person, n_markers, 1)
+    z0, z1 = _span(flat, person, n_markers, 2)
     for value in (0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.5 * (z0 + z1), 0.0, 0.0, 0.0, 1.0):
         at = _put_number(out, at, value, form.dropped)
     for _ in range(STATE - ORIENTATION.stop):
@@ -265,8 +264,9 @@ def _fits(people: People, model: Hierarchy) -> bool:
     n, m, n_links = len(people.ids), len(model.markers), len(model.links)
     return (
         len(people.stamps) == n and len(people.confidences) == n and people.boxes.shape == (n, BOX)
-        and people.markers.shape == (n, m, STATE) and people.marker_confidences.shape == (n, m)
-        and people.links.shape == (n, n_links, STATE)
+        and people.markers.shape[:2] == (n, m) and people.marker_confidences.shape == (n, m)
+        and people.links.shape[:2] == (n, n_links)
+        and POSE <= people.markers.shape[2] <= STATE and POSE <= people.links.shape[2] <= STATE
         and people.link_confidences.shape == (n, n_links)
     )  # fmt: skip
 

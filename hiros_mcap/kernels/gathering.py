@@ -7,7 +7,7 @@ import numpy as np
 from hiros_mcap.kernels.array_types import I1, I2
 from hiros_mcap.kernels.bytes import copy
 from hiros_mcap.kernels.compile import entry, kernel
-from hiros_mcap.skeletons import Floats, People, Stamps
+from hiros_mcap.skeletons import Floats, People
 
 
 @kernel
@@ -18,31 +18,26 @@ def _copy_rows(to: Floats, at: int, source: Floats, begin: int, end: int) -> Non
 
 
 @kernel
-def _spread_rows(
-    to: Floats, at: int, source: Floats, begin: int, end: int, columns: Stamps
-) -> None:
-    """Copy some rows of the first axis to these columns of the last one; the others become NaN."""
+def _widen_rows(to: Floats, at: int, source: Floats, begin: int, end: int) -> None:
+    """Copy some rows of the first axis; what follows the columns of ``source`` becomes NaN."""
     if source.shape[2] == to.shape[2]:
         _copy_rows(to, at, source, begin, end)
         return
     for p in range(end - begin):
         for m in range(to.shape[1]):
-            for c in range(to.shape[2]):
+            for c in range(source.shape[2]):
+                to[at + p, m, c] = source[begin + p, m, c]
+            for c in range(source.shape[2], to.shape[2]):
                 to[at + p, m, c] = np.nan
-            for k in range(len(columns)):
-                to[at + p, m, columns[k]] = source[begin + p, m, k]
 
 
 @entry
-def gather(
-    rows: I2, targets: I1, people: People, marker_columns: I1, link_columns: I1,
-    target: People,
-) -> None:  # fmt: skip
+def gather(rows: I2, targets: I1, people: People, target: People) -> None:
     """Copy the people of frames into ``target``; neighbours are copied together.
 
     ``rows`` (N, 2): first row of each frame, and the row after the last; ``targets`` (N,): the row
-    that the first one becomes. The columns say where those of the markers and links of ``people``
-    belong in a KinematicState; what they lack becomes NaN.
+    that the first one becomes. ``target`` may have more columns of markers and links: these become
+    NaN.
     """
     first = 0
     for k in range(len(rows)):
@@ -54,8 +49,8 @@ def gather(
         _copy_rows(target.ids, at, people.ids, begin, end)
         _copy_rows(target.stamps, at, people.stamps, begin, end)
         _copy_rows(target.confidences, at, people.confidences, begin, end)
-        _spread_rows(target.markers, at, people.markers, begin, end, marker_columns)
+        _widen_rows(target.markers, at, people.markers, begin, end)
         _copy_rows(target.marker_confidences, at, people.marker_confidences, begin, end)
-        _spread_rows(target.links, at, people.links, begin, end, link_columns)
+        _widen_rows(target.links, at, people.links, begin, end)
         _copy_rows(target.link_confidences, at, people.link_confidences, begin, end)
         _copy_rows(target.boxes, at, people.boxes, begin, end)

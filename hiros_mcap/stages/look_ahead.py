@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -47,8 +48,24 @@ class LookAhead:
         completing = np.maximum.accumulate(completing)
         return completing[: np.searchsorted(completing, len(block))]
 
-    def release(self, n: int) -> Block:
-        """Let the oldest ``n`` frames go; they are copied. There must be as many, at least one."""
+    def windows(self, block: Block) -> Iterator[Block]:
+        """Let the frames of a block wait, too; release windows that end with the look-ahead.
+
+        A window begins behind the one before it, and ends with the first frame that is ``seconds``
+        after its first one.
+        """
+        self.add(block)
+        while len(self):
+            last = int(np.searchsorted(self.stamps, self.stamps[0] + self._ahead))
+            if last == len(self):
+                return
+            yield self.release(last + 1)
+
+    def release(self, n: int, width: int = 0) -> Block:
+        """Return copies of the oldest ``n`` frames, which do not wait any more; at least one.
+
+        ``width`` : columns that markers and links get at least.
+        """
         self.stamps, parts = self.stamps[n:], list[Block]()
         while n > 0:
             block = self._blocks.popleft()
@@ -56,4 +73,4 @@ class LookAhead:
                 self._blocks.appendleft(block.select(slice(n, None)))
             parts.append(block.select(slice(n)))
             n -= len(block)
-        return join(parts)
+        return join(parts, width=width)

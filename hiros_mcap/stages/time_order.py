@@ -6,6 +6,7 @@ import heapq
 from collections.abc import Iterable, Iterator
 
 from hiros_mcap.frames import Block, HeldFrames
+from hiros_mcap.skeletons import STATE
 
 _USUAL_DELAY = 100_000_000  # ns: how late cameras are taken to be before any was late
 
@@ -91,5 +92,5 @@ class TimeOrder:
     def _leave(self, order: list[int], log_times: list[int]) -> Iterator[Block]:
         """Yield the messages with these numbers; keep those that wait."""
         if order:
-            yield self._held.copies(order).logged_at(log_times)
+            yield self._held.copies(order, STATE).logged_at(log_times)
             self._held.keep([number for *_, number in self._waiting])

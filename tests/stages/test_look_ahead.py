@@ -42,3 +42,11 @@ def test_what_leaves_is_a_copy():
     ahead.add(block)
     ahead.release(1).people.markers.fill(7.0)
     assert np.isnan(block.people.markers).all()
+
+
+def test_windows_end_with_the_first_frame_behind_the_look_ahead():
+    ahead, ids = LookAhead(2), []
+    for block in (block_at(1, 2), block_at(3, 4, 5, 6), block_at(7)):
+        ids += [window.people.ids.tolist() for window in ahead.windows(block)]
+    assert ids == [[1, 2, 3], [4, 5, 6]]
+    assert len(ahead) == 1

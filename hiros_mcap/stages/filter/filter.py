@@ -18,7 +18,7 @@ import numpy as np
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, CameraNumbers
 from hiros_mcap.kernels.array_types import arrays, settings_of
-from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Ints, SkeletonModel, Stamps
+from hiros_mcap.skeletons import POSITION, STATE, UNTRACKED, Floats, Ints, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.filter import state_space
 from hiros_mcap.stages.filter.filter_params import FilterParams
@@ -160,7 +160,7 @@ class _SkeletonFilter:
         ``completing`` says which new frame completes the look-ahead of each; ``known`` are the
         people of the new frames, ``owners`` their frames, ``designs`` the filters at each.
         """
-        out, past = self._ahead.release(len(completing)), self._bank.past
+        out, past = self._ahead.release(len(completing), STATE), self._bank.past
         n = len(out.people.ids)
         leaving, self._waiting = self._waiting[:n].copy(), self._waiting[n:]
         at = np.repeat(completing, out.sizes)

@@ -24,12 +24,13 @@ import numpy as np
 from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, HeldFrames
+from hiros_mcap.frames import Block
 from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Ints, SkeletonModel, Stamps
 from hiros_mcap.stages.fuse.fuse_params import ConstrainParams
 from hiros_mcap.stages.fuse.pair_lengths import AllPoses, MeasuredLengths, PairLimbs, RunningLengths
 from hiros_mcap.stages.fuse.pose_prior import RecentMotion, local_frames, shrink_noise
 from hiros_mcap.stages.fuse.residuals import restated
+from hiros_mcap.stages.look_ahead import LookAhead
 from hiros_mcap.threads import run_each
 
 UNKNOWN_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
@@ -65,37 +66,28 @@ def constrain_blocks(
     params = params or ConstrainParams()
     events = Events() if events is None else events
     bodies = _Bodies(model, params, events, LimbTable() if limbs is None else limbs)
-    waiting: deque[_WaitingWindow] = deque()
-    held, first, begin, end = HeldFrames(), 0, None, 0
+    ahead, waiting = LookAhead(params.window), deque[_WaitingWindow]()
+    log_time = 0
     for block in blocks:
-        for number, (stamp, _, end) in enumerate(block.messages(), held.add(block)):
-            begin = stamp if begin is None else begin
-            if stamp - begin < params.window * 1e9:
-                continue
-            numbers, first, begin = range(first, number + 1), number + 1, None
-            copied, window = numbers, held.copies(numbers)
-            waiting.append(bodies.measure(window, numbers))
-            while waiting and bodies.can_correct(waiting[0], stamp):
-                numbers, _, people = waiting.popleft()
-                if numbers != copied:
-                    copied, window = numbers, held.copies(numbers)
-                yield bodies.corrected(window, people, end)
+        for window in ahead.windows(block):
+            waiting.append(bodies.measure(window))
+            now, log_time = int(window.stamps[-1]), int(window.log_times[-1])
+            while waiting and bodies.can_correct(waiting[0], now):
+                yield bodies.corrected(*waiting.popleft(), log_time)
             del window  # it takes more memory than what waits
+        log_time = int(block.log_times[-1])
         del block  # for the same reason
-        held.keep(range(waiting[0].numbers.start if waiting else first, held.count))
-    if held.count > first:
-        numbers = range(first, held.count)
-        waiting.append(bodies.measure(held.copies(numbers), numbers))
+    if len(ahead):
+        waiting.append(bodies.measure(ahead.release(len(ahead))))
     bodies.end_of_log()
-    for each in waiting:
-        yield bodies.corrected(held.copies(each.numbers), each.people, end)
+    while waiting:
+        yield bodies.corrected(*waiting.popleft(), log_time)
 
 
 class _WaitingWindow(NamedTuple):
     """Frames that are corrected together, and wait for lengths."""
 
-    numbers: range  # of these frames
-    begin: int  # time of the first, ns
+    frames: Block
     people: list[tuple[int, Stamps]]  # who has an id in them, and the rows
 
 
@@ -126,7 +118,7 @@ class _Bodies:
         self._limbs = PairLimbs(model, self._pairs, limbs)
         self._people: dict[int, _Body] = {}
 
-    def measure(self, out: Block, numbers: range) -> _WaitingWindow:
+    def measure(self, out: Block) -> _WaitingWindow:
         """Measure everybody in a window, as long as the lengths are not well known."""
         variances, people = unshared_variances(out), list(_tracked(out))
         stamps = np.repeat(out.stamps, out.sizes)
@@ -143,7 +135,7 @@ class _Bodies:
             if not body.is_fixed and body.last - body.first >= self._params.enough * 1e9:
                 self._keep(person, body)
                 body.is_fixed, body.meter = True, self._meter()
-        return _WaitingWindow(numbers, int(out.stamps[0]), people)
+        return _WaitingWindow(out, people)
 
     def _meter(self) -> AllPoses | RunningLengths:
         if self._params.window > 0:
@@ -172,11 +164,11 @@ class _Bodies:
     def can_correct(self, window: _WaitingWindow, now: int) -> bool:
         """Whether nothing more about the people of a window is worth waiting for at ``now``, ns."""
         patience = self._params.enough + self._params.window if self._params.window > 0 else 0.0
-        waited = now - window.begin >= patience * 1e9
+        waited = now - int(window.frames.stamps[0]) >= patience * 1e9
         return waited or all(self._people[person].is_fixed for person, _ in window.people)
 
     def corrected(self, out: Block, people: list[tuple[int, Stamps]], log_time: int) -> Block:
-        """Project a window onto the lengths; move towards what people do; project again."""
+        """Project a window, in place, onto the lengths; move towards what people do; project."""
         variances = unshared_variances(out)
         lengths = np.ones((len(people), len(self._pairs), 2))
         which = np.full(len(out.people.ids), -1)

@@ -47,7 +47,7 @@ class SightingGatherer:
 
         merger = InstantMerger(
             self._model, gather, self._merge.bank, events, fixed_frame, ("outlier", "flip"),
-            Unseen(self._params.bridge, self._params.carry, self._cameras),
+            Unseen(self._params.bridge, self._params.carry, self._cameras), self._merge.widths,
         )  # fmt: skip
         for block in merger.run(blocks, self._params.cameras, self._params.max_delta_time):
             gathered, self._gathered, self._n_instants = self._gathered, [], 0

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.frames import Block, HeldFrames
+from hiros_mcap.frames import Block
 from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.skeletons import (
     POSITION,
@@ -29,6 +29,7 @@ from hiros_mcap.stages.fuse.fusing import POSE, FusedPoses, JointStates, Sightin
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 from hiros_mcap.stages.fuse.pose_error import PoseError
 from hiros_mcap.stages.fuse.sightings import rows_of
+from hiros_mcap.stages.look_ahead import LookAhead
 from hiros_mcap.threads import run_each
 
 _FOLLOW = 0.05  # share of each interval in the mean of all
@@ -67,9 +68,7 @@ class WindowSmoother:
         self._pose_error = pose_error
         self.displaced = DisplacedViews()
         self._names: tuple[str, ...] = ()
-        self._held = HeldFrames()
-        self._stamps: list[int] = []
-        """Of the instants that are held and known, ns."""
+        self._ahead = LookAhead()
         self._views: list[Sightings] = []
         """Not yet filtered; instants are numbered through the log."""
         self._first = 0
@@ -88,16 +87,22 @@ class WindowSmoother:
         self._make_room(names)
         patience = round((self._params.window + self._params.lookahead) * 1e9)
         bounds = np.searchsorted(views.instants, np.arange(len(block) + 1))
-        views = views._replace(instants=views.instants + self._held.add(block))
+        views = views._replace(instants=views.instants + self._first + len(self._ahead))
+        self._ahead.add(block)
+        times = zip(
+            block.stamps.tolist(), block.log_times.tolist(), bounds[1:].tolist(), strict=True
+        )
         taken = 0
-        for (stamp, _, log_time), end in zip(block.messages(), bounds[1:].tolist(), strict=True):
+        for unknown, (stamp, log_time, end) in zip(range(len(block))[::-1], times, strict=True):
             self._origin = stamp if self._origin is None else self._origin
-            self._stamps.append(stamp)
             self._count_on(log_time)
-            while self._stamps and (stamp - self._stamps[0] >= patience or self._is_due(log_time)):
+            while known := len(self._ahead) - unknown:
+                first = int(self._ahead.stamps[0])
+                if stamp - first < patience and not self._is_due(first, log_time):
+                    break
                 self._views.append(chosen(views, slice(taken, end)))
                 taken = end
-                yield self._smooth(self._stamps[0] + round(self._params.window * 1e9), log_time)
+                yield self._smooth(first + round(self._params.window * 1e9), log_time, known)
         self._views.append(chosen(views, slice(taken, None)))
 
     def _count_on(self, log_time: int) -> None:
@@ -108,15 +113,16 @@ class WindowSmoother:
             self._jitter += _FOLLOW * (abs(off) - self._jitter)
         self._last_log_time = log_time
 
-    def _is_due(self, log_time: int) -> bool:
-        """Whether the first instant would be too late if it waited for one more."""
+    def _is_due(self, stamp: int, log_time: int) -> bool:
+        """Whether the instant at ``stamp``, ns, would be too late if it waited for one more."""
         next_time = log_time + self._interval + 2 * self._jitter
-        return next_time > self._stamps[0] + self._params.max_lag * 1e9
+        return next_time > stamp + self._params.max_lag * 1e9
 
     def rest(self) -> Iterator[Block]:
         """Yield what is left at the end of the log."""
-        if self._stamps:
-            yield self._smooth(self._stamps[-1] + 1, self._last_log_time or 0)
+        if known := len(self._ahead):
+            last = int(self._ahead.stamps[-1])
+            yield self._smooth(last + 1, self._last_log_time or 0, known)
 
     def _make_room(self, names: tuple[str, ...]) -> None:
         """Add states for the offsets of new cameras; of these nothing is known yet."""
@@ -133,24 +139,23 @@ class WindowSmoother:
             covariances[:, :, k, k] = np.where(seen_before, self._noise.offsets**2, 0.0)
         self._bank.past = past._replace(means=means, covariances=covariances)
 
-    def _smooth(self, end: int, log_time: int) -> Block:
-        """Return the held instants before ``end``, ns, or at least one, smoothed."""
-        n = max(sum(stamp < end for stamp in self._stamps), 1)
-        boundary = self._stamps[min(n, len(self._stamps) - 1)]  # nothing older is merged any more
-        out = self._held.copies(range(self._first, self._first + n))
+    def _smooth(self, end: int, log_time: int, known: int) -> Block:
+        """Smooth the instants before ``end``, ns, or at least one, by those that are ``known``."""
+        stamps = self._ahead.stamps[:known]
+        n = max(int(np.searchsorted(stamps, end)), 1)
+        boundary = int(stamps[min(n, known - 1)])  # nothing older is merged any more
+        out = self._ahead.release(n)
         views = joined(self._views)
         self._views = [views]
         owners = np.repeat(np.arange(n), out.sizes)
         ids, new = out.people.ids, views.stamps >= self._taken
         window = _Window(views, new, ids, out.stamps[owners], np.unique(ids))
         of_views = rows_of(views, self._first + owners, out.people.ids)
-        self._bank.expire(self._stamps[0])
+        self._bank.expire(int(stamps[0]))
         poses = self._without_displaced(window, of_views, boundary)
         seen = cameras_by_row(views, of_views, poses.variances.shape)
         # The filters have taken over what is before the boundary.
-        self._stamps = self._stamps[n:]
         self._first += n
-        self._held.keep(range(self._first, self._held.count))
         self._taken = boundary
         self._views = [chosen(views, (views.stamps >= boundary) | (views.instants >= self._first))]
         return self._finished(out, log_time, poses, seen)

@@ -12,7 +12,7 @@ import numpy as np
 from hiros_mcap.events import TOO_LATE, Events
 from hiros_mcap.frames import Block, CameraNumbers, HeldFrames
 from hiros_mcap.kernels.averaging import Buffers
-from hiros_mcap.skeletons import UNTRACKED, Flags, Ints, People, SkeletonModel, Stamps
+from hiros_mcap.skeletons import STATE, UNTRACKED, Flags, Ints, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.merge.unseen import Unseen
 
@@ -106,6 +106,7 @@ class InstantMerger:
     bank : what the kernel remembers of people; one row for each.
     counted : names of what the kernel counts by camera.
     unseen : says whom that no message shows is handed to the kernel all the same.
+    widths : columns of the merged markers and links.
     """
 
     # ns of instants that are merged at once. A row that the bank frees meanwhile may be another
@@ -115,10 +116,11 @@ class InstantMerger:
     def __init__(
         self, model: SkeletonModel, kernel: MergeKernel, bank: Bank[Any], events: Events,
         fixed_frame: str, counted: tuple[str, str], unseen: Unseen | None = None,
+        widths: tuple[int, int] = (STATE, STATE),
     ) -> None:  # fmt: skip
         self._model, self._kernel, self._bank = model, kernel, bank
         self._events, self._fixed_frame, self._counted = events, fixed_frame, counted
-        self._unseen = unseen or Unseen()
+        self._unseen, self._widths = unseen or Unseen(), widths
         self._cameras = CameraNumbers()
         self._held = HeldFrames()
 
@@ -162,7 +164,8 @@ class InstantMerger:
         sizes = np.concatenate([np.diff(plan.buffers.people_ends) for plan in plans])
         stamps = np.concatenate([plan.buffers.stamps for plan in plans])
         ends = np.concatenate([[0], np.cumsum(sizes)])
-        out = People.allocate(int(ends[-1]), self._model.n_markers, self._model.n_links)
+        slots = self._model.n_markers, self._model.n_links
+        out = People.allocate(int(ends[-1]), *slots, *self._widths)
         out.stamps[:] = np.repeat(stamps, sizes)
         out.confidences.fill(np.nan)
         out.boxes.fill(np.nan)

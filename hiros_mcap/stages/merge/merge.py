@@ -26,7 +26,7 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
 from hiros_mcap.kernels.array_types import settings_of
 from hiros_mcap.kernels.averaging import Buffers, Views
-from hiros_mcap.skeletons import Floats, People, SkeletonModel, Stamps
+from hiros_mcap.skeletons import POSE, STATE, VELOCITY, Floats, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.merge import merging
 from hiros_mcap.stages.merge.instants import InstantMerger
@@ -70,8 +70,8 @@ def merge_blocks(
 class ViewMerger:
     """The compiled merger, with its settings, scratch and what it remembers of people.
 
-    ``only_orientations``: positions come from elsewhere, as in the fuser. Markers are merged only
-    where they have orientations.
+    ``only_orientations``: positions and velocities come from elsewhere, as in the fuser. Markers
+    are merged only where they have orientations, and other derivatives are left out.
     """
 
     def __init__(
@@ -87,7 +87,9 @@ class ViewMerger:
             relabel=params.flips == "relabel" and symmetry.has_sides,
             only_orientations=only_orientations,
         )  # fmt: skip
-        self.bank = Bank(merging.MergerPast.empty(*self._slots))
+        self.widths = (VELOCITY.stop, POSE) if only_orientations else (STATE, STATE)
+        """Columns of merged markers and links."""
+        self.bank = Bank(merging.MergerPast.empty(*self._slots, self.widths))
         self.sides_changed = np.zeros(0, np.int64)
         """What became of the views of the last call; see :func:`merging.merge_buffers`."""
         self._make_room(0)

@@ -27,7 +27,7 @@ from hiros_mcap.kernels.averaging import (
 from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.kernels.points import norm3, point_distance, step_between
 from hiros_mcap.kernels.quaternions import angle_of
-from hiros_mcap.skeletons import STATE, Flags, Floats, Ints, People, Stamps
+from hiros_mcap.skeletons import Flags, Floats, Ints, People, Stamps
 
 OUTLIERS, FLIPS = 0, 1
 """Rows of ``counts``: votes that a camera lost, and its views that faced the wrong way."""
@@ -81,10 +81,10 @@ class MergerPast(NamedTuple):
     camera_offsets: F4  # (S, C, M, 3) slow offset of each camera's markers from the merged ones, m
 
     @classmethod
-    def empty(cls, n_markers: int, n_links: int) -> MergerPast:
-        """Return arrays with no rows."""
+    def empty(cls, n_markers: int, n_links: int, widths: tuple[int, int]) -> MergerPast:
+        """Return arrays with no rows; ``widths`` are the columns of markers and links."""
         m, n = (0, n_markers), (0, n_links)
-        return arrays(cls, 0, 0, 0, 0, (*m, STATE), m, (*n, STATE), n, (0, 4, n_markers, 3))
+        return arrays(cls, 0, 0, 0, 0, (*m, widths[0]), m, (*n, widths[1]), n, (0, 4, n_markers, 3))
 
 
 class Sides(NamedTuple):
