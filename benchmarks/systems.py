@@ -55,6 +55,27 @@ SCENES: Mapping[str, Callable[[], Scene]] = {
     "fast, kick": partial(two, 106, action="kick"),
     "fast, spin": partial(two, 107, action="spin"),
     "many, 6 people": partial(two, 108, action="free_dynamic", people=6, cameras=5),
+    "crowd, 5 people": partial(
+        two,
+        119,
+        action="free_dynamic",
+        people=5,
+        cameras=3,
+        area=(-1.2, -1.2, 1.2, 1.2),
+        rig={"rate": 15.0},
+    ),
+    "crowd, 5 who cross": partial(
+        two,
+        120,
+        action="cross",
+        people=5,
+        cameras=3,
+        area=(-1.2, -1.2, 1.2, 1.2),
+        rig={"rate": 15.0},
+    ),
+    "hidden, detectors invent": partial(
+        two, 121, action="cross", cameras=2, detector={"invents": True}
+    ),
     "few, 2 cameras": partial(two, 109, action="cross", cameras=2),
     "15 Hz": partial(two, 110, action="cross", rig={"rate": 15.0}),
     "60 Hz": partial(two, 111, action="cross", rig={"rate": 60.0}),

@@ -36,6 +36,9 @@ class Block:
     people: People
     uncertainty: Uncertainty | None = None
     """Of the same rows; None = no stage has said anything."""
+    hidden: Floats | None = None
+    """(P, M) m2, by which the variance of a detection's marker is larger, because its camera cannot
+    see it; None = no stage has looked."""
 
     def __repr__(self) -> str:
         return f"<Block {len(self)} frames, {int(self.sizes.sum())} people>"
@@ -146,7 +149,8 @@ def join(blocks: Sequence[Block], order: Stamps | None = None, width: int = 0) -
         block = blocks[0]  # a live input has one such frame after the other
         every = np.arange(len(block.people.ids))
         sure = block.uncertainty and block.uncertainty.at(every)
-        return replace(block, people=block.people.at(every), uncertainty=sure)
+        hidden = None if block.hidden is None else block.hidden[every]
+        return replace(block, people=block.people.at(every), uncertainty=sure, hidden=hidden)
     of_block = np.repeat(np.arange(len(blocks)), [len(block) for block in blocks])
     wanted = np.arange(len(of_block)) if order is None else order
     of_block, rows = of_block[wanted], np.concatenate([block.rows for block in blocks])[wanted]
@@ -167,6 +171,7 @@ def join(blocks: Sequence[Block], order: Stamps | None = None, width: int = 0) -
         np.stack([targets, ends], axis=1),
         people,
         _join_uncertainty(blocks, of_block, rows),
+        _join_hidden(blocks, of_block, rows),
     )
 
 
@@ -244,6 +249,15 @@ def _join_uncertainty(
         max((each.names for each in some), key=len),
         np.concatenate([each.shared for each in some])[whole],
     )
+
+
+def _join_hidden(blocks: Sequence[Block], of_block: Stamps, rows: Stamps) -> Floats | None:
+    """Return ``hidden`` of frames with these ``rows`` of blocks; None if a block has none."""
+    some = [block.hidden for block in blocks if block.hidden is not None]
+    if len(some) < len(blocks):
+        return None
+    begins = np.cumsum([0, *map(len, some)])
+    return np.asarray(np.concatenate(some)[_rows_between(rows + begins[of_block, None])])
 
 
 def frames_of(blocks: Iterable[Block]) -> Iterator[Frame]:

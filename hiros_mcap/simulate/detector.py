@@ -58,6 +58,8 @@ class SimulatedDetections:
     """(n, P, M)."""
     guessed: Mask
     """(n, P, M) whether the joint is not seen but guessed."""
+    invented: Mask
+    """(n, P, M) whether it is behind somebody else, and the detector does not know that."""
     present: Mask
     """(n, P) whether the body is reported at all; the rest is meaningless where not."""
 
@@ -68,6 +70,7 @@ class SimulatedDetections:
             np.empty((n, people, MODEL.n_markers, 3)),
             np.empty((n, people, MODEL.n_links, 4)),
             np.full((n, people, MODEL.n_markers), confidence),
+            np.zeros((n, people, MODEL.n_markers), bool),
             np.zeros((n, people, MODEL.n_markers), bool),
             np.ones((n, people), bool),
         )
@@ -116,6 +119,9 @@ def _hide(detections: SimulatedDetections, params: SimulateParams) -> None:
         detections.guessed[:] = sight.hidden | ~sight.framed
         detections.confidences[sight.hidden] = detector.confidence_guessed
         detections.confidences[~sight.framed] = detector.confidence_outside
+        if detector.invents:
+            detections.confidences[:] = 1.0
+            detections.invented[:] = sight.covered
 
 
 def is_detected(sight: Sight, detector: DetectorParams) -> Mask:
@@ -149,7 +155,8 @@ def _flip(detections: SimulatedDetections, camera: SimulatedCamera, params: Simu
 
 def swap_sides(detections: SimulatedDetections, frames: slice, person: int) -> None:
     """Give every left joint and link the place of the right one and vice versa."""
-    for series in (detections.positions, detections.confidences, detections.guessed):
+    columns = detections.positions, detections.confidences, detections.guessed
+    for series in (*columns, detections.invented):
         series[frames, person] = series[frames, person][:, SYMMETRY.mirror]
     links = detections.orientations
     links[frames, person] = links[frames, person][:, SYMMETRY.link_mirror]
@@ -191,6 +198,11 @@ def _disturb(
                          d.guess * far)  # fmt: skip
     rng = stream(params.seed, "joint errors", camera.index)
     detections.positions += _errors(rng, joints, detections.guessed, params)
+    if d.invents:
+        rng = stream(params.seed, "inventions", camera.index)
+        lasts = float(np.exp(-1 / (params.rig.rate * d.invented_seconds)))
+        invention = params.occlusion * d.invented * coloured(rng, detections.positions.shape, lasts)
+        detections.positions += np.where(detections.invented[..., None], invention, 0.0)
     wide, far = np.radians(wide[1:]), np.radians(far[1:])
     links = _Deviations(d.orientation_coloured * wide * growth, d.orientation_white * wide * growth,
                         d.orientation_bias * wide, d.guess_orientation * far)  # fmt: skip

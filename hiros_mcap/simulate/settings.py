@@ -152,6 +152,17 @@ class DetectorParams(Params):
     confidence_outside: Share = advanced(
         0.0, description="Confidence of a joint out of the picture."
     )
+    invents: bool = advanced(
+        False,
+        description="Whether joints behind other people are invented: as confident as those that "
+        "are seen, but far off. So do detectors that report a whole body, such as the Kinect v2's.",
+    )
+    invented: NonNegativeFloat = advanced(
+        0.2, description="SD of an invented joint's additional error, per axis, m."
+    )
+    invented_seconds: PositiveFloat = advanced(
+        0.6, description="Time over which an invented error changes, s."
+    )
     hidden: Share = advanced(
         0.7, description="A person is not detected if others hide more than this share."
     )

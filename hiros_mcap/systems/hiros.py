@@ -15,11 +15,11 @@ def hiros(run: Run) -> Stages:
     from hiros_mcap.stages.track.track import track_blocks
 
     config = run.config
-    sides, merging = _left_and_right(run)
+    mended, merging = _mended_views(run)
     merge = run.stage(merge_blocks, merging, fixed_frame=run.fixed_frame, cameras=run.cameras)
     return {
         "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),  # 3.1
-        "merged": lambda blocks: merge(sides(blocks)),  # 3.2
+        "merged": lambda blocks: merge(mended(blocks)),  # 3.2
         "optimized": run.stage(optimize_blocks, config.optimize, limbs=run.limbs),  # 3.3
         "filtered": run.stage(filter_blocks, config.filter),  # 3.4
     }
@@ -34,7 +34,7 @@ def fuse(run: Run) -> Stages:
     from hiros_mcap.stages.track.track import track_blocks
 
     config = run.config
-    sides, merging = _left_and_right(run)
+    mended, merging = _mended_views(run)
     fusion = run.stage(
         fuse_blocks, config.fuse, merging=merging, fixed_frame=run.fixed_frame,
         cameras=run.cameras, noise=noise_of(run.model, config.fuse, run.noise, run.to_given),
@@ -44,7 +44,7 @@ def fuse(run: Run) -> Stages:
     return {
         "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),
         # smoothed positions
-        "merged": lambda blocks: fusion(sides(blocks)),
+        "merged": lambda blocks: fusion(mended(blocks)),
         # lengths and prior; links along the bones
         "optimized": lambda blocks: align_blocks(bodies(blocks), run.model),
         # velocities and accelerations
@@ -52,12 +52,14 @@ def fuse(run: Run) -> Stages:
     }
 
 
-def _left_and_right(run: Run) -> tuple[BlockStage, MergeParams]:
+def _mended_views(run: Run) -> tuple[BlockStage, MergeParams]:
     """Return what comes between tracker and merger, and the merger's parameters.
 
-    Detections that contradict the person's own body count less; then left and right are decided.
-    Where they are, the merger does not vote on them (section 3.2).
+    Detections that contradict the person's own body count less; then left and right are decided;
+    then joints behind somebody else count less. Where left and right are decided, the merger does
+    not vote on them (section 3.2).
     """
+    from hiros_mcap.stages.detections.hidden import mend_hidden_blocks
     from hiros_mcap.stages.detections.plausible import drop_implausible_blocks
     from hiros_mcap.stages.detections.sides import decide_sides, knows_sides
 
@@ -66,7 +68,8 @@ def _left_and_right(run: Run) -> tuple[BlockStage, MergeParams]:
         merging = merging.model_copy(update={"max_facing_delta": 0.0})
     bodies = run.stage(drop_implausible_blocks, run.config.plausible, cameras=run.cameras)
     decide = run.stage(decide_sides, run.config.sides)
-    return lambda blocks: decide(bodies(blocks)), merging
+    hidden = run.stage(mend_hidden_blocks, run.config.plausible, cameras=run.cameras)
+    return lambda blocks: hidden(decide(bodies(blocks))), merging
 
 
 def merging_order(params: MergeParams) -> tuple[str, ...]:

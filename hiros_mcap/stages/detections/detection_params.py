@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from hiros_mcap.params import Params
+from hiros_mcap.params import Params, fixed
 
 
 class PlausibleParams(Params):
@@ -17,6 +17,11 @@ class PlausibleParams(Params):
         description="Compare the limb lengths of each detection with those that the person has "
         "shown so far. Contradictory markers count less; a contradictory detection behind somebody "
         "else is left out where no other camera shows the person. false: off (paper).",
+    )
+    behind_others: bool = fixed(
+        True,
+        "Joints that a camera cannot see because somebody stands in front count less, and stay "
+        "where they were seen last on the moving body. false: off (paper).",
     )
     max_deviation: ClassVar[float] = 3.0
     """Deviation of the links of a marker from the person's lengths, in standard deviations of

@@ -48,11 +48,13 @@ class Sightings(NamedTuple):
     positions: F3  # (N, M, 3) m, sides corrected; NaN = not seen
     confidences: F2  # (N, M) 0..1; NaN = not given
     distances: F1  # (N,) of the person from the camera, m; REFERENCE where that is not known
+    hidden: F2  # (N, M) m2, by which the variance is larger where the camera cannot see
 
     @classmethod
     def allocate(cls, views: int, markers: int) -> Sightings:
         """Return arrays whose numbers are still to be set."""
-        return arrays(cls, *4 * [views], (views, markers, 3), (views, markers), views)
+        joints = views, markers
+        return arrays(cls, *4 * [views], (*joints, 3), joints, views, joints)
 
 
 class Steps(NamedTuple):
@@ -165,6 +167,7 @@ def gather_sightings(
                     s = mirror[m] if sides[i] == EXCHANGED else m
                     given = people.marker_confidences[i, s]
                     out.confidences[n, m] = people.confidences[i] if math.isnan(given) else given
+                    out.hidden[n, m] = buffers.hidden[i, s]
                     for c in range(3):
                         out.positions[n, m, c] = people.markers[i, s, c]
                 out.distances[n] = _distance(out.positions[n], places[out.cameras[n]])

@@ -94,7 +94,7 @@ class FusionNoise:
         guesses = np.where(views.confidences < self.guessed_below, self.guessed**2, 1.0)
         cameras = np.array([self.cameras.get(name, 1.0) for name in names])
         scale = cameras[views.cameras] * (views.distances / REFERENCE) ** (2 * self.power)
-        return np.ascontiguousarray(self.joints * guesses * scale[:, None])
+        return np.ascontiguousarray(self.joints * guesses * scale[:, None] + views.hidden)
 
 
 @dataclass
@@ -166,6 +166,8 @@ def _binned(
         third = np.linalg.norm(np.diff(views.positions[rows], n=3, axis=0), axis=2) / 2
         third[~(even[:-2] & even[1:-1] & even[2:])] = np.nan
         guesses = views.confidences[rows] < guessed_below
+        hidden = views.hidden[rows] > 0
+        third[hidden[:-3] | hidden[1:-2] | hidden[2:-1] | hidden[3:]] = np.nan
         for start in range(0, len(third) - _BIN + 1, _BIN):
             part = third[start : start + _BIN]
             finite = np.isfinite(part)

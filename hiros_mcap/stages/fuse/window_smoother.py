@@ -38,6 +38,9 @@ _MAX_DEVIATION = 0.3
 """Deviation, m, beyond which a marker is left out: it was not seen for about a second."""
 HALF_CONFIDENCE = 0.02
 """Deviation s, m, of a marker with confidence 0.5, which is 1 / (1 + (s / HALF_CONFIDENCE)^2)."""
+_UNSEEN = 0.04
+"""Deviation, m, that a hidden joint adds from which on its camera does not count as seeing it: that
+of a joint's remembered place."""
 _ROUNDS = 3  # of smoothing again without displaced cameras; the first finds nearly all
 
 
@@ -253,6 +256,7 @@ def cameras_by_row(views: Sightings, rows: Stamps, shape: tuple[int, int]) -> St
     """(K, M) Cameras that saw each marker of a person at an instant, a bit each."""
     seen = np.zeros(shape, np.int64)
     shown = np.flatnonzero(rows >= 0)
-    bits = ~np.isnan(views.positions[shown, :, 0]) * (1 << views.cameras[shown])[:, None]
+    sees = ~np.isnan(views.positions[shown, :, 0]) & (views.hidden[shown] < _UNSEEN**2)
+    bits = sees * (1 << views.cameras[shown])[:, None]
     np.bitwise_or.at(seen, rows[shown], bits)
     return seen

@@ -188,7 +188,7 @@ class InstantMerger:
 
     def _plan(self, instants: Sequence[Instant], messages: Block) -> _MergePlan:
         """Find out who is merged at each instant: whom its messages show, and who goes on."""
-        people = messages.people
+        people, shape = messages.people, messages.people.markers.shape[:2]
         blank: Flags = np.asarray(np.isnan(people.markers[:, :, 0]).all(axis=1))
         people = people._replace(ids=np.where(blank, UNTRACKED, people.ids).astype(np.int32))
         message_ends = np.cumsum([0, *(len(instant.messages) for instant in instants)])
@@ -218,6 +218,7 @@ class InstantMerger:
                 message_ends,
                 np.concatenate(columns, axis=1),
                 np.array(past_rows, np.int64),
+                np.zeros(shape) if messages.hidden is None else messages.hidden,
             ),
             people,
             np.array(ids, np.int32),

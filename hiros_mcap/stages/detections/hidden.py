@@ -1,0 +1,160 @@
+"""What a camera cannot see: joints behind somebody else, which detectors invent.
+
+A detector reports a whole person also where somebody stands in front, and is as sure of the hidden
+joints as of the others. Geometry tells which these are. For every message, in the order of time:
+
+1. The line of sight from the camera to a joint passes the limbs of others. A joint is hidden by h,
+   0 to 1 (:mod:`hiros_mcap.kernels.line_of_sight`). Others are those of the same message, and those
+   whom another camera has just shown.
+2. A detector that sees a part distorts the rest. With H, the mean of h over the view,
+   1 - h' = (1 - h) (1 - H^2).
+3. An invented joint may lie where the camera does see. So every person has a remembered pose: each
+   joint where it was seen last, moved with the person by the geometric median of the displacements
+   of the joints that are seen now. After t s it is known with the variance
+
+       s^2 = HELD^2 + 2 v (1 - exp(-t / CORRELATED)) + (DRIFT t)^2,
+
+   where v is the joint's own variance within the body so far (the structure function of a
+   Gauss-Markov process: who stands keeps the pose, a walker's arm does not). A joint is also hidden
+   where this place is, by h I^2 / (I^2 + s^2).
+   It is also hidden where the view leaps as a whole: the median displacement, beyond the person's
+   velocity, is tested as in 4, with H for h', (WANDERS dt)^2 for s^2 and WHOLE for HONEST.
+4. The joint was invented, N(0, I^2 + s^2) from the remembered place, a priori with 0.9 h'; or it is
+   honest, N(0, HONEST^2 + s^2). p is the posterior probability that it was invented.
+5. The measurement has the variance p I^2 more. It is combined with the remembered place, of
+   variance s^2 / (1 - exp(-(t / AGO)^2)): what another camera sees now is no second measurement.
+6. Joints with p < 0.5 are remembered.
+
+A detector that rates its joints knows what it guesses (Azure Kinect): where a camera's confidences
+vary, only joints of low confidence can be hidden. The fuser adds the variance to that of the
+measurement; the merger weighs the marker by HONEST^2 / (HONEST^2 + variance).
+
+The constants stand in ``hidden_joints.py``. They were set by reasoning and by one Kinect log, and
+checked on eight others. A person's own limbs hide nothing here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hiros_mcap.body.limb_radii import capsules_of
+from hiros_mcap.events import Events
+from hiros_mcap.frames import Block, CameraNumbers, places_of
+from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, SkeletonModel, Stamps
+from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.detections import hidden_joints as kernels
+from hiros_mcap.stages.detections.detection_params import PlausibleParams
+from hiros_mcap.stages.detections.limb_deviations import ComparedMessages
+
+HIDDEN = "hidden"
+"""Kind of the event "somebody stood behind somebody else", and of the count of such joints."""
+_MOSTLY = 0.5  # share of a view's joints that are hidden while the person is
+_PAUSE = 300_000_000  # ns without such a view that end it
+_SHORTEST = 100_000_000  # ns; shorter ones are not noted
+
+
+def mend_hidden_blocks(
+    blocks: Iterable[Block], model: SkeletonModel, params: PlausibleParams | None = None,
+    events: Events | None = None, cameras: Mapping[str, Floats] | None = None,
+) -> Iterator[Block]:  # fmt: skip
+    """Lower the weight of joints that somebody else hides; put them where they must be.
+
+    Parameters
+    ----------
+    blocks : tracked frames in the fixed frame, in the order of time, with right sides.
+    model, params : the skeleton; see :class:`PlausibleParams`.
+    events : counts "hidden" (markers), by camera. Notes from when on, by whom and how long somebody
+        was hidden from a camera.
+    cameras : source -> (3,) position in the fixed frame, m. Without it nothing is hidden from it.
+
+    Yields
+    ------
+    The same frames at once, with ``hidden``, the variance that the measurements have more.
+    """
+    params = params or PlausibleParams()
+    if not params.behind_others:
+        yield from blocks
+        return
+    people = _HiddenPeople(model, Events() if events is None else events, cameras or {})
+    for block in blocks:
+        yield people.mend(block)
+    people.finish()
+
+
+@dataclass(slots=True)
+class _Absence:
+    """While a camera cannot see somebody."""
+
+    first: int
+    last: int  # ns
+    hider: int  # who was in front at first
+
+
+class _HiddenPeople:
+    """What is known of everybody's pose, and who is hidden."""
+
+    def __init__(self, model: SkeletonModel, events: Events, places: Mapping[str, Floats]) -> None:
+        self._capsules, self._events, self._places = capsules_of(model), events, places
+        self._bank = Bank(kernels.HiddenPast.empty(model.n_markers))
+        self._cameras = CameraNumbers()
+        self._rates = np.zeros((0, 2))
+        self._absent: dict[tuple[int, str], _Absence] = {}
+        """Who is hidden from which camera."""
+
+    def mend(self, block: Block) -> Block:
+        """Return a block with what is known of hidden joints."""
+        people, (rows, owners) = block.people, block.everybody()
+        known = np.full(len(people.ids), UNTRACKED, np.int64)
+        known[rows] = self._bank.rows_of(people.ids[rows], block.stamps[owners])
+        cameras, shape = self._cameras.of(block), people.markers.shape[:2]
+        self._rates = np.pad(self._rates, ((0, len(self._cameras) - len(self._rates)), (0, 0)))
+        out = kernels.MendedViews.of(*shape)
+        kernels.mend_hidden(kernels.HiddenScene(
+            ComparedMessages(block.stamps, cameras, block.rows, known), people,
+            places_of(self._cameras, self._places), self._rates, self._capsules, self._bank.past,
+            out, kernels.HiddenWork.of(shape[0], len(self._bank.past.ids), shape[1]),
+        ))  # fmt: skip
+        self._note(block, rows, owners, out)
+        if not out.variances.any():
+            return replace(block, hidden=out.variances)
+        markers, confidences = people.markers.copy(), people.marker_confidences.copy()
+        moved = ~np.isnan(out.places[:, :, 0])
+        markers[moved, POSITION] = out.places[moved]
+        given = np.where(np.isnan(confidences), people.confidences[:, None], confidences)
+        given = np.where(np.isnan(given), 1.0, given)
+        weights = kernels.HONEST**2 / (kernels.HONEST**2 + out.variances)
+        confidences = np.where(out.variances > 0, weights * given, confidences)
+        people = people._replace(markers=markers, marker_confidences=confidences)
+        return replace(block, people=people, hidden=out.variances)
+
+    def _note(self, block: Block, rows: Stamps, owners: Stamps, out: kernels.MendedViews) -> None:
+        """Count hidden joints, and note who is hidden from whom."""
+        invented = (out.shares[rows] > 0.5).sum(axis=1)
+        for k in np.flatnonzero(invented).tolist():
+            self._events.count(HIDDEN, block.source(int(owners[k])), int(invented[k]))
+        for k in np.flatnonzero(out.hidden[rows] > _MOSTLY).tolist():
+            row, owner = int(rows[k]), int(owners[k])
+            source, stamp = block.source(owner), int(block.stamps[owner])
+            key = int(block.people.ids[row]), source
+            absence = self._absent.get(key)
+            if absence is None or stamp - absence.last > _PAUSE:
+                self._end(key)
+                self._absent[key] = _Absence(stamp, stamp, int(out.hiders[row]))
+            else:
+                absence.last = stamp
+
+    def _end(self, key: tuple[int, str]) -> None:
+        """Note an absence that is over."""
+        absence = self._absent.pop(key, None)
+        if absence is not None and absence.last - absence.first >= _SHORTEST:
+            seconds = (absence.last - absence.first) * 1e-9
+            detail = f"behind person {absence.hider} for {seconds:.1f} s"
+            self._events.note(absence.first, HIDDEN, person=key[0], source=key[1], detail=detail)
+
+    def finish(self) -> None:
+        """Note all absences that are left."""
+        for key in list(self._absent):
+            self._end(key)

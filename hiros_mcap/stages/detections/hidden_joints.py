@@ -1,0 +1,427 @@
+"""Which joints of a view its camera cannot see, and what is known of them all the same.
+
+The model is in the head comment of ``hidden.py``; :func:`mend_hidden` has its steps in that order.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hiros_mcap.kernels.array_types import B1, F1, F2, F3, I1, I2, arrays
+from hiros_mcap.kernels.compile import entry, inlined, kernel
+from hiros_mcap.kernels.line_of_sight import Capsules, enclose, hidden_by
+from hiros_mcap.skeletons import UNTRACKED, Floats, People
+from hiros_mcap.stages.detections.limb_deviations import ComparedMessages
+
+HONEST = 0.06  # m; deviation of a joint that is seen: a Kinect v2 at 3 to 4 m, hands included
+_WHOLE = 0.03  # m; of a whole body: slow offsets of joints are 1 to 2 cm, poses of cameras as well
+_INVENTED = 0.2  # m; of one that a detector invents: on a Kinect log, .2 to .8 m off (3 axes)
+_SURELY = 0.9  # of ten joints behind somebody, nine are invented at most: bodies are no capsules
+_LEAST = 0.01  # probability below which a joint counts as seen
+_SEEN = 0.5  # above which it teaches nothing
+_HELD = 0.04  # m; deviation of a remembered joint: of its last sighting, and of the person's motion
+_DRIFT = 0.05  # m/s; how fast a pose that stands still is forgotten: people sway and shift weight
+_CORRELATED = 0.5  # s; how long a limb keeps its place within the body: half a step
+_MOVES = 0.1  # m; deviation of a joint within the body before it is measured
+_MEMORY = 3.0  # s; that the measured one is of: three strides
+_AGO = 0.15  # s unseen after which the remembered place counts; till then another camera sees it
+_RECENT = 300_000_000  # ns; whom a camera's message lacks is where he was, for so long
+_LONGEST = 0.5  # s between two views that motion is carried over
+_FEWEST = 0.25  # share of joints that show how the person moved
+_WANDERS = 0.5  # m/s; deviation of a body from its last velocity
+_FOLLOWS = 0.3  # s; of a person of whom fewer are seen, and of the velocity that remains
+_GUESSED = 0.5  # confidence below which a detector guesses
+_RATES = 0.03  # share of such joints from which on a detector is taken to rate joints
+_RATED = 1000.0  # views that this share is of: half a minute
+_ROUNDS, _SMALL = 8, 0.003  # of Weiszfeld's iteration; m
+_UNKNOWN = 1e6  # m2
+
+
+class HiddenPast(NamedTuple):
+    """Where the joints of R people were seen."""
+
+    ids: I1  # (R,) who it is
+    stamps: I1  # (R,) of the last view, ns; 0 = never
+    poses: F3  # (R, M, 3) m, moved with the person since
+    seen: I2  # (R, M) when each was seen last, ns; 0 = never
+    means: F3  # (R, M, 3) within the body, m
+    variances: F2  # (R, M) within the body along each axis, m2
+    velocities: F2  # (R, 3) of the person, m/s
+
+    @classmethod
+    def empty(cls, n_markers: int) -> HiddenPast:
+        """Return arrays with no rows."""
+        m = n_markers
+        return arrays(cls, 0, 0, (0, m, 3), (0, m), (0, m, 3), (0, m), (0, 3))
+
+
+class MendedViews(NamedTuple):
+    """What becomes of P views with M markers."""
+
+    places: F3  # (P, M, 3) m, of hidden joints; NaN = as measured
+    variances: F2  # (P, M) m2, to be added to that of the measurement
+    shares: F2  # (P, M) h, then the probability that the joint was invented
+    hidden: F1  # (P,) mean of h over the joints
+    hiders: I1  # (P,) who hides most of them; UNTRACKED = nobody
+
+    @classmethod
+    def of(cls, n_people: int, n_markers: int) -> MendedViews:
+        """Return views that nobody hides."""
+        p, m = n_people, n_markers
+        views = arrays(cls, (p, m, 3), (p, m), (p, m), p, p)
+        views.places.fill(np.nan)
+        views.hiders.fill(UNTRACKED)
+        return views
+
+
+class HiddenWork(NamedTuple):
+    """Scratch for P views, R people and M markers."""
+
+    spheres: F2  # (P, 4) around the bodies of a message
+    remembered: F2  # (R, 4) around what is remembered of people
+    shown: B1  # (R,) whether a message shows them
+    rates: B1  # (P,) whether the detector rates joints
+    expected: F1  # (M,) h of the remembered joints
+    steps: F2  # (M, 3) m
+    centre: F1  # (3,) m
+
+    @classmethod
+    def of(cls, n_people: int, n_known: int, n_markers: int) -> HiddenWork:
+        """Make room."""
+        p, r, m = n_people, n_known, n_markers
+        return arrays(cls, (p, 4), (r, 4), r, p, m, (m, 3), 3)
+
+
+class HiddenScene(NamedTuple):
+    """What the kernels share."""
+
+    messages: ComparedMessages
+    people: People
+    places: F2  # (C, 3) of the cameras, m; NaN = unknown
+    rates: F2  # (C, 2) views, and the share of joints that the camera's detector guesses
+    capsules: Capsules
+    past: HiddenPast
+    out: MendedViews
+    work: HiddenWork
+
+
+@kernel
+def _look(i: int, scene: HiddenScene) -> None:
+    """Enclose the bodies of message ``i``, and those that it lacks but others have just shown."""
+    begin, end = scene.messages.spans[i, 0], scene.messages.spans[i, 1]
+    scene.work.shown[:] = False
+    for p in range(begin, end):
+        row = scene.messages.rows[p]
+        if row >= 0:
+            scene.work.shown[row] = True
+            enclose(scene.people.markers[p], scene.work.spheres[p])
+            rate = scene.rates[scene.messages.cameras[i]]
+            _learn_rating(scene.people.marker_confidences[p], rate)
+    for p in range(begin, end):
+        scene.work.rates[p] = scene.rates[scene.messages.cameras[i], 1] > _RATES
+    for r in range(len(scene.past.stamps)):
+        if scene.messages.stamps[i] - scene.past.stamps[r] <= _RECENT and not scene.work.shown[r]:
+            enclose(scene.past.poses[r], scene.work.remembered[r])
+
+
+@inlined
+def _learn_rating(confidences: Floats, rate: Floats) -> None:
+    """Add the joints of a view to the share of those that its detector guesses."""
+    low = 0.0
+    for m in range(len(confidences)):
+        low += 1.0 if confidences[m] < _GUESSED else 0.0
+    rate[0] += 1.0
+    rate[1] += (low / len(confidences) - rate[1]) / min(rate[0], _RATED)
+
+
+@inlined
+def _is_sure(p: int, m: int, scene: HiddenScene) -> bool:
+    """Whether a detector that knows what it guesses has seen a joint."""
+    return scene.work.rates[p] and scene.people.marker_confidences[p, m] >= _GUESSED
+
+
+@kernel
+def _cover_by(
+    points: Floats, body: Floats, sphere: Floats, camera: Floats, capsules: Capsules, shares: Floats
+) -> float:
+    """Raise the h of points (M, >= 3) to what a body hides of them; return their sum behind it."""
+    total = 0.0
+    for m in range(len(points)):
+        if not math.isnan(points[m, 0]):
+            h = hidden_by(points[m], camera, body, sphere, capsules)
+            shares[m] = max(shares[m], h)
+            total += h
+    return total
+
+
+@kernel
+def _cover(points: Floats, p: int, i: int, scene: HiddenScene, shares: Floats) -> int:
+    """Write h of points (M, >= 3) of view ``p``; return the id of who hides most of them."""
+    messages, past, work = scene.messages, scene.past, scene.work
+    camera, capsules = scene.places[messages.cameras[i]], scene.capsules
+    shares[:] = 0.0
+    most, hider = 0.0, UNTRACKED
+    for q in range(messages.spans[i, 0], messages.spans[i, 1]):
+        if q != p and messages.rows[q] >= 0:
+            total = _cover_by(
+                points, scene.people.markers[q], work.spheres[q], camera, capsules, shares
+            )
+            if total > most:
+                most, hider = total, int(scene.people.ids[q])
+    for r in range(len(past.stamps)):
+        if messages.stamps[i] - past.stamps[r] <= _RECENT and not work.shown[r]:
+            total = _cover_by(points, past.poses[r], work.remembered[r], camera, capsules, shares)
+            if total > most:
+                most, hider = total, int(past.ids[r])
+    return hider
+
+
+@kernel
+def _see(p: int, i: int, scene: HiddenScene) -> None:
+    """Find out how far each measured joint is hidden, and the whole view (1, 2)."""
+    markers, shares = scene.people.markers[p], scene.out.shares[p]
+    camera = scene.messages.cameras[i]
+    if math.isnan(scene.places[camera, 0]):
+        return
+    scene.out.hiders[p] = _cover(markers, p, i, scene, shares)
+    total, n = 0.0, 0
+    for m in range(len(markers)):
+        if _is_sure(p, m, scene):
+            shares[m] = 0.0
+        if not math.isnan(markers[m, 0]):
+            total += shares[m]
+            n += 1
+    whole = scene.out.hidden[p] = total / max(n, 1)
+    for m in range(len(markers)):
+        if not _is_sure(p, m, scene):
+            shares[m] = 1.0 - (1.0 - shares[m]) * (1.0 - whole * whole)
+
+
+@inlined
+def _passed(stamp: int, last: int) -> float:
+    """Return the time, s, between two views, at most _LONGEST; 0 after none."""
+    return min(max(stamp - last, 0) * 1e-9, _LONGEST) if last > 0 else 0.0
+
+
+@kernel
+def _geometric_median(points: Floats, n: int, out: Floats) -> None:
+    """Write nearly the point with the least sum of distances from n points: Weiszfeld (1937).
+
+    Unlike a median along each axis, it does not depend on the axes.
+    """
+    out[0], out[1], out[2] = mean_of(points, n)
+    for _ in range(_ROUNDS):
+        x, y, z, total = 0.0, 0.0, 0.0, 0.0
+        for k in range(n):
+            a, b, c = points[k, 0] - out[0], points[k, 1] - out[1], points[k, 2] - out[2]
+            weight = 1.0 / (math.sqrt(a * a + b * b + c * c) + _SMALL)
+            total += weight
+            x += weight * points[k, 0]
+            y += weight * points[k, 1]
+            z += weight * points[k, 2]
+        out[0], out[1], out[2] = x / total, y / total, z / total
+
+
+@inlined
+def mean_of(points: Floats, n: int) -> tuple[float, float, float]:
+    """Mean of the first n points."""
+    x, y, z = 0.0, 0.0, 0.0
+    for k in range(n):
+        x, y, z = x + points[k, 0] / n, y + points[k, 1] / n, z + points[k, 2] / n
+    return x, y, z
+
+
+@kernel
+def _steps(
+    view: Floats, shares: Floats, row: int, most: float, past: HiddenPast, out: Floats
+) -> int:
+    """Write how far joints with shares below ``most`` are from where they are remembered.
+
+    Returns their number.
+    """
+    n = 0
+    for m in range(len(view)):
+        if not math.isnan(view[m, 0]) and past.seen[row, m] > 0 and shares[m] < most:
+            for c in range(3):
+                out[n, c] = view[m, c] - past.poses[row, m, c]
+            n += 1
+    return n
+
+
+@kernel
+def _doubt_leap(p: int, row: int, passed: float, scene: HiddenScene) -> int:
+    """Find out whether a view is displaced as a whole (4); return how many joints it has."""
+    view, shares, work = scene.people.markers[p], scene.out.shares[p], scene.work
+    n = _steps(view, shares, row, np.inf, scene.past, work.steps)
+    if n == 0 or scene.out.hidden[p] == 0.0:
+        return n
+    _geometric_median(work.steps, n, work.centre)
+    x, y, z = work.centre[0], work.centre[1], work.centre[2]
+    square = x * x + y * y + z * z
+    leap = _invented(scene.out.hidden[p], square, _WHOLE**2, (_WANDERS * passed) ** 2)
+    for m in range(len(view)):
+        if not _is_sure(p, m, scene):
+            shares[m] = 1.0 - (1.0 - shares[m]) * (1.0 - leap)
+    return n
+
+
+@kernel
+def _move(p: int, row: int, passed: float, scene: HiddenScene) -> None:
+    """Move what is remembered of a person as the joints did that the view shows (3).
+
+    Where it shows too few, the person goes on, slows down, and follows the hidden joints slowly.
+    """
+    view, past, work = scene.people.markers[p], scene.past, scene.work
+    poses, velocity = past.poses[row], past.velocities[row]
+    for m in range(len(view)):
+        for c in range(3):
+            poses[m, c] += velocity[c] * passed
+    there = _doubt_leap(p, row, passed, scene)
+    n = _steps(view, scene.out.shares[p], row, _SEEN, past, work.steps)
+    enough = n >= _FEWEST * there
+    if not enough:
+        n = _steps(view, scene.out.shares[p], row, np.inf, past, work.steps)
+    if n == 0:
+        return
+    change = 1.0 - math.exp(-passed / _FOLLOWS)
+    gain = 1.0 if enough else change
+    _geometric_median(work.steps, n, work.centre)
+    for c in range(3):
+        step = gain * work.centre[c]
+        for m in range(len(view)):
+            poses[m, c] += step
+        if not enough:
+            velocity[c] *= 1.0 - change
+        elif passed > 1e-4:
+            velocity[c] += change * step / passed
+
+
+@inlined
+def _held_variance(age: float, within: float) -> float:
+    """Variance s^2 of a remembered joint after ``age`` s; ``within`` the body it has another."""
+    wandered = 2.0 * within * (1.0 - math.exp(-age / _CORRELATED))
+    return _HELD * _HELD + wandered + (_DRIFT * age) ** 2
+
+
+@inlined
+def _invented(hidden: float, square: float, honest: float, held: float) -> float:
+    """Probability that a place was invented: by h, its squared distance, m2, HONEST^2 and s^2."""
+    h = _SURELY * hidden
+    wide, narrow = _INVENTED**2 + held, honest + held
+    a = h * math.exp(-0.5 * square / wide) / (wide * math.sqrt(wide))
+    b = (1.0 - h) * math.exp(-0.5 * square / narrow) / (narrow * math.sqrt(narrow))
+    return a / (a + b) if a + b > 0.0 else h
+
+
+@kernel
+def _weigh(p: int, m: int, row: int, stamp: int, scene: HiddenScene) -> None:
+    """Find out whether a joint was invented; put it where it must be (4, 5)."""
+    past, out, z = scene.past, scene.out, scene.people.markers[p, m]
+    x, held = past.poses[row, m], _UNKNOWN
+    if past.seen[row, m] > 0:
+        age = max(stamp - past.seen[row, m], 0) * 1e-9
+        held = _held_variance(age, past.variances[row, m])
+        expected = scene.work.expected[m] * _INVENTED**2 / (_INVENTED**2 + held)
+        square = (z[0] - x[0]) ** 2 + (z[1] - x[1]) ** 2 + (z[2] - x[2]) ** 2
+        out.shares[p, m] = _invented(max(out.shares[p, m], expected), square, HONEST**2, held)
+        # What another camera sees now is no second measurement.
+        held /= 1.0 - math.exp(-((age / _AGO) ** 2)) + 1e-9
+    if out.shares[p, m] <= _LEAST:
+        return
+    measured = _INVENTED**2 * out.shares[p, m]
+    out.variances[p, m] = measured * held / (measured + held)
+    if out.shares[p, m] >= _SEEN and past.seen[row, m] > 0:
+        for c in range(3):
+            out.places[p, m, c] = z[c] + measured / (measured + held) * (x[c] - z[c])
+
+
+@kernel
+def _mend(p: int, i: int, scene: HiddenScene) -> None:
+    """Do what a view needs once all are seen (3 to 5)."""
+    row, camera = scene.messages.rows[p], scene.messages.cameras[i]
+    stamp, markers = scene.messages.stamps[i], scene.people.markers[p]
+    _move(p, row, _passed(stamp, scene.past.stamps[row]), scene)
+    if math.isnan(scene.places[camera, 0]):
+        return
+    _cover(scene.past.poses[row], p, i, scene, scene.work.expected)
+    for m in range(len(markers)):
+        if not math.isnan(markers[m, 0]) and not _is_sure(p, m, scene):
+            _weigh(p, m, row, stamp, scene)
+
+
+@kernel
+def _remember(p: int, stamp: int, scene: HiddenScene) -> None:
+    """Remember the joints that the view shows (6)."""
+    past, shares, view = scene.past, scene.out.shares[p], scene.people.markers[p]
+    row = scene.messages.rows[p]
+    for m in range(len(view)):
+        first = past.seen[row, m] == 0
+        if math.isnan(view[m, 0]) or (shares[m] >= _SEEN and not first):
+            continue
+        gain = 1.0 if first else 1.0 - shares[m]
+        for c in range(3):
+            past.poses[row, m, c] += gain * (view[m, c] - past.poses[row, m, c])
+        if first:
+            past.means[row, m, 0] = np.nan
+            past.variances[row, m] = _MOVES**2
+        past.seen[row, m] = max(stamp, past.seen[row, m])
+    _measure_motion(p, _passed(stamp, past.stamps[row]), scene)
+    past.ids[row], past.stamps[row] = scene.people.ids[p], max(stamp, past.stamps[row])
+
+
+@kernel
+def _measure_motion(p: int, passed: float, scene: HiddenScene) -> None:
+    """Measure how joints move within the body: running means and variances over _MEMORY."""
+    past, row, centre = scene.past, scene.messages.rows[p], scene.work.centre
+    _body_centre(past.poses[row], past.seen[row], centre)
+    share = 1.0 - math.exp(-passed / _MEMORY)
+    for m in range(scene.people.markers.shape[1]):
+        if math.isnan(scene.people.markers[p, m, 0]) or scene.out.shares[p, m] >= _SEEN:
+            continue
+        first, square = math.isnan(past.means[row, m, 0]), 0.0
+        for c in range(3):
+            local = past.poses[row, m, c] - centre[c]
+            if first:
+                past.means[row, m, c] = local
+            off = local - past.means[row, m, c]
+            square += off * off / 3.0
+            past.means[row, m, c] += share * off
+        past.variances[row, m] += share * (square - past.variances[row, m])
+
+
+@kernel
+def _body_centre(pose: Floats, seen: Floats, out: Floats) -> None:
+    """Write the mean of the joints (M, 3) that were ever seen."""
+    out[:] = 0.0
+    n = 0
+    for m in range(len(pose)):
+        if seen[m] > 0:
+            n += 1
+            for c in range(3):
+                out[c] += pose[m, c]
+    for c in range(3):
+        out[c] /= max(n, 1)
+
+
+@entry
+def mend_hidden(scene: HiddenScene) -> None:
+    """Find the joints that somebody else hides, in messages in the order of time.
+
+    ``scene.out`` is written; ``scene.past`` and ``scene.rates`` are brought to the last message.
+    """
+    messages = scene.messages
+    for i in range(len(messages.stamps)):
+        _look(i, scene)
+        # Three rounds: nothing depends on the order of the people in a message.
+        for p in range(messages.spans[i, 0], messages.spans[i, 1]):
+            if messages.rows[p] >= 0:
+                _see(p, i, scene)
+        for p in range(messages.spans[i, 0], messages.spans[i, 1]):
+            if messages.rows[p] >= 0:
+                _mend(p, i, scene)
+        for p in range(messages.spans[i, 0], messages.spans[i, 1]):
+            if messages.rows[p] >= 0:
+                _remember(p, messages.stamps[i], scene)

@@ -1,0 +1,164 @@
+"""Joints behind somebody else, by hand: person 7 stands, person 8 comes between and camera a."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from builders import moved
+from scipy.spatial.transform import Rotation
+from stick_figures import MODEL, at, person, seen
+
+from hiros_mcap.body.limb_radii import capsules_of
+from hiros_mcap.events import Events
+from hiros_mcap.frames import Block, frames_of, join
+from hiros_mcap.stages.detections.detection_params import PlausibleParams
+from hiros_mcap.stages.detections.hidden import mend_hidden_blocks
+
+CAMERAS = {"a": np.array([-3.0, 0.0, 1.2]), "b": np.array([0.0, -3.0, 1.2])}
+PELVIS, NECK, WRIST = (MODEL.marker_names.index(name) for name in ("PELVIS", "NECK", "WRIST_LEFT"))
+ALONE, BEHIND = 60, 15  # frames
+
+
+def raised():
+    """Person 7 with a left wrist 60 cm too high."""
+    pose = person()
+    pose[WRIST] += [0.0, 0.0, 0.6]
+    return pose
+
+
+def log(pose, front=0.25, confidences=1.0):
+    """Views of camera a: 2 s of both side by side, then 8 in front of the wrist of 7."""
+    frames = [seen([person(), person(-1.0, 1.5)], at(k), ids=[7, 8]) for k in range(ALONE)]
+    behind = [pose, person(-1.0, front)]
+    frames += [seen(behind, at(k), ids=[7, 8]) for k in range(ALONE, ALONE + BEHIND)]
+    for frame in frames:
+        frame.marker_confidences[:] = confidences
+    return frames
+
+
+def run(frames, events=None, cameras=CAMERAS, **params):
+    settings = PlausibleParams.model_validate(params)
+    whole = join([Block.of(frame) for frame in frames])
+    return join(list(mend_hidden_blocks([whole], MODEL, settings, events, cameras)))
+
+
+def test_an_invented_wrist_stays_where_it_was_seen_last():
+    last = run(log(raised())).frame(-1)
+    np.testing.assert_allclose(last.positions[0, WRIST], person()[WRIST], atol=0.15)
+    assert last.marker_confidences[0, WRIST] < 0.75
+    np.testing.assert_array_equal(last.positions[1], person(-1.0, 0.25))
+
+
+@pytest.mark.parametrize("pose", [person(), person(0.02, 0.03)])
+def test_a_hidden_joint_that_the_detector_got_right_stays(pose):
+    last = run(log(pose)).frame(-1)
+    np.testing.assert_array_equal(last.positions[0], pose)
+
+
+@pytest.mark.parametrize("front", [1.5, -1.5])
+def test_nobody_in_front_changes_nothing(front):
+    frames = log(raised(), front)
+    out = run(frames)
+    assert out.hidden is not None and not out.hidden.any()
+    for before, after in zip(frames, frames_of([out]), strict=True):
+        np.testing.assert_array_equal(before.markers, after.markers)
+        np.testing.assert_array_equal(before.marker_confidences, after.marker_confidences)
+
+
+def test_somebody_behind_hides_nothing():
+    frames = log(raised())
+    for frame in frames:
+        frame.markers[1, :, 0] += 2.0
+    assert not run(frames).hidden[0::2].any()
+
+
+def test_a_detector_that_rates_joints_is_believed():
+    """Where it is sure: somebody may look through between two bodies."""
+    confidences = np.where(np.arange(MODEL.n_markers) == PELVIS, 0.33, 0.66)
+    out = run(log(raised(), confidences=confidences))
+    rows = np.arange(2 * ALONE, 2 * (ALONE + BEHIND), 2)
+    assert not out.hidden[rows, WRIST].any()
+    np.testing.assert_array_equal(out.people.markers[rows[-1], WRIST, :3], raised()[WRIST])
+
+
+def test_the_remembered_pose_goes_with_the_person():
+    frames = log(raised(), front=0.25)
+    for k, frame in enumerate(frames):
+        frame.markers[0, :, 0] += 0.02 * k  # away from the camera, .6 m/s
+    wrist = run(frames).frame(-1).positions[0, WRIST]
+    np.testing.assert_allclose(wrist - person()[WRIST], [0.02 * (len(frames) - 1), 0, 0], atol=0.15)
+
+
+def test_somebody_whom_the_message_lacks_hides_all_the_same():
+    """Camera b shows person 8 just before camera a shows person 7."""
+    frames = []
+    for k, pose in enumerate([person()] * ALONE + [raised()] * BEHIND):
+        frames.append(seen([person(-1.0, 0.25)], at(k), "b", ids=[8]))
+        frames.append(seen([pose], at(k, 1), ids=[7]))
+    wrist = run(frames).frame(-1).positions[0, WRIST]
+    np.testing.assert_allclose(wrist, person()[WRIST], atol=0.15)
+
+
+@pytest.mark.parametrize(("front", "falls"), [(0.25, False), (1.5, True)])
+def test_a_half_hidden_person_does_not_fall_in_an_instant(front, falls):
+    """Where somebody is in front; elsewhere the view is believed."""
+    last = run(log(person() - [0, 0, 0.25], front)[: ALONE + 2]).frame(-1)
+    assert (last.positions[0, PELVIS, 2] < 0.85) == falls
+
+
+@pytest.mark.parametrize("off", [{"cameras": {}}, {"behind_others": False}])
+def test_without_a_camera_s_place_or_switched_off_everything_stays(off):
+    last = run(log(raised()), **off).frame(-1)
+    np.testing.assert_array_equal(last.positions[0], raised())
+
+
+def test_an_event_says_who_was_hidden_by_whom_from_where_and_how_long():
+    events = Events()
+    run(log(raised(), front=0.0), events)
+    (event,) = events.log
+    assert (event.stamp, event.kind, event.person, event.source) == (at(ALONE), "hidden", 7, "a")
+    assert event.detail == f"behind person 8 for {(BEHIND - 1) / 30:.1f} s"
+    assert events.counts["hidden", "a"] > 0
+
+
+def both(frames):
+    """Positions of 7 and 8 after the run, in this order."""
+    return [f.positions[np.argsort(f.ids)] for f in frames_of([run(frames)])]
+
+
+def test_the_order_of_people_does_not_matter():
+    frames = log(raised())
+    np.testing.assert_array_equal(both([f.select([1, 0]) for f in frames]), both(frames))
+
+
+def test_moving_the_room_moves_the_result():
+    turn, shift = Rotation.from_euler("xyz", [0.3, -0.5, 1.2]), np.array([3.0, -1.0, 0.5])
+    cameras = {name: turn.apply(place) + shift for name, place in CAMERAS.items()}
+    there = run(moved(log(raised()), turn, shift), cameras=cameras)
+    here = moved(list(frames_of([run(log(raised()))])), turn, shift)
+    for one, other in zip(frames_of([there]), here, strict=True):
+        np.testing.assert_allclose(one.positions, other.positions, atol=1e-9)
+
+
+@pytest.mark.parametrize("size", [1, 7])
+def test_cutting_into_blocks_changes_nothing(size):
+    frames = log(raised())
+    blocks = [join(list(map(Block.of, frames[k : k + size]))) for k in range(0, len(frames), size)]
+    cut = list(mend_hidden_blocks(blocks, MODEL, None, None, CAMERAS))
+    whole = run(frames)
+    np.testing.assert_array_equal(join(cut).people.markers, whole.people.markers)
+    np.testing.assert_array_equal(join(cut).hidden, whole.hidden)
+
+
+def test_the_input_is_unchanged():
+    frames = log(raised())
+    run(frames)
+    np.testing.assert_array_equal(frames[-1].positions[0], raised())
+
+
+def test_limbs_have_the_radii_of_the_table():
+    capsules = capsules_of(MODEL)
+    at_ends = dict(zip(capsules.ends.ravel().tolist(), capsules.radii.ravel(), strict=True))
+    assert at_ends[PELVIS] == pytest.approx(0.159, abs=0.001)  # 99.9 cm around the hips
+    assert at_ends[NECK] == pytest.approx(0.060, abs=0.001)
+    assert at_ends[WRIST] == pytest.approx(0.029, abs=0.001)
