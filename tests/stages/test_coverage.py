@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hiros_mcap.stages.track.coverage import Coverage
+from hiros_mcap.stages.track.tracking import LAST, NEVER
 
 CAMERA = {"a": np.array([0.0, 0.0, 1.0])}
 
@@ -54,18 +55,17 @@ def test_the_silence_of_a_camera_that_knows_little_says_nothing():
 def test_a_camera_nobody_knows_covers_nothing():
     coverage = taught()
     assert not coverage.sees("b", place(3.5, 0.0), [])
-    assert not coverage.is_due("b", 0)
+    assert coverage.due("b") == LAST
 
 
 @pytest.mark.parametrize(("lessons", "pause"), [(1, 200_000_000), (5, 500_000_000)])
 def test_lessons_are_closer_together_at_first(lessons, pause):
     coverage = taught(lessons)
-    assert not coverage.is_due("a", lessons - 1 + pause - 1)
-    assert coverage.is_due("a", lessons - 1 + pause)
+    assert coverage.due("a") == lessons - 1 + pause
 
 
 def test_a_camera_that_has_reported_nobody_is_due():
-    assert Coverage(CAMERA).is_due("a", 0)
+    assert Coverage(CAMERA).due("a") == NEVER
 
 
 def test_the_cone_grows_with_the_people():

@@ -31,7 +31,7 @@ from hiros_mcap.skeletons import (
     People,
 )
 from hiros_mcap.stages.time_order import in_time_order
-from hiros_mcap.stages.track import tracking
+from hiros_mcap.stages.track import association
 from hiros_mcap.stages.track.track import track_blocks
 from hiros_mcap.stages.track.track_params import TrackParams
 
@@ -59,8 +59,8 @@ def settings(**changes):
     """Settings of eq 6 to 11 in their plainest form."""
     plain = {"max_distance": 10.0, "orientation_weight": 1.0, "velocity_weight": 0.0}
     plain |= {"velocity_decay": 0.0, "horizon": 1.0, "flip_aware": False}
-    usual = {name: getattr(TrackParams(), name) for name in tracking.TrackSettings._fields}
-    return tracking.TrackSettings(**usual | plain | changes)
+    usual = {name: getattr(TrackParams(), name) for name in association.TrackSettings._fields}
+    return association.TrackSettings(**usual | plain | changes)
 
 
 def compared(tracks, markers, links, confidence=1.0, **changes):  # fmt: skip
@@ -70,26 +70,29 @@ def compared(tracks, markers, links, confidence=1.0, **changes):  # fmt: skip
     people.markers[..., POSITION], people.markers[..., VELOCITY] = markers, 0.0
     people.links[..., ORIENTATION], people.links[..., ANGULAR_VELOCITY] = links, 0.0
     people.marker_confidences[:] = people.link_confidences[:] = confidence
-    rows, work = np.arange(len(tracks.seen)), tracking.TrackWork.allocate(len(tracks.seen), p, m, n)
+    rows, work = (
+        np.arange(len(tracks.seen)),
+        association.TrackWork.allocate(len(tracks.seen), p, m, n),
+    )
     work.pairs.wanted.fill(True)
     same = np.arange(m, dtype=np.int32)
-    tracking.predict(SECOND, rows, tracks, used, work.predicted)
-    slots = tracking.SlotOrders(same, same, np.empty((0, 2), np.int32))
-    tracking.association_cost(rows, people, tracks, slots, used, work)
+    association.predict(SECOND, rows, tracks, used, work.predicted)
+    slots = association.SlotOrders(same, same, np.empty((0, 2), np.int32))
+    association.association_cost(rows, people, tracks, slots, used, work)
     return work.pairs
 
 
 def predicted_at(stamp, tracks, **changes):
     """Eq 7 of the first track."""
     m, n = tracks.seen.shape[1], tracks.links_seen.shape[1]
-    predicted = tracking.TrackWork.allocate(1, 1, m, n).predicted
-    tracking.predict(stamp, np.zeros(1, np.int64), tracks, settings(**changes), predicted)
+    predicted = association.TrackWork.allocate(1, 1, m, n).predicted
+    association.predict(stamp, np.zeros(1, np.int64), tracks, settings(**changes), predicted)
     return predicted
 
 
 def tracks_at(positions, orientations):
     """Tracks (T, M, 3), (T, L, 4) that were seen at 1 s."""
-    tracks = tracking.Tracks.allocate(*positions.shape[:2], orientations.shape[1])
+    tracks = association.Tracks.allocate(*positions.shape[:2], orientations.shape[1])
     tracks.positions[:], tracks.orientations[:] = positions, orientations
     tracks.seen[:] = tracks.links_seen[:] = SECOND
     return tracks

@@ -105,7 +105,7 @@ class Unseen:
         """Learn what cameras look at from the people in ``rows``, each of one message."""
         ends = np.searchsorted(owners, np.arange(len(block) + 1)).tolist()
         for i, (_, source, _) in enumerate(block.messages()):
-            if self._coverage.is_due(source, int(stamps[i])):
+            if stamps[i] >= self._coverage.due(source):
                 some = [_centre(block.people, row) for row in rows[ends[i] : ends[i + 1]].tolist()]
                 self._coverage.learn(source, some, int(stamps[i]))
 

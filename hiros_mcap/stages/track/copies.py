@@ -38,7 +38,7 @@ class Copies:
 
     def leave_out(self, group: DetectionGroup) -> None:
         """Leave out what a displaced camera shows of people whom other cameras see elsewhere."""
-        if group.source not in self.displaced or not group.unmatched:
+        if not group.unmatched:
             return
         others = self._others(group)
         poses = group.people.markers[..., POSITION]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hiros_mcap.skeletons import Flags, Floats
+from hiros_mcap.stages.track.tracking import LAST, NEVER
 
 _PERSON_RADIUS = 0.35  # m: a person this near to a line of sight blocks it
 _MARGIN = 0.3  # m: how far a place may lie beyond the farthest person reported
@@ -55,12 +56,14 @@ class Coverage:
         self._origins = cameras
         self._views: dict[str, _FieldOfView] = {}
 
-    def is_due(self, source: str, stamp: int) -> bool:
-        """Whether to learn from a camera's message: neighbouring ones say nothing new."""
-        if source not in self._origins or source not in self._views:
-            return source in self._origins
+    def due(self, source: str) -> int:
+        """Time, ns, from which on a camera's message is learned from: sooner ones say little."""
+        if source not in self._origins:
+            return LAST
+        if source not in self._views:
+            return NEVER
         view = self._views[source]
-        return stamp - view.stamp >= (_INTERVAL if view.people >= _ENOUGH else _FIRST_INTERVAL)
+        return view.stamp + (_INTERVAL if view.people >= _ENOUGH else _FIRST_INTERVAL)
 
     def learn(self, source: str, places: Floats | Sequence[Floats], stamp: int) -> None:
         """Note that ``source`` reported people at ``places`` (N, 3), m, in the fixed frame."""

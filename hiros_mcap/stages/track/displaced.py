@@ -22,7 +22,7 @@ people whom the other one knows: whoever came first stays.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -184,11 +184,10 @@ class DisplacedCameras:
         self._histories: dict[str, dict[int, _History]] = {}
         self._named: set[tuple[str, bool]] = set()
 
-    def __contains__(self, source: str) -> bool:
-        return source in self._cameras
-
-    def __bool__(self) -> bool:
-        return bool(self._cameras)
+    @property
+    def sources(self) -> Collection[str]:
+        """The cameras that are displaced."""
+        return self._cameras.keys()
 
     def copies(self, source: str, stamp: int, poses: Floats, places: Floats) -> Flags:
         """Return which detections of a displaced camera are copies of people known elsewhere.

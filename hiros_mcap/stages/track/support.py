@@ -11,6 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from hiros_mcap.events import Events
+from hiros_mcap.frames import CameraNumbers
 from hiros_mcap.skeletons import UNTRACKED, Floats
 from hiros_mcap.stages.track.coverage import Coverage
 from hiros_mcap.stages.track.identity import Identities
@@ -43,21 +44,27 @@ class Confirmation:
         self._params, self._events = params, events
         self._coverage = Coverage(cameras)
 
+    def look(self, names: CameraNumbers) -> None:
+        """Say from which time on messages of the cameras tell what these look at."""
+        self._people.cameras.due[:] = [self._coverage.due(name) for name in names]
+
     def confirm(self, group: DetectionGroup) -> None:
         """Weigh what the message says about every track that is not certain yet."""
-        due = self._coverage.is_due(group.source, group.stamp)
         shown = set(group.tracks)
-        numbers = frozenset(track.number for track in shown if track is not None)
+        numbers = frozenset([track.number for track in shown if track is not None])
         scene = Present(shown, numbers, self._people.confirmed())
-        for track in list(self._people.tracks):
+        certain = [track for track in self._people.tracks if track.certain]
+        if group.stamp >= self._coverage.due(group.source):
+            places = [self._people.centre(track) for track in certain if track in shown]
+            self._coverage.learn(group.source, places, group.stamp)
+            due = self._coverage.due(group.source)
+            self._people.cameras.due[self._people.names[group.source]] = due
+        for track in [track for track in self._people.tracks if track not in certain]:
             if track.number not in self._people.bank.rows:  # merged into another one by now
                 continue
-            if not track.certain:
-                self._add_report(track, group, scene)
-                self._decide(track, group, scene)
-                self._merge_into_person(track, group, scene)
-            elif due and track in scene.shown:
-                self._coverage.learn(group.source, [self._people.centre(track)], group.stamp)
+            self._add_report(track, group, scene)
+            self._decide(track, group, scene)
+            self._merge_into_person(track, group, scene)
 
     def _add_report(self, track: PersonTrack, group: DetectionGroup, scene: Present) -> None:
         """Add the support, or the contradiction, of a camera's message."""

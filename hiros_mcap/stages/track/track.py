@@ -1,7 +1,9 @@
 """Skeleton tracker: one id per person over all cameras (Hi-ROS 2023, section 3.1).
 
-:meth:`_Tracker.update` is the paper's algorithm for one camera's message: predict the tracks,
-compare them with the detections, assign, correct the tracks, start and delete tracks.
+The paper's algorithm for one camera's message: predict the tracks, compare them with the
+detections, assign, correct the tracks (:func:`~hiros_mcap.stages.track.tracking.update`); start and
+delete tracks (:class:`_Tracker`). The first four take one message after the other without Python,
+until one leaves something to decide.
 
 Beyond the paper:
 
@@ -35,33 +37,25 @@ from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, SkeletonModel, Sta
 from hiros_mcap.stages.delay import Delay
 from hiros_mcap.stages.time_order import in_time_order
 from hiros_mcap.stages.track import tracking as kernels
+from hiros_mcap.stages.track.association import SlotOrders, TrackSettings, TrackWork, predict
 from hiros_mcap.stages.track.copies import Copies
+from hiros_mcap.stages.track.correction import correct
 from hiros_mcap.stages.track.displaced import DISPLACED
 from hiros_mcap.stages.track.identity import Identities
 from hiros_mcap.stages.track.support import Confirmation
 from hiros_mcap.stages.track.track_params import TrackParams
 from hiros_mcap.stages.track.tracked_people import (
-    INSISTENCE,
     DetectionGroup,
     PersonTrack,
     Support,
     TrackedPeople,
 )
+from hiros_mcap.stages.track.tracking import KnownTracks
 
 _TENTATIVE_GAP = 0.5  # s; a tentative track that no camera has seen for longer is deleted
-_LEAP = "leap"
-_REASONS = {
-    kernels.USABLE: "",
-    kernels.NO_MARKERS: "no markers",
-    kernels.LOW_CONFIDENCE: "low confidence",
-}
 
-# The steps of one message take arrays that the tracker itself has made.
-_screen, _predict = kernels.screen.raw, kernels.predict.raw
-_associate, _correct = kernels.associate.raw, kernels.correct.raw
-
-_Message = tuple[Block, int, int]
-"""A message that is done: its block, its place there, its log time, ns."""
+_Messages = tuple[Block, Sequence[int], Sequence[int]]
+"""Messages that are done: their block, their places there, their log times, ns."""
 
 
 def track_blocks(
@@ -91,11 +85,12 @@ def track_blocks(
     yield from _gather(tracker.finish())
 
 
-def _gather(messages: Iterable[_Message]) -> Iterator[Block]:
+def _gather(messages: Iterable[_Messages]) -> Iterator[Block]:
     """Make a block of neighbours that lie in the same arrays."""
     for block, group in itertools.groupby(messages, key=itemgetter(0)):
         _, places, log_times = zip(*group, strict=True)
-        yield block.select(places).logged_at(log_times)
+        chosen = np.concatenate([np.array(some, np.int64) for some in places])
+        yield block.select(chosen).logged_at(np.concatenate(log_times))
 
 
 class _Tracker:
@@ -109,11 +104,11 @@ class _Tracker:
         symmetry = symmetry_of(model)
         same = np.arange(model.n_markers, dtype=np.int32)
         ends = model.links if params.reidentify > 0 else np.empty((0, 2), np.int32)
-        self._slots = kernels.SlotOrders(same, symmetry.mirror, np.ascontiguousarray(ends))
+        self._slots = SlotOrders(same, symmetry.mirror, np.ascontiguousarray(ends))
         flip_aware = params.flip_aware and symmetry.has_sides
-        self._settings = settings_of(kernels.TrackSettings, params, flip_aware=flip_aware)
+        self._settings = settings_of(TrackSettings, params, flip_aware=flip_aware)
         self._allocate = partial(
-            kernels.TrackWork.allocate, n_markers=model.n_markers, n_links=model.n_links
+            TrackWork.allocate, n_markers=model.n_markers, n_links=model.n_links
         )
         self._work = self._allocate(8, 8)
         self._delay: Delay[DetectionGroup] = Delay(params.lookahead)
@@ -126,50 +121,53 @@ class _Tracker:
             withdraws=params.merge_tracks,
         )  # fmt: skip
 
-    def update(self, group: DetectionGroup) -> Iterator[DetectionGroup]:
-        """Track the detections of one message (section 3.1.2); yield messages that are decided."""
-        self._people.heard[group.source] = group.stamp
-        self._delete_unseen(group.stamp)  # after t_m
-        self._screen(group)  # by confidence
-        self._copies.leave_out(group)  # of a displaced camera
-        self._match(self._people.confirmed(), group)  # persons come first
-        self._match(self._people.tentative(), group)
+    def take(self, block: Block) -> Iterator[_Messages]:
+        """Track messages, and write into them; yield those that are decided."""
+        messages, log_times = self._people.messages_of(block), block.log_times.tolist()
+        most, place = int(block.sizes.max(initial=0)), 0
+        self._support.look(self._people.names)
+        while place < len(block):
+            known = self._prepare(block, place, most)  # delete, leave out copies
+            done, is_open = kernels.update.raw(  # predict, compare, assign, correct
+                messages, place, block.people, known, self._people.bank.past, self._people.cameras,
+                self._slots, self._settings, self._work,
+            )  # fmt: skip
+            if done > place:
+                yield block, range(place, done), log_times[place:done]
+            if is_open:
+                for group in self._decide(self._group(block, done)):
+                    yield self._finish(group, log_times[done])
+            place = done + is_open
+        self._count_faults()
+
+    def _prepare(self, block: Block, place: int, most: int) -> KnownTracks:
+        """Decide who is lost, and which detections of a displaced camera are copies.
+
+        ``most`` : detections of a message.
+        """
+        self._delete_unseen(int(block.stamps[place]))  # after t_m
+        self._make_room(most)
+        names, displaced = self._people.names, self._copies.displaced.sources
+        self._people.cameras.displaced[:] = [name in displaced for name in names]
+        if block.source(place) in displaced:
+            self._leave_out_copies(block, place)
+        return self._people.known(certain=not len(self._delay))
+
+    def _decide(self, group: DetectionGroup) -> Iterator[DetectionGroup]:
+        """Decide who is new, who counts, who is who; yield messages that are decided."""
         self._start(group)  # tentative tracks
         self._copies.withdraw(group)
         self._support.confirm(group)  # or withdraw the id
         self._delay.push(group.stamp, group)
         return self._delay.release(group.stamp, lambda held: held.decided)
 
-    def _match(self, tracks: list[PersonTrack], group: DetectionGroup) -> None:
-        """Match the detections that are left with persons, or with tentative tracks."""
-        if not tracks or not group.unmatched:
-            return
-        wanted, rows = self._work.pairs.wanted, _rows(tracks)
-        wanted.fill(False)
-        wanted[group.unmatched] = True
-        # eq 7: predict; eq 6 and 8 to 11: compare; Munkres: assign
-        _associate(
-            group.stamp, rows, group.people, self._people.bank.past, self._slots, self._settings,
-            self._work,
-        )  # fmt: skip
-        self._give(tracks, group)
-        self._correct(rows, group)  # Kalman filter
-        if tracks[0].confirmed:
-            self._drop_duplicates(tracks, group)
-
-    def take(self, block: Block) -> Iterator[_Message]:
-        """Track messages, and write into them; yield those that are decided."""
-        for place, log_time in enumerate(block.log_times.tolist()):
-            for group in self.update(DetectionGroup.of(block, place)):
-                yield self._finish(group, log_time)
-
-    def finish(self) -> Iterator[_Message]:
+    def finish(self) -> Iterator[_Messages]:
         """Yield the messages that are still held, now that nothing more comes."""
         held = list(self._delay.rest())
         for group in held:
             yield self._finish(group, int(held[-1].block.log_times[held[-1].place]))
 
-    def _finish(self, group: DetectionGroup, log_time: int) -> _Message:
+    def _finish(self, group: DetectionGroup, log_time: int) -> _Messages:
         """Write the ids that the tracks have by now."""
         for j, track in enumerate(group.tracks):
             person = UNTRACKED if track is None else track.id
@@ -177,9 +175,20 @@ class _Tracker:
             if person == UNTRACKED:
                 reason = DISPLACED if track is not None and track.is_copy else "not confirmed"
                 self._events.count(group.reasons[j] or reason, group.source)
-        return group.block, group.place, max(log_time, int(group.block.log_times[group.place]))
+        log_time = max(log_time, int(group.block.log_times[group.place]))
+        return group.block, (group.place,), (log_time,)
 
-    # The steps of update
+    def _group(self, block: Block, place: int) -> DetectionGroup:
+        return self._people.group(block, place, self._work.track_rows, self._work.faults)
+
+    def _count_faults(self) -> None:
+        """Count the detections that were left out of messages without anything to decide."""
+        names, faults = list(self._people.names), self._people.cameras.faults
+        for camera, fault in np.argwhere(faults).tolist():
+            self._events.count(kernels.FAULTS[fault], names[camera], int(faults[camera, fault]))
+        faults.fill(0)
+
+    # The decisions
 
     def _delete_unseen(self, stamp: int) -> None:
         """Delete tracks that nobody saw for t_m; tentative ones sooner."""
@@ -192,39 +201,14 @@ class _Tracker:
                     self._identities.leave(track)
                 self._people.remove(track)
 
-    def _screen(self, group: DetectionGroup) -> None:
-        """Leave out markers and detections of too little confidence."""
-        self._make_room(len(group.tracks))
-        params, faults = self._params, self._work.faults
-        _screen(group.people, params.min_marker_confidence, params.min_skeleton_confidence, faults)
-        group.reasons[:] = [_REASONS[fault] for fault in faults[: len(group.tracks)].tolist()]
-
-    def _give(self, tracks: list[PersonTrack], group: DetectionGroup) -> None:
-        """Note the tracks that detections were given; leave out detections that leap."""
-        pairs = self._work.pairs
-        for j, i in enumerate(pairs.match[: len(group.tracks)].tolist()):
-            if i < 0:
-                continue
-            if pairs.broken[j] and tracks[i].confirmed and _is_sudden(tracks[i], group):
-                pairs.match[j] = -1
-                group.reasons[j] = _LEAP
-            else:
-                group.give(j, tracks[i])
-
-    def _correct(self, rows: Stamps, group: DetectionGroup) -> None:
-        """Correct the tracks by their detections; write their velocities into the message."""
-        _correct(
-            group.stamp, rows, self._work.pairs, group.people, self._people.bank.past, self._slots,
-            self._settings,
-        )  # fmt: skip
-
-    def _drop_duplicates(self, tracks: list[PersonTrack], group: DetectionGroup) -> None:
-        """Leave out detections on top of a person whom this message already shows."""
-        present = set(group.tracks)
-        shown = [i for i, track in enumerate(tracks) if track.confirmed and track in present]
-        for j in group.unmatched:
-            if (self._work.pairs.distances[shown, j] < self._params.min_distance).any():
-                group.reasons[j] = "duplicate"
+    def _leave_out_copies(self, block: Block, place: int) -> None:
+        """Leave out what a displaced camera shows of people whom other cameras see elsewhere."""
+        people, faults = block.people.at(slice(*block.rows[place].tolist())), self._work.faults
+        least = self._params.min_marker_confidence, self._params.min_skeleton_confidence
+        kernels.screen(people, *least, faults)
+        self._work.track_rows.fill(-1)
+        self._copies.leave_out(group := self._group(block, place))
+        faults[: len(people.ids)] = [kernels.FAULTS.index(reason) for reason in group.reasons]
 
     def _start(self, group: DetectionGroup) -> None:
         """Start a tentative track for each detection that is of nobody known."""
@@ -243,17 +227,20 @@ class _Tracker:
             support = Support(group.stamp, origin)
             pairs.match[j] = len(new)
             new.append(self._people.start(group.stamp, support))
-            group.give(j, new[-1])
+            group.tracks[j] = new[-1]
         if new:
             pairs.mirrored.fill(False)
-            self._correct(_rows(new), group)
+            correct(
+                group.stamp, _rows(new), pairs, group.people, self._people.bank.past, self._slots,
+                self._settings,
+            )  # fmt: skip
 
     def _places(self, tracks: list[PersonTrack], group: DetectionGroup) -> Floats:
         """(N, M, 3) where tracks are at the time of a message, m."""
         predicted = self._work.predicted
         if tracks:
             past = self._people.bank.past
-            _predict(group.stamp, _rows(tracks), past, self._settings, predicted)
+            predict(group.stamp, _rows(tracks), past, self._settings, predicted)
         return predicted.positions[: len(tracks)].copy()
 
     def _make_room(self, n_people: int) -> None:
@@ -266,12 +253,3 @@ class _Tracker:
 def _rows(tracks: Sequence[PersonTrack]) -> Stamps:
     """(T,) Rows of tracks in the bank."""
     return np.array([track.row for track in tracks], np.int64)
-
-
-def _is_sudden(track: PersonTrack, group: DetectionGroup) -> bool:
-    """Note a camera's leap away from a track; return whether it has not insisted for long."""
-    first, last = track.leaps.get(group.source, (group.stamp, group.stamp))
-    if group.stamp - last > INSISTENCE:
-        first = group.stamp
-    track.leaps[group.source] = first, group.stamp
-    return group.stamp - first < INSISTENCE

@@ -7,15 +7,22 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hiros_mcap.frames import Block
+from hiros_mcap.frames import Block, CameraNumbers
+from hiros_mcap.kernels.array_types import joined
 from hiros_mcap.kernels.distance import centre, mean_distances
-from hiros_mcap.skeletons import UNTRACKED, Floats, People, SkeletonModel
+from hiros_mcap.skeletons import UNTRACKED, Floats, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.track import tracking as kernels
+from hiros_mcap.stages.track.association import Tracks
 from hiros_mcap.stages.track.track_params import TrackParams
+from hiros_mcap.stages.track.tracking import (
+    FAULTS,
+    INSISTENCE,
+    NEVER,
+    CameraMessages,
+    Cameras,
+    KnownTracks,
+)
 
-INSISTENCE = 500_000_000
-"""ns for which a camera's leaps are left out, and for which a silent camera still counts."""
 _PRESENT = 200_000_000  # ns since the last detection of a person who is there
 _STANDS = 0.3  # m from its start; a coat on a stand never moves as far
 
@@ -62,18 +69,21 @@ class PersonTrack:
 
     number: int  # its name in the bank
     row: int  # its row in the bank
-    seen: int  # time of the last detection, ns
+    bank: Bank[Tracks]
     support: Support
     id: int = UNTRACKED  # UNTRACKED while the track is tentative
     former_id: int = UNTRACKED
     """The id before it was withdrawn, which the track gets back if it is confirmed again."""
     beside: set[int] = field(default_factory=set)
     """Numbers of the persons whom a message showed beside it, before it was certain."""
-    leaps: dict[str, tuple[int, int]] = field(default_factory=dict)
-    """Camera to the times, ns, of the first and last of its latest leaps."""
     stranger: bool = False
     """Whether it has a new id although somebody was absent: it may yet be one of them."""
     is_copy: bool = False  # whether it was left out as a displaced camera's view of somebody else
+
+    @property
+    def seen(self) -> int:
+        """Time of the last detection, ns."""
+        return int(self.bank.past.last_seen[self.row])
 
     @property
     def confirmed(self) -> bool:
@@ -83,7 +93,7 @@ class PersonTrack:
     @property
     def certain(self) -> bool:
         """Whether nothing can contradict it any more: two cameras have reported the person."""
-        return self.confirmed and len(self.support.reports) > 1
+        return self.id != UNTRACKED and len(self.support.reports) > 1
 
     def is_there(self, stamp: int) -> bool:
         """Whether a camera has just shown it, at ``stamp``, ns."""
@@ -106,14 +116,6 @@ class DetectionGroup:
     tracks: list[PersonTrack | None]
     reasons: list[str]  # why a detection has no track and starts none; "" if there is no reason
 
-    @classmethod
-    def of(cls, block: Block, place: int) -> DetectionGroup:
-        """Return the message at a place of a block; it shares the block's arrays."""
-        people = block.people.at(slice(*block.rows[place].tolist()))
-        n = len(people.ids)
-        stamp, source = int(block.stamps[place]), block.source(place)
-        return cls(block, place, stamp, source, people, [None] * n, [""] * n)
-
     @property
     def unmatched(self) -> list[int]:
         """Detections that still need a track."""
@@ -123,11 +125,6 @@ class DetectionGroup:
     def decided(self) -> bool:
         """Whether nothing that is still to come can change an id."""
         return all(track is None or track.certain for track in self.tracks)
-
-    def give(self, j: int, track: PersonTrack) -> None:
-        """Note that detection ``j`` is of a track."""
-        self.tracks[j] = track
-        track.seen = max(track.seen, self.stamp)
 
 
 @dataclass(slots=True, eq=False)
@@ -156,25 +153,60 @@ class TrackedPeople:
 
     def __init__(self, model: SkeletonModel) -> None:
         self.tracks: list[PersonTrack] = []
-        self.bank = Bank(kernels.Tracks.allocate(0, model.n_markers, model.n_links))
-        self.heard: dict[str, int] = {}
-        """Camera to the time of its latest message, ns, where it matters."""
+        self.bank = Bank(Tracks.allocate(0, model.n_markers, model.n_links))
+        self.cameras = Cameras.allocate(0)
+        self.names = CameraNumbers()
+        """Camera to its row in ``cameras``."""
         self._numbers = itertools.count()
+
+    def messages_of(self, block: Block) -> CameraMessages:
+        """Return the messages of a block; make room for new cameras."""
+        messages = CameraMessages(block.stamps, self.names.of(block), block.rows)
+        if new := len(self.names) - len(self.cameras.heard):
+            self.cameras = joined([self.cameras, Cameras.allocate(new)])
+            past = self.bank.past
+            leaps = np.pad(past.leaps, ((0, 0), (0, new), (0, 0)), constant_values=NEVER)
+            self.bank.past = past._replace(leaps=leaps)
+        return messages
+
+    def known(self, *, certain: bool) -> KnownTracks:
+        """Return the tracks; messages may be ``certain`` if these are."""
+        ids = np.full(len(self.bank.past.last_seen), UNTRACKED, np.int32)
+        persons: list[int] = []
+        tentative: list[int] = []
+        for track in self.tracks:
+            ids[track.row] = track.id
+            (persons if track.id != UNTRACKED else tentative).append(track.row)
+            certain = certain and track.certain
+        rows = np.array(persons, np.int64), np.array(tentative, np.int64)
+        return KnownTracks(*rows, ids, certain)
+
+    def group(self, block: Block, place: int, rows: Stamps, faults: Stamps) -> DetectionGroup:
+        """Return a message whose detections have these tracks, (P,) rows, and faults, (P,)."""
+        people = block.people.at(slice(*block.rows[place].tolist()))
+        tracks = {track.row: track for track in self.tracks}
+        n = len(people.ids)
+        return DetectionGroup(
+            block, place, int(block.stamps[place]), block.source(place), people,
+            [tracks.get(row) for row in rows[:n].tolist()],
+            [FAULTS[fault] for fault in faults[:n].tolist()],
+        )  # fmt: skip
 
     def confirmed(self) -> list[PersonTrack]:
         """Those who count as persons."""
-        return [track for track in self.tracks if track.confirmed]
+        return [track for track in self.tracks if track.id != UNTRACKED]
 
     def tentative(self) -> list[PersonTrack]:
         """Those who do not count yet."""
-        return [track for track in self.tracks if not track.confirmed]
+        return [track for track in self.tracks if track.id == UNTRACKED]
 
     def start(self, stamp: int, support: Support) -> PersonTrack:
         """Add a tentative track."""
         number = next(self._numbers)
-        row = self.bank.row(number, stamp)
-        self.bank.past.positions[row] = self.bank.past.orientations[row] = np.nan
-        self.tracks.append(PersonTrack(number, row, stamp, support))
+        row, past = self.bank.row(number, stamp), self.bank.past
+        past.positions[row] = past.orientations[row] = np.nan
+        past.last_seen[row], past.leaps[row] = stamp, NEVER
+        self.tracks.append(PersonTrack(number, row, self.bank, support))
         return self.tracks[-1]
 
     def remove(self, track: PersonTrack) -> None:
@@ -197,8 +229,9 @@ class TrackedPeople:
 
     def heard_besides(self, group: DetectionGroup) -> list[str]:
         """Return the other cameras that send messages at this time."""
+        heard = zip(self.names, self.cameras.heard.tolist(), strict=True)
         return [
-            source
-            for source, stamp in self.heard.items()
-            if source != group.source and group.stamp - stamp < INSISTENCE
+            name
+            for name, stamp in heard
+            if name != group.source and group.stamp - stamp < INSISTENCE
         ]

@@ -1,0 +1,437 @@
+"""Which detection is of which track: predict, compare, assign (Hi-ROS 2023, section 3.1.2)."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hiros_mcap.kernels.array_types import B1, B2, F1, F2, F3, I1, I2, I3, J1, J2, arrays
+from hiros_mcap.kernels.assignment import AssignmentWork, solve
+from hiros_mcap.kernels.compile import entry, inlined
+from hiros_mcap.kernels.distance import weighted_mean_distance
+from hiros_mcap.kernels.points import norm3, point_distance
+from hiros_mcap.kernels.quaternions import Quaternion, Vector, angle_of, dot, exponential, multiply
+from hiros_mcap.skeletons import (
+    ANGULAR_VELOCITY,
+    ORIENTATION,
+    VELOCITY,
+    Floats,
+    People,
+    Stamps,
+)
+
+_NOT_MIRRORED = 0.1  # m: a detection with swapped sides is farther than this from its track
+_WIDEST_GATE = 2.0  # times the gate: how far it grows while a track is unseen
+_FASTEST = 1.5  # m/s that a whole body may move besides its prediction
+_USUAL_INTERVAL = 0.033  # s between two detections; longer ones leave more time to move
+
+# First columns of a KinematicState's parts.
+_TO_ORIENTATION = ORIENTATION.start
+_TO_VELOCITY, _TO_ANGULAR_VELOCITY = VELOCITY.start, ANGULAR_VELOCITY.start
+
+
+class Tracks(NamedTuple):
+    """State of T tracks with M markers and L links, in the fixed frame; NaN = never seen.
+
+    A covariance is the upper triangle of :mod:`~hiros_mcap.kernels.kalman_filter`.
+    """
+
+    positions: F3  # (T, M, 3) m
+    velocities: F3  # (T, M, 3) m/s
+    accelerations: F3  # (T, M, 3) m/s2
+    covariances: F3  # (T, M, 6)
+    seen: I2  # (T, M) time of each marker's state, ns
+    orientations: F3  # (T, L, 4) x y z w
+    angular_velocities: F3  # (T, L, 3) rad/s
+    angular_accelerations: F3  # (T, L, 3) rad/s2
+    link_covariances: F3  # (T, L, 6)
+    links_seen: I2  # (T, L) time of each link's state, ns
+    lengths: F2
+    """(T, L) mean distance of each link's markers, m; learned if SlotOrders names the markers."""
+    length_counts: F2  # (T, L) detections that the mean length is of
+    last_seen: I1  # (T,) time of the last detection, ns
+    leaps: I3  # (T, C, 2) times, ns, of the first and last of each camera's latest leaps
+
+    @classmethod
+    def allocate(cls, n_tracks: int, n_markers: int, n_links: int) -> Tracks:
+        """Arrays of zeros; of no camera yet."""
+        m, n = (n_tracks, n_markers), (n_tracks, n_links)
+        markers, links = [(*m, k) for k in (3, 3, 3, 6)], [(*n, k) for k in (4, 3, 3, 6)]
+        return arrays(cls, *markers, m, *links, n, n, n, n_tracks, (n_tracks, 0, 2))
+
+
+class TrackSettings(NamedTuple):
+    """Parameters of the tracker that its kernels use; see TrackParams."""
+
+    max_distance: float
+    min_distance: float
+    max_gap: float
+    orientation_weight: float
+    velocity_weight: float
+    angular_velocity_weight: float
+    velocity_decay: float
+    horizon: float
+    fade: float
+    gate_growth: float
+    max_jump: float
+    position_noise: float
+    innovation_gate: float
+    max_speed: float
+    min_skeleton_confidence: float
+    min_marker_confidence: float
+    flip_aware: bool
+
+
+class PredictedTracks(NamedTuple):
+    """Poses of T tracks at the time of a message (eq 7); NaN = never seen."""
+
+    positions: F3  # (T, M, 3) m
+    orientations: F3  # (T, L, 4) x y z w
+    unseen: F1  # (T,) time since the last detection, s
+    gates: F1  # (T,) largest distance of a detection, m
+
+
+class TrackWeights(NamedTuple):
+    """The two factors of eq 11, of T tracks and P detections."""
+
+    marker_velocities: F2  # (T, M) w_v
+    link_velocities: F2  # (T, L)
+    marker_confidences: F2  # (P, M) kappa
+    link_confidences: F2  # (P, L)
+
+
+class TrackPairs(NamedTuple):
+    """T tracks compared with P detections."""
+
+    wanted: B1  # (P,) whether a detection needs a track
+    distances: F2
+    """(T, P) weighted mean distance of the markers, m; right up to both distance parameters."""
+    mirrored: B2  # (T, P) whether that is with the detection's left and right swapped
+    cost: F2  # (T, P) eq 6; infinite where a pair is not allowed
+    match: I1  # (P,) index of the track of each detection, -1 = none
+    broken: B1  # (P,) whether a detection is too far from the track that ``match`` gives it
+
+
+class TrackWork(NamedTuple):
+    """Scratch for at most T tracks and P detections; its arrays are larger than what counts."""
+
+    bounds: F2  # (P, 6) least and greatest x y z of each detection's markers, m
+    predicted: PredictedTracks
+    weights: TrackWeights
+    pairs: TrackPairs
+    assignment: AssignmentWork
+    faults: I1  # (P,) why a detection is left out, 0 = it is not; see tracking.py
+    track_rows: I1  # (P,) row of each detection's track, -1 = none
+
+    @classmethod
+    def allocate(cls, n_tracks: int, n_people: int, n_markers: int, n_links: int) -> TrackWork:
+        """Arrays for at most that many tracks and detections."""
+        t, p, m, n = n_tracks, n_people, n_markers, n_links
+        predicted = arrays(PredictedTracks, (t, m, 3), (t, n, 4), t, t)
+        weights = arrays(TrackWeights, (t, m), (t, n), (p, m), (p, n))
+        pairs = arrays(TrackPairs, p, (t, p), (t, p), (t, p), p, p)
+        return arrays(
+            cls, (p, 6), predicted, weights, pairs, AssignmentWork.allocate(max(t, p)), p, p
+        )
+
+
+class SlotOrders(NamedTuple):
+    """Which marker of a detection belongs to which of a track."""
+
+    same: J1  # (M,) 0, 1, 2, ..
+    mirror: J1  # (M,) where the detector swapped left and right
+    ends: J2
+    """(L, 2) the track's markers at the ends of each link whose length is learned; of no link if
+    nobody asks for lengths."""
+
+
+# Prediction, eq 7
+
+
+@inlined
+def _faded(dt: float, settings: TrackSettings) -> float:
+    """Time, s, for which the velocity at the horizon would carry on: it fades exponentially."""
+    beyond = dt - settings.horizon
+    if beyond <= 0.0 or settings.fade <= 0.0:
+        return 0.0
+    return settings.fade * (1.0 - math.exp(-beyond / settings.fade))
+
+
+@inlined
+def _mean_velocity(velocities: Floats) -> Vector:
+    """Mean of the velocities (M, 3), m/s."""
+    x = y = z = 0.0
+    for m in range(len(velocities)):
+        x, y, z = x + velocities[m, 0], y + velocities[m, 1], z + velocities[m, 2]
+    n = max(len(velocities), 1)
+    return x / n, y / n, z / n
+
+
+@inlined
+def _predict_positions(
+    stamp: int, rows: Stamps, tracks: Tracks, settings: TrackSettings, out: PredictedTracks
+) -> None:
+    for i in range(len(rows)):
+        row, unseen = rows[i], np.inf
+        for m in range(out.positions.shape[1]):
+            dt = (stamp - tracks.seen[row, m]) * 1e-9
+            unseen = min(unseen, dt)
+            steady = min(max(dt, 0.0), settings.horizon)
+            for c in range(3):
+                moved = steady * tracks.velocities[row, m, c]
+                out.positions[i, m, c] = tracks.positions[row, m, c] + moved
+        faded = _faded(unseen, settings)
+        if faded > 0.0:  # the limbs of somebody unseen stop, the body goes on for a while
+            velocity = _mean_velocity(tracks.velocities[row])
+            for m in range(out.positions.shape[1]):
+                out.positions[i, m, 0] += faded * velocity[0]
+                out.positions[i, m, 1] += faded * velocity[1]
+                out.positions[i, m, 2] += faded * velocity[2]
+        growth = settings.gate_growth * max(unseen - settings.horizon, 0.0)
+        out.unseen[i] = unseen
+        out.gates[i] = min(settings.max_distance + growth, _WIDEST_GATE * settings.max_distance)
+
+
+@inlined
+def quaternion(values: Floats) -> Quaternion:
+    """Read a quaternion."""
+    return values[0], values[1], values[2], values[3]
+
+
+@entry
+def predict(
+    stamp: int, rows: I1, tracks: Tracks, settings: TrackSettings, predicted: PredictedTracks
+) -> None:
+    """Predict the pose of each track in ``rows`` at ``stamp`` by constant velocity (eq 7).
+
+    Velocities carry on for ``horizon`` seconds and then fade. From then on the gate grows, up to
+    twice its size: nobody knows where an unseen person goes.
+    """
+    _predict_positions(stamp, rows, tracks, settings, predicted)
+    out = predicted.orientations
+    for i in range(len(rows)):
+        row = rows[i]
+        for k in range(out.shape[1]):
+            dt = min(max((stamp - tracks.links_seen[row, k]) * 1e-9, 0.0), settings.horizon)
+            omega = tracks.angular_velocities[row, k]
+            step = exponential(dt * omega[0], dt * omega[1], dt * omega[2])
+            q = multiply(step, quaternion(tracks.orientations[row, k]))
+            out[i, k, 0], out[i, k, 1], out[i, k, 2], out[i, k, 3] = q
+
+
+# Cost, eq 6 and 8 to 11
+
+
+@inlined
+def _velocity_weights(velocities: Floats, settings: TrackSettings, out: Floats) -> None:
+    for m in range(len(velocities)):
+        speed = 1.0 + norm3(velocities[m, 0], velocities[m, 1], velocities[m, 2])
+        if settings.velocity_decay == 0.25:  # two roots are five times quicker than a power
+            out[m] = 1.0 / math.sqrt(math.sqrt(speed))  # eq 11: w_v
+        else:
+            out[m] = speed**-settings.velocity_decay  # eq 11: w_v
+
+
+@inlined
+def _confidence_weights(confidences: Floats, out: Floats) -> None:
+    for j in range(len(confidences)):
+        for m in range(confidences.shape[1]):
+            unknown = math.isnan(confidences[j, m])
+            out[j, m] = 1.0 if unknown else confidences[j, m]  # eq 11: kappa
+
+
+@inlined
+def _bound(states: Floats) -> tuple[float, float, float, float, float, float]:
+    """Least and greatest x y z of markers (M, >= 3); of none inf and -inf."""
+    x0 = y0 = z0 = np.inf
+    x1 = y1 = z1 = -np.inf
+    for m in range(len(states)):
+        x, y, z = states[m, 0], states[m, 1], states[m, 2]
+        x0, y0, z0 = min(x0, x), min(y0, y), min(z0, z)
+        x1, y1, z1 = max(x1, x), max(y1, y), max(z1, z)
+    return x0, y0, z0, x1, y1, z1
+
+
+@inlined
+def _compare(
+    rows: Stamps, people: People, tracks: Tracks, slots: SlotOrders, settings: TrackSettings,
+    work: TrackWork,
+) -> None:  # fmt: skip
+    """Fill ``distances`` and ``mirrored``: a detection is mirrored if that halves its distance.
+
+    Where all markers of a detection are beyond the reach of all markers of the track, so is any
+    mean of their distances. Among many people most pairs need no more than that.
+    """
+    weights, pairs, bounds = work.weights, work.pairs, work.bounds
+    _confidence_weights(people.marker_confidences, weights.marker_confidences)
+    for j in range(len(people.ids)):
+        low_high = _bound(people.markers[j])
+        for c in range(6):
+            bounds[j, c] = low_high[c]
+    for i in range(len(rows)):
+        pose, weight = work.predicted.positions[i], weights.marker_velocities[i]
+        reach = max(work.predicted.gates[i], settings.min_distance)
+        margin = 1.001 * reach  # rounding must not leave out a pair on the edge
+        x0, y0, z0, x1, y1, z1 = _bound(pose)
+        x0, y0, z0, x1, y1, z1 = (
+            x0 - margin, y0 - margin, z0 - margin, x1 + margin, y1 + margin, z1 + margin,
+        )  # fmt: skip
+        weighed = False
+        for j in range(len(people.ids)):
+            pairs.mirrored[i, j], pairs.distances[i, j] = False, np.inf
+            low_high = bounds[j]
+            if not (
+                low_high[0] <= x1 and low_high[3] >= x0
+                and low_high[1] <= y1 and low_high[4] >= y0
+                and low_high[2] <= z1 and low_high[5] >= z0
+            ):  # fmt: skip
+                continue
+            if not weighed:
+                _velocity_weights(tracks.velocities[rows[i]], settings, weight)
+                weighed = True
+            seen, confidence = people.markers[j], weights.marker_confidences[j]
+            # Beyond twice the reach a detection is mirrored if that brings it within the reach.
+            distance = weighted_mean_distance(
+                pose, seen, slots.same, weight, confidence, 2.0 * reach
+            )
+            swapped = np.inf
+            if settings.flip_aware and distance > _NOT_MIRRORED:
+                swapped = weighted_mean_distance(
+                    pose, seen, slots.mirror, weight, confidence, reach
+                )
+            pairs.mirrored[i, j] = swapped < 0.5 * distance
+            pairs.distances[i, j] = swapped if pairs.mirrored[i, j] else distance
+    _leave_to_nearest(len(rows), len(people.ids), settings, work)
+
+
+@inlined
+def _leave_to_nearest(
+    n_tracks: int, n_people: int, settings: TrackSettings, work: TrackWork
+) -> None:
+    """Keep a gate that has grown from taking a second view of somebody else."""
+    distances, gates = work.pairs.distances, work.predicted.gates
+    for i in range(n_tracks):
+        if gates[i] <= settings.max_distance:
+            continue
+        for j in range(n_people):
+            if not settings.max_distance < distances[i, j] <= gates[i]:
+                continue
+            for k in range(n_tracks):
+                if k != i and distances[k, j] < settings.min_distance:
+                    distances[i, j] = np.inf
+
+
+@inlined
+def _linear_distance(
+    i: int, j: int, people: People, velocities: Floats, settings: TrackSettings, work: TrackWork
+) -> float:
+    """Eq 8; ``velocities`` (M, 3) of the track."""
+    total, common, markers = 0.0, 0, people.markers[j]
+    weights, confidences = work.weights.marker_velocities[i], work.weights.marker_confidences[j]
+    for m in range(len(markers)):
+        d = point_distance(work.predicted.positions[i, m], markers[m])
+        if math.isnan(d):
+            continue
+        common += 1
+        if settings.velocity_weight > 0.0 and not math.isnan(markers[m, _TO_VELOCITY]):
+            d += settings.velocity_weight * point_distance(velocities[m], markers[m, _TO_VELOCITY:])
+        total += weights[m] * confidences[m] * d
+    return total / common  # eq 8
+
+
+@inlined
+def _angular_distance(
+    i: int, j: int, people: People, velocities: Floats, settings: TrackSettings, work: TrackWork
+) -> float:
+    """Eq 9, 0 where no link is in common; ``velocities`` (L, 3) of the track."""
+    total, common, links = 0.0, 0, people.links[j]
+    weights, confidences = work.weights.link_velocities[i], work.weights.link_confidences[j]
+    for k in range(len(links)):
+        product = dot(
+            quaternion(work.predicted.orientations[i, k]), quaternion(links[k, _TO_ORIENTATION:])
+        )
+        if math.isnan(product):
+            continue
+        common += 1
+        d = angle_of(product)  # eq 10
+        if settings.angular_velocity_weight > 0.0 and not math.isnan(
+            links[k, _TO_ANGULAR_VELOCITY]
+        ):
+            d += settings.angular_velocity_weight * point_distance(
+                velocities[k], links[k, _TO_ANGULAR_VELOCITY:]
+            )
+        total += weights[k] * confidences[k] * d
+    return total / common if common else 0.0  # eq 9
+
+
+@inlined
+def _fill_cost(
+    rows: Stamps, people: People, tracks: Tracks, settings: TrackSettings, work: TrackWork
+) -> None:
+    """Fill ``cost`` of the pairs within the gate (eq 6), where a detection wants a track."""
+    weights, pairs = work.weights, work.pairs
+    _confidence_weights(people.link_confidences, weights.link_confidences)
+    for i in range(len(rows)):
+        velocities = tracks.velocities[rows[i]]
+        angular_velocities = tracks.angular_velocities[rows[i]]
+        weighed = False
+        for j in range(len(people.ids)):
+            if not pairs.wanted[j] or pairs.distances[i, j] > work.predicted.gates[i]:
+                pairs.cost[i, j] = np.inf
+            elif pairs.mirrored[i, j]:
+                pairs.cost[i, j] = pairs.distances[i, j]
+            else:
+                if not weighed:
+                    _velocity_weights(angular_velocities, settings, weights.link_velocities[i])
+                    weighed = True
+                linear = _linear_distance(i, j, people, velocities, settings, work)
+                angular = _angular_distance(i, j, people, angular_velocities, settings, work)
+                pairs.cost[i, j] = linear + settings.orientation_weight * angular  # eq 6
+
+
+@entry
+def association_cost(
+    rows: I1, people: People, tracks: Tracks, slots: SlotOrders, settings: TrackSettings,
+    work: TrackWork,
+) -> None:  # fmt: skip
+    """Compare every predicted track with every detection (eq 6 and 8 to 11).
+
+    Eq 8 and 9 are means (alpha = 1, as in the published code). Fills the ``distances`` of
+    ``work.pairs``, which the gate is for, since they depend on no velocities; ``mirrored``; and
+    ``cost``, for the ``wanted`` detections. The orientations of a mirrored detection are wrong, so
+    its cost is its distance.
+    """
+    _compare(rows, people, tracks, slots, settings, work)
+    _fill_cost(rows, people, tracks, settings, work)
+
+
+# Assignment
+
+
+@inlined
+def _breaks(i: int, j: int, work: TrackWork, settings: TrackSettings) -> bool:
+    """Whether a detection is farther from a track that was just seen than a person can move."""
+    unseen, distance = work.predicted.unseen[i], work.pairs.distances[i, j]
+    if unseen > settings.horizon:
+        return False
+    return distance > settings.max_jump + _FASTEST * max(unseen - _USUAL_INTERVAL, 0.0)
+
+
+@inlined
+def associate(
+    stamp: int, rows: Stamps, people: People, tracks: Tracks, slots: SlotOrders,
+    settings: TrackSettings, work: TrackWork,
+) -> None:  # fmt: skip
+    """Give the ``wanted`` detections of a message to the tracks in ``rows``.
+
+    Fills ``match``, and ``broken``: a detector distorts a person who is about to be hidden.
+    """
+    pairs, n_people = work.pairs, len(people.ids)
+    predict(stamp, rows, tracks, settings, work.predicted)  # eq 7
+    association_cost(rows, people, tracks, slots, settings, work)  # eq 6 and 8 to 11
+    solve(pairs.cost, len(rows), n_people, work.assignment, pairs.match)  # Munkres
+    for j in range(n_people):
+        i = pairs.match[j]
+        pairs.broken[j] = i >= 0 and _breaks(i, j, work, settings)
