@@ -197,17 +197,17 @@ class HeldFrames:
             self._blocks.append((np.arange(first, self.count), block))
         return first
 
-    def copies(self, numbers: Sequence[int], width: int = 0) -> Block:
+    def copies(self, numbers: Sequence[int] | Stamps, width: int = 0) -> Block:
         """Return copies of the frames with these numbers, in this order; see :func:`join`."""
-        wanted = np.array(numbers)
+        wanted = np.asarray(numbers)
         first, last = wanted.min(), wanted.max()
         held = [pair for pair in self._blocks if first <= pair[0][-1] and pair[0][0] <= last]
         every = np.concatenate([ids for ids, _ in held])
         return join([block for _, block in held], np.searchsorted(every, wanted), width)
 
-    def keep(self, numbers: Sequence[int]) -> None:
+    def keep(self, numbers: Sequence[int] | Stamps) -> None:
         """Let go of all frames but these."""
-        kept, blocks = np.array(sorted(numbers), np.int64), self._blocks
+        kept, blocks = np.sort(np.asarray(numbers, np.int64)), self._blocks
         self._blocks = []
         for ids, block in blocks:
             begin, end = np.searchsorted(kept, [ids[0], ids[-1] + 1])

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-import heapq
 from collections.abc import Iterable, Iterator
 
-from hiros_mcap.frames import Block, HeldFrames
-from hiros_mcap.skeletons import STATE
+import numpy as np
+
+from hiros_mcap.frames import Block, CameraNumbers, HeldFrames
+from hiros_mcap.kernels.array_types import I1, I2
+from hiros_mcap.kernels.compile import entry, kernel
+from hiros_mcap.skeletons import STATE, Stamps
 
 _USUAL_DELAY = 100_000_000  # ns: how late cameras are taken to be before any was late
+
+# Places of what is known of all messages so far, ns.
+_LATEST, _NOW, _BEGIN, _DELAY, _PATIENCE = range(5)
 
 
 def in_time_order(
@@ -38,59 +44,115 @@ class TimeOrder:
 
     def __init__(self, delay: float, *, patient: bool = False) -> None:
         self._held = HeldFrames()
-        self._waiting: list[tuple[int, str, int]] = []
-        """A heap: stamp, source, and number of each message that is held."""
-        self._latest_of: dict[str, int] = {}
-        """Camera to its latest stamp, ns."""
-        self._latest = self._now = self._begin = 0
-        self._patience = round(delay * 1e9)
-        self._delay = self._patience if patient else min(self._patience, _USUAL_DELAY)
-        """ns: how late the latest message was."""
+        self._waiting = np.empty((0, 3), np.int64)
+        """Stamp, camera and number of each message that is held, in order."""
+        self._cameras = CameraNumbers()
+        self._latest_of = np.empty(0, np.int64)
+        """Latest stamp of each camera, ns."""
+        self._ranks = np.empty(0, np.int64)
+        """Of each camera, by its name."""
+        patience = round(delay * 1e9)
+        # The delay is how late the latest message was.
+        usual = patience if patient else min(patience, _USUAL_DELAY)
+        self._times = np.array([0, 0, 0, usual, patience])
 
     def push(self, block: Block) -> Iterator[Block]:
         """Take messages; yield those that leave now, with their log times."""
-        order: list[int] = []
-        log_times: list[int] = []
-        for number, message in enumerate(block.messages(), self._held.add(block)):
-            stamp, source, log_time = message
-            self._add(stamp, source, log_time)
-            heapq.heappush(self._waiting, (stamp, source, number))
-            oldest, recent = self._latest - self._patience, self._latest - self._delay
-            complete = self._complete(source)
-            while self._waiting:
-                first = self._waiting[0]
-                if first[0] > oldest and (first[0] > recent or first[:2] > complete):
-                    break
-                order.append(heapq.heappop(self._waiting)[2])
-                log_times.append(self._now)
-        yield from self._leave(order, log_times)
+        cameras, first = self._cameras.of(block), self._held.add(block)
+        if new := len(self._cameras) - len(self._latest_of):
+            self._latest_of = np.concatenate([self._latest_of, np.zeros(new, np.int64)])
+            self._ranks = np.argsort(np.argsort(list(self._cameras)))
+        queue = np.concatenate([self._waiting, np.empty((len(block), 3), np.int64)])
+        leaving = np.empty((len(queue), 2), np.int64)
+        messages = np.stack([block.stamps, cameras, block.log_times], axis=1)
+        n = sort_messages(
+            messages, first, self._ranks, self._latest_of, self._times, queue, leaving
+        )
+        self._waiting = queue[: len(queue) - n].copy()
+        yield from self._leave(leaving[:n, 0], leaving[:n, 1])
 
     def rest(self) -> Iterator[Block]:
         """Yield what is left, now that nothing more comes."""
-        order = [number for *_, number in sorted(self._waiting)]
-        self._waiting.clear()
-        yield from self._leave(order, [self._now] * len(order))
+        numbers, self._waiting = self._waiting[:, 2], self._waiting[:0]
+        yield from self._leave(numbers, np.full(len(numbers), self._times[_NOW]))
 
-    def _add(self, stamp: int, source: str, log_time: int) -> None:
-        """Take note of a message's times."""
-        self._latest, self._now = max(self._latest, stamp), max(self._now, log_time)
-        self._begin = self._begin or stamp
-        self._delay = max(self._delay, min(self._latest - stamp, self._patience))
-        self._latest_of[source] = max(self._latest_of.get(source, 0), stamp)
-
-    def _complete(self, source: str) -> tuple[int, str]:
-        """Stamp and source up to which every camera has sent its messages."""
-        oldest = self._latest - self._patience
-        if self._begin >= oldest:  # there may be cameras that have not sent anything yet
-            return oldest, source
-        complete = self._latest, ""
-        for name, stamp in self._latest_of.items():
-            if stamp > oldest and (stamp, name) < complete:
-                complete = stamp, name
-        return complete
-
-    def _leave(self, order: list[int], log_times: list[int]) -> Iterator[Block]:
+    def _leave(self, numbers: Stamps, log_times: Stamps) -> Iterator[Block]:
         """Yield the messages with these numbers; keep those that wait."""
-        if order:
-            yield self._held.copies(order, STATE).logged_at(log_times)
-            self._held.keep([number for *_, number in self._waiting])
+        if len(numbers):
+            yield self._held.copies(numbers, STATE).logged_at(log_times)
+            self._held.keep(self._waiting[:, 2])
+
+
+@kernel
+def _is_complete(
+    stamp: int, rank: int, camera: int, ranks: Stamps, latest_of: Stamps, times: Stamps
+) -> bool:
+    """Whether every camera has sent what is before a time and a rank; ``camera`` sent the last."""
+    oldest = times[_LATEST] - times[_PATIENCE]
+    if times[_BEGIN] >= oldest:  # there may be cameras that have not sent anything yet
+        return bool(stamp < oldest or (stamp == oldest and rank <= ranks[camera]))
+    if stamp >= times[_LATEST]:
+        return False
+    for k in range(len(latest_of)):
+        if latest_of[k] > oldest and (
+            latest_of[k] < stamp or (latest_of[k] == stamp and ranks[k] < rank)
+        ):
+            return False
+    return True
+
+
+@kernel
+def _move(queue: Stamps, source: int, target: int) -> None:
+    """Copy a row of the queue (n, 3)."""
+    for c in range(3):
+        queue[target, c] = queue[source, c]
+
+
+@entry
+def sort_messages(
+    messages: I2, first: int, ranks: I1, latest_of: I1, times: I1, queue: I2, leaving: I2
+) -> int:
+    """Take messages one after the other; find out which leave.
+
+    Parameters
+    ----------
+    messages : (N, 3) stamp, ns, camera, and log time, ns. ``first`` is the number of the first one.
+    ranks : (C,) which of two cameras comes first if the stamps are equal.
+    latest_of, times : of each camera, and of all; they go on.
+    queue : (W + N, 3) W messages that wait, in order, and room for the others; afterwards, those
+        that wait are in front.
+    leaving : (W + N, 2) gets numbers and log times.
+
+    Returns
+    -------
+    How many leave.
+    """
+    begin, end, n = 0, len(queue) - len(messages), 0
+    for i in range(len(messages)):
+        stamp, camera, log_time = messages[i, 0], messages[i, 1], messages[i, 2]
+        times[_LATEST], times[_NOW] = max(times[_LATEST], stamp), max(times[_NOW], log_time)
+        times[_BEGIN] = times[_BEGIN] or stamp
+        late = min(times[_LATEST] - stamp, times[_PATIENCE])
+        times[_DELAY] = max(times[_DELAY], late)
+        latest_of[camera] = max(latest_of[camera], stamp)
+        k = end
+        while k > begin and (
+            queue[k - 1, 0] > stamp
+            or (queue[k - 1, 0] == stamp and ranks[queue[k - 1, 1]] > ranks[camera])
+        ):
+            _move(queue, k - 1, k)
+            k -= 1
+        queue[k, 0], queue[k, 1], queue[k, 2] = stamp, camera, first + i
+        end += 1
+        oldest, recent = times[_LATEST] - times[_PATIENCE], times[_LATEST] - times[_DELAY]
+        while begin < end:
+            due, rank = queue[begin, 0], ranks[queue[begin, 1]]
+            if due > oldest and (
+                due > recent or not _is_complete(due, rank, camera, ranks, latest_of, times)
+            ):
+                break
+            leaving[n, 0], leaving[n, 1] = queue[begin, 2], times[_NOW]
+            n, begin = n + 1, begin + 1
+    for k in range(begin, end):
+        _move(queue, k, k - begin)
+    return n
