@@ -19,8 +19,9 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import fields, replace
 from difflib import get_close_matches
 from functools import partial
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 from hiros_mcap.config import Config, load_config, settings_beside
 from hiros_mcap.errors import ConfigError, LogError
@@ -31,7 +32,13 @@ from hiros_mcap.io.rosbag2 import output_file, refuse_foreign_encodings
 from hiros_mcap.outputs import check_outputs, target_kind
 from hiros_mcap.running.observe import DETECTIONS, Observer
 from hiros_mcap.running.preparation import Prepared, prepare, set_up, stages_of
-from hiros_mcap.running.process_options import ProcessOptions, Progress, Silent, Watcher
+from hiros_mcap.running.process_options import (
+    ProcessChoices,
+    ProcessOptions,
+    Progress,
+    Silent,
+    Watcher,
+)
 from hiros_mcap.running.report import Report
 from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.running.write import LogOutput, NoOutput, kept_channels, open_output
@@ -51,12 +58,12 @@ def process(
     source: str | os.PathLike[str],
     target: str | os.PathLike[str] | None = None,
     *,
-    config: Config | None = None,
+    config: Config | str | os.PathLike[str] | None = None,
     options: ProcessOptions | None = None,
     progress: Progress | bool = False,
     watcher: Watcher | None = None,
     force: bool = False,
-    **choices: Any,
+    **choices: Unpack[ProcessChoices],
 ) -> Summary:
     """Turn the detections of a log into clean skeletons.
 
@@ -65,14 +72,28 @@ def process(
     source : MCAP log with SkeletonGroup channels and the cameras' transforms.
     target : output log; None runs without writing one. A folder, or a name that ends in "/", gets
         a ROS 2 bag.
-    config : parameters of the stages; None takes them from a file hiros.toml in the log's folder,
-        if there is one.
+    config : parameters of the stages, or a TOML file with them. None takes them from a file
+        hiros.toml in the log's folder, or in the nearest one above, if there is one.
     options : what is read, run and written.
     progress : follows how far the run is; True shows a bar on a terminal or in a notebook.
     watcher : sees every frame on the way.
     force : replace files that hiros did not write.
     choices : fields of :class:`ProcessOptions`, in place of those of ``options``:
         ``process("lab.mcap", "clean.mcap", system="hiros", calibrate="off")``.
+
+        - system : "fuse", "hiros", "malaguti", "lee", ...; ``hiros systems`` lists them.
+        - stages : chain of T tracker, M merger, O optimizer, F filter; "" runs all.
+        - topics : globs of the detection channels; () reads all.
+        - keep : globs of the input channels to copy; None copies those read and the transforms.
+        - settings : file that ``config`` came from, for the summary.
+        - extrinsics : file with the cameras' poses.
+        - limbs_in, limbs_out : files with limb lengths, to read and to write.
+        - calibrate : "off", "auto" or "require": whether the cameras' poses are refined.
+        - strict : refuse a log if a message has to be skipped.
+        - recover : run on what can be read of a damaged log.
+        - memory : GiB that a run may take, about.
+        - markers : also write MarkerArray, JointState and Log.
+        - compression : "zstd", "lz4" or "" for none.
 
     The logger ``hiros_mcap`` gets the warnings of the summary, the steps of the run (INFO), and
     its notes and events (DEBUG).
@@ -88,9 +109,10 @@ def process(
         a parameter or a side file is wrong.
     """
     options = _chosen(options or ProcessOptions(), choices)
-    if config is None:
-        options = replace(options, settings=settings_beside(source))
-        config = load_config(options.settings, system=options.system)
+    if not isinstance(config, Config):
+        file = settings_beside(source) if config is None else Path(config)
+        options = replace(options, settings=file)
+        config = load_config(file, system=options.system)
     check_limbs(options)
     kind = "log" if target is None else target_kind(target)
     check_outputs(
@@ -134,6 +156,18 @@ def _chosen(options: ProcessOptions, choices: Mapping[str, Any]) -> ProcessOptio
                 f"process() has no argument {name!r}{guess} (of ProcessOptions: {', '.join(names)})"
             )
     return replace(options, **choices)
+
+
+def _keywords_of(function: Callable[..., Any]) -> Signature:
+    """Return the signature with the fields of ProcessOptions, for help() and completion."""
+    written, names = signature(function), signature(ProcessOptions).parameters.values()
+    kept = [p for p in written.parameters.values() if p.kind is not Parameter.VAR_KEYWORD]
+    return written.replace(
+        parameters=[*kept, *(p.replace(kind=Parameter.KEYWORD_ONLY) for p in names)]
+    )
+
+
+process.__signature__ = _keywords_of(process)  # type: ignore[attr-defined]
 
 
 @contextmanager

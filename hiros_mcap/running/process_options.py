@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal, Protocol, get_args
+from typing import Literal, Protocol, TypedDict, get_args
 
 from hiros_mcap.defaults import DEFAULT_SYSTEM
 from hiros_mcap.errors import ConfigError
@@ -23,7 +23,7 @@ class ProcessOptions:
     """What is read, run and written, besides the parameters of the stages.
 
     A file may be given as text, a single glob without its tuple. Raises ConfigError for a choice
-    that does not exist.
+    that does not exist, and for a value of another type.
     """
 
     system: str = DEFAULT_SYSTEM
@@ -63,12 +63,36 @@ class ProcessOptions:
         for name in ("settings", "extrinsics", "limbs_in", "limbs_out"):
             if (path := getattr(self, name)) is not None:
                 object.__setattr__(self, name, Path(path))
+        for field in fields(self):
+            kinds, value = _KINDS.get(str(field.type)), getattr(self, field.name)
+            if kinds is not None and not isinstance(value, kinds):
+                raise ConfigError(f"{field.name}: {value!r} is no {kinds[0].__name__}")
         for name, choices in _CHOICES.items():
             if (value := getattr(self, name)) not in choices:
                 raise ConfigError(f"{name}: {value!r} is none of {', '.join(map(repr, choices))}")
 
 
+_KINDS: dict[str, tuple[type, ...]] = {"str": (str,), "bool": (bool,), "float": (float, int)}
 _CHOICES = {"calibrate": get_args(Calibration), "compression": ("zstd", "lz4", "")}
+
+
+class ProcessChoices(TypedDict, total=False):
+    """The fields of :class:`ProcessOptions`, as keywords of ``process``."""
+
+    system: str
+    stages: str
+    topics: str | Sequence[str]
+    keep: str | Sequence[str] | None
+    settings: str | Path | None
+    extrinsics: str | Path | None
+    limbs_in: str | Path | None
+    limbs_out: str | Path | None
+    calibrate: Calibration
+    strict: bool
+    recover: bool
+    memory: float
+    markers: bool
+    compression: Literal["zstd", "lz4", ""]
 
 
 class Progress(Protocol):

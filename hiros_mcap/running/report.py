@@ -276,13 +276,9 @@ def _loss(camera: CameraSummary, lost: Mapping[str, int], stage: str) -> str:
 def _input_notes(account: Account) -> Iterator[str]:
     """Yield what was odd in the messages of a topic."""
     topic = account.topic
-    if n := account.skipped.get(STALE):
-        yield (
-            f"{topic}: {quantity(n, 'message')} skipped as stale repeats: the detector sent what "
-            "it had sent before, with the old time"
-        )
     if account.stale:
-        yield f"{topic}: {quantity(account.stale, 'repeated old skeleton')} ignored"
+        skeletons = quantity(account.stale, "repeated skeleton")
+        yield f"{topic}: {skeletons} ignored: the detector sent them before, with the same time"
     for kind, n in sorted(account.cleaned.items()):
         yield f"{topic}: {counted(kind, n)}"
     if account.untimed:

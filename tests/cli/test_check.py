@@ -117,14 +117,16 @@ def test_a_suite_with_reports(suite, tmp_path, capsys):
     assert run(["check", str(suite)]) == 2
 
 
-def test_quiet_leaves_the_exit_code_and_errors(suite, tmp_path, capsys):
+def test_quiet_leaves_differences_and_errors(suite, tmp_path, capsys):
     assert run(["check", str(suite), "-q"]) == 0
     assert capsys.readouterr() == ("", "")
     assert run(["check", str(suite), "-q", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["equal"] == 1
     suite.write_text(suite.read_text().replace("people = 1", "people = 3"))
     assert run(["check", str(suite), "-q"]) == 1
-    assert capsys.readouterr() == ("", "")
+    out, err = capsys.readouterr()
+    assert (out.splitlines()[0], err) == ("different one_person_walking", "")
+    assert "people" in out
     (tmp_path / "one_person_walking.mcap").write_bytes(b"nothing")
     assert run(["check", str(suite), "-q"]) == 2
     captured = capsys.readouterr()

@@ -6,7 +6,8 @@ import re
 import subprocess
 import sys
 import tomllib
-from dataclasses import replace
+from dataclasses import fields, replace
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ from hiros_mcap.evaluate.logs import evaluate_log, read_channel
 from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.running.process_options import ProcessChoices
 from hiros_mcap.running.recording import Recording
 from hiros_mcap.skeletons import ACCELERATION, ORIENTATION, POSITION, STATE, VELOCITY
 from hiros_mcap.systems import LETTERS, SYSTEMS, chain_of
@@ -499,6 +501,25 @@ def test_a_pause_a_repeat_and_few_lost_messages_are_told(tmp_path):
         "a few messages were not used: /camera_0/skeletons: 1 log time after the year 2262"
     )
     notes = "\n".join(summary.notes)
-    assert "/camera_0/skeletons: 1 message skipped as stale repeats: the detector sent" in notes
+    assert "/camera_0/skeletons: 1 repeated skeleton ignored: the detector sent" in notes
     assert re.search(r"all cameras pause from (0\.9|1\.0) to (2\.2|2\.3) s$", notes, re.MULTILINE)
     assert "pause" not in "\n".join(process(WALKING, calibrate="off").notes)
+
+
+def test_process_shows_each_option_to_an_editor_and_in_help():
+    names = {field.name for field in fields(ProcessOptions)}
+    assert set(ProcessChoices.__annotations__) == names
+    assert names <= set(signature(process).parameters)
+    words = str(process.__doc__).partition("choices : ")[2]
+    assert [name for name in names if name not in words] == []
+
+
+def test_a_wrong_type_is_one_line():
+    with pytest.raises(ConfigError, match=r"^recover: 'yes' is no bool$"):
+        ProcessOptions(recover="yes")
+
+
+def test_a_file_of_parameters_may_be_named(tmp_path):
+    (tmp_path / "mine.toml").write_text("[filter]\nctoff = 3\n")
+    with pytest.raises(ConfigError, match=r"mine\.toml: no parameter filter\.ctoff"):
+        process("lab.mcap", config=tmp_path / "mine.toml")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 from shlex import quote
@@ -14,7 +15,7 @@ from hiros_cli.completing import topics
 from hiros_cli.many_logs import ManyLogs, one_log, run
 from hiros_cli.options import GROUP, argument, flag, grouped, option
 from hiros_cli.output import check_outputs, print_json
-from hiros_cli.printable import printable
+from hiros_cli.printable import error_line, printable
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.running.progress_bar import bar
 
@@ -147,7 +148,10 @@ def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> int:
     if json:
         print_json("check", check_report.as_dict(results))
     else:
-        _print([r for r in results if r.status != "equal"] if quiet else results, quiet=quiet)
+        for result in results if quiet else ():
+            if result.status == "error":
+                print(error_line(ConfigError(f"{result.name}: {result.error}")), file=sys.stderr)
+        _print([r for r in results if r.status == "different"] if quiet else results, quiet=quiet)
     statuses = {result.status for result in results}
     return CANNOT if "error" in statuses else DIFFERENT if "different" in statuses else EQUAL
 

@@ -219,6 +219,7 @@ def process(
     logs: list[str] = argument(
         "LOG", "Recordings: MCAP files, ROS bags, folders of them, globs, URLs; - is a pipe."
     ),
+    writing: OutputOptions = GROUP,
     parameters: Parameters = GROUP,
     stages: str = option(
         "CHAIN",
@@ -229,7 +230,6 @@ def process(
     ),
     reading: InputOptions = GROUP,
     limbs: LimbOptions = GROUP,
-    writing: OutputOptions = GROUP,
     many: ManyLogs = GROUP,
 ) -> None:
     """Track, merge, optimize and filter the skeletons of a log.
