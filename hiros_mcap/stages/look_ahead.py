@@ -22,12 +22,14 @@ class LookAhead:
     Attributes
     ----------
     stamps : (N,) times of the frames that wait, ns.
+    first : number of the oldest of them, counted through all frames.
     """
 
     def __init__(self, seconds: float = 0.0) -> None:
         self._ahead = round(seconds * 1e9)
         self._blocks: deque[Block] = deque()
         self.stamps: Stamps = np.empty(0, np.int64)
+        self.first = 0
 
     def __len__(self) -> int:
         """N."""
@@ -61,16 +63,17 @@ class LookAhead:
                 return
             yield self.release(last + 1)
 
-    def release(self, n: int, width: int = 0) -> Block:
+    def release(self, n: int, width: int = 0, *, shared: bool = False) -> Block:
         """Return copies of the oldest ``n`` frames, which do not wait any more; at least one.
 
-        ``width`` : columns that markers and links get at least.
+        ``width`` : columns that markers and links get at least. ``shared`` : frames that lie in one
+        block share its arrays.
         """
-        self.stamps, parts = self.stamps[n:], list[Block]()
+        self.stamps, self.first, parts = self.stamps[n:], self.first + n, list[Block]()
         while n > 0:
             block = self._blocks.popleft()
             if len(block) > n:
                 self._blocks.appendleft(block.select(slice(n, None)))
             parts.append(block.select(slice(n)))
             n -= len(block)
-        return join(parts, width=width)
+        return parts[0] if shared and len(parts) == 1 else join(parts, width=width)

@@ -74,8 +74,6 @@ class WindowSmoother:
         self._ahead = LookAhead()
         self._views: list[Sightings] = []
         """Not yet filtered; instants are numbered through the log."""
-        self._first = 0
-        """Number of the first instant that is held."""
         self._taken = 0
         """Time, ns, before which the filters have taken over everything."""
         self._origin: int | None = None
@@ -90,7 +88,7 @@ class WindowSmoother:
         self._make_room(names)
         patience = round((self._params.window + self._params.lookahead) * 1e9)
         bounds = np.searchsorted(views.instants, np.arange(len(block) + 1))
-        views = views._replace(instants=views.instants + self._first + len(self._ahead))
+        views = views._replace(instants=views.instants + self._ahead.first + len(self._ahead))
         self._ahead.add(block)
         times = zip(
             block.stamps.tolist(), block.log_times.tolist(), bounds[1:].tolist(), strict=True
@@ -147,20 +145,19 @@ class WindowSmoother:
         stamps = self._ahead.stamps[:known]
         n = max(int(np.searchsorted(stamps, end)), 1)
         boundary = int(stamps[min(n, known - 1)])  # nothing older is merged any more
-        out = self._ahead.release(n)
+        first, out = self._ahead.first, self._ahead.release(n)
         views = joined(self._views)
         self._views = [views]
         owners = np.repeat(np.arange(n), out.sizes)
         ids, new = out.people.ids, views.stamps >= self._taken
         window = _Window(views, new, ids, out.stamps[owners], np.unique(ids))
-        of_views = rows_of(views, self._first + owners, out.people.ids)
+        of_views = rows_of(views, first + owners, out.people.ids)
         self._bank.expire(int(stamps[0]))
         poses = self._without_displaced(window, of_views, boundary)
         seen = cameras_by_row(views, of_views, poses.variances.shape)
         # The filters have taken over what is before the boundary.
-        self._first += n
         self._taken = boundary
-        self._views = [chosen(views, (views.stamps >= boundary) | (views.instants >= self._first))]
+        self._views = [chosen(views, (views.stamps >= boundary) | (views.instants >= first + n))]
         return self._finished(out, log_time, poses, seen)
 
     def _without_displaced(self, window: _Window, of_views: Stamps, boundary: int) -> FusedPoses:

@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hiros_mcap.events import TOO_LATE, Events
-from hiros_mcap.frames import Block, CameraNumbers, HeldFrames
+from hiros_mcap.frames import Block, CameraNumbers
 from hiros_mcap.kernels.averaging import Buffers
 from hiros_mcap.skeletons import STATE, UNTRACKED, Flags, Ints, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.look_ahead import LookAhead
 from hiros_mcap.stages.merge.unseen import Unseen
 
 
@@ -51,11 +52,6 @@ class Instants:
         """Times of the oldest and the newest message in the buffer."""
         self._log_time = 0
         """Of the latest message in the buffer."""
-
-    @property
-    def waiting(self) -> list[int]:
-        """Numbers of the messages whose instant is not complete."""
-        return [number for _, number in self._buffer.values()]
 
     def add(self, stamp: int, source: str, log_time: int, number: int) -> list[Instant]:
         """Take a message; return the instants that it completes: none, one or two."""
@@ -122,7 +118,7 @@ class InstantMerger:
         self._events, self._fixed_frame, self._counted = events, fixed_frame, counted
         self._unseen, self._widths = unseen or Unseen(), widths
         self._cameras = CameraNumbers()
-        self._held = HeldFrames()
+        self._ahead = LookAhead()
 
     @property
     def cameras(self) -> tuple[str, ...]:
@@ -133,16 +129,14 @@ class InstantMerger:
         """Yield the merged people of every instant; the parameters are those of Instants."""
         gathered = Instants(cameras, max_delta_time, self._events)
         for block in blocks:
-            first, ready = self._held.add(block), list[Instant]()
+            first, ready = self._ahead.first + len(self._ahead), list[Instant]()
+            self._ahead.add(block)
             for number, message in enumerate(block.messages(), first):
                 ready += gathered.add(*message, number)
-            yield from self._merge_all(ready, block, first)
-            self._held.keep(gathered.waiting)
+            yield from self._merge_all(ready, first)
         yield from self._merge_all(gathered.rest())
 
-    def _merge_all(
-        self, instants: Sequence[Instant], block: Block | None = None, first: int = 0
-    ) -> Iterator[Block]:
+    def _merge_all(self, instants: Sequence[Instant], first: int = 0) -> Iterator[Block]:
         """Merge in batches of a few seconds; ``first`` is the number of the block's first message.
 
         Messages are copied only where those of an instant lie in several blocks.
@@ -150,13 +144,12 @@ class InstantMerger:
         start = instants[0].stamp if instants else 0
         for _, batch in groupby(instants, lambda instant: (instant.stamp - start) // self._SPAN):
             plans = []
-            for is_held, some in groupby(batch, lambda instant: min(instant.messages) < first):
+            for _, some in groupby(batch, lambda instant: min(instant.messages) < first):
                 part = list(some)
                 numbers = [number for instant in part for number in instant.messages]
-                if block is None or is_held:
-                    plans.append(self._plan(part, self._held.copies(numbers)))
-                else:
-                    plans.append(self._plan(part, block.select(np.array(numbers) - first)))
+                places = np.array(numbers) - self._ahead.first
+                messages = self._ahead.release(int(places.max()) + 1, shared=True)
+                plans.append(self._plan(part, messages.select(places)))
             yield self._merge(plans)
 
     def _merge(self, plans: Sequence[_MergePlan]) -> Block:

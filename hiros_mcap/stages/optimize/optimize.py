@@ -26,18 +26,16 @@ exact   19.3, 20.0  0.0005, 0.0005  6.2, 7.0
 
 from __future__ import annotations
 
-import itertools
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from operator import attrgetter
-from typing import NamedTuple
 
 import numpy as np
 
 from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, frames_of, join
+from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.skeletons import POSITION, Floats, Ints, People, SkeletonModel
-from hiros_mcap.stages.delay import Delay
+from hiros_mcap.stages.look_ahead import LookAhead
 from hiros_mcap.stages.optimize import optimizing as kernels
 from hiros_mcap.stages.optimize.energy import (
     Energy,
@@ -49,8 +47,6 @@ from hiros_mcap.stages.optimize.energy import (
 from hiros_mcap.stages.optimize.limb_calibration import Calibration, calibrate_limbs
 from hiros_mcap.stages.optimize.normal_equations import topology_of
 from hiros_mcap.stages.optimize.optimize_params import OptimizeParams
-
-_UNLIMITED = 1e9  # s; the calibration decides how long frames are held
 
 
 def optimize_blocks(
@@ -83,50 +79,42 @@ def optimize_blocks(
         params = params.model_copy(update={"calibration": "off"})
     calibration = Calibration(model, params, events, limbs)
     optimizer = _Optimizer(model, params, events)
-    for calibrated in _await_calibration(blocks, calibration):  # section 3.3.1
-        for block, frames in itertools.groupby(calibrated, key=attrgetter("block")):
-            yield optimizer(block, list(frames))
-
-
-class _Calibrated(NamedTuple):
-    """A frame whose people's calibration is settled."""
-
-    block: Block
-    place: int
-    log_time: int
-    nominal: Floats  # (P, L) calibrated lengths, m, NaN where there are none
+    for block, nominal in _await_calibration(blocks, calibration):  # section 3.3.1
+        optimizer.optimize(block.people, nominal)
+        yield block
 
 
 def _await_calibration(
     blocks: Iterable[Block], calibration: Calibration
-) -> Iterator[list[_Calibrated]]:
+) -> Iterator[tuple[Block, Floats]]:
     """Hold frames, in order, until the calibration of everybody in them is settled.
 
-    A held frame gets the log time of the frame that releases it. Yields the frames that each block
-    releases.
+    Yields copies of the frames that each block releases, logged when they were, and the calibrated
+    lengths (P, L) of their people, m, NaN where there are none.
     """
-    delay = Delay[tuple[Block, int, list[int]]](_UNLIMITED)
+    ahead, waiting = LookAhead(), deque[list[int]]()
     now = 0
-
-    def is_ready(held: tuple[Block, int, list[int]]) -> bool:
-        return calibration.is_ready(held[2])
-
     for block in blocks:
-        calibrated = []
+        ahead.add(block)
+        nominal, log_times = list[Floats](), list[int]()
         ids, (lengths, weights) = block.people.ids.tolist(), calibration.measure(block.people)
         times = zip(
             block.stamps.tolist(), block.log_times.tolist(), block.rows.tolist(), strict=True
         )
-        for i, (stamp, log_time, (begin, end)) in enumerate(times):
-            people = ids[begin:end]
-            calibration.observe(stamp, people, lengths[begin:end], weights[begin:end])
-            delay.push(stamp, (block, i, people))
+        for stamp, log_time, (begin, end) in times:
+            waiting.append(ids[begin:end])
+            calibration.observe(stamp, waiting[-1], lengths[begin:end], weights[begin:end])
             now = max(now, log_time)
-            for held, place, who in delay.release(stamp, is_ready):
-                calibrated.append(_Calibrated(held, place, now, calibration.nominal(who)))
-        yield calibrated
+            while waiting and calibration.is_ready(waiting[0]):
+                nominal.append(calibration.nominal(waiting.popleft()))
+                log_times.append(now)
+        if nominal:
+            yield ahead.release(len(nominal)).logged_at(log_times), np.concatenate(nominal)
+        del block  # else it lies in memory until the next one is made
     calibration.finish()
-    yield [_Calibrated(b, place, now, calibration.nominal(who)) for b, place, who in delay.rest()]
+    if waiting:
+        nominal = [calibration.nominal(people) for people in waiting]
+        yield ahead.release(len(nominal)).logged_at([now] * len(nominal)), np.concatenate(nominal)
 
 
 Solver = Callable[[Energy], tuple[Floats, int]]
@@ -146,25 +134,19 @@ class _Optimizer:
 
             self._minimize = CeresSolver(model, params.tolerance)
 
-    def __call__(self, block: Block, frames: list[_Calibrated]) -> Block:
-        """Return frames of a block with their calibrated people optimized."""
-        places, log_times = [each.place for each in frames], [each.log_time for each in frames]
-        nominal = np.concatenate([each.nominal for each in frames])
+    def optimize(self, people: People, nominal: Floats) -> None:
+        """Optimize those people whose limb lengths (P, L), m, are known, in place."""
         rows = ~np.isnan(nominal).all(axis=1)
-        if not rows.any():
-            return block.select(places).logged_at(log_times)
-        out = join([block.select(places)]).logged_at(log_times)
         if rows.all():
-            self._optimize(out.people, nominal)
-        else:
-            some = out.people.at(rows)
-            self._optimize(some, nominal[rows])
+            self._optimize(people, nominal)
+        elif rows.any():
+            calibrated = people.at(rows)
+            self._optimize(calibrated, nominal[rows])
             for name in ("markers", "marker_confidences", "links", "link_confidences"):
-                getattr(out.people, name)[rows] = getattr(some, name)
-        return out
+                getattr(people, name)[rows] = getattr(calibrated, name)
 
     def _optimize(self, people: People, nominal: Floats) -> None:
-        """Optimize people whose limb lengths are known, in place."""
+        """Optimize people whose limb lengths are all known, in place."""
         points = people.markers[:, :, POSITION].copy()
         energy = Energy(points, nominal, np.empty((*nominal.shape, 4)))
         outlier = self._find_outliers(energy, people.marker_confidences)  # section 3.3.2
