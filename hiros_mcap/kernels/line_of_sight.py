@@ -24,6 +24,9 @@ _BLUR = 0.05
 pixels (1 cm at 3 m, fov 70 degrees, 512 pixels), and the limb's own joints are 3 to 5 cm off."""
 _NEARER = 0.15
 """m; a limb in front is this much nearer than the joint: half the depth of a trunk."""
+_REACH = 0.4
+"""m; farther beside the axis of a limb nothing is hidden: no limb is wider than 0.2 m, and h is
+below 0.001 at 4 BLUR beside it."""
 
 
 class Capsules(NamedTuple):
@@ -33,15 +36,61 @@ class Capsules(NamedTuple):
     radii: F2  # (K, 2) m, at each end
 
 
+OUTLINE = 14
+"""Numbers of an outline: three unit vectors (depth, across, up), a box of tangents, least depth."""
+
+
 @inlined
-def enclose(body: Floats, sphere: Floats) -> None:
-    """Write the centre (3) of a body (M, >= 3) and the radius around it, m; NaN if it is absent."""
-    sphere[0], sphere[1], sphere[2] = mean_position(body)
-    sphere[3] = np.nan if math.isnan(sphere[0]) else 0.0
+def outline(body: Floats, camera: Floats, out: Floats) -> None:
+    """Write the box (OUTLINE,) in which a camera sees a body (M, >= 3); NaN if it is absent.
+
+    No place outside the box is hidden. A body around the camera has a box without bounds.
+    """
+    x, y, z = mean_position(body)
+    x, y, z = x - camera[0], y - camera[1], z - camera[2]
+    away = norm3(x, y, z)
+    out[0], out[1], out[2] = x / away, y / away, z / away
+    # Across is at a right angle to depth and to the axis that is farthest from depth.
+    if abs(out[2]) < 0.7:
+        out[3], out[4], out[5] = -out[1], out[0], 0.0
+    else:
+        out[3], out[4], out[5] = 0.0, -out[2], out[1]
+    length = norm3(out[3], out[4], out[5])
+    out[3], out[4], out[5] = out[3] / length, out[4] / length, out[5] / length
+    out[6] = out[1] * out[5] - out[2] * out[4]
+    out[7] = out[2] * out[3] - out[0] * out[5]
+    out[8] = out[0] * out[4] - out[1] * out[3]
+    out[9] = out[11] = out[13] = np.inf
+    out[10] = out[12] = -np.inf
     for m in range(len(body)):
-        away = norm3(body[m, 0] - sphere[0], body[m, 1] - sphere[1], body[m, 2] - sphere[2])
-        if away > sphere[3]:
-            sphere[3] = away
+        x, y, z = body[m, 0] - camera[0], body[m, 1] - camera[1], body[m, 2] - camera[2]
+        depth, across, up = _seen_from(x, y, z, out)
+        if math.isnan(depth):
+            continue
+        out[13] = min(out[13], norm3(x, y, z) - _REACH)
+        beside = _REACH / depth if depth > _REACH else np.inf
+        out[9], out[10] = min(out[9], across - beside), max(out[10], across + beside)
+        out[11], out[12] = min(out[11], up - beside), max(out[12], up + beside)
+
+
+@inlined
+def _seen_from(x: float, y: float, z: float, frame: Floats) -> tuple[float, float, float]:
+    """Depth of a place, m, and the tangents of the angles across and up, in an outline's axes."""
+    depth = x * frame[0] + y * frame[1] + z * frame[2]
+    across = x * frame[3] + y * frame[4] + z * frame[5]
+    up = x * frame[6] + y * frame[7] + z * frame[8]
+    return depth, across / depth, up / depth
+
+
+@inlined
+def _is_outside(x: float, y: float, z: float, away: float, box: Floats) -> bool:
+    """Whether a line of sight (x, y, z) of length ``away``, m, passes outside an outline."""
+    depth, across, up = _seen_from(x, y, z, box)
+    if not box[13] < away:
+        return True
+    if box[9] == -np.inf:
+        return False
+    return not (depth > 0.0 and box[9] < across < box[10] and box[11] < up < box[12])
 
 
 @inlined
@@ -70,20 +119,14 @@ def _gap(
 
 @kernel
 def hidden_by(
-    place: Floats, camera: Floats, body: Floats, sphere: Floats, capsules: Capsules
+    place: Floats, camera: Floats, body: Floats, box: Floats, capsules: Capsules
 ) -> float:
-    """Return h of a place (>= 3,) behind a body (M, >= 3) that ``sphere`` encloses."""
+    """Return h of a place (>= 3,) behind a body (M, >= 3); ``box`` is the body's outline."""
     ux, uy, uz = place[0] - camera[0], place[1] - camera[1], place[2] - camera[2]
     away = norm3(ux, uy, uz)
-    if not away > _NEARER:
+    if not away > _NEARER or _is_outside(ux, uy, uz, away, box):
         return 0.0
     ray = ux / away, uy / away, uz / away
-    wx, wy, wz = sphere[0] - camera[0], sphere[1] - camera[1], sphere[2] - camera[2]
-    along = wx * ray[0] + wy * ray[1] + wz * ray[2]
-    aside = math.sqrt(max(wx * wx + wy * wy + wz * wz - along * along, 0.0))
-    # No limb is wider than 0.2 m, and 4 BLUR beside it h is below 0.001.
-    if not aside < sphere[3] + 0.2 + 4.0 * _BLUR or along - sphere[3] > away:
-        return 0.0
     least = np.inf
     for k in range(len(capsules.ends)):
         least = min(least, _gap(k, body, camera, ray, away - _NEARER, capsules))

@@ -12,7 +12,7 @@ import numpy as np
 
 from hiros_mcap.kernels.array_types import B1, F1, F2, F3, I1, I2, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel
-from hiros_mcap.kernels.line_of_sight import Capsules, enclose, hidden_by
+from hiros_mcap.kernels.line_of_sight import OUTLINE, Capsules, hidden_by, outline
 from hiros_mcap.skeletons import UNTRACKED, Floats, People
 from hiros_mcap.stages.detections.limb_deviations import ComparedMessages
 
@@ -80,8 +80,8 @@ class MendedViews(NamedTuple):
 class HiddenWork(NamedTuple):
     """Scratch for P views, R people and M markers."""
 
-    spheres: F2  # (P, 4) around the bodies of a message
-    remembered: F2  # (R, 4) around what is remembered of people
+    outlines: F2  # (P, OUTLINE) of the bodies of a message, seen from its camera
+    remembered: F2  # (R, OUTLINE) of what is remembered of people
     shown: B1  # (R,) whether a message shows them
     rates: B1  # (P,) whether the detector rates joints
     expected: F1  # (M,) h of the remembered joints
@@ -92,7 +92,7 @@ class HiddenWork(NamedTuple):
     def of(cls, n_people: int, n_known: int, n_markers: int) -> HiddenWork:
         """Make room."""
         p, r, m = n_people, n_known, n_markers
-        return arrays(cls, (p, 4), (r, 4), r, p, m, (m, 3), 3)
+        return arrays(cls, (p, OUTLINE), (r, OUTLINE), r, p, m, (m, 3), 3)
 
 
 class HiddenScene(NamedTuple):
@@ -110,21 +110,22 @@ class HiddenScene(NamedTuple):
 
 @kernel
 def _look(i: int, scene: HiddenScene) -> None:
-    """Enclose the bodies of message ``i``, and those that it lacks but others have just shown."""
+    """Outline the bodies of message ``i``, and those that it lacks but others have just shown."""
+    camera = scene.places[scene.messages.cameras[i]]
     begin, end = scene.messages.spans[i, 0], scene.messages.spans[i, 1]
     scene.work.shown[:] = False
     for p in range(begin, end):
         row = scene.messages.rows[p]
         if row >= 0:
             scene.work.shown[row] = True
-            enclose(scene.people.markers[p], scene.work.spheres[p])
+            outline(scene.people.markers[p], camera, scene.work.outlines[p])
             rate = scene.rates[scene.messages.cameras[i]]
             _learn_rating(scene.people.marker_confidences[p], rate)
     for p in range(begin, end):
         scene.work.rates[p] = scene.rates[scene.messages.cameras[i], 1] > _RATES
     for r in range(len(scene.past.stamps)):
         if scene.messages.stamps[i] - scene.past.stamps[r] <= _RECENT and not scene.work.shown[r]:
-            enclose(scene.past.poses[r], scene.work.remembered[r])
+            outline(scene.past.poses[r], camera, scene.work.remembered[r])
 
 
 @inlined
@@ -145,13 +146,13 @@ def _is_sure(p: int, m: int, scene: HiddenScene) -> bool:
 
 @kernel
 def _cover_by(
-    points: Floats, body: Floats, sphere: Floats, camera: Floats, capsules: Capsules, shares: Floats
+    points: Floats, body: Floats, box: Floats, camera: Floats, capsules: Capsules, shares: Floats
 ) -> float:
     """Raise the h of points (M, >= 3) to what a body hides of them; return their sum behind it."""
     total = 0.0
     for m in range(len(points)):
         if not math.isnan(points[m, 0]):
-            h = hidden_by(points[m], camera, body, sphere, capsules)
+            h = hidden_by(points[m], camera, body, box, capsules)
             shares[m] = max(shares[m], h)
             total += h
     return total
@@ -167,7 +168,7 @@ def _cover(points: Floats, p: int, i: int, scene: HiddenScene, shares: Floats) -
     for q in range(messages.spans[i, 0], messages.spans[i, 1]):
         if q != p and messages.rows[q] >= 0:
             total = _cover_by(
-                points, scene.people.markers[q], work.spheres[q], camera, capsules, shares
+                points, scene.people.markers[q], work.outlines[q], camera, capsules, shares
             )
             if total > most:
                 most, hider = total, int(scene.people.ids[q])
