@@ -1,4 +1,4 @@
-"""The GitHub workflow of docs/golden.md, run step by step in a fresh checkout.
+"""The GitHub Action of action.yml, run step by step in a fresh checkout.
 
 Nothing is downloaded: the install step is left out, and ``hiros`` is the code under test. With
 ``HIROS_WHEEL=FILE`` the install step runs, too, and ``hiros`` is what it installs; .ci/run does so.
@@ -16,7 +16,6 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-DOCUMENT = ROOT / "docs" / "golden.md"
 WHEEL = os.environ.get("HIROS_WHEEL", "")
 SUITE = """
 [[log]]
@@ -26,13 +25,19 @@ golden = "golden/walk.mcap"
 """
 
 
-def documented_job():
+def read(text):
     from ruamel.yaml import YAML
 
-    blocks = re.findall(r"```yaml\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
-    (workflow,) = (block for block in blocks if "jobs:" in block)
-    (job,) = YAML(typ="safe").load(workflow)["jobs"].values()
-    return dict(job)
+    return YAML(typ="safe").load(text)
+
+
+def action():
+    """Return the steps of the action, with the defaults of its inputs, and with hiros as WHEEL."""
+    text = (ROOT / "action.yml").read_text(encoding="utf-8")
+    for name, given in {**read(text)["inputs"], "hiros": {"default": WHEEL}}.items():
+        text = re.sub(rf"\$\{{\{{ inputs\.{name}\b.*?\}}\}}", given["default"], text)
+    assert "${{" not in text
+    return read(text)["runs"]["steps"]
 
 
 def shell(command, folder, **variables):
@@ -49,16 +54,14 @@ def shell(command, folder, **variables):
 
 
 def run_steps(checkout):
-    """Run the job's shell steps until one fails; return its exit code, and the summaries."""
-    job = documented_job()
-    variables = {**job["env"], "HIROS": WHEEL}
+    """Run the action's shell steps until one fails; return its exit code, and the summaries."""
     summaries = ""
-    for number, step in enumerate(step for step in job["steps"] if "run" in step):
+    for number, step in enumerate(step for step in action() if "run" in step):
         if step["run"].startswith("pip install") and not WHEEL:
             continue
         summary = checkout.parent / f"summary-{number}.md"
         summary.write_text("")  # GitHub makes an empty file for each step
-        done = shell(step["run"], checkout, GITHUB_STEP_SUMMARY=str(summary), **variables)
+        done = shell(step["run"], checkout, GITHUB_STEP_SUMMARY=str(summary), **step["env"])
         summaries += summary.read_text(encoding="utf-8")
         if done.returncode:
             return done.returncode, summaries or done.stderr
@@ -89,12 +92,12 @@ def checkout(tmp_path_factory):
     return folder / "checkout"
 
 
-def test_the_documented_workflow_runs_as_written(checkout):
+def test_the_action_runs_as_written(checkout):
     code, summary = run_steps(checkout)
     assert code == 0, summary
     assert "1 of 1 logs as expected" in summary
     assert "| walk | ✅ equal |" in summary
-    (artifact,) = (s["with"]["path"] for s in documented_job()["steps"] if "if" in s)
+    (artifact,) = (s["with"]["path"] for s in action() if "if" in s)
     assert (checkout / artifact).stat().st_size > 0
 
 
@@ -105,3 +108,11 @@ def test_a_changed_parameter_fails_the_job_and_is_named_first(checkout):
     rows = summary[summary.index("| where | what | was | is |") :].splitlines()
     assert rows[2] == "| configuration | fuse.acceleration | 3.0 | 300.0 |"
     assert rows[3].startswith("| /hiros/filtered | ")
+
+
+def test_the_documented_workflow_names_inputs_of_the_action():
+    page = (ROOT / "docs" / "golden.md").read_text(encoding="utf-8")
+    (job,) = read(re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)[0])["jobs"].values()
+    (step,) = (step for step in job["steps"] if "hiros" in step.get("uses", ""))
+    inputs = read((ROOT / "action.yml").read_text(encoding="utf-8"))["inputs"]
+    assert set(step["with"]) <= set(inputs)

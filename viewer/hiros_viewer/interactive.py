@@ -51,7 +51,7 @@ def curves_json(figure: Figure, target: str) -> str:
     from bokeh.models import CrosshairTool, Span
 
     step = thinned(figure)
-    width, height = figure.get_size_inches() * _PIXELS
+    height = figure.get_size_inches()[1] * _PIXELS
     rows: dict[int, list[Any]] = {}
     cursor = Span(dimension="height", line_color="#57606a")
     table, first = _Table(step), None
@@ -70,7 +70,6 @@ def curves_json(figure: Figure, target: str) -> str:
         [rows[row] for row in sorted(rows)], sizing_mode="stretch_width",
         toolbar_location="right", toolbar_options={"logo": None}, merge_tools=True,
     )  # fmt: skip
-    grid.max_width = int(width)
     return _renumbered(json.dumps(json_item(grid, target), separators=(",", ":")))
 
 
