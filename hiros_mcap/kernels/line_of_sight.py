@@ -68,29 +68,31 @@ def outline(body: Floats, camera: Floats, out: Floats) -> None:
         if math.isnan(depth):
             continue
         out[13] = min(out[13], norm3(x, y, z) - _REACH)
-        beside = _REACH / depth if depth > _REACH else np.inf
-        out[9], out[10] = min(out[9], across - beside), max(out[10], across + beside)
-        out[11], out[12] = min(out[11], up - beside), max(out[12], up + beside)
+        # A line of sight that is far from the axis misses by less than its tangents differ.
+        beside = 1.5 * _REACH / depth if depth > _REACH else np.inf
+        out[9], out[10] = (
+            min(out[9], across / depth - beside),
+            max(out[10], across / depth + beside),
+        )
+        out[11], out[12] = min(out[11], up / depth - beside), max(out[12], up / depth + beside)
 
 
 @inlined
 def _seen_from(x: float, y: float, z: float, frame: Floats) -> tuple[float, float, float]:
-    """Depth of a place, m, and the tangents of the angles across and up, in an outline's axes."""
+    """Where a place lies in an outline's axes, m."""
     depth = x * frame[0] + y * frame[1] + z * frame[2]
     across = x * frame[3] + y * frame[4] + z * frame[5]
-    up = x * frame[6] + y * frame[7] + z * frame[8]
-    return depth, across / depth, up / depth
+    return depth, across, x * frame[6] + y * frame[7] + z * frame[8]
 
 
 @inlined
-def _is_outside(x: float, y: float, z: float, away: float, box: Floats) -> bool:
-    """Whether a line of sight (x, y, z) of length ``away``, m, passes outside an outline."""
+def _is_outside(x: float, y: float, z: float, box: Floats) -> bool:
+    """Whether the line of sight to a place (x, y, z), seen from the camera, misses an outline."""
     depth, across, up = _seen_from(x, y, z, box)
-    if not box[13] < away:
-        return True
     if box[9] == -np.inf:
         return False
-    return not (depth > 0.0 and box[9] < across < box[10] and box[11] < up < box[12])
+    inside = box[9] * depth < across < box[10] * depth and box[11] * depth < up < box[12] * depth
+    return not (depth > 0.0 and inside)
 
 
 @inlined
@@ -123,8 +125,10 @@ def hidden_by(
 ) -> float:
     """Return h of a place (>= 3,) behind a body (M, >= 3); ``box`` is the body's outline."""
     ux, uy, uz = place[0] - camera[0], place[1] - camera[1], place[2] - camera[2]
+    if _is_outside(ux, uy, uz, box):
+        return 0.0
     away = norm3(ux, uy, uz)
-    if not away > _NEARER or _is_outside(ux, uy, uz, away, box):
+    if not away > max(_NEARER, box[13]):
         return 0.0
     ray = ux / away, uy / away, uz / away
     least = np.inf

@@ -13,7 +13,7 @@ import numpy as np
 from hiros_mcap.kernels.array_types import B1, F1, F2, F3, I1, I2, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.kernels.line_of_sight import OUTLINE, Capsules, hidden_by, outline
-from hiros_mcap.skeletons import UNTRACKED, Floats, People
+from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, People
 from hiros_mcap.stages.detections.limb_deviations import ComparedMessages
 
 HONEST = 0.06  # m; deviation of a joint that is seen: a Kinect v2 at 3 to 4 m, hands included
@@ -84,6 +84,7 @@ class HiddenWork(NamedTuple):
     remembered: F2  # (R, OUTLINE) of what is remembered of people
     shown: B1  # (R,) whether a message shows them
     rates: B1  # (P,) whether the detector rates joints
+    sure: B1  # (M,) whether it is sure of a joint of the view
     expected: F1  # (M,) h of the remembered joints
     steps: F2  # (M, 3) m
     centre: F1  # (3,) m
@@ -92,7 +93,7 @@ class HiddenWork(NamedTuple):
     def of(cls, n_people: int, n_known: int, n_markers: int) -> HiddenWork:
         """Make room."""
         p, r, m = n_people, n_known, n_markers
-        return arrays(cls, (p, OUTLINE), (r, OUTLINE), r, p, m, (m, 3), 3)
+        return arrays(cls, (p, OUTLINE), (r, OUTLINE), r, p, m, m, (m, 3), 3)
 
 
 class HiddenScene(NamedTuple):
@@ -146,12 +147,13 @@ def _is_sure(p: int, m: int, scene: HiddenScene) -> bool:
 
 @kernel
 def _cover_by(
-    points: Floats, body: Floats, box: Floats, camera: Floats, capsules: Capsules, shares: Floats
-) -> float:
+    points: Floats, sure: Flags, body: Floats, box: Floats, camera: Floats, capsules: Capsules,
+    shares: Floats,
+) -> float:  # fmt: skip
     """Raise the h of points (M, >= 3) to what a body hides of them; return their sum behind it."""
     total = 0.0
     for m in range(len(points)):
-        if not math.isnan(points[m, 0]):
+        if not sure[m] and not math.isnan(points[m, 0]):
             h = hidden_by(points[m], camera, body, box, capsules)
             shares[m] = max(shares[m], h)
             total += h
@@ -160,21 +162,28 @@ def _cover_by(
 
 @kernel
 def _cover(points: Floats, p: int, i: int, scene: HiddenScene, shares: Floats) -> int:
-    """Write h of points (M, >= 3) of view ``p``; return the id of who hides most of them."""
+    """Write h of points (M, >= 3) of view ``p``; return the id of who hides most of them.
+
+    It is 0 for joints that a detector is sure of.
+    """
     messages, past, work = scene.messages, scene.past, scene.work
-    camera, capsules = scene.places[messages.cameras[i]], scene.capsules
+    camera, capsules, sure = scene.places[messages.cameras[i]], scene.capsules, work.sure
     shares[:] = 0.0
+    for m in range(len(sure)):
+        sure[m] = _is_sure(p, m, scene)
     most, hider = 0.0, UNTRACKED
     for q in range(messages.spans[i, 0], messages.spans[i, 1]):
         if q != p and messages.rows[q] >= 0:
             total = _cover_by(
-                points, scene.people.markers[q], work.outlines[q], camera, capsules, shares
+                points, sure, scene.people.markers[q], work.outlines[q], camera, capsules, shares
             )
             if total > most:
                 most, hider = total, int(scene.people.ids[q])
     for r in range(len(past.stamps)):
         if messages.stamps[i] - past.stamps[r] <= _RECENT and not work.shown[r]:
-            total = _cover_by(points, past.poses[r], work.remembered[r], camera, capsules, shares)
+            total = _cover_by(
+                points, sure, past.poses[r], work.remembered[r], camera, capsules, shares
+            )
             if total > most:
                 most, hider = total, int(past.ids[r])
     return hider
@@ -190,8 +199,6 @@ def _see(p: int, i: int, scene: HiddenScene) -> None:
     scene.out.hiders[p] = _cover(markers, p, i, scene, shares)
     total, n = 0.0, 0
     for m in range(len(markers)):
-        if _is_sure(p, m, scene):
-            shares[m] = 0.0
         if not math.isnan(markers[m, 0]):
             total += shares[m]
             n += 1
