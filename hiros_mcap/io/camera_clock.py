@@ -9,6 +9,9 @@ camera's clock.
 - **Late delivery.** The lag grows for a while, and stamps go on regularly. The clock is right.
 - **Drift.** The lag grows or shrinks steadily. Delays vary to one side only, so the least lag of
   each second counts.
+- **Wrong time.** The stamp of a single message contradicts those around it: without the message
+  there is a gap at its log time, and its stamp lies elsewhere. A message that was delivered late
+  leaves its gap at its stamp.
 - **Offset.** The lag differs from that of the other cameras from the first message on. Times alone
   cannot tell a wrong clock from a slow delivery; the people can, with the cameras' poses. Only a
   difference that no delivery explains is taken as one of the clocks.
@@ -88,6 +91,8 @@ class ClockCorrection:
     """ns, of the camera's clock after the steps."""
     floor: int | None = None
     """Least lag of corrected messages, ns. One that does not fit it at all gets it."""
+    longest: float = LONGEST_WAIT
+    """Longest lag beyond ``floor``, s, of a message with a right time."""
 
     def apply(self, stamps: Stamps, log_times: Stamps) -> Stamps:
         """Return the corrected stamps of messages, (N,) ns."""
@@ -108,7 +113,7 @@ class ClockCorrection:
     def wrong(self, stamps: Stamps, log_times: Stamps) -> Flags:
         """(N,) whether a message cannot have been sent at a corrected stamp."""
         beyond = (log_times - stamps - (self.floor or 0)) * 1e-9
-        wrong: Flags = (beyond < -_FUTURE) | (beyond > LONGEST_WAIT)
+        wrong: Flags = (beyond < -_FUTURE) | (beyond > self.longest)
         return wrong
 
     def changes(self, times: CameraTimes) -> bool:
@@ -166,7 +171,7 @@ def clock_verdict(
         faults += named
     fixed = _level(clocks, fixed, faults, set(given))
     fixed = _without_drift(clocks, fixed, faults)
-    fixed = {name: _with_floor(fixed[name], times) for name, times in clocks.items()}
+    fixed = {name: _with_limits(fixed[name], times) for name, times in clocks.items()}
     right = {name: replace(t, stamps=fixed[name].apply(*_pair(t))) for name, t in clocks.items()}
     faults += _late(right)
     faults += _wrong(clocks, fixed)
@@ -207,9 +212,38 @@ def _wrong(
             yield ClockFault(name, WRONG, worst, first, corrected=True, messages=len(wrong))
 
 
-def _with_floor(correction: ClockCorrection, times: CameraTimes) -> ClockCorrection:
-    lags = times.log_times - correction.follow(*_pair(times))
-    return replace(correction, floor=int(np.quantile(lags, 0.05, method="lower")))
+def _with_limits(correction: ClockCorrection, times: CameraTimes) -> ClockCorrection:
+    """Add the least lag of a camera, and the longest one if longer ones are wrong times."""
+    followed = _followed(times, correction)
+    lags, wrong = times.log_times - followed.stamps, _contradicted(followed)
+    floor = int(np.quantile(lags[~wrong], 0.05, method="lower"))
+    early = (lags[wrong] - floor) * 1e-9
+    early, late = early[early > _FUTURE], float((lags[~wrong] - floor).max() * 1e-9)
+    if not early.size or early.min() < late:
+        return replace(correction, floor=floor)
+    return replace(correction, floor=floor, longest=(float(early.min()) + late) / 2)
+
+
+def _contradicted(times: CameraTimes) -> Flags:
+    """(N,) which messages the camera's others contradict: they leave a gap where each was logged.
+
+    The stamp of a message that was delivered late lies between those logged around it, or they
+    leave no gap there.
+    """
+    stamps, lags = times.stamps, times.lags
+    wrong = np.zeros(len(stamps), np.bool_)
+    is_odd = np.abs(lags - np.median(lags)) > _FUTURE
+    usual, odd = np.flatnonzero(~is_odd), np.flatnonzero(is_odd)
+    if len(usual) < _LEAST:
+        return wrong
+    odd = odd[(odd > usual[0]) & (odd < usual[-1])]
+    place = np.searchsorted(usual, odd)
+    before, after = usual[place - 1], usual[place]
+    period = _period(np.asarray((stamps[usual] - stamps[usual[0]]) * 1e-9, np.float64))
+    gap = (stamps[after] - stamps[before]) * 1e-9
+    outside = (stamps[odd] < stamps[before]) | (stamps[odd] > stamps[after])
+    wrong[odd] = outside & (gap > period * (after - before - 0.5))
+    return wrong
 
 
 # Steps
