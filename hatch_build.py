@@ -35,7 +35,7 @@ class CustomMetadataHook(MetadataHookInterface):
 
 
 class CustomBuildHook(BuildHookInterface):
-    """Adds the kernels' code to a wheel, and requires the numba that compiled it."""
+    """Adds the kernels' code to a wheel."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Compile, unless the installation is editable, or nobody wants it."""
@@ -58,8 +58,6 @@ class CustomBuildHook(BuildHookInterface):
         subprocess.run([sys.executable, __file__, packed], env=environment, check=True)
         build_data["force_include"][str(packed)] = f"hiros_mcap/{shipped.FOLDER.name}"
         build_data["pure_python"], build_data["infer_tag"] = False, True
-        numba = json.loads((packed / shipped.MANIFEST.name).read_text())["numba"]
-        build_data["dependencies"].append(f"numba=={numba}")
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
         """Remove the folder of the compilation."""
@@ -73,7 +71,7 @@ def compile_into(target: Path) -> None:
     from hiros_mcap import kernels
     from hiros_mcap.kernels import shipped
 
-    prepare(quiet=True, everything=True)
+    prepare(quiet=True)
     for module in kernels.sources():
         kernels.load([module])  # what a process had no memory for is compiled now
         shutil.copytree(kernels.folder_of(module), target, dirs_exist_ok=True)

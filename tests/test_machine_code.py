@@ -8,11 +8,13 @@ import sys
 import numpy as np
 import pytest
 
-from hiros_mcap.kernels import folder_of, shipped
+from hiros_mcap import kernels
+from hiros_mcap.errors import HirosError
+from hiros_mcap.kernels import cache_folder, folder_of, shipped
 from hiros_mcap.kernels.array_types import F1
 from hiros_mcap.kernels.bytes import load32
 from hiros_mcap.kernels.compile import EntryKernel, entry
-from hiros_mcap.kernels.machine_code import MachineCode, read, write
+from hiros_mcap.kernels.machine_code import MachineCode, load, read, write
 from hiros_mcap.kernels.record_index import _walk
 
 
@@ -69,25 +71,82 @@ def test_what_was_compiled_is_read_again(compiled, monkeypatch):
     assert entry(number)(np.array([5.0]), 0) == 5.0
 
 
-@pytest.mark.parametrize("damage", [b"", b"[", b"[1, 2]\n", b"cut", b"flipped"])
+@pytest.mark.parametrize("damage", [b"", b"[", b"[1, 2]\n", b"cut"])
 def test_a_damaged_file_is_compiled_again(damage, compiled, monkeypatch):
     path = file_of(compiled)
-    whole, code = path.read_bytes(), read(path)
-    cut, flipped = whole[:-1], whole[:-9] + bytes([whole[-9] ^ 1]) + whole[-8:]
-    path.write_bytes({b"cut": cut, b"flipped": flipped}.get(damage, damage))
+    whole, code = path.read_bytes(), read(path, path.name)
+    path.write_bytes(whole[:-1] if damage == b"cut" else damage)
     again = []
-    monkeypatch.setattr(EntryKernel, "_compile", lambda _: again.append(1) or code)
+    monkeypatch.setattr(EntryKernel, "_compile", lambda *_: again.append(1) or code)
     assert entry(number)(np.array([5.0]), 0) == 5.0
     assert again == [1]
     assert path.read_bytes() == whole
 
 
+FLIP = """
+import random, sys
+from pathlib import Path
+from hiros_mcap.kernels.machine_code import read
+path = Path(sys.argv[1])
+whole, draw = path.read_bytes(), random.Random(515)
+for head in [True] * 150 + [False] * 50:
+    bit = draw.randrange(8 * (32 + whole[32:].index(b"\\n") if head else len(whole)))
+    damaged = bytearray(whole)
+    damaged[bit // 8] ^= 1 << bit % 8
+    path.write_bytes(damaged)
+    assert read(path, path.name) is None, bit
+path.write_bytes(whole)
+assert read(path, path.name) is not None
+"""
+
+
+def test_no_flipped_bit_of_a_file_is_loaded(compiled):
+    subprocess.run([sys.executable, "-c", FLIP, file_of(compiled)], check=True)
+
+
+def test_a_kernel_under_the_name_of_another_is_not_loaded(compiled):
+    path = file_of(compiled)
+    assert read(path, f"{path.name}s") is None
+
+
+@pytest.mark.parametrize("part", ["function", "environment"])
+def test_a_name_that_the_code_does_not_have_is_an_error(part, compiled):
+    path = file_of(compiled)
+    code = read(path, path.name)
+    renamed = code._replace(**{part: f"{getattr(code, part)}x"})
+    with pytest.raises(HirosError, match="number has no such function"):
+        load(renamed, number)
+
+
+@pytest.mark.parametrize("mode", [0o775, 0o757])
+def test_code_in_a_folder_that_others_may_write_is_not_loaded(mode, compiled, monkeypatch):
+    folder = cache_folder()
+    code = read(file_of(compiled), file_of(compiled).name)
+    again = []
+    monkeypatch.setattr(EntryKernel, "_compile", lambda *_: again.append(1) or code)
+    for place in (folder, folder_of(number.__module__)):
+        place.chmod(mode)
+        kernels.is_private.cache_clear()
+        entry(number)
+        place.chmod(0o755)
+    kernels.is_private.cache_clear()
+    assert again == [1, 1]
+
+
+def test_what_an_installation_brings_damaged_is_an_error(compiled, tmp_path, monkeypatch):
+    monkeypatch.setattr(shipped, "usable", lambda: True)
+    monkeypatch.setattr(shipped, "FOLDER", tmp_path)
+    with pytest.raises(HirosError, match=r"number is damaged; install hiros-mcap again"):
+        entry(number)
+
+
 def test_a_file_holds_what_was_written(tmp_path):
-    code = MachineCode("f", "e", b"a\nb\x00")
-    write(tmp_path / "new" / "f", code)
-    assert read(tmp_path / "new" / "f") == code
-    assert read(tmp_path / "none") is None
-    assert [path.name for path in (tmp_path / "new").iterdir()] == ["f"]
+    code, folder = MachineCode("k", "f", "e", b"a\nb\x00"), tmp_path / "new"
+    write(folder / "k", code)
+    assert read(folder / "k", "k") == code
+    assert read(folder / "none", "k") is None
+    assert [path.name for path in folder.iterdir()] == ["k"]
+    assert folder.stat().st_mode & 0o022 == 0
 
 
 def test_an_operation_is_for_kernels_only():

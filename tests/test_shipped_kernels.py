@@ -22,7 +22,7 @@ ROOT = Path(__file__).parent.parent
 LOG = ROOT / "sample_data" / "one_person_walking.mcap"
 WHEEL = os.environ.get("HIROS_WHEEL", "")
 PYTHON = str(shutil.which("python")) if WHEEL else sys.executable
-FITTING = {"sources": "a", "numba": "0.60.0", "python": "cpython-311", "platform": "linux-x86_64"}
+FITTING = {"sources": "a", "python": "cpython-311", "platform": "linux-x86_64"}
 
 COUNT = """
 import sys
@@ -99,11 +99,11 @@ def test_no_system_and_no_command_compiles_or_writes_beside_its_results(tmp_path
 
 
 @pytest.mark.skipif(not shipped.usable(), reason="no compiled kernels; .ci/run has a wheel")
-def test_kernels_of_another_numba_are_compiled_again(tmp_path):
+def test_kernels_of_another_source_are_compiled_again(tmp_path):
     package = tmp_path / "hiros_mcap"
     shutil.copytree(ROOT / "hiros_mcap", package)
     manifest = package / shipped.FOLDER.name / shipped.MANIFEST.name
-    manifest.write_text(json.dumps({**json.loads(manifest.read_text()), "numba": "0.1.0"}))
+    manifest.write_text(json.dumps({**json.loads(manifest.read_text()), "sources": "other"}))
     code = (
         "from hiros_mcap.kernels import local_line, folder_of; "
         "print(folder_of('hiros_mcap.kernels.local_line'))"
@@ -128,6 +128,18 @@ def test_kernels_that_fit_are_used(manifest):
 def test_kernels_of_another_kind_are_not_used(what, manifest):
     manifest.write_text(json.dumps({**FITTING, what: "other"}))
     assert not shipped.usable()
+
+
+@pytest.mark.parametrize(
+    ("numba", "runs"),
+    [
+        ("0.59.1", False), ("0.60.0", True), ("0.65.0rc1", True), ("0.68.1", True),
+        ("0.69.0", False), ("1.0", False),
+    ],
+)  # fmt: skip
+def test_kernels_run_with_the_versions_of_numba_that_were_tried(numba, runs, manifest, monkeypatch):
+    monkeypatch.setattr(shipped, "version", lambda _: numba)
+    assert shipped.usable() == runs
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]"])

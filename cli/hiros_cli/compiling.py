@@ -9,9 +9,12 @@ import os
 import shutil
 import sys
 import tempfile
+import threading
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 
 _ADDRESSES = 512 << 20  # bytes; below that, libraries abort the program while they are loaded
+_POLL_S = 0.3
 _SPACE = 32 << 20  # bytes; all kernels take a tenth of that
 
 
@@ -26,12 +29,11 @@ def importing() -> Iterator[None]:
         gc.enable()
 
 
-def prepare(*, quiet: bool, everything: bool = False) -> None:
-    """Announce a compilation that is about to happen. Call before anything imports kernels.
+def prepare(*, quiet: bool) -> None:
+    """Compile the kernels that are missing. Call before anything imports kernels.
 
-    There is none where the installation brings compiled kernels. ``everything``: kernels that are
-    not compiled yet are compiled now, in several processes, rather than where they are imported.
-    Raises MemoryError if a limit leaves too little.
+    None are missing where the installation brings them. Raises MemoryError if a limit leaves too
+    little.
     """
     from hiros_mcap import kernels
     from hiros_mcap.kernels import shipped
@@ -41,14 +43,12 @@ def prepare(*, quiet: bool, everything: bool = False) -> None:
     share_heap()
     if shipped.usable():
         return
-    _ensure_writable()
-    done = kernels.compiled()
-    missing = {name: text for name, text in kernels.sources().items() if name not in done}
-    if missing if everything else not done:
-        if not quiet:
-            print(f"hiros: {kernels.NOTICE}", file=sys.stderr, flush=True)
-        if everything:
-            _compile([(group,) for group in independent(missing)])
+    lasts = _ensure_writable()
+    missing = kernels.missing()
+    if missing and not quiet:
+        print(f"hiros: {kernels.NOTICE}", file=sys.stderr, flush=True)
+    if missing and lasts:
+        _compile(missing, quiet=quiet)
 
 
 def independent(sources: Mapping[str, str]) -> list[list[str]]:
@@ -65,15 +65,28 @@ def independent(sources: Mapping[str, str]) -> list[list[str]]:
     return [sorted(group) for group in groups]
 
 
-def _compile(tasks: Sequence[tuple[Sequence[str]]]) -> None:
+def _compile(missing: Mapping[str, Sequence[Path]], *, quiet: bool) -> None:
+    """Compile modules in several processes, and show how many of their kernels are ready."""
     from hiros_mcap.errors import HirosError
-    from hiros_mcap.kernels import load
+    from hiros_mcap.kernels import load, sources
+    from hiros_mcap.running.progress_bar import bar
     from hiros_mcap.workers import run_tasks
 
+    files, over = [file for paths in missing.values() for file in paths], threading.Event()
+    texts = {name: text for name, text in sources().items() if name in missing}
+
+    def show() -> None:
+        while not over.wait(_POLL_S):
+            shown.update(sum(file.exists() for file in files), len(files))
+
     # Where there is no memory for several processes, this one compiles what is left, as it goes.
-    with contextlib.suppress(HirosError):
-        for _ in run_tasks(load, tasks):
-            pass
+    with bar("compiling kernels", quiet=quiet) as shown, contextlib.suppress(HirosError):
+        threading.Thread(target=show, daemon=True).start()
+        try:
+            for _ in run_tasks(load, [(group,) for group in independent(texts)]):
+                pass
+        finally:
+            over.set()
 
 
 def _ensure_memory() -> None:
@@ -89,23 +102,30 @@ def _ensure_memory() -> None:
         )
 
 
-def _ensure_writable() -> None:
-    """Use a private folder, removed at exit, where the user's cache cannot be written, or is full.
+def _ensure_writable() -> bool:
+    """Return whether the user's cache can be used; otherwise use a folder that goes at exit.
 
-    Without a folder each process would compile all that it uses. The folder is private to this one
-    and its workers: code that another user could have put there must not be loaded.
+    The cache may be full, or closed to this user, or open to others, whose code must not run.
+    Without a folder each process would compile all that it uses.
     """
-    from hiros_mcap.kernels import cache_folder
+    from hiros_cli.output import warn
+    from hiros_mcap.kernels import cache_folder, is_private
 
     folder = cache_folder()
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o755, parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
-        if shutil.disk_usage(folder).free >= _SPACE:
-            return
+        if not is_private(folder):
+            warn(
+                f"{folder}: other users may write there, so its compiled kernels are not used; "
+                "remove it, or name a folder of your own in NUMBA_CACHE_DIR"
+            )
+        elif shutil.disk_usage(folder).free >= _SPACE:
+            return True
     except OSError:
         pass
     private = tempfile.mkdtemp(prefix="hiros-kernels-")
     atexit.register(shutil.rmtree, private, ignore_errors=True)
     os.environ["NUMBA_CACHE_DIR"] = private
+    return False

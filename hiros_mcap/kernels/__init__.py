@@ -28,7 +28,7 @@ from pathlib import Path
 NOTICE = "compiling kernels for this machine, once (about a minute with two cores)"
 
 # A kernel that Python calls; the others are compiled into their callers.
-_ENTRY = re.compile(r"^@entry\b", re.MULTILINE)
+_ENTRY = re.compile(r"^@entry\b.*\ndef (\w+)", re.MULTILINE)
 _IMPORT = re.compile(r"^from (hiros_mcap[\w.]*) import (?:\(([^)]*)\)|(.*)$)", re.MULTILINE)
 _PACKAGE = Path(__file__).parent.parent
 _PLACES = ("kernels/*.py", "stages/*/*.py")
@@ -86,9 +86,24 @@ def folder_of(module: str) -> Path:
     return cache_folder() / f"{module.rpartition('.')[2]}-{digest(module)[:16]}"
 
 
-def compiled() -> set[str]:
-    """Modules of which a former run on this machine has compiled kernels."""
-    return {module for module in sources() if folder_of(module).is_dir()}
+@cache
+def is_private(folder: Path) -> bool:
+    """Whether only this user, or root, can have put code into a folder of compiled kernels."""
+    if not hasattr(os, "geteuid"):  # Windows, where the user's folder is private
+        return True
+    folders = [folder, *filter(Path.is_dir, folder.iterdir())] if folder.is_dir() else []
+    states = [path.stat() for path in folders]
+    return all(s.st_uid in (0, os.geteuid()) and not s.st_mode & 0o022 for s in states)
+
+
+def missing() -> dict[str, list[Path]]:
+    """Return module -> files of its kernels that no former run on this machine has compiled."""
+    files = {
+        module: [folder_of(module) / f"{module}.{name}" for name in _ENTRY.findall(source)]
+        for module, source in sources().items()
+    }
+    absent = {module: [f for f in paths if not f.exists()] for module, paths in files.items()}
+    return {module: paths for module, paths in absent.items() if paths}
 
 
 def load(modules: Sequence[str]) -> None:

@@ -8,8 +8,8 @@ from functools import cached_property, partial
 from types import FunctionType
 from typing import Any
 
-from hiros_mcap.errors import LogError
-from hiros_mcap.kernels import folder_of, shipped
+from hiros_mcap.errors import HirosError, LogError
+from hiros_mcap.kernels import folder_of, is_private, shipped
 from hiros_mcap.kernels.array_types import Array, Fields, check_of, type_of
 from hiros_mcap.kernels.machine_code import MachineCode, load, read, write
 from hiros_mcap.skeletons import People
@@ -61,28 +61,37 @@ class EntryKernel(Kernel):
         return self.raw(*arguments)
 
     def _code(self) -> MachineCode:
-        """Read the machine code, or compile it and keep it."""
+        """Read the machine code, or compile it and keep it.
+
+        Raises HirosError if the installation has brought a damaged one.
+        """
         module = self.function.__module__
-        brought = shipped.usable()
-        folder = shipped.FOLDER if brought else folder_of(module)
-        path = folder / f"{module}.{self.function.__name__}"
-        if code := read(path):
+        name = f"{module}.{self.function.__name__}"
+        if shipped.usable():
+            if code := read(shipped.FOLDER / name, name):
+                return code
+            raise HirosError(
+                f"the compiled code of {name} is damaged; install hiros-mcap again, "
+                f"or set {shipped.CHOICE}=compile"
+            )
+        folder = folder_of(module)
+        private = is_private(folder.parent)
+        if private and (code := read(folder / name, name)):
             return code
-        code = self._compile()
-        if not brought:
-            with suppress(
-                OSError, LogError
-            ):  # the folder cannot be written: the next process compiles again
-                write(path, code)
+        code = self._compile(name)
+        if private:
+            # Where the folder cannot be written, the next process compiles again.
+            with suppress(OSError, LogError):
+                write(folder / name, code)
         return code
 
-    def _compile(self) -> MachineCode:
+    def _compile(self, name: str) -> MachineCode:
         dispatcher = _numba(self.function, nogil=self._nogil)
         dispatcher.compile(_numba_type(self._gives)(*map(_numba_type, self._takes.fields)))
         (compiled,) = dispatcher.overloads.values()
         _, _, (machine, _) = compiled.library.serialize_using_object_code()
         names = compiled.fndesc
-        return MachineCode(names.llvm_cpython_wrapper_name, names.env_name, machine)
+        return MachineCode(name, names.llvm_cpython_wrapper_name, names.env_name, machine)
 
 
 def _numba(function: FunctionType, **options: Any) -> Any:

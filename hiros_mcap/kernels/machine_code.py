@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import builtins
 import ctypes
+import hashlib
 import json
 import sys
-import zlib
 from collections.abc import Callable
 from functools import cache
 from importlib.machinery import PathFinder
@@ -21,10 +21,16 @@ from typing import Any, NamedTuple
 
 import llvmlite.binding as llvm  # type: ignore[import-untyped]
 
+from hiros_mcap.errors import HirosError
+
+_CHECKSUM_BYTES = hashlib.sha256().digest_size
+
 
 class MachineCode(NamedTuple):
     """A compiled kernel: an object file, and the names of two symbols in it."""
 
+    kernel: str
+    """Its module and its name."""
     function: str
     """Takes Python's objects, and returns one."""
     environment: str
@@ -32,41 +38,51 @@ class MachineCode(NamedTuple):
     machine: bytes
 
 
-def read(path: Path) -> MachineCode | None:
-    """Return what was written, or None if there is no such file, or it is damaged."""
+def read(path: Path, kernel: str) -> MachineCode | None:
+    """Return the code of a kernel, or None if there is no file of it, or the file is damaged."""
     try:
-        head, _, machine = path.read_bytes().partition(b"\n")
-        function, environment, checksum = json.loads(head)
-    except (OSError, ValueError):
+        data = path.read_bytes()
+    except OSError:
         return None
-    if checksum != zlib.crc32(machine):
+    checksum, rest = data[:_CHECKSUM_BYTES], data[_CHECKSUM_BYTES:]
+    if checksum != hashlib.sha256(rest).digest():
         return None
-    return MachineCode(function, environment, machine)
+    head, _, machine = rest.partition(b"\n")
+    name, function, environment = json.loads(head)
+    return MachineCode(name, function, environment, machine) if name == kernel else None
 
 
 def write(path: Path, code: MachineCode) -> None:
     """Write a file, whole or not at all. Raises OSError or LogError if it cannot be written."""
     from hiros_mcap.outputs import replacing  # not above: its changes need no compilation
 
-    path.parent.mkdir(parents=True, exist_ok=True)
-    head = json.dumps([code.function, code.environment, zlib.crc32(code.machine)])
+    for folder in (path.parent.parent, path.parent):  # which others must not write, by any umask
+        folder.mkdir(mode=0o755, parents=True, exist_ok=True)
+    head = json.dumps([code.kernel, code.function, code.environment])
+    rest = f"{head}\n".encode() + code.machine
     with replacing(path) as temporary:
-        temporary.write_bytes(f"{head}\n".encode() + code.machine)
+        temporary.write_bytes(hashlib.sha256(rest).digest() + rest)
 
 
 def load(code: MachineCode, function: FunctionType) -> Callable[..., Any]:
-    """Return a compiled function; it checks no types. ``function`` is what was compiled."""
+    """Return a compiled function; it checks no types. ``function`` is what was compiled.
+
+    Raises HirosError if the code has no such function, for example because of another LLVM.
+    """
     engine, closures = _engine(), _library("_dynfunc")
     engine.add_object_file(llvm.ObjectFileRef.from_data(code.machine))
     engine.finalize_object()
     environment = closures.Environment(function.__globals__)
     place = engine.get_global_value_address(code.environment)
+    start = engine.get_function_address(code.function)
+    if not (place and start):
+        raise HirosError(f"the compiled code of {code.kernel} has no such function")
     ctypes.c_void_p.from_address(place).value = id(environment)
     made: Callable[..., Any] = closures.make_function(
         sys.modules[function.__module__],
         function.__name__,
         function.__doc__ or "",
-        engine.get_function_address(code.function),
+        start,
         environment,
         (engine,),
     )

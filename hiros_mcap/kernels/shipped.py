@@ -1,7 +1,8 @@
 """Compiled kernels that a wheel brings, made for every processor of one kind (``hatch_build.py``).
 
-They are used all or none: where a source, numba, Python or the processor differs from what the
-manifest names, numba compiles for this machine, as in a checkout.
+They are used all or none: where a source, Python or the processor differs from what the manifest
+names, or numba is of a version that nobody has tried, numba compiles for this machine, as in a
+checkout.
 """
 
 from __future__ import annotations
@@ -22,6 +23,9 @@ FOLDER = Path(__file__).parent.parent / "_compiled"
 MANIFEST = FOLDER / "manifest.json"
 
 CPU = "x86-64-v3"  # LLVM's name of processors with AVX2: Intel's since 2013, AMD's since 2015
+NUMBA = ((0, 60), (0, 68))
+"""The oldest and the newest numba whose libraries have been seen to run code of all between them;
+``.ci/run`` tries both."""
 NEEDS = ("avx", "avx2", "bmi", "bmi2", "cx16", "f16c", "fma", "lzcnt", "movbe", "popcnt", "sse4.2")
 """LLVM's names of what :data:`CPU` can do."""
 
@@ -31,20 +35,20 @@ CHOICE = "HIROS_KERNELS"
 
 @cache
 def usable() -> bool:
-    """Whether there are kernels for this source, numba, Python and processor."""
+    """Whether there are kernels for this source, Python and processor, and a numba to run them."""
     if os.environ.get(CHOICE) == "compile":
         return False
     try:
         manifest = json.loads(MANIFEST.read_text())
     except (OSError, ValueError):
         return False
-    return bool(manifest == identity()) and runs_on(_features())
+    return manifest == identity() and runs_on(_features()) and runs_with(version("numba"))
 
 
 @cache
 def announce() -> None:
     """Log, once in a process, that a minute will go by, if the kernels are to be compiled."""
-    if not usable() and not kernels.compiled():
+    if not usable() and kernels.missing().keys() == kernels.sources().keys():
         logging.getLogger(__name__).warning(kernels.NOTICE)
 
 
@@ -52,7 +56,6 @@ def identity() -> dict[str, str]:
     """Return what compiled kernels depend on, apart from the processor."""
     return {
         "sources": digest(),
-        "numba": version("numba"),
         "python": f"{sys.implementation.cache_tag}{getattr(sys, 'abiflags', '')}",
         "platform": f"{sys.platform}-{platform.machine()}",
     }
@@ -69,6 +72,13 @@ def digest() -> str:
 def runs_on(features: dict[str, bool]) -> bool:
     """Whether a processor with these features, by LLVM's names, runs code made for :data:`CPU`."""
     return all(features.get(name) for name in NEEDS)
+
+
+def runs_with(numba: str) -> bool:
+    """Whether a version of numba has the libraries that compiled kernels call."""
+    oldest, newest = NUMBA
+    major, minor = numba.split(".")[:2]
+    return oldest <= (int(major), int(minor)) <= newest
 
 
 def _features() -> dict[str, bool]:

@@ -203,8 +203,8 @@ def test_what_is_compiled_in_advance_is_not_compiled_again(tmp_path, monkeypatch
     found, module = [], "hiros_mcap.kernels.local_line"
     for _ in range(2):
         code = (
-            "from hiros_mcap.kernels import load, compiled; "
-            f"load([{module!r}]); print(compiled() == {{{module!r}}})"
+            "from hiros_mcap.kernels import load, missing, sources; "
+            f"load([{module!r}]); print({{*sources()}} - {{*missing()}} == {{{module!r}}})"
         )
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
         assert done.stdout == b"True\n"

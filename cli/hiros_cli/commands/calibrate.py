@@ -53,7 +53,7 @@ def people(
     """
     log.stat()
     check_outputs((output, "camera file"), (write_log, "log"), inputs=(log,), force=force)
-    prepare(quiet=json, everything=True)
+    prepare(quiet=json)
     from hiros_cli.calibration_report import show_calibration
     from hiros_mcap.calibrate.cameras_file import save_cameras
     from hiros_mcap.calibrate.corrected_log import write_corrected_log

@@ -72,7 +72,7 @@ def check(
         if value:
             raise ConfigError(f"--{name} has no effect on {what} (see hiros check --help)")
     target = Path() if is_many else one_log(context, targets[0])
-    prepare(quiet=many.quiet or many.json, everything=is_suite or is_many)
+    prepare(quiet=many.quiet or many.json)
     if is_suite:
         from hiros_mcap.regression.suite import SuiteOptions
 

@@ -66,7 +66,7 @@ def compare(
     for path in paths:
         check_recording(path)
         settings_of(path)
-    prepare(quiet=quiet or json, everything=True)
+    prepare(quiet=quiet or json)
     from hiros_mcap.evaluate.comparison import DEFAULT, Entry, Task, camera_subsets, comparison
 
     with ExitStack() as stack:

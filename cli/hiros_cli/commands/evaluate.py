@@ -146,7 +146,7 @@ def _many(
     scoring: Scoring, parameters: Parameters, logs: Sequence[str], many: ManyLogs, folder: str
 ) -> NoReturn:
     """Score many logs, each with the parameters of its own folder."""
-    prepare(quiet=many.quiet or many.json, everything=True)
+    prepare(quiet=many.quiet or many.json)
     from hiros_mcap.many.jobs import EvalJob
 
     settings, truth = parameters.settings(), scoring.truth

@@ -81,7 +81,7 @@ def export(
     if is_many:
         from hiros_mcap.many.jobs import ExportJob
 
-        prepare(quiet=many.quiet, everything=True)
+        prepare(quiet=many.quiet)
         names = str(Path(marker_set).absolute()) if Path(marker_set).is_file() else marker_set
         part = (what, person, channel, rate, start, end)
         job = ExportJob(suffix, *part, names, least_confidence, keep_gaps)

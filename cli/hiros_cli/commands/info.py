@@ -32,7 +32,7 @@ def info(
     version, the system and the changed parameters.
     """
     json, quiet, is_many = many.json, many.quiet, many.wanted(logs)
-    prepare(quiet=json or quiet, everything=is_many)
+    prepare(quiet=json or quiet)
     if is_many:
         from hiros_mcap.many.jobs import InfoJob
 

@@ -16,7 +16,7 @@ def warmup(quiet: bool = QUIET) -> None:
     from hiros_mcap import kernels
 
     started = time.perf_counter()
-    prepare(quiet=quiet, everything=True)
+    prepare(quiet=quiet)
     kernels.load(list(kernels.sources()))
     if not quiet:
         print(f"kernels ready after {time.perf_counter() - started:.1f} s")
