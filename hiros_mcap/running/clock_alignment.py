@@ -65,14 +65,18 @@ class ClockAlignment:
     causal: bool = False
     """Whether each message is corrected by those before it."""
 
-    def correct(self, blocks: Iterable[Block]) -> Iterator[Block]:
-        """Yield blocks with right stamps, in an order that the stages can take."""
+    def correct(self, blocks: Iterable[Block]) -> Iterable[Block]:
+        """Return blocks with right stamps, in the order in which they came."""
         if self.causal:
             self.faults.clear()
             blocks = ClockFollower(self.given, self.faults, self.reorder).correct(blocks)
         if self.corrections:
             blocks = (_corrected(block, self.corrections) for block in blocks)
-        yield from in_time_order(blocks, self.wait, patient=True) if self.wait else blocks
+        return blocks
+
+    def ordered(self, blocks: Iterable[Block]) -> Iterator[Block]:
+        """Yield messages with right stamps in their order, for all stages."""
+        return in_time_order(blocks, self.wait or self.reorder, patient=self.wait > 0)
 
     @property
     def lags(self) -> dict[str, float]:

@@ -43,15 +43,15 @@ class Prepared:
     watch: Stopwatch
 
     def detections(self, reading: Reading | None = None) -> Iterator[Block]:
-        """Read the log: detections at corrected times, in the fixed frame, where better poses are.
+        """Read the log: detections at corrected times and in their order, where better poses are.
 
         ``reading`` is one of the log; None begins another. Raises LogError where it is damaged.
         """
         reading = reading or self.log.read()
-        blocks = self.poses.without_late(self.clocks.correct(reading.blocks()))
+        blocks = self.clocks.correct(reading.blocks())
         if _follows_poses(self.config, self.options):
             blocks = PoseFollower(reading, self.poses).correct(blocks)
-        return blocks
+        return self.poses.without_late(self.clocks.ordered(blocks))
 
 
 def prepare(log: Log, config: Config, options: ProcessOptions, watch: Stopwatch) -> Prepared:

@@ -9,7 +9,7 @@ import numpy as np
 from hiros_mcap.frames import Block, CameraNumbers, HeldFrames
 from hiros_mcap.kernels.array_types import I1, I2
 from hiros_mcap.kernels.compile import entry, kernel
-from hiros_mcap.skeletons import STATE, Stamps
+from hiros_mcap.skeletons import Stamps
 
 _USUAL_DELAY = 100_000_000  # ns: how late cameras are taken to be before any was late
 
@@ -20,7 +20,7 @@ _LATEST, _NOW, _BEGIN, _DELAY, _PATIENCE = range(5)
 def in_time_order(
     blocks: Iterable[Block], delay: float, *, patient: bool = False
 ) -> Iterator[Block]:
-    """Yield copies of the frames, sorted as :class:`TimeOrder` does."""
+    """Yield the frames sorted as :class:`TimeOrder` does."""
     order = TimeOrder(delay, patient=patient)
     for block in blocks:
         yield from order.push(block)
@@ -69,18 +69,19 @@ class TimeOrder:
             messages, first, self._ranks, self._latest_of, self._times, queue, leaving
         )
         self._waiting = queue[: len(queue) - n].copy()
-        yield from self._leave(leaving[:n, 0], leaving[:n, 1])
+        numbers, log_times = leaving[:n].T.copy()
+        # Behind the last message of former blocks, all lie in this one and need no copy.
+        former = int(np.max(np.flatnonzero(numbers < first), initial=-1)) + 1
+        if former:
+            yield self._held.copies(numbers[:former]).logged_at(log_times[:former])
+        if former < n:
+            yield block.select(numbers[former:] - first).logged_at(log_times[former:])
+        self._held.keep(self._waiting[:, 2])
 
     def rest(self) -> Iterator[Block]:
         """Yield what is left, now that nothing more comes."""
-        numbers, self._waiting = self._waiting[:, 2], self._waiting[:0]
-        yield from self._leave(numbers, np.full(len(numbers), self._times[_NOW]))
-
-    def _leave(self, numbers: Stamps, log_times: Stamps) -> Iterator[Block]:
-        """Yield the messages with these numbers; keep those that wait."""
-        if len(numbers):
-            yield self._held.copies(numbers, STATE).logged_at(log_times)
-            self._held.keep(self._waiting[:, 2])
+        if n := len(self._waiting):
+            yield self._held.copies(self._waiting[:, 2]).logged_at([int(self._times[_NOW])] * n)
 
 
 @kernel

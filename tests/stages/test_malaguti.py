@@ -836,7 +836,7 @@ def crossing():
 CHANGES = [
     (associate, AssociateParams, name, value)
     for name, value in {
-        "gate": 1e-3, "max_gap": 0.1, "confirm_detections": 1, "reorder": 0.0,
+        "gate": 1e-3, "max_gap": 0.1, "confirm_detections": 1,
     }.items()
 ] + [
     (kalman, KalmanParams, name, value)
@@ -867,6 +867,7 @@ def test_every_parameter_changes_something(stage, params, name, value):
 def test_the_parameters_above_are_all():
     named = {(params, name) for _, params, name, _ in CHANGES}
     named |= {(StraightenParams, "chest_midpoint"), (StraightenParams, "head")}
+    named.add((AssociateParams, "reorder"))  # orders messages before the first stage
     kinds = AssociateParams, KalmanParams, StraightenParams, MovingAverageParams
     assert named == {(kind, name) for kind in kinds for name in kind.model_fields}
 

@@ -36,6 +36,7 @@ from hiros_mcap.stages.track.track import track_blocks
 from hiros_mcap.stages.track.track_params import TrackParams
 
 track = by_frame(track_blocks)
+ordered = by_frame(in_time_order)
 
 settings_of_hypothesis = hypothesis_settings(deadline=None, max_examples=25)
 AT_ONCE = TrackParams(
@@ -288,7 +289,8 @@ def everything(frames):
 
 def test_shuffled_channels_give_the_same_tracks():
     frames, late = shuffled()
-    assert everything(track(late, MODEL)) == everything(track(frames, MODEL))
+    tracked = [everything(track(ordered(some, 1.0), MODEL)) for some in (late, frames)]
+    assert tracked[0] == tracked[1]
 
 
 def test_shuffled_channels_of_a_log_give_the_same_tracks(tmp_path):
@@ -304,7 +306,7 @@ def test_shuffled_channels_of_a_log_give_the_same_tracks(tmp_path):
                 writer.write(channels[frame.source], at(0) + k, encoder.encode(frame))
             writer.commit()
         with open_log(path) as log:
-            tracked.append(everything(track(log.detections(), log.model)))
+            tracked.append(everything(track(ordered(log.detections(), 1.0), log.model)))
     assert len(tracked[0]) == 120
     assert tracked[0] == tracked[1]
 
@@ -312,7 +314,7 @@ def test_shuffled_channels_of_a_log_give_the_same_tracks(tmp_path):
 def test_a_frame_too_late_to_sort_is_used_all_the_same():
     frames = [seen([person()], at(k)) for k in range(30)]
     frames.append(seen([person()], at(2, 1), "b"))
-    assert len(list(by_frame(in_time_order)(frames, 0.1))) == 31
+    assert len(list(ordered(frames, 0.1))) == 31
     assert all(i == [0] for i in ids(track(frames, MODEL)))
 
 
@@ -325,7 +327,7 @@ def order_of(arrivals, delay):
             yield seen([person()], stamp * 1_000_000, camera)
 
     now: list[int] = []
-    found = by_frame(in_time_order)(frames(), delay)
+    found = ordered(frames(), delay)
     return [(frame.stamp // 1_000_000, frame.source, max(now)) for frame in found]
 
 

@@ -13,14 +13,12 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.kernels.array_types import settings_of
 from hiros_mcap.kernels.assignment import assign
-from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel, widened
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.malaguti import centroid_filter as kernels
 from hiros_mcap.stages.malaguti.malaguti_params import AssociateParams
-from hiros_mcap.stages.time_order import in_time_order
 
 
 def associate(
@@ -31,17 +29,18 @@ def associate(
 
     Parameters
     ----------
-    frames : detections in the fixed frame, whose z points up; ids are ignored.
+    frames : detections in time order in the fixed frame, whose z points up; ids are ignored.
     model : of the frames. params, events : parameters; where births, losses and counts go.
 
     Yields
     ------
-    The frames, in the order of their times, with ids; UNTRACKED where a track is not confirmed.
+    The frames with ids; UNTRACKED where a track is not confirmed.
     """
     params = params or AssociateParams()
     associator = _Associator(params, Events() if events is None else events)
-    for frame in frames_of(in_time_order(map(Block.of, frames), params.reorder)):
-        yield associator.update(frame)
+    for frame in frames:
+        states = {"markers": widened(frame.markers), "links": widened(frame.links)}
+        yield associator.update(frame.replace(**states))  # with room for velocities
 
 
 class _Associator:

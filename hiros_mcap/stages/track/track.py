@@ -7,7 +7,6 @@ until one leaves something to decide.
 
 Beyond the paper:
 
-- Messages are first put in order of their times (:class:`TimeOrder`).
 - A new track is tentative and has no id. Its support confirms it
   (support.py). A message that shows somebody tentative is held for a moment,
   so that a confirmed person has the id from the first detection on (:class:`Delay`).
@@ -31,11 +30,10 @@ import numpy as np
 
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block
+from hiros_mcap.frames import Block, join
 from hiros_mcap.kernels.array_types import settings_of
-from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, SkeletonModel, Stamps
+from hiros_mcap.skeletons import POSITION, STATE, UNTRACKED, Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.delay import Delay
-from hiros_mcap.stages.time_order import in_time_order
 from hiros_mcap.stages.track import tracking as kernels
 from hiros_mcap.stages.track.association import SlotOrders, TrackSettings, TrackWork, predict
 from hiros_mcap.stages.track.copies import Copies
@@ -66,7 +64,7 @@ def track_blocks(
 
     Parameters
     ----------
-    blocks : detections of all cameras in the fixed frame, roughly in time order.
+    blocks : detections of all cameras in the fixed frame, in time order.
     model : names and hierarchy of the skeleton.
     params, events : parameters; where counts and events go.
     cameras : source -> (3,) position of the camera in the fixed frame, m. With it, other cameras
@@ -74,14 +72,15 @@ def track_blocks(
 
     Yields
     ------
-    The same frames in order of their stamps, with ids (-1 = of nobody who counts) and with the
+    The same frames in the same order, with ids (-1 = of nobody who counts) and with the
     tracks' velocities and accelerations where the detector gave none.
     """
     params = params or TrackParams()
     tracker = _Tracker(model, params, events or Events(), cameras or {})
-    for block in in_time_order(blocks, params.reorder):
-        block.people.ids.fill(UNTRACKED)
-        yield from _gather(tracker.take(block))
+    for block in blocks:
+        copy = join([block], width=STATE)
+        copy.people.ids.fill(UNTRACKED)
+        yield from _gather(tracker.take(copy))
     yield from _gather(tracker.finish())
 
 
