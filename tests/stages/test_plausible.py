@@ -149,3 +149,9 @@ def test_the_merger_carries_a_person_whose_views_are_left_out():
     shown = zip(merged[-15:], rows[-15:], strict=True)
     assert (np.diff([f.marker_confidences[row, 0] for f, row in shown]) < 0).all()
     assert merged[-1].stamp - frames[0].stamp > 7 * SECOND
+
+
+def test_a_view_whose_detector_says_what_it_guesses_is_not_left_out():
+    frames = behind([*noisy(KNOWN), squeezed()])
+    frames[-1].marker_confidences[0, WRIST] = 0.33
+    assert not is_blank(run(frames)[-1])

@@ -13,7 +13,7 @@ import numpy as np
 from hiros_mcap.kernels.array_types import B1, F1, F2, F3, I1, I2, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.kernels.line_of_sight import OUTLINE, Capsules, hidden_by, outline
-from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, People
+from hiros_mcap.skeletons import UNTRACKED, Floats, People
 from hiros_mcap.stages.detections.limb_deviations import ComparedMessages
 
 HONEST = 0.06  # m; deviation of a joint that is seen: a Kinect v2 at 3 to 4 m, hands included
@@ -84,7 +84,6 @@ class HiddenWork(NamedTuple):
     remembered: F2  # (R, OUTLINE) of what is remembered of people
     shown: B1  # (R,) whether a message shows them
     rates: B1  # (P,) whether the detector rates joints
-    sure: B1  # (M,) whether it is sure of a joint of the view
     expected: F1  # (M,) h of the remembered joints
     steps: F2  # (M, 3) m
     centre: F1  # (3,) m
@@ -93,7 +92,7 @@ class HiddenWork(NamedTuple):
     def of(cls, n_people: int, n_known: int, n_markers: int) -> HiddenWork:
         """Make room."""
         p, r, m = n_people, n_known, n_markers
-        return arrays(cls, (p, OUTLINE), (r, OUTLINE), r, p, m, m, (m, 3), 3)
+        return arrays(cls, (p, OUTLINE), (r, OUTLINE), r, p, m, (m, 3), 3)
 
 
 class HiddenScene(NamedTuple):
@@ -139,21 +138,14 @@ def _learn_rating(confidences: Floats, rate: Floats) -> None:
     rate[1] += (low / len(confidences) - rate[1]) / min(rate[0], _RATED)
 
 
-@inlined
-def _is_sure(p: int, m: int, scene: HiddenScene) -> bool:
-    """Whether a detector that knows what it guesses has seen a joint."""
-    return scene.work.rates[p] and scene.people.marker_confidences[p, m] >= _GUESSED
-
-
 @kernel
 def _cover_by(
-    points: Floats, sure: Flags, body: Floats, box: Floats, camera: Floats, capsules: Capsules,
-    shares: Floats,
-) -> float:  # fmt: skip
+    points: Floats, body: Floats, box: Floats, camera: Floats, capsules: Capsules, shares: Floats
+) -> float:
     """Raise the h of points (M, >= 3) to what a body hides of them; return their sum behind it."""
     total = 0.0
     for m in range(len(points)):
-        if not sure[m] and not math.isnan(points[m, 0]):
+        if not math.isnan(points[m, 0]):
             h = hidden_by(points[m], camera, body, box, capsules)
             shares[m] = max(shares[m], h)
             total += h
@@ -162,28 +154,21 @@ def _cover_by(
 
 @kernel
 def _cover(points: Floats, p: int, i: int, scene: HiddenScene, shares: Floats) -> int:
-    """Write h of points (M, >= 3) of view ``p``; return the id of who hides most of them.
-
-    It is 0 for joints that a detector is sure of.
-    """
+    """Write h of points (M, >= 3) of view ``p``; return the id of who hides most of them."""
     messages, past, work = scene.messages, scene.past, scene.work
-    camera, capsules, sure = scene.places[messages.cameras[i]], scene.capsules, work.sure
+    camera, capsules = scene.places[messages.cameras[i]], scene.capsules
     shares[:] = 0.0
-    for m in range(len(sure)):
-        sure[m] = _is_sure(p, m, scene)
     most, hider = 0.0, UNTRACKED
     for q in range(messages.spans[i, 0], messages.spans[i, 1]):
         if q != p and messages.rows[q] >= 0:
             total = _cover_by(
-                points, sure, scene.people.markers[q], work.outlines[q], camera, capsules, shares
+                points, scene.people.markers[q], work.outlines[q], camera, capsules, shares
             )
             if total > most:
                 most, hider = total, int(scene.people.ids[q])
     for r in range(len(past.stamps)):
         if messages.stamps[i] - past.stamps[r] <= _RECENT and not work.shown[r]:
-            total = _cover_by(
-                points, sure, past.poses[r], work.remembered[r], camera, capsules, shares
-            )
+            total = _cover_by(points, past.poses[r], work.remembered[r], camera, capsules, shares)
             if total > most:
                 most, hider = total, int(past.ids[r])
     return hider
@@ -194,7 +179,7 @@ def _see(p: int, i: int, scene: HiddenScene) -> None:
     """Find out how far each measured joint is hidden, and the whole view (1, 2)."""
     markers, shares = scene.people.markers[p], scene.out.shares[p]
     camera = scene.messages.cameras[i]
-    if math.isnan(scene.places[camera, 0]):
+    if math.isnan(scene.places[camera, 0]) or scene.work.rates[p]:
         return
     scene.out.hiders[p] = _cover(markers, p, i, scene, shares)
     total, n = 0.0, 0
@@ -204,8 +189,7 @@ def _see(p: int, i: int, scene: HiddenScene) -> None:
             n += 1
     whole = scene.out.hidden[p] = total / max(n, 1)
     for m in range(len(markers)):
-        if not _is_sure(p, m, scene):
-            shares[m] = 1.0 - (1.0 - shares[m]) * (1.0 - whole * whole)
+        shares[m] = 1.0 - (1.0 - shares[m]) * (1.0 - whole * whole)
 
 
 @inlined
@@ -271,8 +255,7 @@ def _doubt_leap(p: int, row: int, passed: float, scene: HiddenScene) -> int:
     square = x * x + y * y + z * z
     leap = _invented(scene.out.hidden[p], square, _WHOLE**2, (_WANDERS * passed) ** 2)
     for m in range(len(view)):
-        if not _is_sure(p, m, scene):
-            shares[m] = 1.0 - (1.0 - shares[m]) * (1.0 - leap)
+        shares[m] = 1.0 - (1.0 - shares[m]) * (1.0 - leap)
     return n
 
 
@@ -324,26 +307,34 @@ def _invented(hidden: float, square: float, honest: float, held: float) -> float
     return a / (a + b) if a + b > 0.0 else h
 
 
+@inlined
+def _error(square: float, held: float) -> float:
+    """Return e^2, m2: how wrong an invented joint is, by its squared distance from x and s^2."""
+    share = _INVENTED**2 / (_INVENTED**2 + held)  # of the distance that is the error
+    return share * share * square / 3.0 + share * held
+
+
 @kernel
 def _weigh(p: int, m: int, row: int, stamp: int, scene: HiddenScene) -> None:
     """Find out whether a joint was invented; put it where it must be (4, 5)."""
     past, out, z = scene.past, scene.out, scene.people.markers[p, m]
-    x, held = past.poses[row, m], _UNKNOWN
+    x, held, error = past.poses[row, m], _UNKNOWN, _INVENTED**2
     if past.seen[row, m] > 0:
         age = max(stamp - past.seen[row, m], 0) * 1e-9
         held = _held_variance(age, past.variances[row, m])
         expected = scene.work.expected[m] * _INVENTED**2 / (_INVENTED**2 + held)
         square = (z[0] - x[0]) ** 2 + (z[1] - x[1]) ** 2 + (z[2] - x[2]) ** 2
         out.shares[p, m] = _invented(max(out.shares[p, m], expected), square, HONEST**2, held)
+        error = _error(square, held)
         # What another camera sees now is no second measurement.
         held /= 1.0 - math.exp(-((age / _AGO) ** 2)) + 1e-9
     if out.shares[p, m] <= _LEAST:
         return
-    measured = _INVENTED**2 * out.shares[p, m]
-    out.variances[p, m] = measured * held / (measured + held)
+    error *= out.shares[p, m]
+    out.variances[p, m] = error * held / (error + held)
     if out.shares[p, m] >= _SEEN and past.seen[row, m] > 0:
         for c in range(3):
-            out.places[p, m, c] = z[c] + measured / (measured + held) * (x[c] - z[c])
+            out.places[p, m, c] = z[c] + error / (error + held) * (x[c] - z[c])
 
 
 @kernel
@@ -352,11 +343,11 @@ def _mend(p: int, i: int, scene: HiddenScene) -> None:
     row, camera = scene.messages.rows[p], scene.messages.cameras[i]
     stamp, markers = scene.messages.stamps[i], scene.people.markers[p]
     _move(p, row, _passed(stamp, scene.past.stamps[row]), scene)
-    if math.isnan(scene.places[camera, 0]):
+    if math.isnan(scene.places[camera, 0]) or scene.work.rates[p]:
         return
     _cover(scene.past.poses[row], p, i, scene, scene.work.expected)
     for m in range(len(markers)):
-        if not math.isnan(markers[m, 0]) and not _is_sure(p, m, scene):
+        if not math.isnan(markers[m, 0]):
             _weigh(p, m, row, stamp, scene)
 
 

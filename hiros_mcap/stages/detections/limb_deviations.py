@@ -11,7 +11,8 @@ second largest z^2 of its links, or by that of its only link; the view counts li
 the two ends of a link, the one that contradicts more of its links is at fault.
 
 A detector that sees a part of a person beside somebody in front distorts the whole person. If no
-other camera shows the person, a view is left out whose deviation is larger than
+other camera shows the person, a view is left out in which the detector is sure of all joints, and
+whose deviation is larger than
 
     sqrt(1 + SURE sqrt(2 / N)) + PER_METRE d,
 
@@ -44,6 +45,7 @@ _SHARED = 2.0  # links that the view counts like where one of its markers is com
 # the views. Distorted views of people who cross have 1.6 to 3.
 _SURE, _PER_METRE = 4.0, 0.8
 _BESIDE = 0.5  # m
+_GUESSED = 0.5  # confidence below which a detector guesses
 _ALONE = 200_000_000  # ns without a good view of another camera: then a camera is alone
 _IN_FRONT = 0.35  # m: somebody this much nearer to the camera is in front
 
@@ -198,6 +200,15 @@ def _least_distance(p: int, begin: int, end: int, camera: Floats, centres: Float
 
 
 @kernel
+def _is_rated(p: int, people: People) -> bool:
+    """Whether the detector itself says that it guesses some of a view's markers."""
+    for m in range(people.marker_confidences.shape[1]):
+        if people.marker_confidences[p, m] < _GUESSED:
+            return True
+    return False
+
+
+@kernel
 def _is_alone(stamp: int, row: int, camera: int, past: LimbPast) -> bool:
     """Whether no other camera has a good view of a person."""
     for c in range(past.seen.shape[1]):
@@ -257,7 +268,7 @@ def find_implausible(
                 continue
             beside = _least_distance(p, begin, end, places[camera], work.centres)
             limit = work.limit[0] + _PER_METRE * beside
-            is_distorted = beside < _BESIDE and deviation > limit
+            is_distorted = beside < _BESIDE and deviation > limit and not _is_rated(p, people)
             if _is_left_out(stamp, row, camera, is_distorted, past, settings):
                 work.left_out[p] = True
                 counts[OUT, camera] += 1

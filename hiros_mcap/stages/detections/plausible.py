@@ -5,8 +5,8 @@ the pelvis jumps. Every person's limb lengths, and how much they usually vary, a
 way (:mod:`hiros_mcap.stages.detections.limb_deviations`). Then
 
 1. a view whose limbs contradict them while somebody else stands in front of the person is left
-   out, if no other camera shows the person: it has no marker from here on, and the person is
-   carried on (merge.carry).
+   out, if no other camera shows the person, and the detector is sure of every joint: it has no
+   marker from here on, and the person is carried on (merge.carry).
 2. a marker whose limbs contradict them loses confidence. The merger gives it less weight, and the
    fuser a larger variance.
 

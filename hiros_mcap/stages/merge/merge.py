@@ -28,6 +28,7 @@ from hiros_mcap.kernels.array_types import settings_of
 from hiros_mcap.kernels.averaging import Buffers, Views
 from hiros_mcap.skeletons import POSE, STATE, VELOCITY, Floats, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.detections.hidden_joints import HONEST
 from hiros_mcap.stages.merge import merging
 from hiros_mcap.stages.merge.instants import InstantMerger
 from hiros_mcap.stages.merge.merge_params import MergeParams
@@ -102,6 +103,7 @@ class ViewMerger:
         self, buffers: Buffers, people: People, views: int, out: People, counts: Stamps
     ) -> None:
         """Merge; see :data:`hiros_mcap.stages.merge.instants.MergeKernel`."""
+        people = weighted_by_sight(people, buffers.hidden)
         if views > len(self._views.stamps):
             self._make_room(2 * views)
         offsets = self.bank.past.camera_offsets
@@ -113,6 +115,20 @@ class ViewMerger:
             buffers, people, self._views, self.bank.past, self._settings, self._sides, out, counts,
             self.sides_changed, self._work,
         )  # fmt: skip
+
+
+def weighted_by_sight(people: People, hidden: Floats) -> People:
+    """Lower the confidences of markers that their cameras cannot see, by variances (P, M), m2.
+
+    A view counts by the inverse of its variance; eq 12 weighs by the confidence.
+    """
+    if not hidden.any():
+        return people
+    whole = np.where(np.isnan(people.confidences), 1.0, people.confidences)[:, None]
+    given = people.marker_confidences
+    weighted = np.where(np.isnan(given), whole, given) * (HONEST**2 / (HONEST**2 + hidden))
+    confidences: Floats = np.where(hidden > 0.0, weighted, given)
+    return people._replace(marker_confidences=confidences)
 
 
 def _pelvis_link(model: SkeletonModel) -> int:
