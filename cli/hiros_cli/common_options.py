@@ -6,7 +6,7 @@ import logging
 import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,6 +40,7 @@ class CommonOptions:
             if self.verbose:
                 stack.enter_context(_handled_by(_Steps(logging.INFO)))
             if self.log_file is not None:
+                _check_log_file(self.log_file, arguments)
                 stack.enter_context(_handled_by(_file_handler(self.log_file)))
             log = logging.getLogger("hiros_cli")
             log.debug("hiros %s", printable(" ".join(arguments)))
@@ -87,6 +88,37 @@ class _Steps(logging.Handler):
             print(f"hiros: {printable(record.getMessage())}", file=sys.stderr, flush=True)
 
 
+class _LogFile(logging.FileHandler):
+    """Appends to a file; where that fails, for example on a full disk, a run goes on without."""
+
+    _failed = False
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if not self._failed:
+            super().emit(record)
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - logging's name
+        error = sys.exception()
+        if not isinstance(error, OSError):
+            super().handleError(record)
+            return
+        self._failed = True
+        from hiros_cli.output import warn
+
+        warn(f"{self.baseFilename}: {error.strerror}; the log ends here", logged=True)
+
+    def close(self) -> None:
+        with suppress(OSError):  # what is left in its buffer does not fit either
+            super().close()
+
+
+def _check_log_file(path: Path, arguments: Sequence[str]) -> None:
+    """Raise ConfigError if a new log file is also another file of the command."""
+    names = [os.path.realpath(argument.rpartition("=")[2]) for argument in arguments]
+    if not path.exists() and names.count(os.path.realpath(path)) > 1:
+        raise ConfigError(f"--log-file: {path} is another file of the command; choose another name")
+
+
 def _file_handler(path: Path) -> logging.Handler:
     """Return what appends to a file; a terminal or a pipe may stand for it."""
     is_new = not path.is_file() or not path.stat().st_size
@@ -97,7 +129,7 @@ def _file_handler(path: Path) -> logging.Handler:
     if is_new:
         with path.open("w", encoding="utf-8") as file:
             file.write(LOG_MARK)
-    handler = logging.FileHandler(path, encoding="utf-8", errors="backslashreplace")
+    handler = _LogFile(path, encoding="utf-8", errors="backslashreplace")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     return handler
 

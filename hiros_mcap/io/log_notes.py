@@ -44,14 +44,22 @@ def _changed(changes: Sequence[PoseChange], start: int) -> str:
     )
 
 
+def input_warnings(cameras: Sequence[CameraChannel]) -> Iterator[str]:
+    """Yield what makes the result worthless before a message is read."""
+    if cameras and not _sent(cameras):
+        yield "the room is empty: the cameras sent no message; check the detectors"
+
+
+def _sent(cameras: Sequence[CameraChannel]) -> int:
+    return sum(camera.channel.count for camera in cameras)
+
+
 def input_remarks(
     cameras: Sequence[CameraChannel], *, has_people: bool, has_transforms: bool
 ) -> Iterator[str]:
     """Yield notes about the cameras' messages."""
-    if not has_people:
-        messages = sum(camera.channel.count for camera in cameras)
-        what = "no camera sees anybody" if messages else "the cameras sent no message"
-        yield f"the room is empty: {what}"
+    if not has_people and _sent(cameras):
+        yield "the room is empty: no camera sees anybody"
     topics = [camera.channel.topic for camera in cameras if "" in camera.frames]
     if topics:
         unused = " and does not use the log's transforms" if has_transforms else ""

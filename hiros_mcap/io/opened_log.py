@@ -23,7 +23,12 @@ from hiros_mcap.io.container import LogOrder, McapReader, Recovery
 from hiros_mcap.io.container.recovery import RECOVERY_METADATA
 from hiros_mcap.io.layout import Layout
 from hiros_mcap.io.log_accounts import DAMAGED, LATEST, Account, CameraInput, Row
-from hiros_mcap.io.log_notes import channel_remarks, input_remarks, pose_warnings
+from hiros_mcap.io.log_notes import (
+    channel_remarks,
+    input_remarks,
+    input_warnings,
+    pose_warnings,
+)
 from hiros_mcap.io.log_times import Spacing, times_in, times_of
 from hiros_mcap.skeletons import Frame, SkeletonModel, Stamps
 
@@ -246,11 +251,14 @@ class Log:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What makes the cameras' poses doubtful, with the remedy.
+        """What makes the cameras' messages or poses doubtful, with the remedy.
 
         Raises LogError if the cameras' frames are not all joined to the fixed frame.
         """
-        return tuple(pose_warnings(self.cameras, self.transforms, self.fixed_frame, self.span[0]))
+        return (
+            *input_warnings(self.cameras),
+            *pose_warnings(self.cameras, self.transforms, self.fixed_frame, self.span[0]),
+        )
 
     @property
     def remarks(self) -> tuple[str, ...]:

@@ -29,7 +29,7 @@ _SHARE = 20
 
 
 def _checked_name(text: str) -> str:
-    if text in ("", "..") or Path(text).name != text:
+    if text in ("", "..") or "\0" in text or Path(text).name != text:
         raise ValueError("names no file of the output folder")
     return text
 

@@ -6,6 +6,8 @@ import json
 import logging
 import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -174,3 +176,30 @@ def test_an_output_without_a_suffix_asks_what_it_is(lab, capsys):
 def test_help_of_a_command(arguments, shown, capsys):
     run(arguments)
     assert shown in capsys.readouterr().out
+
+
+FULL = """
+import resource, sys
+from hiros_cli.app import run
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+sys.exit(run(["info", sys.argv[1], "--verbose", "--log-file", sys.argv[2]]))
+"""
+
+
+def test_a_command_goes_on_without_a_log_that_cannot_grow(lab, tmp_path):
+    log_file = tmp_path / "run.log"
+    log_file.write_text("# hiros log\n" + "x" * 4080)
+    done = subprocess.run(
+        [sys.executable, "-c", FULL, lab, log_file], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0
+    warnings = [line for line in done.stderr.splitlines() if "warning" in line]
+    assert warnings == [f"hiros: warning: {log_file}: File too large; the log ends here"]
+    assert "Traceback" not in done.stderr
+
+
+def test_a_log_file_is_no_other_file_of_the_command(lab, tmp_path, capsys):
+    out = str(tmp_path / "out.mcap")
+    assert run(["process", str(lab), "-o", out, "--log-file", out]) == 2
+    assert "is another file of the command" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == [lab]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -51,7 +52,7 @@ def plan(
     The expected error follows from the noise of the detectors and the geometry. Where a file names
     cameras that stand already, nothing is moved.
     """
-    placed = None if cameras.isdigit() else Path(cameras)
+    placed = None if cameras.isdecimal() and len(cameras) < 10 else Path(cameras)
     if placed is not None:
         placed.stat()
     if picture is not None and picture.suffix != ".png":
@@ -92,9 +93,12 @@ def _pair(option: str, text: str, mark: str) -> tuple[float, float]:
     first, _, second = text.partition(mark)
     name = "an x" if mark == "x" else "a colon"
     try:
-        return float(first), float(second)
+        numbers = float(first), float(second)
     except ValueError:
-        raise ConfigError(f"{option}: should be two numbers around {name}, is {text}") from None
+        numbers = math.nan, math.nan
+    if not all(map(math.isfinite, numbers)):
+        raise ConfigError(f"{option}: should be two numbers around {name}, is {text}")
+    return numbers
 
 
 def _show(plan: RoomPlan, written: Iterable[Path], *, joints: bool) -> None:
