@@ -23,7 +23,10 @@ def in_time_order(
     """Yield the frames sorted as :class:`TimeOrder` does."""
     order = TimeOrder(delay, patient=patient)
     for block in blocks:
-        yield from order.push(block)
+        ready = order.push(block)
+        del block  # else it lies in memory until the next one is made
+        while ready:
+            yield ready.pop(0)
     yield from order.rest()
 
 
@@ -56,8 +59,8 @@ class TimeOrder:
         usual = patience if patient else min(patience, _USUAL_DELAY)
         self._times = np.array([0, 0, 0, usual, patience])
 
-    def push(self, block: Block) -> Iterator[Block]:
-        """Take messages; yield those that leave now, with their log times."""
+    def push(self, block: Block) -> list[Block]:
+        """Take messages; return those that leave now, with their log times."""
         cameras, first = self._cameras.of(block), self._held.add(block)
         if new := len(self._cameras) - len(self._latest_of):
             self._latest_of = np.concatenate([self._latest_of, np.zeros(new, np.int64)])
@@ -72,11 +75,13 @@ class TimeOrder:
         numbers, log_times = leaving[:n].T.copy()
         # Behind the last message of former blocks, all lie in this one and need no copy.
         former = int(np.max(np.flatnonzero(numbers < first), initial=-1)) + 1
+        ready = []
         if former:
-            yield self._held.copies(numbers[:former]).logged_at(log_times[:former])
+            ready.append(self._held.copies(numbers[:former]).logged_at(log_times[:former]))
         if former < n:
-            yield block.select(numbers[former:] - first).logged_at(log_times[former:])
+            ready.append(block.select(numbers[former:] - first).logged_at(log_times[former:]))
         self._held.keep(self._waiting[:, 2])
+        return ready
 
     def rest(self) -> Iterator[Block]:
         """Yield what is left, now that nothing more comes."""

@@ -79,6 +79,7 @@ def track_blocks(
     tracker = _Tracker(model, params, events or Events(), cameras or {})
     for block in blocks:
         copy = join([block], width=STATE)
+        del block  # else it lies in memory until the next one is made
         copy.people.ids.fill(UNTRACKED)
         yield from _gather(tracker.take(copy))
     yield from _gather(tracker.finish())
