@@ -24,7 +24,7 @@ from hiros_mcap.defaults import DEFAULT_SYSTEM, NO_PRESET, takes_presets
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.remote import is_remote
 from hiros_mcap.outside import parse, read_toml
-from hiros_mcap.params import Params, advanced, explain, is_advanced, is_fixed
+from hiros_mcap.params import Params, Seconds, advanced, explain, is_advanced, is_fixed
 from hiros_mcap.stages.detections.detection_params import PlausibleParams, SidesParams
 from hiros_mcap.stages.filter.filter_params import FilterParams
 from hiros_mcap.stages.fuse.fuse_params import ConstrainParams, FuseParams
@@ -68,6 +68,13 @@ class InputParams(Params):
         description="How the cameras' clocks are judged. lookahead: by the whole log and by the "
         "people in it. causal: each message by those before it, as a live system has to. off: "
         "stamps are taken as they are.",
+    )
+    max_delay: Seconds = advanced(
+        0.25,
+        ge=0,
+        description="Longest time, s, for which messages of a live system wait for others that are "
+        "late. They wait as long as 95 % of the messages of the slowest camera were late in the "
+        "last 10 s, and not at all below 0.04 s.",
     )
     poses: Literal["refined", "given"] = advanced(
         "refined",

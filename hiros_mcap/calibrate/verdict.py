@@ -63,6 +63,9 @@ USABLE = Limits(error_deg=2.0, error_m=0.1, seconds=5.0, size=0.03, wander=0.045
 2 to 7 % apart in size. Whoever stays in place may be a stranger who does the same, or his own
 mirror image: neither size nor posture tells."""
 
+TIMED = USABLE._replace(seconds=2.0)
+"""For a clock alone, where poses are known: somebody who walks for a moment shows it to 2 ms."""
+
 
 @dataclass(frozen=True, slots=True)
 class Evidence:

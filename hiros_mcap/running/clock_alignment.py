@@ -64,12 +64,11 @@ class ClockAlignment:
     """Camera -> the times of its messages, as logged; empty unless clocks are to be found."""
     causal: bool = False
     """Whether each message is corrected by those before it."""
+    needed: Mapping[str, float] = field(default_factory=dict)
+    """Camera -> wait, s, that its messages need, where that is over the longest one."""
 
     def correct(self, blocks: Iterable[Block]) -> Iterable[Block]:
         """Return blocks with right stamps, in the order in which they came."""
-        if self.causal:
-            self.faults.clear()
-            blocks = ClockFollower(self.given, self.faults, self.reorder).correct(blocks)
         if self.corrections:
             blocks = (_corrected(block, self.corrections) for block in blocks)
         return blocks
@@ -77,6 +76,11 @@ class ClockAlignment:
     def ordered(self, blocks: Iterable[Block]) -> Iterator[Block]:
         """Yield messages with right stamps in their order, for all stages."""
         return in_time_order(blocks, self.wait or self.reorder, patient=self.wait > 0)
+
+    def follower(self) -> ClockFollower:
+        """Return what corrects each message by those before it; the faults are those it finds."""
+        self.faults.clear()
+        return ClockFollower(self.given, self.faults, self.reorder)
 
     @property
     def lags(self) -> dict[str, float]:
@@ -88,46 +92,22 @@ class ClockAlignment:
         return self.times[camera].corrected(self.corrections.get(camera))
 
     def take_offsets(self, cameras: Iterable[PoseSummary]) -> None:
-        """Correct the offsets that the people prove; note which others stay, and why.
-
-        Those of cameras whose clocks the user has set are right. Without any, the median clock is;
-        of two, it is that of the camera whose messages are logged nearer to their stamps.
-        """
+        """Correct the offsets that the people prove; note which others stay, and why."""
         lags = self.lags
         # Of a camera that was moved, the surer clock comes last.
         surest = {c.name: c for c in sorted(cameras, key=lambda c: -c.error_ms) if c.name in lags}
         measured = {name: c for name, c in surest.items() if not math.isnan(c.clock_ms)}
-        sure = {name: c.clock_ms for name, c in measured.items() if c.verdict in SURE}
-        right = self._right_clock(sure, lags)
-        offsets = {}
-        for name, camera in measured.items():
-            ahead = right - camera.clock_ms
-            least = max(_LEAST_CLOCK_MS, _SURE_CLOCK * camera.error_ms)
-            if name in self.given or abs(ahead) <= least:
-                continue
-            if name in sure:
-                offsets[name] = ahead / 1000.0
-            else:
-                self._note(name, ahead / 1000.0, camera.reason)
+        offsets = significant_offsets(measured.values(), lags, self.given)
+        for name, seconds in offsets.items():
+            if measured[name].verdict not in SURE:
+                self._note(name, seconds, measured[name].reason)
         for name, lag in lags.items():
             ahead = middle_of(lags) - lag
             if name not in measured and name not in self.given and abs(ahead) > _WORTH_A_WARNING:
                 seen = surest.get(name)
                 is_alone = seen is not None and seen.verdict == "impossible"
                 self._note(name, ahead, seen.reason if seen and is_alone else STILL)
-        self._add(offsets)
-
-    def _right_clock(self, clocks: Mapping[str, float], lags: Mapping[str, float]) -> float:
-        """Return what a clock that is right would have, ms.
-
-        It adds no error: the cameras' standard errors are those of differences between clocks.
-        """
-        right = [ms for name, ms in clocks.items() if name in self.given]
-        if right:
-            return float(np.median(right))
-        if len(clocks) == 2:
-            return clocks[min(sorted(clocks), key=lambda name: abs(lags[name]))]
-        return float(np.median(list(clocks.values()))) if clocks else 0.0
+        self._add({name: s for name, s in offsets.items() if measured[name].verdict in SURE})
 
     def _note(self, camera: str, seconds: float, reason: str) -> None:
         """Note an offset that is not corrected."""
@@ -153,6 +133,35 @@ class ClockAlignment:
         for fault in self.faults:
             detail = fault.size
             events.note(fault.at_ns, fault.kind, source=fault.camera, detail=detail)
+
+
+def significant_offsets(
+    cameras: Iterable[PoseSummary], lags: Mapping[str, float], given: Mapping[str, float]
+) -> dict[str, float]:
+    """Camera -> seconds that its clock is ahead, where the people show that clearly.
+
+    Clocks that the user has set are right. Without any, the median clock is; of two, it is that of
+    the camera whose messages are logged nearer to their stamps. This adds no error: the cameras'
+    standard errors are those of differences between clocks.
+
+    Parameters
+    ----------
+    cameras : what the people say; a verdict may be no reason to believe it.
+    lags : usual time, s, from each camera's stamps to the log times. given : as of the user.
+    """
+    measured = [camera for camera in cameras if not math.isnan(camera.clock_ms)]
+    sure = {camera.name: camera.clock_ms for camera in measured if camera.verdict in SURE}
+    right = float(np.median([*sure.values()] or [0.0]))
+    if set_right := [ms for name, ms in sure.items() if name in given]:
+        right = float(np.median(set_right))
+    elif len(sure) == 2:
+        right = sure[min(sorted(sure), key=lambda name: abs(lags[name]))]
+    return {
+        camera.name: (right - camera.clock_ms) / 1000.0
+        for camera in measured
+        if camera.name not in given
+        and abs(right - camera.clock_ms) > max(_LEAST_CLOCK_MS, _SURE_CLOCK * camera.error_ms)
+    }
 
 
 def align_clocks(

@@ -2,7 +2,8 @@
 
 The tests are those of :mod:`hiros_mcap.io.camera_clock`, on the last seconds of the log. A step is
 known some messages after it. Until then, stamps far in the future are replaced, so that no camera
-takes the others with it; a clock that was set back only loses its own messages.
+takes the others with it; a clock that was set back only loses its own messages. What the people
+prove (:mod:`hiros_mcap.running.pose_follower`) comes in slowly, so that nobody jumps.
 """
 
 from __future__ import annotations
@@ -36,6 +37,10 @@ _AHEAD = 0.3  # s: no delivery becomes so much faster
 _RENEWED = 15  # messages after which the usual interval is found again
 _RECENT = 90  # messages
 _EVERY = 2_000_000_000  # ns between two looks for drifts
+_FORESIGHT = 0.005  # s: nobody logs a message so long before its time
+_SLEW = 0.1
+"""s/s: so fast stamps follow what is proved while results go out. People then seem to be a tenth
+faster or slower for a moment."""
 
 
 @dataclass(slots=True)
@@ -50,6 +55,10 @@ class _FollowedClock:
     """Stamp, ns, before the correction."""
     latest: int = 0
     """Stamp of the last message, ns, before the correction."""
+    proved: int = 0
+    """ns that are to be added to the stamps."""
+    added: int = 0
+    """ns of it that are in ``offset`` already."""
     stamps: list[int] = field(default_factory=list)
     """Corrected stamps of the last messages, ns."""
     log_times: list[int] = field(default_factory=list)
@@ -65,6 +74,16 @@ class _FollowedClock:
     def corrected(self, stamp: int) -> int:
         """Return a stamp without what is known to be wrong."""
         return stamp + self.offset + round((stamp - self.origin) * self.drift)
+
+    def slew(self, stamp: int) -> None:
+        """Come nearer to what is proved, as far as the time since the last message allows."""
+        most = round(_SLEW * max(stamp - self.latest, 0))
+        step = max(-most, min(self.proved - self.added, most))
+        if step:
+            self.added += step
+            self.offset += step
+            self.least -= step
+            self.stamps = [other + step for other in self.stamps]
 
     @property
     def times(self) -> CameraTimes:
@@ -108,21 +127,43 @@ class ClockFollower:
     def __init__(
         self, given: Mapping[str, float], faults: list[ClockFault], reorder: float
     ) -> None:
-        self._given, self._reorder = given, max(reorder, _AHEAD / 2)
+        self.given, self._reorder = given, max(reorder, _AHEAD / 2)
         self._faults = faults
         self._clocks: dict[str, _FollowedClock] = {}
         self._checked = 0
 
-    def correct(self, blocks: Iterable[Block]) -> Iterator[Block]:
-        """Yield the blocks with right stamps."""
+    def compared(self, blocks: Iterable[Block]) -> Iterator[Block]:
+        """Yield the blocks as they are, once the clocks are compared by their first messages."""
         rest = iter(blocks)
-        first = self._start(rest)
-        for block in chain(first, rest):
-            stamps = block.stamps.copy()
-            sizes = block.sizes.tolist()
-            for i, (stamp, source, log_time) in enumerate(block.messages()):
-                stamps[i] = self._take(stamp, source, log_time, sizes[i])
-            yield block.restamped(stamps)
+        yield from chain(self._start(rest), rest)
+
+    def correct(self, block: Block) -> Block:
+        """Return a block with right stamps."""
+        stamps = block.stamps.copy()
+        sizes = block.sizes.tolist()
+        for i, (stamp, source, log_time) in enumerate(block.messages()):
+            stamps[i] = self._take(stamp, source, log_time, sizes[i])
+        return block.restamped(stamps)
+
+    def prove(self, source: str, seconds: float) -> None:
+        """Take note that so much is to be added to a camera's stamps; it is, little by little."""
+        clock = self._clocks[source]
+        more = round(seconds * 1e9) - clock.proved
+        clock.proved += more
+        self._note(source, OFFSET, -more * 1e-9, clock.stamps[-1])
+
+    def proved(self, source: str) -> float:
+        """Seconds that are to be added to the stamps of a camera in all, as proved so far."""
+        return self._clocks[source].proved * 1e-9
+
+    def added(self, source: str) -> float:
+        """Seconds of it that are added by now."""
+        return self._clocks[source].added * 1e-9
+
+    @property
+    def lags(self) -> dict[str, float]:
+        """Usual time, s, from each camera's corrected stamps to the log times."""
+        return {name: clock.lag for name, clock in self._clocks.items() if clock.stamps}
 
     def _start(self, blocks: Iterator[Block]) -> list[Block]:
         """Compare the clocks by their first messages; return the blocks that were looked at."""
@@ -134,7 +175,7 @@ class ClockFollower:
             for stamp, source, log_time in block.messages():
                 until = until or log_time + _FIRST
                 if log_time <= until:
-                    stamp += round(self._given.get(source, 0.0) * 1e9)
+                    stamp += round(self.given.get(source, 0.0) * 1e9)
                     lags.setdefault(source, []).append((log_time - stamp) * 1e-9)
             if block.log_times[-1] > until:
                 break
@@ -146,21 +187,22 @@ class ClockFollower:
 
     def _compare(self, source: str, log_time: int, lag: float, others: Mapping[str, float]) -> None:
         """Start with a camera at a log time; align it if no delivery explains its lag, s."""
-        clock = self._clocks[source] = _FollowedClock(round(self._given.get(source, 0.0) * 1e9))
-        if not others or source in self._given:
+        clock = self._clocks[source] = _FollowedClock(round(self.given.get(source, 0.0) * 1e9))
+        if not others or source in self.given:
             return
         usual = max(others.values()) if len(others) == 1 else middle_of(others)
-        if lag < usual - self._reorder or lag > usual + LONGEST_DELAY:
+        foresees = lag < -_FORESIGHT and usual >= 0.0
+        if foresees or lag < usual - self._reorder or lag > usual + LONGEST_DELAY:
             clock.offset += round((lag - usual) * 1e9)
             self._note(source, OFFSET, usual - lag, log_time - round(usual * 1e9))
 
     def _take(self, stamp: int, source: str, log_time: int, n_people: int) -> int:
         """Return the corrected stamp of a message."""
         if source not in self._clocks:
-            lag = (log_time - stamp) * 1e-9 - self._given.get(source, 0.0)
-            lags = {name: c.lag for name, c in self._clocks.items() if c.stamps}
-            self._compare(source, log_time, lag, lags)
+            lag = (log_time - stamp) * 1e-9 - self.given.get(source, 0.0)
+            self._compare(source, log_time, lag, self.lags)
         clock = self._clocks[source]
+        clock.slew(stamp)
         right = clock.corrected(stamp)
         if n_people and (not clock.stamps or right != clock.stamps[-1]):
             clock.latest = stamp
@@ -221,4 +263,9 @@ class ClockFollower:
                 self._note(name, DRIFT, -slope, clock.stamps[0])
 
     def _note(self, source: str, kind: str, seconds: float, stamp: int) -> None:
+        """Note a fault; offsets of a camera are one."""
+        for fault in list(self._faults):
+            if kind == OFFSET and (fault.camera, fault.kind) == (source, kind):
+                self._faults.remove(fault)
+                seconds, stamp = seconds + fault.seconds, fault.at_ns
         self._faults.append(ClockFault(source, kind, seconds, stamp, corrected=True))

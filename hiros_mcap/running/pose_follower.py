@@ -1,15 +1,20 @@
-"""Corrects the cameras' poses of a causal run, slowly, by what was seen before.
+"""Corrects the cameras' poses and clocks of a causal run, slowly, by what was seen before.
 
-Every now and then the poses are compared with the people of the last minute, as before a run of a
-file (:mod:`hiros_mcap.calibrate.refinement`). Where the people prove better poses, the detections
-move to where these put them, a little with each tenth of a second: nobody jumps.
+Every now and then both are compared with the people of the last minute, as before a run of a file
+(:mod:`hiros_mcap.calibrate.refinement`). Where the people prove better poses, the detections move
+to where these put them, a little with each tenth of a second: nobody jumps. Clocks that they prove
+to be wrong are corrected a little with each message.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
+from operator import attrgetter
+
+import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
@@ -25,19 +30,25 @@ from hiros_mcap.calibrate.survey import (
     seen_by,
 )
 from hiros_mcap.calibrate.tracklets import Sighting
+from hiros_mcap.calibrate.verdict import TIMED, weakness_of
 from hiros_mcap.frames import Block, join
 from hiros_mcap.io.log import Reading
 from hiros_mcap.kernels.transforming import PoseArrays, move
+from hiros_mcap.running.clock_alignment import significant_offsets
+from hiros_mcap.running.clock_follower import ClockFollower
 from hiros_mcap.running.pose_alignment import PoseAlignment, summary_of
 
-_MOMENTS_S = (10, 15, 20, 30, 40)
-"""When the poses are compared, s after the first message."""
+_MOMENTS_S = (3, 5, 10, 15, 20, 30, 40)
+"""When poses and clocks are compared, s after the first message."""
+_POSES_S = 10
+"""Before that, people have not been to enough places to tell poses, but they tell clocks."""
 _EVERY_S = 60
 """Afterwards at all multiples of this."""
 _WINDOW_S = 60.0
 _TICK_NS = 100_000_000
 _STEP_DEG, _STEP_M = 0.02, 0.001
 """Largest change of a pose in a tick."""
+_seconds = attrgetter("seconds")
 
 
 class PoseFollower:
@@ -48,13 +59,18 @@ class PoseFollower:
     Parameters
     ----------
     reading : whose messages are corrected. alignment : what is found goes here.
+    clocks : correct the stamps. movable : whether the poses may change; the clocks may.
     """
 
-    def __init__(self, reading: Reading, alignment: PoseAlignment) -> None:
+    def __init__(
+        self, reading: Reading, alignment: PoseAlignment, clocks: ClockFollower, *, movable: bool
+    ) -> None:
         self._reading, self._alignment = reading, alignment
+        self._clocks, self._movable = clocks, movable
         self._mirror = symmetry_of(reading.log.model).mirror
         self._seen: dict[str, list[Sighting]] = {}
-        """Whom each camera sees, where the log's poses put them."""
+        """Whom each camera sees, where the log's poses put them, at times without what is proved of
+        its clock."""
         self._latest: dict[str, int] = {}
         """Stamp of each camera's last sighting, ns."""
         self._start = self._tick = 0
@@ -68,12 +84,23 @@ class PoseFollower:
         """Camera -> how its detections move."""
 
     def correct(self, blocks: Iterable[Block]) -> Iterator[Block]:
-        """Yield blocks in the fixed frame with the detections where better poses put them."""
-        for block in blocks:
-            yield self._take(block)
+        """Yield blocks with right stamps and the detections where better poses put them."""
+        for block in self._clocks.compared(blocks):
+            self._start = self._start or int(block.log_times[0])
+            for part in self._parts(block):
+                self._advance(int(part.log_times[0]))
+                yield self._take(self._clocks.correct(part))
+
+    def _parts(self, block: Block) -> Iterator[Block]:
+        """Cut a block where poses and clocks are compared."""
+        ticks = (block.log_times - self._start) // _TICK_NS
+        counts = [_refinements_until(tick) for tick in ticks.tolist()]
+        cuts = [0, *(np.flatnonzero(np.diff(counts)) + 1).tolist(), len(block)]
+        for begin, end in pairwise(cuts):
+            yield block.select(slice(begin, end))
 
     def _take(self, block: Block) -> Block:
-        """Learn from the messages of a block one by one, and correct them."""
+        """Learn from the messages of a block one by one, and move their detections."""
         new = self._new_sightings(block)
         moves: dict[int, PoseArrays] = {}
         for i, (_, source, log_time) in enumerate(block.messages()):
@@ -81,7 +108,8 @@ class PoseFollower:
             if source in self._moves:
                 moves[i] = self._moves[source]
             if i in new:
-                self._seen.setdefault(source, []).append(new[i])
+                at = new[i].seconds - self._clocks.added(source)
+                self._seen.setdefault(source, []).append(new[i]._replace(seconds=at))
         if not moves:
             return block
         block = join([block])
@@ -91,7 +119,6 @@ class PoseFollower:
 
     def _new_sightings(self, block: Block) -> dict[int, Sighting]:
         """Return whom those frames of a block show that come long enough after their last ones."""
-        self._start = self._start or int(block.log_times[0])
         chosen = []
         for i, (stamp, source, _) in enumerate(block.messages()):
             if not 0 <= stamp - self._latest.get(source, 0) < SPACING_NS:
@@ -122,12 +149,39 @@ class PoseFollower:
         if len(cameras) < 2:
             return
         anchors = [k for k, one in enumerate(cameras) if one.frame == log.fixed_frame]
+        views = [
+            seen_by(
+                camera,
+                sorted(self._seen[camera.name], key=_seconds),
+                self._mirror,
+                self._clocks.proved(camera.name),
+            )
+            for camera in cameras
+        ]
+        poses_too = self._movable and self._tick * _TICK_NS >= _POSES_S * 1e9
         rig = refine_poses(
-            [seen_by(camera, self._seen[camera.name], self._mirror) for camera in cameras],
+            views,
             [camera.pose for camera in cameras],
             self._mirror,
             anchors[0] if anchors else None,
+            [poses_too] * len(cameras),
         ).cameras
+        self._correct_clocks(rig)
+        if poses_too:
+            self._take_poses(cameras, rig)
+
+    def _correct_clocks(self, rig: Sequence[CalibratedCamera]) -> None:
+        """Correct the clocks by what the people prove besides what they had proved."""
+        clocks = self._clocks
+        left = [replace(one, clock_s=one.clock_s - clocks.proved(one.name)) for one in rig]
+        sure = [one for one in left if one.evidence and not weakness_of(one.evidence, TIMED)]
+        # Their poses may still be doubtful.
+        told = [replace(summary_of(one, used=False), verdict="usable") for one in sure]
+        for name, ahead in significant_offsets(told, clocks.lags, clocks.given).items():
+            clocks.prove(name, clocks.proved(name) - ahead)
+
+    def _take_poses(self, cameras: Sequence[FixedCamera], rig: Sequence[CalibratedCamera]) -> None:
+        """Go to the poses that are proven."""
         for camera, one in zip(cameras, rig, strict=True):
             if one.pose is not None and not math.isnan(one.moved_mm):
                 self._given[camera.name] = camera.pose

@@ -24,6 +24,8 @@ from hiros_mcap.running.pose_follower import PoseFollower
 from hiros_mcap.running.process_options import Calibration, ProcessOptions
 from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.skeletons import Floats
+from hiros_mcap.stages.lateness import Lateness
+from hiros_mcap.stages.time_order import in_time_order
 from hiros_mcap.systems import Run, Stages, chain_of, sections_of, system
 
 if TYPE_CHECKING:
@@ -48,10 +50,14 @@ class Prepared:
         ``reading`` is one of the log; None begins another. Raises LogError where it is damaged.
         """
         reading = reading or self.log.read()
-        blocks = self.clocks.correct(reading.blocks())
-        if _follows_poses(self.config, self.options):
-            blocks = PoseFollower(reading, self.poses).correct(blocks)
-        return self.poses.without_late(self.clocks.ordered(blocks))
+        if not self.clocks.causal:
+            blocks = self.clocks.correct(reading.blocks())
+            return self.poses.without_late(self.clocks.ordered(blocks))
+        movable = self.config.input.poses != "given" and self.options.calibrate != "off"
+        follower = PoseFollower(reading, self.poses, self.clocks.follower(), movable=movable)
+        lateness = Lateness(self.config.input.max_delay, self.clocks.reorder)
+        self.clocks.needed = lateness.needed
+        return in_time_order(follower.correct(reading.blocks()), lateness=lateness)
 
 
 def prepare(log: Log, config: Config, options: ProcessOptions, watch: Stopwatch) -> Prepared:
@@ -148,12 +154,6 @@ def _calibration(log: Log, config: Config, options: ProcessOptions) -> Calibrati
             "as it goes on; find them with hiros calibrate people and pass them with --extrinsics"
         )
     return "off"
-
-
-def _follows_poses(config: Config, options: ProcessOptions) -> bool:
-    """Whether a run refines the poses as it goes on, by what was seen before."""
-    causal = config.input.clocks == "causal" and config.input.poses != "given"
-    return causal and options.calibrate != "off"
 
 
 def _with_clocks(config: Config, log: Log, extrinsics: Path | None) -> Config:

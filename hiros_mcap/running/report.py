@@ -40,8 +40,8 @@ _IN_TABLES = {"flip", "outlier", TOO_LATE}
 """Kinds of events that a summary's tables count."""
 _LARGEST_LOSS = 0.05
 _REMEDIES = {
-    TOO_LATE: "let messages wait longer with --set {stage}.reorder=3, or correct the camera's "
-    "clock with --clock CAMERA=SECONDS",
+    TOO_LATE: "let messages wait longer with --set {wait}, or correct the camera's clock with "
+    "--clock CAMERA=SECONDS",
     DAMAGED: "look for the fault at its source",
     FAR_FUTURE: "correct the recorder's clock",
 }
@@ -170,18 +170,25 @@ class Report:
                 return LimbSummary(0, math.nan, math.nan, "", accepted=False, reason=event.detail)
         return None
 
+    def _longer_wait(self, camera: CameraSummary) -> str:
+        """Return the parameter, and a value, with which a camera's messages come in time."""
+        if self.prepared.clocks.causal:
+            needed = [s for name, s in self.prepared.clocks.needed.items() if name in camera.name]
+            return f"input.max_delay={max(needed, default=1.0):.2f}"
+        stage = "track" if "track" in sections_of(self.run.system) else "associate"
+        return f"{stage}.reorder=3"
+
     def _warnings(self, cameras: Sequence[CameraSummary]) -> Iterator[str]:
         """Yield what makes the result doubtful or incomplete, with the remedy; losses first."""
         if self.log.losses:
             damaged = "is damaged" if self.log.recovery else "was damaged before it was recovered"
             yield f"the recording {damaged}; {self.log.losses}"
-        stage = "track" if "track" in sections_of(self.run.system) else "associate"
         few: list[str] = []
         for camera in cameras:
             # A repeat of old skeletons holds nothing that could be lost.
             lost = {reason: n for reason, n in camera.skipped.items() if reason != STALE}
             if sum(lost.values()) > _LARGEST_LOSS * camera.messages:
-                yield _loss(camera, lost, stage)
+                yield _loss(camera, lost, self._longer_wait(camera))
                 continue
             few += [f"{camera.topic}: {n} {why}" for why, n in lost.items() if why != DAMAGED]
         if few:
@@ -258,18 +265,17 @@ class Report:
         yield from clock_notes(self.prepared.clocks.faults, self.log.span[0])
 
 
-def _loss(camera: CameraSummary, lost: Mapping[str, int], stage: str) -> str:
+def _loss(camera: CameraSummary, lost: Mapping[str, int], wait: str) -> str:
     """Return in words that much of a camera was not used, and the remedy.
 
-    ``lost`` counts by reason. ``stage`` is the section of the configuration that says how long
-    messages wait.
+    ``lost`` counts by reason. ``wait`` is a parameter that lets messages wait long enough.
     """
     worst = max(lost, key=lambda reason: lost[reason])
     reasons = ", ".join(f"{n} {reason}" for reason, n in lost.items())
     share = f"{100 * sum(lost.values()) / camera.messages:.0f} %"
     return (
         f"{camera.topic}: {share} of {quantity(camera.messages, 'message')} not used ({reasons}); "
-        f"{_REMEDIES[worst].format(stage=stage)}"
+        f"{_REMEDIES[worst].format(wait=wait)}"
     )
 
 

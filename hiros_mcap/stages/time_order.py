@@ -10,6 +10,7 @@ from hiros_mcap.frames import Block, CameraNumbers, HeldFrames
 from hiros_mcap.kernels.array_types import I1, I2
 from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.skeletons import Stamps
+from hiros_mcap.stages.lateness import Lateness
 
 _USUAL_DELAY = 100_000_000  # ns: how late cameras are taken to be before any was late
 
@@ -18,10 +19,14 @@ _LATEST, _NOW, _BEGIN, _DELAY, _PATIENCE = range(5)
 
 
 def in_time_order(
-    blocks: Iterable[Block], delay: float, *, patient: bool = False
+    blocks: Iterable[Block],
+    delay: float = 0.0,
+    *,
+    patient: bool = False,
+    lateness: Lateness | None = None,
 ) -> Iterator[Block]:
     """Yield the frames sorted as :class:`TimeOrder` does."""
-    order = TimeOrder(delay, patient=patient)
+    order = TimeOrder(delay, patient=patient, lateness=lateness)
     for block in blocks:
         ready = order.push(block)
         del block  # else it lies in memory until the next one is made
@@ -43,9 +48,13 @@ class TimeOrder:
     ----------
     delay : longest wait, s in time of the data.
     patient : every message waits so long. Messages of a file may be late without a warning.
+    lateness : measures how long every message waits, in place of ``delay``.
     """
 
-    def __init__(self, delay: float, *, patient: bool = False) -> None:
+    def __init__(
+        self, delay: float = 0.0, *, patient: bool = False, lateness: Lateness | None = None
+    ) -> None:
+        self._lateness = lateness
         self._held = HeldFrames()
         self._waiting = np.empty((0, 3), np.int64)
         """Stamp, camera and number of each message that is held, in order."""
@@ -67,7 +76,7 @@ class TimeOrder:
             self._ranks = np.argsort(np.argsort(list(self._cameras)))
         queue = np.concatenate([self._waiting, np.empty((len(block), 3), np.int64)])
         leaving = np.empty((len(queue), 2), np.int64)
-        messages = np.stack([block.stamps, cameras, block.log_times], axis=1)
+        messages = np.stack([block.stamps, cameras, block.log_times, self._waits(block)], axis=1)
         n = sort_messages(
             messages, first, self._ranks, self._latest_of, self._times, queue, leaving
         )
@@ -82,6 +91,12 @@ class TimeOrder:
             ready.append(block.select(numbers[former:] - first).logged_at(log_times[former:]))
         self._held.keep(self._waiting[:, 2])
         return ready
+
+    def _waits(self, block: Block) -> Stamps:
+        """(N,) How long messages wait from each on, ns, as measured; -1 = as before."""
+        if self._lateness is None:
+            return np.full(len(block), -1)
+        return np.array([self._lateness.take(*message) for message in block.messages()])
 
     def rest(self) -> Iterator[Block]:
         """Yield what is left, now that nothing more comes."""
@@ -122,7 +137,8 @@ def sort_messages(
 
     Parameters
     ----------
-    messages : (N, 3) stamp, ns, camera, and log time, ns. ``first`` is the number of the first one.
+    messages : (N, 4) stamp, ns, camera, log time and wait, ns. ``first`` is the number of the first
+        one. A wait of -1 leaves that in ``times``.
     ranks : (C,) which of two cameras comes first if the stamps are equal.
     latest_of, times : of each camera, and of all; they go on.
     queue : (W + N, 3) W messages that wait, in order, and room for the others; afterwards, those
@@ -138,6 +154,8 @@ def sort_messages(
         stamp, camera, log_time = messages[i, 0], messages[i, 1], messages[i, 2]
         times[_LATEST], times[_NOW] = max(times[_LATEST], stamp), max(times[_NOW], log_time)
         times[_BEGIN] = times[_BEGIN] or stamp
+        if messages[i, 3] >= 0:
+            times[_PATIENCE] = times[_DELAY] = messages[i, 3]
         late = min(times[_LATEST] - stamp, times[_PATIENCE])
         times[_DELAY] = max(times[_DELAY], late)
         latest_of[camera] = max(latest_of[camera], stamp)

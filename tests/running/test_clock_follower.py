@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hiros_mcap.frames import Block
-from hiros_mcap.io.camera_clock import DRIFT
+from hiros_mcap.io.camera_clock import DRIFT, OFFSET
 from hiros_mcap.running.clock_follower import ClockFollower
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.summary import ClockFault
@@ -30,7 +30,8 @@ def errors(clock, seconds):
         frame = Frame.empty(1, MODEL, stamp=stamp, source=name)
         blocks.append(Block.of(frame.replace(log_time=START + round(1e9 * (at + delay)))))
     faults: list[ClockFault] = []
-    found = [int(b.stamps[0]) for b in ClockFollower({}, faults, 0.3).correct(blocks)]
+    clocks = ClockFollower({}, faults, 0.3)
+    found = [int(clocks.correct(block).stamps[0]) for block in clocks.compared(blocks)]
     mine = np.array(cameras) == "b"
     return sent[mine], (np.array(found)[mine] - START) * 1e-9 - sent[mine], faults
 
@@ -48,3 +49,36 @@ def test_what_a_clock_did_long_ago_is_forgotten():
     times, wrong, faults = errors(lambda t: 4e-3 * max(0.0, t - 60.0), 100)
     assert [fault.kind for fault in faults] == [DRIFT]
     assert np.abs(wrong[times > 85.0]).max() < 0.01
+
+
+def test_what_the_people_prove_comes_in_without_a_jump():
+    """A tenth of a second in a second of the log, and no further."""
+    clocks = ClockFollower({}, [], 0.3)
+    blocks = [message(START + k * 33_000_000) for k in range(90)]
+    moved = []
+    for k, block in enumerate(clocks.compared(blocks)):
+        if k == 30:
+            clocks.prove("a", 0.05)
+        moved.append(int(clocks.correct(block).stamps[0] - block.stamps[0]) * 1e-9)
+    assert moved[:30] == [0.0] * 30
+    assert np.diff(moved).max() < 0.0034
+    assert moved[-1] == pytest.approx(0.05)
+    assert clocks.added("a") == clocks.proved("a") == pytest.approx(0.05)
+
+
+def test_a_clock_whose_messages_are_logged_before_their_time_is_ahead():
+    faults: list[ClockFault] = []
+    clocks = ClockFollower({}, faults, 0.3)
+    blocks = []
+    for k in range(300):
+        at = START + k * 33_000_000
+        blocks += [message(at, "a", 0.02), message(at + 60_000_000, "b", -0.04)]
+    stamps = [clocks.correct(block).stamps[0] for block in clocks.compared(blocks)]
+    assert np.abs(np.subtract(stamps[1::2], stamps[::2])).max() < 1e6
+    assert [(fault.camera, fault.kind) for fault in faults] == [("b", OFFSET)]
+
+
+def message(stamp, source="a", delay=0.02):
+    """One message with one person."""
+    frame = Frame.empty(1, MODEL, stamp=stamp, source=source)
+    return Block.of(frame.replace(log_time=stamp + round(delay * 1e9)))

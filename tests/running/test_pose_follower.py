@@ -11,6 +11,7 @@ from hiros_mcap.calibrate.refinement import refine_poses
 from hiros_mcap.frames import Block, frames_of, join
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running import pose_follower
+from hiros_mcap.running.clock_follower import ClockFollower
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.running.pose_follower import PoseFollower
@@ -35,8 +36,9 @@ def folder(scene, tmp_path_factory):
 
 
 def followed(log, blocks):
-    alignment = PoseAlignment()
-    return list(frames_of(PoseFollower(log.read(), alignment).correct(blocks))), alignment
+    alignment, clocks = PoseAlignment(), ClockFollower({}, [], 0.0)
+    follower = PoseFollower(log.read(), alignment, clocks, movable=True)
+    return list(frames_of(follower.correct(blocks))), alignment
 
 
 def assert_same(ones, others):
@@ -78,14 +80,14 @@ def test_only_the_people_of_the_last_seconds_are_compared(folder, monkeypatch):
     compared: list[float] = []
 
     def noting(views, *rest):
-        compared.extend(t.seconds[0] for view in views for t in view.tracks)
+        compared.append(min(t.seconds[0] for view in views for t in view.tracks))
         return refine_poses(views, *rest)
 
     monkeypatch.setattr(pose_follower, "refine_poses", noting)
     monkeypatch.setattr(pose_follower, "_WINDOW_S", 6.0)
     with open_log(folder / "true.mcap") as log:
         followed(log, log.blocks())
-    assert min(compared) == pytest.approx(4.0, abs=0.5)  # the poses are compared after 10 s
+    assert compared == pytest.approx([0.0, 0.0, 4.0], abs=0.5)  # compared after 3, 5 and 10 s
 
 
 def test_it_does_not_matter_how_messages_come_in_blocks(folder):
