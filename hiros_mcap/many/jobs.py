@@ -242,14 +242,17 @@ class ExportJob(Job):
     marker_set: str = ""
     least_confidence: float = LEAST_CONFIDENCE
     keep_gaps: bool = False
+    mass: float | None = None
+    model: Path | None = None
 
     command: ClassVar[str] = "export"
     kind: ClassVar[Kind] = "export"
     counted: ClassVar[frozenset[str]] = frozenset({"people", "files"})
 
     def sides(self, name: str) -> tuple[Path, ...]:
-        """Return the file with marker names."""
-        return (Path(self.marker_set),) if Path(self.marker_set).is_file() else ()
+        """Return the files with marker names and with a model."""
+        marker_set = (Path(self.marker_set),) if Path(self.marker_set).is_file() else ()
+        return marker_set if self.model is None else (*marker_set, self.model)
 
     def run(self, log: Path, target: Path) -> Finding:
         """Write a result in the format."""
@@ -257,9 +260,17 @@ class ExportJob(Job):
         result, what = result.select(self.person, self.start, self.end, self.rate), self.what
         if self.marker_set:
             result, what = renamed(result, load_marker_set(self.marker_set, result.model)), "joints"
-        least, warnings = self.least_confidence, list[str]()
-        keep = self.keep_gaps
-        files = export(result, target, what, least, keep_gaps=keep, warn=warnings.append)
+        warnings: list[str] = []
+        files = export(
+            result,
+            target,
+            what,
+            self.least_confidence,
+            keep_gaps=self.keep_gaps,
+            mass=self.mass,
+            model=self.model,
+            warn=warnings.append,
+        )
         values = {"people": len(result.people), "files": len(files)}
         return Finding(values, warnings=tuple(warnings), files=tuple(files))
 

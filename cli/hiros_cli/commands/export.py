@@ -22,8 +22,8 @@ def export(
     logs: list[str] = argument("LOG", "Outputs of `hiros process`: files, folders, globs, URLs."),
     output: str = option(
         "FILE",
-        "Output file: .csv, .parquet, .jsonl, .npz, .trc, .mot, .c3d or .bvh; with many logs, "
-        "the folder for all.",
+        "Output file: .csv, .parquet, .jsonl, .npz, .trc, .mot, .osim, .xml, .c3d or .bvh; with "
+        "many logs, the folder for all.",
         "-o",
         "--output",
         default=...,
@@ -66,9 +66,17 @@ def export(
     keep_gaps: bool = flag(
         "--keep-gaps", "For .mot: leave out the rows that have gaps. Default: bridge them."
     ),
+    mass: float | None = option(
+        "KG", "For .osim: mass of the person. Default: none, or that of --model.", min=1, max=1000
+    ),
+    model: Path | None = option(
+        "FILE.osim",
+        "For .osim: scale this model, muscles and all, with OpenSim. Default: a model of bones "
+        "alone.",
+    ),
     many: ManyLogs = GROUP,
 ) -> None:
-    """Write joints and angles as CSV, Parquet, TRC, MOT, C3D, BVH."""
+    """Write joints and angles as CSV, Parquet, TRC, MOT, C3D, BVH, OSIM."""
     from hiros_mcap.io.export.files import export as write
     from hiros_mcap.io.export.files import files_of, format_of
     from hiros_mcap.io.export.marker_set import SUFFIXES, load_marker_set, renamed
@@ -84,7 +92,7 @@ def export(
         prepare(quiet=many.quiet)
         names = str(Path(marker_set).absolute()) if Path(marker_set).is_file() else marker_set
         part = (what, person, channel, rate, start, end)
-        job = ExportJob(suffix, *part, names, least_confidence, keep_gaps)
+        job = ExportJob(suffix, *part, names, least_confidence, keep_gaps, mass, model)
         run(job, logs, many, output)
     log = one_log(context, logs[0])
     prepare(quiet=many.quiet)
@@ -95,10 +103,19 @@ def export(
         if marker_set:
             result, what = renamed(result, load_marker_set(marker_set, result.model)), "joints"
         targets = files_of(target, result.people)
-        check_outputs(*((path, "export") for path in targets), inputs=(log,), force=many.force)
+        inputs = (log, model)
+        check_outputs(*((path, "export") for path in targets), inputs=inputs, force=many.force)
         warnings: list[str] = []
-        least, keep = least_confidence, keep_gaps
-        written = write(result, target, what, least, keep_gaps=keep, warn=warnings.append)
+        written = write(
+            result,
+            target,
+            what,
+            least_confidence,
+            keep_gaps=keep_gaps,
+            mass=mass,
+            model=model,
+            warn=warnings.append,
+        )
     for text in warnings:
         warn(text)
     if many.json:

@@ -43,7 +43,9 @@ if TYPE_CHECKING:
     from hiros_mcap.summary import Summary
 
 LIMBS = "Limb lengths"
-EXPORTED = frozenset({".csv", ".parquet", ".jsonl", ".npz", ".trc", ".mot", ".c3d", ".bvh"})
+EXPORTED = frozenset(
+    {".csv", ".parquet", ".jsonl", ".npz", ".trc", ".mot", ".osim", ".xml", ".c3d", ".bvh"}
+)
 BAGS = frozenset({".db3", ".bag"})
 SUFFIX = ".hiros.mcap"
 

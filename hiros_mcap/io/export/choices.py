@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,10 @@ class Choices(NamedTuple):
     """"joints", "angles"."""
     keep_gaps: bool = False
     """Whether a format whose programs read no gaps leaves out their rows instead of bridging."""
+    mass: float | None = None
+    """Of the person, kg; None if it is not known."""
+    model: Path | None = None
+    """Model of OpenSim to scale, instead of writing one."""
     warn: Callable[[str], object] = warn_in_python
     """Is called with what the file lacks."""
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.io.export import animation, biomechanics, tables
+from hiros_mcap.io.export import animation, biomechanics, opensim_model, tables
 from hiros_mcap.io.export.choices import Choices, warn_in_python
 from hiros_mcap.io.result import safe_name
 from hiros_mcap.outputs import replacing
@@ -64,6 +64,19 @@ FORMATS: dict[str, ExportFormat] = {
         one_person=True,
         steady=True,
     ),
+    ".osim": ExportFormat(
+        "the person as a model of OpenSim, without muscles",
+        opensim_model.write_osim,
+        parts=("joints",),
+        one_person=True,
+    ),
+    ".xml": ExportFormat(
+        "setup of OpenSim's inverse kinematics on the .osim and .trc of the same name",
+        opensim_model.write_ik_setup,
+        parts=("joints",),
+        one_person=True,
+        steady=True,
+    ),
     ".c3d": ExportFormat(
         "markers and angles for motion capture programs (mm, z up)",
         biomechanics.write_c3d,
@@ -99,6 +112,8 @@ def export(
     least_confidence: float = LEAST_CONFIDENCE,
     *,
     keep_gaps: bool = False,
+    mass: float | None = None,
+    model: str | os.PathLike[str] | None = None,
     warn: Callable[[str], object] = warn_in_python,
 ) -> list[Path]:
     """Write a result in the format of the target's suffix.
@@ -111,6 +126,8 @@ def export(
     result : what to write. target : the file. what : "joints", "angles" or "both"; "" is
         whatever the format holds. least_confidence : markers below it are gaps; 0 writes them all.
     keep_gaps : leave out the rows of a MOT file that have gaps, instead of bridging them.
+    mass : of the person, kg, for the bodies of a .osim file; without it they have none.
+    model : .osim file to scale to the person, instead of writing a model of our own.
     warn : is called with what a file lacks or bridges; by default Python's own warning.
 
     Returns
@@ -134,10 +151,12 @@ def export(
         raise ConfigError(f"{target}: {target.suffix} holds no {lacking[0]}")
     if not result.motions:
         raise ConfigError(f"{result.path}: {result.channel} holds no people")
+    if (mass, model) != (None, None) and target.suffix.lower() != ".osim":
+        raise ConfigError(f"{target}: mass and model are for .osim files")
     result = _prepared(result, least_confidence)
     if kind.steady:
         result = steady(result)
-    choices = Choices(parts, keep_gaps, warn)
+    choices = Choices(parts, keep_gaps, mass, None if model is None else Path(model), warn)
     targets = files_of(target, result.people)
     each = [result] if len(targets) == 1 else [result.select(p) for p in result.people]
     for one, path in zip(each, targets, strict=True):

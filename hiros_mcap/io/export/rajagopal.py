@@ -35,9 +35,9 @@ from hiros_mcap.skeletons import Floats, SkeletonModel
 HIPS = np.array([-0.056276, -0.07849, 0.0])
 """The middle of the hips, from the origin of the pelvis."""
 _X, _Z = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
-_BACK = np.array([-0.1007, 0.0815, 0.0]) - HIPS
+BACK = np.array([-0.1007, 0.0815, 0.0]) - HIPS
 """The joint of pelvis and torso, from the middle of the hips."""
-_SHOULDERS = np.array([0.003155, 0.3715, 0.0])
+SHOULDERS = np.array([0.003155, 0.3715, 0.0])
 """The middle of the shoulders in the torso, whose origin is that joint."""
 SLACK_DEG = 2.4
 """How far a shank or forearm may deviate for a steady rotation of the limb about its long axis.
@@ -123,18 +123,15 @@ def coordinates(model: SkeletonModel, motion: Motion) -> dict[str, Floats]:
     """
     at = finder(model, motion.positions)
     shown = segments_of(model, motion.positions, motion.orientations, motion.axes)
-    # Of the markers alone: the line between the hips then is the model's.
-    pelvis = marker_segments(model, motion.positions)["pelvis"]
-    middle = (at("hip", side="left") + at("hip", side="right")) / 2
+    middle, pelvis, torso = trunk_of(model, motion)
     origin = (middle - pelvis @ HIPS) @ Y_UP.T
-    torso = pelvis @ _torso(at, pelvis, middle)
     values = [*zxy(Y_UP.T, pelvis), *zxy(pelvis, torso)]
     names = [*PELVIS[:3], *LUMBAR]
     for side in SIDES:
         names += [f"{name}_{side[0]}" for name in (*LEG, *ARM)]
         joints = [at(name, side=side) for name in ("hip", "knee", "ankle")]
         leg = _limb(side, pelvis, KNEE, joints, shown[f"{side} thigh"][:, :, 0])
-        values += [*leg.angles, ANKLE.towards(_into(leg.last, toes(at, side)))]
+        values += [*leg.angles, ANKLE.towards(into(leg.last, toes(at, side)))]
         joints = [at(name, side=side) for name in ("shoulder", "elbow", "wrist")]
         values += _limb(side, torso, ELBOW, joints, shown[f"{side} upper arm"][:, :, 0]).angles
     # Only a whole person turns round and round.
@@ -144,16 +141,36 @@ def coordinates(model: SkeletonModel, motion: Motion) -> dict[str, Floats]:
     return columns | dict(zip(PELVIS[3:], origin.T, strict=True))
 
 
+class Trunk(NamedTuple):
+    """Where the model's trunk is, in the fixed frame."""
+
+    hips: Floats
+    """(T, 3) their middle, m."""
+    pelvis: Floats
+    """(T, 3, 3) its frames."""
+    torso: Floats
+    """(T, 3, 3) its frames."""
+
+
+def trunk_of(model: SkeletonModel, motion: Motion) -> Trunk:
+    """Pose the model's pelvis and torso; NaN where joints are missing."""
+    at = finder(model, motion.positions)
+    # Of the markers alone: the line between the hips then is the model's.
+    pelvis = marker_segments(model, motion.positions)["pelvis"]
+    middle = (at("hip", side="left") + at("hip", side="right")) / 2
+    return Trunk(middle, pelvis, pelvis @ _torso(at, pelvis, middle))
+
+
 def _torso(at: Finder, pelvis: Floats, hips: Floats) -> Floats:
     """(T, 3, 3) the torso in the pelvis: from hips to shoulders as the person's."""
     left, right = at("shoulder", side="left"), at("shoulder", side="right")
-    trunk = unit(_into(pelvis, (left + right) / 2 - hips))
-    along = trunk @ _BACK
+    trunk = unit(into(pelvis, (left + right) / 2 - hips))
+    along = trunk @ BACK
     # How far above the hips the model's shoulders are: its torso has a given length.
-    far = along + np.sqrt(along**2 - _BACK @ _BACK + _SHOULDERS @ _SHOULDERS)
-    spine = far[:, None] * trunk - _BACK
-    across = _into(pelvis, right - left)
-    rest = frame(y=_SHOULDERS[None], z=_Z[None], keep="y")
+    far = along + np.sqrt(along**2 - BACK @ BACK + SHOULDERS @ SHOULDERS)
+    spine = far[:, None] * trunk - BACK
+    across = into(pelvis, right - left)
+    rest = frame(y=SHOULDERS[None], z=_Z[None], keep="y")
     return np.asarray(frame(y=spine, z=across, keep="y") @ np.swapaxes(rest, -1, -2))
 
 
@@ -176,7 +193,7 @@ def _limb(
     """
     upper, middle, lower = joints
     first, second, ahead = (
-        _mirror(side) * unit(_into(body, v)) for v in (middle - upper, lower - middle, forward)
+        _mirror(side) * unit(into(body, v)) for v in (middle - upper, lower - middle, forward)
     )
     # A limb whose last joint is hidden keeps its long axis.
     second = unit(np.stack([bridged(column) for column in second.T], axis=-1))
@@ -189,7 +206,7 @@ def _limb(
     now, wanted = (_twist(swing, axis) for axis in (exact[:, :, 0], ahead))
     twist = _steady_twist(now, wanted, bend, np.radians(hinge.twist_deg))
     turned = rotations(-first, twist - now) @ exact
-    angle = hinge.towards(_into(turned, second))
+    angle = hinge.towards(into(turned, second))
     angles = [*_nearest(zxy(np.eye(3), turned), flexion), angle]
     frames = body * _mirror(side) @ turned @ rotations(hinge.axis, angle)
     return _Limb(angles, frames)
@@ -242,7 +259,7 @@ def _mirror(side: str) -> Floats:
 
 def _twist(swing: Floats, axis: Floats) -> Floats:
     """(T,) rotation about y that brings the x axis of a frame to an axis (T, 3), rad."""
-    x, _, z = np.moveaxis(_into(swing, axis), -1, 0)
+    x, _, z = np.moveaxis(into(swing, axis), -1, 0)
     return np.asarray(np.arctan2(-z, x))
 
 
@@ -251,7 +268,7 @@ def _plane(first: Floats, second: Floats) -> Floats:
     return frame(y=first, z=np.cross(first, second), keep="y")
 
 
-def _into(frames: Floats, vectors: Floats) -> Floats:
+def into(frames: Floats, vectors: Floats) -> Floats:
     """(T, 3) vectors in the coordinates of frames (T, 3, 3)."""
     return np.asarray(np.einsum("tji,tj->ti", frames, vectors))
 

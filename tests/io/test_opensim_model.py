@@ -1,0 +1,165 @@
+"""A person as a model of OpenSim: MOT and TRC fit it, and OpenSim agrees where it is installed."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+from test_opensim import STANDING, stick
+
+from hiros_mcap.body.rotations import Y_UP
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.io.export.files import export
+from hiros_mcap.io.result import open_result
+from hiros_mcap.running.pipeline import process
+
+MASS = 64.0
+
+
+@pytest.fixture(scope="module")
+def result(crossing, tmp_path_factory):
+    out = tmp_path_factory.mktemp("model") / "crossing.hiros.mcap"
+    process(crossing, out)
+    return open_result(out).select(person=0, rate=30.0)
+
+
+def model_of(path):
+    return ET.parse(path).getroot().find("Model")
+
+
+def place(model, joint):
+    """(3,) of a joint in the body that carries it."""
+    frame = model.find(f".//CustomJoint[@name='{joint}']/frames/PhysicalOffsetFrame/translation")
+    return np.array([float(number) for number in frame.text.split()])
+
+
+def test_the_model_has_the_lengths_of_the_person(result, tmp_path):
+    told = []
+    person = stick(result, **STANDING)
+    (path,) = export(person, tmp_path / "out.osim", warn=told.append)
+    model = model_of(path)
+    for child, parent, upper, lower in (
+        ("tibia_l", "femur_l", "hip_left", "knee_left"),
+        ("talus_r", "tibia_r", "knee_right", "ankle_right"),
+        ("ulna_r", "humerus_r", "shoulder_right", "elbow_right"),
+    ):
+        length = np.linalg.norm(np.subtract(STANDING[upper], STANDING[lower]))
+        assert np.linalg.norm(place(model, f"{parent}_{child}")) == pytest.approx(length, abs=1e-6)
+    hips = [place(model, f"pelvis_femur_{side}") for side in "lr"]
+    assert np.linalg.norm(hips[0] - hips[1]) == pytest.approx(0.18)
+    assert len(told) == 1  # no toes, so the feet have the usual length
+    assert told[0].endswith("since nobody saw them: left foot, right foot")
+
+
+def test_the_soles_are_on_the_floor_while_the_person_stands(result, tmp_path):
+    (path,) = export(stick(result, **STANDING), tmp_path / "out.osim", warn=len)
+    model = model_of(path)
+    foot = model.find(".//Body[@name='talus_r']")
+    height = [foot.find(f".//{name}").text.split()[1] for name in ("translation", "radii")]
+    assert float(height[0]) - float(height[1]) == pytest.approx(
+        -STANDING["ankle_left"][2], abs=0.02
+    )
+    pelvis = model.find(".//Coordinate[@name='pelvis_ty']/default_value")
+    assert 0.9 < float(pelvis.text) < 1.1
+
+
+def test_the_mass_is_shared(result, tmp_path):
+    for mass, total in ((MASS, MASS), (None, 0.0)):
+        (path,) = export(result, tmp_path / "out.osim", mass=mass, warn=len)
+        masses = [float(body.find("mass").text) for body in model_of(path).iter("Body")]
+        assert sum(masses) == pytest.approx(total, rel=1e-3)
+    with pytest.raises(ConfigError, match="mass and model are for .osim"):
+        export(result, tmp_path / "out.mot", mass=MASS)
+
+
+def test_a_person_without_hips_has_no_model(result, tmp_path):
+    hipless = {name: at for name, at in STANDING.items() if "hip" not in name}
+    with pytest.raises(ConfigError, match="the model needs both hips"):
+        export(stick(result, **hipless), tmp_path / "out.osim")
+
+
+def test_the_setup_names_the_files_of_its_own_name(result, tmp_path):
+    (path,) = export(result, tmp_path / "walk.xml")
+    tool = ET.parse(path).getroot().find("InverseKinematicsTool")
+    assert tool.find("model_file").text == "walk.osim"
+    assert tool.find("marker_file").text == "walk.trc"
+    assert {task.get("name") for task in tool.iter("IKMarkerTask")} < {*result.model.marker_names}
+
+
+# -- with OpenSim itself ---------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def opensim(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path_factory.mktemp("log"))  # OpenSim writes a log where it starts
+        module = pytest.importorskip("opensim", reason="needs OpenSim: pip install opensim")
+        module.Logger.setLevelString("Off")
+        yield module
+
+
+def posed(opensim, model, motion):
+    """Marker name -> (T, 3) m, of a model posed by a MOT file."""
+    state, table = model.initSystem(), opensim.TimeSeriesTable(str(motion))
+    matrix, names = table.getMatrix().to_numpy(), list(table.getColumnLabels())
+    coordinates = [model.getCoordinateSet().get(name) for name in names]
+    markers = [model.getMarkerSet().get(k) for k in range(model.getMarkerSet().getSize())]
+    places = {marker.getName(): [] for marker in markers}
+    for row in matrix:
+        for coordinate, value in zip(coordinates, row, strict=True):
+            moves = coordinate.getName() in ("pelvis_tx", "pelvis_ty", "pelvis_tz")
+            coordinate.setValue(state, value if moves else np.radians(value), False)
+        model.realizePosition(state)
+        for marker in markers:
+            places[marker.getName()].append(marker.getLocationInGround(state).to_numpy())
+    return {name: np.array(values) for name, values in places.items()}
+
+
+def distances(opensim, model, result, folder):
+    """Marker name -> median distance, mm, of the posed model from the person."""
+    (motion,) = export(result.select(start=1.0, end=2.0), folder / "pose.mot", warn=len)
+    (person,) = result.select(start=1.0, end=2.0).motions.values()
+    (path,) = export(result, folder / "lab.osim", mass=MASS, model=model, warn=len)
+    places = posed(opensim, opensim.Model(str(path)), motion)
+    y_up = person.positions @ Y_UP.T
+    slots = {name: k for k, name in enumerate(result.model.marker_names)}
+    return {
+        name: 1000 * np.median(np.linalg.norm(at - y_up[:, slots[name]], axis=-1))
+        for name, at in places.items()
+        if name in slots
+    }
+
+
+def test_opensim_puts_the_joints_where_the_person_has_them(opensim, result, tmp_path):
+    far = distances(opensim, None, result, tmp_path)
+    for joint, most in (("ANKLE", 25), ("KNEE", 20), ("WRIST", 25)):
+        assert max(value for name, value in far.items() if joint in name) < most
+
+
+def test_opensim_scales_a_model_of_the_user(opensim, result, tmp_path):
+    larger = stick(result, **{k: tuple(1.2 * np.array(v)) for k, v in STANDING.items()})
+    (other,) = export(larger, tmp_path / "other.osim", mass=2 * MASS, warn=len)
+    far = distances(opensim, other, result, tmp_path)
+    assert max(value for name, value in far.items() if "KNEE" in name) < 20
+    assert max(value for name, value in far.items() if "ANKLE" in name) < 25
+    state = (model := opensim.Model(str(tmp_path / "lab.osim"))).initSystem()
+    assert model.getTotalMass(state) == pytest.approx(MASS, rel=1e-3)
+
+
+def test_a_model_with_other_coordinates_is_refused(opensim, result, tmp_path):
+    (other,) = export(result, tmp_path / "other.osim", warn=len)
+    other.write_text(other.read_text().replace("knee_angle_l", "bend"))
+    with pytest.raises(ConfigError, match="has no coordinates knee_angle_l; name a model"):
+        export(result, tmp_path / "lab.osim", model=other)
+    with pytest.raises(ConfigError, match="OpenSim cannot read it"):
+        export(result, tmp_path / "lab.osim", model=tmp_path / "none.osim")
+
+
+def test_inverse_kinematics_runs_on_what_was_written(opensim, result, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    part = result.select(start=1.0, end=1.3)
+    for suffix in (".osim", ".trc", ".xml"):
+        export(part, f"lab{suffix}", warn=len)
+    assert opensim.InverseKinematicsTool("lab.xml").run()
+    assert opensim.TimeSeriesTable("lab_ik.mot").getNumRows() == len(part.motions[0].times)
