@@ -1,12 +1,19 @@
-"""Do people keep their ids? Simulated logs of two people from which detections are taken out.
+"""Do people keep their ids? Logs of a few people from which detections are taken out.
 
     python benchmarks/identity.py [SEEDS [FIRST_SEED [section.param=value ...]]]
+    python benchmarks/identity.py LOG.mcap ... [section.param=value ...]
 
-In each scene of 24 s, at 8 s one person is hidden from all cameras for 0.3 to 1 s, or leaves for 2
-to 10 s, or both leave, at once or at times that overlap. ``kept`` counts those who come back with
-the id that they had, ``new`` those with a new one, ``swapped`` those with another person's.
+Without logs they are simulated, with two people. In each scene of 24 s, at 8 s one person is hidden
+from all cameras for 0.3 to 1 s, or leaves for 2 to 10 s, or both leave, at once or at times that
+overlap. ``kept`` counts those who come back with the id that they had, ``new`` those with a new
+one, ``swapped`` those with another person's.
 ``false`` counts merged skeletons farther than 0.5 m from everybody, and those of somebody who is
 there twice, of ``frames``.
+
+Logs are recordings in which nobody comes or leaves. ``ids`` are those of the whole log. Then, every
+3 s of what was recorded, all cameras pause for 5, 10 or 20 s (``pause``), everybody is out of sight
+while the cameras go on (``all away``), or one person is (``one away``). Who is who says the whole
+log itself: people whose id it keeps over the absence are judged.
 """
 
 from __future__ import annotations
@@ -15,16 +22,18 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import itertools
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from hiros_mcap.config import Config, load_config
 from hiros_mcap.events import Events
+from hiros_mcap.frames import by_frame
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.preparation import camera_positions
 from hiros_mcap.simulate import SimulateParams, simulate
@@ -106,8 +115,6 @@ class Scene:
 
 def run(scene: Scene, frames: Sequence[Frame], config: Config) -> tuple[list[Frame], list[Frame]]:
     """Track and merge; return the frames of both."""
-    from hiros_mcap.frames import by_frame
-
     stages = SYSTEMS["hiros"].stages(
         Run(scene.model, config, Events(), cameras=scene.cameras, fixed_frame="world")
     )
@@ -115,7 +122,117 @@ def run(scene: Scene, frames: Sequence[Frame], config: Config) -> tuple[list[Fra
     return tracked, list(by_frame(stages["merged"])(tracked))
 
 
+class Recording:
+    """The detections of a log, and the ids that the whole log gives them."""
+
+    def __init__(self, path: Path, config: Config) -> None:
+        with open_log(path) as log:
+            detections = list(log.detections())
+            self.model, self.cameras = log.model, camera_positions(log)
+        self._config = config
+        whole = self._track(detections)
+        self._ids = {(frame.stamp, frame.source): frame.ids for frame in whole}
+        self.frames = sorted(detections, key=lambda frame: frame.stamp)
+        self.stamps: Stamps = np.array([frame.stamp for frame in self.frames])
+        self.people = {int(i) for ids in self._ids.values() for i in ids} - {UNTRACKED}
+
+    def _track(self, frames: Sequence[Frame]) -> list[Frame]:
+        """Return the frames with ids."""
+        run = Run(self.model, self._config, cameras=self.cameras, fixed_frame="world")
+        return list(by_frame(SYSTEMS["hiros"].stages(run)["tracked"])(frames))
+
+    def begins(self) -> list[int]:
+        """Times, ns, of every 3 s of what was recorded."""
+        recorded = np.cumsum(np.minimum(np.diff(self.stamps, prepend=self.stamps[0]), 10**9))
+        due = np.arange(4 * 10**9, recorded[-1] - 10**9, 3 * 10**9)
+        return [int(t) for t in self.stamps[np.searchsorted(recorded, due)]]
+
+    def present(self, begin: int, end: int) -> set[int]:
+        """Return who is there for most of a time, ns."""
+        shown = [ids.tolist() for (t, _), ids in self._ids.items() if begin <= t < end]
+        counts = Counter(itertools.chain(*shown))
+        return {person for person in self.people if counts[person] > 0.3 * len(shown)}
+
+    def without(self, people: Iterable[int], begin: int, end: int) -> list[Frame]:
+        """The detections but for those of some people from one time to another, ns."""
+        gone = [UNTRACKED, *people]
+        frames = []
+        for frame in self.frames:
+            there = ~np.isin(self._ids[frame.stamp, frame.source], gone)
+            away = begin <= frame.stamp < end
+            frames.append(frame.select(np.flatnonzero(there)) if away else frame)
+        return frames
+
+    def resumes(self, end: int) -> bool:
+        """Whether the 2 s that follow a time, ns, were recorded without a pause."""
+        later = self.stamps[self.stamps >= end]
+        here = later[later < later[0] + 2 * 10**9] if len(later) else later
+        return len(here) > 1 and here[-1] - here[0] > 1.8e9 and np.diff(here).max() < 0.5e9
+
+    def outcomes(self, frames: Sequence[Frame], begin: int, end: int) -> Counter[str]:
+        """Count what became of the ids of everybody who is there before and after a time, ns."""
+        later = int(self.stamps[np.searchsorted(self.stamps, end)])
+        spans = (begin - 10**9, begin), (later, later + 2 * 10**9)
+        tracked = self._track(frames)
+        before, after = (self._names(tracked, *span) for span in spans)
+        counts = Counter[str]()
+        for person in self.present(*spans[0]) & self.present(*spans[1]):
+            old, new = before.get(person, UNTRACKED), after.get(person, UNTRACKED)
+            others = {name for other, name in before.items() if other != person} - {UNTRACKED}
+            counts["kept" if new == old else "swapped" if new in others else "new"] += 1
+        return counts
+
+    def _names(self, tracked: Sequence[Frame], begin: int, end: int) -> dict[int, int]:
+        """Id in the whole log -> the most frequent id within a time, ns."""
+        votes: dict[int, Counter[int]] = {}
+        for frame in tracked:
+            if begin <= frame.stamp < end:
+                people = self._ids[frame.stamp, frame.source].tolist()
+                for person, name in zip(people, frame.ids.tolist(), strict=True):
+                    votes.setdefault(person, Counter())[name] += 1
+        return {person: names.most_common(1)[0][0] for person, names in votes.items()}
+
+
+def absences_of(log: Recording, begin: int, end: int) -> Iterator[tuple[str, list[Frame]]]:
+    """Yield kinds of absence, and the detections that are left."""
+    yield "pause", [frame for frame in log.frames if not begin <= frame.stamp < end]
+    yield "all away", log.without(log.people, begin, end)
+    for person in sorted(log.present(begin - 10**9, begin)):
+        yield "one away", log.without([person], begin, end)
+
+
+def recordings(paths: Sequence[Path], config: Config) -> None:
+    """Print what becomes of the ids in recordings."""
+    total: dict[str, Counter[str]] = {}
+    for path in paths:
+        log = Recording(path, config)
+        print(f"{path.name}: {len(log.people)} ids", flush=True)
+        for begin, seconds in itertools.product(log.begins(), (5, 10, 20)):
+            end = begin + seconds * 10**9
+            if not log.resumes(end):
+                continue
+            for kind, frames in absences_of(log, begin, end):
+                outcomes = log.outcomes(frames, begin, end)
+                total.setdefault(f"{kind} {seconds} s", Counter()).update(outcomes)
+                if outcomes - Counter(kept=outcomes["kept"]):
+                    at = (begin - int(log.stamps[0])) * 1e-9
+                    print(f"  {kind} {seconds} s from {at:.1f} s: {dict(outcomes)}", flush=True)
+    show(dict(sorted(total.items())), ("kept", "new", "swapped"))
+
+
+def show(results: Mapping[str, Counter[str]], columns: Sequence[str]) -> None:
+    """Print a table."""
+    print(f"{'':14}" + "".join(f"{name:>9}" for name in columns))
+    for kind, result in results.items():
+        print(f"{kind:14}" + "".join(f"{result[name]:9d}" for name in columns))
+
+
 def main() -> None:
+    logs = [Path(a) for a in sys.argv[1:] if a.endswith(".mcap")]
+    if logs:
+        overrides = [a for a in sys.argv[1:] if "=" in a]
+        recordings(logs, load_config(overrides=overrides, system="hiros"))
+        return
     numbers = [int(a) for a in sys.argv[1:] if "=" not in a]
     seeds, first = numbers[0] if numbers else 20, numbers[1] if len(numbers) > 1 else 0
     config = load_config(overrides=[a for a in sys.argv[1:] if "=" in a], system="hiros")
@@ -137,10 +254,7 @@ def main() -> None:
                     print(f"seed {seed}, {kind}, {away}: {outcome}", flush=True)
             result["false"] += scene.false(merged)
             result["frames"] += sum(frame.n_people for frame in merged)
-    columns = ("kept", "new", "swapped", "false", "frames")
-    print(f"{'':12}" + "".join(f"{name:>9}" for name in columns))
-    for kind, result in results.items():
-        print(f"{kind:12}" + "".join(f"{result[name]:9d}" for name in columns))
+    show(results, ("kept", "new", "swapped", "false", "frames"))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from hiros_mcap.events import Events
+from hiros_mcap.frames import Block
 from hiros_mcap.skeletons import UNTRACKED, Ints
+from hiros_mcap.stages.track.limb_scatter import SECOND
 from hiros_mcap.stages.track.reidentify import OVERLAP, Limbs, PersonCues, Verdict, reidentify
 from hiros_mcap.stages.track.track_params import TrackParams
 from hiros_mcap.stages.track.tracked_people import (
@@ -18,6 +20,8 @@ from hiros_mcap.stages.track.tracked_people import (
     TrackedPeople,
 )
 
+_PAUSE, _LONGEST_PAUSE = 1_000_000_000, 60_000_000_000  # ns: all cameras are silent for this long
+_AT_ONCE = 200_000_000  # ns from the first camera's last message to the last one's before a pause
 _PATIENCE = 0.8  # share of the look-ahead for which the evidence of a newcomer is gathered
 
 
@@ -26,17 +30,22 @@ class Identities:
 
     Parameters
     ----------
-    ends : (L, 2) markers at the ends of each link whose length is learned.
-    mirror : (L,) the link on the other side.
+    mirror : (L,) the link on the other side of each whose length is learned.
     """
 
     def __init__(
-        self, people: TrackedPeople, params: TrackParams, events: Events, ends: Ints, mirror: Ints
+        self, people: TrackedPeople, params: TrackParams, events: Events, mirror: Ints
     ) -> None:
         self._people, self._params, self._events = people, params, events
-        self._limbs = Limbs.of(ends, mirror)
+        self._limbs = Limbs.of(mirror)
         self._ids = itertools.count()
         self._absent: list[PersonCues] = []
+        self._heard: dict[str, int] = {}
+        """Camera to the time of its latest message, ns."""
+        self._last = self._looked = 0
+        """Time of the last message, and of the last look at everybody's limbs, ns."""
+        self._pauses: list[tuple[int, int]] = []
+        """When all cameras were silent: from, to, ns."""
         self._patience = round(_PATIENCE * params.lookahead * 1e9)
         self._crowd: set[int] = set()
         """Numbers of the tracks of as many people as were there at once."""
@@ -79,11 +88,45 @@ class Identities:
         lengths, counts = past.lengths[row].copy(), past.length_counts[row].copy()
         return PersonCues(track.id, track.seen, self._people.centre(track), lengths, counts)
 
-    def forget_absent(self, stamp: int) -> None:
-        """Forget people who left too long ago."""
-        longest = self._params.reidentify * 1e9
+    def advance(self, stamp: int) -> None:
+        """Come to the time, ns, of a message: learn, forget."""
+        if self._params.reidentify and stamp - self._looked >= SECOND:
+            self._looked = stamp
+            self._learn_limbs()
+        longest = round(self._params.reidentify * 1e9)
         if self._absent and stamp - self._absent[0].stamp > longest:
-            self._absent = [old for old in self._absent if stamp - old.stamp <= longest]
+            latest = stamp - longest
+            self._absent = [
+                old for old in self._absent if self._watched(old.stamp, stamp) <= longest
+            ]
+            self._pauses = [each for each in self._pauses if each[1] > latest - _LONGEST_PAUSE]
+
+    def note_pauses(self, block: Block) -> None:
+        """Note when all cameras fell silent at once, not one by one because people left."""
+        stamps, sources = block.stamps.tolist(), block.sources.tolist()
+        gaps = np.flatnonzero(np.diff(block.stamps, prepend=self._last or stamps[0]) > _PAUSE)
+        begin = 0
+        for end in [*gaps.tolist(), len(stamps)]:
+            for k in range(begin, end):
+                self._heard[block.names[sources[k]]] = stamps[k]
+            last = max(self._heard.values(), default=0)
+            silent = [last - heard for heard in self._heard.values()]
+            if end < len(stamps) and all(each < _AT_ONCE for each in silent if each < _PAUSE):
+                self._pauses.append((last, stamps[end]))
+            begin = end
+        self._last = stamps[-1]
+
+    def _watched(self, begin: int, end: int) -> int:
+        """Return the time, ns, within two times in which cameras did not pause."""
+        paused = (min(end, until) - max(begin, since) for since, until in self._pauses)
+        return end - begin - sum(each for each in paused if 0 < each < _LONGEST_PAUSE)
+
+    def _learn_limbs(self) -> None:
+        """Learn how much everybody's measured limbs vary."""
+        past, scatter = self._people.bank.past, self._limbs.scatter
+        for track in self._people.confirmed():
+            scatter.learn(track.number, past.lengths[track.row], past.length_counts[track.row])
+        scatter.keep(self._people.bank.rows)
 
     def _is_unseen_since(self, person: PersonTrack, track: PersonTrack) -> bool:
         """Whether a person was last seen before a track began, and not for a while.
@@ -128,7 +171,10 @@ class Identities:
             for each in [track, *rivals]
         ]
         missing = len(self._crowd) - len(self._there(scene, track.seen))
-        absent = self._absent_before(track, scene)
+        absent = [
+            replace(old, watched=self._watched(old.stamp, track.support.first) * 1e-9)
+            for old in self._absent_before(track, scene)
+        ]
         return reidentify(newcomers, absent, missing, self._limbs)[track.number]
 
     def _restore(self, track: PersonTrack, person: int, scene: Present) -> None:

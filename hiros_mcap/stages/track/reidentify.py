@@ -2,15 +2,16 @@
 
 Each newcomer is one of the people who are absent, or a stranger. The model, with its numbers below:
 
-- Limb lengths: the logarithms of the ratios of all limbs that both have are normal. Of one person
-  their covariance is that of the measurement, of two people also that of adults' stature and
-  proportions. A detector misplaces markers for longer than a moment. So what one limb gains, the
-  next one along the chain loses: a leg is known better than thigh and shank. The two sides of a
-  body are alike. One in ten measurements is three times as noisy: somebody bends or is half hidden.
+- Limb lengths: the logarithms of the ratios of all limbs that both have follow Student's t. Of one
+  person their covariance is that of the measurement, of two people also that of adults' stature and
+  proportions; the two sides of a body are alike. A detector misplaces markers for longer than a
+  moment, by another amount from each side. How far, and which limbs gain what others lose, shows
+  everybody who is tracked: their limbs change from second to second (:mod:`.limb_scatter`).
 - Place and time: a person who left is somewhere about the place where he was lost, on the floor,
   normal with an SD that grows with the time to that of a room. A stranger may be anywhere in it.
 - Number of people: whoever comes while somebody is missing, of as many as were there at once, is
-  probably one of the missing.
+  probably one of the missing. Who is missing since a moment ago, or since all cameras paused, did
+  not leave: it is nearly certain.
 
 All ways to give several newcomers the absent people's ids are weighed together, so two people who
 left and came back are told apart by each other. Every choice of as many absent people is equally
@@ -19,22 +20,21 @@ probable at first.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from hiros_mcap.skeletons import Floats, Ints
+from hiros_mcap.stages.track.limb_scatter import LimbScatter
 
 THRESHOLD = 0.9  # least probability with which somebody gets an old id
 
-_LASTING_NOISE, _NOISE_OF_ONE = 0.016, 0.04  # SD of a limb's length, m: lasting (10 to 18 mm of
-# simulated limbs), and what one detection adds, which falls with the root of their number
-_SHARED_NOISE = 0.4  # correlation of the lasting noise of two limbs with a common marker: 0.5 of
-# limbs that lie in one line, less if they are bent
-_NOISY, _NOISE_OF_NOISY = 0.1, 3.0  # share of noisy measurements, and how many times the SD
+_NOISE_OF_ONE = 0.04  # SD of a limb's length, m, in one detection; it falls with the root of their
+# number, besides the scatter from second to second
+_FREEDOM = 10.0  # of Student's t: Kinect v2's limbs, measured on nine recordings, have such tails
 _STATURE, _PROPORTION = 0.055, 0.04  # SD of the logarithm among adults
 _SHORT = 0.15  # m: shorter limbs are too noisy
 _FEWEST_LENGTHS = 5.0  # detections that make a limb's length worth comparing
@@ -43,6 +43,9 @@ _TOP_SPEED = 4.0  # m/s on the floor; nobody comes back faster
 _REACH = 0.6  # m, besides
 OVERLAP = 300_000_000  # ns for which two tracks of a person may run side by side
 _SURE_IF_MISSING, _SURE_IF_COMPLETE = 0.95, 0.5  # that a newcomer was there before
+_SURE_IF_UNWATCHED = 0.998  # the same if cameras watched for fewer s than it takes to go
+_GOING = 1.0  # s
+_STAYS = 0.2  # probability that who could not go stands where he stood, however long it lasted
 _MOST = 4  # newcomers, and absent people, that are weighed together; older ones wait or are left
 
 LIMBS, PLACE, NUMBER = "limb lengths", "place and time", "number of people"
@@ -57,25 +60,21 @@ class PersonCues:
     place: Floats  # (3,) mean marker position at that time, m
     lengths: Floats  # (L,) mean limb lengths, m
     counts: Floats  # (L,) detections that they are of
+    watched: float = math.inf  # s of an absence in which cameras watched; they may pause
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Limbs:
-    """How the lengths of a skeleton's limbs go together."""
+class Limbs(NamedTuple):
+    """How the lengths of limbs vary, and go together."""
 
-    noise: Floats  # (L, L) correlation of their lasting noise
+    scatter: LimbScatter  # of one person's lengths
     alike: Floats  # (L, L) 1 for a limb with itself and with the one on the other side, else 0
 
     @classmethod
-    def of(cls, links: Ints, mirror: Ints) -> Limbs:
-        """Return those of links (L, 2), and the link on the other side of each (L,)."""
-        noise, alike = np.eye(len(links)), np.eye(len(links))
-        alike[np.arange(len(links)), mirror] = 1.0
-        ends = links.tolist()
-        for (i, (a, b)), (j, (c, d)) in itertools.permutations(enumerate(ends), 2):
-            if {a, b} & {c, d} - {-1}:
-                noise[i, j] = _SHARED_NOISE if a == c or b == d else -_SHARED_NOISE
-        return cls(noise, alike)
+    def of(cls, mirror: Ints) -> Limbs:
+        """Return those of a skeleton with the link on the other side of each (L,)."""
+        alike = np.eye(len(mirror))
+        alike[np.arange(len(mirror)), mirror] = 1.0
+        return cls(LimbScatter(len(mirror)), alike)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,10 +106,12 @@ def reidentify(
     limbs : of their skeleton.
     """
     newcomers, absent = newcomers[:_MOST], absent[-_MOST:]
-    enough = _SURE_IF_MISSING if missing > 0 else _SURE_IF_COMPLETE
-    number = math.log(enough / (1 - enough))
     cues = {
-        (n, a): {LIMBS: limb_cue(new, old, limbs), PLACE: place_cue(new, old), NUMBER: number}
+        (n, a): {
+            LIMBS: limb_cue(new, old, limbs),
+            PLACE: place_cue(new, old),
+            NUMBER: number_cue(old, missing),
+        }
         for n, new in enumerate(newcomers)
         for a, old in enumerate(absent)
     }
@@ -132,10 +133,10 @@ def limb_cue(new: PersonCues, old: PersonCues, limbs: Limbs) -> float:
         return 0.0
     ours, theirs, pairs = new.lengths[both], old.lengths[both], np.ix_(both, both)
     of_one = _NOISE_OF_ONE**2 / np.minimum(new.counts, old.counts)[both]
-    noise = (_LASTING_NOISE**2 * limbs.noise[pairs] + np.diag(of_one)) / np.outer(theirs, theirs)
+    noise = limbs.scatter.covariance(old.lengths)[pairs] + np.diag(of_one / theirs**2)
     population = 2 * (_STATURE**2 + _PROPORTION**2 * limbs.alike[pairs])
     ratios = np.log(ours / theirs)
-    return _log_density(ratios, noise) - _log_density(ratios, noise, population)
+    return _log_student(ratios, noise) - _log_student(ratios, noise + population)
 
 
 def place_cue(new: PersonCues, old: PersonCues) -> float:
@@ -147,19 +148,31 @@ def place_cue(new: PersonCues, old: PersonCues) -> float:
     if not way <= _REACH + _TOP_SPEED * seconds:
         return -math.inf
     sd = min(_PLACE + _WALK * seconds, _ROOM)
+    went = _log_place(way, sd)
+    if old.watched >= _GOING:
+        return went
+    stayed = _log_place(way, _PLACE)
+    return float(np.logaddexp(math.log(1 - _STAYS) + went, math.log(_STAYS) + stayed))
+
+
+def _log_place(way: float, sd: float) -> float:
+    """Logarithm of a normal density on the floor, against that of being anywhere."""
     return 2 * math.log(_ROOM / sd) - way**2 / (2 * sd**2)
 
 
-def _log_density(x: Floats, noise: Floats, more: Floats | float = 0.0) -> float:
-    """Logarithm of a normal density, but for a constant, whose noise is sometimes larger."""
-    usual = math.log(1 - _NOISY) + _log_normal(x, noise + more)
-    noisy = math.log(_NOISY) + _log_normal(x, noise * _NOISE_OF_NOISY**2 + more)
-    return float(np.logaddexp(usual, noisy))
+def number_cue(old: PersonCues, missing: int) -> float:
+    """Logarithm of the prior odds that a newcomer was there before."""
+    sure = _SURE_IF_MISSING if missing > 0 else _SURE_IF_COMPLETE
+    if missing > 0 and old.watched < _GOING:
+        sure = _SURE_IF_UNWATCHED
+    return math.log(sure / (1 - sure))
 
 
-def _log_normal(x: Floats, covariance: Floats) -> float:
-    """Logarithm of a normal density, but for a constant."""
-    return float(-0.5 * (np.linalg.slogdet(covariance)[1] + x @ np.linalg.solve(covariance, x)))
+def _log_student(x: Floats, covariance: Floats) -> float:
+    """Logarithm of Student's density with a covariance, but for a constant."""
+    scaled = x @ np.linalg.solve(covariance, x) / (_FREEDOM - 2)
+    tails = (_FREEDOM + len(x)) * np.log1p(scaled)
+    return float(-0.5 * (np.linalg.slogdet(covariance)[1] + tails))
 
 
 def _marginals(

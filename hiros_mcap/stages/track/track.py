@@ -114,7 +114,7 @@ class _Tracker:
         self._delay: Delay[DetectionGroup] = Delay(params.lookahead)
         self._people = TrackedPeople(model)
         link_mirror = symmetry.link_mirror[: len(ends)]
-        self._identities = Identities(self._people, params, events, ends, link_mirror)
+        self._identities = Identities(self._people, params, events, link_mirror)
         self._support = Confirmation(self._people, self._identities, params, events, cameras)
         self._copies = Copies(
             self._people, self._identities, self._places, symmetry.mirror, events,
@@ -126,6 +126,7 @@ class _Tracker:
         messages, log_times = self._people.messages_of(block), block.log_times.tolist()
         most, place = int(block.sizes.max(initial=0)), 0
         self._support.look(self._people.names)
+        self._identities.note_pauses(block)
         while place < len(block):
             known = self._prepare(block, place, most)  # delete, leave out copies
             done, is_open = kernels.update.raw(  # predict, compare, assign, correct
@@ -192,7 +193,7 @@ class _Tracker:
 
     def _delete_unseen(self, stamp: int) -> None:
         """Delete tracks that nobody saw for t_m; tentative ones sooner."""
-        self._identities.forget_absent(stamp)
+        self._identities.advance(stamp)
         for track in list(self._people.tracks):
             gap = self._params.max_gap if track.confirmed else _TENTATIVE_GAP
             if (stamp - track.seen) * 1e-9 > gap:
