@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from contextlib import suppress
@@ -64,6 +65,8 @@ class OutputFile(Sink):
             if any(Path(i).exists() and self._target.samefile(i) for i in inputs):
                 raise LogError("is the input; choose another output", path=path)
         self.temp = temporary_name(self._target)
+        # A signal may raise anywhere, even before the caller's `with` block begins.
+        self._remove = weakref.finalize(self, self.temp.unlink, missing_ok=True)
         try:
             self._file = self.temp.open("xb")
         except (OSError, ValueError) as error:
@@ -89,7 +92,7 @@ class OutputFile(Sink):
         """Remove the temporary file; after ``commit`` there is none."""
         with suppress(OSError):  # what is still in its buffer is not wanted
             self._file.close()
-        self.temp.unlink(missing_ok=True)
+        self._remove()
 
     def _error(self, error: Exception) -> LogError:
         fault = getattr(error, "strerror", None) or str(error) or type(error).__name__
