@@ -6,6 +6,7 @@ import os
 import secrets
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from multiprocessing import parent_process
 from pathlib import Path
 from typing import Literal
 
@@ -171,8 +172,16 @@ _IS_OURS: Mapping[Kind, Callable[[bytes], bool]] = {
 
 
 def temporary_name(target: Path) -> Path:
-    """Return a new name beside ``target``."""
-    return target.with_name(f".hiros-{secrets.token_hex(6)}.tmp")
+    """Return a new name beside ``target``; it holds the number of the run's first process."""
+    parent = parent_process()
+    run = os.getpid() if parent is None else parent.pid
+    return target.with_name(f".hiros-{run}-{secrets.token_hex(6)}.tmp")
+
+
+def remove_parts(folder: Path) -> None:
+    """Remove what killed workers of this process have left of their outputs below a folder."""
+    for path in folder.rglob(f".hiros-{os.getpid()}-*.tmp"):
+        path.unlink(missing_ok=True)
 
 
 @contextmanager

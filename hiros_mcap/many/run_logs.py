@@ -32,6 +32,7 @@ from hiros_mcap.io.places import Place, place_of
 from hiros_mcap.many.find import base_name, distinct_names
 from hiros_mcap.many.jobs import Finding, Job
 from hiros_mcap.many.manifest import Identity, LogRecord, Manifest
+from hiros_mcap.outputs import remove_parts
 from hiros_mcap.summary import plain_value
 from hiros_mcap.workers import run_tasks
 
@@ -96,6 +97,8 @@ def run_logs(
             return replace(todo[k], verdict="failed", error=error)
 
         tasks = [(job, record, folder.path) for record in todo]
+        if folder.path and not remote.is_remote(folder.path):
+            stack.callback(remove_parts, Path(folder.path))
         stack.callback(manifest.save)
         for _, record in runner(run_one, tasks, lost=lost):
             manifest.add(record)
