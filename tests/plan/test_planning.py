@@ -218,7 +218,7 @@ quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]
         ("", "--room: is missing"),
         ("--room 6", "--room: should be two numbers around an x, is 6"),
         ("--room 6x0", "--room: should be 1.5 to 40 m wide and deep"),
-        ("--room nanx5", "--room: should be 1.5 to 40 m wide and deep"),
+        ("--room nanx5", "--room: should be two numbers around an x, is nanx5"),
         ("--room 6x5 --cameras 40", "--cameras: should be less than or equal to 32"),
         ("--room 6x5 --cameras 0", "--cameras: should be greater than or equal to 1"),
         ("--room 6x5 --cameras missing.toml", "missing.toml: No such file"),

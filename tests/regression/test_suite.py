@@ -137,7 +137,9 @@ def test_what_is_tolerated_is_no_first_difference(monkeypatch):
         ChannelComparison(f"/hiros/{name}", frames=10, missing_frames=missing, first=first)
         for name, missing in (("merged", 1), ("filtered", 2))
     ]
-    monkeypatch.setattr("hiros_mcap.regression.suite.compare_logs", lambda *_: Comparison(channels))
+    monkeypatch.setattr(
+        "hiros_mcap.regression.suite.compare_logs", lambda *_, **__: Comparison(channels)
+    )
     golden = Golden(SAMPLES / "golden" / "one_person_walking.mcap", Tolerances(frames=0.1))
     result = golden.check(CaseResult("walk", "equal"), golden.path, "/hiros/filtered", bless=False)
     assert result.status == "different"
