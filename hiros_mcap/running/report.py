@@ -22,7 +22,8 @@ from hiros_mcap.running.write import unmatched_globs
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_mcap.stages.fuse.log_histograms import medians
 from hiros_mcap.stages.fuse.residuals import FEWEST, ratios
-from hiros_mcap.stages.track.displaced import CAMERA_DISPLACED, DISPLACED, MIRROR_SEEN
+from hiros_mcap.stages.track.displaced import CAMERA_DISPLACED, MIRROR_SEEN
+from hiros_mcap.stages.track.likeness import DISPLACED
 from hiros_mcap.summary import (
     CameraSummary,
     LimbSummary,

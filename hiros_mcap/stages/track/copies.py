@@ -11,8 +11,9 @@ import numpy as np
 
 from hiros_mcap.events import Events
 from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Ints
-from hiros_mcap.stages.track.displaced import DISPLACED, DisplacedCameras, LoneTracks, Others
+from hiros_mcap.stages.track.displaced import DisplacedCameras, LoneTracks, Others
 from hiros_mcap.stages.track.identity import Identities
+from hiros_mcap.stages.track.likeness import DISPLACED
 from hiros_mcap.stages.track.tracked_people import DetectionGroup, PersonTrack, TrackedPeople
 
 Places = Callable[[list[PersonTrack], DetectionGroup], Floats]

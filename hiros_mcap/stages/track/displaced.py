@@ -43,7 +43,6 @@ from hiros_mcap.stages.track.likeness import (
     median_distance,
 )
 
-DISPLACED = "displaced"  # counts detections, by camera, that were left out as copies
 CAMERA_DISPLACED, MIRROR_SEEN = "camera displaced", "mirror seen"  # events: a camera's first copy
 
 _INTERVAL = 45_000_000  # ns between two samples of a track

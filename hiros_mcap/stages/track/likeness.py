@@ -14,6 +14,7 @@ import numpy as np
 from hiros_mcap.calibrate.registration import kabsch
 from hiros_mcap.skeletons import Floats, Ints
 
+DISPLACED = "displaced"  # counts detections, by camera, that were left out as copies
 ALIKE, ALIKE_IF_DISPLACED = 0.085, 0.12
 """Largest mean marker distance, m, of a copy after the fit. Copies have 0.02 to 0.08, other people
 over 0.13, or 0.10 after a reflection. The second is for a camera that is displaced for certain."""

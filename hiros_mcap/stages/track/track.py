@@ -38,8 +38,8 @@ from hiros_mcap.stages.track import tracking as kernels
 from hiros_mcap.stages.track.association import SlotOrders, TrackSettings, TrackWork, predict
 from hiros_mcap.stages.track.copies import Copies
 from hiros_mcap.stages.track.correction import correct
-from hiros_mcap.stages.track.displaced import DISPLACED
 from hiros_mcap.stages.track.identity import Identities
+from hiros_mcap.stages.track.likeness import DISPLACED
 from hiros_mcap.stages.track.support import Confirmation
 from hiros_mcap.stages.track.track_params import TrackParams
 from hiros_mcap.stages.track.tracked_people import (

@@ -22,7 +22,7 @@ from hiros_mcap.stages.track.association import (
     associate,
 )
 from hiros_mcap.stages.track.correction import correct
-from hiros_mcap.stages.track.displaced import DISPLACED
+from hiros_mcap.stages.track.likeness import DISPLACED
 
 USABLE, NO_MARKERS, LOW_CONFIDENCE, LEAP, DUPLICATE, COPY = range(6)
 """Why a detection has no track and starts none."""
