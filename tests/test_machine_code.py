@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import hiros_mcap
 from hiros_mcap import kernels
 from hiros_mcap.errors import HirosError
 from hiros_mcap.kernels import cache_folder, folder_of, shipped
@@ -177,3 +180,14 @@ def test_compiled_kernels_do_without_numba_and_leave_it_whole():
     assert "can't unbox array from PyObject" in refused
     assert "expected 3 arguments, got 1" in few
     assert rest == ["False", "[2]"]
+
+
+def test_every_module_with_a_kernel_is_compiled_in_advance():
+    """Else a wheel would lack it."""
+    package = Path(hiros_mcap.__file__).parent
+    entries = {
+        ".".join(path.relative_to(package.parent).with_suffix("").parts)
+        for path in package.rglob("*.py")
+        if re.search(r"^@entry\b", path.read_text(encoding="utf-8"), re.MULTILINE)
+    }
+    assert entries == kernels.sources().keys()

@@ -31,7 +31,7 @@ NOTICE = "compiling kernels for this machine, once (about a minute with two core
 _ENTRY = re.compile(r"^@entry\b.*\ndef (\w+)", re.MULTILINE)
 _IMPORT = re.compile(r"^from (hiros_mcap[\w.]*) import (?:\(([^)]*)\)|(.*)$)", re.MULTILINE)
 _PACKAGE = Path(__file__).parent.parent
-_PLACES = ("kernels/*.py", "stages/*/*.py")
+_PLACES = ("kernels/*.py", "stages/*.py", "stages/*/*.py")
 
 
 def sources() -> Mapping[str, str]:
