@@ -199,7 +199,7 @@ def test_nobody_and_nothing_pass(name):
 
 @every_system
 def test_people_who_left_are_forgotten(name, monkeypatch):
-    """Twelve people come one after the other, a minute apart; every bank knows the last two."""
+    """Twelve people come one after the other, two minutes apart; every bank knows the last two."""
     banks: list[Bank[Any]] = []
     plain: Callable[..., None] = Bank.__init__
 
@@ -209,7 +209,7 @@ def test_people_who_left_are_forgotten(name, monkeypatch):
 
     monkeypatch.setattr(Bank, "__init__", recording)
     frames = [
-        seen([person(i % 3)], START + 60 * i * SECOND + k * 50_000_000, "ab"[k % 2], turns=True)
+        seen([person(i % 3)], START + 120 * i * SECOND + k * 50_000_000, "ab"[k % 2], turns=True)
         for i in range(12)
         for k in range(40)
     ]

@@ -67,7 +67,7 @@ def export(
         "--keep-gaps", "For .mot: leave out the rows that have gaps. Default: bridge them."
     ),
     mass: float | None = option(
-        "KG", "For .osim: mass of the person. Default: none, or that of --model.", min=1, max=1000
+        "KG", "For .osim: mass of the person. Default: none, or that of --model."
     ),
     model: Path | None = option(
         "FILE.osim",
@@ -76,7 +76,7 @@ def export(
     ),
     many: ManyLogs = GROUP,
 ) -> None:
-    """Write joints and angles as CSV, Parquet, TRC, MOT, C3D, BVH, OSIM."""
+    """Write joints and angles as CSV, TRC, MOT, OSIM, C3D, BVH."""
     from hiros_mcap.io.export.files import export as write
     from hiros_mcap.io.export.files import files_of, format_of
     from hiros_mcap.io.export.marker_set import SUFFIXES, load_marker_set, renamed

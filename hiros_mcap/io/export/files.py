@@ -153,6 +153,8 @@ def export(
         raise ConfigError(f"{result.path}: {result.channel} holds no people")
     if (mass, model) != (None, None) and target.suffix.lower() != ".osim":
         raise ConfigError(f"{target}: mass and model are for .osim files")
+    if mass is not None and not 1 <= mass <= 1000:
+        raise ConfigError(f"{target}: mass: should be 1 to 1000 kg, is {mass:g}")
     result = _prepared(result, least_confidence)
     if kind.steady:
         result = steady(result)
