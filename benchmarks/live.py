@@ -24,7 +24,7 @@ from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.container.live_writer import LiveWriter
+from hiros_mcap.io.container.live_writer import LiveWriter, Pipe
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.write_log import write_log
 
@@ -56,7 +56,7 @@ def main() -> None:
 
 def feed(log: Path, pipe, sent: dict[int, float]) -> None:
     """Write the messages when their log times come; note when."""
-    with McapReader(log) as reader, LiveWriter(pipe.fileno(), "pipe") as writer:
+    with McapReader(log) as reader, LiveWriter(Pipe(pipe.fileno(), "pipe")) as writer:
         ids = {i: writer.adopt(c, reader.schema(c)) for i, c in reader.channels.items()}
         begin, first = 0.0, 0
         for message in reader.messages():

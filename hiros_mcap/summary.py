@@ -90,6 +90,18 @@ class PlacementSummary:
 
 
 @dataclass(frozen=True, slots=True)
+class DelaySummary:
+    """How long after their time the results of a causal run were known, by the log's clock.
+
+    It holds how late the messages came and how long the stages waited, not what they computed.
+    """
+
+    median_s: float
+    most_s: float
+    """95 % of the results were known sooner."""
+
+
+@dataclass(frozen=True, slots=True)
 class CameraSummary:
     """What became of the messages of one camera's channel: ``messages`` = used + skipped."""
 
@@ -194,6 +206,8 @@ class Summary:
     """Name of the system that was run."""
     settings: str = ""
     """File that the parameters came from, "" if none did."""
+    delay: DelaySummary | None = None
+    """None if the run looked ahead, or there are no results."""
     cameras: tuple[CameraSummary, ...] = ()
     poses: tuple[PoseSummary, ...] = ()
     """Empty if the run did not compare the cameras' poses with the people."""

@@ -17,6 +17,7 @@ from hiros_mcap.running.progress_bar import Bar, bar
 
 if TYPE_CHECKING:
     from hiros_mcap.config import Config
+    from hiros_mcap.io.container.atomic import Sink
     from hiros_mcap.io.container.live_input import LiveInput
     from hiros_mcap.io.live_log import LiveLog
     from hiros_mcap.running.process_options import ProcessOptions, Watcher
@@ -28,12 +29,12 @@ SOCKETS = ("ws://", "wss://")
 
 
 def is_live(logs: Sequence[str], output: str | None, *, follow: bool) -> bool:
-    """Whether the input is still being written, or the output goes to a pipe."""
-    return follow or output == STREAM or not all(map(is_file, logs))
+    """Whether the input is still being written, or somebody reads the output meanwhile."""
+    return follow or not (output is None or is_file(output)) or not all(map(is_file, logs))
 
 
 def is_file(source: str) -> bool:
-    """Whether an input is a file or a folder, neither a pipe nor a server."""
+    """Whether an input or an output is a file or a folder, neither a pipe nor a server."""
     return source != STREAM and not source.startswith(SOCKETS)
 
 
@@ -44,8 +45,8 @@ def check_live(logs: Sequence[str], output: str | None, *, follow: bool) -> None
     (source,) = logs
     if is_file(source) and not follow:
         raise ConfigError(
-            "-o -: only live input goes to a pipe; add --follow, or read a pipe: hiros process - "
-            f"-o - < {source}"
+            f"-o {output}: only live input goes to a pipe or a server; add --follow, or read a "
+            f"pipe: hiros process - -o {output} < {source}"
         )
     if not is_file(source) and follow:
         raise ConfigError(f"{source}: --follow is for a file; this input is live anyway")
@@ -54,7 +55,7 @@ def check_live(logs: Sequence[str], output: str | None, *, follow: bool) -> None
     if is_file(source) and not Path(source).is_file():
         raise ConfigError(f"{source}: only an MCAP file can be followed")
     if not is_file(source) and output is None:
-        raise ConfigError(f"{source}: name the output: -o FILE, or -o - for a pipe")
+        raise ConfigError(f"{source}: name the output: -o FILE, -o - or -o ws://HOST:PORT")
     # Python knows the streams that were closed when it started.
     if source == STREAM and sys.__stdin__ is None:
         raise ConfigError("-: the standard input is closed; pipe an MCAP into hiros")
@@ -66,7 +67,7 @@ def check_live(logs: Sequence[str], output: str | None, *, follow: bool) -> None
         raise ConfigError(
             "-o -: the standard output is a terminal; pipe it into a program, or name a file"
         )
-    if output is not None and target_kind(output) != "log":
+    if output is not None and is_file(output) and target_kind(output) != "log":
         raise ConfigError(f"{output}: live input gives an MCAP file or a pipe, not a bag's folder")
 
 
@@ -88,16 +89,36 @@ def run_live(
 
     if not quiet:
         print(f"hiros: listening to {_name(source)}", file=sys.stderr, flush=True)
-    with _input(source, options) as stream, bar("live", quiet=quiet) as shown:
+    with (
+        _output(wanted, quiet=quiet) as target,
+        _input(source, options) as stream,
+        bar("live", quiet=quiet) as shown,
+    ):
         return process_live(
             stream,
-            sys.__stdout__.fileno() if sys.__stdout__ and wanted == STREAM else Path(wanted),
+            target,
             config=config,
             options=options,
             watcher=watcher,
             started=None if quiet else started,
             progress=_Clock(shown),
         )
+
+
+@contextlib.contextmanager
+def _output(wanted: str, *, quiet: bool) -> Iterator[int | Path | Sink]:
+    """Yield where the results go; a server is open from here on."""
+    if not wanted.startswith(SOCKETS):
+        yield sys.__stdout__.fileno() if sys.__stdout__ and wanted == STREAM else Path(wanted)
+        return
+    from hiros_mcap.io.foxglove_server import FoxgloveServer
+
+    with contextlib.ExitStack() as stack:
+        server = FoxgloveServer(wanted)
+        stack.callback(server.discard)
+        if not quiet:
+            print(f"hiros: serving the results at {server.url}", file=sys.stderr, flush=True)
+        yield server
 
 
 @dataclass(frozen=True, slots=True)

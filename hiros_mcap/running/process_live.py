@@ -19,8 +19,9 @@ from hiros_mcap.defaults import LIVE_SYSTEM
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.channels import LATCHED_QOS, TF_TOPICS, ChannelInfo, channels_of
 from hiros_mcap.io.container import McapWriter, Message
+from hiros_mcap.io.container.atomic import Sink
 from hiros_mcap.io.container.live_input import LiveInput
-from hiros_mcap.io.container.live_writer import LiveWriter
+from hiros_mcap.io.container.live_writer import LiveWriter, Pipe
 from hiros_mcap.io.live_log import LiveLog, open_live, takes
 from hiros_mcap.io.rosbag2 import needs_latching
 from hiros_mcap.running.pipeline import check_limbs, conclude, run_log
@@ -34,7 +35,7 @@ from hiros_mcap.systems import Run
 
 def process_live(
     source: LiveInput,
-    target: int | Path | None,
+    target: int | Path | Sink | None,
     *,
     config: Config | None = None,
     options: ProcessOptions | None = None,
@@ -51,7 +52,8 @@ def process_live(
     Parameters
     ----------
     source : the input.
-    target : descriptor of a pipe, or a file, which appears when the input ends; None for neither.
+    target : descriptor of a pipe; a file, which appears when the input ends; a
+        :class:`~hiros_mcap.io.foxglove_server.FoxgloveServer`; None for no output.
     config, options, watcher, progress : as of :func:`hiros_mcap.running.pipeline.process`; the
         default system is ``fuse-realtime``. Clocks are corrected as the messages come.
     started : is called with the log when the first messages are read.
@@ -113,17 +115,22 @@ def _causal(config: Config, options: ProcessOptions) -> Config:
 
 @contextmanager
 def _open_output(
-    target: int | Path | None, source: LiveInput, log: LiveLog, prepared: Prepared, run: Run
+    target: int | Path | Sink | None,
+    source: LiveInput,
+    log: LiveLog,
+    prepared: Prepared,
+    run: Run,
 ) -> Iterator[NoOutput | LogOutput]:
-    """Yield the output; a pipe gets what is written before the input is waited for."""
+    """Yield the output; pipes and servers get what is written before the input is waited for."""
     if target is None:
         yield NoOutput()
         return
     compression = prepared.options.compression
+    stream = Pipe(target, "standard output") if isinstance(target, int) else target
     with (
-        LiveWriter(target, "standard output")
-        if isinstance(target, int)
-        else McapWriter(target, compression=compression)
+        LiveWriter(stream)
+        if isinstance(stream, Sink)
+        else McapWriter(stream, compression=compression)
     ) as writer:
         if isinstance(writer, LiveWriter):
             source.before_waiting = writer.flush

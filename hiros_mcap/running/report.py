@@ -26,6 +26,7 @@ from hiros_mcap.stages.track.displaced import CAMERA_DISPLACED, MIRROR_SEEN
 from hiros_mcap.stages.track.likeness import DISPLACED
 from hiros_mcap.summary import (
     CameraSummary,
+    DelaySummary,
     LimbSummary,
     PersonSummary,
     PlacementSummary,
@@ -87,6 +88,7 @@ class Report:
             wall_s=time.perf_counter() - watch.started,
             system=self.run.system,
             settings=str(self.prepared.options.settings or ""),
+            delay=self._delay(),
             cameras=cameras,
             poses=tuple(map(self._pose, self.prepared.poses.cameras)),
             placement=self._placement(),
@@ -118,6 +120,13 @@ class Report:
     def _seconds(self, event: Event) -> float:
         """Return when something happened, s after the start of the log."""
         return max(0.0, (event.stamp - self.log.span[0]) * 1e-9)
+
+    def _delay(self) -> DelaySummary | None:
+        """Return how late the results of a causal run were."""
+        delays = self.observer.delays
+        if not (delays.milliseconds and (self.prepared.clocks.causal or self.log.is_live)):
+            return None
+        return DelaySummary(delays.percentile(50), delays.percentile(95))
 
     def _placement(self) -> PlacementSummary | None:
         """Return how uncertain the placement of the rig is."""
@@ -201,6 +210,7 @@ class Report:
                     f"{account.topic}: {quantity(n, 'faulty message')} left out; the first: "
                     f"{account.first_error}. Look for the fault at its source; --strict refuses it"
                 )
+        yield from self._untimed()
         yield from self._distortions(cameras)
         yield from clock_warnings(self.prepared.clocks.faults, self.log.span[0])
         yield from self.prepared.poses.warnings()
@@ -208,6 +218,18 @@ class Report:
         yield from self.reading.warnings
         if not self.observer.people:
             yield from self._nobody()
+
+    def _untimed(self) -> Iterator[str]:
+        """Yield that log times are used, if many messages have no time of their own."""
+        accounts = self.reading.accounts.values()
+        few = [one for one in accounts if one.untimed > _LARGEST_LOSS * one.read]
+        if few:
+            n, read = sum(one.untimed for one in few), sum(one.read for one in few)
+            yield (
+                f"{', '.join(one.topic for one in few)}: {n} of {quantity(read, 'message')} have "
+                "no time, or one before 1970; hiros used their log times instead, which vary with "
+                "the delays of detectors and network; fill in header.stamp"
+            )
 
     def _displaced(self) -> Iterator[str]:
         """Yield which cameras show people elsewhere than the others do."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import os
 import shutil
 import signal
@@ -18,6 +19,8 @@ from mcap.reader import NonSeekingReader
 
 from hiros_cli.app import run as hiros
 from hiros_mcap.io.container import McapReader
+from hiros_mcap.simulate import SimulateParams
+from hiros_mcap.simulate.write_log import write_log
 
 HIROS = [sys.executable, "-m", "hiros_cli"]
 
@@ -207,3 +210,118 @@ def test_a_run_that_fails_ends_though_the_server_goes_on(tmp_path):
     assert done.stderr.startswith(f"hiros: error: {url}: /camera/skeletons: schema lacks")
     assert done.stderr.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+@contextlib.contextmanager
+def serving(*options):
+    """Yield a hiros that serves what it makes of its standard input, and its address."""
+    pytest.importorskip("foxglove")
+    run = subprocess.Popen(
+        [*HIROS, "process", "-", "-o", "ws://:0", *options],
+        stdin=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+    )
+    assert run.stdin is not None
+    assert run.stderr is not None
+    try:
+        address = ""
+        while "serving" not in (line := run.stderr.readline().decode()):
+            assert line, "it ended"
+        address = line.split()[-1]
+        yield run, address
+    finally:
+        run.kill()
+        run.wait()
+        run.stdin.close()
+        run.stderr.close()
+
+
+def test_another_hiros_reads_what_is_served(crossing, tmp_path):
+    """It joins when the static transforms are long sent, and gets them again."""
+    data, out = crossing.read_bytes(), tmp_path / "out.mcap"
+    with serving("--markers") as (run, address):
+        assert address.startswith("ws://127.0.0.1:")  # nobody else on the network
+        run.stdin.write(data[: len(data) // 3])
+        run.stdin.flush()
+        while "running" not in run.stderr.readline().decode():
+            pass
+        reader = subprocess.Popen(
+            [
+                *HIROS,
+                "process",
+                address,
+                "-o",
+                str(out),
+                "--keep",
+                "/hiros/markers",
+                "--keep",
+                "/tf*",
+            ],
+            stderr=subprocess.PIPE,
+        )
+        assert reader.stderr is not None
+        assert b"listening" in reader.stderr.readline()
+        time.sleep(1)
+        for at in range(len(data) // 3, len(data), 20_000):
+            run.stdin.write(data[at : at + 20_000])
+            run.stdin.flush()
+            time.sleep(0.02)
+        run.stdin.close()
+        assert run.wait(120) == 0
+        assert reader.wait(120) == 0
+        reader.stderr.close()
+    with McapReader(out) as log:
+        counts = {log.channels[i].topic: n for i, n in log.counts.items()}
+    assert counts["/tf_static"] > 0
+    assert counts["/hiros/markers"] > 50
+    assert counts["/hiros/filtered"] > 50
+
+
+def test_a_client_that_does_not_read_loses_messages_and_does_not_stop_the_run(tmp_path):
+    client_of = pytest.importorskip("websockets.sync.client")
+    broken = pytest.importorskip("websockets.exceptions").WebSocketException
+    log = tmp_path / "log.mcap"
+    write_log(log, SimulateParams(people=2, cameras=4, seconds=12))  # more than waits for a client
+    data, mode = log.read_bytes(), {"subprotocols": ["foxglove.sdk.v1"], "max_queue": 1}
+    with (
+        serving() as (run, address),
+        client_of.connect(address, compression=None, ping_interval=None, **mode) as client,
+    ):
+        begin = len(data) // 8
+        run.stdin.write(data[:begin])
+        run.stdin.flush()
+        while "running" not in run.stderr.readline().decode():
+            pass
+        topics = []
+        while len(topics) < 8:
+            entry = json.loads(client.recv(timeout=60))
+            topics += [c["id"] for c in entry.get("channels", ())]
+        pairs = [{"id": k, "channelId": ident} for k, ident in enumerate(topics)]
+        client.send(json.dumps({"op": "subscribe", "subscriptions": pairs}))
+        run.stdin.write(data[begin:])
+        run.stdin.close()
+        assert run.wait(120) == 0
+        got = 0
+        with contextlib.suppress(broken):
+            for _ in client:
+                got += 1
+    with McapReader(log) as reader:
+        assert got < sum(reader.counts.values())
+
+
+@pytest.mark.parametrize(
+    ("output", "fault"),
+    [
+        ("wss://127.0.0.1:1", "results are served at ws://HOST:PORT"),
+        ("ws://127.0.0.1:70000", "out of range"),
+        ("ws://nowhere.invalid:8765", "cannot be served"),
+    ],
+)
+def test_what_cannot_be_served(output, fault, crossing):
+    pytest.importorskip("foxglove")
+    command = [*HIROS, "process", "-", "-o", output]
+    with crossing.open("rb") as file:
+        done = subprocess.run(command, stdin=file, capture_output=True, check=False)
+    assert done.returncode == 2
+    assert fault in done.stderr.decode()

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 import zstandard
 from detector_logs import azure, kinect_v2, only, scene, together, write_ros2
@@ -24,10 +25,13 @@ from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.container import McapReader, Message
 from hiros_mcap.io.container.live_input import McapInput
-from hiros_mcap.io.container.live_writer import LiveWriter
+from hiros_mcap.io.container.live_writer import LiveWriter, Pipe
 from hiros_mcap.io.foxglove import FoxgloveInput
+from hiros_mcap.io.result import open_result
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.process_live import process_live
+from hiros_mcap.simulate import SimulateParams
+from hiros_mcap.simulate.write_log import write_log
 
 LIVE = ProcessOptions(system="hiros-realtime")
 AS_KNOWN = load_config(None, ["output.log_time=causal"], system="hiros-realtime")
@@ -81,7 +85,7 @@ def send(path, messages, *, commit=True):
     """Return what writes messages of a log into a pipe; a channel is defined when it is used."""
 
     def write(descriptor):
-        with McapReader(path) as reader, LiveWriter(descriptor, "pipe") as writer:
+        with McapReader(path) as reader, LiveWriter(Pipe(descriptor, "pipe")) as writer:
             for topic, message in messages:
                 channel = next(c for c in reader.channels.values() if c.topic == topic)
                 writer.write_message(writer.adopt(channel, reader.schema(channel)), message)
@@ -495,3 +499,19 @@ def test_a_message_may_be_as_large_as_asked(crossing):
         with pytest.raises(LogError, match=r"has no skeletons|has no SkeletonGroup|no channels"):
             process_live(source, None, options=LIVE)
     assert "exceeds limit of 1000 bytes" in source.fault
+
+
+def test_nobody_without_a_marker_is_a_result(tmp_path):
+    """Somebody walks out of sight: the prediction goes on until nothing is known of it."""
+    log, out = tmp_path / "log.mcap", tmp_path / "out.mcap"
+    room = {"action": "in_out", "rig": {"range": (0.5, 4.0)}, "occlusion": 3}
+    write_log(
+        log,
+        SimulateParams.model_validate({"people": 3, "cameras": 2, "seconds": 6, "seed": 2} | room),
+    )
+    process(log, out, system="fuse-realtime")
+    for channel in ("/hiros/merged", "/hiros/optimized", "/hiros/filtered"):
+        shown = open_result(out, channel)
+        known = [~np.isnan(m.positions[..., 0]).all(axis=1) for m in shown.motions.values()]
+        assert np.concatenate(known).all()
+        assert len(np.concatenate(known)) > 100

@@ -1,4 +1,4 @@
-"""Writes an MCAP to a pipe, message by message."""
+"""Writes an MCAP message by message, to a pipe or a server."""
 
 from __future__ import annotations
 
@@ -12,20 +12,19 @@ from hiros_mcap.io.container.writer import McapWriter
 
 
 class LiveWriter(McapWriter):
-    """An MCAP on its way through a pipe: :meth:`flush` sends what was written since the last.
+    """An MCAP on its way to a reader: :meth:`flush` sends what was written since the last.
 
     Messages are not in chunks, since a chunk would have to wait for its last message, and no index
     grows with the length of the recording. Whatever leaves the ``with`` block without a commit has
     no end mark.
 
-    A reader that is slow makes the writer wait; BrokenPipeError is raised if it is gone.
     """
 
-    def __init__(self, descriptor: int, name: str) -> None:
-        super().__init__(_Pipe(descriptor, name), compression="")
+    def __init__(self, out: Sink) -> None:
+        super().__init__(out, compression="")
 
     def flush(self) -> None:
-        """Send everything so far, and wait until the reader, or the pipe, has taken it."""
+        """Send everything so far, and wait until it is on its way."""
         self._submit(self._flush)
         self._wait()
 
@@ -36,8 +35,11 @@ class LiveWriter(McapWriter):
         self._out.write(batch.buffer.data[: batch.size])
 
 
-class _Pipe(Sink):
-    """A pipe in place of a file."""
+class Pipe(Sink):
+    """A pipe in place of a file.
+
+    A reader that is slow makes the writer wait; BrokenPipeError is raised if it is gone.
+    """
 
     def __init__(self, descriptor: int, name: str) -> None:
         super().__init__(name)

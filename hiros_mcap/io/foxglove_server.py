@@ -1,0 +1,168 @@
+"""Results for others: a Foxglove WebSocket server that gives what a pipe would get.
+
+The package foxglove-sdk speaks the protocol. Every client has a queue of its own: whoever reads too
+slowly loses the oldest messages, and the run never waits.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterable, Iterator
+from threading import Thread
+from typing import Any
+from urllib.parse import urlsplit
+
+from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.io.channels import TF_TOPICS
+from hiros_mcap.io.container.atomic import Sink
+from hiros_mcap.io.container.records import (
+    HEAD,
+    MAGIC,
+    MESSAGE_HEAD,
+    Bytes,
+    Channel,
+    Cursor,
+    Opcode,
+    Schema,
+)
+
+_LOOPBACK, _PORT = "127.0.0.1", 8765
+_QUEUED = 2048
+"""Messages that wait for a client: about five seconds of four channels and of five cameras."""
+_LATCHED = 1000
+"""Messages with static transforms that a client gets that comes later; a camera has one or two."""
+_FAREWELL_S = 0.5  # for clients to take what is left
+
+
+class FoxgloveServer(Sink):
+    """Takes the records of an MCAP and sends their messages to whoever subscribed.
+
+    A client that comes later gets the static transforms again.
+
+    Parameters
+    ----------
+    url : ``ws://HOST:PORT``; without a host only this computer is served, port 0 is any free one.
+
+    Raises ConfigError for another address, LogError if the server cannot start.
+    """
+
+    def __init__(self, url: str) -> None:
+        host, port = _address(url)
+        try:
+            import foxglove
+        except ImportError:
+            raise LogError(
+                "needs the package foxglove-sdk: pip install foxglove-sdk", path=url
+            ) from None
+        self._library: Any = foxglove
+        # Else the library complains on stderr that nobody takes its log.
+        logging.getLogger("foxglove_py").addHandler(logging.NullHandler())
+        self._context = foxglove.Context()
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Any] = {}
+        self._static: dict[bytes, None] = {}
+        """Messages with static transforms, each once, in order."""
+        self._time = 0
+        """Log time of the latest message, ns."""
+        listener: Any = _Greeter(self)
+        try:
+            self._server: Any = foxglove.start_server(
+                name="hiros",
+                host=host,
+                port=port,
+                server_listener=listener,
+                context=self._context,
+                message_backlog_size=_QUEUED,
+            )
+        except (OSError, RuntimeError) as error:
+            raise LogError(f"cannot be served: {error}", path=url) from None
+        super().__init__(f"ws://{host}:{self._server.port}")
+        self.url = f"ws://{host}:{self._server.port}"
+
+    def commit(self) -> None:
+        """Give the clients a moment to take what is left."""
+        time.sleep(_FAREWELL_S)
+
+    def discard(self) -> None:
+        """Close the server; a client that reads nothing is not waited for."""
+        server, self._server = self._server, None
+        if server is not None:
+            stopping = Thread(target=server.stop, daemon=True)
+            stopping.start()
+            stopping.join(_FAREWELL_S)
+
+    def greet(self, channel: int) -> None:
+        """Send the static transforms again if ``channel``, the library's number, has them."""
+        for ours in list(self._channels.values()):
+            if ours.id() == channel and ours.topic() == TF_TOPICS[0]:
+                for data in list(self._static):
+                    ours.log(data, log_time=self._time)
+
+    def _put(self, parts: Iterable[Bytes]) -> None:
+        """Send what is in whole records."""
+        for opcode, content in _records(b"".join(parts)):
+            if opcode == Opcode.SCHEMA:
+                schema = Schema.read(Cursor(content))
+                self._schemas[schema.id] = schema
+            elif opcode == Opcode.CHANNEL:
+                self._advertise(Channel.read(Cursor(content)))
+            elif opcode == Opcode.MESSAGE:
+                self._send(content)
+
+    def _advertise(self, channel: Channel) -> None:
+        if channel.id in self._channels:
+            return
+        schema = self._schemas.get(channel.schema_id)
+        self._channels[channel.id] = self._library.Channel(
+            channel.topic,
+            message_encoding=channel.message_encoding,
+            schema=schema
+            and self._library.Schema(name=schema.name, encoding=schema.encoding, data=schema.data),
+            metadata=dict(channel.metadata),
+            context=self._context,
+        )
+
+    def _send(self, content: memoryview) -> None:
+        ident, _, log_time, _ = MESSAGE_HEAD.unpack_from(content)
+        channel, data = self._channels[ident], bytes(content[MESSAGE_HEAD.size :])
+        if channel.topic() == TF_TOPICS[0]:
+            self._static.pop(data, None)
+            self._static[data] = None
+            if len(self._static) > _LATCHED:
+                del self._static[next(iter(self._static))]
+        self._time = max(self._time, log_time)
+        channel.log(data, log_time=log_time)
+
+
+class _Greeter:
+    """Tells a server who subscribes."""
+
+    def __init__(self, server: FoxgloveServer) -> None:
+        self._server = server
+
+    def on_subscribe(self, _client: Any, channel: Any) -> None:
+        """Send what a new client has to know."""
+        self._server.greet(channel.id)
+
+
+def _address(url: str) -> tuple[str, int]:
+    """Return host and port; raises ConfigError for what is no address of a server."""
+    try:
+        parts = urlsplit(url)
+        port = parts.port
+    except ValueError as error:
+        raise ConfigError(f"{url}: {error}") from None
+    if parts.scheme != "ws" or parts.path not in ("", "/") or parts.query:
+        raise ConfigError(f"{url}: results are served at ws://HOST:PORT")
+    return parts.hostname or _LOOPBACK, _PORT if port is None else port
+
+
+def _records(data: bytes) -> Iterator[tuple[int, memoryview]]:
+    """Yield opcode and content of the records in some bytes, which may begin with the mark."""
+    at, view = len(MAGIC) if data.startswith(MAGIC) else 0, memoryview(data)
+    while at + HEAD.size <= len(data):
+        opcode, size = HEAD.unpack_from(data, at)
+        at += HEAD.size
+        yield opcode, view[at : at + size]
+        at += size
