@@ -92,6 +92,87 @@ def freemocap(path, frames, markers):
     path.write_text("\n".join(lines) + "\n")
 
 
+def body_of(frame, markers):
+    """(33, 3) mm of the first person, as MediaPipe's landmarks."""
+    return 1000 * seen(frame, markers, body_model("mediapipe-33").marker_names)[0]
+
+
+def freemocap_by_frame(path, frames, markers, version):
+    """``NAME_by_frame.csv`` of version 1, ``freemocap_data_by_frame.csv`` of 2: a row per joint."""
+    dot = "." if version == 2 else "_"
+    more = ",trajectory" if version == 2 else ",timestamp,timestamp_by_camera"
+    lines = [f"frame,model,keypoint,x,y,z{more}"]
+    for number, frame in enumerate(frames):
+        for name, xyz in zip(
+            body_model("mediapipe-33").marker_names, body_of(frame, markers), strict=True
+        ):
+            cells = ",".join("" if np.isnan(v) else repr(float(v)) for v in xyz)
+            tail = ",3d_xyz" if version == 2 else ",,{}"
+            lines.append(f"{number},mediapipe{dot}body,{name},{cells}{tail}")
+        lines.append(f"{number},mediapipe{dot}face,0001,1,2,3{tail}")
+        if version == 2:
+            lines.append(f"{number},mediapipe.body,nose,9,9,9,rigid_3d_xyz")
+    path.write_text("\n".join(lines) + "\n")
+
+
+def freemocap_by_trajectory(path, frames, markers):
+    """``NAME_by_trajectory.csv``: the times, the body, a hand and centres of mass."""
+    names = [f"body_{name}" for name in body_model("mediapipe-33").marker_names]
+    names += ["com_full_body", "left_hand_0000"]
+    head = ["timestamp", "timestamp_by_camera", *(f"{n}_{axis}" for n in names for axis in "xyz")]
+    lines = [",".join(head)]
+    for number, frame in enumerate(frames):
+        row = [*body_of(frame, markers).ravel(), *[1.0] * 6]
+        cells = ",".join("" if np.isnan(v) else repr(float(v)) for v in row)
+        lines.append(f'{number / 30!r},"{{0: 1.5, 1: 1.6}}",{cells}')
+    path.write_text("\n".join(lines) + "\n")
+
+
+def freemocap_npy(path, frames, markers):
+    """``mediaPipeSkel_3d_body_hands_face.npy``: the body, then 520 other points."""
+    body = np.stack([body_of(frame, markers) for frame in frames])
+    np.save(path, np.concatenate([body, np.ones((len(frames), 520, 3))], axis=1))
+
+
+def azure_kinect(path, frames, markers):
+    """``offline_processor``: us, mm, x right, y down, z ahead."""
+    names = body_model("azure-kinect").marker_names
+    content = [
+        {
+            "timestamp_usec": round(number * 1e6 / 30),
+            "frame_id": number,
+            "num_bodies": frame.n_people,
+            "bodies": [
+                {"body_id": k + 1, "joint_positions": (1000 * person).tolist()}
+                | {"joint_orientations": [[1.0, 0, 0, 0]] * len(names)}
+                for k, person in enumerate(seen(frame, markers, names) @ CAMERA.T)
+            ],
+        }
+        for number, frame in enumerate(frames)
+    ]
+    path.write_text(json.dumps({"joint_names": names, "bone_list": [], "frames": content}))
+
+
+def zed(path, frames, markers, n_keypoints=18):
+    """The SDK's sample of a JSON export: instants by their time, m, confidences to 100."""
+    names = body_model(f"zed-{n_keypoints}").marker_names
+    instants = {}
+    for number, frame in enumerate(frames):
+        stamp = 1_700_000_000_000_000_000 + round(number * 1e9 / 30)
+        people = [
+            {
+                "id": k,
+                "confidence": 80.0,
+                "position": person[0].tolist(),
+                "keypoint": person.tolist(),
+                "keypoint_confidence": [90.0] * len(names),
+            }
+            for k, person in enumerate(seen(frame, markers, names) @ CAMERA.T)
+        ]
+        instants[str(stamp // 10**6)] = {"is_new": True, "timestamp": stamp, "body_list": people}
+    path.write_text(json.dumps(instants))
+
+
 def trc(path, frames, markers, names, person):
     """A TRC file as Pose2Sim and OpenCap write it: m, y up, one person."""
     head = [
@@ -114,6 +195,13 @@ def write_all(folder, log):
     openpose(folder / "openpose", frames, markers)
     mediapipe(folder / "mediapipe.json", frames, markers)
     freemocap(folder / "mediapipe_body_3d_xyz.csv", frames, markers)
+    freemocap_by_frame(folder / "lab_by_frame.csv", frames, markers, 1)
+    freemocap_by_frame(folder / "freemocap_data_by_frame.csv", frames, markers, 2)
+    freemocap_by_trajectory(folder / "lab_by_trajectory.csv", frames, markers)
+    freemocap_npy(folder / "mediaPipeSkel_3d_body_hands_face.npy", frames, markers)
+    for camera in ("front", "side"):
+        azure_kinect(folder / f"{camera}.json", frames, markers)
+        zed(folder / f"zed_{camera}.json", frames, markers)
     for person in (0, 1):
         trc(folder / f"walk_P{person + 1}.trc", frames, markers, POSE2SIM, person)
     trc(folder / "squat.trc", frames, markers, OPENCAP, 0)

@@ -279,7 +279,7 @@ def test_a_damaged_manifest_is_one_line(text, walking, tmp_path):
     assert process(walking, tmp_path) == 2
 
 
-@pytest.mark.parametrize("name", ["../evil/mine", "/tmp/mine", "..", "a/b", ""])
+@pytest.mark.parametrize("name", ["../evil/mine", "/tmp/mine", "..", "a/b", "", "a\0b"])
 def test_a_manifest_does_not_choose_where_results_go(name, walking, tmp_path, capsys):
     out = tmp_path / "out"
     process(walking, out)

@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from hiros_cli.output import print_json, warn
 from hiros_cli.run_report import page
-from hiros_mcap.evaluate import Truth, score_tables
+from hiros_mcap.evaluate import Scores, Truth, score_tables
 from hiros_mcap.evaluate.leave_one_out import SelfScores
 from hiros_mcap.evaluate.logs import ChannelResult
+from hiros_mcap.evaluate.measures import text_of
 from hiros_mcap.evaluate.remarks import notes_of
+from hiros_mcap.evaluate.table_files import write_table
+from hiros_mcap.evaluate.truth import Alignment
 from hiros_mcap.summary import number, plain, plain_value
 
 
@@ -21,6 +25,7 @@ class Output:
 
     log: Path
     html: Path | None
+    table: Path | None
     json: bool
     quiet: bool
     joints: bool
@@ -39,12 +44,15 @@ def show_truth(
         from hiros_viewer.evaluation_page import truth_page
 
         truth_page(output.log, truth, results, [*warnings, *notes]).write(output.html)
+    if output.table is not None:
+        write_table(output.table, score_tables.truth_sheets(_scores_of(results)))
     if output.json:
         data = {
             "log": str(output.log),
             "true_people": list(truth.people),
             "truth_covers": "partial" if truth.partial else "all",
             "people_without_truth": list(others),
+            "alignment": _alignment(truth.alignment),
             "channels": {topic: plain(result.scores) for topic, result in results.items()},
             "warnings": warnings,
             "notes": notes,
@@ -56,13 +64,26 @@ def show_truth(
         warn(text)
 
 
+def _scores_of(results: Mapping[str, ChannelResult]) -> dict[str, Scores]:
+    return {topic: result.scores for topic, result in results.items()}
+
+
+def _alignment(found: Alignment | None) -> dict[str, Any] | None:
+    """Return what brought the truth to the result, for JSON."""
+    if found is None:
+        return None
+    translation, xyzw = found.pose.translation.tolist(), found.pose.xyzw.tolist()
+    pose = {"translation": translation, "quaternion_xyzw": xyzw}
+    return {**pose, "scale": found.scale, "seconds": found.seconds}
+
+
 def _print_truth(
     output: Output, truth: Truth, results: Mapping[str, ChannelResult], notes: Iterable[str]
 ) -> None:
     seconds = number((truth.stamps[-1] - truth.stamps[0]) / 1e9, 1)
     n = len(truth.people)
     people = f"{n} of the people" if truth.partial else "1 person" if n == 1 else f"{n} people"
-    scores = {topic: result.scores for topic, result in results.items()}
+    scores = _scores_of(results)
     last, result = list(results.items())[-1]
     signed = f"Signed joint angles of {last}, degrees: error"
     bending = f"{score_tables.BENDING} of {last}, degrees: error"
@@ -80,6 +101,8 @@ def show_self(output: Output, scores: SelfScores) -> None:
 
         self_page(output.log, scores).write(output.html)
     notes = score_tables.notes_without_truth(scores)
+    if output.table is not None:
+        write_table(output.table, [score_tables.left_out_sheet(scores.cameras)])
     if output.json:
         listed = [{"cameras": list(k), "mm": v} for k, v in scores.disagreement.items()]
         data = {"log": str(output.log), **plain(scores), "notes": notes}
@@ -93,10 +116,11 @@ def _print_self(output: Output, scores: SelfScores, notes: Iterable[str]) -> Non
     result, pairs = scores.consistency, scores.disagreement.items()
     people = ", ".join(f"{p.id} ({number(p.seconds, 1)} s)" for p in result.people) or "nobody"
     differences = [(f"{a}, {b}", number(mm, 1)) for (a, b), mm in pairs]
+    left_out = score_tables.left_out_sheet(scores.cameras)
     tables = {f"Joints of {c.topic}, mm": c.joints for c in scores.cameras if output.joints}
     page(
         f"{output.log}: each camera against the result of the others, without a truth",
-        ("Distance of each left-out camera, mm", score_tables.left_out_table(scores.cameras)),
+        (left_out.title, text_of(left_out)),
         (
             "Disagreement between cameras at one time, median mm",
             (("Cameras", "Median"), differences),

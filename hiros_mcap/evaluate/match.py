@@ -200,7 +200,8 @@ def explain_no_match(matches: Matches, truth: Truth) -> str:
     poses = np.concatenate([track.poses for track in matches.tracks.values()])
     return (
         f"no skeleton comes nearer than {matches.nearest:.1f} m to a true person. Is the truth in "
-        "metres, in the log's fixed frame, with the right --up and --shift? Typical coordinates: "
+        "metres, in the log's fixed frame, with the right --up and --shift? --align finds another "
+        "frame, --align-time another time, too. Typical coordinates: "
         f"truth {_median_text(truth.positions)}, result {_median_text(poses)}"
     )
 
@@ -214,8 +215,8 @@ def explain_no_overlap(matches: Matches, truth: Truth) -> str:
     start, end = truth.stamps[[0, -1]].tolist()
     return (
         f"{fault}: the truth begins {(start - first) / 1e9:.3f} s after the result and lasts "
-        f"{(end - start) / 1e9:.3f} s, the result {(last - first) / 1e9:.3f} s; check --shift, and "
-        "that the times are seconds"
+        f"{(end - start) / 1e9:.3f} s, the result {(last - first) / 1e9:.3f} s; check --shift, or "
+        "use --align-time, and check that the times are seconds"
     )
 
 

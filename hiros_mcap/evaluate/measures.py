@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from hiros_mcap.evaluate.statistics import PARTS
 from hiros_mcap.summary import number
@@ -37,6 +37,8 @@ class Measure:
     """Path in the scores, and in JSON below them, of attributes or keys; "" is the name."""
     sd: str = ""
     """Path of its standard deviation, if the column shows that beside it."""
+    interval: tuple[str, str] = ("", "")
+    """Paths of the ends of its 95 % interval, which files of tables have."""
     scale: float = 1.0
     """Number in the scores -> number in the unit."""
     is_optional: bool = False
@@ -51,6 +53,15 @@ class Measure:
         """Return the number; NaN if the scores lack it."""
         return self.scale * _at(scores, self.field)
 
+    def figures(self, scores: object) -> dict[str, float]:
+        """Return the number, its standard deviation and the ends of its interval, by their names.
+
+        The name of the number itself is empty.
+        """
+        paths = {"": self.field, "SD": self.sd}
+        paths |= dict(zip(("95 % low", "95 % high"), self.interval, strict=True))
+        return {name: self.scale * _at(scores, path) for name, path in paths.items() if path}
+
     def compared(self, scores: object) -> float:
         """Return the number that a check compares: less or more of it is better."""
         return abs(self.of(scores)) if self.better == "near 0" else self.of(scores)
@@ -58,7 +69,7 @@ class Measure:
     def cell(self, scores: object) -> str:
         """Return the number as text."""
         text = number(self.of(scores), self.digits)
-        sd = self.sd and number(self.scale * _at(scores, self.sd), self.digits)
+        sd = text != "-" and self.sd and number(self.scale * _at(scores, self.sd), self.digits)
         return f"{text} ({sd})" if sd else text
 
     def shown(self, value: float) -> str:
@@ -109,7 +120,7 @@ _PEOPLE, _FRAMES, _LIMB_CV, _JITTER = CONSISTENCY
 ERRORS = (
     Measure("mpjpe", "Mean", "mm",
             "distance of a joint from the true one, mean over joints, people and frames",
-            0.1, at="mean"),
+            0.1, at="mean", interval=("mean_low", "mean_high")),
     Measure("mpjpe_sd", "SD", "mm", "its standard deviation", 0.1, at="deviation"),
     Measure("mpjpe_rms", "RMSE", "mm", "its root mean square", 0.1, at="rmse"),
     Measure("mpjpe_95", "95 %", "mm", "95 % of the distances are less", 0.2, at="percentile_95"),
@@ -178,6 +189,10 @@ LEFT_OUT = (
 )
 """Of a camera that was left out (``hiros eval`` without a truth)."""
 
+DIFFERENCE = Measure("difference", "Difference from the first", "mm",
+    "mean distance less that of the first system, on what both have", at="difference.mm",
+    interval=("difference.low", "difference.high"), is_optional=True)
+"""Of a system from the first one, which stands below the table on a terminal."""
 _TIME = Measure("milliseconds", "ms/message", "", "CPU time of the stages per message", 0, 3)
 SELF = (
     Measure("mean", "Mean", "mm", "distance of a left-out camera from the result of the others, "
@@ -199,16 +214,52 @@ SELF = (
     _TIME,
 )
 """Of a system (``hiros compare``) without a truth."""
+
+PLANNED = (
+    Measure("error", "Error", "mm", "expected mean error of the joints of those whom a camera sees",
+            at="error_mm"),
+    *(Measure(f"cameras_{n}", f"{n} camera{'s' * (n > 1)}", "%",
+              f"share of people whom at least {n} detect{'s' * (n == 1)}",
+              at=word, scale=100, better="more")
+      for n, word in enumerate(("one", "two", "three"), start=1)),
+)
+"""Of a rig in a room (``hiros plan``)."""
 # fmt: on
 _RANKING = (
     *("mpjpe", "mpjpe_sd", *(part.replace(" ", "_") for part in PARTS), "angle_rmse", "limb_cv"),
     *("jitter", "lag", "missing", "false", "id_switches", "hota"),
 )
-RANKED = (
-    *(replace(MEASURES[name], at=f"scores.{MEASURES[name].field}", sd="") for name in _RANKING),
-    _TIME,
-)
+
+
+def _of_outcome(measure: Measure) -> Measure:
+    low, high = (path and f"scores.{path}" for path in measure.interval)
+    return replace(measure, at=f"scores.{measure.field}", sd="", interval=(low, high))
+
+
+RANKED = (*(_of_outcome(MEASURES[name]) for name in _RANKING), _TIME)
 """Of a system with a truth."""
+
+
+class Sheet(NamedTuple):
+    """A table before its numbers become text."""
+
+    title: str
+    first: str
+    """Title of the column of names."""
+    rows: Sequence[tuple[str, object]]
+    """Names and the scores from which the measures take their numbers."""
+    measures: Sequence[Measure]
+    unit: str = ""
+    """Of all measures that have one of this kind, which the title states."""
+    log: str = ""
+    """Which log it is of, if there are sheets of several."""
+
+    @property
+    def columns(self) -> list[Measure]:
+        """The measures without optional ones that no row has."""
+        absent = (m for m in self.measures if m.is_optional)
+        left_out = {m.name for m in absent if all(math.isnan(m.of(row)) for _, row in self.rows)}
+        return [m for m in self.measures if m.name not in left_out]
 
 
 def table_of(
@@ -218,9 +269,11 @@ def table_of(
 
     ``first`` is the title of the column of names; the title of the table states the ``unit``.
     """
-    rows = list(rows)
-    columns = [
-        m for m in measures if not (m.is_optional and all(math.isnan(m.of(row)) for _, row in rows))
-    ]
-    header = (first, *(m.header(unit) for m in columns))
-    return header, [(name, *(m.cell(scores) for m in columns)) for name, scores in rows]
+    return text_of(Sheet("", first, list(rows), measures, unit))
+
+
+def text_of(sheet: Sheet) -> Table:
+    """Return a sheet as text."""
+    columns = sheet.columns
+    header = (sheet.first, *(m.header(sheet.unit) for m in columns))
+    return header, [(name, *(m.cell(scores) for m in columns)) for name, scores in sheet.rows]

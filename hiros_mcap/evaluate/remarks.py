@@ -37,7 +37,8 @@ def warnings_of(
 def notes_of(truth: Truth, results: Mapping[str, ChannelResult]) -> list[str]:
     """Return what the scores leave out."""
     result = list(results.values())[-1]
-    scores, notes = result.scores, []
+    scores = result.scores
+    notes = [] if truth.alignment is None else [truth.alignment.text]
     absent = [name for name in result.model.marker_names if name not in scores.joints]
     if absent and scores.joints:
         notes.append(f"no truth for {len(absent)} markers: {', '.join(absent)}")

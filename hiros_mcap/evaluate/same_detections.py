@@ -8,11 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hiros_mcap.evaluate.statistics import ErrorStats, mean_of
-from hiros_mcap.skeletons import Flags, Floats, Stamps
-
-_BLOCK_NS = 1_000_000_000
-"""Errors within a second hang together; those of different seconds hardly do."""
+from hiros_mcap.evaluate.statistics import ErrorStats, block_interval, blocks_of, mean_of
+from hiros_mcap.skeletons import Flags, Stamps
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,26 +123,4 @@ def _difference(
     """MeanDifference of two systems where both have a joint, with an interval over seconds."""
     apart = mine.astype(np.float64) - other
     rows, columns = np.nonzero(~np.isnan(apart))
-    blocks = np.unique((stamps[rows] - stamps.min(initial=0)) // _BLOCK_NS, return_inverse=True)[1]
-    return MeanDifference(name, *block_interval(apart[rows, columns], blocks))
-
-
-def block_interval(values: Floats, blocks: Stamps) -> tuple[float, float, float, int]:
-    """Mean of values (K,), the ends of its 95 % interval, and the number of blocks.
-
-    Blocks (K,) are numbered 0, 1, ...; their means count with their numbers of values, as in the
-    mean over all (a ratio estimate, Cochran 1977, section 6.4), and are taken as independent:
-    Student's t. The ends are NaN if there are fewer than two blocks.
-    """
-    if not values.size:
-        return np.nan, np.nan, np.nan, 0
-    sums, counts = np.bincount(blocks, values), np.bincount(blocks)
-    n, mean = len(counts), float(sums.sum() / counts.sum())
-    if n < 2:
-        return mean, np.nan, np.nan, n
-    from scipy.special import stdtrit  # scipy.stats takes 0.5 s to import
-
-    residuals = sums - mean * counts
-    error = np.sqrt(n / (n - 1) * (residuals**2).sum()) / counts.sum()
-    half = float(stdtrit(n - 1, 0.975)) * float(error)
-    return mean, mean - half, mean + half, n
+    return MeanDifference(name, *block_interval(apart[rows, columns], blocks_of(stamps[rows])))

@@ -10,7 +10,7 @@ from hiros_mcap.evaluate import measures
 from hiros_mcap.evaluate.comparison import Outcome
 from hiros_mcap.evaluate.leave_one_out import LeftOut, SelfScores
 from hiros_mcap.evaluate.logs import Consistency
-from hiros_mcap.evaluate.measures import SELF, Rows, Table, table_of
+from hiros_mcap.evaluate.measures import SELF, Measure, Rows, Sheet, Table, table_of, text_of
 from hiros_mcap.evaluate.scores import Scores
 from hiros_mcap.evaluate.side_scores import SideScores
 from hiros_mcap.evaluate.statistics import AngleStats, ErrorStats
@@ -34,15 +34,19 @@ WITHOUT_TRUTH = " ".join(
 )
 
 
+def truth_sheets(scores: Mapping[str, Scores]) -> list[Sheet]:
+    """Return the measures against a truth, a row per channel."""
+    rows, people = list(scores.items()), "People: sums over frames and silent instants"
+    return [
+        Sheet("Joint error, mm", "Channel", rows, measures.ERRORS, "mm"),
+        Sheet("Motion", "Channel", rows, measures.MOTION),
+        Sheet(people, "Channel", rows, measures.PEOPLE),
+    ]
+
+
 def truth_tables(scores: Mapping[str, Scores]) -> dict[str, Table]:
     """Title -> table of the measures against a truth, a row per channel."""
-    return {
-        "Joint error, mm": table_of("Channel", scores.items(), measures.ERRORS, "mm"),
-        "Motion": table_of("Channel", scores.items(), measures.MOTION),
-        "People: sums over frames and silent instants": table_of(
-            "Channel", scores.items(), measures.PEOPLE
-        ),
-    }
+    return {sheet.title: text_of(sheet) for sheet in truth_sheets(scores)}
 
 
 BENDING = "Unsigned bending angles"
@@ -72,11 +76,11 @@ def joint_table(joints: Mapping[str, ErrorStats]) -> Table:
     return table_of("Joint", joints.items(), measures.ERRORS[:4], "mm")
 
 
-def left_out_table(cameras: Sequence[LeftOut]) -> Table:
+def left_out_sheet(cameras: Sequence[LeftOut]) -> Sheet:
     """Distance of each camera left out from what the others give, mm."""
-    return table_of(
-        "Left out", ((camera.topic, camera) for camera in cameras), measures.LEFT_OUT, "mm"
-    )
+    rows = [(camera.topic, camera) for camera in cameras]
+    title = "Distance of each left-out camera, mm"
+    return Sheet(title, "Left out", rows, measures.LEFT_OUT, "mm")
 
 
 def lines_of(result: Consistency) -> list[str]:
@@ -108,14 +112,26 @@ def side_table(sides: SideScores) -> Table:
     return ("Sign", "Number", "Share"), rows
 
 
-def system_table(outcomes: Sequence[Outcome]) -> Table:
-    """Header and rows of one log.
+def system_sheets(outcomes: Sequence[Outcome]) -> list[Sheet]:
+    """Return a sheet per log, whose name is its title.
 
     With a truth, the system with the least error comes first. Without one, the systems stay in the
     order in which they were named: no number tells which is best.
     """
-    columns = measures.RANKED if has_truth(outcomes) else SELF
-    return table_of("System", ((o.name, o) for o in best_first(outcomes)), columns, "mm")
+    groups: dict[str, list[Outcome]] = {}
+    for outcome in outcomes:
+        groups.setdefault(outcome.log, []).append(outcome)
+    return [
+        Sheet(log, "System", [(o.name, o) for o in best_first(group)], columns, "mm", log)
+        for log, group in groups.items()
+        for columns in (measures.RANKED if has_truth(group) else SELF,)
+    ]
+
+
+def system_table(outcomes: Sequence[Outcome]) -> Table:
+    """Header and rows of one log, see :func:`system_sheets`."""
+    (sheet,) = system_sheets(outcomes)
+    return text_of(sheet)
 
 
 def has_truth(outcomes: Sequence[Outcome]) -> bool:
@@ -128,6 +144,14 @@ def best_first(outcomes: Sequence[Outcome]) -> list[Outcome]:
     if not has_truth(outcomes):
         return list(outcomes)
     return sorted(outcomes, key=lambda o: (np.isnan(o.error), o.error, o.name))
+
+
+def comparison_sheets(outcomes: Sequence[Outcome]) -> list[Sheet]:
+    """Return the sheets of all logs, with the difference of each system from the first one."""
+    return [
+        sheet._replace(measures=(*sheet.measures, measures.DIFFERENCE))
+        for sheet in system_sheets(outcomes)
+    ]
 
 
 def differences_of(outcomes: Sequence[Outcome]) -> list[str]:
@@ -143,11 +167,15 @@ def notes_on(outcomes: Sequence[Outcome]) -> list[str]:
     return [WITHOUT_TRUTH, *([TWO_CAMERAS] if two else [])]
 
 
-def camera_table(errors: Mapping[str, Mapping[int, tuple[float, float]]]) -> Table:
+def camera_sheet(errors: Mapping[str, Mapping[int, tuple[float, float]]]) -> Sheet:
     """Error (SD), mm, by number of cameras, mean over all subsets."""
     sizes = sorted({size for row in errors.values() for size in row})
+    columns = [
+        Measure(f"cameras_{n}", str(n), "mm", "", at=f"{n}.mean", sd=f"{n}.sd") for n in sizes
+    ]
     rows = [
-        (name, *(f"{row[n][0]:.1f} ({row[n][1]:.1f})" if n in row else "-" for n in sizes))
+        (name, {str(n): {"mean": mean, "sd": sd} for n, (mean, sd) in row.items()})
         for name, row in errors.items()
     ]
-    return ("System", *map(str, sizes)), rows
+    title = "Mean joint error (SD), mm, by number of cameras, over all subsets"
+    return Sheet(title, "System", rows, columns, "mm")

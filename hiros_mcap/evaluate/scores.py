@@ -14,7 +14,14 @@ from hiros_mcap.body.segments import SIDES
 from hiros_mcap.evaluate.match import MATCH_DISTANCE, Matches, explain_no_overlap, match
 from hiros_mcap.evaluate.mot import TrackingScores, tracking_scores
 from hiros_mcap.evaluate.smoothness import distances_at, jitter, lag, lengths_of, limb_variations
-from hiros_mcap.evaluate.statistics import AngleStats, ErrorStats, mean_of, parts_of
+from hiros_mcap.evaluate.statistics import (
+    AngleStats,
+    ErrorStats,
+    block_interval,
+    blocks_of,
+    mean_of,
+    parts_of,
+)
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.io.marker_uncertainty import Deviations
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
@@ -69,6 +76,9 @@ class Scores:
     link_angles: Mapping[str, AngleStats] = field(default_factory=dict)
     signed_angles: Mapping[str, AngleStats] = field(default_factory=dict)
     """Of the signed joint angles of body.anatomy, those that the markers give."""
+    mean_low: float = np.nan
+    """Lower end of the 95 % interval of the mean, over blocks of a second."""
+    mean_high: float = np.nan
 
     @property
     def pck_50(self) -> float:
@@ -121,6 +131,8 @@ def score_matches(matches: Matches, truth: Truth, model: SkeletonModel) -> Score
     by_links = _link_angle_stats(model, *turns)
     tracks = matches.tracks.values()
     late_ms = lag(matches, truth)
+    rows, columns = np.nonzero(~np.isnan(errors))
+    _, low, high, _ = block_interval(errors[rows, columns], blocks_of(matches.stamps[rows]))
     return Scores(
         mean=all_errors.mean,
         deviation=all_errors.deviation,
@@ -152,6 +164,8 @@ def score_matches(matches: Matches, truth: Truth, model: SkeletonModel) -> Score
         angles=angles,
         link_angles=by_links,
         signed_angles=_signed_angle_stats(model, poses, true_poses),
+        mean_low=low,
+        mean_high=high,
     )
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from hiros_mcap.body.rotations import multiply
+from hiros_mcap.body.rotations import Rigid, multiply, rotate, to_vector
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.skeletons import Flags, Floats, Frame, SkeletonModel, Stamps
@@ -17,6 +17,39 @@ MAX_GAP_NS = 500_000_000
 """The truth is not interpolated over a longer pause."""
 _EPOCH_2001 = 1_000_000_000 * 1_000_000_000  # ns
 _Y_TO_Z = np.array([0.5**0.5, 0.0, 0.0, 0.5**0.5])
+
+
+class Alignment(NamedTuple):
+    """What brings a truth to a result; see :func:`hiros_mcap.evaluate.alignment.align`."""
+
+    pose: Rigid
+    """Of the truth's frame in that of the result."""
+    scale: float = 1.0
+    seconds: float = 0.0
+    """Added to the times of the truth."""
+
+    @property
+    def degrees(self) -> float:
+        """Angle of the rotation."""
+        return float(np.degrees(np.linalg.norm(to_vector(self.pose.xyzw))))
+
+    @property
+    def text(self) -> str:
+        """What was found, in words."""
+        quaternion = ", ".join(f"{x:.4f}" for x in self.pose.xyzw)
+        moved = ", ".join(f"{x:.3f}" for x in self.pose.translation)
+        parts = [
+            f"turned by {self.degrees:.1f} degrees (xyzw {quaternion})",
+            f"moved by ({moved}) m",
+        ]
+        if self.scale != 1.0:
+            parts.append(f"scaled by {self.scale:.4f}")
+        if self.seconds:
+            parts.append(f"shifted by {self.seconds:.3f} s")
+        return (
+            f"the truth was {', '.join(parts)}, so that it fits the result best: what is constant "
+            "in the error does not show"
+        )
 
 
 @dataclass(slots=True)
@@ -35,6 +68,8 @@ class Truth:
     """Of the true skeletons; None = that of the result."""
     partial: bool = False
     """Whether there were people besides these, of whom the truth knows nothing."""
+    alignment: Alignment | None = None
+    """What brought it to the result; None if it is where the file has it."""
 
     @classmethod
     def of(cls, frames: Iterable[Frame], model: SkeletonModel | None = None) -> Truth:
@@ -120,6 +155,17 @@ class Truth:
             )
             orientations = multiply(_Y_TO_Z, orientations)
         return replace(self, stamps=stamps, positions=positions, orientations=orientations)
+
+    def aligned(self, alignment: Alignment) -> Truth:
+        """Return the truth scaled, then turned and moved, and at other times."""
+        pose, scale, seconds = alignment
+        return replace(
+            self,
+            stamps=self.stamps + round(seconds * 1e9),
+            positions=rotate(pose.xyzw, scale * self.positions) + pose.translation,
+            orientations=multiply(pose.xyzw, self.orientations),
+            alignment=alignment,
+        )
 
     def seen_by(self, model: SkeletonModel) -> Truth:
         """Return the truth on the markers and links of another model; NaN where it has none.

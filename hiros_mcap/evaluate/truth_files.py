@@ -1,4 +1,4 @@
-"""The truth from a log, or from files of motion capture: TRC (OpenSim, Cortex) and CSV.
+"""The truth from a log, or from files of motion capture: TRC (OpenSim, Cortex), C3D and CSV.
 
 docs/evaluating.md describes the CSV layout, joints and link orientations, for inertial suits, too.
 """
@@ -16,7 +16,8 @@ from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.truth import MAX_GAP_NS, Truth
 from hiros_mcap.io.channels import TRUTH_PREFIX
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.joints.trc import lines_of, number_of, read_markers
+from hiros_mcap.io.joints.c3d import MARKER_FILES
+from hiros_mcap.io.joints.trc import lines_of, number_of
 from hiros_mcap.io.log import Source, open_log
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
@@ -32,16 +33,16 @@ _QUATERNION = ("qx", "qy", "qz", "qw")
 
 
 def load_truth(path: Source, topic: str = f"{TRUTH_PREFIX}/*") -> Truth:
-    """Read the truth from a log's SkeletonGroup channel, or from a TRC or CSV file.
+    """Read the truth from a log's SkeletonGroup channel, or from a TRC, C3D or CSV file.
 
     Parameters
     ----------
-    path : an MCAP log, ``.trc`` or ``.csv``.
+    path : an MCAP log, ``.trc``, ``.c3d`` or ``.csv``.
     topic : glob of the channel in a log; the ids of its skeletons are the true people.
 
     Raises LogError or ConfigError if the file cannot be read, or holds no truth.
     """
-    readers = {".trc": read_trc, ".csv": read_csv}
+    readers = {".csv": read_csv, **dict.fromkeys(MARKER_FILES, read_mocap)}
     name = Path(path.path if isinstance(path, McapReader) else path)
     if (read := readers.get(name.suffix.lower())) is not None:
         return read(name)
@@ -55,19 +56,19 @@ def load_truth(path: Source, topic: str = f"{TRUTH_PREFIX}/*") -> Truth:
         return Truth.of(frames, log.model)
 
 
-def read_trc(path: Path) -> Truth:
-    """Read one person's markers from a TRC file; times are seconds from the log's start.
+def read_mocap(path: Path) -> Truth:
+    """Read markers from a TRC or C3D file; times are seconds from the log's start.
 
-    The file's ``Units`` scale to metres. Coordinates are taken as they are: the file's axes must
-    be those of the log's fixed frame.
+    The file's unit scales to metres. Coordinates are taken as they are: the file's axes must be
+    those of the log's fixed frame. People are numbered in the order of the file.
 
-    Raises ConfigError if the file is not a TRC file.
+    Raises ConfigError if the file is of another kind.
     """
-    markers = read_markers(path)
-    positions = markers.positions[:, None]
-    orientations = np.full((*positions.shape[:2], 0, 4), np.nan)
+    markers = MARKER_FILES[path.suffix.lower()](path)
+    orientations = np.full((*markers.positions.shape[:2], 0, 4), np.nan)
     model = SkeletonModel.of(markers.names, [])
-    return _truth(path, markers.times, positions, orientations, model, (0,))
+    people = tuple(range(len(markers.people)))
+    return _truth(path, markers.times, markers.positions, orientations, model, people)
 
 
 def read_csv(path: Path) -> Truth:

@@ -16,6 +16,7 @@ import numpy as np
 from hiros_mcap.config import Settings
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.evaluate.alignment import aligned
 from hiros_mcap.evaluate.leave_one_out import leave_one_out
 from hiros_mcap.evaluate.logs import (
     check_scorable,
@@ -42,7 +43,7 @@ from hiros_mcap.regression.quantities import Tolerances
 from hiros_mcap.regression.suite import GOLDEN_SUFFIXES, Golden, check_output
 from hiros_mcap.running.pipeline import ProcessOptions, process, skeletons_read
 
-TRUTH_SUFFIXES = (".truth.mcap", ".mcap", ".trc", ".csv")
+TRUTH_SUFFIXES = (".truth.mcap", ".mcap", ".trc", ".c3d", ".csv")
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,6 +151,8 @@ class EvalJob(Job):
     match_distance: float = 1.0
     shift: float = 0.0
     up: str = "z"
+    align: tuple[str, ...] = ()
+    """In what the truth is brought to the result: "pose", "time", "scale"."""
     asked: bool = False
     """Whether the user named the system or a parameter; otherwise results keep their own."""
 
@@ -182,12 +185,18 @@ class EvalJob(Job):
             truth = truth.moved(self.shift, start=start_of(reader), up=self.up)
             config, system = self.settings.load(), self.settings.system
             channels = results_of(reader, config, self.truth, self.channels, system)
+        truth = aligned(truth, channels, self.align)
         truth, others = covered_by(channels, truth, self.covers, self.match_distance)
         results = evaluate_channels(channels, truth, self.match_distance)
         scores = list(results.values())[-1].scores
         values = {name: m.compared(scores) for name, m in MEASURES.items()}
         warnings = warnings_of(truth, results, others, asked=self.covers != "auto")
-        return Finding({**values, "people": len(truth.people)}, warnings=tuple(warnings))
+        values |= {"people": len(truth.people)}
+        if truth.alignment is not None:
+            pose, scale, seconds = truth.alignment
+            values |= {"turned_deg": truth.alignment.degrees, "scaled_by": scale}
+            values |= {"moved_m": float(np.linalg.norm(pose.translation)), "shifted_s": seconds}
+        return Finding(values, warnings=tuple(warnings))
 
     def _by_itself(self, log: McapReader) -> Finding:
         settings = self.settings

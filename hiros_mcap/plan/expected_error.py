@@ -15,7 +15,7 @@ a rig is evaluated by adding what each camera contributes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -67,20 +67,26 @@ class ErrorModel:
 
     def __init__(self, params: SimulateParams, joints: npt.ArrayLike | None = None) -> None:
         """Take the settings of cameras and detectors; ``joints`` (J,) are the rows that count."""
-        fuse = FuseParams()
-        self._noise = FusionNoise.default(MODEL, fuse.acceleration, fuse.offset, fuse.offset_time)
         self._params = params
         self.joints = np.arange(MODEL.n_markers) if joints is None else np.asarray(joints)
+        fuse = FuseParams()
+        noise = FusionNoise.default(MODEL, fuse.acceleration, fuse.offset, fuse.offset_time)
+        self._noise = noise = replace(
+            noise,
+            joints=noise.joints[self.joints],
+            accelerations=noise.accelerations[self.joints],
+            offsets=noise.offsets[self.joints],
+        )
         d, rig = params.detector, params.rig
         lost = params.dropouts * rig.lost_frames
         lost += params.dropouts * d.losses_per_minute / 60 * float(np.mean(d.loss_seconds))
         self._rate = rig.rate * max(1 - lost, 0.01)
         self._edges = np.concatenate([[0.0], np.geomspace(_SLOWEST, np.pi * self._rate, _BANDS)])
         middles = np.sqrt(self._edges[1:] * np.maximum(self._edges[:-1], self._edges[1] / 4))
-        lively = self._noise.accelerations * 10 ** (_LIVELY * EXTREMITY)
-        self._stiffness = (middles**4 / lively[:, None])[self.joints]
-        offset = 2 * self._noise.offsets[:, None] ** 2 * self._noise.time
-        self._offsets = (offset / (1 + (middles * self._noise.time) ** 2))[self.joints]
+        lively = noise.accelerations * 10 ** (_LIVELY * EXTREMITY[self.joints])
+        self._stiffness = middles**4 / lively[:, None]
+        offset = 2 * noise.offsets[:, None] ** 2 * noise.time
+        self._offsets = offset / (1 + (middles * noise.time) ** 2)
 
     def view(self, scenes: Scenes, pose: Rigid) -> View:
         """Return what a camera at ``pose`` contributes."""
@@ -100,9 +106,7 @@ class ErrorModel:
 
     def _assumed(self, distance: Floats, guessed: npt.NDArray[np.bool_]) -> Floats:
         """S_c (n, P, J, bands), m2 s: white noise and an offset that wanders."""
-        noise = self._noise
-        white = noise.joints[self.joints] * (distance[..., None] / 2.0) ** (2 * noise.power)
-        white = np.where(guessed, noise.guessed**2, 1.0) * white / self._rate
+        white = self._noise.white(distance, guessed) / self._rate
         return np.asarray(white[..., None] + self._offsets)
 
     def _real(self, distance: Floats, guessed: npt.NDArray[np.bool_]) -> Floats:

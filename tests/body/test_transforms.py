@@ -274,6 +274,42 @@ def test_extrinsics_are_read_from_toml_and_json(tmp_path):
         assert pose.translation.tolist() == [1, 2.5, 3]
 
 
+def calib(rotation, translation, name="left"):
+    """A camera as Anipose and Pose2Sim write it."""
+    return (
+        f'[cam_01]\nname = "{name}"\nsize = [1920, 1080]\n'
+        "matrix = [[1400.0, 0.0, 960.0], [0.0, 1400.0, 540.0], [0.0, 0.0, 1.0]]\n"
+        "distortions = [0.0, 0.0, 0.0, 0.0]\nfisheye = false\n"
+        f"rotation = {list(map(float, rotation))}\ntranslation = {list(map(float, translation))}\n"
+        "[metadata]\nadjusted = false\nerror = 0.2\n"
+    )
+
+
+def test_a_camera_of_anipose_or_pose2sim_stands_where_it_sees_the_room_from(tmp_path):
+    """Its numbers bring points of the room into the camera, as cv2.projectPoints takes them."""
+    turn, place = Rotation.from_rotvec([1.2, -0.4, 0.7]), np.array([2.0, -3.0, 1.5])
+    path = extrinsics(tmp_path, calib(turn.as_rotvec(), -turn.apply(place)), "Calib.toml")
+    pose = read_extrinsics(path).lookup("left", "world", 0)
+    np.testing.assert_allclose(pose.translation, place, atol=1e-12)
+    seen = turn.apply(np.array([0.3, 0.2, 1.0]) - place)
+    there = rotations.rotate(pose.xyzw, seen) + pose.translation
+    np.testing.assert_allclose(there, [0.3, 0.2, 1.0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("rotation", "translation", "fault"),
+    [
+        ([0, 0, 0], [0, 0, 2400.0], "stands 2400 m from the origin, so its unit is another one"),
+        ([0, 0], [0, 0, 2], "rotation and translation should be three numbers"),
+        ([0, 0, math.nan], [0, 0, 2], "rotation and translation should be three numbers"),
+    ],
+)
+def test_a_faulty_calibration_of_another_program_is_refused(rotation, translation, fault, tmp_path):
+    path = extrinsics(tmp_path, calib(rotation, translation), "calibration.toml")
+    with pytest.raises(ConfigError, match=rf"calibration\.toml: cam_01: {fault}"):
+        read_extrinsics(path)
+
+
 @pytest.mark.parametrize(
     ("change", "key"),
     [

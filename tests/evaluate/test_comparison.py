@@ -29,6 +29,7 @@ from hiros_mcap.evaluate.logs import (
     read_channel,
     results_of,
 )
+from hiros_mcap.evaluate.measures import text_of
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.write_log import write_log
@@ -140,7 +141,7 @@ def test_every_subset_of_the_cameras(walking, name):
 
 
 def test_errors_by_number_of_cameras_as_a_table():
-    header, rows = score_tables.camera_table({"hiros": {1: (30.0, 5.0), 3: (20.0, 4.0)}})
+    header, rows = text_of(score_tables.camera_sheet({"hiros": {1: (30.0, 5.0), 3: (20.0, 4.0)}}))
     assert header == ("System", "1", "3")
     assert rows == [("hiros", "30.0 (5.0)", "20.0 (4.0)")]
 

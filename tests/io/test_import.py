@@ -143,6 +143,12 @@ RECIPES = {
     "openpose": ("openpose", 'axes = ["x", "z", "-y"]\n[time]\nrate = 30', 21),
     "mediapipe": ("mediapipe.json", "", 21),
     "freemocap": ("mediapipe_body_3d_xyz.csv", "[time]\nrate = 30", 21),
+    "freemocap 1, rows": ("lab_by_frame.csv", "[time]\nrate = 30", 21),
+    "freemocap 2, rows": ("freemocap_data_by_frame.csv", "[time]\nrate = 30", 21),
+    "freemocap, times": ("lab_by_trajectory.csv", "", 21),
+    "freemocap, numpy": ("mediaPipeSkel_3d_body_hands_face.npy", "[time]\nrate = 30", 21),
+    "azure-kinect": ("front.json", 'axes = ["x", "z", "-y"]', 32),
+    "zed": ("zed_front.json", 'axes = ["x", "z", "-y"]', 18),
     "pose2sim": ("walk_P1.trc", "", len(files.POSE2SIM)),
     "opencap": ("squat.trc", "", len(files.OPENCAP)),
 }
@@ -160,6 +166,7 @@ def written(tmp_path_factory):
 @pytest.mark.parametrize("detector", RECIPES)
 def test_files_of_a_detector_show_the_people_where_they_were(detector, tmp_path, written):
     name, more, n_joints = RECIPES[detector]
+    detector = re.split("[ ,]", detector)[0]
     mapping = tmp_path / "own.toml"
     mapping.write_text(f'detector = "{detector}"\n{more}\n')
     import_joints([written / name], tmp_path / "log.mcap", mapping if more else Path(detector))
@@ -208,6 +215,98 @@ def test_files_of_a_folder_are_in_the_order_of_their_numbers(tmp_path):
         people = np.concatenate([frame.positions for frame in log.frames()])
     np.testing.assert_allclose(people[:, 0, 0], 0.1 * np.arange(12), atol=1e-9)
     assert np.isnan(people[:, 2]).all()
+
+
+def folder_of(path, names):
+    """A folder of JSON files in each of which one person stands."""
+    path.mkdir()
+    content = json.dumps({"people": [{"joints": [0, 0, 1.6, 1, 0, 0, 0, 1]}]})
+    for name in names:
+        (path / f"{name}.json").write_text(content)
+    return path
+
+
+@pytest.mark.parametrize("pattern", ["walk_{:012d}_keypoints", "{}", "p2_{}_3d"])
+def test_the_number_of_a_file_is_its_time(pattern, tmp_path):
+    numbers = [*range(7, 11), *range(99, 103)]
+    folder = folder_of(tmp_path / "op", map(pattern.format, numbers))
+    (tmp_path / "own.toml").write_text('names = ["A", "B"]\n[time]\nrate = 10\n')
+    import_joints([folder], tmp_path / "log.mcap", tmp_path / "own.toml")
+    with open_log(tmp_path / "log.mcap") as log:
+        stamps = [frame.stamp / 1e9 - RELATIVE_START for frame in log.frames()]
+    assert stamps == pytest.approx([0.1 * number for number in numbers], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [["v_0", "v_1", "other_0"], ["cam1_00", "cam1_01", "cam2_00", "cam2_01"], ["a", "1"]],
+)
+def test_two_series_in_a_folder_are_refused(names, tmp_path):
+    folder = folder_of(tmp_path / "op", names)
+    (tmp_path / "own.toml").write_text('names = ["A", "B"]\n[time]\nrate = 10\n')
+    with pytest.raises(ConfigError, match=r"op: holds several series, as \S+ and \S+ show"):
+        import_joints([folder], tmp_path / "log.mcap", tmp_path / "own.toml")
+    assert not (tmp_path / "log.mcap").exists()
+
+
+def test_a_detector_of_a_camera_has_a_frame_and_confidences_of_its_own(tmp_path, written):
+    import_joints([written / "zed_front.json"], tmp_path / "log.mcap", Path("zed"))
+    with open_log(tmp_path / "log.mcap", fixed_frame="zed_front") as log:
+        frame = next(iter(log.frames()))
+    assert frame.frame_id == "zed_front"
+    assert frame.ids.tolist() == [0, 1]
+    assert frame.marker_confidences == pytest.approx(0.9)
+    assert frame.stamp == 1_700_000_000_000_000_000
+
+
+def test_zed_writes_one_of_several_skeletons(tmp_path, written):
+    frames, markers = files.truth_of(SAMPLE)
+    for count in (34, 38):
+        files.zed(tmp_path / f"{count}.json", frames[:2], markers, count)
+    both = [tmp_path / "34.json", tmp_path / "38.json"]
+    import_joints(both, tmp_path / "log.mcap", Path("zed"))
+    text = (tmp_path / "38.json").read_text().replace('"keypoint": [[', '"keypoint": [[1, 2, 3], [')
+    (tmp_path / "38.json").write_text(text)
+    with pytest.raises(ConfigError, match="has 39 joints .* are 18 or 34 or 38 or 70"):
+        import_joints(both, tmp_path / "log.mcap", Path("zed"))
+
+
+def test_people_of_a_c3d_file_become_a_log(tmp_path):
+    import ezc3d
+
+    labels, n = ["Anna:HEAD", "Anna:PELVIS", "Ben:HEAD", "Ben:PELVIS", "*3"], 4
+    points = np.zeros((4, len(labels), n))
+    points[2] = np.array([1600.0, 800.0, 1800.0, 900.0, 0.0])[:, None]
+    points[0, :, 3] = 77.0
+    file = ezc3d.c3d()
+    point = file["parameters"]["POINT"]
+    point["RATE"]["value"], point["UNITS"]["value"] = [100.0], ["mm"]
+    point["LABELS"]["value"] = labels
+    file["data"]["points"] = points
+    file.write(str(tmp_path / "vicon.c3d"))
+    assert import_joints([tmp_path / "vicon.c3d"], tmp_path / "log.mcap") == {"/vicon/skeletons": n}
+    with open_log(tmp_path / "log.mcap") as log:
+        frames = list(log.frames())
+        assert log.model.marker_names == ("HEAD", "PELVIS")
+    assert frames[3].stamp - frames[0].stamp == pytest.approx(30e6, abs=1000)
+    assert frames[0].ids.tolist() == [0, 1]
+    assert frames[3].positions[1, 0].tolist() == pytest.approx([0.077, 0, 1.8])
+
+
+@pytest.mark.parametrize(
+    ("array", "mapping", "fault"),
+    [
+        (np.ones((5, 34, 3)), "[time]\nrate = 30", "has 34 joints without names, .* are 33"),
+        (np.ones((5, 33)), "[time]\nrate = 30", r"should have the shape .*, is \(5, 33\)"),
+        (np.ones((5, 33, 3)), "", "has no times; write their rate under"),
+        (np.array([{}]), "[time]\nrate = 30", "not an array of numpy: "),
+    ],
+)
+def test_a_faulty_array_is_refused(array, mapping, fault, tmp_path):
+    np.save(tmp_path / "a.npy", array)
+    (tmp_path / "own.toml").write_text(f'detector = "freemocap"\n{mapping}\n')
+    with pytest.raises(ConfigError, match=f"a.npy: {fault}"):
+        import_joints([tmp_path / "a.npy"], tmp_path / "log.mcap", tmp_path / "own.toml")
 
 
 def test_an_imported_log_can_be_processed(tmp_path, scene):
@@ -326,6 +425,9 @@ JSON = '[{"time": 0, "people": [{"joints": {"HEAD": [0, 0, 1.6]}}]}]'
         ("a.csv", TALL + "0,0,HEAD,0,0\n", "", "line 2: has not as many cells"),
         ("a.csv", TALL + "0,0,HEAD,0,0,1,7\n", "", "line 2: has not as many cells"),
         ("a.csv", "time,HEAD_x,HEAD_y\n0,0,0\n", "", "no column HEAD_z"),
+        ("a.csv", "time,HEAD_y,HEAD_z,A_x,A_y,A_z\n0,0,0,1,1,1\n", "", "no column HEAD_x"),
+        ("a.csv", "time,HEAD_x,HEAD_y,HEAD_y,HEAD_z\n0,0,0,0,0\n", "", "column HEAD_y twice"),
+        ("a.csv", TALL + "0,0,HEAD,1_0,0,1\n", "", "line 2: '1_0' is not a number"),
         (
             "a.csv",
             "time,person,HEAD_x,HEAD_y,HEAD_z\n0,0,0,0,1\n0,1,0,0,1\n",
@@ -345,7 +447,21 @@ JSON = '[{"time": 0, "people": [{"joints": {"HEAD": [0, 0, 1.6]}}]}]'
         ("a.trc", TRC.format(n=1, names="A\t\t\tA"), "", "names the marker A twice"),
         ("a.trc", TRC.format(n=3, names="A\t\t\tB"), "", "it has 1 of the 3 frames of its line 3"),
         ("a.trc", TRC.format(n=1, names="A\t\t\tB")[:-5], "", "line 6: is cut off"),
-        ("a.trc", TRC.format(n=1, names="A\t\t\tB"), "[time]\nrate = 30", "a TRC file has times"),
+        (
+            "a.trc",
+            TRC.format(n=1, names="A\t\t\tB")
+            .replace("Units", "NumMarkers\tUnits")
+            .replace("\tm\n", "\t40\tm\n"),
+            "",
+            "line 4 names 2 markers, but line 3 says 40",
+        ),
+        (
+            "a.trc",
+            TRC.format(n=1, names="A"),
+            "",
+            "line 6: has more numbers than the 1 markers of line 4",
+        ),
+        ("a.trc", TRC.format(n=1, names="A\t\t\tB"), "[time]\nrate = 30", "this one has times"),
         ("a.json", '[{"time": 0, "people": [7]}]', "", "an instant or a person is no JSON object"),
         ("a.json", JSON[:-5], "", "not JSON: "),
         ("a.json", JSON.replace('"HEAD"', '"A": [0, 0, 0], "A"'), "", "the key 'A' occurs twice"),

@@ -294,3 +294,18 @@ def test_people_who_roam_walk_through_the_room_but_not_into_walls():
     step = np.diff(places[0], axis=0)
     ahead = step[:, 0] * np.cos(heading[1:]) + step[:, 1] * np.sin(heading[1:])
     assert np.mean(ahead > 0) > 0.99
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fault"),
+    [
+        (["--cameras", "²"], "²: No such file or directory"),
+        (["--cameras", "9" * 5000], "File name too long"),
+        (["--cameras", "2", "--range", "0.5:inf"], "--range: should be two numbers around a colon"),
+    ],
+)
+def test_a_number_that_is_none_is_one_line(arguments, fault, capsys):
+    assert run(["plan", "--room", "6x5", *arguments]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert fault in told

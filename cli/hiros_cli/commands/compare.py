@@ -9,13 +9,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hiros_cli.compiling import prepare
-from hiros_cli.options import FORCE, HTML, JSON, QUIET, argument, option, settings_of
+from hiros_cli.options import (
+    FORCE,
+    HTML,
+    JSON,
+    QUIET,
+    TABLE,
+    argument,
+    option,
+    settings_of,
+)
 from hiros_cli.output import check_outputs, print_json
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.running.progress_bar import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.evaluate.comparison import Outcome
+    from hiros_mcap.evaluate.measures import Sheet
+    from hiros_mcap.outputs import Kind
 
 STUDIES = ("cameras", "people")
 CAMERA_STUDY = ("fuse", "hiros", "malaguti", "lee")
@@ -42,6 +53,7 @@ def compare(
     ),
     jobs: int = option("NUMBER", "Runs at once; 0 = one per core.", default=0, min=0),
     html: Path | None = HTML,
+    table: Path | None = TABLE,
     rrd: Path | None = option("FILE", "Also write a Rerun recording that overlays all systems."),
     force: bool = FORCE,
     json: bool = JSON,
@@ -58,9 +70,12 @@ def compare(
     for path in paths:
         path.stat()
     _check(paths, study, truth, rrd)
-    check_outputs(
-        (html, "HTML page"), (rrd, "Rerun recording"), inputs=(*paths, truth), force=force
-    )
+    outputs: list[tuple[Path | None, Kind]] = [
+        (html, "HTML page"),
+        (rrd, "Rerun recording"),
+        (table, "table of scores"),
+    ]
+    check_outputs(*outputs, inputs=(*paths, truth), force=force)
     from hiros_mcap.evaluate.logs import check_recording
 
     for path in paths:
@@ -87,6 +102,10 @@ def compare(
         from hiros_viewer.comparison_page import comparison_page
 
         comparison_page(outcomes, study).write(html)
+    if table is not None:
+        from hiros_mcap.evaluate.table_files import write_table
+
+        write_table(table, _sheets(outcomes, study))
     if json:
         from hiros_mcap.evaluate.score_tables import notes_on
         from hiros_mcap.summary import plain
@@ -123,22 +142,26 @@ def _simulated(folder: Path) -> list[Path]:
     return paths
 
 
-def _show(outcomes: list[Outcome], study: str | None) -> None:
-    from hiros_cli.run_report import page
+def _sheets(outcomes: list[Outcome], study: str | None) -> list[Sheet]:
     from hiros_mcap.evaluate.comparison import by_number_of_cameras
-    from hiros_mcap.evaluate.score_tables import (
-        camera_table,
-        differences_of,
-        notes_on,
-        system_table,
-    )
+    from hiros_mcap.evaluate.score_tables import camera_sheet, comparison_sheets
 
     if study == "cameras":
-        title = "Mean joint error (SD), mm, by number of cameras, over all subsets"
-        page((), (title, camera_table(by_number_of_cameras(outcomes))), notes=notes_on(outcomes))
-        return
-    groups: dict[str, list[Outcome]] = {}
-    for outcome in outcomes:
-        groups.setdefault(outcome.log, []).append(outcome)
-    parts = [((log, system_table(g)), differences_of(g) or None) for log, g in groups.items()]
+        return [camera_sheet(by_number_of_cameras(outcomes))]
+    return comparison_sheets(outcomes)
+
+
+def _show(outcomes: list[Outcome], study: str | None) -> None:
+    from hiros_cli.run_report import page
+    from hiros_mcap.evaluate.measures import text_of
+    from hiros_mcap.evaluate.score_tables import differences_of, notes_on, system_sheets
+
+    sheets = _sheets(outcomes, study) if study == "cameras" else system_sheets(outcomes)
+    parts = [
+        (
+            (sheet.title, text_of(sheet)),
+            differences_of([o for o in outcomes if o.log == sheet.log]) or None,
+        )
+        for sheet in sheets
+    ]
     page((), *chain.from_iterable(parts), notes=notes_on(outcomes))

@@ -16,6 +16,7 @@ from hiros_cli.options import (
     GROUP,
     HTML,
     MANY,
+    TABLE,
     Parameters,
     argument,
     flag,
@@ -38,7 +39,7 @@ class Scoring:
 
     truth: str | None = option(
         "FILE|TOPIC",
-        "MCAP, TRC or CSV file, or a channel of LOG. Default: LOG's /truth channel. With many "
+        "MCAP, TRC, C3D or CSV file, or a channel of LOG. Default: LOG's /truth channel. With many "
         "logs: a channel, or a folder of files with the logs' names.",
     )
     channel: list[str] | None = option(
@@ -64,6 +65,11 @@ class Scoring:
         "S", "Seconds to add to the times of the truth.", default=0.0, min=-4e9, max=4e9
     )
     up: str = option("AXIS", "Axis of the truth that points up: z or y.", default="z")
+    align: bool = flag(
+        "--align", "Turn and move the truth as a whole to where the result has the people."
+    )
+    align_time: bool = flag("--align-time", "--align, and find the shift of the truth's times.")
+    align_scale: bool = flag("--align-scale", "--align, and find the scale of the truth.")
 
     def __post_init__(self) -> None:
         if self.up not in ("z", "y"):
@@ -72,6 +78,12 @@ class Scoring:
             raise ConfigError(
                 f"--truth-covers: {self.truth_covers!r} is none of all, partial, auto"
             )
+
+    @property
+    def alignment(self) -> tuple[str, ...]:
+        """In what the truth is brought to the result."""
+        asked = {"pose": self.align, "time": self.align_time, "scale": self.align_scale}
+        return tuple(name for name, is_asked in asked.items() if is_asked)
 
 
 @grouped
@@ -85,6 +97,7 @@ def evaluate(
     joints: bool = flag("--joints", "Also show every joint and the signed angles."),
     parameters: Parameters = GROUP,
     html: Path | None = HTML,
+    table: Path | None = TABLE,
     output: str = option(
         "FOLDER",
         "Keep the scores of many logs there; the same command goes on where it stopped.",
@@ -100,18 +113,18 @@ def evaluate(
     A recording is first processed with the given parameters. Without a truth, hiros scores each
     camera against the result of the others.
     """
-    if many.wanted(logs, output, html=html, joints=joints):
+    if many.wanted(logs, output, html=html, joints=joints, table=table):
         _many(scoring, parameters, logs, many, output)
     if output:
         raise ConfigError("--output is for many logs; for one, use --json or --html")
     log = one_log(context, logs[0])
     inputs = (log, scoring.truth, parameters.config)
-    check_outputs((html, "HTML page"), inputs=inputs, force=many.force)
+    check_outputs((html, "HTML page"), (table, "table of scores"), inputs=inputs, force=many.force)
     prepare(quiet=many.quiet or many.json)
     from hiros_cli.evaluation import Output
 
     settings = settings_of(logs[0], parameters.settings())
-    shown = Output(log, html, json=many.json, quiet=many.quiet, joints=joints)
+    shown = Output(log, html, table, json=many.json, quiet=many.quiet, joints=joints)
     _one(scoring, settings, shown, asked=parameters.asked)
 
 
@@ -119,6 +132,7 @@ def _one(scoring: Scoring, settings: Settings, shown: Output, *, asked: bool) ->
     """Score one log against the truth, or without one each camera against the others."""
     from hiros_cli.evaluation import show_self, show_truth
     from hiros_mcap.evaluate import logs
+    from hiros_mcap.evaluate.alignment import aligned
     from hiros_mcap.evaluate.leave_one_out import leave_one_out
     from hiros_mcap.evaluate.remarks import warnings_of
     from hiros_mcap.io.log import open_reader
@@ -136,6 +150,7 @@ def _one(scoring: Scoring, settings: Settings, shown: Output, *, asked: bool) ->
             return
         true = true.moved(scoring.shift, start=logs.start_of(reader), up=scoring.up)
         channels = logs.results_of(reader, config, truth, scoring.channel or (), settings.system)
+    true = aligned(true, channels, scoring.alignment)
     true, others = logs.covered_by(channels, true, scoring.truth_covers, scoring.match_distance)
     results = logs.evaluate_channels(channels, true, scoring.match_distance)
     named = scoring.truth_covers != "auto"
@@ -164,6 +179,7 @@ def _many(
         scoring.match_distance,
         scoring.shift,
         scoring.up,
+        scoring.alignment,
         asked=parameters.asked,
     )
     run(job, logs, many, folder)

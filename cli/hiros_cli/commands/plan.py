@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 from hiros_cli.commands.simulate import simulate_params
 from hiros_cli.compiling import prepare
-from hiros_cli.options import FORCE, JSON, OUTPUT, QUIET, flag, option
+from hiros_cli.options import FORCE, JSON, OUTPUT, QUIET, TABLE, flag, option
 from hiros_cli.output import check_outputs, print_json
 from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
-    from hiros_mcap.plan.planning import Outlook, RoomPlan
+    from hiros_mcap.evaluate.measures import Sheet
+    from hiros_mcap.outputs import Kind
+    from hiros_mcap.plan.planning import RoomPlan
 
 
 def plan(
@@ -43,6 +45,7 @@ def plan(
         panel=OUTPUT,
     ),
     picture: Path | None = option("FILE", "Also draw the floor as PNG.", panel=OUTPUT),
+    table: Path | None = TABLE,
     force: bool = FORCE,
     json: bool = JSON,
     quiet: bool = QUIET,
@@ -57,7 +60,12 @@ def plan(
         placed.stat()
     if picture is not None and picture.suffix != ".png":
         raise ConfigError(f"{picture}: the name of a picture must end in .png")
-    check_outputs((output, "camera file"), (picture, "PNG picture"), inputs=(placed,), force=force)
+    outputs: list[tuple[Path | None, Kind]] = [
+        (output, "camera file"),
+        (picture, "PNG picture"),
+        (table, "table of scores"),
+    ]
+    check_outputs(*outputs, inputs=(placed,), force=force)
 
     prepare(quiet=json or quiet)
     from hiros_mcap.plan.planning import make_plan
@@ -79,10 +87,14 @@ def plan(
         from hiros_viewer.floor_picture import floor_figure
 
         save_png(floor_figure(rig_plan), picture)
+    if table is not None:
+        from hiros_mcap.evaluate.table_files import write_table
+
+        write_table(table, [_sheet(rig_plan)])
     if json:
         print_json("plan", rig_plan.to_dict())
     elif not quiet:
-        _show(rig_plan, [path for path in (output, picture) if path is not None], joints=joints)
+        _show(rig_plan, [path for path, _ in outputs if path is not None], joints=joints)
 
 
 def _pair(option: str, text: str, mark: str) -> tuple[float, float]:
@@ -101,16 +113,25 @@ def _pair(option: str, text: str, mark: str) -> tuple[float, float]:
     return numbers
 
 
+def _sheet(plan: RoomPlan) -> Sheet:
+    """Return what is expected with all cameras, with one less and with one more."""
+    from hiros_mcap.evaluate.measures import PLANNED, Sheet
+
+    rigs: list[tuple[str, object]] = [("all cameras", plan.expected)]
+    rigs += [(f"without {camera.name}", camera.then) for camera in plan.cameras]
+    rigs += [("with one more", plan.further.then)]
+    return Sheet("People anywhere on the floor", "Cameras", rigs, PLANNED)
+
+
 def _show(plan: RoomPlan, written: Iterable[Path], *, joints: bool) -> None:
     """Print the cameras, what is expected with all, with one less and with one more."""
     from hiros_cli.run_report import listing, page
+    from hiros_mcap.evaluate.measures import text_of
     from hiros_mcap.summary import number, quantity
 
     x0, y0, x1, y1 = plan.params.area
     people = plan.params.people
-    rigs: list[tuple[str, Outlook]] = [("all cameras", plan.expected)]
-    rigs += [(f"without {camera.name}", camera.then) for camera in plan.cameras]
-    rigs += [("with one more", plan.further.then)]
+    sheet = _sheet(plan)
     errors = {**plan.parts_mm, **(plan.joints_mm if joints else {})}
     page(
         f"{x1 - x0:.1f} m x {y1 - y0:.1f} m, {quantity(len(plan.cameras), 'camera')}, "
@@ -125,14 +146,7 @@ def _show(plan: RoomPlan, written: Iterable[Path], *, joints: bool) -> None:
             (">Bearing, deg", lambda camera: number(camera.bearing_deg, 0)),
             (">Tilt, deg", lambda camera: number(camera.tilt_deg, 0)),
         ),
-        listing(
-            rigs,
-            ("People anywhere on the floor", lambda rig: rig[0]),
-            (">Error, mm", lambda rig: number(rig[1].error_mm, 1)),
-            (">1 camera", lambda rig: number(100 * rig[1].one, 1, " %")),
-            (">2 cameras", lambda rig: number(100 * rig[1].two, 1, " %")),
-            (">3 cameras", lambda rig: number(100 * rig[1].three, 1, " %")),
-        ),
+        (sheet.title, text_of(sheet)),
         listing(
             errors.items(),
             ("Joints", lambda row: row[0]),

@@ -16,6 +16,7 @@ from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.detectors.body_models import linked
 from hiros_mcap.io.detectors.body_size import LARGEST, SMALLEST, body_size
 from hiros_mcap.io.detectors.detector_reader import add_links
+from hiros_mcap.io.joints.c3d import MARKER_FILES
 from hiros_mcap.io.joints.joint_rows import JointRow, read_rows
 from hiros_mcap.io.joints.mapping import FileMapping, TimeMapping, read_mapping
 from hiros_mcap.io.joints.trc import METRES
@@ -39,7 +40,7 @@ def import_joints(
 
     Parameters
     ----------
-    sources : CSV, TRC or JSON files, or folders of JSON files, one for each camera.
+    sources : CSV, TRC, C3D, JSON or numpy files, or folders of JSON files, one for each camera.
     target : MCAP log to write.
     mapping : TOML file that says what the files mean, or a detector; see :mod:`.mapping`.
     warn : is called with what makes the log doubtful.
@@ -79,7 +80,7 @@ def import_joints(
 
 def _may_be_cut(path: Path) -> bool:
     """Whether a table does not end with the end of a line. What else is cut off is an error."""
-    is_table = path.is_file() and path.suffix.lower() != ".json"
+    is_table = path.is_file() and path.suffix.lower() in (".csv", ".trc")
     return is_table and not path.read_bytes().endswith((b"\n", b"\r"))
 
 
@@ -102,6 +103,7 @@ def _frames(path: Path, camera: str, mapping: FileMapping) -> tuple[SkeletonMode
         raise ConfigError(f"{path}: holds no joint in 3D")
     model = linked(_names(path, slots, mapping.joints))
     start = _start(path, min(instants), max(instants), mapping.time)
+    frame_id = mapping.frame.replace("{camera}", camera)
     frames = []
     for time in sorted(instants):
         people = {
@@ -110,7 +112,7 @@ def _frames(path: Path, camera: str, mapping: FileMapping) -> tuple[SkeletonMode
             if any(map(_seen, rows.values()))
         }
         stamp = round((start + time) * 1e9)
-        frame = Frame.empty(len(people), model, stamp=stamp, source=camera, frame_id=mapping.frame)
+        frame = Frame.empty(len(people), model, stamp=stamp, source=camera, frame_id=frame_id)
         frame.ids[:] = list(people)
         for k, rows in enumerate(people.values()):
             for row in rows:
@@ -158,10 +160,8 @@ def _check_size(path: Path, frames: Iterable[Frame], mapping: FileMapping) -> No
     size = body_size(person for frame in frames for person in frame.positions)
     if math.isnan(size) or SMALLEST <= size <= LARGEST:
         return
-    if path.suffix.lower() == ".trc":
-        raise ConfigError(
-            f"{path}: people are {size:.3g} m large by the Units in its line 3; correct them"
-        )
+    if path.suffix.lower() in MARKER_FILES:
+        raise ConfigError(f"{path}: people are {size:.3g} m large by the unit in the file")
     given = size / METRES[mapping.unit]
     units = [unit for unit, metres in METRES.items() if _USUAL[0] <= given * metres <= _USUAL[1]]
     remedy = f'write unit = "{units[0]}"' if units else "correct the unit"

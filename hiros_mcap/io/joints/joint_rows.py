@@ -6,13 +6,21 @@ import csv
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io.joints.mapping import SECONDS, ColumnMapping, FileMapping, of_export
-from hiros_mcap.io.joints.trc import METRES, lines_of, number_of, read_markers, text_of
+from hiros_mcap.io.joints.c3d import MARKER_FILES
+from hiros_mcap.io.joints.mapping import SECONDS, ColumnMapping, FileMapping, of_columns
+from hiros_mcap.io.joints.trc import METRES, lines_of, number_of, text_of
 from hiros_mcap.outside import parse
+
+_BODY = 33
+_HOLISTIC = (75, 543, 553)
+"""Joints of MediaPipe's holistic model: those of the body, then hands, then the face if any."""
 
 
 class JointRow(NamedTuple):
@@ -35,8 +43,9 @@ def read_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
     """
     readers: dict[str, Callable[[Path, FileMapping], Iterator[JointRow]]] = {
         ".csv": _csv_rows,
-        ".trc": _trc_rows,
         ".json": _json_rows,
+        ".npy": _npy_rows,
+        **dict.fromkeys(MARKER_FILES, _marker_rows),
     }
     reader = readers.get(".json" if path.is_dir() else path.suffix.lower())
     if reader is None:
@@ -44,13 +53,14 @@ def read_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
     yield from reader(path, mapping)
 
 
-def _trc_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
+def _marker_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
     if mapping.time.rate:
-        raise ConfigError(f"{path}: time.rate is for files without times; a TRC file has times")
-    names, times, positions = read_markers(path)
-    for time, points in zip(times.tolist(), positions.tolist(), strict=True):
-        for name, point in zip(names, points, strict=True):
-            yield JointRow(time, "0", name, tuple(point), math.nan)
+        raise ConfigError(f"{path}: time.rate is for files without times; this one has times")
+    markers = MARKER_FILES[path.suffix.lower()](path)
+    for time, skeletons in zip(markers.times.tolist(), markers.positions.tolist(), strict=True):
+        for person, points in zip(markers.people, skeletons, strict=True):
+            for name, point in zip(markers.names, points, strict=True):
+                yield JointRow(time, person, name, tuple(point), math.nan)
 
 
 def _csv_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
@@ -59,19 +69,23 @@ def _csv_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
         columns, rows = list(reader.fieldnames or ()), list(reader)
     except csv.Error as error:
         raise ConfigError(f"{path}: not CSV: {error}") from error
-    mapping = of_export(mapping, columns)
+    if twice := sorted({name for name in columns if name and columns.count(name) > 1}):
+        raise ConfigError(f"{path}: line 1: names the column {twice[0]} twice")
+    mapping = of_columns(mapping, columns)
     c = mapping.columns
     names = _wide_names(columns, c)
-    needed = [] if mapping.time.rate else [mapping.time.column]
+    needed = [*mapping.rows, *([] if mapping.time.rate else [mapping.time.column])]
     needed += [column for n in names for column in c.numbers_of(n)[:3]] or [c.joint, c.x, c.y, c.z]
     if "person" in c.model_fields_set:
         needed.append(c.person)
     if missing := [name for name in needed if name not in columns]:
         raise ConfigError(
             f"{path}: line 1: no column {', '.join(missing)}; the mapping file says how the "
-            f"columns are called (there are: {', '.join(columns[:12])})"
+            f"columns are called, or the rate of a file without times (there are: "
+            f"{', '.join(columns[:12])})"
         )
-    if mapping.time.rate and (not names or c.person in columns):
+    counts = mapping.time.frame in columns
+    if mapping.time.rate and not counts and (not names or c.person in columns):
         raise ConfigError(
             f"{path}: time.rate is for files of one row per instant; this one has a row for each "
             f"{'person' if names else 'joint'}, so it needs a column with times"
@@ -80,23 +94,29 @@ def _csv_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
         where = f"{path}: line {number + 2}"
         if None in row or None in row.values():
             raise ConfigError(f"{where}: has not as many cells as the first line; is it cut off?")
-        time = _time(row.get(mapping.time.column), number, mapping, where)
+        if any(not fnmatchcase(row[name], pattern) for name, pattern in mapping.rows.items()):
+            continue
+        place = number_of(row[mapping.time.frame], where) if counts else number
+        time = _time(row.get(mapping.time.column), place, mapping, where)
         yield from (
             _wide(row, names, time, mapping, where) if names else _tall(row, time, mapping, where)
         )
 
 
 def _wide_names(columns: Sequence[str], mapping: ColumnMapping) -> list[str]:
-    """Joints that have a column for x, in the order of the file; none if rows name the joint."""
+    """Joints that have a column of x, y or z, in their order; none if rows name the joint."""
     pattern = mapping.position or ("" if mapping.joint in columns else "{joint}_{axis}")
-    before, joint, after = pattern.format(joint="\0", axis=mapping.x).partition("\0")
-    if not joint:
+    if not pattern:
         return []
-    return [
-        column[len(before) : len(column) - len(after)]
-        for column in columns
-        if column and column.startswith(before) and column.endswith(after)
-    ]
+    names = []
+    for axis in (mapping.x, mapping.y, mapping.z):
+        before, _, after = pattern.format(joint="\0", axis=axis).partition("\0")
+        names += [
+            column[len(before) : len(column) - len(after)]
+            for column in columns
+            if column.startswith(before) and column.endswith(after)
+        ]
+    return list(dict.fromkeys(name for name in names if name))
 
 
 def _wide(
@@ -116,7 +136,7 @@ def _tall(row: dict[str, str], time: float, mapping: FileMapping, where: str) ->
 
 def _json_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
     c = mapping.columns
-    for number, (where, frame) in enumerate(_instants(path, c)):
+    for where, number, frame in _instants(path, mapping):
         given = _object(frame, where).get(mapping.time.column)
         time = _time(None if given is None else str(given), number, mapping, where)
         people = _list(frame.get(c.people), c.people, where)
@@ -125,26 +145,51 @@ def _json_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
         for index, person in enumerate(people):
             joints = _object({c.joints: person} if isinstance(person, list) else person, where)
             who = str(joints.get(c.person, joints.get("id", index)))
-            for name, values in _named(joints.get(c.joints), mapping, where):
+            each = joints.get(c.confidence)  # of the person's joints, beside them
+            for k, (name, values) in enumerate(_named(joints.get(c.joints), mapping, where)):
                 x, y, z, sure = _four(values, c, where)
+                if isinstance(each, list) and k < len(each):
+                    sure = number_of("" if each[k] is None else str(each[k]), where)
                 yield _row(time, who, name, (x, y, z), sure, mapping)
 
 
-def _instants(path: Path, columns: ColumnMapping) -> Iterator[tuple[str, Any]]:
-    """Yield the name and the content of each instant: a file of a folder, or a part of a file."""
+def _instants(path: Path, mapping: FileMapping) -> Iterator[tuple[str, int, Any]]:
+    """Yield name, number and content of each instant: a file of a folder, or a part of a file."""
     if path.is_dir():
-        files = path.glob("*.json")
-        for file in sorted(files, key=lambda one: re.sub(r"\d+", _padded, one.name)):
-            yield str(file), parse(text_of(file), "JSON", file)
+        for number, file in _numbered(path, is_time=mapping.time.rate is not None):
+            yield str(file), number, parse(text_of(file), "JSON", file)
         return
     content = parse(text_of(path), "JSON", path)
-    frames = content.get(columns.frames) if isinstance(content, dict) else content
-    for number, frame in enumerate(_list(frames, columns.frames, path)):
-        yield f"{path}: frame {number}", frame
+    key = mapping.columns.frames
+    frames = content
+    if isinstance(content, dict):
+        frames = content.get(key) if key else list(content.values())
+    for number, frame in enumerate(_list(frames, key, path)):
+        yield f"{path}: frame {number}", number, frame
 
 
-def _padded(digits: re.Match[str]) -> str:
-    return digits[0].zfill(20)
+def _numbered(folder: Path, *, is_time: bool) -> list[tuple[int, Path]]:
+    """Return the JSON files of a folder in the order of the numbers in their names.
+
+    The number that differs between them counts the frames. ``is_time`` says that it is the time.
+
+    Raises ConfigError if the names differ in anything else: then they are of several series.
+    """
+    files = sorted(folder.glob("*.json"))
+    names = [re.split(r"(\d+)", file.stem) for file in files]  # text, digits, text, ...
+    first = next(iter(names), [])
+    differ = [k for k in range(len(first)) if any(name[k : k + 1] != [first[k]] for name in names)]
+    other = next((k for k, name in enumerate(names) if name[::2] != first[::2]), None)
+    if other is None and len(differ) > 1 and is_time:
+        other = next(k for k, name in enumerate(names) if name[differ[0]] != first[differ[0]])
+    if other is not None:
+        raise ConfigError(
+            f"{folder}: holds several series, as {files[0].name} and {files[other].name} show; "
+            "import a folder for each camera"
+        )
+    numbers = [[int(digits) for digits in name[1::2]] for name in names]
+    place = differ[0] // 2 if differ else -1
+    return sorted((n[place] if n else 0, f) for n, f in zip(numbers, files, strict=True))
 
 
 def _object(value: Any, where: str) -> dict[str, Any]:
@@ -168,14 +213,41 @@ def _named(joints: Any, mapping: FileMapping, where: str) -> Iterator[tuple[str,
     if not values:
         return  # the detector has none in 3D
     if all(isinstance(value, int | float) for value in values):  # x0, y0, z0, c0, x1, ...
-        size = max(len(values) // max(len(mapping.names), 1), 1)
+        size = max(len(values) // max(min(mapping.names, default=1), 1), 1)
         values = [values[k : k + size] for k in range(0, len(values), size)]
-    if len(values) != len(mapping.names):
+    yield from zip(_names_of(len(values), mapping, where), values, strict=True)
+
+
+def _names_of(count: int, mapping: FileMapping, where: object) -> list[str]:
+    """Return the names of so many joints; raises ConfigError if the mapping has not so many."""
+    if count not in mapping.names:
         raise ConfigError(
-            f"{where}: has {len(values)} joints without names, and names in the mapping file are "
-            f"{len(mapping.names)}"
+            f"{where}: has {count} joints without names, and names in the mapping file are "
+            f"{' or '.join(map(str, mapping.names)) or 0}"
         )
-    yield from zip(mapping.names, values, strict=True)
+    return mapping.names[count]
+
+
+def _npy_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
+    """Yield the joints of an array (T, M, 3) of one person, as FreeMoCap writes them.
+
+    Its arrays of body, hands and face begin with the body's joints.
+    """
+    try:
+        points = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise ConfigError(f"{path}: not an array of numpy: {error}") from None
+    if not isinstance(points, np.ndarray) or points.ndim != 3 or points.shape[2] != 3:
+        shape = getattr(points, "shape", "of several arrays")
+        raise ConfigError(f"{path}: should have the shape (instants, joints, 3), is {shape}")
+    if mapping.time.rate is None:
+        raise ConfigError(f"{path}: has no times; write their rate under [time]")
+    count = points.shape[1]
+    body = min(mapping.names, default=0)
+    names = _names_of(body if count in _HOLISTIC and body == _BODY else count, mapping, path)
+    for number, skeleton in enumerate(points[:, : len(names)].astype(np.float64).tolist()):
+        for name, (x, y, z) in zip(names, skeleton, strict=True):
+            yield _row(number / mapping.time.rate, "0", name, (x, y, z), math.nan, mapping)
 
 
 def _four(values: Any, columns: ColumnMapping, where: str) -> list[float]:
@@ -189,12 +261,12 @@ def _four(values: Any, columns: ColumnMapping, where: str) -> list[float]:
     return [*quaternion, math.nan][:4]
 
 
-def _time(text: str | None, number: int, mapping: FileMapping, where: str) -> float:
-    if mapping.time.rate is not None:
+def _time(text: str | None, number: float, mapping: FileMapping, where: str) -> float:
+    if mapping.time.rate is not None and not math.isnan(number):
         return number / mapping.time.rate
     time = number_of(text, where)
     if math.isnan(time):
-        raise ConfigError(f"{where}: has no time")
+        raise ConfigError(f"{where}: has no time; the rate under [time] tells it, too")
     return time * SECONDS[mapping.time.unit]
 
 
@@ -210,4 +282,5 @@ def _row(
         position = math.nan, math.nan, math.nan
     factor = METRES[mapping.unit]
     x, y, z = position
-    return JointRow(time, person, joint, (factor * x, factor * y, factor * z), confidence)
+    sure = confidence / mapping.certain
+    return JointRow(time, person, joint, (factor * x, factor * y, factor * z), sure)

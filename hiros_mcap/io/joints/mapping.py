@@ -55,8 +55,38 @@ DETECTOR_FILES: dict[str, dict[str, Any]] = {
         "time": {"column": "timestamp_ms", "unit": "ms"},
         "columns": {"people": "pose_world_landmarks", "confidence": "visibility"},
     },
-    # FreeMoCap 1.8, output_data/mediapipe_body_3d_xyz.csv: z up.
-    "freemocap": {"unit": "mm", "columns": {"position": "body_{joint}_{axis}"}},
+    # FreeMoCap 1.8 and 2, z up: output_data/mediapipe_body_3d_xyz.csv and .npy,
+    # NAME_by_trajectory.csv; _tidy has those of a row per joint. Its DataSaver writes them
+    # (freemocap/data_layer/data_saver/data_saver.py), in version 2 skellyforge's Actor.
+    "freemocap": {
+        "unit": "mm",
+        "names": "mediapipe-33",
+        "time": {"column": "timestamp"},
+        "columns": {"position": "body_{joint}_{axis}"},
+    },
+    # Azure-Kinect-Samples, body-tracking-samples/offline_processor/main.cpp: in the frame of the
+    # depth camera, x right, y down, z ahead.
+    "azure-kinect": {
+        "unit": "mm",
+        "frame": "{camera}",
+        "names": "azure-kinect",
+        "time": {"column": "timestamp_usec", "unit": "us"},
+        "columns": {"people": "bodies", "person": "body_id", "joints": "joint_positions"},
+    },
+    # zed-sdk, body tracking/export/JSON export: instants by their time in ms, confidences 0 to 100.
+    "zed": {
+        "frame": "{camera}",
+        "names": "zed",
+        "certain": 100.0,
+        "time": {"column": "timestamp", "unit": "ns"},
+        "columns": {
+            "frames": "",
+            "people": "body_list",
+            "person": "id",
+            "joints": "keypoint",
+            "confidence": "keypoint_confidence",
+        },
+    },
     # Pose2Sim 0.10, pose-3d/*.trc; OpenCap, MarkerData/*.trc.
     "pose2sim": _Y_UP,
     "opencap": _Y_UP,
@@ -73,6 +103,8 @@ class TimeMapping(BaseModel):
     unit: Literal["s", "ms", "us", "ns"] = "s"
     rate: float | None = Field(None, gt=0)
     """Instants per second, of a file without times."""
+    frame: str = "frame"
+    """Of a CSV file with a rate: the column with the number of the instant, if there is one."""
     start: datetime | float = 0.0
     """Added to every time: a TOML date, or seconds since 1970."""
     offset: float = 0.0
@@ -100,6 +132,7 @@ class ColumnMapping(BaseModel):
     position: str = ""
     """A CSV file with a row per instant and person: name of a column, with {joint} and {axis}."""
     frames: str = "frames"
+    """"" if the instants are the entries of the whole file."""
     people: str = "people"
     joints: str = "joints"
 
@@ -133,18 +166,32 @@ class FileMapping(BaseModel):
     camera: str = ""
     """Name of the camera; the file's name if empty."""
     frame: str = "world"
+    """Coordinate frame of the positions; {camera} stands for the camera's name."""
     unit: Literal["m", "cm", "mm"] = "m"
     axes: list[str] = ["x", "y", "z"]
     time: TimeMapping = TimeMapping()
     columns: ColumnMapping = ColumnMapping()
     joints: dict[str, str] = {}
-    names: list[str] = []
-    """Joints in the order of a JSON list without names; or the skeleton of a detector."""
+    names: dict[int, list[str]] = {}
+    """Joints in the order of a list without names, by their number.
+
+    In the file it is one list, the skeleton of a detector, or "zed" for any of ZED's.
+    """
+    rows: dict[str, str] = {}
+    """Of a CSV file: column -> pattern of its cells, as *body; other rows do not count."""
+    certain: float = Field(1.0, gt=0)
+    """The highest confidence."""
 
     @field_validator("names", mode="before")
     @classmethod
     def _are_names(cls, names: Any) -> Any:
-        return list(body_model(names).marker_names) if names in BODY_MODELS else names
+        if isinstance(names, str):
+            found = [m for m in BODY_MODELS if names == m or m.startswith(f"{names}-")]
+            if not found:
+                raise ValueError(f"should be a list, or one of {', '.join(BODY_MODELS)}")
+            models = [body_model(name).marker_names for name in found]
+            return {len(markers): list(markers) for markers in models}
+        return {len(names): names} if isinstance(names, list) else names
 
     @field_validator("axes")
     @classmethod
@@ -186,8 +233,22 @@ def rotation_of(axes: list[str]) -> Floats:
     return rows
 
 
-def of_export(mapping: FileMapping, columns: Sequence[str]) -> FileMapping:
-    """Return what a CSV file means: if no mapping names its columns, those of hiros export."""
+_TIDY = {"frame", "keypoint", "x", "y", "z"}
+"""Columns of FreeMoCap's files of a row per joint: *_by_frame.csv and, of version 2, all CSV."""
+_TIDY_ROWS = {"model": "*body", "trajectory": "3d_xyz"}
+"""Rows of these that are of the body, not of hands, face or centres of mass."""
+
+
+def of_columns(mapping: FileMapping, columns: Sequence[str]) -> FileMapping:
+    """Return what a CSV file means, whose columns may tell that it is of a known program.
+
+    FreeMoCap's tables of a row per joint have columns of their own. If no mapping names the
+    columns, they may be those of hiros export.
+    """
+    if columns and set(columns) >= _TIDY and "joint" not in mapping.columns.model_fields_set:
+        rows = {name: pattern for name, pattern in _TIDY_ROWS.items() if name in columns}
+        tall = mapping.columns.model_copy(update={"joint": "keypoint", "position": ""})
+        return mapping.model_copy(update={"rows": rows | mapping.rows, "columns": tall})
     time = TimeMapping(column="time (s)")
     if {"time", "columns"} & mapping.model_fields_set or time.column not in columns:
         return mapping

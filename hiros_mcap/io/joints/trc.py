@@ -16,17 +16,21 @@ _MOST_BYTES = 1 << 30
 METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0}
 
 
-class TrcMarkers(NamedTuple):
-    """What a TRC file holds."""
+class Markers(NamedTuple):
+    """What a file of motion capture holds."""
 
     names: list[str]
     times: Floats
     """(T,) s."""
     positions: Floats
-    """(T, M, 3) m, in the file's axes."""
+    """(T, N, M, 3) m, in the file's axes; NaN where a marker was not seen."""
+    people: tuple[str, ...] = ("0",)
+    """Name of each of the N people."""
+    unnamed: int = 0
+    """Trajectories that are left out because they are of no marker."""
 
 
-def read_markers(path: Path) -> TrcMarkers:
+def read_trc(path: Path) -> Markers:
     """Read a TRC file; its ``Units`` scale to metres. Raises ConfigError if it is none."""
     lines = lines_of(path)
     if len(lines) < 6 or not lines[0].startswith("PathFileType"):
@@ -41,12 +45,19 @@ def read_markers(path: Path) -> TrcMarkers:
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise ConfigError(f"{path}: line 4: names the marker {twice} twice")
+    count = header.get("NumMarkers", "").strip()
+    if count and count != str(len(names)):
+        raise ConfigError(f"{path}: line 4 names {len(names)} markers, but line 3 says {count}")
     times, rows = [], []
+    columns = 1 + 3 * len(names)
     for number, line in enumerate(lines[5:], start=6):
         cells = line.split("\t")
         if not line.strip():
             continue
-        columns = 1 + 3 * len(names)
+        if any(cell.strip() for cell in cells[1 + columns :]):
+            raise ConfigError(
+                f"{path}: line {number}: has more numbers than the {len(names)} markers of line 4"
+            )
         values = [number_of(cell, f"{path}: line {number}") for cell in cells[1 : 1 + columns]]
         if len(values) % 3 != 1:
             raise ConfigError(f"{path}: line {number}: is cut off")
@@ -60,8 +71,8 @@ def read_markers(path: Path) -> TrcMarkers:
         raise ConfigError(
             f"{path}: is cut off: it has {len(rows)} of the {expected} frames of its line 3"
         )
-    positions = METRES[unit] * np.array(rows, float).reshape(-1, len(names), 3)
-    return TrcMarkers(names, np.array(times), positions)
+    positions = METRES[unit] * np.array(rows, float).reshape(-1, 1, len(names), 3)
+    return Markers(names, np.array(times), positions)
 
 
 def text_of(path: Path) -> str:
@@ -81,6 +92,6 @@ def number_of(text: str | None, where: str) -> float:
         number = float(text) if text else math.nan
     except ValueError:
         number = math.inf
-    if math.isinf(number):
+    if math.isinf(number) or "_" in text:  # Python reads 1_0 as 10
         raise ConfigError(f"{where}: {text!r} is not a number")
     return number
