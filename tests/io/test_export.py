@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 import warnings
 from dataclasses import replace
 
@@ -13,7 +15,7 @@ import pytest
 
 from hiros_cli.app import run
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.evaluate.truth_files import read_trc
+from hiros_mcap.evaluate.truth_files import read_mocap
 from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
@@ -153,7 +155,7 @@ def test_arrays_come_back(result, tmp_path):
 def test_a_trc_file_is_a_truth_that_the_result_equals(log, result, tmp_path, capsys):
     (path,) = export(result.select(person=0), tmp_path / "out.trc")
     motion = steady(result.select(person=0)).motions[0]
-    read = read_trc(path)
+    read = read_mocap(path)
     np.testing.assert_allclose(read.positions[:, 0, 0, 1], motion.positions[:, 0, 2], atol=1e-6)
     arguments = ["--truth", str(path), "--up", "y", "--channel", "/hiros/filtered", "--json"]
     assert run(["eval", str(log), *arguments]) == 0
@@ -161,7 +163,7 @@ def test_a_trc_file_is_a_truth_that_the_result_equals(log, result, tmp_path, cap
 
 
 def test_opensim_reads_angles_in_degrees(result, tmp_path):
-    paths = export(result, tmp_path / "out.mot")
+    paths = export(result, tmp_path / "out.mot", warn=len)
     assert [path.name for path in paths] == ["out.0.mot", "out.1.mot"]
     table = pd.read_csv(paths[1], sep="\t", skiprows=7)
     knee = steady(result).angles().loc[1, "right knee flexion"]
@@ -280,7 +282,38 @@ def test_a_file_that_was_cut_takes_no_place(suffix, result, tmp_path, monkeypatc
     monkeypatch.setitem(FORMATS, suffix, replace(kind, write=cut))
     target = tmp_path / f"out{suffix}"
     with pytest.raises(LogError, match="cannot be written: the file was cut"):
-        export(result.select(person=0), target)
+        export(result.select(person=0), target, warn=len)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nobody_has_a_file_if_that_of_another_person_was_cut(result, tmp_path, monkeypatch):
+    kind = FORMATS[".trc"]
+
+    def cut(*arguments):
+        written = kind.write(*arguments)
+        return written + 1 if "out.1" in arguments[0].path.name else written
+
+    monkeypatch.setitem(FORMATS, ".trc", replace(kind, write=cut))
+    with pytest.raises(LogError, match=r"out\.1\.trc: cannot be written: the file was cut"):
+        export(result, tmp_path / "out.trc")
+    assert list(tmp_path.iterdir()) == []
+
+
+LIMITED = """
+import resource, sys
+from hiros_cli.app import run
+resource.setrlimit(resource.RLIMIT_FSIZE, (40960, 40960))
+sys.exit(run(["export", sys.argv[1], "-o", sys.argv[2]]))
+"""
+
+
+def test_a_c3d_beyond_a_limit_of_file_size_is_one_error(log, tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED, log, tmp_path / "out.c3d"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "cannot be written: the file was cut" in done.stderr
     assert list(tmp_path.iterdir()) == []
 
 
@@ -359,7 +392,7 @@ def test_markers_take_the_names_of_a_model(suffix, log, result, tmp_path):
     if suffix == ".trc":
         assert target.read_text().splitlines()[3].split() == ["Frame#", "Time", "LSJC", "RKJC"]
         slot = result.model.marker_names.index("KNEE_RIGHT")
-        positions = read_trc(target).positions[:, 0, 1]
+        positions = read_mocap(target).positions[:, 0, 1]
         own = steady(result.select(person=0)).motions[0].positions
         np.testing.assert_allclose(positions[:, 1], own[:, slot, 2], atol=1e-6)
     else:

@@ -74,9 +74,18 @@ def export(
         "For .osim: scale this model, muscles and all, with OpenSim. Default: a model of bones "
         "alone.",
     ),
+    topic: str = option(
+        "TOPIC",
+        "Instead of people, the raw messages of any ROS 2 topic, to .csv or .parquet: a row per "
+        "message, a column per field.",
+        default="",
+    ),
     many: ManyLogs = GROUP,
 ) -> None:
     """Write joints and angles as CSV, TRC, MOT, OSIM, C3D, BVH."""
+    if topic:
+        _topic(context, logs, topic, Path(output), many)
+        return
     from hiros_mcap.io.export.files import export as write
     from hiros_mcap.io.export.files import files_of, format_of
     from hiros_mcap.io.export.marker_set import SUFFIXES, load_marker_set, renamed
@@ -124,15 +133,41 @@ def export(
         print(f"wrote {path}")
 
 
+def _topic(
+    context: typer.Context, logs: list[str], topic: str, target: Path, many: ManyLogs
+) -> None:
+    """Write the raw messages of a topic."""
+    taken = {"logs", "output", "topic", "force", "quiet", "json"}
+    for name in context.params.keys() - taken:
+        source = context.get_parameter_source(name)
+        if source is not None and source.name == "COMMANDLINE":
+            shown = name.replace("_", "-")
+            raise ConfigError(f"--topic is for raw messages; leave out --{shown}")
+    many.wanted(logs, topic=topic)
+    log = one_log(context, logs[0])
+    check_outputs((target, "export"), inputs=(log,), force=many.force)
+    from hiros_mcap.io.export.topic_table import export_topic
+
+    warnings: list[str] = []
+    with bar(f"exporting {log.name}", quiet=many.quiet):
+        rows = export_topic(log, topic, target, warnings.append)
+    for text in warnings:
+        warn(text)
+    if many.json:
+        print_json("export", {"log": logs[0], "files": [str(target)]}, warnings)
+    elif not many.quiet:
+        print(f"wrote {rows} messages to {target}")
+
+
 def import_(
     sources: list[Path] = argument(
-        "FILE", "CSV, TRC or JSON files, or folders of JSON files, one for each camera."
+        "FILE", "CSV, TRC, C3D, JSON or numpy files, or folders of JSON files, one for each camera."
     ),
     output: Path = option("LOG", "MCAP log to write.", "--output", "-o", default=...),
     mapping: Path | None = option(
         "FILE",
         "TOML file with names, units, axes, cameras and clock of FILE; or openpose, "
-        "mediapipe, freemocap, pose2sim, opencap.",
+        "mediapipe, freemocap, pose2sim, opencap, azure-kinect, zed.",
     ),
     force: bool = FORCE,
     quiet: bool = QUIET,

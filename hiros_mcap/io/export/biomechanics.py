@@ -15,12 +15,18 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.export.choices import Choices, pauses
 from hiros_mcap.io.export.rajagopal import NEEDS, PELVIS, bridged, coordinates
 from hiros_mcap.io.export.tables import write_lines
+from hiros_mcap.io.joints.c3d import open_c3d
 from hiros_mcap.io.result import safe_name
 from hiros_mcap.outputs import EXPORT_MARK
 from hiros_mcap.skeletons import Floats
 
 if TYPE_CHECKING:
     from hiros_mcap.io.result import Motion, Result
+
+_CLOSE_DEG = 3.0
+"""No bone deviates by more in a pose that the model can take."""
+_FEW = 0.01
+"""Share of the frames in which a bone may deviate without a word."""
 
 
 def only(result: Result) -> Motion:
@@ -66,7 +72,7 @@ def write_mot(result: Result, target: Path, choices: Choices) -> int:
     Raises ConfigError if the pose of the pelvis is never known.
     """
     motion = only(result)
-    columns = coordinates(result.model, motion)
+    columns, deviations = coordinates(result.model, motion)
     absent = {name for name, column in columns.items() if np.isnan(column).all()}
     lacking = [
         f"{', '.join(group)} need {joints}"
@@ -77,6 +83,8 @@ def write_mot(result: Result, target: Path, choices: Choices) -> int:
         raise ConfigError(f"{result.path}: MOT has no pelvis: {lacking[0]}")
     if lacking:
         choices.warn(f"{result.path}: left out {', '.join(sorted(absent))}: {'; '.join(lacking)}")
+    if text := _bent_otherwise(deviations):
+        choices.warn(f"{result.path}: {text}")
     columns = {name: column for name, column in columns.items() if name not in absent}
     gaps = np.isnan(np.stack([*columns.values()])).any(axis=0)
     if choices.keep_gaps:
@@ -101,6 +109,22 @@ def write_mot(result: Result, target: Path, choices: Choices) -> int:
     ]
     rows = ["\t".join(f"{value:.6f}" for value in row) for row in numbers.tolist()]
     return write_lines(target, [*head, *rows])
+
+
+def _bent_otherwise(deviations: Mapping[str, Floats]) -> str:
+    """Name the bones that the model cannot bring where the detector has them; "" if none."""
+    texts = []
+    for bone, degrees in deviations.items():
+        known = degrees[~np.isnan(degrees)]
+        far = known[known > _CLOSE_DEG]
+        if len(far) > _FEW * len(known):
+            texts.append(
+                f"the {bone} in {len(far)} of {len(known)} frames, by {np.median(far):.0f} degrees "
+                f"in the median and at most {far.max():.0f}"
+            )
+    if not texts:
+        return ""
+    return f"knees or elbows bend as the model's cannot, so it differs: {'; '.join(texts)}"
 
 
 def _bridges(times: Floats, columns: Mapping[str, Floats]) -> list[str]:
@@ -166,17 +190,9 @@ def write_c3d(result: Result, target: Path, choices: Choices) -> int:
     return n
 
 
-def read_c3d(path: Path) -> int:
-    """Return the number of frames that a C3D file holds completely."""
-    import ezc3d
-
-    file = ezc3d.c3d(str(path))
-    point = file["parameters"]["POINT"]
-    header = 512 * (int(point["DATA_START"]["value"][0]) - 1)
-    # x, y, z and the residual, float32.
-    frame = 16 * int(point["USED"]["value"][0])
-    n = int(file["data"]["points"].shape[-1])
-    return n if path.stat().st_size >= header + n * frame else 0
+def frames_of_c3d(path: Path) -> int:
+    """Return the number of frames of a C3D file; raises ConfigError if it does not hold them."""
+    return int(open_c3d(path)["data"]["points"].shape[-1])
 
 
 def _placed(values: Floats, places: Floats, n: int) -> list[Floats]:

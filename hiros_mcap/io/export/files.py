@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,6 +43,8 @@ class ExportFormat:
     """Whether its instants must have a fixed rate."""
 
 
+_for_one = partial(ExportFormat, parts=("joints",), one_person=True)
+
 FORMATS: dict[str, ExportFormat] = {
     ".csv": ExportFormat("table, a row per person and time", tables.write_csv),
     ".parquet": ExportFormat(
@@ -50,45 +54,29 @@ FORMATS: dict[str, ExportFormat] = {
     ),
     ".jsonl": ExportFormat("one JSON object per person and time", tables.write_jsonl),
     ".npz": ExportFormat("numpy arrays", tables.write_npz, tables.read_npz),
-    ".trc": ExportFormat(
-        "markers for OpenSim (mm, y up)",
-        biomechanics.write_trc,
-        parts=("joints",),
-        one_person=True,
-        steady=True,
-    ),
-    ".mot": ExportFormat(
+    ".trc": _for_one("markers for OpenSim (mm, y up)", biomechanics.write_trc, steady=True),
+    ".mot": _for_one(
         "coordinates of OpenSim's Rajagopal model (degrees, m)",
         biomechanics.write_mot,
         parts=("angles",),
-        one_person=True,
         steady=True,
     ),
-    ".osim": ExportFormat(
-        "the person as a model of OpenSim, without muscles",
-        opensim_model.write_osim,
-        parts=("joints",),
-        one_person=True,
+    ".osim": _for_one(
+        "the person as a model of OpenSim, without muscles", opensim_model.write_osim
     ),
-    ".xml": ExportFormat(
+    ".xml": _for_one(
         "setup of OpenSim's inverse kinematics on the .osim and .trc of the same name",
         opensim_model.write_ik_setup,
-        parts=("joints",),
-        one_person=True,
         steady=True,
     ),
     ".c3d": ExportFormat(
         "markers and angles for motion capture programs (mm, z up)",
         biomechanics.write_c3d,
-        biomechanics.read_c3d,
+        biomechanics.frames_of_c3d,
         steady=True,
     ),
-    ".bvh": ExportFormat(
-        "a moving skeleton for Blender and games (cm, y up)",
-        animation.write_bvh,
-        parts=("joints",),
-        one_person=True,
-        steady=True,
+    ".bvh": _for_one(
+        "a moving skeleton for Blender and games (cm, y up)", animation.write_bvh, steady=True
     ),
 }
 """Suffix -> kind of file."""
@@ -161,21 +149,31 @@ def export(
     choices = Choices(parts, keep_gaps, mass, None if model is None else Path(model), warn)
     targets = files_of(target, result.people)
     each = [result] if len(targets) == 1 else [result.select(p) for p in result.people]
-    for one, path in zip(each, targets, strict=True):
-        with replacing(path) as temporary:
-            # Its header names the file itself.
-            written = kind.write(replace(one, path=path), temporary, choices)
-            if _readable(kind, temporary) != written:
-                raise LogError("cannot be written: the file was cut", path=path)
+    with ExitStack() as together:  # the files get their names when all are written
+        for one, path in zip(each, targets, strict=True):
+            named = replace(one, path=path)  # a header names the file itself
+            temporary = together.enter_context(replacing(path))
+            _checked(path, kind.write(named, temporary, choices), temporary, kind.read)
     return targets
 
 
-def _readable(kind: ExportFormat, path: Path) -> int:
-    """Return how much a file holds; -1 if its own reader fails."""
+def write_checked(path: Path, write: Callable[[Path], int], read: Callable[[Path], int]) -> None:
+    """Write a file, whole or not at all, and read it back.
+
+    ``write`` and ``read`` return how much a file holds. Raises LogError if they differ.
+    """
+    with replacing(path) as temporary:
+        _checked(path, write(temporary), temporary, read)
+
+
+def _checked(path: Path, written: int, temporary: Path, read: Callable[[Path], int]) -> None:
+    """Raise LogError if a file does not hold as much as was written."""
     try:
-        return kind.read(path)
+        found = read(temporary)
     except Exception:  # noqa: BLE001 - a reader of another project, on a file that may be cut
-        return -1
+        found = -1
+    if found != written:
+        raise LogError("cannot be written: the file was cut", path=path)
 
 
 def _prepared(result: Result, least_confidence: float) -> Result:

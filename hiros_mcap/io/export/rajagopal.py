@@ -68,9 +68,19 @@ class Hinge:
 
     def bent(self, bend: Floats) -> Floats:
         """(T,) coordinate, rad, at which the bones are at the angle ``bend``, rad."""
+        steps, bends = self._bends()
+        return np.asarray(np.interp(bend, bends, steps))
+
+    @property
+    def straightest(self) -> float:
+        """The least angle between the bones, rad."""
+        return float(self._bends()[1].min())
+
+    def _bends(self) -> tuple[Floats, Floats]:
+        """Coordinates over the range, and the angles between the bones there, rad."""
         steps = np.radians(np.arange(self.range_deg[0], self.range_deg[1] + 1))
         first = np.broadcast_to(self.bone, (len(steps), 3))
-        return np.asarray(np.interp(bend, between(first, self.turned(steps)), steps))
+        return steps, np.asarray(between(first, self.turned(steps)))
 
     def towards(self, second: Floats) -> Floats:
         """(T,) coordinate, rad, that brings the second bone nearest to a direction (T, 3)."""
@@ -114,8 +124,20 @@ NEEDS = {
 """Coordinates -> the joints that show them."""
 
 
-def coordinates(model: SkeletonModel, motion: Motion) -> dict[str, Floats]:
-    """Return (T,) each coordinate of the model, degrees and m; NaN where joints are missing.
+class ModelPose(NamedTuple):
+    """The coordinates of the model, and where its bones cannot follow the person's."""
+
+    columns: dict[str, Floats]
+    """(T,) each coordinate, degrees and m; NaN where joints are missing."""
+    deviations: dict[str, Floats]
+    """(T,) angle between the model's shanks and forearms and the person's, degrees; NaN as above.
+
+    0 for an arm that is straighter than the model's can be.
+    """
+
+
+def coordinates(model: SkeletonModel, motion: Motion) -> ModelPose:
+    """Pose the model.
 
     Parameters
     ----------
@@ -127,18 +149,21 @@ def coordinates(model: SkeletonModel, motion: Motion) -> dict[str, Floats]:
     origin = (middle - pelvis @ HIPS) @ Y_UP.T
     values = [*zxy(Y_UP.T, pelvis), *zxy(pelvis, torso)]
     names = [*PELVIS[:3], *LUMBAR]
+    deviations: dict[str, Floats] = {}
     for side in SIDES:
         names += [f"{name}_{side[0]}" for name in (*LEG, *ARM)]
         joints = [at(name, side=side) for name in ("hip", "knee", "ankle")]
         leg = _limb(side, pelvis, KNEE, joints, shown[f"{side} thigh"][:, :, 0])
         values += [*leg.angles, ANKLE.towards(into(leg.last, toes(at, side)))]
         joints = [at(name, side=side) for name in ("shoulder", "elbow", "wrist")]
-        values += _limb(side, torso, ELBOW, joints, shown[f"{side} upper arm"][:, :, 0]).angles
+        arm = _limb(side, torso, ELBOW, joints, shown[f"{side} upper arm"][:, :, 0])
+        values += arm.angles
+        deviations |= {f"{side} shank": leg.apart, f"{side} forearm": arm.apart}
     # Only a whole person turns round and round.
     most = np.where([name in PELVIS for name in names], np.inf, 1.5 * np.pi)
     angles = np.degrees(continued(np.stack(values, axis=-1), most=most))
     columns = dict(zip(names, angles.T, strict=True))
-    return columns | dict(zip(PELVIS[3:], origin.T, strict=True))
+    return ModelPose(columns | dict(zip(PELVIS[3:], origin.T, strict=True)), deviations)
 
 
 class Trunk(NamedTuple):
@@ -179,6 +204,11 @@ class _Limb(NamedTuple):
     """(T,) flexion, adduction and rotation of the upper joint, and angle of the hinge, rad."""
     last: Floats
     """(T, 3, 3) frames of the second bone's body; of a left one, its mirror image."""
+    apart: Floats
+    """(T,) angle between the second bone and the person's, degrees; NaN where that is hidden.
+
+    0 where the limb is straighter than the model's can be.
+    """
 
 
 def _limb(
@@ -195,6 +225,7 @@ def _limb(
     first, second, ahead = (
         _mirror(side) * unit(into(body, v)) for v in (middle - upper, lower - middle, forward)
     )
+    hidden = np.isnan(second).any(axis=-1)
     # A limb whose last joint is hidden keeps its long axis.
     second = unit(np.stack([bridged(column) for column in second.T], axis=-1))
     bones = np.broadcast_to(hinge.bone, first.shape)
@@ -209,7 +240,9 @@ def _limb(
     angle = hinge.towards(into(turned, second))
     angles = [*_nearest(zxy(np.eye(3), turned), flexion), angle]
     frames = body * _mirror(side) @ turned @ rotations(hinge.axis, angle)
-    return _Limb(angles, frames)
+    apart = np.degrees(between(hinge.turned(angle), into(turned, second)))
+    apart = np.where(bend < hinge.straightest, 0.0, apart)
+    return _Limb(angles, frames, np.where(hidden, np.nan, apart))
 
 
 def _steady_twist(now: Floats, wanted: Floats, bend: Floats, most: float) -> Floats:
