@@ -14,6 +14,7 @@ import pytest
 from hiros_cli.app import run
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.logs import find_truth, read_channel
+from hiros_mcap.events import Event
 from hiros_mcap.running.pipeline import process
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
@@ -22,6 +23,7 @@ SAMPLES = Path(__file__).parents[2] / "sample_data"
 from hiros_viewer import curves  # noqa: E402
 from hiros_viewer.figures import new_axes, with_gaps  # noqa: E402
 from hiros_viewer.interactive import curves_json  # noqa: E402
+from hiros_viewer.marks import hidden_marks, in_words, marked, marks_of  # noqa: E402
 from hiros_viewer.page import Page  # noqa: E402
 
 
@@ -99,7 +101,7 @@ def test_the_same_log_gives_the_same_bytes(processed, plotted, tmp_path, name):
 
 
 def test_the_page_holds_everybody_and_loads_nothing(plotted):
-    text = plotted["a.html"].decode()
+    text = plotted["a.html"].decode().replace("<wbr>", "")
     assert text.count('<div class="curves"') == 6
     assert len(text) < 4e6
     assert "Person 0" in text
@@ -109,7 +111,7 @@ def test_the_page_holds_everybody_and_loads_nothing(plotted):
 
 
 def test_a_page_says_of_what_it_is_and_how_good(processed, plotted):
-    text = plotted["a.html"].decode()
+    text = plotted["a.html"].decode().replace("<wbr>", "")
     for fact in (
         f"<h1>{processed}: /hiros/filtered</h1>",
         "recorded 2023-11-14 22:13 UTC; hiros 0.1.0, system fuse",
@@ -187,3 +189,35 @@ def test_faults_are_one_line(processed, tmp_path, monkeypatch, capsys, arguments
     assert captured.err.count("\n") == 1
     assert fault.format(log=processed) in captured.err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_gaps_predictions_and_hidden_people_are_marked_and_named():
+    seconds = np.array([0.0, 0.1, 0.2, 0.3, 5.0, 5.1, 5.2])
+    unseen = np.array([False, True, True, False, False, False, True])
+    hidden = [
+        Event(2_000_000_000, "hidden", 3, "left", "behind person 1 for 0.4 s"),
+        Event(2_000_000_000, "hidden", 4, "left", "behind person 1 for 0.4 s"),
+    ]
+    spans = [*hidden_marks(hidden, 3, 1_900_000_000), *marks_of(seconds, unseen)]
+    assert [mark[:3] for mark in spans] == [
+        ("hidden", 0.1, 0.5), ("gap", 0.3, 5.0), ("predicted", 0.1, 0.2), ("predicted", 5.2, 5.2)
+    ]  # fmt: skip
+    words = in_words(spans)
+    assert words[0] == "Yellow: hidden: 0.1 to 0.5 s (behind person 1 for left)."
+    assert words[2] == "Grey: not in the result: 0.3 to 5.0 s."
+    figure, axes = new_axes(6, 3)
+    axes.plot(seconds, seconds, label="x")
+    limits = axes.get_xlim()
+    drawn = curves_json(marked(figure, spans), "f1")
+    assert axes.get_xlim() == limits
+    assert len(axes.patches) == len(spans)
+    bands = re.findall(r'"BoxAnnotation".*?"left":([\d.]+),"right":([\d.]+)', drawn)
+    assert [[round(float(x), 3) for x in band] for band in bands] == [
+        [0.1, 0.5], [0.3, 5.0], [0.1, 0.2], [5.2, 5.2]
+    ]  # fmt: skip
+
+
+def test_a_long_name_may_wrap_behind_the_signs_in_it():
+    html = Page("Evaluation of two_people.hiros.mcap: /hiros/<x>").html()
+    assert "<h1>Evaluation of two_<wbr>people.<wbr>hiros.<wbr>mcap: /hiros" in html
+    assert "&lt;x&gt;" in html

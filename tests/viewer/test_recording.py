@@ -33,10 +33,11 @@ from hiros_viewer import poses as drawn_poses
 from hiros_viewer import replay as replaying
 from hiros_viewer.blueprint import LAYOUTS, Content, cameras
 from hiros_viewer.columns import LOGGED, TIMELINE, CurveRows, Line
+from hiros_viewer.legend import legend
 from hiros_viewer.palette import SIDES, faint, shade
 from hiros_viewer.poses import Poses
 from hiros_viewer.replay import numbered_axis
-from hiros_viewer.scene import Scene
+from hiros_viewer.scene import Scene, magnified
 from hiros_viewer.uncertainties import HALF_SIZE
 from hiros_viewer.waiting import EarlierPoses
 
@@ -253,7 +254,7 @@ def test_curves_tell_left_from_right_by_colour_and_width(recording):
 
 def test_people_and_cameras_go_by_their_names(recording):
     assert set(texts(recording, "/filtered/person_1/name", "Points3D:labels")) == {"person 1"}
-    assert look(recording, "/result/person_1", "StateConfiguration:labels") == ["person 1", "gone"]
+    assert look(recording, "/person_1", "StateConfiguration:labels") == ["person 1", "gone"]
     for camera in ("camera_0", "camera_1", "camera_2"):
         path = f"/world/cameras/{camera}/name"
         assert look(recording, path, "Points3D:labels") == [camera]
@@ -265,8 +266,8 @@ def test_people_and_cameras_go_by_their_names(recording):
 def test_a_camera_is_shown_from_its_own_pose(ahead, height, target):
     """From a little behind it along its z axis, or at the people if they are behind that."""
     pose = Rigid(np.array(ahead, float), np.array([1.0, 2.0, 0.0]))
-    box = np.array([0.0, 1.0, 4.0]), np.array([2.0, 3.0, 6.0])
-    content = Content(["filtered"], [0], ["left"], *box, {"left": pose})
+    box = np.array([[[0.0, 1.0, 4.0], [2.0, 3.0, 6.0]]])
+    content = Content(["filtered"], [0], ["left"], box, {"left": pose})
     layout: Any = cameras(content)
     grid = layout.contents[0]
     eye = grid.contents[0].properties["EyeControls3D"]
@@ -278,8 +279,8 @@ def test_a_camera_is_shown_from_its_own_pose(ahead, height, target):
 def test_a_camera_beside_the_eye_does_not_hide_the_picture():
     places = {"left": [0.0, 0.0, 0.0], "beside": [0.3, 0.0, 0.0], "far": [3.0, 0.0, 0.0]}
     poses = {name: Rigid(np.array([0, 0, 0, 1.0]), np.array(p)) for name, p in places.items()}
-    box = np.array([-1.0, -1.0, 2.0]), np.array([1.0, 1.0, 4.0])
-    content = Content(["filtered"], [0], list(places), *box, poses)
+    box = np.array([[[-1.0, -1.0, 2.0], [1.0, 1.0, 4.0]]])
+    content = Content(["filtered"], [0], list(places), box, poses)
     layout: Any = cameras(content)
     grid = layout.contents[0]
     shown = grid.contents[0].contents
@@ -289,14 +290,48 @@ def test_a_camera_beside_the_eye_does_not_hide_the_picture():
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("layout", ["overview", "stages"])
-def test_everybody_and_every_camera_is_in_the_first_view(layout, seed):
+def test_everybody_fills_the_first_view(layout, seed):
     """From the feet to the head, wherever people walk and cameras stand."""
     rng = np.random.default_rng(seed)
-    low = rng.uniform(-4, 0, 3)
-    high = low + rng.uniform([0.3, 0.3, 0.2], [6, 6, 2])
+    low = rng.uniform([-4, -4, 0], [0, 0, 0.2], (50, 3))
+    boxes = np.stack([low, low + rng.uniform([0.3, 0.3, 1.5], [0.8, 0.8, 2.0])], axis=1)
     places = [np.array([*rng.uniform(-6, 6, 2), rng.uniform(0, 3)]) for _ in range(seed)]
     poses = {f"c{k}": Rigid(np.array([0, 0, 0, 1.0]), place) for k, place in enumerate(places)}
-    content = Content(["merged", "filtered"], [0], list(poses), low, high, poses)
+    shown = in_view(layout, Content(["merged", "filtered"], [0], list(poses), boxes, poses))
+    corners = np.concatenate([[*itertools.product(*box.T)] for box in boxes])
+    inside = np.abs(shown(corners)).max(axis=1)
+    assert (inside < 1).mean() > 0.9  # a few walk out of where people nearly always are
+    assert inside.max() > 0.95 / 1.4
+
+
+def test_a_camera_near_the_eye_is_not_drawn():
+    boxes = np.array([[[-1.0, -1.0, 0.0], [1.0, 1.0, 1.8]]])
+    poses = {"a": Rigid(np.array([0, 0, 0, 1.0]), np.array([-8.0, 0.0, 1.0]))}
+    for _ in range(2):
+        room: Any = LAYOUTS["stages"](
+            Content(["merged", "filtered"], [0], list(poses), boxes, poses)
+        )
+        room = room.contents[0]
+        hidden = [f"- /world/cameras/{name}/**" in room.contents for name in poses]
+        assert hidden == [name == "near" for name in poses]
+        (eye,) = room.properties["EyeControls3D"].position.as_arrow_array().to_pylist()
+        poses["near"] = Rigid(np.array([0, 0, 0, 1.0]), np.array(eye) + 0.3)
+        poses["a"] = Rigid(
+            np.array([0, 0, 0, 1.0]), np.array([-8.0, 0.0, 1.0]) - np.array([*eye[:2], 0])
+        )
+
+
+@pytest.mark.parametrize(("away", "is_seen"), [(1.0, True), (9.0, False)])
+def test_cameras_are_in_the_first_view_unless_people_would_be_small(away, is_seen):
+    boxes = np.array([[[-1.0, -1.0, 0.0], [1.0, 1.0, 1.8]]])
+    places = [np.array([away, side, 1.5]) for side in (-away, away)]
+    poses = {f"c{k}": Rigid(np.array([0, 0, 0, 1.0]), place) for k, place in enumerate(places)}
+    shown = in_view("overview", Content(["filtered"], [0], list(poses), boxes, poses))
+    assert bool((np.abs(shown(np.array(places))) < 1).all()) is is_seen
+
+
+def in_view(layout, content):
+    """Return where points (N, 3), m, are in the view: 1 is a border, inf behind the eye."""
     room = LAYOUTS[layout](content).contents[0]
     room = room.contents[0] if layout == "overview" else room
     eye = room.properties["EyeControls3D"]
@@ -306,13 +341,15 @@ def test_everybody_and_every_camera_is_in_the_first_view(layout, seed):
     ahead = (target - place) / np.linalg.norm(target - place)
     right = np.cross(ahead, [0, 0, 1])
     right /= np.linalg.norm(right)
-    corners = np.array([*itertools.product(*zip(low, high, strict=True)), *places]) - place
-    depth = corners @ ahead
-    assert (depth > 0).all()
-    half = np.tan(np.radians(55 / 2))
-    assert (np.abs(corners @ np.cross(right, ahead)) / depth < half).all()
     width = {"overview": 832 / 533, "stages": 728 / 733}[layout]  # in a window of 1600 x 900
-    assert (np.abs(corners @ right) / depth < half * width).all()
+    half = np.tan(np.radians(55 / 2)) * np.array([width, 1.0])
+
+    def shown(points):
+        depth = (points - place) @ ahead
+        across = (points - place) @ np.stack([right, np.cross(right, ahead)], axis=1)
+        return np.where(depth[:, None] > 0, across / np.abs(depth[:, None]) / half, np.inf)
+
+    return shown
 
 
 @pytest.mark.parametrize(
@@ -558,7 +595,7 @@ def test_the_tree(recording):
     for path in (
         "/world/cameras/camera_2/view", "/merged/person_1/left_bones", "/filtered/person_0/trail",
         "/filtered/person_0/name",
-        "/truth/person_0", "/result/person_0", "/log", "/residual/camera_1", "/speed/person_1",
+        "/truth/person_0", "/person_0", "/log", "/residual/camera_1", "/speed/person_1",
     ):  # fmt: skip
         assert path in found
 
@@ -593,7 +630,7 @@ def test_a_mirrored_view_is_marked_and_listed(processed, tmp_path, monkeypatch):
     wrong = [stamp - start for stamp, strips in bones.items() if len(strips)]
     assert sum(2e9 < since < 3e9 for since in wrong) >= 25
     assert any("view mirrored camera_1: for" in text for text in texts(target, "/log"))
-    assert "/wrong_view/camera_1/mirrored" in entities(target)
+    assert "/view_camera_1_mirrored" in entities(target)
 
 
 def test_a_time_range(processed, tmp_path):
@@ -645,10 +682,69 @@ def test_two_logs_are_overlaid_with_their_distance(processed, tmp_path):
         for a, b in zip(ours, theirs, strict=True)
     ]
     assert np.allclose(mean, expected)
-    (key,) = texts(target, "/key", "TextDocument:text")[-1:]
+    key = texts(target, "/key", "TextDocument:text")[-1]
     first, second, *_ = key.splitlines()  # what is cut off is at the end
-    assert first.strip() == f"**A** is {processed.name}: strong colours."
-    assert second.strip() == "**B** is other.mcap: pale colours."
+    assert first.strip() == f"**A** is orange: {processed.name}."
+    assert second.strip() == "**B** is blue: other.mcap."
+    path = "angles/person_1/knee_flexion"
+    (a, b) = (
+        [unpacked(c) for c in look(target, f"/{log}/{path}", "SeriesLines:colors")] for log in "ab"
+    )
+    assert a == [shade(person_colour(0)), person_colour(0)]
+    assert b == [shade(person_colour(1)), person_colour(1)]
+
+
+def test_a_recording_is_read_with_the_settings_beside_it(tmp_path, capsys):
+    """A detector that writes millimetres, as hiros.toml says: everybody is 1000 times as small."""
+    log = tmp_path / "log.mcap"
+    log.write_bytes(CROSSING.read_bytes())
+
+    def bone():
+        target = tmp_path / "log.rrd"
+        assert run(["view", str(log), "--save", str(target), "-q"]) == 0
+        strips = next(
+            iter(rows(target, "/detections/camera_0/bones", "LineStrips3D:strips").values())
+        )
+        return np.linalg.norm(np.diff(strips[0], axis=0))
+
+    before = bone()
+    (tmp_path / "hiros.toml").write_text("[input]\nunit = 'mm'\n", encoding="utf-8")
+    assert bone() == pytest.approx(before / 1000, rel=1e-2)
+    assert f"parameters of {tmp_path / 'hiros.toml'}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("layout", ["overview", "person", "cameras", "stages"])
+def test_the_legend_names_what_the_layout_shows(layout):
+    box = np.array([[[-1.0, -1.0, 0.0], [1.0, 1.0, 2.0]]])
+    plain = Content(["merged", "filtered"], [0], [], box)
+    words = legend(plain, layout)
+    for absent in ("White", "Red", "Magenta", "Faint", "Ellipsoids", "frusta"):
+        assert absent not in words
+    assert ("Yellow" in words) == (layout == "stages")
+    assert ("curves" in words.split("Point")[0]) == (layout in ("overview", "person"))
+    lanes = {"/a": "person", "/b": "mirrored", "/c": "far off", "/d": "no data"}
+    full = replace(plain, shows_truth=True, has_predicted=True, lanes=lanes)
+    words = legend(full, layout)
+    assert "**White**: the truth" in words
+    assert "**Faint**" in words
+    assert ("Magenta" in words) == ("20 cm" in words) == (layout != "stages")
+    assert "the way to the truth" in words
+
+
+def test_a_stage_that_changes_nothing_has_no_curves():
+    box = np.array([[[-1.0, -1.0, 0.0], [1.0, 1.0, 2.0]]])
+    content = Content(
+        ["tracked", "merged", "optimized", "filtered"], [0], [], box, moved={"merged"}
+    )
+    names = [view.name for view in LAYOUTS["stages"](content).contents[1].contents]
+    assert [name for name in names if name.startswith("Joints")] == [
+        "Joints, merged to filtered: mean mm"
+    ]
+
+
+def test_long_displacements_stay_in_the_view():
+    ways = np.array([[0.01, 0.0, 0.0], [0.0, 0.3, 0.0], [np.nan, 0.0, 0.0]])
+    assert np.allclose(magnified(ways), [[0.05, 0, 0], [0, 0.5, 0], [np.nan] * 3], equal_nan=True)
 
 
 @pytest.mark.parametrize("stage", [[], ["--stage", "merged"]])

@@ -29,7 +29,7 @@ from hiros_cli.app import run
 from hiros_mcap.io.export.colours import person_colour
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.pipeline import process
-from hiros_viewer.blueprint import LAYOUTS
+from hiros_viewer.blueprint import LAYOUTS, blueprint
 from hiros_viewer.palette import curve_colour
 from hiros_viewer.poses import Poses
 
@@ -112,7 +112,7 @@ def test_an_ended_track_is_not_shown(processed, tmp_path):
                 scene.draw({("filtered", ""): Poses.of(frame.select(np.array(keep)))})
             scene.finish()
             content = replay.content_of([scene])
-        recording.send_blueprint(replay.blueprint(content))  # type: ignore[attr-defined]
+        recording.send_blueprint(blueprint(content))
 
     destinations.save(target, "left", draw)
     counts = {}

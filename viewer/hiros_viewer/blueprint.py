@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
@@ -15,8 +15,8 @@ import rerun.blueprint as rrb
 from hiros_mcap.body.rotations import Rigid, rotate
 from hiros_mcap.skeletons import Floats
 from hiros_viewer.columns import LOGGED, STAMP, TIMELINE
-from hiros_viewer.entities import CALIBRATION, CAMERA_TABLE, KEY, MAGNIFIED, person_part
-from hiros_viewer.palette import BEFORE
+from hiros_viewer.entities import CALIBRATION, CAMERA_TABLE, KEY, Layer, person_part
+from hiros_viewer.palette import BEFORE, FAULTY
 
 TRAIL_S = 2.0
 JOINTS = ("shoulder", "elbow", "hip", "knee")
@@ -27,6 +27,8 @@ _BONES = ("bones", "left_bones")
 _THIN_JOINT_M = 0.012
 _VERTICAL_VIEW_DEG = 55.0  # of the viewer's eye
 _FILLED = 0.95  # of a view
+_NEAR = 0.5  # of the eye's distance
+_FARTHER = 1.4  # at most, so that cameras are in the view, too
 _CAMERA_M = 0.5  # so far from a camera are its name and frustum
 _LABEL = np.array([0.0, 0.0, 0.3])  # m, above a head
 _HALF = 0.95  # width by height of a room beside as wide a column
@@ -42,13 +44,12 @@ class Content:
     people: Sequence[int]
     cameras: Sequence[str]
     """As in entity paths."""
-    low: Floats
-    high: Floats
-    """(3,) m: the box that people are in, from feet to head."""
+    boxes: Floats
+    """(B, 2, 3) m: boxes round people at some times, lowest and highest corner."""
     camera_poses: Mapping[str, Rigid] = field(default_factory=dict)
     """Of those cameras whose poses are known, in the fixed frame."""
-    prefixes: Sequence[str] = ("",)
-    """Of the logs that are overlaid."""
+    layers: Sequence[Layer] = (Layer(),)
+    """The logs, several if they are overlaid."""
     has_error: bool = False
     """Whether the result was compared with a truth."""
     shows_truth: bool = False
@@ -57,12 +58,27 @@ class Content:
     """Whether ellipsoids are drawn round joints, whose own size would hide them."""
     has_moves: bool = False
     """Whether the cameras' poses before and after a calibration are shown."""
-    has_faults: bool = True
-    """Whether a camera's view was wrong, or nothing was recorded, for a while."""
+    has_predicted: bool = False
+    """Whether somebody is in the result while no camera sees them."""
+    lanes: Mapping[str, str] = field(default_factory=dict)
+    """Path of a lane -> what it shows: "person", "no data" or a fault of a camera's view."""
+    moved: Collection[str] = ()
+    """Stages whose joints are not those of the result."""
     longest: int = 0
     """Who of the people is there for longest: whose curves are seen first."""
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Kind of curve -> from where to where its axis goes; other axes fit their curves."""
+
+    @property
+    def prefixes(self) -> Sequence[str]:
+        """What the paths of each log begin with."""
+        return [layer.prefix for layer in self.layers]
+
+    @property
+    def box(self) -> tuple[Floats, Floats]:
+        """(3,) The lowest and the highest corner, m, of where people nearly always are."""
+        low, high = self.boxes[:, 0], self.boxes[:, 1]
+        return np.percentile(low, 2, axis=0), np.percentile(high, 98, axis=0)
 
     @property
     def final(self) -> str:
@@ -88,7 +104,7 @@ def overview(content: Content) -> rrb.Container:
     if content.has_moves:
         moves.append(rrb.TextDocumentView(origin=CALIBRATION, name="Cameras before and after"))
     if content.is_raw:
-        lanes = [_lanes(content, "No data")] if content.has_faults else []
+        lanes = [_lanes(content)] if content.lanes else []
         return rrb.Vertical(
             _room(content, "Room", shown=[content.final]),
             rrb.Horizontal(*moves, _counts(content), *lanes),
@@ -97,11 +113,11 @@ def overview(content: Content) -> rrb.Container:
     angles = _tabs(content, [_angles(content, person) for person in content.people])
     side = [_error(content)] if content.has_error else []
     if len(content.prefixes) == 2:
-        side.append(_series(content, "distance", "Joint distance between the logs, mm"))
+        name = "Joint distance between the logs, mm: mean green, largest violet"
+        side.append(_series(content, "distance", name))
     side += [_series(content, "speed", "Speed, m/s"), _counts(content)]
     wide, pairs = side[: len(side) % 2], side[len(side) % 2 :]
     shares = [1.0 + (len(content.prefixes) == 2), 4, *[2.2] * len(wide), 1.2 * len(pairs)]
-    lanes = _lanes(content, "People in the result; when a camera's view is wrong; no data")
     return rrb.Vertical(
         rrb.Horizontal(
             _room(content, "Room", shown=[content.final]),
@@ -115,15 +131,22 @@ def overview(content: Content) -> rrb.Container:
             ),
             column_shares=[4, 3],
         ),
-        rrb.Horizontal(lanes, _events(content), column_shares=[2, 3]),
+        rrb.Horizontal(_lanes(content), _events(content), column_shares=[2, 3]),
         row_shares=[2.8, 1],
     )
 
 
-def _lanes(content: Content, name: str) -> Any:
-    """Return who is there, when a camera's view is wrong, and when nothing was recorded."""
-    what = [*_all(content, "/result/**"), "/wrong_view/**", "/no_data"]
-    return rrb.StateTimelineView(origin="/", contents=what, name=name, time_view=_whole())
+def _lanes(content: Content) -> Any:
+    """Return who is there, when a camera's view is wrong, and when nothing was recorded.
+
+    It shows whatever has states, also people who come while it is watched.
+    """
+    kinds = content.lanes.values()
+    who = ["People in the result"] * (not content.is_raw)
+    faulty = ["when a camera's view is wrong"] * any(kind in FAULTY for kind in kinds)
+    name = "; ".join([*who, *faulty, *["no data"] * ("no data" in kinds)])
+    name = name[:1].upper() + name[1:]
+    return rrb.StateTimelineView(origin="/", contents="/**", name=name, time_view=_whole())
 
 
 def stages(content: Content) -> rrb.Container:
@@ -131,12 +154,12 @@ def stages(content: Content) -> rrb.Container:
     before, after = content.before, content.final
     if not before:
         return overview(content)
-    name = f"{before.capitalize()} grey, {after} coloured, displacement x {MAGNIFIED:.0f} white"
+    name = f"{before.capitalize()} and {after}"
     room = _room(content, name, shown=[before, after], cameras=[], aspect=_HALF)
     moved = [
         _series(content, "moved", f"Joints, {stage} to {after}: mean mm", f"/moved/{stage}/**")
         for stage in content.stages
-        if stage not in ("tracked", "truth", after)
+        if stage not in ("tracked", "truth", after) and stage in content.moved
     ]
     residual = _series(content, "residual", "Detections to the result: mean mm")
     right = [_key(), *moved, residual, _events(content)]
@@ -154,7 +177,7 @@ def person(content: Content) -> rrb.Container:
             _error(content, person_part(who))
             if content.has_error
             else _series(content, "speed", "Speed, m/s", f"/speed/{person_part(who)}"),
-            row_shares=[0.4 + 0.2 * (len(content.prefixes) == 2), 2, 2, 1],
+            row_shares=[0.4 + 0.4 * (len(content.prefixes) == 2), 2, 2, 1],
             name=f"Person {who}",
         )
         for who in content.people
@@ -174,14 +197,17 @@ def cameras(content: Content) -> rrb.Container:
         _room(content, camera, shown=[content.final], cameras=[camera], seen_by=camera)
         for camera in content.cameras
     ]
+    n = len(rooms)
+    columns = n if n < 4 else math.isqrt(n - 1) + 1
     below = [_counts(content)]
     if not content.is_raw:
+        below = [_series(content, "residual", "Distance to the result, mm")]
+        if content.lanes:  # else the viewer fills it with advice
+            below.append(_lanes(content))
         table = rrb.TextDocumentView(origin=CAMERA_TABLE, name="Cameras in numbers")
-        below = [table, _series(content, "residual", "Distance to the result, mm")]
-        if content.has_faults:  # else the viewer fills it with advice
-            below.append(_lanes(content, "People; when a camera's view is wrong; no data"))
-    n = len(rooms)
-    grid = rrb.Grid(*rooms, grid_columns=n if n < 4 else math.isqrt(n - 1) + 1)
+        has_free_cell = n % columns == columns - 1
+        (rooms if has_free_cell else below).insert(n if has_free_cell else 0, table)
+    grid = rrb.Grid(*rooms, grid_columns=columns)
     return rrb.Vertical(grid, _key(), rrb.Horizontal(*below), row_shares=[3, 0.25, 1])
 
 
@@ -254,7 +280,7 @@ def _room(
     eye, target = _eye(content, aspect)
     if pose := content.camera_poses.get(seen_by):
         ahead = rotate(pose.xyzw, _AHEAD)
-        target = (content.low + content.high) / 2
+        target = np.add(*content.box) / 2
         eye = pose.translation
         if ahead @ (target - eye) > 0:  # else z is not this frame's optical axis
             target, eye = eye + ahead, eye - _BEHIND * ahead
@@ -262,6 +288,13 @@ def _room(
             place = content.camera_poses.get(other, pose).translation
             near = float(np.linalg.norm(place - pose.translation)) < _BESIDE_M
             what.append(f"- /world/cameras/{other}/{'**' if near else 'name'}")
+    else:
+        before = _NEAR * float(np.linalg.norm(target - eye))
+        what += [
+            f"- /world/cameras/{name}/**"  # its frustum would hide people
+            for name, pose in content.camera_poses.items()
+            if np.linalg.norm(pose.translation - eye) < before
+        ]
     return rrb.Spatial3DView(
         origin="/",
         contents=what,
@@ -287,12 +320,14 @@ def _paths(content: Content, stage: str) -> list[str]:
 
 
 def _eye(content: Content, aspect: float) -> tuple[Floats, Floats]:
-    """(3,) Where to look from and at, m: everybody from feet to head and all cameras are seen.
+    """(3,) Where to look from and at, m, to see everybody from feet to head.
 
-    It looks from the cameras' side if they have one, else from a corner. ``aspect`` is the view's
-    width by its height.
+    The cameras are seen, too, unless people would be much smaller. It looks from the cameras' side
+    if they have one, else from a corner. ``aspect`` is the view's width by its height.
     """
-    back, centre = np.array([-0.55, -0.85]), (content.low + content.high) / 2
+    low, high = content.box
+    centre = (low + high) / 2
+    back = np.array([-0.55, -0.85])
     places = [pose.translation for pose in content.camera_poses.values()]
     if places:
         offset = (np.mean(places, axis=0) - centre)[:2]
@@ -303,18 +338,35 @@ def _eye(content: Content, aspect: float) -> tuple[Floats, Floats]:
     outward /= np.linalg.norm(outward)
     right = np.cross([0.0, 0.0, 1.0], outward)
     right /= np.linalg.norm(right)
-    up = np.cross(outward, right)
-    corners = [*product(*zip(content.low, content.high + _LABEL, strict=True))]
-    beside = [place + _CAMERA_M * way for place in places for way in (right, up, -right, -up)]
-    axes = np.array([right, up, outward])
-    *spans, near = axes @ (np.array([*corners, *beside]) - centre).T
+    axes = np.array([right, np.cross(outward, right), outward])
+    lows, highs = (content.boxes[:, k].clip(low, high) for k in (0, 1))
+    picks = np.array([*product((False, True), repeat=3)])[:, None]
+    corners = np.where(picks, highs + _LABEL, lows).reshape(-1, 3) - centre
+    beside = [
+        place - centre + _CAMERA_M * way for place in places for way in (*axes[:2], *-axes[:2])
+    ]
+    target, distance = _framed(corners, axes, aspect)
+    if beside:
+        all_target, farther = _framed(np.concatenate([corners, beside]), axes, aspect)
+        if farther <= _FARTHER * distance:
+            target, distance = all_target, farther
+    target = target + centre
+    return target + distance * outward, target
+
+
+def _framed(points: Floats, axes: Floats, aspect: float) -> tuple[Floats, float]:
+    """Return the (3,) centre, m, of a view that holds points (N, 3), and the eye's distance, m.
+
+    ``axes`` (3, 3) point to the right, up, and towards the eye.
+    """
     slope = _FILLED * np.tan(np.radians(_VERTICAL_VIEW_DEG / 2))
-    target, distance = centre, 0.0
+    *spans, near = axes @ points.T
+    target, distance = np.zeros(3), 0.0
     for span, axis, most in zip(spans, axes, (aspect * slope, slope), strict=False):
         high, low = (span / most + near).max(), (-span / most + near).max()
         target = target + most * (high - low) / 2 * axis
         distance = max(distance, (high + low) / 2)
-    return target + distance * outward, target
+    return target, distance
 
 
 def _all(content: Content, pattern: str) -> list[str]:

@@ -9,9 +9,10 @@ import numpy as np
 
 from hiros_mcap._version import __version__
 from hiros_mcap.evaluate.comparison import Outcome, by_number_of_cameras
+from hiros_mcap.evaluate.measures import text_of
 from hiros_mcap.evaluate.score_tables import (
     best_first,
-    camera_table,
+    camera_sheet,
     differences_of,
     has_truth,
     notes_on,
@@ -31,7 +32,8 @@ def comparison_page(outcomes: Sequence[Outcome], study: str | None) -> Page:
     if study == "cameras":
         errors = by_number_of_cameras(outcomes)
         page.heading("Number of cameras")
-        page.table(*camera_table(errors), "Mean joint error (SD), mm, mean over all subsets")
+        sheet = camera_sheet(errors)
+        page.table(*text_of(sheet), sheet.title)
         page.figure(_camera_figure(errors), "Mean joint error by number of cameras")
         return page
     for log in dict.fromkeys(o.log for o in outcomes):

@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.logs import consistency
 from hiros_mcap.evaluate.match import Matches, match
 from hiros_mcap.evaluate.smoothness import lengths_of
 from hiros_mcap.evaluate.truth import Truth
+from hiros_mcap.events import Event
 from hiros_mcap.outputs import replacing
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 from hiros_mcap.summary import number
@@ -29,6 +31,7 @@ from hiros_viewer.figures import (
     new_axes,
     with_gaps,
 )
+from hiros_viewer.marks import Mark, hidden_marks, in_words, marked, marks_of
 from hiros_viewer.page import Page
 
 if TYPE_CHECKING:
@@ -51,6 +54,8 @@ class Body:
     """(T, M, 3) m; None without a truth."""
     true_orientations: Floats | None = None
     """(T, L, 4) x y z w; None without a truth."""
+    marks: Sequence[Mark] = ()
+    """Where the curves are to be doubted, or missing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,16 +85,25 @@ class Curves:
 
 
 def collect(
-    title: str, frames: Sequence[Frame], model: SkeletonModel, truth: Truth | None
+    title: str,
+    frames: Sequence[Frame],
+    model: SkeletonModel,
+    truth: Truth | None,
+    events: Sequence[Event] = (),
 ) -> Curves:
-    """Collect everybody with an id; the truth, if there is one, at the frames' times."""
+    """Collect everybody with an id; the truth, if there is one, at the frames' times.
+
+    ``events`` are those of the run: they tell who was hidden.
+    """
     start = frames[0].stamp if frames else 0
     true = {} if truth is None else _true_poses(match(frames, truth.seen_by(model)))
     rows: dict[int, list[tuple[int, Floats, Floats]]] = {}
+    unseen: dict[int, list[bool]] = {}
     for frame in frames:
         for row, person in frame.tracked():
             pose = frame.stamp, frame.positions[row], frame.orientations[row]
             rows.setdefault(person, []).append(pose)
+            unseen.setdefault(person, []).append(frame.confidences[row] < LEAST_CONFIDENCE)
     absent = np.full((model.n_markers, 3), np.nan), np.full((model.n_links, 4), np.nan)
     people = {}
     for person, track in sorted(rows.items()):
@@ -101,6 +115,10 @@ def collect(
             np.stack([turns for _, _, turns in track]),
             np.stack([pose for pose, _ in true_poses]) if true else None,
             np.stack([turns for _, turns in true_poses]) if true else None,
+            [
+                *hidden_marks(events, person, start),
+                *marks_of((stamps - start) / 1e9, np.array(unseen[person])),
+            ],
         )
     return Curves(title, model, people)
 
@@ -117,7 +135,7 @@ def figure_of(curves: Curves, kind: str, person: int | None = None) -> Figure:
     Raises ConfigError if there is nobody, or nothing of this kind to plot.
     """
     who, body = curves.body(person)
-    title = (f"{curves.title}, person {who}", *curves.about)
+    title = (f"{curves.title}, person {who}", *curves.about, *in_words(body.marks))
     if kind == "angles":
         return _angles(curves.model, body, title)
     if kind == "limbs":
@@ -133,6 +151,8 @@ def page_of(curves: Curves) -> Page:
     for person, body in curves.people.items():
         span = f"{number(body.seconds[0], 1)} to {number(body.seconds[-1], 1)} s"
         page.heading(f"Person {person}, {span}")
+        for line in in_words(body.marks):
+            page.text(line)
         page.figure(
             _angles(curves.model, body),
             "Joint angles, degrees. docs/angles.md defines their signs.",
@@ -169,7 +189,7 @@ def _angles(model: SkeletonModel, body: Body, title: Sequence[str] = ()) -> Figu
     angles = angles_of(model, body.poses, body.orientations)
     true = body.true_poses
     true_angles = None if true is None else angles_of(model, true, body.true_orientations)
-    return angle_figure(body.seconds, angles, true_angles, title)
+    return marked(angle_figure(body.seconds, angles, true_angles, title), body.marks)
 
 
 def _limbs(model: SkeletonModel, body: Body, title: Sequence[str] = ()) -> Figure:
@@ -177,7 +197,8 @@ def _limbs(model: SkeletonModel, body: Body, title: Sequence[str] = ()) -> Figur
     if not limbs:
         raise ConfigError("the marker names reveal no arms or legs")
     lengths = 1000 * lengths_of(body.poses, model)
-    return limb_figure(body.seconds, {name: lengths[:, k] for name, k in limbs.items()}, title)
+    sides = {name: lengths[:, k] for name, k in limbs.items()}
+    return marked(limb_figure(body.seconds, sides, title), body.marks)
 
 
 def _error(body: Body, true_poses: Floats, title: Sequence[str] = ()) -> Figure:
@@ -195,7 +216,7 @@ def _error(body: Body, true_poses: Floats, title: Sequence[str] = ()) -> Figure:
     axes.set(xlabel="s", ylabel="mm", ylim=(0, None))
     axes.margins(x=0.01)
     name_above(axes, {"largest": SPREAD, "mean": RESULT})
-    return figure
+    return marked(figure, body.marks)
 
 
 def save_png(figure: Figure, path: Path) -> None:

@@ -45,12 +45,15 @@ _BONE_M = 0.018
 _DETECTION_M = 0.006
 _THIN = -1.0  # rerun counts negative radii in points on the screen
 _LABEL_ABOVE_M, _LABEL_STEP_M = 0.18, 0.16  # above the head; above the label of another log
-_ERROR_PX = -2.0
+_ERROR_PX = -1.0
+_TRUTH_PX = -0.8
 _ELLIPSOID_ALPHA, _ELLIPSOID_LINE = 110, -0.5
 MAGNIFIED = 5.0
 """Displacements are millimetres; drawn to scale nobody would see them."""
+LONGEST_M = 0.5
+"""Length of a displacement as it is drawn: longer lines would leave the view."""
 _FIELD_OF_VIEW_DEG = (75.0, 65.0)  # of the cameras as they are drawn; the log does not tell it
-_SECOND_LOG, _LEFT = CLASSES, 2 * CLASSES  # offsets of people's classes
+_LEFT = 2 * CLASSES  # offset of people's classes
 _FIRST_CAMERA_CLASS = 4 * CLASSES
 _TRUE = 5 * CLASSES
 _FAINT = 10 * CLASSES
@@ -68,11 +71,11 @@ class Layer:
     prefix: str = ""
     """Put before the log's entities."""
     name: str = ""
-    """Put before people's names and the names of curves."""
+    """Put before people's names and the names of curves; "" if there is one log."""
     number: int = 0
-    """0 = the first log; those after it are paler."""
-    one_colour: bool = False
-    """Whether everybody in it has one colour, that of its number."""
+    """Of several logs: that of the colour which everybody in it has."""
+    file: str = ""
+    """What it is called outside the viewer, if that is not its name."""
 
     def named(self, text: str) -> str:
         """Return what something is called in this log."""
@@ -90,12 +93,6 @@ _CAMERA_NOTE = (
 )
 CALIBRATION = "/calibration"
 KEY = "/key"
-_KEY_TEXT = (
-    "**Right**: bright limbs, blue curves. **Left**: dark limbs, grey curves. **Faint**: nobody "
-    "sees the person, who is predicted. **Magenta**: a camera swaps left and right. **Red**: a "
-    "detection more than 20 cm off, or the way to the truth. **White**: the truth. Point at a "
-    "curve for its name."
-)
 
 
 class Entities:
@@ -118,7 +115,6 @@ class Entities:
         self._above = _LABEL_ABOVE_M + _LABEL_STEP_M * layer.number
         self._layer = layer
         self._begun: set[str] = set()
-        self._first_class = _SECOND_LOG if layer.number and not layer.one_colour else 0
         bones = model.links[(model.links >= 0).all(axis=1)]
         sides = [split_side(name)[1] for name in model.marker_names]
         left = np.array([sides[child] == "left" for child in bones[:, 1]], bool)
@@ -130,11 +126,6 @@ class Entities:
         """Draw the axes, and say what colours and bones each class has."""
         self.recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self.recording.log("/", self._annotations(dim_detections=dim_detections), static=True)
-        self.key()
-
-    def key(self, *more: str) -> None:
-        """Show what the colours mean, Markdown."""
-        self._document(KEY, "\n\n".join([*more, _KEY_TEXT]))
 
     def _document(self, path: str, text: str) -> None:
         self.recording.log(path, rr.TextDocument(text, media_type="text/markdown"), static=True)
@@ -192,7 +183,7 @@ class Entities:
             self.recording.log(f"{path}/name", label, static=True)
 
     def _annotations(self, *, dim_detections: bool) -> Any:
-        """Return the classes: people, people of a second log, and each camera's detections."""
+        """Return the classes: people, and each camera's detections."""
 
         def keypoints(number: int, name: str, colour: RGB, left: int) -> list[Any]:
             names = enumerate(self.model.marker_names)
@@ -209,9 +200,8 @@ class Entities:
 
         classes = keypoints(_TRUE, "truth", TRUTH, _LEFT + _TRUE)
         for k in range(CLASSES):
-            hue, second, hidden = person_colour(k), _SECOND_LOG + k, _FAINT + k
+            hue, hidden = person_colour(k), _FAINT + k
             classes += keypoints(k, f"person {k}", hue, _LEFT + k)
-            classes += keypoints(second, f"person {k}", pale(hue), _LEFT + second)
             classes += keypoints(hidden, f"person {k}", faint(hue), _LEFT + hidden)
         for camera in range(len(CAMERAS)):
             colour = camera_colour(camera) if dim_detections else curve_colour(camera)
@@ -293,8 +283,7 @@ class Entities:
         """Return the class of a person's right limbs and trunk."""
         if path.split("/")[-2] == "truth":
             return _TRUE
-        which = self._layer.number if self._layer.one_colour else person_of(path)
-        return self._first_class + which % CLASSES
+        return colour_number(person_of(path), self._layer) % CLASSES
 
     def marks(self, camera: str, kind: str, poses: Poses, rows: Rows) -> None:
         """Send detections of a camera that are wrong, in a colour that warns, and say how."""
@@ -397,9 +386,10 @@ class Entities:
 
     def _send_styles(self, path: str, *, is_strong: bool) -> None:
         """Say once how a person's entities look; classes and labels change."""
-        which = self._layer.number if self._layer.one_colour else person_of(path)
-        colour = TRUTH if self._class_of(path) == _TRUE else person_colour(which)
+        is_true = self._class_of(path) == _TRUE
+        colour = TRUTH if is_true else person_hue(person_of(path), self._layer)
         keypoints, radius = list(range(self.model.n_markers)), _BONE_M if is_strong else _THIN
+        radius = _TRUTH_PX if is_true and not is_strong else radius
         bones = rr.LineStrips3D.from_fields(radii=radius, show_labels=False)
         for part, style in (
             ("", rr.Points3D.from_fields(keypoint_ids=keypoints, show_labels=False)),
@@ -445,10 +435,14 @@ class Entities:
         self.recording.send_columns(path, time_columns(np.array(rows.times), self.start), parts)
 
 
+def colour_number(person: int, layer: Layer) -> int:
+    """Return the number of a person's colour: of several logs, each has one."""
+    return layer.number if layer.name else person
+
+
 def person_hue(person: int, layer: Layer) -> RGB:
     """Return a person's colour, as in the room."""
-    hue = person_colour(layer.number if layer.one_colour else person)
-    return pale(hue) if layer.number and not layer.one_colour else hue
+    return person_colour(colour_number(person, layer))
 
 
 def path_part(name: str) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from hiros_mcap.evaluate import PCK_MM, ErrorStats, Scores, Truth, score_tables
 from hiros_mcap.evaluate.leave_one_out import SelfScores
 from hiros_mcap.evaluate.logs import ChannelResult
+from hiros_mcap.evaluate.measures import text_of
 from hiros_mcap.skeletons import Floats
 from hiros_mcap.summary import number
 from hiros_viewer.figures import (
@@ -100,7 +101,7 @@ def self_page(log: Path, scores: SelfScores) -> Page:
     page = Page(f"{log} without truth", lines)
     page.heading("Each camera against the result of the others")
     title = "Joint distance, mm, including the camera's own noise"
-    page.table(*score_tables.left_out_table(scores.cameras), title)
+    page.table(*text_of(score_tables.left_out_sheet(scores.cameras)), title)
     for text in score_tables.notes_without_truth(scores):
         page.text(text)
     page.figure(

@@ -21,7 +21,7 @@ TRUTH, RESULT, SPREAD = "#1f5fa8", "#e07b1a", "#9aa4af"
 LEFT, RIGHT = "#8a8f98", "#3c56d8"
 """Of the limbs on each side, as in the viewer: pale and strong."""
 _LIMB_RANGE_MM = 60.0
-_PAUSE_S = 0.25
+PAUSE_S = 0.25
 _LIMBS = {
     "upper arm": ("shoulder", "elbow"),
     "forearm": ("elbow", "wrist"),
@@ -54,7 +54,7 @@ def tidy(axes: Axes) -> None:
 
 def with_gaps(seconds: Floats, values: Floats) -> tuple[Floats, Floats]:
     """Put a NaN into every pause, so that no line is drawn over it."""
-    pauses = np.nonzero(np.diff(seconds) > _PAUSE_S)[0] + 1
+    pauses = np.nonzero(np.diff(seconds) > PAUSE_S)[0] + 1
     return np.insert(seconds, pauses, np.nan), np.insert(values, pauses, np.nan, axis=0)
 
 

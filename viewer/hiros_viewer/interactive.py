@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hiros_viewer.marks import BAND
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -95,8 +97,9 @@ class _Table:
 
 def _plot(axes: Axes, table: _Table, height: int, shared: Any) -> Any:
     """Return one plot with the curves, the ranges and the titles of matplotlib's."""
-    from bokeh.models import HoverTool, Range1d, Span
+    from bokeh.models import BoxAnnotation, HoverTool, Range1d, Span
     from bokeh.plotting import figure as new_plot
+    from matplotlib.colors import to_hex
 
     plot = new_plot(
         title=axes.get_title(loc="left") or None, height=height, x_axis_label=axes.get_xlabel(),
@@ -109,6 +112,15 @@ def _plot(axes: Axes, table: _Table, height: int, shared: Any) -> Any:
         plot.add_layout(
             Span(location=float(np.asarray(line.get_ydata())[0]), line_color=_colour(line))
         )
+    for band in axes.patches:
+        if band.get_gid() == BAND:
+            left, right = band.get_extents().transformed(axes.transData.inverted()).intervalx
+            plot.add_layout(
+                BoxAnnotation(
+                    left=float(left), right=float(right), level="underlay", line_color=None,
+                    fill_color=to_hex(band.get_facecolor()), fill_alpha=0.25,
+                )
+            )  # fmt: skip
     unit = axes.get_xlabel() or "s"
     for line in _named(axes):
         data, colour = table.add(line), _colour(line)

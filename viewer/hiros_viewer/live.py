@@ -13,8 +13,9 @@ from hiros_mcap.frames import Block
 from hiros_mcap.io.log import Log
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.skeletons import Frame
-from hiros_viewer.blueprint import Content, blueprint
+from hiros_viewer.blueprint import Content
 from hiros_viewer.destinations import connected, running_viewer, web_server
+from hiros_viewer.legend import explain, lay_out
 from hiros_viewer.poses import Gatherer
 from hiros_viewer.replay import content_of, describe
 from hiros_viewer.scene import Scene
@@ -68,9 +69,11 @@ class LiveView:
         elif not self._laid_out and scene.bounds:
             self._laid_out = True
             self._lay_out(content_of([scene]))
+        elif self._laid_out:
+            explain(self._recording, content_of([scene]))  # by now there may be more to name
 
     def _lay_out(self, content: Content) -> None:
-        self._recording.send_blueprint(blueprint(content))
+        lay_out(self._recording, content)
 
     def end(self, events: Events) -> None:
         """Draw the events and what is left."""

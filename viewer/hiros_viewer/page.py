@@ -27,13 +27,15 @@ _STYLE = """
 :root { color-scheme: light dark; } .about { color: #57606a; margin: .2rem 0; }
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 80rem; padding: 0 1rem;
        color: #1b1f24; background: #fff; }
-h1 { font-size: 1.6rem; overflow-wrap: anywhere; } h2 { font-size: 1.2rem; margin-top: 2.2rem; }
+h1 { font-size: clamp(1.1rem, 5vw, 1.6rem); overflow-wrap: anywhere; }
+h2 { font-size: 1.2rem; margin-top: 2.2rem; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; margin: .6rem 0; }
 th, td { padding: .2rem .45rem; text-align: right; border-bottom: 1px solid #e3e6ea; }
 th:first-child, td:first-child { text-align: left; } td + td { white-space: nowrap; }
 th { border-bottom: 2px solid #9aa4af; font-weight: 600; }
 caption, figcaption { text-align: left; color: #57606a; font-size: .9rem; padding: .3rem 0; }
-figure { margin: 1rem 0; } figure svg { max-width: 100%; height: auto; }
+figure { margin: 1rem 0; overflow-x: auto; } figure svg { max-width: 100%; height: auto; }
+.curves, figure > svg { min-width: 40rem; } figcaption { position: sticky; left: 0; }
 .wide { overflow-x: auto; }
 @media (prefers-color-scheme: dark) {
   body { color: #dde3ea; background: #141414; } /* as white inverted, below */
@@ -107,7 +109,7 @@ class Page:
             '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
             f"{HTML_MARK}\n<title>{escape(self.title)}</title>\n<style>{_STYLE}</style>"
-            f"</head>\n<body><h1>{escape(self.title)}</h1>\n{about}{parts}\n{script}</body></html>\n"
+            f"</head>\n<body><h1>{breakable(self.title)}</h1>\n{about}{parts}\n{script}</body></html>\n"
         )
 
     def write(self, path: Path) -> None:
@@ -116,6 +118,11 @@ class Page:
         Raises LogError if the file cannot be written.
         """
         write_text(path, self.html())
+
+
+def breakable(text: str) -> str:
+    """Return a text as HTML that may wrap behind the signs inside names of files and channels."""
+    return re.sub(r"(?<=[\w.])([_./:]+)(?=\w)", r"\1<wbr>", escape(text))
 
 
 def _script(text: str) -> str:

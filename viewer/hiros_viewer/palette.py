@@ -24,9 +24,12 @@ CURVES: tuple[RGB, ...] = (
 """Of cameras, for lines on a dark or white plot: those of their detections, brighter."""
 SIDES: dict[str, RGB] = {"right": (112, 132, 255), "left": (168, 163, 154), "": (140, 150, 205)}
 """Of curves of one person's limbs: strong and pale, and of nobody's hue."""
-DISPLACEMENT: RGB = (240, 240, 240)
+DISPLACEMENT: RGB = (255, 245, 110)
+"""Of lines to where joints or cameras were before; the truth is white."""
 TRUTH: RGB = (235, 240, 235)
 """Of true people, beside a result in hues."""
+DISTANCES: dict[str, RGB] = {"mean": CURVES[2], "largest": CURVES[3]}
+"""Of curves of the distance between two logs, whose people are orange and blue."""
 FAULTY: dict[str, RGB] = {"mirrored": (255, 0, 255), "far off": (255, 60, 60)}
 """Of a camera's view while it is wrong, in the room and in its lane."""
 SILENCE: RGB = (110, 110, 110)
@@ -50,7 +53,7 @@ def _mixed(colour: RGB, other: RGB, n: int) -> RGB:
 
 
 def pale(colour: RGB) -> RGB:
-    """Return a colour halfway to white: the second of two logs."""
+    """Return a colour halfway to white: of ellipsoids, through which one looks."""
     return _mixed(colour, _WHITE, 1)
 
 

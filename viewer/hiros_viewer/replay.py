@@ -14,6 +14,7 @@ import numpy as np
 import rerun as rr
 
 from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.config import Config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.comparison import Entry
 from hiros_mcap.evaluate.logs import find_truth, has_cameras, has_outputs, start_of
@@ -23,12 +24,13 @@ from hiros_mcap.io.attachments import stored_events, stored_report
 from hiros_mcap.io.channels import OUTPUT_PREFIX, TRUTH_PREFIX
 from hiros_mcap.io.log import CameraChannel, Log, open_log
 from hiros_mcap.running.observe import DETECTIONS
-from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.running.pipeline import ProcessOptions, process, skeletons_read
 from hiros_mcap.skeletons import SkeletonModel
-from hiros_viewer.blueprint import LAYOUTS, Content, blueprint
+from hiros_viewer.blueprint import LAYOUTS, Content
 from hiros_viewer.camera_moves import camera_moves
 from hiros_viewer.destinations import save
 from hiros_viewer.entities import Layer, path_part
+from hiros_viewer.legend import lay_out
 from hiros_viewer.overlay import draw_distances
 from hiros_viewer.poses import HORIZON_NS, Channel, Gatherer, Poses, Thinner
 from hiros_viewer.scene import SIDED, STAGES, Scene
@@ -48,7 +50,7 @@ ANGLE_AXIS_DEG = (0.0, 100.0)
 """What every axis of angles shows: two numbers stand beside it then."""
 EMPTY_ROOM = np.array([[-2.0, -2.0, 0.0], [2.0, 2.0, 1.8]])
 """m; what is looked at before anybody is seen."""
-MOST_NUMBERS = {"moved": 6.0, "residual": 6.0}
+MOST_NUMBERS = {"moved": 6.0, "residual": 6.0, "speed": 5.0, "people": 5.0}
 """There is room for on axes that are higher than those of the overview."""
 Spans = Sequence[tuple[int, int]]
 _EVER = (0, 2**63 - 2)
@@ -73,6 +75,8 @@ class ViewOptions:
     """File with the cameras' poses that are compared with the log's, and used."""
     uncertainty: bool = False
     """Whether to draw how well the joints are known, as ellipsoids."""
+    configs: Sequence[Config] = ()
+    """Of each log, how it is read if it is a recording: its frame, skeleton and unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,21 +116,18 @@ def replay(
     if options.layout not in LAYOUTS:
         raise ConfigError(f"no layout {options.layout!r} (there are: {', '.join(LAYOUTS)})")
     logs, options = _truth_apart(logs, options)
-    layers = [Layer(f"/{name.lower()}", name, k) for k, name in enumerate(_NAMES[: len(logs)])]
+    layers = [
+        Layer(f"/{name.lower()}", name, k, file=path.name)
+        for k, (name, path) in enumerate(zip(_NAMES, logs, strict=False))
+    ]
     scenes: list[Scene] = []
     for path, layer in zip(logs, layers if logs[1:] else [Layer()], strict=True):
         first = scenes[0] if scenes else None
         scenes.append(_Replay(path, recording, options, layer).draw(first, is_open))
     if logs[1:]:
         draw_distances(logs[0], logs[1], scenes, options.stage)
-        colours = ("strong colours", "pale colours")
-        names = [
-            f"**{layer.name}** is {path.name}: {colour}."
-            for layer, path, colour in zip(layers, logs, colours, strict=True)
-        ]
-        scenes[0].explain("  \n".join(names))
     content = content_of(scenes)
-    recording.send_blueprint(blueprint(content, options.layout))
+    lay_out(recording, content, options.layout)
     return content
 
 
@@ -160,7 +161,17 @@ class _Replay:
     def draw(self, first: Scene | None, is_open: Callable[[], bool]) -> Scene:
         """Draw it; seconds count from the start of the first log when two are overlaid."""
         extrinsics = self.options.calibration or self.options.extrinsics
-        with open_log(self.path, topics=["*"], output_prefix="/none", extrinsics=extrinsics) as log:
+        config = Config()
+        if self.options.configs and not has_outputs(self.path):  # a result is in metres already
+            config = self.options.configs[self.layer.number]
+        with open_log(
+            self.path,
+            topics=["*"],
+            output_prefix="/none",
+            extrinsics=extrinsics,
+            fixed_frame=config.input.fixed_frame or None,
+            skeletons=skeletons_read(config),
+        ) as log:
             source = describe(log)
             scene = self._scene(log, source, first)
             only_stages = first is not None and bool(first.cameras)
@@ -205,8 +216,7 @@ class _Replay:
             drawn += self._draw(scene, frames)
             if not self._laid_out and scene.bounds:
                 self._laid_out = True
-                content = content_of([scene])
-                self.recording.send_blueprint(blueprint(content, self.options.layout))
+                lay_out(self.recording, content_of([scene]), self.options.layout)
             for (kind, _), poses in frames.items():
                 if poses.stamps[-1] > self._window[1]:
                     unfinished.discard(kind)
@@ -377,22 +387,21 @@ def in_time_order(
 
 def content_of(scenes: list[Scene]) -> Content:
     """Sum up what was drawn, for the layout."""
-    boxes = np.array([box for scene in scenes for box in scene.bounds] or [EMPTY_ROOM])
-    low, high = np.percentile(boxes[:, 0], 2, axis=0), np.percentile(boxes[:, 1], 98, axis=0)
     stages = [stage for stage in STAGES if any(stage in scene.stages for scene in scenes)]
     return Content(
         stages=stages,
         people=sorted({person for scene in scenes for person in scene.people}),
         cameras=[path_part(name) for name in scenes[0].cameras],
-        low=low,
-        high=high,
+        boxes=np.array([box for scene in scenes for box in scene.bounds] or [EMPTY_ROOM]),
         camera_poses={path_part(name): pose for name, pose in scenes[0].camera_poses.items()},
-        prefixes=[scene.prefix for scene in scenes],
+        layers=[scene.layer for scene in scenes],
         shows_truth=any(scene.shows_truth for scene in scenes),
         shows_uncertainty=any(scene.uncertainties is not None for scene in scenes),
         has_error=any(scene.n_true for scene in scenes),
         has_moves=any(scene.has_moves for scene in scenes),
-        has_faults=any(scene.has_faults for scene in scenes),
+        has_predicted=any(scene.has_predicted for scene in scenes),
+        lanes={path: kind for scene in scenes for path, kind in scene.lanes.items()},
+        moved={stage for scene in scenes for stage in scene.moved},
         longest=scenes[0].longest,
         ranges=axis_ranges(scenes),
     )
@@ -444,9 +453,9 @@ def save_overlay(target: Path, log: Path, entries: Sequence[Entry]) -> None:
                 options = ProcessOptions(system=entry.system, stages=entry.stages)
                 process(log, out, config=entry.config(log), options=options)
                 part = "".join(c if c.isalnum() else "_" for c in entry.name)
-                layer = Layer(f"/{part}", entry.name, k, one_colour=True)
+                layer = Layer(f"/{part}", entry.name, k)
                 scenes.append(_draw_one(recording, out, layer))
-        recording.send_blueprint(blueprint(content_of(scenes)))
+        lay_out(recording, content_of(scenes))
 
     save(target, log.name, draw)
 

@@ -13,8 +13,9 @@
     /people/<camera>, /residual/<camera>   skeletons that it reports, distance to the last stage
     /error_lines/<person>, /error/<person>   from the result to the truth; their length, mm
     /uncertainty/<person>       ellipsoids that hold the true joints with 68 %
-    /result/<person>            while somebody is tracked;  /log   events
-    /marked/<camera>/<fault>    detections that are mirrored or far off;  /wrong_view/...   when
+    /<person>                   while somebody is tracked;  /log   events
+    /marked/<camera>/<fault>    detections that are mirrored or far off
+    /view_<camera>_<fault>      while there are any
     /no_data                    while no camera sends anything;  /world/no_data   so in the room
     /cameras                    numbers of each camera
 
@@ -46,6 +47,7 @@ from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, SkeletonModel, Stamps
 from hiros_viewer.camera_moves import CameraMove
 from hiros_viewer.columns import GONE_NS, CurveRows, Line, TextRows, after_pauses
 from hiros_viewer.entities import (
+    LONGEST_M,
     MAGNIFIED,
     Entities,
     Layer,
@@ -55,7 +57,7 @@ from hiros_viewer.entities import (
     person_part,
 )
 from hiros_viewer.figures import limb_links
-from hiros_viewer.palette import FAULTY, SIDES, SILENCE, curve_colour, pale
+from hiros_viewer.palette import DISTANCES, FAULTY, SIDES, SILENCE, curve_colour, shade
 from hiros_viewer.poses import Channel, Poses
 from hiros_viewer.presence import HIDDEN, Crowd, Visit, Visits
 from hiros_viewer.uncertainties import HALF_SIZE, UNCERTAIN_STAGE, Uncertainties
@@ -65,6 +67,8 @@ from hiros_viewer.waiting import Compared, EarlierPoses, Waiting, mean_distances
 STAGES = ("tracked", "merged", "optimized", "filtered", "truth")
 _ALONE = Layer()
 _MOST_BOUNDS = 2000
+PERSON, NO_DATA = "person", "no data"
+"""What a lane shows, if not a fault of a camera's view."""
 SILENCE_S = 1.0
 """Without any message for longer, there is no data; detectors send several messages a second."""
 SIDED = ("angles", "limbs")
@@ -109,9 +113,15 @@ class Scene:
         """Whether poses before and after a calibration were drawn."""
         self.ranges: dict[str, tuple[float, float]] = {}
         """Kind of curve, as "speed" or "limbs/thigh" -> where its values are."""
+        self.moved: set[str] = set()
+        """Stages whose joints are not those of the last one."""
+        self.has_predicted = False
+        """Whether somebody whom no camera saw is in the last stage."""
+        self.lanes: dict[str, str] = {}
+        """Path of a lane -> what it shows: a person, a fault of a camera's view, or no data."""
         self.n_true = 0
         """Frames of the last stage whose instant the truth covers."""
-        self._layer, self.prefix = layer, layer.prefix
+        self.layer, self.prefix = layer, layer.prefix
         self._crowds = defaultdict[str, Crowd](Crowd)
         """By camera; in the order in which cameras were first seen."""
         self._marks = defaultdict[Channel, Crowd](Crowd)
@@ -146,11 +156,6 @@ class Scene:
         return list(self._crowds)
 
     @property
-    def has_faults(self) -> bool:
-        """Whether a camera's view was wrong, or nothing was recorded, for a while."""
-        return any(path.startswith(("/wrong_view/", "/no_data")) for path in self._lane_styles)
-
-    @property
     def longest(self) -> int:
         """Who is there for longest in the last stage."""
         people = self._lengths
@@ -170,7 +175,7 @@ class Scene:
 
         ``later`` has the further poses of cameras that were moved, by the time in s.
         """
-        if not self._layer.number:
+        if not self.layer.number:
             # Dim behind a result; without one, detections are all there is to see.
             self._entities.room(dim_detections=bool(self.final))
         self.camera_poses = cameras
@@ -184,10 +189,6 @@ class Scene:
         """Draw where cameras were before a calibration, and how far they moved."""
         self.has_moves = True
         self._entities.moves(moves)
-
-    def explain(self, *lines: str) -> None:
-        """Add lines to those that say what colours mean, Markdown."""
-        self._entities.key(*lines)
 
     # -- frames --------------------------------------------------------------------------------
 
@@ -218,7 +219,7 @@ class Scene:
             seconds = float(end[0] - start[0]) / 1e9
             if seconds < SILENCE_S:
                 continue
-            self._lane_styles["/no_data"] = Line("no data", SILENCE)
+            self._lane("/no_data", Line("no data", SILENCE), NO_DATA)
             self._texts["/no_data"].add(start, "no data")
             self._texts["/no_data"].add(end, "gone")
             silence = Event(int(start[0]), "no data", UNTRACKED, "", f"for {seconds:.2f} s")
@@ -261,8 +262,8 @@ class Scene:
     def _mark_faults(self, camera: str, spans: Iterable[FaultySpan]) -> None:
         """Show when a camera's view was wrong: a lane, and a line in the list of events."""
         for span in spans:
-            path = f"/wrong_view/{path_part(camera)}/{fault_part(span.kind)}"
-            self._lane_styles[path] = Line(f"{camera} {span.kind}", FAULTY[span.kind])
+            path = f"/view_{path_part(camera)}_{fault_part(span.kind)}"
+            self._lane(path, Line(f"{camera} {span.kind}", FAULTY[span.kind]), span.kind)
             self._texts[path].add(span.start, span.kind)
             self._texts[path].add(span.end, "gone")
             detail = f"for {span.seconds:.2f} s"
@@ -330,6 +331,7 @@ class Scene:
             self._show_uncertainty(visit, shown, positions)
         if stage == self.final:
             self._states(visit)
+            self.has_predicted |= bool(poses.is_predicted[people].any())
             self._lengths[visit.person] += int(shown.sum())
             self._show_displacements(visit, shown, positions)
             if shown.any():
@@ -341,7 +343,7 @@ class Scene:
         """Return what is written above somebody; the true person beside the one of the result."""
         if stage == "truth":
             return "" if self.final else f"truth {person}"
-        name = self._layer.named(f"person {person}")
+        name = self.layer.named(f"person {person}")
         if stage != self.final:
             return name
         true = self._true_ids[person].get(stamp) if self.shows_truth else None
@@ -358,20 +360,23 @@ class Scene:
             self._entities.ellipsoids(visit.person, visit.times, joints, HALF_SIZE * sizes)
 
     def _states(self, visit: Visit) -> None:
-        path = f"{self.prefix}/result/{person_part(visit.person)}"
-        self._lane_styles[path] = self._person_line(visit.person)
+        path = f"{self.prefix}/{person_part(visit.person)}"
+        self._lane(path, self._person_line(visit.person), PERSON)
         for row in np.flatnonzero(visit.begins | (visit.people == HIDDEN)).tolist():
             self._texts[path].add(visit.times[row], "tracked" if visit.begins[row] else "gone")
+
+    def _lane(self, path: str, style: Line, kind: str) -> None:
+        self._lane_styles[path], self.lanes[path] = style, kind
 
     def event(self, event: Event, log_time: int | None = None) -> None:
         """Write an event into the log; its time is also its log time unless that is known."""
         level = "WARN" if event.is_warning else "INFO"
         times = np.array([event.stamp, event.stamp if log_time is None else log_time])
-        self._texts[f"{self.prefix}/log"].add(times, self._layer.named(event.text), level)
+        self._texts[f"{self.prefix}/log"].add(times, self.layer.named(event.text), level)
 
     def distances(self, name: str, times: Stamps, millimetres: Floats) -> None:
         """Add to the curve of joint distances between two logs, mm; times (T, 2)."""
-        line = Line(name, curve_colour(["mean", "largest"].index(name)))
+        line = Line(name, DISTANCES[name])
         self._extend(f"/distance/{path_part(name)}", [line], times, millimetres)
 
     def _extend_camera(self, kind: str, camera: str, times: Stamps, values: Floats) -> None:
@@ -430,9 +435,12 @@ class Scene:
             path = f"{stage}/{person_part(person)}"
             if stage == drawn[0]:
                 whole = f"{self.prefix}/displacement/{path}"
-                tips = result + MAGNIFIED * (before - result)
+                tips = result + magnified(before - result)
                 self._entities.joint_lines(whole, times, (result, tips), is_error=False)
-            self._extend_apart(f"moved/{path}", person, times, mean_distances(before, result))
+            apart = mean_distances(before, result)
+            if (apart > 0).any():
+                self.moved.add(stage)
+            self._extend_apart(f"moved/{path}", person, times, apart)
         if self.truth is not None:
             true = self._earlier["truth", person].at(times[:, 0], self.model.n_markers)
             part = person_part(person)
@@ -448,15 +456,25 @@ class Scene:
 
     def _person_line(self, person: int) -> Line:
         """Return the curve of a person, in its colour."""
-        return Line(self._layer.named(f"person {person}"), person_hue(person, self._layer))
+        line = Line(self.layer.named(f"person {person}"), person_hue(person, self.layer))
+        return line._replace(width=line.width * self._widening)
+
+    @property
+    def _widening(self) -> float:
+        """How much wider curves of the first of several logs are: others would hide them."""
+        return 2.5 if self.layer.name and not self.layer.number else 1.0
 
     def _side_lines(self, names: Sequence[str]) -> list[Line]:
-        """Return curves of which the left ones are pale and thin, the right ones strong."""
+        """Return curves of which the left ones are dim and thin, the right ones strong."""
         lines = []
         for name in names:
             side = split_side(name)[1]
-            colour = pale(SIDES[side]) if self._layer.number else SIDES[side]
-            lines.append(Line(self._layer.named(name), colour, 2.5 if side == "right" else 1.5))
+            colour = SIDES[side]
+            if self.layer.name:
+                hue = person_hue(0, self.layer)
+                colour = shade(hue) if side == "left" else hue
+            width = 2.5 if side == "right" else 1.5
+            lines.append(Line(self.layer.named(name), colour, width * self._widening))
         return lines
 
     def _extend_sides(
@@ -531,6 +549,13 @@ class _Past:
         if before is None or place is None:
             return times, roots
         return np.insert(times, 0, before, axis=0), np.insert(roots, 0, place, axis=0)
+
+
+def magnified(ways: Floats) -> Floats:
+    """Return vectors (..., 3), m, some times as long, but at most of the longest length drawn."""
+    lengths = MAGNIFIED * np.linalg.norm(ways, axis=-1, keepdims=True)
+    arrows: Floats = MAGNIFIED * ways * np.minimum(1.0, LONGEST_M / np.maximum(lengths, LONGEST_M))
+    return arrows
 
 
 def _root_slot(model: SkeletonModel) -> int:

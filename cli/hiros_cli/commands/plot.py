@@ -44,6 +44,8 @@ def plot(
     check_outputs((target, kind), inputs=(log, truth), force=force)
     prepare(quiet=quiet)
     from hiros_mcap.evaluate.logs import find_truth, output_channels, read_channel
+    from hiros_mcap.io.attachments import stored_events
+    from hiros_mcap.io.log import open_reader
     from hiros_viewer import curves
     from hiros_viewer.headline import about
 
@@ -54,8 +56,10 @@ def plot(
         frames, model, _ = read_channel(log, topic)
         its_truth = find_truth(log, truth)
         start = frames[0].stamp if frames else 0
+        with open_reader(log) as reader:
+            events = stored_events(reader)
         true = None if its_truth is None else its_truth.moved(start=start)
-        collected = curves.collect(f"{log}: {topic}", frames, model, true)
+        collected = curves.collect(f"{log}: {topic}", frames, model, true, events)
         lines = about(log, curves.verdict(collected), curves.summary_row(frames, model))
         collected = replace(collected, about=lines)
         if target.suffix == ".html":

@@ -7,7 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hiros_cli.compiling import prepare
-from hiros_cli.options import EXTRINSICS, FORCE, QUIET, argument, flag, option, seconds_range
+from hiros_cli.options import (
+    EXTRINSICS,
+    FORCE,
+    QUIET,
+    argument,
+    flag,
+    option,
+    seconds_range,
+    settings_of,
+)
 from hiros_cli.output import check_outputs
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.running.progress_bar import bar
@@ -55,7 +64,10 @@ def view(
     prepare(quiet=quiet)
     from hiros_viewer.replay import ViewOptions, recording_name, replay
 
-    options = ViewOptions(layout, window, extrinsics, stage or "", truth, calibration, uncertainty)
+    configs = [settings_of(log).load() for log in logs]
+    options = ViewOptions(
+        layout, window, extrinsics, stage or "", truth, calibration, uncertainty, configs
+    )
     name = recording_name(list(logs), layout)
 
     def draw(recording: RecordingStream, is_open: Callable[[], bool] = lambda: True) -> None:

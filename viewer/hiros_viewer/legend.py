@@ -1,0 +1,72 @@
+"""What colours mean in a layout: no colour is named that it does not show."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import rerun as rr
+
+from hiros_mcap.io.export.colours import PEOPLE
+from hiros_viewer.blueprint import Content, blueprint
+from hiros_viewer.entities import KEY, LONGEST_M, MAGNIFIED
+
+HUES = ("orange", "blue", "green", "pink", "yellow", "violet", "turquoise", "red", "lime", "lilac")
+"""Names of the colours of people, and of logs that are overlaid."""
+
+
+def lay_out(recording: rr.RecordingStream, content: Content, layout: str = "overview") -> None:
+    """Send a layout with the lines that explain it."""
+    explain(recording, content, layout)
+    recording.send_blueprint(blueprint(content, layout))
+
+
+def explain(recording: rr.RecordingStream, content: Content, layout: str = "overview") -> None:
+    """Show what the colours of a layout mean."""
+    text = legend(content, layout)
+    recording.log(KEY, rr.TextDocument(text, media_type="text/markdown"), static=True)
+
+
+def legend(content: Content, layout: str) -> str:
+    """Return what the colours of a layout mean, Markdown."""
+    if content.is_raw:
+        return "**Bright**: right limbs. **Dark**: left limbs. Point at a curve for its name."
+    logs = [
+        f"**{layer.name}** is {HUES[layer.number % len(PEOPLE)]}{layer.file and f': {layer.file}'}."
+        for layer in content.layers
+        if layer.name
+    ]
+    sentences = [f"**{word}**: {meaning}." for word, meaning in _meanings(content, layout)]
+    colours = " ".join([*sentences, "Point at a curve for its name."])
+    return "\n\n".join(["  \n".join(logs), colours]) if logs else colours
+
+
+def _meanings(content: Content, layout: str) -> Iterator[tuple[str, str]]:
+    """Yield what is in the room and beside it, and what that is."""
+    has_sided_curves = layout in ("overview", "person")
+    if has_sided_curves and any(layer.name for layer in content.layers):
+        yield "Bright", "right limbs and their curves"
+        yield "Dark", "left ones"
+    else:
+        yield "Right", "bright limbs, blue curves" if has_sided_curves else "bright limbs"
+        yield "Left", "dark limbs, grey curves" if has_sided_curves else "dark limbs"
+    if layout == "stages":
+        yield "Grey", content.before
+        yield "Colour", content.final
+        way = f"{MAGNIFIED:.0f} times the way from {content.final} to {content.before}"
+        yield "Yellow", f"{way}, at most {LONGEST_M:.1f} m long"
+    else:
+        yield "Thin lines", "what cameras report"
+    if content.has_predicted:
+        yield "Faint", "nobody sees the person, who is predicted"
+    faults = set(content.lanes.values()) if layout != "stages" else set()
+    if "mirrored" in faults:
+        yield "Magenta", "a camera swaps left and right"
+    red = ["a detection more than 20 cm off"] if "far off" in faults else []
+    if red or content.shows_truth:
+        yield "Red", ", or ".join([*red, *["the way to the truth"] * content.shows_truth])
+    if content.shows_truth:
+        yield "White", "the truth"
+    if content.shows_uncertainty:
+        yield "Ellipsoids", "the true joint is inside with 68 %"
+    if content.has_moves:
+        yield "Grey frusta", "where the cameras were before, with a yellow line to where they are"
