@@ -82,13 +82,12 @@ class TimeOrder:
         )
         self._waiting = queue[: len(queue) - n].copy()
         numbers, log_times = leaving[:n].T.copy()
-        # Behind the last message of former blocks, all lie in this one and need no copy.
-        former = int(np.max(np.flatnonzero(numbers < first), initial=-1)) + 1
         ready = []
-        if former:
-            ready.append(self._held.copies(numbers[:former]).logged_at(log_times[:former]))
-        if former < n:
-            ready.append(block.select(numbers[former:] - first).logged_at(log_times[former:]))
+        if n:
+            # What waited goes on together with what came: later stages cost a call per block.
+            waited = bool((numbers < first).any())
+            ordered = self._held.copies(numbers) if waited else block.select(numbers - first)
+            ready.append(ordered.logged_at(log_times))
         self._held.keep(self._waiting[:, 2])
         return ready
 

@@ -26,7 +26,12 @@ from hiros_mcap.stages.fuse.fusing import (
     Steps,
 )
 from hiros_mcap.stages.fuse.pair_lengths import measured_lengths
-from hiros_mcap.stages.fuse.pose_prior import shrink_noise
+from hiros_mcap.stages.fuse.pose_prior import (
+    body_frames,
+    has_heading,
+    local_frames,
+    shrink_noise,
+)
 from hiros_mcap.systems import Run, system
 
 fuse = by_frame(fuse_blocks)
@@ -69,8 +74,11 @@ def dense_solution(steps, factors):
     for k in range(1, t):
         dt, q = steps.times[k] - steps.times[k - 1], NOISE.accelerations[0] * factors[k]
         keep = np.exp(-dt / NOISE.time)
-        f = np.diag([1.0, 1.0, keep, keep])
-        f[0, 1] = dt
+        measured = steps.times[:k][steps.cameras[:k] >= 0]
+        slowing = np.clip(steps.times[k] - measured[-1] - fusing._GOES_ON, 0.0, dt)
+        left = np.exp(-slowing / fusing._STOPS)
+        f = np.diag([1.0, left, keep, keep])
+        f[0, 1] = dt - slowing + fusing._STOPS * (1.0 - left)
         noise = np.diag([q * dt**3 / 3, q * dt, *[NOISE.offsets[0] * (1 - keep**2)] * 2])
         noise[0, 1] = noise[1, 0] = q * dt**2 / 2
         for j in range(k):
@@ -92,8 +100,12 @@ def dense_solution(steps, factors):
     return found[poses], variances[poses]
 
 
-def test_the_smoother_equals_regression_over_all_states():
-    steps = Steps(*[array[:36] for array in steps_of()])
+@pytest.mark.parametrize("unseen", [0.0, 0.7])
+def test_the_smoother_equals_regression_over_all_states(unseen):
+    """Also where nobody is seen for a while in the middle."""
+    all_steps = steps_of()
+    away = (all_steps.times > 0.2) & (all_steps.times < 0.2 + unseen) & (all_steps.cameras >= 0)
+    steps = Steps(*[array[~away][:60] for array in all_steps])
     work = FusionWork.of(len(steps.times), 4)
     found = smoothed(steps, work=work)
     positions, variances = dense_solution(steps, work.factors)
@@ -107,6 +119,22 @@ def test_a_window_goes_on_where_the_last_one_ended():
     rest = smoothed(Steps(*[array[90:] for array in steps]), states=states)
     # The levels of the acceleration start from the filter, not from the filters of each level.
     np.testing.assert_allclose(rest.positions, smoothed(steps).positions[30:], atol=2e-4)
+
+
+@pytest.mark.parametrize("speed", [1.5, 5.0])
+def test_who_is_not_seen_any_more_stops_within_half_a_second(speed):
+    times = np.repeat(np.arange(60) / 30, 2)
+    cameras = np.tile([0, POSE], 60)
+    z = np.stack([speed * times, 0 * times, 0 * times], axis=1)[:, None]
+    seen = (cameras == POSE) | (times < 1.0)
+    z[cameras == POSE] = np.nan
+    out = smoothed(Steps(times[seen], cameras[seen], z[seen], np.full((seen.sum(), 1), 0.01**2)))
+    last = int(np.flatnonzero(np.arange(60) / 30 < 1.0)[-1])
+    x, v = out.positions[:, 0, 0], out.velocities[:, 0, 0]
+    np.testing.assert_allclose(v[last : last + 6], speed, rtol=0.02)
+    assert v[last + 16] < 0.15 * speed
+    assert x[-1] - x[last] < 0.4 * speed
+    assert (np.diff(out.variances[last:, 0]) > 0).all()
 
 
 def moving(x):
@@ -180,6 +208,50 @@ def test_the_prior_takes_noise_off_and_keeps_motion():
     noisy = pose + rng.normal(0, 0.02, pose.shape)
     found = shrink_noise(noisy, np.full((90, 12), 0.02**2))
     assert (found - pose).std() < 0.6 * (noisy - pose).std()
+
+
+LATERAL = np.array([[0, 1], [2, 3]], np.int32)
+
+
+def rolling(degrees, seed=4):
+    """One still pose of 12 markers, turned about the axis of y while it moves: (T, 12, 3)."""
+    pose = np.random.default_rng(seed).normal(0, 0.5, (12, 3))
+    pose[:4] = [[-0.2, 0.5, 0], [0.2, 0.5, 0], [-0.1, 0, 0], [0.1, 0, 0]]
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    zero, unit = np.zeros_like(c), np.ones_like(c)
+    turns = np.stack([c, zero, s, zero, unit, zero, -s, zero, c], axis=1).reshape(-1, 3, 3)
+    return pose @ turns + np.stack([degrees / 300, zero, zero], axis=1)[:, None]
+
+
+def test_in_its_own_frame_a_rigid_body_that_rolls_does_not_move():
+    poses = rolling(np.linspace(0, 360, 90))
+    poses[20, 5:], variances = np.nan, np.full((90, 12), 0.02**2)
+    variances[:, 7] = 0.3**2
+    frames, origins = body_frames(poses, variances)
+    local = (poses - origins) @ frames
+    assert np.nanmax(np.abs(local - np.nanmean(local, axis=0))) < 1e-9
+    assert (local @ np.swapaxes(frames, 1, 2) + origins) == pytest.approx(poses, nan_ok=True)
+    assert np.linalg.det(frames) == pytest.approx(1.0)
+
+
+def test_who_rolls_has_no_heading_and_who_turns_or_is_wrong_for_an_instant_has_one():
+    level = rolling(np.linspace(-20, 20, 90))
+    assert has_heading(level, LATERAL)
+    assert not has_heading(rolling(np.linspace(0, 360, 90)), LATERAL)
+    level[40] = rolling(np.full(1, 90.0))[0]
+    assert has_heading(level, LATERAL)
+    assert has_heading(np.full((5, 12, 3), np.nan), LATERAL)
+    assert has_heading(level, np.empty((0, 2), np.int32))
+
+
+def test_the_prior_takes_more_noise_off_who_rolls_in_the_frame_of_the_body():
+    truth, variances = rolling(np.linspace(0, 360, 90)), np.full((90, 12), 0.02**2)
+    noisy = truth + np.random.default_rng(5).normal(0, 0.02, truth.shape)
+    errors = []
+    for frames, origins in (body_frames(noisy, variances), local_frames(noisy, LATERAL)):
+        found = shrink_noise((noisy - origins) @ frames, variances)
+        errors.append((found @ np.swapaxes(frames, 1, 2) + origins - truth).std())
+    assert errors[0] < 0.75 * errors[1]
 
 
 def test_the_prior_leaves_small_movements_of_who_stands_to_them():

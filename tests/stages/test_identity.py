@@ -118,6 +118,20 @@ def test_nobody_is_carried_whom_a_camera_should_see():
     assert merged_people(alone)[5:] == [[]] * 25
 
 
+@pytest.mark.parametrize(("where", "goes_on"), [(0.7, False), (2.5, True)])
+def test_nobody_goes_on_beside_the_new_id_that_may_be_theirs(where, goes_on):
+    """Person 0 is hidden at 2 s; at 2.3 s somebody with a new id is near, or far away."""
+    front = [person(-0.8, 0.0), person(0.0, -0.8)]
+    frames = []
+    for k in range(90):
+        people = [*front, *[person()] * (k < 60), *[person(where)] * (k >= 69)]
+        numbers = [1, 2, *[0] * (k < 60), *[3] * (k >= 69)]
+        frames += [seen(people, at(k, c), name, ids=numbers) for c, name in enumerate("ab")]
+    merged = merge(frames, MODEL, cameras=CAMERAS)
+    later = [0 in f.ids for f in merged if at(72) < f.stamp < at(80)]
+    assert later == [goes_on] * len(later)
+
+
 def test_people_who_left_are_not_remembered_for_ever():
     unseen = Unseen(0.1, 1.0, CAMERAS)
     for k in range(50):

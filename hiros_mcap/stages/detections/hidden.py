@@ -81,8 +81,7 @@ def mend_hidden_blocks(
         yield from blocks
         return
     people = _HiddenPeople(model, Events() if events is None else events, cameras or {})
-    for block in blocks:
-        yield people.mend(block)
+    yield from map(people.mend, blocks)
     people.finish()
 
 

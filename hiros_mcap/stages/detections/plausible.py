@@ -58,8 +58,7 @@ def drop_implausible_blocks(
         yield from blocks
         return
     bodies = _LimbHistories(model, params, Events() if events is None else events, cameras or {})
-    for block in blocks:
-        yield bodies.compare(block)
+    yield from map(bodies.compare, blocks)
 
 
 class _LimbHistories:

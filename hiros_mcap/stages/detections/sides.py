@@ -25,7 +25,7 @@ model starts anew when the trunk is seen again.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -135,7 +135,7 @@ class _Sides:
         """Take frames; yield those that are decided."""
         piece = self._piece(block)
         if not self._ahead:
-            yield self._mirrored(piece, self._follow(piece))
+            yield self._mirrored([piece], self._follow(piece))
             return
         while len(piece.block):
             cells = piece.block.stamps // CELL
@@ -147,12 +147,12 @@ class _Sides:
             last = int(due.argmax())
             first, piece = piece.cut(last + 1)
             self._held.append(first)
-            yield from self._decide(int(cells[last]) - self._ahead)
+            yield self._decide(int(cells[last]) - self._ahead)
 
     def rest(self) -> Iterator[Block]:
         """Yield the frames that are still held, now that nothing more comes."""
         if self._held:
-            yield from self._decide(np.iinfo(np.int64).max)
+            yield self._decide(np.iinfo(np.int64).max)
 
     def _piece(self, block: Block) -> _Piece:
         """Find the views of a block, and whose they are."""
@@ -177,8 +177,8 @@ class _Sides:
         )
         return out
 
-    def _decide(self, until: int) -> Iterator[Block]:
-        """Decide on everything that is held; yield the frames before the cell ``until``."""
+    def _decide(self, until: int) -> Block:
+        """Decide on everything that is held; return the frames before the cell ``until``."""
         self._add_evidence()
         held, self._held = self._held, []
         measured = joined([piece.measured for piece in held])
@@ -192,18 +192,16 @@ class _Sides:
         out.toes[:] = self._tables.reliability(TOES)
         self._decided = until
         now = int(held[-1].block.log_times.max())
-        first = 0
+        done: list[_Piece] = []
         for k, piece in enumerate(held):
-            n = len(piece.views)
-            facings = chosen(out, slice(first, first + n))
-            first += n
             late = piece.block.stamps // CELL >= until
             if late.any():
-                done, kept = piece.cut(int(late.argmax()))
+                first, kept = piece.cut(int(late.argmax()))
+                done.append(first)
                 self._held = [kept, *held[k + 1 :]]
-                yield self._mirrored(done.logged_from(now), facings)
-                return
-            yield self._mirrored(piece.logged_from(now), facings)
+                break
+            done.append(piece)
+        return self._mirrored([piece.logged_from(now) for piece in done], out)
 
     def _add_evidence(self) -> None:
         """Measure the views that are new, learn from all of them, then weigh them."""
@@ -223,24 +221,32 @@ class _Sides:
 
     # The result
 
-    def _mirrored(self, piece: _Piece, facings: facing.Facings) -> Block:
-        """Return the frames with the sides of swapped views exchanged, and trunks turned."""
-        n = len(piece.views)
-        swapped, turned = np.flatnonzero(facings.swapped[:n]), np.flatnonzero(facings.turns[:n])
-        if not len(swapped) and not len(turned):
-            return piece.block
-        # A copy of these frames only: the tracker may still write into others of the arrays.
-        block = join([piece.block])
-        views = piece.views + (block.rows - piece.block.rows)[piece.owners, 0]
+    def _mirrored(self, pieces: Sequence[_Piece], facings: facing.Facings) -> Block:
+        """Return the frames with the sides of swapped views exchanged, and trunks turned.
+
+        They are copies where anything changes or several pieces become one block: the tracker may
+        still write into other frames of their arrays, and later stages cost a call per block.
+        """
+        measured = joined([piece.measured for piece in pieces])
+        swapped, turned = (
+            np.flatnonzero(some[: len(measured.cells)]) for some in (facings.swapped, facings.turns)
+        )
+        if len(pieces) == 1 and not len(swapped) and not len(turned):
+            return pieces[0].block
+        block = join([piece.block for piece in pieces])
+        shifts = block.rows[:, 0] - np.concatenate([piece.block.rows[:, 0] for piece in pieces])
+        ends = np.cumsum([len(piece.block) for piece in pieces])
+        parts = zip(pieces, np.split(shifts, ends[:-1]), strict=True)
+        views = np.concatenate([piece.views + shift[piece.owners] for piece, shift in parts])
         facing = facings.facing[swapped]
         facing[facings.toes[swapped] >= _SLAVED] = np.nan
-        axes = piece.measured.axes
+        axes = measured.axes
         exchanging.exchange_sides(
             block.people, views[swapped], facing, axes[swapped], self._markers
         )
         angles = facings.turns[turned]
         exchanging.turn_trunks(block.people, views[turned], angles, axes[turned], self._markers)
-        by_camera = np.bincount(piece.measured.cameras[swapped], minlength=len(self._cameras))
+        by_camera = np.bincount(measured.cameras[swapped], minlength=len(self._cameras))
         for source, n in zip(self._cameras, by_camera.tolist(), strict=True):
             self._events.count("flip", source, n)
         return block

@@ -171,11 +171,11 @@ class _SkeletonFilter:
         design = designs[at[rows], sources].T.copy()
         todo = FilterSteps(rows, people, steps, ends[rows], *design)
         positions = out.people.markers[:, :, POSITION]
-        smoothed = positions.copy() if self._keep_positions else positions
+        unfiltered = positions.copy() if self._keep_positions else positions
         # Beyond 3.4: the look-ahead, which removes the lag (fixed-lag smoothing)
         self._method.estimate(out.people, todo, past, self._settings, self._work)
         if self._keep_positions:
-            positions[:] = np.where(np.isnan(smoothed), positions, smoothed)
+            positions[:] = np.where(np.isnan(unfiltered), positions, unfiltered)
         elif self._params.keep_lengths:
             restore_lengths(out.people, todo, past, self._links)
         return out.logged_at(log_times[completing])

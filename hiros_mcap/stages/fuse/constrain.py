@@ -28,7 +28,13 @@ from hiros_mcap.frames import Block
 from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Ints, SkeletonModel, Stamps
 from hiros_mcap.stages.fuse.fuse_params import ConstrainParams
 from hiros_mcap.stages.fuse.pair_lengths import AllPoses, MeasuredLengths, PairLimbs, RunningLengths
-from hiros_mcap.stages.fuse.pose_prior import RecentMotion, local_frames, shrink_noise
+from hiros_mcap.stages.fuse.pose_prior import (
+    RecentMotion,
+    body_frames,
+    has_heading,
+    local_frames,
+    shrink_noise,
+)
 from hiros_mcap.stages.fuse.residuals import restated
 from hiros_mcap.stages.look_ahead import LookAhead
 from hiros_mcap.threads import run_each
@@ -198,6 +204,10 @@ class _Bodies:
         """Move everybody towards what the person does, in the person's own frame."""
         positions = out.people.markers[:, :, POSITION]
         frames, origins = local_frames(positions, self._lateral)
+        if self._params.window > 0:
+            for _, rows in people:
+                if not has_heading(positions[rows], self._lateral):
+                    frames[rows], origins[rows] = body_frames(positions[rows], variances[rows])
         poses = (positions - origins) @ frames
         for person, rows in people:
             if self._params.window > 0:

@@ -3,6 +3,7 @@
 The state of a joint is [x, v, b_1 ... b_C]: position, velocity and the slow offset of each camera.
     x' = x + v dt, white acceleration (Bar-Shalom et al. 2001, section 6.2.2)
     b' = e^(-dt/tau) b, driven so that its variance stays the same (Gauss-Markov)
+A joint that no camera has seen for _GOES_ON s slows down: v' = e^(-dt/_STOPS) v.
     z = x + b_c + white noise, at the camera's own time
 The three axes share the covariance. Measurements have the weights of Student's t. The smoother is
 modified Bryson-Frazier (Bierman 1977, section X.4): it carries back an adjoint of the innovations
@@ -35,6 +36,10 @@ _EARLY = 0.1  # s before its first measurement at which a joint may be wanted
 _LEVELS = (1.0, 10.0, 100.0)
 """Factors of the density of the acceleration: a joint at rest, in a walk, in a kick or a fall."""
 LEVELS = len(_LEVELS)
+_GOES_ON, _STOPS = 0.2, 0.15
+"""s that an unseen joint keeps its velocity, as in the tracker; time constant of the stop, s.
+
+People whom nobody sees are as likely to turn as to go on."""
 _CHANGES = 3.0  # 1/s: how often a joint goes over to another level
 
 
@@ -81,13 +86,14 @@ class JointStates(NamedTuple):
     means: F4  # (R, M, 2 + C, 3)
     covariances: F4  # (R, M, 2 + C, 2 + C); 0 = the joint was never seen
     times: F2  # (R, M) s
+    seen: F2  # (R, M) time of the last measurement, s
     levels: F3  # (R, M, LEVELS) probability of each level of the acceleration
 
     @classmethod
     def unknown(cls, people: int, markers: int, cameras: int) -> JointStates:
         """Return states of joints that nobody has seen."""
         r, m, n = people, markers, OFFSETS + cameras
-        return arrays(cls, (r, m, n, 3), (r, m, n, n), (r, m), (r, m, LEVELS))
+        return arrays(cls, (r, m, n, 3), (r, m, n, n), (r, m), (r, m), (r, m, LEVELS))
 
 
 class FusedPoses(NamedTuple):
@@ -107,7 +113,8 @@ class FusedPoses(NamedTuple):
 class FusionWork(NamedTuple):
     """Scratch for one joint with states of length N over T steps."""
 
-    intervals: F1  # (T,) s since the step before; _UNKNOWN = no part
+    intervals: F1  # (T,) s since the step before for which the velocity lasts; _UNKNOWN = no part
+    slows: F1  # (T,) share of the velocity that is left after the interval
     remains: F1  # (T,) share of an offset that is left after the interval
     gains: F2  # (T, N) gain of a measurement; the covariances of x at a pose
     velocities: F2  # (T, N) the covariances of v at a pose
@@ -127,7 +134,7 @@ class FusionWork(NamedTuple):
         """Make room."""
         t, n = steps, size
         many, levels = ((t, n), (t, n), (t, 3), (t, 3)), ((t, LEVELS), t, t)
-        return arrays(cls, t, t, *many, t, (n, 3), (n, n), n, *levels)
+        return arrays(cls, t, t, t, *many, t, (n, 3), (n, n), n, *levels)
 
 
 @kernel
@@ -191,12 +198,27 @@ def _load(states: JointStates, row: int, m: int, work: FusionWork) -> None:
 
 
 @kernel
-def _save(states: JointStates, row: int, m: int, time: float, work: FusionWork) -> None:
-    """Store the state of a joint."""
+def _save(
+    states: JointStates, row: int, m: int, times: tuple[float, float], work: FusionWork
+) -> None:
+    """Store the state of a joint, with its time and that of the last measurement, s."""
     for i in range(len(work.mean)):
         _copy(work.mean[i], states.means[row, m, i])
         _copy(work.covariance[i], states.covariances[row, m, i])
-    states.times[row, m] = time
+    states.times[row, m], states.seen[row, m] = times
+
+
+@inlined
+def _slowed(unseen: float, dt: float) -> tuple[float, float]:
+    """Return how long a velocity lasts within ``dt`` s, and the share of it that is left then.
+
+    ``unseen`` : s since the last measurement before them.
+    """
+    slowing = min(max(unseen + dt - _GOES_ON, 0.0), dt)
+    if slowing <= 0.0:
+        return dt, 1.0
+    left = math.exp(-slowing / _STOPS)
+    return dt - slowing + _STOPS * (1.0 - left), left
 
 
 @kernel
@@ -213,16 +235,19 @@ def _start(z: Floats, offset_variance: float, mean: Floats, covariance: Floats) 
 
 
 @inlined
-def _predict(dt: float, q: float, offset_variance: float, remains: float, work: FusionWork) -> None:
-    """Carry the state on by ``dt``: F x, F P F' + Q; ``remains`` of an offset is left then."""
+def _predict(t: int, dt: float, q: float, offset_variance: float, work: FusionWork) -> None:
+    """Carry the state on by the ``dt`` s before step ``t``: F x, F P F' + Q."""
     x, p = work.mean, work.covariance
-    n = len(x)
+    n, lasts, slow, remains = len(x), work.intervals[t], work.slows[t], work.remains[t]
     for c in range(3):
-        x[POSITION, c] += dt * x[VELOCITY, c]
+        x[POSITION, c] += lasts * x[VELOCITY, c]
+        x[VELOCITY, c] *= slow
     for j in range(n):
-        p[POSITION, j] += dt * p[VELOCITY, j]
+        p[POSITION, j] += lasts * p[VELOCITY, j]
+        p[VELOCITY, j] *= slow
     for i in range(n):
-        p[i, POSITION] += dt * p[i, VELOCITY]
+        p[i, POSITION] += lasts * p[i, VELOCITY]
+        p[i, VELOCITY] *= slow
     p[0, 0] += q * dt * dt * dt / 3.0
     p[0, 1] += q * dt * dt / 2.0
     p[1, 0] += q * dt * dt / 2.0
@@ -290,7 +315,8 @@ def _rate(
     Only x and v are estimated; the offsets of the cameras count as white noise. That changes the
     result by .01 mm, and costs a tenth.
     """
-    x, v, time = work.mean[POSITION], work.mean[VELOCITY], states.times[row, m]
+    x, v = work.mean[POSITION], work.mean[VELOCITY]
+    time, seen = states.times[row, m], states.seen[row, m]
     _copy(states.means[row, m, POSITION], x)
     _copy(states.means[row, m, VELOCITY], v)
     p = states.covariances[row, m]
@@ -302,18 +328,21 @@ def _rate(
             continue
         z = steps.positions[t, m]
         if xx == 0.0:
-            time, xx, xv, vv = steps.times[t], _POSITION_VARIANCE, 0.0, _VELOCITY_VARIANCE
+            time = seen = steps.times[t]
+            xx, xv, vv = _POSITION_VARIANCE, 0.0, _VELOCITY_VARIANCE
             _copy(z, x)
             v[:] = 0.0
         dt = max(steps.times[t] - time, 0.0)
-        time = max(steps.times[t], time)
-        xx += dt * (2.0 * xv + dt * vv) + q * dt * dt * dt / 3.0
-        xv += dt * vv + q * dt * dt / 2.0
-        vv += q * dt
+        lasts, slow = _slowed(max(time - seen, 0.0), dt)
+        seen = time = max(steps.times[t], time)
+        xx += lasts * (2.0 * xv + lasts * vv) + q * dt * dt * dt / 3.0
+        xv = slow * (xv + lasts * vv) + q * dt * dt / 2.0
+        vv = slow * slow * vv + q * dt
         noise_variance = steps.variances[t, m] + noise.offsets[m]
         square = 0.0
         for c in range(3):
-            x[c] += dt * v[c]
+            x[c] += lasts * v[c]
+            v[c] *= slow
             square += (z[c] - x[c]) ** 2
         variance = xx + noise_variance
         scaled = square / variance
@@ -403,11 +432,11 @@ def _forward(
     x, p = work.mean, work.covariance
     q, offset_variance = noise.accelerations[m], noise.offsets[m]
     _load(states, row, m, work)
-    time, started = states.times[row, m], p[0, 0] > 0.0
+    time, seen, started = states.times[row, m], states.seen[row, m], p[0, 0] > 0.0
     first = 0 if started else _first_seen(steps, m)
     for t in range(len(steps.times)):
         if t == keep and started:
-            _save(states, row, m, time, work)
+            _save(states, row, m, (time, seen), work)
         work.intervals[t] = _UNKNOWN
         is_pose = steps.cameras[t] < 0
         if not is_pose and math.isnan(steps.positions[t, m, 0]):
@@ -415,14 +444,14 @@ def _forward(
         if not started:
             if first == len(steps.times) or steps.times[t] < steps.times[first] - _EARLY:
                 continue
-            started, time = True, steps.times[t]
+            started, time, seen = True, steps.times[t], steps.times[first]
             _start(steps.positions[first, m], offset_variance, x, p)
         dt = max(steps.times[t] - time, 0.0)
-        time = max(steps.times[t], time)
-        work.intervals[t] = dt
+        work.intervals[t], work.slows[t] = _slowed(max(time - seen, 0.0), dt)
         work.remains[t] = math.exp(-dt / noise.time)
+        time = max(steps.times[t], time)
         if dt > 0.0:
-            _predict(dt, q * work.factors[t], offset_variance, work.remains[t], work)
+            _predict(t, dt, q * work.factors[t], offset_variance, work)
         if is_pose:
             work.information[t] = p[POSITION, POSITION]
             _copy(p[POSITION], work.gains[t])
@@ -430,9 +459,10 @@ def _forward(
             _copy(x[POSITION], work.innovations[t])
             _copy(x[VELOCITY], work.speeds[t])
         else:
+            seen = time
             _correct(steps, t, m, noise.freedom, work)
     if keep >= len(steps.times) and started:
-        _save(states, row, m, time, work)
+        _save(states, row, m, (time, seen), work)
 
 
 @inlined
@@ -468,16 +498,16 @@ def _measured(steps: Steps, t: int, work: FusionWork) -> None:
 
 
 @inlined
-def _unpredict(dt: float, remains: float, work: FusionWork) -> None:
-    """Carry the adjoint back over an interval: F' l, F' L F."""
+def _unpredict(t: int, work: FusionWork) -> None:
+    """Carry the adjoint back over the interval before step ``t``: F' l, F' L F."""
     adjoint, square = work.mean, work.covariance
-    n = len(adjoint)
+    n, lasts, slow, remains = len(adjoint), work.intervals[t], work.slows[t], work.remains[t]
     for c in range(3):
-        adjoint[VELOCITY, c] += dt * adjoint[POSITION, c]
+        adjoint[VELOCITY, c] = slow * adjoint[VELOCITY, c] + lasts * adjoint[POSITION, c]
     for j in range(n):
-        square[VELOCITY, j] += dt * square[POSITION, j]
+        square[VELOCITY, j] = slow * square[VELOCITY, j] + lasts * square[POSITION, j]
     for i in range(n):
-        square[i, VELOCITY] += dt * square[i, POSITION]
+        square[i, VELOCITY] = slow * square[i, VELOCITY] + lasts * square[i, POSITION]
     for i in range(OFFSETS, n):
         for c in range(3):
             adjoint[i, c] *= remains
@@ -517,7 +547,7 @@ def _backward(steps: Steps, m: int, out: FusedPoses, work: FusionWork) -> None:
                 out.positions[pose, m, c] = x
                 out.velocities[pose, m, c] = v
         if work.intervals[t] > 0.0:
-            _unpredict(work.intervals[t], work.remains[t], work)
+            _unpredict(t, work)
 
 
 @entry

@@ -6,9 +6,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side
+from hiros_mcap.calibrate.noise import GUESSED_BELOW, USUAL_POWER
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.skeletons import Floats, SkeletonModel
@@ -38,9 +40,9 @@ class FusionNoise:
     time: float = 1.7  # time constant of the offsets, s
     cameras: dict[str, float] = field(default_factory=dict)
     """Source -> factor of the variances of this camera; 1 where it is missing."""
-    power: float = 1.4  # the standard deviation grows with this power of the distance
+    power: float = USUAL_POWER  # the standard deviation grows with this power of the distance
     guessed: float = 5.5  # factor of the standard deviation where the detector guesses
-    guessed_below: float = 0.5  # confidence below which the detector guesses
+    guessed_below: float = GUESSED_BELOW  # confidence below which the detector guesses
     to_given: Mapping[str, Rigid] = field(default_factory=dict)
     """Source -> what takes its people back to the pose that was given, where it was refined."""
 
@@ -86,15 +88,25 @@ class FusionNoise:
         """Return the part that the filter takes; the number is that of FuseParams."""
         return JointNoise(self.accelerations, self.offsets**2, self.time, freedom)
 
+    def white(
+        self, distances: Floats, guessed: npt.NDArray[np.bool_], cameras: Floats | float = 1.0
+    ) -> Floats:
+        """(..., M) Variance of the white noise along each axis, m2: the law.
+
+        ``distances`` and the factors ``cameras`` are (...), ``guessed`` is (..., M).
+        """
+        scale = cameras * (distances / REFERENCE) ** (2 * self.power)
+        factors = np.where(guessed, self.guessed**2, 1.0)
+        return np.asarray(self.joints * factors * scale[..., None])
+
     def variances(self, views: Sightings, names: Sequence[str]) -> Floats:
-        """(N, M) Variance of the white noise of every measurement along each axis, m2.
+        """(N, M) Variance of every measurement along each axis, m2.
 
         ``names`` are the cameras by index.
         """
-        guesses = np.where(views.confidences < self.guessed_below, self.guessed**2, 1.0)
-        cameras = np.array([self.cameras.get(name, 1.0) for name in names])
-        scale = cameras[views.cameras] * (views.distances / REFERENCE) ** (2 * self.power)
-        return np.ascontiguousarray(self.joints * guesses * scale[:, None] + views.hidden)
+        cameras = np.array([self.cameras.get(name, 1.0) for name in names])[views.cameras]
+        guessed = views.confidences < self.guessed_below
+        return self.white(views.distances, guessed, cameras) + views.hidden
 
 
 @dataclass
@@ -137,7 +149,7 @@ class RunningNoise(FusionNoise):
         away = np.log(views.distances / REFERENCE)
         offsets_of: dict[str, list[float]] = {}
         for camera, logs, distance, guesses in _binned(views, away, self.guessed_below):
-            expected = np.log(self.joints) + 2 * self.power * distance
+            expected = np.log(self.joints) + 2 * self.power * distance  # log of :meth:`white`
             off = np.where(guesses == 0, logs - expected, np.nan)
             if np.isfinite(off).any():
                 offsets_of.setdefault(names[camera], []).append(float(np.nanmedian(off)))

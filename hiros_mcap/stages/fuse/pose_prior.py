@@ -3,13 +3,15 @@
 In a window of some seconds, poses vary in few directions. What exceeds the known variance of the
 markers there is motion; an estimate between the mean pose and the measured one follows (Wiener).
 The window lies about each pose (:func:`shrink_noise`), or before it (:class:`RecentMotion`). Poses
-are in the person's own frame (:func:`local_frames`).
+are in the person's own frame: upright with the heading (:func:`local_frames`), or, of somebody who
+rolls and has none, the whole body's (:func:`body_frames`).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from hiros_mcap.body.rotations import nearest_rotation
 from hiros_mcap.skeletons import Flags, Floats, Ints
 from hiros_mcap.stages.fuse.estimating import EstimateWork, PoseSpace, estimate_poses
 
@@ -23,6 +25,10 @@ _FIRST, _RENEWED = 2.0, 0.5  # s of a person before the first such prior, and be
 _LARGEST_STEP = 0.5  # by it, in standard deviations: a new motion is believed
 _POSES = 45  # of 3 s
 _LEFT = 1.0  # s unseen after which it is learned anew
+_LEVEL = 0.2  # least horizontal share of the line from left to right that tells a heading
+_TILTED = 0.02  # share of poses that may lack one: a pose of a detector may be wrong
+_SUREST = 0.01**2  # m2; the least variance that counts, so that no marker alone turns a pose
+_TURNS = 2  # times that poses are turned onto their mean
 
 
 def shrink_noise(positions: Floats, variances: Floats) -> Floats:
@@ -128,6 +134,48 @@ def local_frames(positions: Floats, lateral: Ints) -> tuple[Floats, Floats]:
         frames[:, 0, 0], frames[:, 1, 0] = cos, sin
         frames[:, 0, 1], frames[:, 1, 1] = -sin, cos
     return frames, origins
+
+
+def has_heading(positions: Floats, lateral: Ints) -> bool:
+    """Whether the line from left to right is never upright in poses (T, M, 3) of a person.
+
+    That of somebody who rolls, or does a cartwheel, is: its horizontal part leaps.
+    """
+    if not len(lateral):
+        return True
+    lines = positions[:, lateral[:, 1]] - positions[:, lateral[:, 0]]
+    across = np.where(np.isnan(lines), 0.0, lines).sum(axis=1)
+    level = np.hypot(across[:, 0], across[:, 1]) >= _LEVEL * np.linalg.norm(across, axis=1)
+    return bool(level.mean() >= 1 - _TILTED)
+
+
+def body_frames(positions: Floats, variances: Floats) -> tuple[Floats, Floats]:
+    """Return the frames (T, 3, 3) and origins (T, 1, 3), m, in which poses differ least.
+
+    Each pose is turned and moved as a rigid body onto the mean of all, as the procrustes analysis
+    does (Gower 1975); ``variances`` (T, M), m2, are those of its markers along each axis.
+    """
+    absent: Flags = np.asarray(np.isnan(positions).any(axis=2))
+    weights = np.where(absent, 0.0, 1 / np.maximum(variances, _SUREST))
+    poses = np.where(absent[:, :, None], 0.0, positions)
+    centres = _mean(poses, weights, 1)
+    frames = np.tile(np.eye(3), (len(poses), 1, 1))
+    mean = poses[weights.sum(axis=1).argmax()]
+    for _ in range(_TURNS):
+        middles = _mean(np.broadcast_to(mean, poses.shape), weights, 1)
+        products = np.swapaxes(weights[:, :, None] * (poses - centres), 1, 2) @ (mean - middles)
+        frames = np.swapaxes(nearest_rotation(products), 1, 2)
+        mean = _mean((poses - centres) @ frames + middles, weights, 0)[0]
+    middles = _mean(np.broadcast_to(mean, poses.shape), weights, 1)
+    return frames, centres - middles @ np.swapaxes(frames, 1, 2)
+
+
+def _mean(points: Floats, weights: Floats, axis: int) -> Floats:
+    """Weighted mean of points (T, M, 3) along an axis, which stays; 0 where nothing has weight."""
+    total = np.maximum(weights.sum(axis=axis, keepdims=True), 1e-12)
+    return np.asarray(
+        (weights[:, :, None] * points).sum(axis=axis, keepdims=True) / total[..., None]
+    )
 
 
 def motion_of(positions: Floats, variances: Floats) -> PoseSpace:

@@ -10,6 +10,7 @@ from hiros_mcap.frames import Block
 from hiros_mcap.kernels.distance import centre
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, People, Stamps
 from hiros_mcap.stages.track.coverage import Coverage
+from hiros_mcap.stages.track.reidentify import REACH, TOP_SPEED
 
 _RECENT = 1_000_000_000  # ns: a camera that was silent for longer did not see the person anyway
 
@@ -20,7 +21,8 @@ class Unseen:
     Everybody does for ``bridge`` s. Up to ``carry`` s, those do who are hidden: somebody else
     stands in front of every camera that reported them in the last second and looks at the place
     where they were seen last. Whom such a camera should see is gone until seen again. A camera that
-    showed a person distorted need not see him; ``carry`` then begins anew.
+    showed a person distorted need not see him; ``carry`` then begins anew. Whoever comes meanwhile
+    to where the person may have gone is probably the person, with a new id: nobody goes on beside.
 
     Parameters
     ----------
@@ -44,6 +46,8 @@ class Unseen:
         self._gone: set[int] = set()
         self._shown: Block
         """The messages, of which ``_done`` are noted; see :meth:`show`."""
+        self._came: dict[int, int] = {}
+        """Person to the time of the first view, ns."""
         self._hidden: dict[int, tuple[int, str]] = {}
         """Person to the time, ns, and camera of the latest view left out as distorted since."""
 
@@ -98,6 +102,7 @@ class Unseen:
         views = zip(people.tolist(), block.sources[owners].tolist(), strict=True)
         for (person, code), stamp in dict(zip(views, stamps[owners].tolist(), strict=True)).items():
             self._reported.setdefault(person, {})[block.names[code]] = stamp
+            self._came.setdefault(person, stamp)
         for k in np.flatnonzero(~whole).tolist():
             self._hidden[int(people[k])] = int(stamps[owners[k]]), block.source(owners[k])
 
@@ -123,6 +128,9 @@ class Unseen:
         if person not in self._places:
             self._places[person] = _centre(*self._views[person])
         place = self._places[person]
+        if self._has_come_back(person, place, shown):
+            self._gone.add(person)
+            return False
         others = [_centre(*self._views[other]) for other in shown if other in self._views]
         reported = self._reported[person]
         recent = [s for s, t in reported.items() if max(reported.values()) - t < _RECENT]
@@ -134,6 +142,16 @@ class Unseen:
             return False
         return True
 
+    def _has_come_back(self, person: int, place: Floats, shown: set[int]) -> bool:
+        """Whether somebody came, after a person was seen last, who may be the person."""
+        last = max(self._reported[person].values())
+        for other in shown & self._views.keys():
+            seconds = (self._came[other] - last) * 1e-9
+            way = float(np.hypot(*(_centre(*self._views[other]) - place)[:2]))
+            if seconds > 0 and way < REACH + TOP_SPEED * seconds:
+                return True
+        return False
+
     def _tidy(self, shown: set[int], last_seen: Mapping[int, int]) -> None:
         """Forget the absences that are over, and people whom nobody remembers."""
         self._gone -= shown
@@ -142,7 +160,7 @@ class Unseen:
         for person in shown & self._places.keys():
             del self._places[person]
         for person in self._views.keys() - last_seen.keys() - shown:
-            del self._views[person], self._reported[person]
+            del self._views[person], self._reported[person], self._came[person]
             self._places.pop(person, None)
             self._gone.discard(person)
 

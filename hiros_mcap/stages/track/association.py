@@ -24,7 +24,7 @@ from hiros_mcap.skeletons import (
 
 _NOT_MIRRORED = 0.1  # m: a detection with swapped sides is farther than this from its track
 _WIDEST_GATE = 2.0  # times the gate: how far it grows while a track is unseen
-_FASTEST = 1.5  # m/s that a whole body may move besides its prediction
+_FASTEST = 3.0  # m/s that a whole body may move besides its prediction
 _USUAL_INTERVAL = 0.033  # s between two detections; longer ones leave more time to move
 
 # First columns of a KinematicState's parts.

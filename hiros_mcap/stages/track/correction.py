@@ -43,7 +43,7 @@ from hiros_mcap.stages.track.association import (
 _TRUSTED = 0.5  # markers of less confidence are guessed: they say nothing about limb lengths
 _MOST_LENGTHS = 600.0  # detections that a mean length remembers
 _RESTART = 4.0  # horizons without a detection after which a marker or link starts anew
-_JERK = 150.0  # m/s3/sqrt(Hz): how fast accelerations of markers may change
+_JERK = 50.0  # m/s3/sqrt(Hz): how fast accelerations of markers may change
 _ANGULAR_JERK = 500.0  # rad/s3/sqrt(Hz): the same of links
 _ORIENTATION_NOISE = 0.15  # rad; SD of a link that one camera reports
 _LEAST_CONFIDENCE = 0.05  # a marker of less counts as one of this confidence

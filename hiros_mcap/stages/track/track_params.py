@@ -52,7 +52,7 @@ class TrackParams(Params):
         0.3,
         gt=0,
         description="A detection is left out if its markers are on average farther, m, from their "
-        "track than this, although the track was just seen (plus 1.5 m/s for longer intervals). "
+        "track than this, although the track was just seen (plus 3 m/s for longer intervals). "
         "Detectors distort people who are about to be hidden. A camera that repeats it for half a "
         "second is believed. inf = off (paper).",
     )
