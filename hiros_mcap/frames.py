@@ -106,6 +106,19 @@ class Block:
         times[rows] += np.where(times[rows] > 0, (stamps - self.stamps)[owners], 0)
         return replace(self, stamps=stamps, people=self.people._replace(stamps=times))
 
+    def without_empty(self) -> Block:
+        """Return the same frames without people of whom no marker is known."""
+        rows, owners = self.everybody()
+        known = ~np.isnan(self.people.markers[rows, :, 0]).all(axis=1)
+        if known.all():
+            return self
+        rows, counts = rows[known], np.bincount(owners[known], minlength=len(self))
+        ends = np.cumsum(counts)
+        sure = self.uncertainty and self.uncertainty.at(rows)
+        hidden = None if self.hidden is None else self.hidden[rows]
+        spans, people = np.stack([ends - counts, ends], axis=1), self.people.at(rows)
+        return replace(self, rows=spans, people=people, uncertainty=sure, hidden=hidden)
+
     def frames(self) -> Iterator[Frame]:
         """Every frame, in order."""
         for i in range(len(self)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import secrets
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ from hiros_mcap.errors import LogError
 Kind = Literal[
     "log", "HTML page", "Rerun recording", "JUnit report", "Markdown summary", "limb table",
     "camera file", "PNG picture", "export", "rosbag2 folder", "rosbag2 metadata", "table of logs",
+    "table of scores",
 ]  # fmt: skip
 
 HTML_MARK = '<meta name="generator" content="hiros">'
@@ -29,6 +31,11 @@ EXPORT_MARK = "written by hiros"
 BVH_START = "HIERARCHY \t "
 """BVH has no comments; blanks at the end of its first line mean nothing."""
 CSV_START, JSONL_START = "person,time (s),", '{"person": '
+LOG_TIME = "log time (ns)"
+"""The first column of a topic's table."""
+
+_SCORES = re.compile(rb"(Log,)?(Channel|System|Left out|Cameras),[^\n]*\(mm\)")
+"""First line of a table of scores as CSV."""
 
 HEAD = 1 << 16
 """Bytes at the start of a file within which every mark lies, but that of Parquet at its end."""
@@ -164,8 +171,9 @@ _IS_OURS: Mapping[Kind, Callable[[bytes], bool]] = {
     "rosbag2 folder": lambda head: False,
     "rosbag2 metadata": lambda head: head.startswith(BAG_MARK.encode()),
     "table of logs": lambda head: head.startswith(TABLE_MARK.encode()),
+    "table of scores": lambda head: EXPORT_MARK.encode() in head or bool(_SCORES.match(head)),
     "export": lambda head: (
-        head.startswith(tuple(map(str.encode, (CSV_START, JSONL_START, BVH_START))))
+        head.startswith(tuple(map(str.encode, (CSV_START, JSONL_START, BVH_START, LOG_TIME))))
         or EXPORT_MARK.encode() in head
     ),
 }

@@ -113,3 +113,14 @@ def test_a_frame_that_waits_alone_is_copied_with_all_columns(others, width):
         array[:] = 0
     assert markers[:2].min() == 10
     assert held.copies([0]).people.ids.tolist() == [10, 11]
+
+
+def test_people_of_whom_no_marker_is_known_can_be_left_out():
+    block = join([Block.of(numbered(n, start)) for n, start in ((2, 5), (0, 8), (3, 10))])
+    assert block.without_empty() is block
+    block.people.markers[[0, 3]] = np.nan
+    block.people.markers[4, 0] = np.nan  # of two
+    left = block.without_empty()
+    assert [frame.ids.tolist() for frame in left.frames()] == [[6], [], [10, 12]]
+    assert [frame.stamp for frame in left.frames()] == [5, 8, 10]
+    assert np.nanmax(left.frame(2).markers) == 12

@@ -77,6 +77,23 @@ CAMERAS = option(
 )
 EXTRINSICS = option("FILE", "Camera poses that replace the log's transforms.", panel=INPUT)
 HTML = option("FILE", "Also write an HTML page with plots.", panel=OUTPUT)
+
+
+def _table(path: Path | None) -> Path | None:
+    """Refuse a table of another suffix before anything is run; raises ConfigError."""
+    if path is not None:
+        from hiros_mcap.evaluate.table_files import check_table
+
+        check_table(path)
+    return path
+
+
+TABLE = option(
+    "FILE",
+    "Also write the table as .csv, .md or .tex, with units and 95 % intervals.",
+    panel=OUTPUT,
+    callback=_table,
+)
 CONFIG = option(
     "FILE",
     "TOML file with parameters, as `hiros config` prints. Default: hiros.toml in the "

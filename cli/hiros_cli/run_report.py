@@ -13,7 +13,14 @@ from rich.table import Table
 from rich.text import Text
 
 from hiros_cli.printable import LINE_LIMIT, printable
-from hiros_mcap.summary import CameraSummary, LimbSummary, PersonSummary, Summary, number
+from hiros_mcap.summary import (
+    CameraSummary,
+    DelaySummary,
+    LimbSummary,
+    PersonSummary,
+    Summary,
+    number,
+)
 
 Item = TypeVar("Item")
 Content = tuple[Sequence[str], Sequence[Sequence[str]]]
@@ -119,7 +126,8 @@ def show(summary: Summary) -> None:
             ("Step", lambda step: step.name),
             (">CPU time", lambda step: number(step.cpu_s, 3, " s")),
         ),
-        [f"wrote {n} messages to {channel}" for channel, n in summary.written.items()],
+        [f"wrote {n} messages to {channel}" for channel, n in summary.written.items()]
+        + _delay(summary.delay),
         notes=summary.notes,
     )
 
@@ -131,6 +139,14 @@ def _headline(summary: Summary) -> tuple[str, str]:
     times = f"{number(summary.log_s, 1)} s of log in {number(summary.wall_s, 2)} s"
     settings = f"; parameters of {summary.settings}" if summary.settings else ""
     return f"{summary.source}{target}", f"{times}{system}: {speed} times real time{settings}"
+
+
+def _delay(delay: DelaySummary | None) -> list[str]:
+    """Return how late results were; nothing if the run looked ahead."""
+    if delay is None:
+        return []
+    times = f"{delay.median_s:.3f} s (median), {delay.most_s:.3f} s (95 %)"
+    return [f"results were known {times} after their time"]
 
 
 def _cameras(cameras: Sequence[CameraSummary]) -> Table:

@@ -7,7 +7,17 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.calibrate.verdict import NO_VIEW, UNLINKED, Evidence, Verdict, remedy
+from hiros_mcap.calibrate.verdict import (
+    ACCEPTABLE,
+    NO_VIEW,
+    SURE,
+    UNLINKED,
+    USABLE,
+    Evidence,
+    Verdict,
+    remedy,
+    weakness_of,
+)
 from hiros_mcap.summary import plain
 
 NAN = float("nan")
@@ -77,6 +87,16 @@ class CalibratedCamera(CameraResult):
     """The camera with which it has most in common."""
     evidence: Evidence | None = None
     """What the verdict is from."""
+
+    @property
+    def acceptable(self) -> bool:
+        """Whether a user may accept the pose: it is sure, or doubtful but consistent."""
+        if self.verdict in SURE:
+            return True
+        found = self.evidence
+        if self.pose is None or found is None or self.reason != weakness_of(found, USABLE):
+            return False
+        return not weakness_of(found, ACCEPTABLE)
 
     @property
     def fits(self) -> bool:

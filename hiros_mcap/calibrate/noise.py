@@ -25,7 +25,7 @@ LEAST_SAMPLES = 30
 CHI2_MEDIAN = 2.366
 """Median of chi squared with three degrees of freedom."""
 USUAL_POWER = 1.4
-"""As the fuser assumes for a log that was not looked at."""
+"""As the fuser assumes, too, of a log that was not looked at."""
 BIN = 1.25
 """Ratio of the far to the near end of a range bin."""
 WIDE = 1.4

@@ -40,13 +40,14 @@ from hiros_mcap.calibrate.joint_refinement import (
 from hiros_mcap.calibrate.pair_pose import LEAST_MOTION
 from hiros_mcap.calibrate.sampling import Rig, instants_of
 from hiros_mcap.calibrate.verdict import (
-    CONFIRMED,
     MOVED,
     NO_VIEW,
+    PROVEN,
     UNLINKED,
     Evidence,
     misfit,
     verdict_of,
+    weakness_of,
 )
 from hiros_mcap.kernels.rig_equations import CLOCK
 from hiros_mcap.skeletons import Flags, Floats, Ints
@@ -349,7 +350,8 @@ def _better(
     better = _certainty(fit.refined, mirror) > CERTAIN
     cameras = cameras_of(fit, rig, given, proven=better)
     for k, camera in enumerate(cameras):
-        if not better or camera.verdict not in CONFIRMED or k in kept:
+        weak = bool(weakness_of(fit.evidence[k], PROVEN))
+        if not better or weak or k in kept:
             camera = replace(camera, pose=given[k], moved_deg=np.nan, moved_mm=np.nan)
         cameras[k] = camera
     return cameras

@@ -110,14 +110,16 @@ def _listed(metadata: Path) -> list[str] | None:
 
 
 class BagReader(McapReader):
-    """Reads the skeletons and transforms of a bag, as an MCAP in memory.
+    """Reads the skeletons and transforms of a bag, or the named topic, as an MCAP in memory.
 
-    Raises LogError if the bag is damaged or holds no skeletons.
+    Raises LogError if the bag is damaged, or holds no skeletons and no topic was named.
     """
 
     _checksums = False
 
-    def __init__(self, path: Path, kind: str, *, memory: int = MEMORY) -> None:
+    def __init__(self, path: Path, kind: str, *, memory: int = MEMORY, topic: str = "") -> None:
+        self._topic = topic
+
         def convert(writer: McapWriter) -> None:
             with open_bag(path, kind) as bag:
                 self._convert(bag, writer)
@@ -141,17 +143,24 @@ class BagReader(McapReader):
         """Whether checksums cover every message of every file; rosbags compares none."""
         return self._checksums
 
+    def _takes(self, topic: str, name: str) -> bool:
+        """Whether the messages of a topic, of the type ``name``, are taken over."""
+        if self._topic:
+            return topic == self._topic
+        return hiros_schemas.short_name(name) in _wanted()
+
     def _convert(self, bag: Any, writer: McapWriter) -> None:
-        wanted = _wanted()
-        taken = [c for c in bag.connections if hiros_schemas.short_name(c.msgtype) in wanted]
+        taken = [c for c in bag.connections if self._takes(c.topic, c.msgtype)]
         for connection in bag.connections:
             if connection not in taken:
                 _, n = self.left_out.get(connection.topic, ("", 0))
                 self.left_out[connection.topic] = (connection.msgtype, n + connection.msgcount)
-        if not any(_shows_people(c.msgtype) for c in bag.connections):
+        if not self._topic and not any(_shows_people(c.msgtype) for c in bag.connections):
             topics = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in bag.connections}))
             fault = f"has no SkeletonGroup topic; {OTHER_FILES}; it has {topics or 'none'}"
             raise LogError(fault, path=self.path)
+        if not taken:
+            return  # rosbags would yield all messages
         texts = {connection.msgtype: connection.msgdef.data for connection in taken}
         store = bag.typestore if bag.is2 else types_of(texts)
         channels: dict[tuple[str, str], int] = {}
@@ -180,12 +189,19 @@ class SplitReader(BagReader):
     path : the folder.
     parts : its files.
     recover : take what can be read of damaged files; ``recovery`` says what is lost.
-    memory : bytes that reading may take.
+    memory : bytes that reading may take. topic : what to take instead of skeletons.
     """
 
     def __init__(
-        self, path: Path, parts: list[Path], *, recover: bool = False, memory: int = MEMORY
+        self,
+        path: Path,
+        parts: list[Path],
+        *,
+        recover: bool = False,
+        memory: int = MEMORY,
+        topic: str = "",
     ) -> None:
+        self._topic = topic
         self._checksums = True
 
         def convert(writer: McapWriter) -> None:
@@ -201,7 +217,7 @@ class SplitReader(BagReader):
         for channel in part.channels.values():
             schema = part.schema(channel)
             name, n = schema.name if schema else "no type", part.counts.get(channel.id, 0)
-            if schema and hiros_schemas.short_name(name) in _wanted():
+            if schema and self._takes(channel.topic, name):
                 wanted.add(channel.id)
             else:
                 n += self.left_out.get(channel.topic, ("", 0))[1]

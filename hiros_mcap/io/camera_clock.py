@@ -215,27 +215,29 @@ def _wrong(
 def _with_limits(correction: ClockCorrection, times: CameraTimes) -> ClockCorrection:
     """Add the least lag of a camera, and the longest one if longer ones are wrong times."""
     followed = _followed(times, correction)
-    lags, wrong = times.log_times - followed.stamps, _contradicted(followed)
+    lags, (right, wrong) = times.log_times - followed.stamps, _judged(followed)
     floor = int(np.quantile(lags[~wrong], 0.05, method="lower"))
     early = (lags[wrong] - floor) * 1e-9
-    early, late = early[early > _FUTURE], float((lags[~wrong] - floor).max() * 1e-9)
+    early, late = early[early > _FUTURE], float((lags[right] - floor).max() * 1e-9)
     if not early.size or early.min() < late:
         return replace(correction, floor=floor)
     return replace(correction, floor=floor, longest=(float(early.min()) + late) / 2)
 
 
-def _contradicted(times: CameraTimes) -> Flags:
-    """(N,) which messages the camera's others contradict: they leave a gap where each was logged.
+def _judged(times: CameraTimes) -> tuple[Flags, Flags]:
+    """(N,) which messages have a right time, and which have one that the others contradict.
 
-    The stamp of a message that was delivered late lies between those logged around it, or they
-    leave no gap there.
+    The others leave a gap where such a message was logged. The stamp of a message that was
+    delivered late lies between those logged around it, or they leave no gap there. A message with
+    an odd lag at the begin or end of the log has no others around it, and is neither.
     """
     stamps, lags = times.stamps, times.lags
-    wrong = np.zeros(len(stamps), np.bool_)
+    right, wrong = np.ones(len(stamps), np.bool_), np.zeros(len(stamps), np.bool_)
     is_odd = np.abs(lags - np.median(lags)) > _FUTURE
     usual, odd = np.flatnonzero(~is_odd), np.flatnonzero(is_odd)
     if len(usual) < _LEAST:
-        return wrong
+        return right, wrong
+    right[: usual[0]] = right[usual[-1] + 1 :] = False
     odd = odd[(odd > usual[0]) & (odd < usual[-1])]
     place = np.searchsorted(usual, odd)
     before, after = usual[place - 1], usual[place]
@@ -243,7 +245,7 @@ def _contradicted(times: CameraTimes) -> Flags:
     gap = (stamps[after] - stamps[before]) * 1e-9
     outside = (stamps[odd] < stamps[before]) | (stamps[odd] > stamps[after])
     wrong[odd] = outside & (gap > period * (after - before - 0.5))
-    return wrong
+    return right & ~wrong, wrong
 
 
 # Steps

@@ -309,31 +309,32 @@ class Decoder:
         src_time is that of the first person. A time is 0 if there is none. Messages whose log time
         is beyond int64 are left out.
         """
-        rows, has_header = self._times(batch)
+        rows, has_header, _ = self._times(batch)
         return rows[has_header]
 
     def spaced(
-        self, batch: Batch, kept: Callable[[int, cdr.Table, cdr.Table], Flags]
+        self, batch: Batch, kept: Callable[[int, cdr.Table, cdr.Table, Flags], Flags]
     ) -> tuple[Batch, cdr.Table]:
         """Return some messages of a batch, and the times of all, see :meth:`read_times`.
 
-        ``kept(channel, times, log_times)`` says which messages of a channel, by these times (n,) in
-        ns: that of the first person, or header.stamp, or the log time; and the log time.
+        ``kept(channel, times, log_times, shows)`` says which messages of a channel, by these times
+        (n,) in ns: that of the first person, or header.stamp, or the log time; and the log time;
+        and whether it shows anybody.
         """
-        rows, has_header = self._times(batch)
+        rows, has_header, shows = self._times(batch)
         logged, headers, sources = rows.T[1:]
         times = np.where(sources > 0, sources, np.where(headers > 0, headers, logged))
         chosen = ~has_header  # whoever decodes them says what is wrong
         for channel in np.unique(rows[:, 0]).tolist():
             stamped = np.flatnonzero(has_header & (rows[:, 0] == channel))
-            chosen[stamped] = kept(channel, times[stamped], logged[stamped])
+            chosen[stamped] = kept(channel, times[stamped], logged[stamped], shows[stamped])
         ends = np.cumsum([len(records.messages) for records in batch.records])[:-1]
         parts = zip(batch.records, np.split(chosen, ends), strict=True)
         records = [r._replace(messages=r.messages[flags]) for r, flags in parts]
         return batch._replace(records=records), rows[has_header]
 
-    def _times(self, batch: Batch) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-        """Return the rows of :meth:`read_times` for all messages, and which have a header."""
+    def _times(self, batch: Batch) -> tuple[cdr.Table, Flags, Flags]:
+        """Return the rows of :meth:`read_times`, which have a header, and which show anybody."""
         n = sum(len(records.messages) for records in batch.records)
         first, reports = np.zeros(n + 1, np.int64), np.zeros((n, cdr.REPORT), np.int64)
         rows = np.zeros((n, 4), np.int64)
@@ -344,7 +345,8 @@ class Decoder:
             rows[places, :2] = records.messages[:, [CHANNEL, LOG_TIME]]
             rows[places, 3] = _source_times(section, reports[places])
         rows[:, 2] = reports[:, cdr.HEADER_STAMP]
-        return np.maximum(rows, 0), (reports[:, cdr.FRAME] > 0) & (rows[:, 1] >= 0)
+        has_header: Flags = (reports[:, cdr.FRAME] > 0) & (rows[:, 1] >= 0)
+        return np.maximum(rows, 0), has_header, np.diff(first) > 0
 
     def _people(
         self,

@@ -152,15 +152,22 @@ def skeletons_of(
 
 
 def open_reader(
-    path: str | os.PathLike[str], *, recover: bool = False, memory: int = MEMORY
+    path: str | os.PathLike[str],
+    *,
+    recover: bool = False,
+    memory: int = MEMORY,
+    topic: str = "",
 ) -> McapReader:
-    """Open the container of a log of any kind, see :func:`open_log`; raises LogError."""
+    """Open the container of a log of any kind, see :func:`open_log`; raises LogError.
+
+    Of a bag and of a split recording, it has the skeletons and transforms, or the named topic.
+    """
     path = Path(path)
     parts = parts_of(path, recover=recover)
     if len(parts) > 1:
-        return SplitReader(path, parts, recover=recover, memory=memory)
+        return SplitReader(path, parts, recover=recover, memory=memory, topic=topic)
     if not parts:
-        return BagReader(path, kind_of(path), memory=memory)
+        return BagReader(path, kind_of(path), memory=memory, topic=topic)
     return (RecoveringReader if recover else McapReader)(parts[0], memory=memory)
 
 

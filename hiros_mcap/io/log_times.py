@@ -49,8 +49,12 @@ class Spacing:
                 times.append(table)
             yield thin
 
-    def _kept(self, channel: int, times: Stamps, log_times: Stamps) -> Flags:
-        """(n,) which of the next messages of a channel are kept, by their times, ns."""
+    def _kept(self, channel: int, times: Stamps, log_times: Stamps, shows: Flags) -> Flags:
+        """(n,) which of the next messages of a channel are kept, by their times, ns.
+
+        One that ``shows`` nobody is not what others have to keep away from: a detector may send an
+        empty message between any two.
+        """
         inside = np.full(len(times), self._spans is None)
         for begin, end in self._spans or ():
             inside |= (begin <= log_times) & (log_times <= end)
@@ -59,7 +63,7 @@ class Spacing:
         last = self._last.get(channel, -self._least)
         for k in np.flatnonzero(inside).tolist():
             inside[k] = not 0 <= times[k] - last < self._least
-            last = int(times[k]) if inside[k] else last
+            last = int(times[k]) if inside[k] and shows[k] else last
         self._last[channel] = last
         return inside
 

@@ -10,8 +10,8 @@ why it is not. A causal run corrects each message by those before it
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -91,8 +91,11 @@ class ClockAlignment:
         """Return the times of a camera's messages with corrected stamps."""
         return self.times[camera].corrected(self.corrections.get(camera))
 
-    def take_offsets(self, cameras: Iterable[PoseSummary]) -> None:
-        """Correct the offsets that the people prove; note which others stay, and why."""
+    def take_offsets(self, cameras: Sequence[PoseSummary]) -> list[PoseSummary]:
+        """Correct the offsets that the people prove; note which others stay, and why.
+
+        Return the cameras with ``clock_ms`` counted from the right clock, as the notes count it.
+        """
         lags = self.lags
         # Of a camera that was moved, the surer clock comes last.
         surest = {c.name: c for c in sorted(cameras, key=lambda c: -c.error_ms) if c.name in lags}
@@ -108,6 +111,8 @@ class ClockAlignment:
                 is_alone = seen is not None and seen.verdict == "impossible"
                 self._note(name, ahead, seen.reason if seen and is_alone else STILL)
         self._add({name: s for name, s in offsets.items() if measured[name].verdict in SURE})
+        right = right_clock(measured.values(), lags, self.given)
+        return [replace(camera, clock_ms=camera.clock_ms - right) for camera in cameras]
 
     def _note(self, camera: str, seconds: float, reason: str) -> None:
         """Note an offset that is not corrected."""
@@ -140,9 +145,8 @@ def significant_offsets(
 ) -> dict[str, float]:
     """Camera -> seconds that its clock is ahead, where the people show that clearly.
 
-    Clocks that the user has set are right. Without any, the median clock is; of two, it is that of
-    the camera whose messages are logged nearer to their stamps. This adds no error: the cameras'
-    standard errors are those of differences between clocks.
+    Ahead of :func:`right_clock`. This adds no error: the cameras' standard errors are those of
+    differences between clocks.
 
     Parameters
     ----------
@@ -150,18 +154,30 @@ def significant_offsets(
     lags : usual time, s, from each camera's stamps to the log times. given : as of the user.
     """
     measured = [camera for camera in cameras if not math.isnan(camera.clock_ms)]
-    sure = {camera.name: camera.clock_ms for camera in measured if camera.verdict in SURE}
-    right = float(np.median([*sure.values()] or [0.0]))
-    if set_right := [ms for name, ms in sure.items() if name in given]:
-        right = float(np.median(set_right))
-    elif len(sure) == 2:
-        right = sure[min(sorted(sure), key=lambda name: abs(lags[name]))]
+    right = right_clock(measured, lags, given)
     return {
         camera.name: (right - camera.clock_ms) / 1000.0
         for camera in measured
         if camera.name not in given
         and abs(right - camera.clock_ms) > max(_LEAST_CLOCK_MS, _SURE_CLOCK * camera.error_ms)
     }
+
+
+def right_clock(
+    cameras: Iterable[PoseSummary], lags: Mapping[str, float], given: Mapping[str, float]
+) -> float:
+    """Return what the right clock has in ``clock_ms``; parameters as :func:`significant_offsets`.
+
+    Clocks that the user has set are right. Without any, the median clock is; of two, it is that of
+    the camera whose messages are logged nearer to their stamps.
+    """
+    sure = {camera.name: camera.clock_ms for camera in cameras if camera.verdict in SURE}
+    sure = {name: ms for name, ms in sure.items() if not math.isnan(ms)}
+    if set_right := [ms for name, ms in sure.items() if name in given]:
+        return float(np.median(set_right))
+    if len(sure) == 2:
+        return sure[min(sorted(sure), key=lambda name: abs(lags[name]))]
+    return float(np.median([*sure.values()] or [0.0]))
 
 
 def align_clocks(

@@ -130,6 +130,23 @@ class Presence:
         self.last = max(self.last, int(stamps.max()))
 
 
+@dataclass(slots=True)
+class ResultDelays:
+    """How long after their time results are logged."""
+
+    milliseconds: Counter[int] = field(default_factory=Counter)
+
+    def add(self, block: Block) -> None:
+        """Take note of results."""
+        self.milliseconds.update(((block.log_times - block.stamps) // 1_000_000).tolist())
+
+    def percentile(self, share: float) -> float:
+        """Return the delay, s, that a share of the results, %, have at most; there are some."""
+        values, counts = zip(*sorted(self.milliseconds.items()), strict=True)
+        below = np.cumsum(counts) >= share / 100 * sum(counts)
+        return 0.001 * float(values[int(np.argmax(below))])
+
+
 class Observer:
     """Counts what goes into the first stage and what comes out of every stage.
 
@@ -137,6 +154,7 @@ class Observer:
     ----------
     rates : by source. people : by id. seen_by : ids that the tracker gave, by source.
     written : frames by channel. sample : the first detections. pauses : of all cameras at once.
+    delays : of the results of the last stage.
     """
 
     def __init__(self, chain: Sequence[str]) -> None:
@@ -147,6 +165,7 @@ class Observer:
         self.written: Counter[str] = Counter()
         self.sample = DetectionSample()
         self.pauses = CommonPauses()
+        self.delays = ResultDelays()
 
     def see(self, channel: str, block: Block) -> None:
         """Take note of what goes into the first stage, or comes out of any."""
@@ -163,6 +182,7 @@ class Observer:
                 ids = block.people.ids[rows[block.sources[owners] == code]]
                 self.seen_by[block.names[code]].update(np.unique(ids).tolist())
         if channel == self.chain[-1]:
+            self.delays.add(block)
             self._count(block)
 
     def _count(self, block: Block) -> None:

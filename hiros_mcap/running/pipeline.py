@@ -88,7 +88,7 @@ def process(
         - settings : file that ``config`` came from, for the summary.
         - extrinsics : file with the cameras' poses.
         - limbs_in, limbs_out : files with limb lengths, to read and to write.
-        - calibrate : "off", "auto" or "require": whether the cameras' poses are refined.
+        - calibrate : "off", "auto", "accept" or "require": whether the cameras' poses are refined.
         - strict : refuse a log if a message has to be skipped.
         - recover : run on what can be read of a damaged log.
         - memory : GiB that a run may take, about.
@@ -251,15 +251,22 @@ def stream(
     sinks: Sequence[Sink],
     watch: Stopwatch,
 ) -> Iterator[Block]:
-    """Join the stages: each pulls from the one before it, and the sinks see every block."""
+    """Join the stages: each pulls from the one before it, and the sinks see every block.
+
+    A person of whom a stage knows no marker goes on to the next stage, but is no result.
+    """
 
     def see(channel: str, block: Block) -> None:
         for sink in sinks:
             sink(channel, block)
 
+    def publish(channel: str, block: Block) -> None:
+        see(channel, block.without_empty())
+
     blocks = watch.timed("read", detections, partial(see, DETECTIONS))
     for name, stage in stages_of(run, chain).items():
-        blocks = watch.timed(name, stage(blocks), partial(see, name))
+        shown = see if name == LETTERS["T"] else publish  # each detection is tracked, or not
+        blocks = watch.timed(name, stage(blocks), partial(shown, name))
     yield from blocks
 
 

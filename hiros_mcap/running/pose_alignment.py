@@ -27,7 +27,6 @@ from hiros_mcap.calibrate.refinement import refine_poses
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.calibrate.survey import (
     MOST_S,
-    SHARED_FRAME,
     FixedCamera,
     Survey,
     camera_faults,
@@ -70,7 +69,7 @@ _NOWHERE = (
 )
 _DOUBTFUL = (
     "hiros calibrate people LOG -o cameras.toml writes what is known of doubtful poses, and "
-    "--extrinsics cameras.toml uses them"
+    "--extrinsics cameras.toml uses them; --calibrate accept uses those that are consistent"
 )
 _ALONE = "no other camera stands still in a frame of its own"
 
@@ -92,6 +91,8 @@ class PoseAlignment:
     """Detections that :meth:`without_late` left out."""
     alike: tuple[list[str], ...] = ()
     """Cameras that the log puts at one place with one orientation, where the people do not."""
+    contradictions: tuple[str, ...] = ()
+    """Cameras that publish in one frame, and do not see the same people at one place in it."""
     to_given: Mapping[str, Rigid] = field(default_factory=dict)
     """Camera -> what takes its people back to the log's pose, where the run uses a better one."""
     better: tuple[Mapping[str, TimedPoses], str] | None = None
@@ -166,8 +167,9 @@ class PoseAlignment:
                 f"the log has one pose for {' and '.join(names)}, so that nobody has measured it; "
                 "hiros used the poses that the people show"
             )
+        yield from self.contradictions
         if self.calibration is not None:
-            yield from _weak_poses(self.calibration)
+            yield from _weak_poses(self.calibration, self.left_out)
         for camera in self.cameras:
             if camera.name in self.misfits:
                 yield (
@@ -222,7 +224,7 @@ def align_cameras(
     else:
         poses = _refined_poses(survey, clocks, mode)
     if clocks.times:
-        clocks.take_offsets(poses.cameras)
+        poses = replace(poses, cameras=clocks.take_offsets(poses.cameras))
     return clocks, PoseAlignment() if mode == "off" else poses
 
 
@@ -244,8 +246,6 @@ def _refined_poses(survey: Survey, clocks: ClockAlignment, mode: Calibration) ->
     log = survey.log
     faults = camera_faults(log)
     free = [camera.name for camera in fixed_cameras(log, faults) if camera.movable]
-    if not free and mode != "require" and {*faults.values()} == {SHARED_FRAME}:
-        return PoseAlignment()  # everybody is where they are in the room: no pose is used
     if len(free) == 1:
         faults |= {free[0]: _ALONE}
     cameras = sorted(
@@ -257,8 +257,11 @@ def _refined_poses(survey: Survey, clocks: ClockAlignment, mode: Calibration) ->
         posed = _refined(survey, clocks.corrections, cameras, clocks.lags)
     if mode == "off":
         return _aligned(posed, log.span[0], {})
+    if not free and mode != "require" and all(one.reason == UNLINKED for one in posed.rig):
+        return PoseAlignment()  # nothing tells a pose, and none is used: all are in one frame
     posed = split_moved(survey, clocks, posed)
     alignment = _aligned(posed, log.span[0], faults)
+    alignment.contradictions = _contradictions(log, posed)
     alike = [] if faults else same_place({camera.name: camera.pose for camera in posed.cameras})
     misfit = any(not one.fits for one in posed.rig)
     if not faults and (misfit or (alike and any(c.verdict == "impossible" for c in posed.rig))):
@@ -277,6 +280,23 @@ def _refined_poses(survey: Survey, clocks: ClockAlignment, mode: Calibration) ->
         alignment.better = poses, log.fixed_frame
         alignment.to_given = _to_given(posed)
     return alignment
+
+
+def _contradictions(log: Log, posed: PosedViews) -> tuple[str, ...]:
+    """Return a line for each frame of several cameras that is no frame of what they all see."""
+    owners: dict[str, list[str]] = {}
+    for camera in log.cameras:
+        for frame in camera.frames:
+            owners.setdefault(frame, []).extend(camera.sources.values())
+    wrong = {one.name: one.reason for one in posed.rig if not one.fits}
+    return tuple(
+        f"{' and '.join(names)} publish in the same frame {frame!r}, but do not see the same "
+        f"people at the same place in it ({name}: {wrong[name]}); set header.frame_id to each "
+        "camera's own frame, or calibrate the poses that were applied before"
+        for frame, names in owners.items()
+        if len(names) > 1
+        for name in [name for name in names if name in wrong][:1]
+    )
 
 
 def _aligned(posed: PosedViews, start: int, faults: Mapping[str, str]) -> PoseAlignment:
@@ -432,8 +452,7 @@ def _from_nothing(
         calibration = calibrate_people(log, survey, clocks.corrections)
     except LogError as reason:
         raise LogError(_fault_of_both(error, reason.fault), path=log.path) from None
-    wanted = CONFIRMED if mode == "require" else SURE
-    left = {camera.name for camera in calibration.cameras if camera.verdict not in wanted}
+    left = {camera.name for camera in calibration.cameras if not _is_used(camera, mode)}
     poses: dict[str, dict[int, Rigid]] = {}
     for camera in calibration.cameras:
         if camera.pose is not None and camera.name not in left:
@@ -449,16 +468,30 @@ def _from_nothing(
     )
 
 
-def _weak_poses(rig: PeopleCalibration) -> Iterator[str]:
+def _is_used(camera: CalibratedCamera, mode: Calibration) -> bool:
+    """Whether a run uses a pose that comes from the people alone."""
+    if mode == "accept":
+        return camera.acceptable
+    return camera.verdict in (CONFIRMED if mode == "require" else SURE)
+
+
+def _weak_poses(rig: PeopleCalibration, left_out: frozenset[str]) -> Iterator[str]:
     """Yield what is wrong with poses that come from the people alone."""
-    left = {camera.name: camera for camera in rig.cameras if camera.verdict not in SURE}
-    for camera in left.values():
+    for camera in {one.name: one for one in rig.cameras if one.name in left_out}.values():
         yield (
             f"{camera.name} is left out, because the people do not tell its pose "
             f"({camera.reason}): {camera.remedy}. {_DOUBTFUL}"
         )
-    weak = [camera for camera in rig.cameras if camera.verdict == "usable"]
-    if weak:
+    used = [camera for camera in rig.cameras if camera.name not in left_out]
+    accepted = [camera for camera in used if camera.verdict not in SURE]
+    if accepted:
+        reasons = "; ".join(f"{camera.name}: {camera.reason}" for camera in accepted)
+        yield (
+            f"you accepted doubtful poses: expect joints to be {rig.people_mm:.0f} mm off by them, "
+            f"if they are right ({reasons}); for better ones, {accepted[-1].remedy}"
+        )
+    weak = [camera for camera in used if camera.verdict == "usable"]
+    if weak and not accepted:
         worst = max(reversed(weak), key=lambda camera: camera.uncertainty)
         yield (
             f"the cameras' poses are usable only: expect joints to be {rig.people_mm:.0f} mm off "

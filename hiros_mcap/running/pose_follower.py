@@ -38,9 +38,9 @@ from hiros_mcap.running.clock_alignment import significant_offsets
 from hiros_mcap.running.clock_follower import ClockFollower
 from hiros_mcap.running.pose_alignment import PoseAlignment, summary_of
 
-_MOMENTS_S = (3, 5, 10, 15, 20, 30, 40)
+_MOMENTS_S = (3, 6, 8, 10, 15, 20, 30, 40)
 """When poses and clocks are compared, s after the first message."""
-_POSES_S = 10
+_POSES_S = 6
 """Before that, people have not been to enough places to tell poses, but they tell clocks."""
 _EVERY_S = 60
 """Afterwards at all multiples of this."""
@@ -119,10 +119,11 @@ class PoseFollower:
 
     def _new_sightings(self, block: Block) -> dict[int, Sighting]:
         """Return whom those frames of a block show that come long enough after their last ones."""
-        chosen = []
+        chosen, sizes = [], block.sizes
         for i, (stamp, source, _) in enumerate(block.messages()):
             if not 0 <= stamp - self._latest.get(source, 0) < SPACING_NS:
-                self._latest[source] = stamp
+                if sizes[i]:  # a detector may send an empty message between any two
+                    self._latest[source] = stamp
                 chosen.append(i)
         return dict(zip(chosen, sightings_of(block, chosen, self._start), strict=True))
 

@@ -145,13 +145,14 @@ def _calibration(log: Log, config: Config, options: ProcessOptions) -> Calibrati
     given = config.input.poses == "given"
     if config.input.clocks != "causal" and not given and not log.is_live:
         return options.calibrate
-    if options.calibrate == "require":
+    if options.calibrate in ("accept", "require"):
         raise ConfigError(
-            "--calibrate require contradicts input.poses=given, which the presets paper and "
-            "upstream set"
+            f"--calibrate {options.calibrate} contradicts input.poses=given, which the presets "
+            "paper and upstream set"
             if given
-            else "--calibrate require needs the whole log at once, and a causal run refines poses "
-            "as it goes on; find them with hiros calibrate people and pass them with --extrinsics"
+            else f"--calibrate {options.calibrate} needs the whole log at once, and a causal run "
+            "refines poses as it goes on; find them with hiros calibrate people and pass them with "
+            "--extrinsics"
         )
     return "off"
 

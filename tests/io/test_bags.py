@@ -24,6 +24,7 @@ import hiros_schemas
 from hiros_cli.app import run
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import McapReader
+from hiros_mcap.io.export.topic_table import export_topic
 from hiros_mcap.io.log import open_log
 from hiros_mcap.io.overview import overview_of
 from hiros_mcap.running.pipeline import process
@@ -120,6 +121,13 @@ def temporary(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
     yield folder
     assert not list(folder.iterdir())
+
+
+def test_any_topic_of_a_bag_becomes_a_table(bag, tmp_path):
+    assert export_topic(bag, "/chatter", tmp_path / "x.csv") == 1
+    assert (tmp_path / "x.csv").read_text().splitlines()[1].endswith(",hello")
+    with pytest.raises(LogError, match=r"/nope: has no messages of this topic; it has .*/chatter"):
+        export_topic(bag, "/nope", tmp_path / "y.csv")
 
 
 def test_a_bag_says_what_the_mcap_says(bag, messages):

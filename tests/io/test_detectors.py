@@ -138,20 +138,26 @@ def test_other_markers_are_no_skeletons(tmp_path, scene):
 
 
 @pytest.mark.parametrize("namespaces", [("",), ("joint",), ("a", "bcd")])
-def test_markers_are_gathered_as_they_are_decoded(namespaces, scene):
-    """The fast way to the poses says what the generic one says, byte for byte."""
+@pytest.mark.parametrize("seconds", [0, 17])
+def test_markers_are_gathered_as_rosbags_decodes_them(namespaces, seconds, scene):
     for _, frame in scene.detections[:20]:
         message = made.azure_message(frame)
         for i, marker in enumerate(message.markers):
             marker.ns = namespaces[i % len(namespaces)]
             marker.text = "t" * (i % 3)
+            marker.header.stamp.sec = seconds
         data = bytes(made.ROS2.serialize_cdr(message, made.MARKERS))
-        fast = azure_kinect._gathered(data)
-        slow = azure_kinect._decoded(made.ROS2.deserialize_cdr(data, made.MARKERS).markers)
-        assert (fast is None) == (slow is None) == (frame.n_people == 0)
-        if fast and slow:
-            assert fast[:2] == slow[:2]
-            assert all(np.array_equal(a, b) for a, b in zip(fast[2:], slow[2:], strict=True))
+        gathered = azure_kinect._gathered(data)
+        assert (gathered is None) == (frame.n_people == 0)
+        if gathered:
+            markers = made.ROS2.deserialize_cdr(data, made.MARKERS).markers
+            assert gathered.stamp == seconds * 10**9 + markers[0].header.stamp.nanosec
+            assert gathered.frame_id == markers[0].header.frame_id
+            assert gathered.ids.tolist() == [marker.id for marker in markers]
+            assert gathered.kinds.tolist() == [[marker.type, marker.action] for marker in markers]
+            poses = [(m.pose.position, m.pose.orientation) for m in markers]
+            numbers = [(p.x, p.y, p.z, q.x, q.y, q.z, q.w) for p, q in poses]
+            assert gathered.poses.tolist() == [list(row) for row in numbers]
         assert azure_kinect._gathered(data[: len(data) // 2]) is None
 
 

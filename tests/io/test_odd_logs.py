@@ -89,6 +89,19 @@ def test_a_time_that_cannot_be_is_that_of_the_log(stamp, crossing, tmp_path):
     assert noted(
         summary, "/camera_0/skeletons: 145 messages without a time, or with one before 1970"
     )
+    (warning,) = warned(summary, "have no time, or one before 1970")
+    assert warning.startswith("/camera_0/skeletons, /camera_1/skeletons, /camera_2/skeletons: 443 ")
+    assert "of 443 messages" in warning
+    assert "log times instead" in warning
+
+
+def test_few_messages_without_a_time_are_a_note(crossing, tmp_path):
+    def sometimes(frame, sent):
+        return frame.replace(stamp=0, stamps=0 * frame.stamps) if sent % 29 == 0 else frame
+
+    summary = run(crossing, tmp_path, sometimes)
+    assert noted(summary, "/camera_0/skeletons: 5 messages without a time")
+    assert not warned(summary, "have no time")
 
 
 def test_channels_that_name_no_frame_are_told(crossing, tmp_path):

@@ -279,11 +279,12 @@ def test_the_error_of_a_clock_is_that_of_its_difference_from_the_other(error_ms,
 
 def test_of_two_cameras_the_one_logged_nearer_to_its_stamps_is_right():
     clocks = three(a=-0.07, b=0.03)
-    clocks.take_offsets([
+    cameras = clocks.take_offsets([
         PoseSummary("a", "good", clock_ms=-50.0, error_ms=1.0),
         PoseSummary("b", "good", clock_ms=50.0, error_ms=1.0),
     ])  # fmt: skip
     assert [(fault.camera, fault.seconds) for fault in clocks.faults] == [("a", 0.1)]
+    assert [camera.clock_ms for camera in cameras] == [-100.0, 0.0]  # as the note says
 
 
 def test_the_lag_of_a_camera_that_shares_no_view_is_named_with_the_reason():

@@ -25,6 +25,7 @@ from hiros_mcap.running.observe import (
     DetectionSample,
     MessageRate,
     Observer,
+    ResultDelays,
 )
 from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.running.preparation import Prepared
@@ -218,3 +219,13 @@ def test_frames_in_which_a_person_is_merely_predicted_are_counted():
         frame = frame.replace(ids=np.array([4], np.int32), confidences=np.array([confidence]))
         observer.see("filtered", Block.of(frame))
     assert (observer.people[4].frames, observer.people[4].predicted) == (5, 2)
+
+
+def test_delays_are_those_that_so_many_results_have_at_most():
+    delays = ResultDelays()
+    for late in [*range(1, 100), 5000]:  # ms
+        frame = seen([person()], at(3))
+        delays.add(Block.of(frame.replace(log_time=frame.stamp + late * 1_000_000)))
+    assert delays.percentile(50) == pytest.approx(0.050)
+    assert delays.percentile(95) == pytest.approx(0.095)
+    assert delays.percentile(100) == pytest.approx(5.0)

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
+import re
+
 import numpy as np
 import pytest
+from builders import moved
+from odd_logs import later
+from scipy.spatial.transform import Rotation
 
 from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid, angle
+from hiros_mcap.calibrate.camera_result import CalibratedCamera
 from hiros_mcap.calibrate.survey import stretches
+from hiros_mcap.calibrate.verdict import Evidence, verdict_of
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.channels import add_skeleton_channel, add_static_poses
@@ -172,6 +180,47 @@ def test_two_cameras_at_one_place_are_named_and_the_peoples_rig_is_used(
     assert apart(got, true["camera_1"].inverse() @ true["camera_2"]) < 0.5
 
 
+def test_every_second_message_may_be_empty(scene, detections, true, tmp_path):
+    seen = []
+    for name in NAMES:
+        ours = [f for f in detections if f.source == name]
+        nobody = [f.replace(people=f.people.at(slice(0, 0))) for f in ours]
+        seen += [pair[k % 2] for k, pair in enumerate(zip(nobody, ours, strict=True))]
+    summary = process(write(tmp_path / "log.mcap", scene, seen, true))
+    assert verdicts(summary) == ["good"] * 3
+    assert summary.warnings == ()
+
+
+def named(frames, frame_id):
+    return [frame.replace(frame_id=frame_id) for frame in frames]
+
+
+def test_clocks_are_found_where_all_detections_are_in_the_room(scene, detections, true, tmp_path):
+    def clock(name):
+        return 60_000_000 if name == "camera_1" else 0
+
+    seen = [
+        later(moved([f], Rotation.from_quat(pose.xyzw), pose.translation)[0], clock(f.source))
+        for f in named(detections, "lab")
+        for pose in [true[f.source]]
+    ]
+    summary = process(write(tmp_path / "log.mcap", scene, seen, {"tripod": Rigid.identity()}))
+    assert verdicts(summary) == ["good"] * 3
+    (text,) = summary.warnings
+    assert "clock of camera_1 is 60 ms ahead" in text
+
+
+@pytest.mark.parametrize("sharing", [NAMES[:2], NAMES])
+def test_detectors_that_write_one_frame_id_are_named(sharing, scene, detections, true, tmp_path):
+    wrong = [
+        frame.replace(frame_id="camera_0") if frame.source in sharing else frame
+        for frame in detections
+    ]
+    summary = process(write(tmp_path / "log.mcap", scene, wrong, true), tmp_path / "out.mcap")
+    (warning,) = [text for text in summary.warnings if "same frame" in text]
+    assert warning.startswith(f"{' and '.join(sharing)} publish in the same frame 'camera_0', but")
+
+
 def test_one_pose_for_all_cameras_counts_as_none(tmp_path):
     given = dict.fromkeys(NAMES, Rigid.identity())
     _, log = in_place(tmp_path, given, action="squat", seconds=12.0)
@@ -219,6 +268,55 @@ def test_a_doubtful_rig_is_written_and_one_option_uses_it(tmp_path, capsys):
     assert 'verdict = "doubtful"' in target.read_text()
     assert "error_deg = " in target.read_text()
     assert run(["process", str(log), "-o", str(out), "-q", "--extrinsics", str(target)]) == 0
+
+
+def test_a_doubtful_rig_that_is_consistent_is_used_if_the_user_accepts_it(tmp_path):
+    """People of another size in camera 1, as real detectors show them from the side."""
+    params = SimulateParams(people=1, cameras=3, seconds=15.0, seed=6, action="free_dynamic")
+    room = simulate(params)
+    frames = [grown(f, 1.038) if f.source == "camera_1" else f for f in room.detections]
+    log, out = write(tmp_path / "log.mcap", room, frames, {}), tmp_path / "out.mcap"
+    with pytest.raises(LogError, match="--calibrate accept uses those"):
+        process(log, out, calibrate="require")
+    before = process(log, out)
+    assert "camera_1" not in [camera.name for camera in before.cameras]
+    accepted = process(log, out, calibrate="accept")
+    assert [camera.name for camera in accepted.cameras] == list(NAMES)
+    (text,) = [text for text in accepted.warnings if "you accepted" in text]
+    assert re.search(r"expect joints to be \d+ mm off .*camera_1: its people are", text)
+
+
+@pytest.mark.parametrize(
+    ("change", "accepted"),
+    [
+        ({"size": 1.04}, True),
+        ({"wander": 0.055}, True),
+        ({"spread": 0.2}, True),
+        ({"size": 1.07}, False),
+        ({"wander": 0.07}, False),
+        ({"spread": 0.1}, False),
+        ({"size": 1.04, "error_deg": 2.5}, False),
+        ({"size": 1.04, "halves_deg": 6.0}, False),
+        ({"size": 1.04, "limbs": 0.2}, False),
+        ({"rival": True}, False),
+    ],
+)
+def test_which_doubtful_poses_may_be_accepted(change, accepted):
+    found = Evidence(share=1.0, residual=0.05, seconds=20.0, spread=1.0, error_deg=1.0)
+    found = dataclasses.replace(found, **change)
+    verdict, reason = verdict_of(found, moved=False)
+    pose = Rigid(np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3))
+    camera = CalibratedCamera("a", "a", verdict, reason, pose, evidence=found)
+    assert verdict == "doubtful"
+    assert camera.acceptable == accepted
+    assert not dataclasses.replace(camera, reason="moved meanwhile").acceptable
+
+
+def grown(frame, factor):
+    """A message of a camera that sees people ``factor`` times as large, and as far."""
+    markers = frame.markers.copy()
+    markers[:, :, :3] *= factor
+    return frame.replace(markers=markers)
 
 
 def test_too_little_for_poses_from_nothing_says_what_to_record(scene, detections, tmp_path, capsys):

@@ -13,7 +13,7 @@ import typer
 
 from hiros_cli.compiling import importing, prepare
 from hiros_cli.completing import topics
-from hiros_cli.live_run import STREAM, check_live, is_live, run_live
+from hiros_cli.live_run import STREAM, check_live, is_file, is_live, run_live
 from hiros_cli.many_logs import ManyLogs, one_log
 from hiros_cli.many_logs import run as run_many
 from hiros_cli.options import (
@@ -43,9 +43,6 @@ if TYPE_CHECKING:
     from hiros_mcap.summary import Summary
 
 LIMBS = "Limb lengths"
-EXPORTED = frozenset(
-    {".csv", ".parquet", ".jsonl", ".npz", ".trc", ".mot", ".osim", ".xml", ".c3d", ".bvh"}
-)
 BAGS = frozenset({".db3", ".bag"})
 SUFFIX = ".hiros.mcap"
 
@@ -69,9 +66,10 @@ class InputOptions:
         "CAMERA=SECONDS", "Add seconds to the stamps of a camera; may be repeated.", panel=INPUT
     )
     calibrate: str = option(
-        "off|auto|require",
+        "off|auto|accept|require",
         "Camera poses: off keeps the log's, auto takes better ones where the people in the "
-        "log prove them, require also refuses poses that they do not confirm.",
+        "log prove them, accept also doubtful ones where the log has none, require"
+        " also refuses poses that they do not confirm.",
         default="auto",
         panel=INPUT,
     )
@@ -138,8 +136,8 @@ class OutputOptions:
 
     output: str | None = option(
         "OUT",
-        f"Output file, DIR/ for a ROS 2 bag, - for a pipe; with many logs, the folder for "
-        f"all. Default: LOG's name with {SUFFIX}.",
+        f"Output file, DIR/ for a ROS 2 bag, - for a pipe, ws://HOST:PORT to serve live "
+        f"results; with many logs, the folder for all. Default: LOG's name with {SUFFIX}.",
         "--output",
         "-o",
         panel=OUTPUT,
@@ -304,7 +302,7 @@ def _live(run: _Run, logs: Sequence[str]) -> None:
     check_live(logs, output, follow=run.reading.follow)
     settings = run.settings(live=True)
     settings = settings_of(source, settings) if many.quiet else settings.of(source)
-    target = STREAM if output == STREAM else run.target(Path(source), settings)
+    target = run.target(Path(source), settings) if output is None or is_file(output) else output
     options = run.options(settings)
     config = settings.load()
     with ExitStack() as stack:
@@ -328,7 +326,11 @@ def _refuse_result(source: Path) -> None:
 
 def _refuse_other_formats(target: Path) -> None:
     suffix = target.suffix.lower()
-    if suffix in EXPORTED:
+    if suffix == ".mcap":
+        return
+    from hiros_mcap.io.export.files import FORMATS
+
+    if suffix in FORMATS:
         raise ConfigError(
             f"{target}: process writes MCAP; for {suffix}, run hiros export on its result"
         )
@@ -337,7 +339,7 @@ def _refuse_other_formats(target: Path) -> None:
             f"{target}: process writes MCAP; for a ROS 2 bag, name a folder: "
             f"-o {target.with_suffix('')}/"
         )
-    if suffix != ".mcap" and (suffix or not target.exists()):  # mktemp gives no suffix
+    if suffix or not target.exists():  # mktemp gives no suffix
         folder = "" if suffix else f", or {target}/ for a ROS 2 bag in a new folder"
         named = target.with_suffix(".mcap")
         raise ConfigError(f"{target}: process writes MCAP; name it {named}{folder}")
@@ -373,11 +375,11 @@ def _viewer(source: Path, target: str, stack: ExitStack) -> Watcher | None:
 
 def _calibration(text: str) -> Calibration:
     match text:
-        case "off" | "auto" | "require":
+        case "off" | "auto" | "accept" | "require":
             return text
     raise ConfigError(
-        f"--calibrate: {text!r} is none of off, auto, require (a time range for limb lengths is "
-        "--limb-window START:END)"
+        f"--calibrate: {text!r} is none of off, auto, accept, require (a time range for limb "
+        "lengths is --limb-window START:END)"
     )
 
 

@@ -2,8 +2,8 @@
 
 What the reader promises: every message of the chosen channels is handed out exactly once with
 exactly its bytes, or a LogError says what is wrong and where. Checksums are always compared,
-nothing is taken from an index that the data contradict, and memory is bounded: where many chunks
-overlap in time, they are read several times.
+nothing is taken from an index that the data contradict, and memory is bounded: a file whose chunks
+overlap so much in time that they would take more is refused.
 """
 
 from __future__ import annotations
@@ -48,10 +48,7 @@ MEMORY = 2**30
 """Bytes that reading may take unless the user allows more."""
 _KEPT = 64 * 2**20
 """Bytes: the chunks of a file that holds no more stay in memory, so that each is read once."""
-_HELD = 4
-"""Chunks that overlap in time may take this part of the memory; larger ones are read in slices."""
-_POINTS = 64  # of a chunk, at which a slice of its messages may begin
-_TOGETHER = 8 * 2**20
+_TOGETHER = 4 * 2**20
 """Bytes of chunks that are read together: each batch costs its user as much as some messages.
 Recorders' chunks are of 0.75 to 4 MiB."""
 _COLUMNS = [LOG_TIME, START]
@@ -129,8 +126,7 @@ class McapReader:
     Parameters
     ----------
     path : the file, which may be open.
-    memory : bytes that reading may take, about. Chunks that overlap so much in time that they would
-        take more are decompressed several times.
+    memory : bytes that reading may take, about. Half of it is for chunks that overlap in time.
 
     Attributes
     ----------
@@ -157,7 +153,7 @@ class McapReader:
             self._depth = min(_AHEAD, _AHEAD_BYTES // max(largest, _TOGETHER))
             self._checked: dict[int, frozenset[int]] = {}
             size = sum(chunk.size for chunk in self._contents.chunks)
-            self._keeps = size <= min(_KEPT, memory // (2 * _HELD))
+            self._keeps = size <= min(_KEPT, memory // 8)
             self._kept: dict[int, Records] = {}
             self._complete_definitions()
             self.counts = self._count()
@@ -243,61 +239,18 @@ class McapReader:
                 if any(chunk.end_time >= begin and chunk.start_time <= end for begin, end in spans)
             ]
         chunks = sorted(chunks, key=lambda c: (c.start_time, c.offset))
-        if _most_held(chunks) > self._memory // _HELD:
-            yield from self._slices(chunks, channels)
-            return
+        held = _most_held(chunks)
+        if held > self._memory // 2:
+            raise LogError(
+                f"its chunks of one time take {held >> 20} MiB; the limit is half of "
+                f"{self._memory / 2**30:g} GiB; `mcap sort` writes them in order of time, and "
+                "--memory GIB raises the limit",
+                path=self.path,
+            )
         groups = list(_together(chunks, size))
         for k, group in enumerate(groups, 1):
             until = groups[k][0].start_time if k < len(groups) else None
             yield Batch([self._chosen(self.load(chunk), channels) for chunk in group], until)
-
-    def _slices(self, chunks: Sequence[Chunk], channels: Collection[int] | None) -> Iterator[Batch]:
-        """Yield the messages in slices of time, for which chunks are read as often as needed.
-
-        Raises LogError if messages of one log time alone take too much memory.
-        """
-        most = self._memory // (2 * _HELD)
-        edges = self._edges(chunks, channels, most // 2)
-        for first, until in zip([0, *edges], [*edges, None], strict=True):
-            parts, size = [], 0
-            for chunk in chunks:
-                if chunk.end_time < first or (until is not None and chunk.start_time >= until):
-                    continue
-                records = self._chosen(self.load(chunk), channels)
-                times = records.messages[:, LOG_TIME]
-                inside = times >= np.uint64(first)
-                if until is not None:
-                    inside &= times < np.uint64(until)
-                parts.append(records.only(inside))
-                size += len(parts[-1].data)
-                if size > self._memory // _HELD + most:
-                    raise LogError(
-                        f"its messages of one time take more than {size >> 20} MiB; the limit of "
-                        f"memory is {self._memory / 2**30:g} GiB; --memory GIB raises it",
-                        path=self.path,
-                    )
-            yield Batch(parts, until)
-
-    def _edges(
-        self, chunks: Iterable[Chunk], channels: Collection[int] | None, size: int
-    ) -> list[int]:
-        """Return log times, ns, between which messages of about ``size`` bytes lie."""
-        points: list[tuple[int, int]] = []
-        for chunk in chunks:
-            messages = self._chosen(self.load(chunk), channels).messages
-            messages = messages[np.argsort(messages[:, LOG_TIME])]
-            sizes = np.cumsum(messages[:, STOP] - messages[:, START])
-            if len(sizes):
-                wanted = sizes[-1] * np.arange(_POINTS, dtype=np.uint64) // np.uint64(_POINTS)
-                times = messages[np.searchsorted(sizes, wanted), LOG_TIME].tolist()
-                points += [(log_time, int(sizes[-1]) // _POINTS) for log_time in times]
-        edges, filled = [0], 0
-        for log_time, part in sorted(points):
-            if filled + part > size and log_time > edges[-1]:
-                edges.append(log_time)
-                filled = 0
-            filled += part
-        return edges[1:]
 
     def runs(self, channels: Collection[int] | None = None) -> Iterator[tuple[Records, list[int]]]:
         """Yield the messages in the order of log times, those of equal time as in the file.
