@@ -105,6 +105,7 @@ def laboratory(tmp_path_factory):
     assert run(["process", str(folder / "lab.mcap"), "--quiet"]) == 0
     shutil.copy(result, folder / "other.mcap")
     assert run(["export", result, "-o", str(folder / "mocap.trc"), "--person", "0"]) == 0
+    assert run(["export", result, "-o", str(folder / "vicon.c3d")]) == 0
     rows = open_result(result).joints()["WRIST_LEFT"].reset_index()
     rows.insert(2, "marker", "WRIST_LEFT")
     rows.columns = ["person", "time", "marker", "x", "y", "z"]
