@@ -377,7 +377,7 @@ def test_eval_finds_the_truth_of_each_log_by_its_name(results, walking, tmp_path
     rows = printed(capsys, "eval", results, "--truth", tmp_path)
     assert rows["one_person_walking"]["values"]["people"] == 1
     error = rows["two_people_crossing"]["error"]
-    assert "has no truth two_people_crossing.truth.mcap (or .mcap, .trc, .csv)" in error
+    assert "has no truth two_people_crossing.truth.mcap (or .mcap, .trc, .c3d, .csv)" in error
 
 
 def test_check_of_many_compares_each_with_its_golden_file(results, tmp_path, capsys):

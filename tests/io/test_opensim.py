@@ -188,7 +188,7 @@ def test_gaps_are_bridged_in_a_motion_and_named(result, tmp_path):
     assert np.abs(np.diff(table["pelvis_tx"])).max() < 0.1
     times = result.motions[0].times
     span = f"{times[19]:.1f} to {times[40]:.1f} s"
-    assert [text for text in told if "bridged" in text] == [
+    assert [text for text in told if ": bridged" in text] == [
         f"{path}: bridged the whole pose: {span}; --keep-gaps leaves such rows out"
     ]
 

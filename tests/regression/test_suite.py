@@ -193,7 +193,7 @@ def test_golden_metrics_forgive_numbers_but_not_quality(suite):
     suite.write_text(text + 'set = ["filter.cutoff=12"]\n')
     found = [str(d) for d in run_suite(load_suite(suite), SuiteOptions(jobs=1))[0].differences]
     assert found[0].startswith("configuration: filter.cutoff: was ")
-    assert any(text.startswith("metrics: jitter: was 8.54") for text in found)
+    assert any(text.startswith("metrics: jitter: was ") for text in found)
 
 
 def test_thresholds_that_are_not_met(suite):

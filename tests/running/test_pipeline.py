@@ -448,7 +448,8 @@ def test_options_take_what_people_write(tmp_path):
     options = ProcessOptions(topics="/camera_0/*", keep=[], extrinsics="cameras.toml")  # type: ignore[arg-type]
     assert (options.topics, options.keep) == (("/camera_0/*",), ())
     assert options.extrinsics == Path("cameras.toml")
-    with pytest.raises(ConfigError, match="^calibrate: 'on' is none of 'off', 'auto', 'require'$"):
+    known = "'off', 'auto', 'accept', 'require'"
+    with pytest.raises(ConfigError, match=f"^calibrate: 'on' is none of {known}$"):
         process(WALKING, calibrate="on")
 
 
