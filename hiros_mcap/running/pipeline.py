@@ -106,8 +106,12 @@ def process(
         ``source`` is damaged, holds no skeletons or lacks a transform; ``target`` cannot be
         written, is ``source``, or exists and was not written by hiros.
     ConfigError
-        a parameter or a side file is wrong.
+        an argument, a parameter or a side file is wrong.
     """
+    if not isinstance(config, Config | str | os.PathLike | None):
+        raise ConfigError(f"config: {config!r} is neither a Config nor the name of a file")
+    if not isinstance(progress, bool | None) and not hasattr(progress, "update"):
+        raise ConfigError(f"progress: {progress!r} is no bool and has no method update()")
     options = _chosen(options or ProcessOptions(), choices)
     if not isinstance(config, Config):
         file = settings_beside(source) if config is None else Path(config)

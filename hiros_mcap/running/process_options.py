@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+import os
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Literal, Protocol, TypedDict, get_args
@@ -59,10 +61,15 @@ class ProcessOptions:
     def __post_init__(self) -> None:
         for name in ("topics", "keep"):
             if (globs := getattr(self, name)) is not None:
-                several = (globs,) if isinstance(globs, str) else tuple(globs)
+                many = isinstance(globs, Iterable) and not isinstance(globs, str)
+                several = tuple(globs) if many else (globs,)
+                if not all(isinstance(glob, str) for glob in several):
+                    raise ConfigError(f"{name}: {globs!r} is neither a glob nor a list of globs")
                 object.__setattr__(self, name, several)
         for name in ("settings", "extrinsics", "limbs_in", "limbs_out"):
             if (path := getattr(self, name)) is not None:
+                if not isinstance(path, str | os.PathLike):
+                    raise ConfigError(f"{name}: {path!r} is no name of a file")
                 object.__setattr__(self, name, Path(path))
         for field in fields(self):
             kinds, value = _KINDS.get(str(field.type)), getattr(self, field.name)
@@ -71,6 +78,8 @@ class ProcessOptions:
         for name, choices in _CHOICES.items():
             if (value := getattr(self, name)) not in choices:
                 raise ConfigError(f"{name}: {value!r} is none of {', '.join(map(repr, choices))}")
+        if not 0 < self.memory < math.inf:
+            raise ConfigError(f"memory: {self.memory!r} is no number of GiB above 0")
 
 
 _KINDS: dict[str, tuple[type, ...]] = {"str": (str,), "bool": (bool,), "float": (float, int)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import subprocess
 import sys
@@ -515,9 +516,28 @@ def test_process_shows_each_option_to_an_editor_and_in_help():
     assert [name for name in names if name not in words] == []
 
 
-def test_a_wrong_type_is_one_line():
-    with pytest.raises(ConfigError, match=r"^recover: 'yes' is no bool$"):
-        ProcessOptions(recover="yes")
+@pytest.mark.parametrize(
+    ("name", "value", "fault"),
+    [
+        ("recover", "yes", "'yes' is no bool"),
+        ("memory", "1", "'1' is no float"),
+        ("memory", math.nan, "nan is no number of GiB above 0"),
+        ("memory", -1, "-1 is no number of GiB above 0"),
+        ("keep", (1, 2), "(1, 2) is neither a glob nor a list of globs"),
+        ("topics", 5, "5 is neither a glob nor a list of globs"),
+        ("extrinsics", {}, "{} is no name of a file"),
+        ("config", {}, "{} is neither a Config nor the name of a file"),
+        ("progress", 5, "5 is no bool and has no method update()"),
+    ],
+)
+def test_a_wrong_type_is_one_line(name, value, fault):
+    with pytest.raises(ConfigError, match=f"^{re.escape(f'{name}: {fault}')}$"):
+        process(WALKING, **{name: value})
+
+
+def test_a_text_is_one_glob(tmp_path):
+    summary = process(WALKING, tmp_path / "out.mcap", calibrate="off", keep="abc")
+    assert "keep: the log has no channel abc" in summary.notes
 
 
 def test_a_file_of_parameters_may_be_named(tmp_path):
