@@ -169,6 +169,16 @@ def test_two_tracks_that_no_camera_showed_together_become_one():
     assert ids(frames)[-1] == [0]
 
 
+def test_a_track_of_a_moment_is_the_person_who_walks_on():
+    """Both cameras see somebody who walks 0.7 m aside for 0.4 s, and then walking on."""
+
+    def body(k):
+        return person(0.05 * k - 2.0, 0.7 if 40 <= k < 52 else 0.0)
+
+    frames = [seen([body(k)], at(k, c), "ab"[c]) for k in range(110) for c in range(2)]
+    assert ids(frames) == [[0]] * 220
+
+
 @pytest.mark.parametrize(("seconds", "people"), [(0.8, 1), (1.3, 2)])
 def test_a_still_body_where_only_one_camera_looks_needs_a_second(seconds, people):
     frames = standing([person()], 0, 2)

@@ -113,11 +113,12 @@ class Confirmation:
         return person.is_there(stamp) and person.number not in track.beside
 
     def _merge_into_person(self, track: PersonTrack, group: DetectionGroup, scene: Present) -> None:
-        """Merge a young person who is seen no more into the older one who was the same all along.
+        """Merge a young track that is seen no more into the person who was the same all along.
 
         Cameras that disagreed now agree, and no camera ever showed both.
         """
-        if not (self._params.merge_tracks and track.confirmed):
+        counts = track.confirmed or track.support.confirms(track.seen, self._params)
+        if not (self._params.merge_tracks and counts):
             return
         if group.stamp - track.support.first >= _MERGEABLE or track.is_there(group.stamp):
             return
@@ -126,10 +127,11 @@ class Confirmation:
             is_older = person.support.first < track.support.first
             is_near = distance < _DOUBTFUL * self._params.max_distance
             if is_older and is_near and self._hides(person, track, group.stamp):
-                scene.dismiss(track)
+                if track.confirmed:
+                    scene.dismiss(track)
                 self._people.remove(track)
                 self._identities.leave_crowd(track)
-                detail = f"was person {track.id}"
+                detail = f"was person {track.id}" if track.confirmed else "for a moment"
                 self._events.note(group.stamp, "tracks merged", person=person.id, detail=detail)
                 track.id = person.id  # also in messages that are held
                 return
