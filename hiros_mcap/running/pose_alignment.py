@@ -95,6 +95,8 @@ class PoseAlignment:
     """Cameras that publish in one frame, and do not see the same people at one place in it."""
     to_given: Mapping[str, Rigid] = field(default_factory=dict)
     """Camera -> what takes its people back to the log's pose, where the run uses a better one."""
+    pose_errors: dict[str, float] = field(default_factory=dict)
+    """Camera -> standard error, m, of the pose that the people gave it."""
     better: tuple[Mapping[str, TimedPoses], str] | None = None
     """Poses of frames that the run uses in place of the log's, and the frame that they are in."""
 
@@ -142,6 +144,14 @@ class PoseAlignment:
                 kept.append(k)
             if kept:
                 yield block if len(kept) == len(block) else block.select(kept)
+
+    def note_errors(self) -> None:
+        """Take over how wrong the poses may be that are used; of two of a camera, the worse."""
+        self.pose_errors.clear()
+        for camera in self.cameras:
+            if camera.used and not math.isnan(camera.error_mm):
+                error = max(self.pose_errors.get(camera.name, 0.0), camera.error_mm / 1000.0)
+                self.pose_errors[camera.name] = error
 
     def note_events(self, events: Events) -> None:
         """Note the cameras that were moved."""
@@ -225,6 +235,7 @@ def align_cameras(
         poses = _refined_poses(survey, clocks, mode)
     if clocks.times:
         poses = replace(poses, cameras=clocks.take_offsets(poses.cameras))
+    poses.note_errors()
     return clocks, PoseAlignment() if mode == "off" else poses
 
 

@@ -192,6 +192,7 @@ class PoseFollower:
             summary_of(self._kept(camera, one), used=camera.name in self._goals)
             for camera, one in zip(cameras, rig, strict=True)
         ]
+        self._alignment.note_errors()
 
     def _kept(self, camera: FixedCamera, calibrated: CalibratedCamera) -> CalibratedCamera:
         """Return what was found with the pose that is used: one that was proven stays."""

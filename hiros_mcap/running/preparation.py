@@ -115,6 +115,7 @@ def set_up(
         system=options.system,
         noise=_given_noise(log, config, options),
         to_given=prepared.poses.to_given,
+        pose_errors=prepared.poses.pose_errors,
     )
     _calibrate_first(run, chain_of(options.system, options.stages), read)
     return run

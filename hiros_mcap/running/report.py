@@ -22,7 +22,7 @@ from hiros_mcap.running.write import unmatched_globs
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_mcap.stages.fuse.log_histograms import medians
 from hiros_mcap.stages.fuse.residuals import FEWEST, ratios
-from hiros_mcap.stages.track.displaced import CAMERA_DISPLACED, MIRROR_SEEN
+from hiros_mcap.stages.track.displaced import CAMERA_DISPLACED, DISPLACED_A_WHILE, MIRROR_SEEN
 from hiros_mcap.stages.track.likeness import DISPLACED
 from hiros_mcap.summary import (
     CameraSummary,
@@ -245,6 +245,12 @@ class Report:
                 f"{_DISPLACED[event.kind]}"
             )
 
+    def _displaced_for_a_while(self) -> Iterator[str]:
+        """Yield which cameras did so, and do no longer."""
+        for event in sorted(self.run.events.log, key=attrgetter("stamp")):
+            if event.kind == DISPLACED_A_WHILE:
+                yield f"{event.source} {event.detail}, from {self._seconds(event):.1f} s on"
+
     def _distortions(self, cameras: Sequence[CameraSummary]) -> Iterator[str]:
         """Yield which cameras often show people distorted."""
         for channel, camera in zip(self.log.cameras, cameras, strict=True):
@@ -272,6 +278,7 @@ class Report:
         yield from unmatched_globs(self.log, self.prepared.options)
         yield from self.observer.pauses.notes(self.log.span[0])
         yield from self.prepared.poses.notes()
+        yield from self._displaced_for_a_while()
         yield from self.reading.remarks
         for account in self.reading.accounts.values():
             yield from _input_notes(account)

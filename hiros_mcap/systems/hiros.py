@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from hiros_mcap.frames import BlockStage
 from hiros_mcap.stages.merge.merge_params import MergeParams
 from hiros_mcap.systems.run import Run, Stages
@@ -35,9 +37,11 @@ def fuse(run: Run) -> Stages:
 
     config = run.config
     mended, merging = _mended_views(run)
+    noise = noise_of(run.model, config.fuse, run.noise)
+    noise = replace(noise, to_given=run.to_given, pose_errors=run.pose_errors)
     fusion = run.stage(
         fuse_blocks, config.fuse, merging=merging, fixed_frame=run.fixed_frame,
-        cameras=run.cameras, noise=noise_of(run.model, config.fuse, run.noise, run.to_given),
+        cameras=run.cameras, noise=noise,
     )  # fmt: skip
     bodies = run.stage(constrain_blocks, config.constrain, limbs=run.limbs)
     derivatives = run.stage(filter_blocks, config.filter, keep_positions=True)

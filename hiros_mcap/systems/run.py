@@ -41,6 +41,8 @@ class Run:
     """What a first pass has shown of cameras and joints; None = there was none."""
     to_given: Mapping[str, Rigid] = field(default_factory=dict)
     """Source -> what takes its people back to the pose that was given, where it was refined."""
+    pose_errors: Mapping[str, float] = field(default_factory=dict)
+    """Source -> standard error, m, of a pose that the people gave; causal runs go on finding."""
 
     def stage(self, stage: Callable[..., Any], params: Params, **more: Any) -> partial[Any]:
         """Return a stage with what every stage takes (model, parameters, events), and more."""

@@ -176,6 +176,28 @@ def test_the_verdict_says_from_when_on_a_pose_does_not_fit(scene, tmp_path):
     assert float(when[1]) == pytest.approx(SECONDS - 2.0, abs=1.0)
 
 
+@pytest.mark.parametrize("system", ["fuse", "fuse-realtime"])
+def test_a_camera_that_stands_in_its_place_again_is_no_longer_doubtful(system, scene, tmp_path):
+    """Live, this is what a camera looks like whose clock or pose was corrected meanwhile."""
+
+    def nudged(frame):
+        t = (frame.stamp - SimulateParams().start) / SECOND
+        people = frame.people.copy()
+        people.markers[:, :, 0] += 0.15 * (1.0 < t < 5.0)
+        return frame.replace(people=people)
+
+    log, out = write(tmp_path / "log.mcap", scene, nudged), tmp_path / "out.mcap"
+    options = ProcessOptions(system=system, calibrate="off")
+    summary = process(log, out, config=load_config(system=system), options=options)
+    assert summary.warnings == ()
+    (note,) = (note for note in summary.notes if "from where" in note)
+    found = re.fullmatch(
+        r"camera_1 showed people 0\.1\d m from .* for (\S+) s, from (\S+) s on", note
+    )
+    assert found is not None
+    assert [float(found[1]), float(found[2])] == pytest.approx([4.0, 1.0], abs=1.2)
+
+
 def test_healthy_cameras_are_not_displaced(scene, tmp_path):
     log = faulty("healthy", tmp_path, scene)
     assert process(log, options=ProcessOptions(calibrate="off")).warnings == ()

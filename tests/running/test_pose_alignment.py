@@ -23,6 +23,8 @@ from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.running.preparation import prepare, set_up
+from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.simulate import SimulateParams, simulate
 
 NAMES = ("camera_0", "camera_1", "camera_2")
@@ -242,6 +244,11 @@ def test_a_usable_rig_is_used_and_a_warning_says_how_exact_it_is(tmp_path):
     (text,) = (text for text in summary.warnings if "usable only" in text)
     assert "expect joints to be " in text
     assert "s of one or two people who walk about over 2 m or more where camera_" in text
+    # The test of displaced cameras allows for it.
+    with open_log(log) as unposed:
+        config, options = load_config(), ProcessOptions()
+        errors = set_up(prepare(unposed, config, options, Stopwatch())).pose_errors
+    assert errors == pytest.approx({c.name: c.error_mm / 1000 for c in summary.poses})
     with open_log(tmp_path / "out.mcap") as result:
         one, other = (result.transforms.lookup(name, result.fixed_frame, 0) for name in NAMES[:2])
     true = {camera.name: camera.pose for camera in scene.cameras}

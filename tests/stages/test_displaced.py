@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -13,6 +14,7 @@ from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
 from hiros_mcap.frames import by_frame
 from hiros_mcap.skeletons import Floats
+from hiros_mcap.stages.track.displaced import DISPLACED_A_WHILE
 from hiros_mcap.stages.track.likeness import Displacement, likeness
 from hiros_mcap.stages.track.track import track_blocks
 
@@ -254,5 +256,10 @@ def test_a_camera_that_is_back_in_place_counts_again():
     def back(k):
         return [displaced(walker(k)) if 45 <= k < 105 else walker(k)]
 
-    ids, _ = tracked(filmed({"a": one, "b": one, "c": back}))
+    ids, events = tracked(filmed({"a": one, "b": one, "c": back}))
     assert ids["c"] == [[0]] * 45 + [[-1]] * 60 + [[0]] * 45
+    assert displacements(events) == []
+    (event,) = (event for event in events.log if event.kind == DISPLACED_A_WHILE)
+    assert not event.is_warning
+    assert event.source == "c"
+    assert re.search(r"showed people \d\.\d\d m from where .* for 2\.0 s$", event.detail)

@@ -5,12 +5,14 @@ says moves all joints of a person together. So the offset of a view is the mean 
 residuals against the fused pose, and the offset of a camera is the mean of its views of a person
 over a second: faster changes are those of people. A camera is displaced for that second if its
 offset is over LIMIT, and clearly over the median of all cameras that see the person: where all are
-off alike, nobody knows which one is wrong. The variance of its views grows by SHARE times the
-square of the offset.
+off alike, nobody knows which one is wrong. A pose that the people gave may be off by three of its
+standard errors. The variance of the views of a displaced camera grows by SHARE times the square of
+the offset; they count again from the second on in which they agree.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,11 +21,12 @@ from hiros_mcap.events import Events
 from hiros_mcap.skeletons import Flags, Floats, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.fuse.fusing import FusedPoses, Sightings
-from hiros_mcap.stages.track.displaced import CAMERA_DISPLACED
+from hiros_mcap.stages.track.displaced import CAMERA_DISPLACED, DISPLACED_A_WHILE
 
 LIMIT, LIMIT_AHEAD = 0.035, 0.06
 """m; of a smoother, and of a filter, whose poses and means are less sure. Healthy cameras of
 simulated rigs with three cameras or more mostly stay below."""
+_ERRORS = 3.0  # standard errors of a pose that explain an offset
 CLEARLY = 1.9
 """Offset over the median of the cameras. One of three that is off by d moves the mean by d / 3, so
 it has twice the offset of the others; with more cameras the ratio is larger."""
@@ -31,14 +34,15 @@ SHARE = 100.0
 """The offset lasts, and noise averages out: the variance of a view must be far over its square."""
 MAJORITY = 3  # fewer cameras do not tell which one of them is wrong
 SECOND = 1_000_000_000  # ns
+EXACT: Mapping[str, float] = {}  # errors of poses that nobody knows
 _MEMORY = 0.5  # s; time constant of the mean without future views
 _WORTH_S, _WORTH_M = 1.5, 0.06
-"""For a warning, people must be off for so long and by so much. Parts of a second that are off by
-less occur with healthy cameras, too: while somebody lies or crouches."""
+"""For a warning, people must be off for so long and by so much, without a pause. Parts of a second
+occur with healthy cameras, too: while somebody lies, crouches, or is half hidden."""
 _OF_ALL = 0.4
 """Share of the views in a part of a second: a camera that was moved shows everybody elsewhere, but
 of two who touch one may be seen wrong."""
-_PART, _PAUSE = 250_000_000, 4  # ns, and so many of it without such views end a displacement
+_PART, _PAUSE = 250_000_000, 4  # ns, and so many of it in which people are in place end one
 
 
 def view_offsets(
@@ -80,9 +84,11 @@ class DisplacedViews:
 
     A smoother asks for the excess (:func:`excess_of`) of views whose offsets it has measured, and
     smooths again. A filter asks for the excess that is ``expected`` by the views before.
+    ``pose_errors`` are those of :func:`limits_of`.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, pose_errors: Mapping[str, float] = EXACT) -> None:
+        self._pose_errors = pose_errors
         self._names: tuple[str, ...] = ()
         self._bank = Bank(_Offsets(np.zeros((0, 0, 3)), np.zeros((0, 0))))
         self._stamp = 0
@@ -100,7 +106,8 @@ class DisplacedViews:
     def expected(self, views: Sightings) -> Floats:
         """(N,) Variance, m2, to be added to new views, by the offsets of the views before them."""
         rows = np.array([self._bank.rows.get(p, -1) for p in views.people.tolist()], np.int64)
-        variances = displaced(*self._bank.past, LIMIT_AHEAD)
+        limits = limits_of(self._names, self._pose_errors, LIMIT_AHEAD)
+        variances = displaced(*self._bank.past, limits)
         if not len(variances):
             return np.zeros(len(rows))
         return np.where(rows >= 0, variances[rows, views.cameras], 0.0)
@@ -122,74 +129,125 @@ class DisplacedViews:
 
     def count(self, views: Sightings, excess: Floats, done: Flags) -> None:
         """Note which of the views whose results are ``done`` have lost their weight."""
-        for camera in np.unique(views.cameras[done & (excess > 0)]).tolist():
+        for camera in np.unique(views.cameras[done]).tolist():
             these = done & (views.cameras == camera)
             self._spans.setdefault(camera, _Span()).add(views.stamps[these], excess[these])
 
     def warn(self, events: Events) -> None:
-        """Note the cameras that were displaced for long enough to be worth a warning."""
+        """Note the cameras that were displaced for long enough, and those that still are.
+
+        If most are, none is: then the people's views differ, not the cameras.
+        """
+        still = []
         for camera, span in self._spans.items():
-            if span.seconds >= _WORTH_S and span.metres >= _WORTH_M:
-                detail = f"shows people {span.metres:.2f} m from where other cameras see them"
-                events.note(span.first, CAMERA_DISPLACED, source=self._names[camera], detail=detail)
+            span.close()
+            for first, last, metres in span.over:
+                events.note(
+                    first,
+                    DISPLACED_A_WHILE,
+                    source=self._names[camera],
+                    detail=f"showed people {metres:.2f} m from where other cameras see them "
+                    f"for {(last - first) / SECOND:.1f} s",
+                )
+            if span.is_worth:
+                still.append(camera)
+        for camera in still if 2 * len(still) <= len(self._spans) else ():
+            span = self._spans[camera]
+            detail = f"shows people {span.metres:.2f} m from where other cameras see them"
+            events.note(span.first, CAMERA_DISPLACED, source=self._names[camera], detail=detail)
 
 
 class _Span:
-    """For how long and how far a camera was displaced."""
+    """Since when and how far a camera is displaced, and the times before when it was."""
 
     def __init__(self) -> None:
-        self._parts: set[int] = set()
+        self.first = self._last = 0
+        """Begin and end of the displacement, ns."""
+        self.over: list[tuple[int, int, float]] = []
+        """Begin and end, ns, and distance, m, of those that are over and worth telling."""
+        self._parts = self._in_place = 0
+        """Parts in which people were displaced, and those since then in which they were not."""
+        self._part = self._lost = self._seen = 0
+        """The latest part, and how many views lost their weight in it, of how many."""
         self._squares, self._views = 0.0, 0
 
     def add(self, stamps: Stamps, excess: Floats) -> None:
         """Take the times, ns, and the excess, m2, of views."""
-        lost = excess > 0
         parts, index = np.unique(stamps // _PART, return_inverse=True)
-        shares = np.bincount(index, lost) / np.maximum(np.bincount(index), 1)
-        self._parts.update(parts[shares >= _OF_ALL].tolist())
-        self._squares += float(excess[lost].sum()) / SHARE
-        self._views += int(lost.sum())
+        lost = np.bincount(index, excess > 0)
+        squares = np.bincount(index, excess) / SHARE
+        seen = np.bincount(index)
+        for part, *of_part in zip(*(a.tolist() for a in (parts, lost, seen, squares)), strict=True):
+            self._add(part, *of_part)
+
+    def _add(self, part: int, lost: float, seen: int, squares: float) -> None:
+        if part > self._part:
+            self.close()
+            self._part = part
+        self._lost += int(lost)
+        self._seen += seen
+        self._squares += squares
+        self._views += int(lost)
+
+    def close(self) -> None:
+        """Count the latest part."""
+        if self._lost > 0 and self._lost >= _OF_ALL * self._seen:
+            self.first = self.first or self._part * _PART
+            self._last = (self._part + 1) * _PART
+            self._parts, self._in_place = self._parts + 1, 0
+        elif self._seen:
+            self._in_place += 1
+        self._lost = self._seen = 0
+        if self._in_place > _PAUSE:
+            if self.is_worth:
+                self.over.append((self.first, self._last, self.metres))
+            self.first = self._parts = self._views = 0
+            self._squares = 0.0
 
     @property
-    def seconds(self) -> float:
-        return len(self._parts) * _PART / SECOND
-
-    @property
-    def first(self) -> int:
-        """When the longest displacement began, ns."""
-        parts = np.array(sorted(self._parts))
-        spans = np.split(parts, np.flatnonzero(np.diff(parts) > _PAUSE) + 1)
-        return int(max(spans, key=len)[0]) * _PART
+    def is_worth(self) -> bool:
+        """Whether the displacement is long and large enough to be told."""
+        return self._parts * _PART >= _WORTH_S * SECOND and self.metres >= _WORTH_M
 
     @property
     def metres(self) -> float:
         return float(np.sqrt(self._squares / max(self._views, 1)))
 
 
-def excess_of(views: Sightings, offsets: Floats, n_cameras: int) -> Floats:
+def limits_of(
+    names: Sequence[str], pose_errors: Mapping[str, float], least: float = LIMIT
+) -> Floats:
+    """(C,) Offset of each camera, m, up to which it may be healthy.
+
+    ``pose_errors`` has the standard errors, m, of poses that the people gave.
+    """
+    return np.array([max(least, _ERRORS * pose_errors.get(name, 0.0)) for name in names])
+
+
+def excess_of(views: Sightings, offsets: Floats, limits: Floats) -> Floats:
     """(N,) Variance, m2, to be added to views with ``offsets`` (N, 3), m, second by second.
 
     A second without a majority, as in the look-ahead, where offsets are NaN, is like the one
-    before.
+    before. ``limits`` (C,) are those of the cameras, m.
     """
     keys = np.stack([views.people, views.stamps // SECOND])
     keys, groups = np.unique(keys, axis=1, return_inverse=True)
     groups, n = groups.ravel(), int(groups.max(initial=-1)) + 1
     there = ~np.isnan(offsets[:, 0])
-    sums, counts = np.zeros((n, n_cameras, 3)), np.zeros((n, n_cameras))
+    sums, counts = np.zeros((n, len(limits), 3)), np.zeros((n, len(limits)))
     np.add.at(sums, (groups[there], views.cameras[there]), offsets[there])
     np.add.at(counts, (groups[there], views.cameras[there]), 1.0)
-    excess = displaced(sums, counts)
+    excess = displaced(sums, counts, limits)
     for g in range(1, n):
         if keys[0, g] == keys[0, g - 1] and (counts[g] > 0).sum() < MAJORITY:
             excess[g] = excess[g - 1]
     return np.asarray(excess[groups, views.cameras])
 
 
-def displaced(sums: Floats, weights: Floats, limit: float = LIMIT) -> Floats:
+def displaced(sums: Floats, weights: Floats, limits: Floats) -> Floats:
     """(G, C) Variance, m2, to be added to the views of each camera in each group; mostly 0.
 
-    ``sums`` (G, C, 3) of offsets, m, ``weights`` (G, C) of views, 0 = none, ``limit`` in m.
+    ``sums`` (G, C, 3) of offsets, m, ``weights`` (G, C) of views, 0 = none, ``limits`` (C,), m.
     """
     seen = weights > 0
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -199,6 +257,6 @@ def displaced(sums: Floats, weights: Floats, limit: float = LIMIT) -> Floats:
     if not order.size:
         return np.zeros(weights.shape)
     middle = np.take_along_axis(order, np.maximum(count - 1, 0)[:, None] // 2, axis=1)
-    clearly = squares > np.maximum(limit**2, CLEARLY**2 * middle)
+    clearly = squares > np.maximum(limits**2, CLEARLY**2 * middle)
     lost = seen & clearly & (count >= MAJORITY)[:, None]
     return np.where(lost, SHARE * squares, 0.0)

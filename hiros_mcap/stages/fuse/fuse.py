@@ -14,9 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 
-from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
 from hiros_mcap.skeletons import Floats, SkeletonModel
@@ -77,11 +75,9 @@ def fuse_blocks(
 
 
 def noise_of(
-    model: SkeletonModel, params: FuseParams, measured: FusionNoise | None = None,
-    to_given: Mapping[str, Rigid] | None = None,
-) -> FusionNoise:  # fmt: skip
-    """Return what is assumed of cameras and joints, or ``measured``, and how poses were refined."""
-    noise = measured or FusionNoise.default(
+    model: SkeletonModel, params: FuseParams, measured: FusionNoise | None = None
+) -> FusionNoise:
+    """Return what is assumed of cameras and joints, or ``measured``."""
+    return measured or FusionNoise.default(
         model, params.acceleration, params.offset, params.offset_time
     )
-    return replace(noise, to_given=to_given or {})

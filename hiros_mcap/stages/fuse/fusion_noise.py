@@ -45,6 +45,8 @@ class FusionNoise:
     guessed_below: float = GUESSED_BELOW  # confidence below which the detector guesses
     to_given: Mapping[str, Rigid] = field(default_factory=dict)
     """Source -> what takes its people back to the pose that was given, where it was refined."""
+    pose_errors: Mapping[str, float] = field(default_factory=dict)
+    """Source -> standard error, m, of a pose that the people gave."""
 
     @classmethod
     def default(

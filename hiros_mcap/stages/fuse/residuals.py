@@ -23,7 +23,7 @@ from hiros_mcap.events import COMMON, RESIDUAL, Events
 from hiros_mcap.frames import Block, join
 from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.skeletons import POSITION, VELOCITY, Floats, SkeletonModel
-from hiros_mcap.stages.fuse.displaced_views import SECOND, excess_of
+from hiros_mcap.stages.fuse.displaced_views import SECOND, excess_of, limits_of
 from hiros_mcap.stages.fuse.fusing import Sightings
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 from hiros_mcap.stages.fuse.log_histograms import histograms, medians
@@ -140,7 +140,7 @@ class ResidualMeter:
             whole = np.where(~np.isnan(squares)[:, :, None], residuals, 0.0).sum(axis=1)
             whole /= (~np.isnan(squares)).sum(axis=1)[:, None]
         # The result does not rest on displaced cameras.
-        rests = excess_of(views, whole, len(self._names)) == 0
+        rests = excess_of(views, whole, limits_of(self._names, self._noise.pose_errors)) == 0
         slow = (variances - white)[rests]
         self._remember(
             chosen(views, rests), residuals[rests], white[rests], slow, int(fused.stamps[-1])

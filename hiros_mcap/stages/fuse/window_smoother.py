@@ -23,7 +23,12 @@ from hiros_mcap.skeletons import (
 )
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.fuse import fusing
-from hiros_mcap.stages.fuse.displaced_views import DisplacedViews, excess_of, view_offsets
+from hiros_mcap.stages.fuse.displaced_views import (
+    DisplacedViews,
+    excess_of,
+    limits_of,
+    view_offsets,
+)
 from hiros_mcap.stages.fuse.fuse_params import FuseParams
 from hiros_mcap.stages.fuse.fusing import POSE, FusedPoses, JointStates, Sightings, Steps
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
@@ -69,7 +74,7 @@ class WindowSmoother:
         self._params, self._noise = params, noise
         self._motion = noise.motion(params.freedom)
         self._pose_error = pose_error
-        self.displaced = DisplacedViews()
+        self.displaced = DisplacedViews(noise.pose_errors)
         self._names: tuple[str, ...] = ()
         self._ahead = LookAhead()
         self._views: list[Sightings] = []
@@ -164,6 +169,7 @@ class WindowSmoother:
         """Smooth a window. Cameras that prove to be displaced lose their weight."""
         views, new = window.views, window.new
         white = self._noise.variances(views, self._names)
+        limits = limits_of(self._names, self._noise.pose_errors)
         ahead = self._params.window > 0
         excess = np.zeros(len(new)) if ahead else self.displaced.expected(views)
         for person in window.everybody.tolist():
@@ -177,7 +183,7 @@ class WindowSmoother:
             if not ahead:
                 self.displaced.remember(views, offsets)
                 break
-            last, excess = excess, excess_of(views, offsets, len(self._names))
+            last, excess = excess, excess_of(views, offsets, limits)
             if again == _ROUNDS or not ((excess > 0) != (last > 0)).any():
                 break
             self._bank.past = before

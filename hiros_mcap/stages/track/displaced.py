@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.events import Events
+from hiros_mcap.events import Event, Events
 from hiros_mcap.skeletons import Flags, Floats, Ints
 from hiros_mcap.stages.track.likeness import (
     ALIKE,
@@ -44,6 +44,7 @@ from hiros_mcap.stages.track.likeness import (
 )
 
 CAMERA_DISPLACED, MIRROR_SEEN = "camera displaced", "mirror seen"  # events: a camera's first copy
+DISPLACED_A_WHILE = "camera back"  # event: a camera that was displaced shows people in place
 
 _INTERVAL = 45_000_000  # ns between two samples of a track
 _PATIENCE, _LATER = 90_000_000, 500_000_000  # ns between two comparisons of a track: at first, and
@@ -181,7 +182,8 @@ class DisplacedCameras:
         self._events = events
         self._cameras: dict[str, _State] = {}
         self._histories: dict[str, dict[int, _History]] = {}
-        self._named: set[tuple[str, bool]] = set()
+        self._named: dict[tuple[str, bool], Event] = {}
+        """What was noted of a camera, and whether it looks into a mirror."""
 
     @property
     def sources(self) -> Collection[str]:
@@ -227,6 +229,17 @@ class DisplacedCameras:
             state.in_place = stamp
         elif stamp - state.in_place > _BACK:
             del self._cameras[source]
+            self._note_return(source, state.in_place)
+
+    def _note_return(self, source: str, stamp: int) -> None:
+        """Note that a displaced camera shows people in place again."""
+        event = self._named.get((source, False))
+        if event is not None:
+            self._named = {key: other for key, other in self._named.items() if other is not event}
+            self._events.log.remove(event)
+            seconds = (stamp - event.stamp) / 1e9
+            detail = f"{event.detail.replace('shows', 'showed')} for {seconds:.1f} s"
+            self._events.note(event.stamp, DISPLACED_A_WHILE, source=source, detail=detail)
 
     def compare(self, lone: LoneTracks) -> list[int]:
         """Compare what a camera alone shows with the people known elsewhere.
@@ -315,7 +328,6 @@ class DisplacedCameras:
         if (lone.source, like.by.mirrors) in self._named:
             return
         both = len(lone.heard) == 1
-        self._named |= {(each, like.by.mirrors) for each in (lone.source, *lone.heard[:both])}
         kind, detail = CAMERA_DISPLACED, f"shows people {like.apart:.2f} m from where "
         if like.by.mirrors:
             kind, detail = MIRROR_SEEN, f"shows mirror images of people, {like.apart:.2f} m away"
@@ -323,4 +335,7 @@ class DisplacedCameras:
             detail += "other cameras see them"
         else:
             detail += f"{' or '.join(right)} sees them; which of them is wrong cannot be known"
-        self._events.note(since, kind, source=lone.source, detail=detail)
+        event = Event(since, kind, -1, lone.source, detail)
+        self._events.log.append(event)
+        for name in (lone.source, *lone.heard[:both]):
+            self._named[name, like.by.mirrors] = event
