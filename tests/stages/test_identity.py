@@ -281,12 +281,14 @@ def test_who_stood_still_before_a_pause_still_stands_there():
     }
 
 
-@pytest.mark.parametrize("system", ["hiros-realtime", "lee"])
-def test_realtime_and_the_papers_give_new_ids_unless_asked(system):
+@pytest.mark.parametrize(
+    ("system", "expected"), [("hiros-realtime", 0), ("fuse-realtime", 0), ("lee", 1)]
+)
+def test_live_runs_know_who_comes_back_and_the_papers_do_not_unless_asked(system, expected):
     frames = away(5.0, [person()], [person()])
     plain = load_config(system=system).track
     asked = load_config(system=system, overrides=["track.reidentify=30"]).track
-    assert ids(frames, plain)[-1] == [1]
+    assert ids(frames, plain)[-1] == [expected]
     assert ids(frames, asked)[-1] == [0]
 
 
