@@ -154,6 +154,8 @@ def _work(
                 k = waiting.pop()
                 running[client.submit(function, *tasks[k], pure=False)] = k
             for future in _finished(client, list(running)):
+                if future.status in {"lost", "pending"}:
+                    continue  # the worker died with the answer: the cluster does the task again
                 k = running.pop(future)
                 if future.status == "error" and isinstance(future.exception(), KilledWorker):
                     suspects.append(k)
