@@ -27,7 +27,10 @@ COUNTED: Mapping[str, tuple[str, str]] = {
     "displaced": ("detection", "ignored: a camera shows a person elsewhere than the others do"),
     "filter: cut-off lowered": ("filter", "with a lower cut-off: the frame rate is too low"),
     "filter: time not increasing": ("skeleton", "not filtered: its time did not increase"),
-    "leap": ("detection", "ignored: farther from its person than anybody moves in that time"),
+    "leap": (
+        "detection",
+        "ignored: farther from where the person was than anybody moves in that time",
+    ),
     "limbs left free": ("limb", "not made constant: the measured length varied too much"),
     "low confidence": ("detection", "ignored: confidence below track.min_skeleton_confidence"),
     "no markers": ("detection", "ignored: no marker that is confident enough"),

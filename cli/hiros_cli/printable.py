@@ -6,11 +6,13 @@ another name than it is, or a megabyte. Nothing from outside is printed except t
 
 from __future__ import annotations
 
+import glob
 import unicodedata
 
 LIMIT = 200
 LINE_LIMIT = 1000
 _LEFT_OUT = {"rerun": "rerun-sdk", "bokeh": "bokeh", "matplotlib": "matplotlib"}
+_QUOTED = "a pattern in quotes; this command takes the names of files"
 _NO_MEMORY = ("can't start new thread", "failed to map segment", "cannot allocate memory")
 
 # Cc: C0 and C1 controls. Cf: bidirectional and other invisible formatting. Zl, Zp: line and
@@ -75,6 +77,9 @@ def _reason(error: BaseException) -> str:
     if isinstance(error, OSError):
         names = (name for name in (error.filename, error.filename2) if name is not None)
         named = [printable(name, LINE_LIMIT) for name in names]
+        if isinstance(error, FileNotFoundError) and glob.has_magic(str(error.filename)):
+            has_some = glob.glob(str(error.filename))  # noqa: PTH207 - may be absolute
+            return f"{named[0]}: {_QUOTED if has_some else 'no file matches this pattern'}"
         return ": ".join([*named, printable(error.strerror or error)])
     if isinstance(error, LogError):
         path = [] if error.path is None else [printable(error.path, LINE_LIMIT)]

@@ -11,7 +11,7 @@ from hiros_mcap.io.channels import CameraChannel
 from hiros_mcap.io.codec import Decoded, MessagePart
 from hiros_mcap.skeletons import People, widened
 
-STALE = "stale repeat"
+STALE = "repeat the one before"
 DAMAGED = "cannot be decoded"
 FAR_FUTURE = "log time after the year 2262"
 """Frames count ns in 63 bits; MCAP has 64."""
@@ -28,7 +28,7 @@ class Account:
     skipped: Counter[str] = field(default_factory=Counter)
     """Messages that gave no frame, by reason."""
     stale: int = 0
-    """Skeletons left out because the camera had sent exactly them before."""
+    """Skeletons left out of used messages because the camera had sent exactly them before."""
     cleaned: Counter[str] = field(default_factory=Counter)
     """Numbers taken out because they cannot be true, by kind (see kernels.cleaning)."""
     untimed: int = 0
@@ -92,6 +92,8 @@ class CameraInput:
             rows += self._fresh(decoded, i, part, log_times[i], times[part.begin : part.end])
         if rows:
             account.used += 1
+            n_people = sum(part.end - part.begin for part in decoded.parts[i])
+            account.stale += n_people - sum(row.end - row.begin for row in rows)
         else:
             account.skipped[STALE] += 1
         return rows
@@ -110,7 +112,6 @@ class CameraInput:
         n_fresh = end - begin
         if last is not None and not (set(times) - {0}).isdisjoint(last.times):
             n_fresh = _repeats_last(people, begin, times, last)
-            self._account.stale += end - begin - n_fresh
             times = people.stamps[begin:end].tolist()
         self._previous[source] = _LastMessage(times, people, begin)
         if n_fresh or not times:

@@ -22,6 +22,8 @@ def are_many(named: Sequence[str]) -> bool:
     """Whether a command was given more than one log: several names, a folder of logs or a glob.
 
     A folder with nothing but one MCAP file is that log.
+
+    Raises ConfigError if no file matches a glob.
     """
     if len(named) != 1:
         return True
@@ -31,7 +33,15 @@ def are_many(named: Sequence[str]) -> bool:
     path = Path(text)
     if path.is_dir():
         return not (is_recording(path) or _is_single(path))
-    return glob.has_magic(text) and not path.exists()
+    if glob.has_magic(text) and not path.exists():
+        if not glob.glob(text, recursive=True):  # noqa: PTH207 - may be absolute
+            raise _no_match(text)
+        return True
+    return False
+
+
+def _no_match(text: str) -> ConfigError:
+    return ConfigError(f"{text}: no log matches this pattern (.mcap, .bag, .db3)")
 
 
 def find_logs(named: Sequence[str], leave_out: str = "") -> list[str]:
@@ -50,7 +60,7 @@ def find_logs(named: Sequence[str], leave_out: str = "") -> list[str]:
     for text in named:
         logs = list(_remote(text) if remote.is_remote(text) else _local(text, leave_out))
         if not logs and glob.has_magic(text):
-            raise ConfigError(f"{text}: no log matches this pattern (.mcap, .bag, .db3)")
+            raise _no_match(text)
         if not logs:
             raise ConfigError(f"{text}: there is no log (.mcap, .bag, .db3 or ROS 2 bag folder)")
         if remote.is_remote(leave_out):

@@ -263,6 +263,16 @@ class Report:
                     "them with hiros view --layout cameras"
                 )
 
+    def _by_camera(self, kind: str) -> str:
+        """Return in brackets how many of what was counted are of which camera, if any is named."""
+        counts = self.run.events.counts.items()
+        named = {source: n for (counted_kind, source), n in counts if counted_kind == kind}
+        if "" in named or len(self.log.cameras) < 2:
+            return ""
+        if len(named) == 1:
+            return f" (all of {next(iter(named))})"
+        return f" ({', '.join(f'{named[source]} of {source}' for source in sorted(named))})"
+
     def _nobody(self) -> Iterator[str]:
         """Yield why nobody was found in detections of somebody."""
         reasons = list(self.observer.sample.reasons())
@@ -286,7 +296,7 @@ class Report:
         for (kind, _), n in self.run.events.counts.items():
             totals[kind] += n
         for kind in sorted(totals.keys() - _IN_TABLES):
-            yield counted(kind, totals[kind])
+            yield f"{counted(kind, totals[kind])}{self._by_camera(kind)}"
         windows = self.run.config.optimize.calibration_windows
         measured = self.run.limbs.people or totals["calibration rejected"]
         optimized = self.observer.people and "optimized" in self.observer.chain
@@ -314,7 +324,7 @@ def _input_notes(account: Account) -> Iterator[str]:
     topic = account.topic
     if account.stale:
         skeletons = quantity(account.stale, "repeated skeleton")
-        yield f"{topic}: {skeletons} ignored: the detector sent them before, with the same time"
+        yield f"{topic}: {skeletons} ignored, in messages that also show somebody anew"
     for kind, n in sorted(account.cleaned.items()):
         yield f"{topic}: {counted(kind, n)}"
     if account.untimed:

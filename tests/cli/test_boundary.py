@@ -13,6 +13,8 @@ import pytest
 from hiros_cli import app
 from hiros_mcap import __version__
 
+SAMPLES = Path(__file__).parents[2] / "sample_data"
+
 HIROS = [sys.executable, "-m", "hiros_cli"]
 
 
@@ -45,6 +47,14 @@ def test_help_names_every_command_and_imports_nothing_heavy():
         (["process", "--frobnicate"], "(see hiros process --help)"),
         (["process"], "Missing argument 'LOG'. (see hiros process --help)"),
         (["process", "missing.mcap"], "missing.mcap: No such file or directory"),
+        (["process", "none*"], "none*: no log matches this pattern (.mcap, .bag, .db3)"),
+        (["check", "none*"], "none*: no log matches this pattern (.mcap, .bag, .db3)"),
+        (["view", "none*"], "none*: no file matches this pattern"),
+        (["compare", "none*"], "none*: no file matches this pattern"),
+        (
+            ["view", f"{SAMPLES}/*.mcap"],
+            "*.mcap: a pattern in quotes; this command takes the names of files",
+        ),
         (["process", ""], "an argument is empty; is a variable not set?"),
         (["plot", "/"], "/: gives no name for the output; choose one with --output"),
         (["process", "/"], "with many logs, name a folder for the results: -o FOLDER"),

@@ -25,7 +25,7 @@ from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate import Truth, evaluate
 from hiros_mcap.evaluate.logs import evaluate_log, read_channel
 from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
-from hiros_mcap.io.log import open_log
+from hiros_mcap.io.log import STALE, open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.process_options import ProcessChoices
 from hiros_mcap.running.recording import Recording
@@ -503,7 +503,9 @@ def test_a_pause_a_repeat_and_few_lost_messages_are_told(tmp_path):
         "a few messages were not used: /camera_0/skeletons: 1 log time after the year 2262"
     )
     notes = "\n".join(summary.notes)
-    assert "/camera_0/skeletons: 1 repeated skeleton ignored: the detector sent" in notes
+    assert "repeat" not in notes  # the table of cameras counts them
+    (camera,) = (one for one in summary.cameras if one.topic == "/camera_0/skeletons")
+    assert camera.skipped[STALE] == 1
     assert re.search(r"all cameras pause from (0\.9|1\.0) to (2\.2|2\.3) s$", notes, re.MULTILINE)
     assert "pause" not in "\n".join(process(WALKING, calibrate="off").notes)
 
@@ -544,3 +546,14 @@ def test_a_file_of_parameters_may_be_named(tmp_path):
     (tmp_path / "mine.toml").write_text("[filter]\nctoff = 3\n")
     with pytest.raises(ConfigError, match=r"mine\.toml: no parameter filter\.ctoff"):
         process("lab.mcap", config=tmp_path / "mine.toml")
+
+
+def test_a_note_says_which_cameras_detections_were_ignored():
+    """Whose they are is asked first where something was left out."""
+    config = load_config(None, ["track.min_skeleton_confidence=0.8"])
+    summary = process(CROSSING, calibrate="off", config=config)
+    (note,) = (text for text in summary.notes if "confidence below" in text)
+    total = int(note.split()[0])
+    cameras = re.findall(r"(\d+) of (camera_\d)", note)
+    assert len(cameras) > 1
+    assert sum(int(n) for n, _ in cameras) == total

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rerun.blueprint as rrb
 from scipy.stats import chi2
 
 from hiros_cli.app import run
@@ -31,7 +32,7 @@ from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Floats
 from hiros_viewer import poses as drawn_poses
 from hiros_viewer import replay as replaying
-from hiros_viewer.blueprint import LAYOUTS, Content, cameras
+from hiros_viewer.blueprint import LAYOUTS, Content, cameras, fitting
 from hiros_viewer.columns import LOGGED, TIMELINE, CurveRows, Line
 from hiros_viewer.legend import legend
 from hiros_viewer.palette import SIDES, faint, shade
@@ -716,7 +717,7 @@ def test_a_recording_is_read_with_the_settings_beside_it(tmp_path, capsys):
 @pytest.mark.parametrize("layout", ["overview", "person", "cameras", "stages"])
 def test_the_legend_names_what_the_layout_shows(layout):
     box = np.array([[[-1.0, -1.0, 0.0], [1.0, 1.0, 2.0]]])
-    plain = Content(["merged", "filtered"], [0], [], box)
+    plain = Content(["merged", "filtered"], [0], ["camera_0"], box)
     words = legend(plain, layout)
     for absent in ("White", "Red", "Magenta", "Faint", "Ellipsoids", "frusta"):
         assert absent not in words
@@ -725,10 +726,45 @@ def test_the_legend_names_what_the_layout_shows(layout):
     lanes = {"/a": "person", "/b": "mirrored", "/c": "far off", "/d": "no data"}
     full = replace(plain, shows_truth=True, has_predicted=True, lanes=lanes)
     words = legend(full, layout)
-    assert "**White**: the truth" in words
     assert "**Faint**" in words
     assert ("Magenta" in words) == ("20 cm" in words) == (layout != "stages")
-    assert "the way to the truth" in words
+    has_truth = layout in ("overview", "person")
+    assert ("**White**: the truth" in words) == ("the way to the truth" in words) == has_truth
+    assert ("Thin lines" in words) == (layout == "cameras")
+
+
+def rooms_of(container):
+    """Return the 3D views of a layout."""
+    if isinstance(container, rrb.Spatial3DView):
+        return [container]
+    return [room for part in getattr(container, "contents", ()) for room in rooms_of(part)]
+
+
+@pytest.mark.parametrize("layout", ["overview", "person", "cameras", "stages"])
+def test_nothing_covers_a_result_beside_its_truth(layout):
+    """Five cameras' detections and two stages' displacements hid who is who."""
+    box = np.array([[[-1.0, -1.0, 0.0], [1.0, 1.0, 2.0]]])
+    content = Content(["merged", "filtered"], [0], ["c"], box, shows_truth=True)
+    (room,) = rooms_of(LAYOUTS[layout](content))
+    shown = " ".join(room.contents)
+    assert ("+ /truth/**" in shown or "/error_lines" in shown) == (layout in ("overview", "person"))
+    assert ("/detections/" in shown) == (layout == "cameras")
+
+
+def test_a_layout_without_anything_to_show_is_the_overview():
+    box = np.array([[[-1.0, -1.0, 0.0], [1.0, 1.0, 2.0]]])
+    for layout in LAYOUTS:
+        assert fitting(Content(["filtered"], [], [], box), layout) == "overview"
+        assert fitting(Content(["merged", "filtered"], [0], ["c"], box), layout) == layout
+    recording = Content([], [], ["c"], box)
+    assert "Each camera" not in legend(recording, "stages")
+    assert "Each camera has its colour" in legend(replace(recording, cameras=["c", "d"]), "stages")
+
+
+def test_two_logs_are_overlaid_as_their_cameras_see_them(processed, tmp_path):
+    target = tmp_path / "both.rrd"
+    files = [str(processed), str(processed)]
+    assert run(["view", *files, "--layout", "cameras", "--save", str(target), "-q"]) == 0
 
 
 def test_a_stage_that_changes_nothing_has_no_curves():

@@ -81,7 +81,7 @@ def test_a_raw_recording_has_bright_detections_and_no_empty_views(tmp_path):
             views = client.get_state().views
             (room,) = [view for view in views if view.view_class == "3D"]
             image = picture(settled_picture(client, room.view_id))
-    assert len(views) == 2
+    assert len(views) == 3  # with the legend
     for camera in (0, 1, 2):
         assert pixels_like(image, curve_colour(camera), apart=15) > 100
 

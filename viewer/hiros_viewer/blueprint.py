@@ -24,13 +24,15 @@ LIMBS = ("upper arm", "forearm", "thigh", "shin")
 _BESIDE_M = 1.0
 _AHEAD = np.array([0.0, 0.0, 3.0])  # z of a camera points where it looks
 _BONES = ("bones", "left_bones")
-_THIN_JOINT_M = 0.012
+_THIN_JOINT_M, _THIN_BONE_M = 0.012, 0.006
+_ROUND_TRUTH_M = 0.014  # joints and bones beside the true ones, which are thin lines
 _VERTICAL_VIEW_DEG = 55.0  # of the viewer's eye
 _FILLED = 0.95  # of a view
 _NEAR = 0.5  # of the eye's distance
 _FARTHER = 1.4  # at most, so that cameras are in the view, too
 _CAMERA_M = 0.5  # so far from a camera are its name and frustum
 _LABEL = np.array([0.0, 0.0, 0.3])  # m, above a head
+_WIDE_ROOMS = 2  # as many rooms side by side have place for names of people
 _HALF = 0.95  # width by height of a room beside as wide a column
 _BEHIND = 0.1  # of _AHEAD: where the eye is, so that feet near the camera are seen
 
@@ -107,8 +109,9 @@ def overview(content: Content) -> rrb.Container:
         lanes = [_lanes(content)] if content.lanes else []
         return rrb.Vertical(
             _room(content, "Room", shown=[content.final]),
+            _key(),
             rrb.Horizontal(*moves, _counts(content), *lanes),
-            row_shares=[3, 1],
+            row_shares=[3, 0.25, 1],
         )
     angles = _tabs(content, [_angles(content, person) for person in content.people])
     side = [_error(content)] if content.has_error else []
@@ -152,8 +155,6 @@ def _lanes(content: Content) -> Any:
 def stages(content: Content) -> rrb.Container:
     """Show what the stages changed: before and after in one room, and how far joints moved."""
     before, after = content.before, content.final
-    if not before:
-        return overview(content)
     name = f"{before.capitalize()} and {after}"
     room = _room(content, name, shown=[before, after], cameras=[], aspect=_HALF)
     moved = [
@@ -162,8 +163,9 @@ def stages(content: Content) -> rrb.Container:
         if stage not in ("tracked", "truth", after) and stage in content.moved
     ]
     residual = _series(content, "residual", "Detections to the result: mean mm")
-    right = [_key(), *moved, residual, _events(content)]
-    shares = [0.6 + 0.4 * (len(content.prefixes) == 2), *[2] * (len(right) - 1)]
+    error = [_error(content)] if content.has_error else []
+    right = [_key(), *moved, *error, residual, _events(content)]
+    shares = [0.6 + 0.8 * (len(content.prefixes) == 2), *[2] * (len(right) - 1)]
     return rrb.Horizontal(room, rrb.Vertical(*right, row_shares=shares), column_shares=[1, 1])
 
 
@@ -182,8 +184,6 @@ def person(content: Content) -> rrb.Container:
         )
         for who in content.people
     ]
-    if not tabs or content.is_raw:
-        return overview(content)
     return rrb.Horizontal(
         _room(content, "Room", shown=[content.final], aspect=_HALF),
         _tabs(content, tabs),
@@ -208,7 +208,8 @@ def cameras(content: Content) -> rrb.Container:
         has_free_cell = n % columns == columns - 1
         (rooms if has_free_cell else below).insert(n if has_free_cell else 0, table)
     grid = rrb.Grid(*rooms, grid_columns=columns)
-    return rrb.Vertical(grid, _key(), rrb.Horizontal(*below), row_shares=[3, 0.25, 1])
+    shares = [3, 0.25 + 0.25 * (len(content.prefixes) == 2), 1]
+    return rrb.Vertical(grid, _key(), rrb.Horizontal(*below), row_shares=shares)
 
 
 LAYOUTS: dict[str, Callable[[Content], Any]] = {
@@ -219,10 +220,20 @@ LAYOUTS: dict[str, Callable[[Content], Any]] = {
 }
 
 
+def fitting(content: Content, layout: str) -> str:
+    """Return the layout itself, or the overview where that has nothing to show."""
+    is_empty = {
+        "stages": not content.before,
+        "person": content.is_raw or not content.people,
+        "cameras": not content.cameras,
+    }
+    return "overview" if is_empty.get(layout, False) else layout
+
+
 def blueprint(content: Content, layout: str = "overview") -> rrb.Blueprint:
     """Return a layout by its name in :data:`LAYOUTS`, paused at the start."""
     return rrb.Blueprint(
-        LAYOUTS[layout](content),
+        LAYOUTS[fitting(content, layout)](content),
         rrb.TimePanel(timeline=TIMELINE, state="collapsed", play_state="paused", loop_mode="all"),
         collapse_panels=True,
         auto_views=False,
@@ -244,10 +255,13 @@ def _room(
     view of this width by height; the result is thin then, so that the camera's own detections are
     seen beside it.
     Of two stages the first one is thin and grey, and its displacement to the second one is drawn.
+    The truth is beside one stage that nobody else covers: detections are left out there.
     """
     what = ["+ /world/**"]
     seen = content.cameras if cameras is None else cameras
-    what += [f"+ /{kind}/{camera}/**" for kind in ("detections", "marked") for camera in seen]
+    shows_truth = content.shows_truth and len(shown) == 1 and not seen_by
+    kinds = ("marked",) if shows_truth and not content.is_raw else ("detections", "marked")
+    what += [f"+ /{kind}/{camera}/**" for kind in kinds for camera in seen]
     shown = [stage for stage in shown if stage]
     what += [f"+ {prefix}/{stage}/**" for prefix in content.prefixes for stage in shown]
     overrides: dict[str, Any] = {}
@@ -259,10 +273,12 @@ def _room(
         overrides = _thin_styles(content, shown[1])
         overrides |= {f"{path}/{bones}": grey for path in earlier for bones in _BONES}
         what += [f"- {path}/{part}" for path in earlier for part in ("name", "trail")]
-    elif shown and (content.shows_truth or content.shows_uncertainty or seen_by):
+    elif shown and (content.shows_uncertainty or seen_by):
         joint = 0.004 if content.shows_uncertainty else _THIN_JOINT_M
         overrides = _thin_styles(content, shown[0], joint)
-    if content.shows_truth and "truth" not in shown:
+    elif shown and shows_truth:
+        overrides = _thin_styles(content, shown[0], _ROUND_TRUTH_M, _ROUND_TRUTH_M)
+    if shows_truth and "truth" not in shown:
         what += _all(content, "/truth/**") + _all(content, "/error_lines/**")
     if content.shows_uncertainty:
         what += _all(content, "/uncertainty/**")
@@ -288,6 +304,8 @@ def _room(
             place = content.camera_poses.get(other, pose).translation
             near = float(np.linalg.norm(place - pose.translation)) < _BESIDE_M
             what.append(f"- /world/cameras/{other}/{'**' if near else 'name'}")
+        if len(content.cameras) > _WIDE_ROOMS:  # the lanes below name the people's colours
+            what += [f"- {path}/name" for stage in shown for path in _paths(content, stage)]
     else:
         before = _NEAR * float(np.linalg.norm(target - eye))
         what += [
@@ -306,9 +324,11 @@ def _room(
     )
 
 
-def _thin_styles(content: Content, stage: str, joint: float = _THIN_JOINT_M) -> dict[str, Any]:
+def _thin_styles(
+    content: Content, stage: str, joint: float = _THIN_JOINT_M, bone: float = _THIN_BONE_M
+) -> dict[str, Any]:
     """Return looks of a stage that lets see what is millimetres away from it."""
-    bones, joints = rr.LineStrips3D.from_fields(radii=0.006), rr.Points3D.from_fields(radii=joint)
+    bones, joints = rr.LineStrips3D.from_fields(radii=bone), rr.Points3D.from_fields(radii=joint)
     paths = _paths(content, stage)
     return {f"{path}/{part}": bones for path in paths for part in _BONES} | dict.fromkeys(
         paths, joints

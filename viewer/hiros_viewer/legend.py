@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import rerun as rr
 
 from hiros_mcap.io.export.colours import PEOPLE
-from hiros_viewer.blueprint import Content, blueprint
+from hiros_viewer.blueprint import Content, blueprint, fitting
 from hiros_viewer.entities import KEY, LONGEST_M, MAGNIFIED
 
 HUES = ("orange", "blue", "green", "pink", "yellow", "violet", "turquoise", "red", "lime", "lilac")
@@ -28,8 +28,12 @@ def explain(recording: rr.RecordingStream, content: Content, layout: str = "over
 
 def legend(content: Content, layout: str) -> str:
     """Return what the colours of a layout mean, Markdown."""
+    layout = fitting(content, layout)
     if content.is_raw:
-        return "**Bright**: right limbs. **Dark**: left limbs. Point at a curve for its name."
+        sides = "**Bright**: right limbs. **Dark**: left limbs."
+        cameras = " Each camera has its colour." * (len(content.cameras) > 1)
+        truth = " **White**: the truth." * content.shows_truth
+        return f"{sides}{cameras}{truth} Point at a curve for its name."
     logs = [
         f"**{layer.name}** is {HUES[layer.number % len(PEOPLE)]}{layer.file and f': {layer.file}'}."
         for layer in content.layers
@@ -54,7 +58,7 @@ def _meanings(content: Content, layout: str) -> Iterator[tuple[str, str]]:
         yield "Colour", content.final
         way = f"{MAGNIFIED:.0f} times the way from {content.final} to {content.before}"
         yield "Yellow", f"{way}, at most {LONGEST_M:.1f} m long"
-    else:
+    elif layout == "cameras" or not content.shows_truth:
         yield "Thin lines", "what cameras report"
     if content.has_predicted:
         yield "Faint", "nobody sees the person, who is predicted"
@@ -62,9 +66,10 @@ def _meanings(content: Content, layout: str) -> Iterator[tuple[str, str]]:
     if "mirrored" in faults:
         yield "Magenta", "a camera swaps left and right"
     red = ["a detection more than 20 cm off"] if "far off" in faults else []
-    if red or content.shows_truth:
-        yield "Red", ", or ".join([*red, *["the way to the truth"] * content.shows_truth])
-    if content.shows_truth:
+    shows_truth = content.shows_truth and layout in ("overview", "person")
+    if red or shows_truth:
+        yield "Red", ", or ".join([*red, *["the way to the truth"] * shows_truth])
+    if shows_truth:
         yield "White", "the truth"
     if content.shows_uncertainty:
         yield "Ellipsoids", "the true joint is inside with 68 %"

@@ -184,6 +184,7 @@ class _Replay:
             self._thin((log.span[1] - log.span[0]) / 1e9)
             log = log.only(self._topics(source, scene.final))
             left_out = {DETECTIONS, "truth"} if only_stages else {"truth"}
+            self._laid_out = only_stages  # by the first log, which has the cameras
             drawn = self._draw_frames(scene, log, left_out, is_open)
         self._finish(scene, source, drawn)
         return scene

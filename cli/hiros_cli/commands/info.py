@@ -157,6 +157,6 @@ def _facts(overview: Overview) -> list[str]:
     lines += overview.clocks
     for topic, reasons in overview.skipped.items():
         for reason, n in reasons.items():
-            repeat = " (people of the message before, with the old time)" if reason == STALE else ""
-            lines.append(f"{topic}: {n} messages skipped: {reason}{repeat}")
+            why = "they repeat the one before, so nothing is lost" if reason == STALE else reason
+            lines.append(f"{topic}: {n} messages skipped: {why}")
     return lines
