@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from glob import escape
 from pathlib import Path
 from typing import Any, Self
@@ -21,6 +22,7 @@ from typing import Any, Self
 import hiros_schemas
 from hiros_mcap.body.transforms import parse_tf, read_extrinsics
 from hiros_mcap.errors import LogError, SchemaError, naming
+from hiros_mcap.frames import Block
 from hiros_mcap.io.channels import (
     OUTPUT_PREFIX,
     TF_TOPICS,
@@ -30,11 +32,15 @@ from hiros_mcap.io.channels import (
     is_selected,
     select_skeletons,
 )
+from hiros_mcap.io.codec import RestPoses
 from hiros_mcap.io.container import Message
 from hiros_mcap.io.container.live_input import LiveInput
 from hiros_mcap.io.container.live_reader import LiveReader
-from hiros_mcap.io.detectors.conversion import is_of_other_detector, people_finder
+from hiros_mcap.io.detectors.conversion import is_of_other_detector
+from hiros_mcap.io.detectors.live_conversion import LiveConversion
 from hiros_mcap.io.log import skeletons_of
+from hiros_mcap.io.log_accounts import DAMAGED
+from hiros_mcap.io.log_model import SeveralModelsError
 from hiros_mcap.io.opened_log import Log, Reading
 from hiros_mcap.summary import quantity
 
@@ -45,9 +51,6 @@ _PATIENCE_S = 10.0
 """How long after the first skeletons transforms may come."""
 _MOST = 20_000
 """Messages that are kept while nobody is there: about two minutes of five cameras."""
-_PROBED = 100
-"""Messages of another detector's type that are decoded to see whether they show people."""
-_ONLY_GROUPS = "live input reads SkeletonGroups only; record the log, then process the file"
 
 
 class LiveReading(Reading):
@@ -61,16 +64,13 @@ class LiveReading(Reading):
 
     def __init__(self, log: LiveLog, **how: Any) -> None:
         log = replace(log, transforms=deepcopy(log.transforms))
+        self._faulty: dict[str, str] = {}
+        """Topic of no camera yet -> why its first message could not be read."""
         super().__init__(log, **how)
         self._refused: dict[int, str] = {}
         """Channel -> why it is not read, "" for what holds no detections."""
-        self._finders: dict[int, Callable[[Message], bool]] = {}
-        """Channel of another detector -> whether a message of it shows people."""
-        self._probed: Counter[int] = Counter()
-        """Messages of other detectors that showed nobody, by channel."""
         self._waiting: Counter[str] = Counter()
         """Messages of cameras that could not be used yet, by topic."""
-        self._refuse_other_detectors()
         log.reader.listeners.append(self._hear)
 
     @property
@@ -83,7 +83,23 @@ class LiveReading(Reading):
             for topic, n in self._waiting.items()
         )
         faults = (*self._refused.values(), self.log.reader.source.fault)
-        return (*super().warnings, *waiting, *filter(None, faults))
+        faulty = (f"{topic}: not used: {fault}" for topic, fault in self._faulty.items())
+        return (*super().warnings, *waiting, *filter(None, faults), *faulty)
+
+    def _blocks(self, poses: RestPoses | None) -> Iterator[tuple[Sequence[str], Block]]:
+        """Account for the messages that could not be converted meanwhile."""
+        yield from super()._blocks(poses)
+        self._account_for_conversion()
+
+    def _account_for_conversion(self) -> None:
+        for topic, (n, first) in self.log.conversion.take_faults().items():
+            if topic in self.accounts:
+                account = self.accounts[topic]
+                account.read += n
+                account.skipped[DAMAGED] += n
+                account.first_error = account.first_error or first
+            else:
+                self._faulty[topic] = first
 
     def _hear(self, message: Message) -> None:
         """Learn from a message before it is handed out: transforms, new cameras."""
@@ -99,36 +115,8 @@ class LiveReading(Reading):
         info = next(info for info in channels_of(self.log.reader) if info.id == ident)
         if takes(info, self.log.topics):
             self._join(info, message)
-        elif self._may_be_missed(info):
-            self._probe(info, message)
         else:
             self._refused[ident] = ""
-
-    def _refuse_other_detectors(self) -> None:
-        """Look for people of other detectors in what was heard before the log was open."""
-        reader = self.log.reader
-        missed = {info.id: info for info in channels_of(reader) if self._may_be_missed(info)}
-        for message in reader.preface:
-            if message.channel_id in missed and message.channel_id not in self._refused:
-                self._probe(missed[message.channel_id], message)
-
-    def _may_be_missed(self, info: ChannelInfo) -> bool:
-        selected = is_selected(info.topic, self.log.topics, OUTPUT_PREFIX)
-        return selected and is_of_other_detector(info)
-
-    def _probe(self, info: ChannelInfo, message: Message) -> None:
-        """Look for people of another detector, which are not read; markers may be anything."""
-        try:
-            if info.id not in self._finders:
-                self._finders[info.id] = people_finder(self.log.reader, info)
-        except LogError:
-            self._refused[info.id] = ""
-            return
-        if self._finders[info.id](message):
-            self._refused[info.id] = f"{info.topic}: {info.schema} not used: {_ONLY_GROUPS}"
-        self._probed[info.id] += 1
-        if self._probed[info.id] == _PROBED:
-            self._refused.setdefault(info.id, "")
 
     def _join(self, info: ChannelInfo, message: Message) -> None:
         """Read a camera from its first message on that holds somebody in a known place."""
@@ -161,6 +149,8 @@ class LiveLog(Log):
     """A log that is still being written, as known when it was opened by :func:`open_live`."""
 
     reader: LiveReader
+    conversion: LiveConversion = field(kw_only=True)
+    """What makes SkeletonGroups of other detectors' messages."""
     topics: Sequence[str] | None = None
     """Globs of the channels that are wanted."""
     has_extrinsics: bool = False
@@ -177,10 +167,11 @@ class LiveLog(Log):
     @property
     def remarks(self) -> tuple[str, ...]:
         """Notes about the log."""
+        remarks = (*super().remarks, *self.conversion.remarks())
         if not self.reader.forgotten:
-            return super().remarks
+            return remarks
         n = quantity(self.reader.forgotten, "message")
-        return (*super().remarks, f"{n} from before the first person neither read nor copied")
+        return (*remarks, f"{n} from before the first person neither read nor copied")
 
     def joined_by(self, camera: CameraChannel) -> Self:
         """Return the log with one camera more; results stay in the frame in which they began."""
@@ -193,6 +184,12 @@ def takes(info: ChannelInfo, topics: Sequence[str] | None) -> bool:
         return bool(select_skeletons([info], topics))
     except LogError:
         return False
+
+
+def may_be_read(info: ChannelInfo, topics: Sequence[str] | None) -> bool:
+    """Whether a channel may show people: as SkeletonGroups, or as another detector's messages."""
+    wanted = is_selected(info.topic, topics, OUTPUT_PREFIX)
+    return takes(info, topics) or (wanted and is_of_other_detector(info))
 
 
 def open_live(
@@ -219,24 +216,29 @@ def open_live(
     """
     tree = None if extrinsics is None else read_extrinsics(Path(extrinsics))
     reader = LiveReader(source)
+    selects = partial(is_selected, topics=topics, output_prefix=OUTPUT_PREFIX)
+    conversion = LiveConversion(reader, selects)
+    reader.convert, reader.rest = conversion.converted, conversion.held_back
 
     def attempt() -> LiveLog:
-        parts = skeletons_of(reader, tree, topics)
-        return LiveLog(reader, *parts, fixed_frame, topics=topics, has_extrinsics=tree is not None)
+        try:
+            parts = skeletons_of(reader, tree, topics)
+        except SeveralModelsError:
+            reader.preface = conversion.unite(reader.preface)
+            parts = skeletons_of(reader, tree, topics)
+        return LiveLog(
+            *(reader, *parts, fixed_frame),
+            conversion=conversion,
+            topics=topics,
+            has_extrinsics=tree is not None,
+        )
 
     listener = _Listener(reader, attempt)
     reader.listen(listener.has_heard_enough, _MOST, TF_TOPICS)
-    try:
-        with naming(reader.path):
-            return listener.log or attempt()
-    except LogError:
-        channels = channels_of(reader)
-        if channels and topics is None and not any(takes(info, None) for info in channels):
-            seen = {i.schema for i in channels if is_selected(i.topic, None, OUTPUT_PREFIX)}
-            held = ", ".join(sorted(seen)) or "results or truths"
-            fault = f"has no SkeletonGroups of cameras, but {held}; {_ONLY_GROUPS}"
-            raise LogError(fault, path=reader.path) from None
-        raise
+    with naming(reader.path):
+        log = listener.log or attempt()
+    conversion.target = log.model  # of cameras of other detectors that come later
+    return log
 
 
 class _Listener:

@@ -15,7 +15,7 @@ from hiros_mcap.skeletons import SkeletonModel
 
 
 class SeveralModelsError(LogError):
-    """The channels of a log have different skeletons, which a file is converted for."""
+    """The channels of a log have different skeletons, which are converted then."""
 
 
 def learn_model(
@@ -81,10 +81,7 @@ class _Learner:
                 self._decoder = Decoder(self.builder.build(), layouts=self._layouts)
             except LogError as error:
                 if isinstance(error, OtherSkeletonError) and ident not in self._taught:
-                    raise SeveralModelsError(
-                        "the cameras have different skeletons, which live input cannot fuse; "
-                        "record them first"
-                    ) from None
+                    raise SeveralModelsError("the cameras have different skeletons") from None
                 self.fault = self.fault or f"{topic}: {error.fault}"
         self.first.setdefault(ident, message)
 

@@ -22,7 +22,8 @@ from hiros_mcap.io.container import McapWriter, Message
 from hiros_mcap.io.container.atomic import Sink
 from hiros_mcap.io.container.live_input import LiveInput
 from hiros_mcap.io.container.live_writer import LiveWriter, Pipe
-from hiros_mcap.io.live_log import LiveLog, open_live, takes
+from hiros_mcap.io.detectors.conversion import HUMANS
+from hiros_mcap.io.live_log import LiveLog, may_be_read, open_live, takes
 from hiros_mcap.io.rosbag2 import needs_latching
 from hiros_mcap.running.pipeline import check_limbs, conclude, run_log
 from hiros_mcap.running.preparation import Prepared, prepare
@@ -91,8 +92,9 @@ def subscription(options: ProcessOptions) -> Callable[[str, str], bool]:
 
     def wanted(topic: str, kind: str) -> bool:
         info = ChannelInfo(0, topic, kind, "cdr", 1, {})
-        reads = takes(info, options.topics or None)
-        needed = topic in TF_TOPICS and options.extrinsics is None
+        reads = may_be_read(info, options.topics or None)
+        # With given poses, transforms may still show humans.
+        needed = topic in TF_TOPICS or kind.startswith(HUMANS)
         return reads or needed or is_kept(info, options, is_read=False)
 
     return wanted
@@ -106,7 +108,7 @@ def _causal(config: Config, options: ProcessOptions) -> Config:
         raise ConfigError("--recover and --strict are for files; live input is read as it comes")
     if config.input.model or config.input.unit != "m":
         raise ConfigError(
-            "--model and --unit are for files; live input has SkeletonGroups in metres"
+            "--model and --unit are for files; live input is read as it is, in metres"
         )
     if config.input.clocks == "off":
         return config

@@ -12,24 +12,39 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import zstandard
-from detector_logs import azure, kinect_v2, only, scene, together, write_ros2
+from detector_logs import (
+    KINDS,
+    MARKERS,
+    ROS2,
+    azure,
+    default,
+    header,
+    kinect_v2,
+    only,
+    scene,
+    together,
+    write_ros2,
+)
 from mcap.reader import NonSeekingReader
 from mcap.stream_reader import StreamReader
 
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.io.channels import add_ros_channel
+from hiros_mcap.io.codec import Decoder, ModelBuilder
 from hiros_mcap.io.container import McapReader, Message
 from hiros_mcap.io.container.live_input import McapInput
 from hiros_mcap.io.container.live_writer import LiveWriter, Pipe
 from hiros_mcap.io.foxglove import FoxgloveInput
 from hiros_mcap.io.result import open_result
 from hiros_mcap.running.pipeline import ProcessOptions, process
-from hiros_mcap.running.process_live import process_live
+from hiros_mcap.running.process_live import process_live, subscription
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.write_log import write_log
 
@@ -240,37 +255,130 @@ def test_what_is_no_mcap_is_refused(data):
 
 @pytest.fixture(scope="module")
 def two_detectors(tmp_path_factory):
-    """A log with SkeletonGroups of a camera beside an Azure Kinect, and one of Azure Kinects."""
+    """A log with SkeletonGroups of a Kinect v2 beside an Azure Kinect."""
     folder = tmp_path_factory.mktemp("detectors")
     made = scene(folder / "scene.mcap", people=1, cameras=2, seconds=3.0)
     mixed = together(only("camera_0", azure), only("camera_1", kinect_v2))
-    return write_ros2(folder / "mixed.mcap", made, mixed), write_ros2(
-        folder / "azure.mcap", made, azure
+    return write_ros2(folder / "mixed.mcap", made, mixed)
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory):
+    """One scene; how its logs are made by detector; and what a file of each gives."""
+    folder = tmp_path_factory.mktemp("detectors")
+    made = scene(folder / "scene.mcap", people=2, cameras=2, seconds=3.0, action="cross")
+
+    def of(kind):
+        out = folder / f"{kind}.out.mcap"
+        log = KINDS[kind](folder / f"{kind}.mcap", made)
+        if not out.exists():
+            process(log, out, config=AS_KNOWN, options=LIVE)
+        return log, results(out.read_bytes())
+
+    return of
+
+
+def joints_in(messages):
+    """(M, 3) by person and stamp in units of 1/30 s."""
+    builder = ModelBuilder()
+    for _, data in messages:
+        builder.add(data, "")
+    decoder = Decoder(builder.build())
+    frames = [decoder.decode_message(data)[0] for _, data in messages]
+    return {
+        (person, round(frame.stamp * 30e-9)): joints
+        for frame in frames
+        for person, joints in zip(frame.ids.tolist(), frame.positions, strict=True)
+    }
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if "bag" not in kind])
+def test_every_detector_is_read_live_as_from_a_file(kind, shown):
+    log, by_file = shown(kind)
+    summary, data = run_live(send(log, recorded(log)))
+    live = results(data)
+    assert len(summary.cameras) == 2
+    assert summary.warnings == ()
+    if kind not in ("stamped skeletons", "ros4hri"):
+        assert live == by_file
+        return
+    # The next instant shows that one is over. So messages come in another order.
+    one, other = (joints_in(found["/hiros/filtered"]) for found in (live, by_file))
+    assert len(one.keys() & other.keys()) > 0.9 * len(other)
+    apart = [np.linalg.norm(one[key] - other[key], axis=1) for key in one.keys() & other.keys()]
+    assert np.nanmedian(np.concatenate(apart)) < 0.01
+
+
+@pytest.mark.parametrize("late", ["", "/camera_0/body_tracking_data", "/camera_1/skeletons"])
+def test_cameras_of_two_detectors_are_fused_live(two_detectors, late):
+    """Also where one joins when results have the other's skeleton."""
+    messages = recorded(two_detectors)
+    begin = min(m.log_time for topic, m in messages if not topic.startswith("/tf"))
+    some = [(t, m) for t, m in messages if t != late or m.log_time > begin + 1_500_000_000]
+    summary, data = run_live(send(two_detectors, some))
+    assert summary.warnings == ()
+    used = {camera.topic: camera.used for camera in summary.cameras}
+    assert len(used) == 2
+    assert all(n > 30 for n in used.values())
+    (model,) = {joints.shape for joints in joints_in(results(data)["/hiros/filtered"]).values()}
+    assert model[0] == {"": 32, "/camera_0/body_tracking_data": 24}.get(late, 32)
+
+
+def test_messages_of_another_detector_that_are_damaged_are_counted(two_detectors):
+    messages = recorded(two_detectors)
+    bad = [
+        (t, replace(m, data=m.data[: len(m.data) // 2]) if k % 9 == 5 else m)
+        for k, (t, m) in enumerate(messages)
+    ]
+    n = sum(k % 9 == 5 and "body" in t for k, (t, _) in enumerate(messages))
+    summary, _ = run_live(send(two_detectors, bad))
+    camera = next(camera for camera in summary.cameras if "body" in camera.topic)
+    assert camera.skipped["cannot be decoded"] == n
+    assert camera.messages == sum("body" in t for t, _ in messages)
+
+
+def test_what_may_show_people_is_subscribed_to():
+    wants = subscription(ProcessOptions())
+    named = subscription(ProcessOptions(topics=["/camera_0/*"], extrinsics=Path("cameras.toml")))
+    markers, objects = "visualization_msgs/msg/MarkerArray", "zed_msgs/msg/ObjectsStamped"
+    assert wants("/camera_0/body_tracking_data", markers)
+    assert wants("/zed/body_trk/skeletons", objects)
+    assert wants("/tf", "tf2_msgs/msg/TFMessage")
+    assert not wants("/hiros/markers", markers)
+    assert not wants("/camera_0/image", "sensor_msgs/msg/Image")
+    assert named("/camera_0/body_tracking_data", markers)
+    assert named("/tf", "tf2_msgs/msg/TFMessage")  # of humans
+    assert not named("/camera_1/body_tracking_data", markers)
+
+
+def test_other_markers_are_copied_and_no_camera(crossing, by_file):
+    """Markers of a robot, for example; nobody has to be told."""
+    marker = default(
+        "visualization_msgs/msg/Marker", header=header(1_700_000_000_000_000_000, "world"), type=1
     )
+    data = bytes(ROS2.serialize_cdr(ROS2.types[MARKERS]([marker]), MARKERS))
+    with McapReader(crossing) as reader:
+        first = next(m.log_time for m in reader.messages())
 
+    def write(descriptor):
+        with LiveWriter(Pipe(descriptor, "pipe")) as writer:
+            robot = add_ros_channel(writer, "/robot/markers", MARKERS)
+            with McapReader(crossing) as reader:
+                for k, message in enumerate(reader.messages()):
+                    channel = reader.channels[message.channel_id]
+                    ident = writer.adopt(channel, reader.schema(channel))
+                    writer.write_message(ident, message)
+                    if k % 3 == 0:
+                        writer.write(robot, first, data)
+                    writer.flush()
+            writer.commit()
 
-def by_topic(messages):
-    """Order messages by topic, the transforms first."""
-    return sorted(
-        messages, key=lambda m: (not m[0].startswith("/tf"), m[0] == "/camera_1/skeletons")
-    )
-
-
-@pytest.mark.parametrize("order", [list, by_topic])
-def test_a_camera_of_another_detector_is_missed_aloud(two_detectors, order):
-    log, _ = two_detectors
-    summary, _ = run_live(send(log, order(recorded(log))))
-    (warning,) = summary.warnings
-    assert warning.startswith("/camera_0/body_tracking_data: visualization_msgs/msg/MarkerArray")
-    assert "record the log, then process the file" in warning
-
-
-def test_a_log_of_another_detector_is_refused_with_the_remedy(two_detectors):
-    _, log = two_detectors
-    with pytest.raises(
-        LogError, match="but .*visualization_msgs/msg/MarkerArray; live input reads"
-    ):
-        run_live(send(log, recorded(log)))
+    options = replace(LIVE, keep=["/robot/*"])
+    summary, out = run_live(write, options)
+    assert summary.warnings == ()
+    assert results(out) == by_file
+    copied = NonSeekingReader(io.BytesIO(out)).iter_messages(topics=["/robot/markers"])
+    assert {message.data for _, _, message in copied} == {data}
 
 
 def test_a_reader_that_goes_away_ends_the_run(crossing):

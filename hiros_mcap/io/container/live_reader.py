@@ -7,7 +7,7 @@ it hands out every message as soon as it is complete; one in a chunk when the ch
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -32,6 +32,8 @@ class LiveReader(McapReader):
     forgotten : messages of the preface that were too many to keep.
     listeners : are called with every message behind the preface, before it is handed out.
     span : log times, ns, of the first message and of the latest, of the channels handed out.
+    hidden : channels whose messages become those of other channels.
+    convert : what a message becomes. rest : what is still to come when the input has ended.
     """
 
     def __init__(self, source: LiveInput) -> None:
@@ -43,8 +45,19 @@ class LiveReader(McapReader):
         self.forgotten = 0
         self.listeners: list[Callable[[Message], None]] = []
         self.span = (0, 0)
+        self.hidden: set[int] = set()
+        self.convert: Callable[[Message], Iterable[Message]] = lambda message: (message,)
+        self.rest: Callable[[], Iterable[Message]] = lambda: ()
         self._contents = Contents()
         self._messages = self._read(source)
+
+    @property
+    def channels(self) -> dict[int, Channel]:
+        """The channels that are not hidden, by their numbers."""
+        channels = self._contents.channels
+        return (
+            {i: c for i, c in channels.items() if i not in self.hidden} if self.hidden else channels
+        )
 
     def close(self) -> None:
         """Do nothing: the input belongs to the caller."""
@@ -109,11 +122,21 @@ class LiveReader(McapReader):
             if not isinstance(record, Message):
                 self._note(record)
                 continue
-            if record.channel_id not in self.channels:
+            if record.channel_id not in self._contents.channels:
                 fault = f"damaged: a message belongs to channel {record.channel_id}, not defined"
                 raise LogError(fault, path=self.path)
             self.counts[record.channel_id] += 1
-            yield record
+            for message in self.convert(record):
+                self.counts[message.channel_id] += message.channel_id != record.channel_id
+                yield message
+        for message in self.rest():
+            self.counts[message.channel_id] += 1
+            yield message
+
+    def define(self, *records: Channel | Schema) -> None:
+        """Take definitions of what messages become."""
+        for record in records:
+            self._note(record)
 
     def _note(self, record: object) -> None:
         from mcap.records import Header, Metadata

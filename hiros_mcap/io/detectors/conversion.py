@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -39,10 +40,10 @@ from hiros_mcap.summary import quantity
 Unit = Literal["m", "cm", "mm"]
 METRES: Mapping[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
-_SKELETONS = hiros_schemas.short_name(hiros_schemas.SKELETON_GROUP)
-_TRANSFORMS = hiros_schemas.short_name(hiros_schemas.TF_MESSAGE)
+SKELETONS = hiros_schemas.short_name(hiros_schemas.SKELETON_GROUP)
+TRANSFORMS = hiros_schemas.short_name(hiros_schemas.TF_MESSAGE)
 _OLD_TRANSFORMS = "tf/tfMessage"
-_HUMANS = "hri_msgs/"
+HUMANS = "hri_msgs/"
 _PROBED = 16 * 2**20
 """Bytes of a channel that are looked at to learn whether it shows people, and which joints."""
 _LISTED = 12
@@ -72,7 +73,7 @@ class Selection(NamedTuple):
         return not self.several and self.choice == SkeletonChoice()
 
 
-class _Source(NamedTuple):
+class InputChannel(NamedTuple):
     """A channel that may hold skeletons, or that is copied."""
 
     info: ChannelInfo
@@ -88,7 +89,7 @@ class _Source(NamedTuple):
     @property
     def is_new(self) -> bool:
         """Whether a log with this channel must be converted."""
-        return not self.stays or (self.selected and self.type == _TRANSFORMS)
+        return not self.stays or (self.selected and self.type == TRANSFORMS)
 
     def message(self, message: Message) -> DetectorMessage:
         """Return a message of it as readers take it; raises LogError for damaged bytes."""
@@ -100,24 +101,7 @@ class _Source(NamedTuple):
 def is_of_other_detector(info: ChannelInfo) -> bool:
     """Whether a channel has a type that a reader converts; transforms do not count."""
     types = {name for kind in detector_readers() for name in kind.types}
-    return _short(info) in types - {_SKELETONS, _TRANSFORMS, _OLD_TRANSFORMS}
-
-
-def people_finder(reader: McapReader, info: ChannelInfo) -> Callable[[Message], bool]:
-    """Return what tells whether a message of another detector shows people.
-
-    Raises LogError for a definition that cannot be used.
-    """
-    source = _source(reader, info, selected=True)
-    readers = [kind() for kind in detector_readers()]
-
-    def shows_people(message: Message) -> bool:
-        with suppress(LogError):
-            people = _read(readers, source.message(message)) or ()
-            return any(one.frame.n_people for one in people)
-        return False
-
-    return shows_people
+    return type_of(info) in types - {SKELETONS, TRANSFORMS, _OLD_TRANSFORMS}
 
 
 def converted(reader: McapReader, selection: Selection) -> McapReader:
@@ -132,17 +116,17 @@ def converted(reader: McapReader, selection: Selection) -> McapReader:
     chosen = [
         s._replace(selected=s.selected and s.info.topic in layouts)
         for s in sources
-        if s.info.topic in layouts or not s.selected or s.type == _TRANSFORMS
+        if s.info.topic in layouts or not s.selected or s.type == TRANSFORMS
     ]
     if not layouts or (selection.is_usual and not any(source.is_new for source in chosen)):
         return reader
-    return ConvertedReader(reader, _Conversion(reader, selection, chosen, layouts))
+    return ConvertedReader(reader, Conversion(reader, selection, chosen, layouts))
 
 
 class ConvertedReader(BagReader):
     """Reads what a conversion made of a log."""
 
-    def __init__(self, source: McapReader, conversion: _Conversion) -> None:
+    def __init__(self, source: McapReader, conversion: Conversion) -> None:
         self._checksums = source.has_checksums
         self.recovery = source.recovery
         self._open_converted(Path(source.path), conversion.write, source.memory)
@@ -151,7 +135,12 @@ class ConvertedReader(BagReader):
         self.faults = {t: (n, conversion.first[t]) for t, n in conversion.faulty.items()}
 
 
-def _short(info: ChannelInfo) -> str:
+def is_transforms(info: ChannelInfo) -> bool:
+    """Whether a channel has transforms, of ROS 1 or 2."""
+    return type_of(info) in (TRANSFORMS, _OLD_TRANSFORMS)
+
+
+def type_of(info: ChannelInfo) -> str:
     """Type of a channel as ``pkg/Type``; "" if it has none."""
     try:
         return hiros_schemas.short_name(info.schema)
@@ -159,38 +148,37 @@ def _short(info: ChannelInfo) -> str:
         return ""
 
 
-def _sources(reader: McapReader, selection: Selection) -> list[_Source]:
+def _sources(reader: McapReader, selection: Selection) -> list[InputChannel]:
     """Return the channels that may show people, and those that are copied as they are."""
     types = {name for kind in detector_readers() for name in kind.types}
-    infos = [i for i in channels_of(reader) if i.count and _short(i) in types]
+    infos = [i for i in channels_of(reader) if i.count and type_of(i) in types]
     sources = []
     for info in infos:
-        is_transforms = _short(info) in (_TRANSFORMS, _OLD_TRANSFORMS)
-        selected = not is_transforms and selection.selects(info.topic)
-        if selected or (is_transforms and info.topic in TF_TOPICS) or _short(info) == _SKELETONS:
-            sources.append(_source(reader, info, selected=selected))
+        moves = is_transforms(info)
+        selected = not moves and selection.selects(info.topic)
+        if selected or (moves and info.topic in TF_TOPICS) or type_of(info) == SKELETONS:
+            sources.append(source_of(reader, info, selected=selected))
     # Every log has transforms. Those of humans are looked for where something hints at them.
-    hints = any(i.schema.startswith(_HUMANS) for i in channels_of(reader))
+    hints = any(i.schema.startswith(HUMANS) for i in channels_of(reader))
     if hints or not any(source.selected for source in sources):
-        sources = [s._replace(selected=True) if s.type == _TRANSFORMS else s for s in sources]
+        sources = [s._replace(selected=True) if s.type == TRANSFORMS else s for s in sources]
     return sources
 
 
-def _source(reader: McapReader, info: ChannelInfo, *, selected: bool) -> _Source:
+def source_of(reader: McapReader, info: ChannelInfo, *, selected: bool) -> InputChannel:
     """Prepare a channel; raises LogError for a definition that cannot be used."""
     schema = reader.schema(reader.channels[info.id])
-    name = _short(info)
+    name = type_of(info)
     if schema is None or info.encoding not in ("cdr", "ros1"):
         raise LogError(f"is encoded as {info.encoding!r}, not as CDR", topic=info.topic)
-    is_transforms = name in (_TRANSFORMS, _OLD_TRANSFORMS)
-    kind = _TRANSFORMS if is_transforms else name
-    if info.encoding == "cdr" and name in (_SKELETONS, _TRANSFORMS):
+    kind = TRANSFORMS if is_transforms(info) else name
+    if info.encoding == "cdr" and name in (SKELETONS, TRANSFORMS):
         layouts: dict[str, Layout] = {}
-        read = partial(_published, layouts, schema, info.topic) if name == _SKELETONS else _same
-        return _Source(info, kind, selected, stays=True, cdr=read, decode=_same)
+        read = partial(_published, layouts, schema, info.topic) if name == SKELETONS else _same
+        return InputChannel(info, kind, selected, stays=True, cdr=read, decode=_same)
     store = types_of({name: bytes(schema.data).decode(errors="replace")})
     cdr: Callable[[Any], Any] = cdr_of(store, name) if info.encoding == "ros1" else _same
-    return _Source(info, kind, selected, stays=False, cdr=cdr, decode=decoder_of(store, name))
+    return InputChannel(info, kind, selected, stays=False, cdr=cdr, decode=decoder_of(store, name))
 
 
 def _published(layouts: dict[str, Layout], schema: Schema, topic: str, data: Any) -> Any:
@@ -216,15 +204,17 @@ def _read(
     return None
 
 
-def _probe(reader: McapReader, sources: Iterable[_Source]) -> dict[str, dict[str, SkeletonModel]]:
+def _probe(
+    reader: McapReader, sources: Iterable[InputChannel]
+) -> dict[str, dict[str, SkeletonModel]]:
     """Look at the beginning of the channels: topic -> output topic -> model of its skeletons.
 
     A channel is not in there if no message of its first _PROBED bytes shows people; transforms
     are looked at to their end.
     """
     selected = [source for source in sources if source.selected]
-    groups = [[s] for s in selected if s.type != _TRANSFORMS]
-    transforms = [s for s in selected if s.type == _TRANSFORMS]
+    groups = [[s] for s in selected if s.type != TRANSFORMS]
+    transforms = [s for s in selected if s.type == TRANSFORMS]
     layouts: dict[str, dict[str, SkeletonModel]] = {}
     for group in [*groups, transforms] if transforms else groups:
         models = _models_of(reader, group)
@@ -233,7 +223,7 @@ def _probe(reader: McapReader, sources: Iterable[_Source]) -> dict[str, dict[str
     return layouts
 
 
-def _models_of(reader: McapReader, group: Iterable[_Source]) -> dict[str, SkeletonModel]:
+def _models_of(reader: McapReader, group: Iterable[InputChannel]) -> dict[str, SkeletonModel]:
     """Return the models that channels show, by output topic."""
     sources = {source.info.id: source for source in group}
     readers = [kind() for kind in detector_readers()]
@@ -246,18 +236,29 @@ def _models_of(reader: McapReader, group: Iterable[_Source]) -> dict[str, Skelet
             for one in _read(readers, source.message(message)) or ():
                 models[one.topic] = one.model
         whole = all(model.is_whole for model in models.values()) if models else False
-        if source.type != _TRANSFORMS and (whole or size > _PROBED):
+        if source.type != TRANSFORMS and (whole or size > _PROBED):
             break
     for one in (s for r in readers for s in r.rest()) if not models else ():
         models[one.topic] = one.model
     return models
 
 
-class _Conversion:
-    """Writes the skeletons of a log as SkeletonGroups of one model, and copies its transforms.
+class Rewritten(NamedTuple):
+    """A message as hiros reads it."""
+
+    topic: str
+    type: str
+    """``pkg/Type``."""
+    log_time: int
+    data: bytes
+
+
+class Conversion:
+    """Turns the skeletons of a log into SkeletonGroups of one model, and copies its transforms.
 
     Attributes
     ----------
+    target : the model; None = each topic keeps its own.
     left_out : type and number of messages of every topic that is not taken over.
     faulty, first : number of messages that cannot be decoded, and why the first one cannot.
     """
@@ -266,16 +267,18 @@ class _Conversion:
         self,
         reader: McapReader,
         selection: Selection,
-        sources: Iterable[_Source],
+        sources: Iterable[InputChannel],
         layouts: Mapping[str, Mapping[str, SkeletonModel]],
     ) -> None:
-        self._reader, self._layouts = reader, layouts
+        self._reader, self._layouts = reader, dict(layouts)
         self._selects, self._choice, _ = selection
         self._sources = {source.info.id: source for source in sources}
         self._models = {t: m for models in layouts.values() for t, m in models.items()}
-        self.target = chosen_model(self._choice.model, self._models)
+        self.target: SkeletonModel | None = None
+        if layouts:
+            self.target = chosen_model(self._choice.model, self._models)
         self._readers = [kind() for kind in detector_readers()]
-        self._fits: dict[SkeletonModel, Fit] = {}
+        self._fits: dict[tuple[SkeletonModel, SkeletonModel], tuple[Fit, Encoder]] = {}
         self._ids: dict[str, int] = {}
         self._missing: dict[str, Counter[str]] = {}
         self._declined: Counter[str] = Counter()
@@ -289,57 +292,67 @@ class _Conversion:
 
     def write(self, writer: McapWriter) -> None:
         """Write the log; a message that cannot be decoded is counted."""
-        encoder = Encoder(self.target)
-        for message in self._reader.messages(self._sources):
-            source = self._sources[message.channel_id]
-            topic = source.info.topic
-            try:
-                given = source.message(message)
-                stays = not self._is_read(source)
-                reads = not stays or (source.selected and source.type == _TRANSFORMS)
-                people = _read(self._readers, given) if reads else None
-                if stays and not (people is not None and _is_of_one_body(given.cdr)):
-                    ident = self._channel(writer, topic, source.type)
-                    writer.write(ident, message.log_time, bytes(given.cdr))
-                if not reads:
-                    continue
-            except LogError as error:
-                self.faulty[topic] += 1
-                self.first.setdefault(topic, error.fault)
-                continue
-            if people is None:
-                self._declined[topic] += source.type != _TRANSFORMS
-            self._add(writer, encoder, people or ())
-        for reader in self._readers:
-            self._add(writer, encoder, reader.rest())
+        messages = self._reader.messages(self._sources)
+        rewritten = (self.rewritten(self._sources[m.channel_id], m) for m in messages)
+        for some in chain(rewritten, [self.rest()]):
+            for topic, kind, log_time, data in some:
+                writer.write(self._channel(writer, topic, kind), log_time, data)
 
-    def _channel(self, writer: McapWriter, topic: str, kind: str = _SKELETONS) -> int:
+    def rewritten(self, source: InputChannel, message: Message) -> Iterator[Rewritten]:
+        """Yield what a message becomes; one that cannot be decoded is counted."""
+        topic = source.info.topic
+        try:
+            given = source.message(message)
+            stays = not self._is_read(source)
+            reads = not stays or (source.selected and source.type == TRANSFORMS)
+            people = _read(self._readers, given) if reads else None
+            is_human = people is not None and source.type == TRANSFORMS
+            if stays and not (is_human and _is_of_one_body(given.cdr)):
+                yield Rewritten(topic, source.type, message.log_time, bytes(given.cdr))
+        except LogError as error:
+            self.faulty[topic] += 1
+            self.first.setdefault(topic, error.fault)
+            return
+        if reads and people is None:
+            self._declined[topic] += source.type != TRANSFORMS
+        yield from self._groups(people or ())
+
+    def rest(self) -> Iterator[Rewritten]:
+        """Yield what is held back until the end of the log."""
+        for reader in self._readers:
+            yield from self._groups(reader.rest())
+
+    def _channel(self, writer: McapWriter, topic: str, kind: str = SKELETONS) -> int:
         """Return the channel of a topic, which is added when it is first needed."""
         if topic not in self._ids:
-            if kind == _SKELETONS:
+            if kind == SKELETONS:
                 self._ids[topic] = add_skeleton_channel(writer, topic)
             else:
                 qos = [LATCHED_QOS] if topic == "/tf_static" else []
                 self._ids[topic] = add_ros_channel(writer, topic, hiros_schemas.TF_MESSAGE, *qos)
         return self._ids[topic]
 
-    def _is_read(self, source: _Source) -> bool:
+    def _is_read(self, source: InputChannel) -> bool:
         """Whether a channel's messages change: others are copied."""
-        if source.type == _TRANSFORMS or not source.selected:
+        if source.type == TRANSFORMS or not source.selected:
             return False
-        same = self._models.get(source.info.topic) == self.target and self._choice.unit == "m"
-        return not (source.type == _SKELETONS and same)
+        model = self._models.get(source.info.topic)
+        same = self.target in (None, model) and self._choice.unit == "m"
+        return not (source.type == SKELETONS and same)
 
-    def _add(self, writer: McapWriter, encoder: Encoder, some: Iterable[SeenPeople]) -> None:
-        for topic, model, frame in some:
+    def _groups(self, people: Iterable[SeenPeople]) -> Iterator[Rewritten]:
+        """Yield people as SkeletonGroups."""
+        for topic, model, frame in people:
             if not self._selects(topic):
                 continue
-            fit = self._fits.get(model)
-            if fit is None:
-                fit = self._fits[model] = Fit(model, self.target, METRES[self._choice.unit])
+            self._models.setdefault(topic, model)
+            key = model, self.target or model
+            if key not in self._fits:
+                self._fits[key] = Fit(*key, METRES[self._choice.unit]), Encoder(key[1])
+            fit, encoder = self._fits[key]
             if names := fit.left_out(frame):
                 self._missing.setdefault(topic, Counter()).update(names)
-            writer.write(self._channel(writer, topic), frame.log_time, encoder.encode(fit(frame)))
+            yield Rewritten(topic, SKELETONS, frame.log_time, encoder.encode(fit(frame)))
 
     def remarks(self) -> Iterator[str]:
         """Say what was converted, and what was left out."""
@@ -368,7 +381,7 @@ class _Conversion:
         by_model: dict[SkeletonModel, list[str]] = {}
         for topic, model in self._models.items():
             by_model.setdefault(model, []).append(topic)
-        if set(by_model) == {self.target}:
+        if self.target is None or set(by_model) <= {self.target}:
             return
         models = "; ".join(f"{_named(m)}: {', '.join(t)}" for m, t in by_model.items())
         which = "their union" if self._choice.model in ("", UNION) else _named(self.target)

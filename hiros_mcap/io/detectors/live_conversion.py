@@ -1,0 +1,189 @@
+"""Messages of other detectors as SkeletonGroups, one by one, while they come.
+
+Each detector keeps its own skeleton, until it turns out that the cameras have different ones. Then
+all get their union, as in a file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import replace
+
+import hiros_schemas
+from hiros_mcap.errors import LogError
+from hiros_mcap.io.channels import ChannelInfo, channels_of
+from hiros_mcap.io.container.live_reader import LiveReader
+from hiros_mcap.io.container.records import Channel, Message, Schema
+from hiros_mcap.io.detectors.conversion import (
+    HUMANS,
+    SKELETONS,
+    TRANSFORMS,
+    Conversion,
+    InputChannel,
+    Rewritten,
+    Selection,
+    is_of_other_detector,
+    is_transforms,
+    source_of,
+    type_of,
+)
+from hiros_mcap.io.detectors.model_fitting import chosen_model
+from hiros_mcap.io.detectors.skeleton_groups import SkeletonGroups
+
+_PROBED = 100
+"""Messages of a channel that show nobody, after which it is taken to be of another use."""
+_LAST_ID = 0xFFFF
+"""Of a channel or schema. The input numbers its own from below."""
+_NAMES = {SKELETONS: hiros_schemas.SKELETON_GROUP, TRANSFORMS: hiros_schemas.TF_MESSAGE}
+
+
+class LiveConversion(Conversion):
+    """Turns messages into those that hiros reads, in the order in which they come.
+
+    Parameters
+    ----------
+    reader : knows the channels; gets those of the new messages.
+    selects : says of a topic whether its skeletons are wanted.
+    """
+
+    def __init__(self, reader: LiveReader, selects: Callable[[str], bool]) -> None:
+        super().__init__(reader, Selection(selects), (), {})
+        self._live = reader
+        self._read_as: dict[int, InputChannel | None] = {}
+        """Channel -> how it is read, None = it stays as it is."""
+        self._known = 0, True
+        """Number of channels, and whether transforms may show humans."""
+        self._human: set[int] = set()
+        """Channels of humans that transforms show."""
+        self._added: dict[tuple[str, str], int] = {}
+        """Topic and type -> channel of the new messages."""
+
+    def converted(self, message: Message) -> Iterator[Message]:
+        """Yield what a message becomes: itself, if it is of no other detector."""
+        source = self._source(message.channel_id)
+        if source is None:
+            yield message
+            return
+        topic = source.info.topic
+        before = self._declined[topic]
+        for one in self.rewritten(source, message):
+            yield self._message(one, message, source)
+        if self._declined[topic] > before:
+            yield message
+            if before >= _PROBED and topic not in self._layouts:
+                self._read_as[message.channel_id] = None
+
+    def held_back(self) -> Iterator[Message]:
+        """Yield what waited for another message when the input ended."""
+        for one in self.rest():
+            yield self._message(one, Message(0, one.log_time, b"", one.log_time, 0), None)
+
+    def unite(self, messages: Iterable[Message]) -> list[Message]:
+        """Give skeletons the union of all models, from now on; return ``messages`` with it.
+
+        Raises LogError if a channel's skeletons have too little in common with the others'.
+        """
+        self._read_as = {i: source for i, source in self._read_as.items() if source is not None}
+        messages, groups = list(messages), SkeletonGroups()
+        for message in messages:
+            source = self._group_source(message.channel_id)
+            with suppress(LogError):
+                for one in groups.read(source.message(message)) if source else ():
+                    self._models[one.topic] = one.model
+        self.target = chosen_model("", self._models)
+        return [again for message in messages for again in self._refitted(message)]
+
+    def take_faults(self) -> dict[str, tuple[int, str]]:
+        """Return the messages that could not be converted since the last call, by topic."""
+        faults = {topic: (n, self.first[topic]) for topic, n in self.faulty.items()}
+        self.faulty.clear()
+        return faults
+
+    def _refitted(self, message: Message) -> Iterator[Message]:
+        """Yield a message of the preface with the target's skeleton."""
+        source = self._group_source(message.channel_id)
+        if source is None:
+            yield message
+            return
+        for one in self.rewritten(source, message):
+            yield self._message(one, message, source)
+
+    def _message(self, one: Rewritten, message: Message, source: InputChannel | None) -> Message:
+        """Return a new message, on the old channel where that has the type."""
+        stays = source is not None and source.stays and one.type == source.type
+        if source is not None and one.type == SKELETONS and source.type != SKELETONS:
+            known = self._layouts.get(source.info.topic, {})
+            self._layouts[source.info.topic] = {**known, one.topic: self._models[one.topic]}
+        ident = message.channel_id if stays else self._channel_of(one)
+        if source is not None and not stays and source.type != TRANSFORMS:
+            self._live.hidden.add(message.channel_id)
+        if source is not None and not stays and source.type == TRANSFORMS:
+            self._human.add(ident)
+        return replace(message, channel_id=ident, log_time=one.log_time, data=one.data)
+
+    def _channel_of(self, one: Rewritten) -> int:
+        key = one.topic, one.type
+        if key not in self._added:
+            ident = self._added[key] = _LAST_ID - len(self._added)
+            name = _NAMES[one.type]
+            text = hiros_schemas.text(name).encode()
+            self._live.define(
+                Schema(id=ident, name=name, encoding="ros2msg", data=text),
+                Channel(ident, one.topic, "cdr", {}, ident),
+            )
+        return self._added[key]
+
+    def _source(self, ident: int) -> InputChannel | None:
+        """Return how a channel is read."""
+        if ident not in self._read_as:
+            self._read_as[ident] = self._found(self._info(ident))
+        source = self._read_as[ident]
+        if source is not None and source.type == TRANSFORMS:
+            source = source._replace(selected=self._may_show_humans())
+            if source.stays and not source.selected:
+                return None
+        return source
+
+    def _found(self, info: ChannelInfo) -> InputChannel | None:
+        selected = self._selects(info.topic)
+        is_group = type_of(info) == SKELETONS
+        if not (is_of_other_detector(info) or is_transforms(info) or is_group):
+            return None
+        if not (selected or is_transforms(info)):
+            return None
+        try:
+            source = source_of(self._live, info, selected=selected)
+        except LogError:  # of another use
+            return None
+        self._sources[info.id] = source
+        # Whoever comes when results have their skeleton gets that one.
+        return None if is_group and source.stays and self.target is None else source
+
+    def _group_source(self, ident: int) -> InputChannel | None:
+        """Return how the SkeletonGroups of a channel are read; None for other channels."""
+        info = self._info(ident)
+        if type_of(info) != SKELETONS or not self._selects(info.topic):
+            return None
+        source = source_of(self._live, info, selected=True)
+        return source if source.stays else None
+
+    def _may_show_humans(self) -> bool:
+        """Whether transforms are looked at: something hints at humans, or nothing else shows any.
+
+        Every log has transforms.
+        """
+        if self._known[0] != len(self._live.channels):
+            infos = channels_of(self._live)
+            others = any(
+                type_of(info) == SKELETONS
+                and self._selects(info.topic)
+                and info.id not in self._human
+                for info in infos
+            )
+            hints = any(info.schema.startswith(HUMANS) for info in infos)
+            self._known = len(infos), hints or not others
+        return self._known[1]
+
+    def _info(self, ident: int) -> ChannelInfo:
+        return next(info for info in channels_of(self._live) if info.id == ident)
