@@ -64,6 +64,8 @@ class ClockAlignment:
     """Camera -> the times of its messages, as logged; empty unless clocks are to be found."""
     causal: bool = False
     """Whether each message is corrected by those before it."""
+    offsets: dict[str, float] = field(default_factory=dict)
+    """Camera -> s that its clock is ahead, as far as found and corrected."""
     needed: Mapping[str, float] = field(default_factory=dict)
     """Camera -> wait, s, that its messages need, where that is over the longest one."""
 
@@ -80,7 +82,7 @@ class ClockAlignment:
     def follower(self) -> ClockFollower:
         """Return what corrects each message by those before it; the faults are those it finds."""
         self.faults.clear()
-        return ClockFollower(self.given, self.faults, self.reorder)
+        return ClockFollower(self.given, self.faults, self.offsets, self.reorder)
 
     @property
     def lags(self) -> dict[str, float]:
@@ -127,7 +129,7 @@ class ClockAlignment:
             self.corrections[name] = before.plus(-seconds)
             same = [f for f in self.faults if (f.camera, f.kind) == (name, OFFSET)]
             self.faults = [fault for fault in self.faults if fault not in same]
-            total = seconds + sum(fault.seconds for fault in same)
+            total = self.offsets[name] = seconds + sum(fault.seconds for fault in same)
             at = int(self.corrected_times(name).stamps[0])
             self.faults.append(ClockFault(name, OFFSET, total, at, corrected=True))
         if offsets:

@@ -38,7 +38,7 @@ def fuse(run: Run) -> Stages:
     config = run.config
     mended, merging = _mended_views(run)
     noise = noise_of(run.model, config.fuse, run.noise)
-    noise = replace(noise, to_given=run.to_given, pose_errors=run.pose_errors)
+    noise = replace(noise, to_given=run.to_given, pose_errors=run.pose_errors, clocks=run.clocks)
     fusion = run.stage(
         fuse_blocks, config.fuse, merging=merging, fixed_frame=run.fixed_frame,
         cameras=run.cameras, noise=noise,

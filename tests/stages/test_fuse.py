@@ -12,7 +12,7 @@ from builders import room, same
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import evaluate
 from hiros_mcap.frames import Block, by_frame, frames_of, join
-from hiros_mcap.skeletons import Frame, SkeletonModel
+from hiros_mcap.skeletons import VELOCITY, Frame, SkeletonModel
 from hiros_mcap.stages.fuse import fusing
 from hiros_mcap.stages.fuse.constrain import ConstrainParams, constrain_blocks
 from hiros_mcap.stages.fuse.estimating import EstimateWork, PoseSpace, estimate_poses
@@ -25,6 +25,7 @@ from hiros_mcap.stages.fuse.fusing import (
     JointStates,
     Steps,
 )
+from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 from hiros_mcap.stages.fuse.pair_lengths import measured_lengths
 from hiros_mcap.stages.fuse.pose_prior import (
     body_frames,
@@ -333,6 +334,11 @@ def fused(where, **changes):
     return list(fuse(frames, where.model, FuseParams(**changes), cameras=where.cameras))
 
 
+def tracked_of(where):
+    tracked = by_frame(system("fuse").stages(run_of(where))["tracked"])
+    return [Block.of(frame) for frame in tracked(where.frames)]
+
+
 def run_of(where, name="fuse"):
     config = load_config(system=name)
     return Run(where.model, config, cameras=where.cameras, fixed_frame="world", system=name)
@@ -369,6 +375,35 @@ def test_more_cameras_give_more_confidence_and_smaller_deviations():
     assert np.nanmean(all_.marker_confidences) > np.nanmean(two.marker_confidences) + 0.05
     assert np.nanmean(all_.uncertainty.deviations) < np.nanmean(two.uncertainty.deviations)
     assert set(np.unique(two.uncertainty.cameras)) <= {0, 1, 2, 3}
+
+
+def test_clocks_that_were_corrected_make_whoever_moves_less_certain():
+    """No stamp tells the common time base; it takes a marker along with its speed."""
+    where = walk()
+    clocks = dict(zip(sorted(where.cameras), (0.0, 0.04, -0.05, 0.07), strict=True))
+    run = run_of(where)
+    plain, corrected = (
+        frames_of(system("fuse").stages(replace(run, clocks=c))["merged"](tracked_of(where)))
+        for c in ({}, clocks)
+    )
+    one, other = list(plain)[60], list(corrected)[60]
+    more = other.uncertainty.deviations**2 - one.uncertainty.deviations**2
+    speeds = np.linalg.norm(one.markers[:, :, VELOCITY], axis=-1)
+    sd = np.sqrt(3 * np.nanmedian(more / speeds**2))
+    assert 0.02 < sd < 0.06
+    np.testing.assert_allclose(more, sd**2 / 3 * speeds**2, rtol=1e-3, atol=1e-9)
+
+
+def test_the_common_time_is_within_a_standard_deviation_as_often_as_it_says():
+    """A thousand rigs of four clocks, of which the middle counts as right."""
+    rng, names = np.random.default_rng(5), ("a", "b", "c", "d")
+    noise, within = FusionNoise.default(POINT), []
+    for _ in range(1000):
+        ahead = rng.normal(0, 0.05, 4)
+        middle = np.median(ahead)
+        clocks = replace(noise, clocks=dict(zip(names, ahead - middle, strict=True)))
+        within.append(abs(middle) < np.sqrt(clocks.time_variance(names)))
+    assert 0.6 < np.mean(within) < 0.75
 
 
 @pytest.mark.parametrize("name", ["fuse", "fuse-realtime"])

@@ -21,6 +21,7 @@ FREEDOM = 4
 _EXTREMITIES = ("wrist", "hand", "handtip", "hand_tip", "thumb", "ankle", "foot", "toe", "bigtoe")
 _WHITE = 0.007  # m; these and the next: median over simulated logs
 _EXTREMITY_FACTOR = 1.7
+_WITHIN_ONE_SD = 0.8413  # probability below the mean and one standard deviation
 
 # Of RunningNoise.
 _STRETCH = 2_000_000_000  # ns that give one factor of each camera
@@ -47,6 +48,8 @@ class FusionNoise:
     """Source -> what takes its people back to the pose that was given, where it was refined."""
     pose_errors: Mapping[str, float] = field(default_factory=dict)
     """Source -> standard error, m, of a pose that the people gave."""
+    clocks: Mapping[str, float] = field(default_factory=dict)
+    """Source -> s by which its clock was ahead of the middle one, which counts as right."""
 
     @classmethod
     def default(
@@ -100,6 +103,21 @@ class FusionNoise:
         scale = cameras * (distances / REFERENCE) ** (2 * self.power)
         factors = np.where(guessed, self.guessed**2, 1.0)
         return np.asarray(self.joints * factors * scale[..., None])
+
+    def time_variance(self, names: Sequence[str]) -> float:
+        """Return the variance, s2, of the common time of the cameras ``names``.
+
+        No stamp tells the right time of clocks that differ. The middle one is as wrong as the
+        median of a normal sample, whose variance is pi / 2 of that of the mean. How much clocks
+        differ is known from a few of them, so Student's t takes the place of the normal law.
+        """
+        if not self.clocks or len(names) < 2:
+            return 0.0
+        from scipy.special import stdtrit
+
+        ahead, n = [self.clocks.get(name, 0.0) for name in names], len(names)
+        quantile = stdtrit(n - 1, _WITHIN_ONE_SD)
+        return float(quantile**2 * np.pi / 2 * np.var(ahead, ddof=1) / n)
 
     def variances(self, views: Sightings, names: Sequence[str]) -> Floats:
         """(N, M) Variance of every measurement along each axis, m2.

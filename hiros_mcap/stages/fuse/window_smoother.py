@@ -235,6 +235,8 @@ class WindowSmoother:
         """Write poses, confidences and uncertainty."""
         people = out.people
         shared = self._pose_error.variances(poses.positions, seen, self._names)
+        if late := self._noise.time_variance(self._names):
+            shared = shared + late / 3 * (poses.velocities**2).sum(axis=-1)
         variances = poses.variances + shared
         unknown = ~(variances <= _MAX_DEVIATION**2)
         variances[unknown] = np.nan
