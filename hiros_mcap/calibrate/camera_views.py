@@ -41,10 +41,14 @@ def view_of(
     """Follow the people whom one camera sees; its times are ``shift`` s later than stated."""
     sightings = [s._replace(seconds=s.seconds + shift) for s in sightings]
     sightings.sort(key=lambda s: s.seconds)
-    times = np.array([s.seconds for s in sightings])
-    period = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-    half_width = max(HALF_WIDTH_S, 2.0 * period)
+    half_width = half_width_of([s.seconds for s in sightings])
     return CameraView(name, frame, find_tracklets(sightings, mirror), shift, half_width)
+
+
+def half_width_of(times: Sequence[float]) -> float:
+    """Return half of the time, s, over which a joint's path is taken for a line."""
+    period = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    return max(HALF_WIDTH_S, 2.0 * period)
 
 
 def sightings_of(block: Block, frames: Sequence[int], middle: int) -> list[Sighting]:

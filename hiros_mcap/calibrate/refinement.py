@@ -280,6 +280,8 @@ def refine_poses(
     mirror: Ints,
     anchor: int | None = None,
     movable: Sequence[bool] | None = None,
+    *,
+    moves: bool = True,
 ) -> Estimate:
     """Find out whether the people know better poses than the given ones, and how the clocks go.
 
@@ -291,6 +293,7 @@ def refine_poses(
     given : pose of each camera. mirror : (M,) slot of each joint's counterpart.
     anchor : the camera whose frame is the fixed frame, so that its pose is right by definition.
     movable : of which cameras the pose may change; None = all. The clocks of all may.
+    moves : whether to look for cameras that were moved; otherwise nothing is gained.
     """
     movable = [True] * len(views) if movable is None else movable
     cameras = [
@@ -319,11 +322,15 @@ def refine_poses(
         if fit is not None:
             kept = [k for k, c in enumerate(fit.cameras) if c == anchor or not movable[c]]
             better = _better(fit, [given[c] for c in fit.cameras], kept, mirror)
+            for c, one in zip(fit.cameras, better, strict=True):
+                cameras[c] = one
+            if not moves:
+                continue
             some, rig = fit.refined, fit.refined.rig
             wide = common_points(some.views, rig, some.instants, mirror, FROM_GIVEN.gates[0])
             second = second_poses(residuals_of(wide, rig), wide)
-            for c, one, gain in zip(fit.cameras, better, second, strict=True):
-                cameras[c], gains[c] = one, gain
+            for c, gain in zip(fit.cameras, second, strict=True):
+                gains[c] = gain
     return Estimate(cameras, gains)
 
 

@@ -241,7 +241,11 @@ def seen_by(
 
     Its times are ``shift`` s later than stated.
     """
-    view = view_of(camera.name, camera.frame, sightings, mirror, shift)
+    return in_own_frame(camera, view_of(camera.name, camera.frame, sightings, mirror, shift))
+
+
+def in_own_frame(camera: FixedCamera, view: CameraView) -> CameraView:
+    """Return what a camera sees, in its own frame, of a view in the fixed frame."""
     turn, place = to_matrix(camera.pose.xyzw), camera.pose.translation
     tracks = [one._replace(positions=(one.positions - place) @ turn) for one in view.tracks]
     return replace(view, tracks=tracks)

@@ -12,7 +12,6 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from operator import attrgetter
 
 import numpy as np
 
@@ -20,16 +19,16 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import pose_arrays
 from hiros_mcap.calibrate.camera_result import CalibratedCamera
-from hiros_mcap.calibrate.camera_views import sightings_of
+from hiros_mcap.calibrate.camera_views import CameraView, half_width_of, sightings_of
 from hiros_mcap.calibrate.refinement import refine_poses
 from hiros_mcap.calibrate.survey import (
     SPACING_NS,
     FixedCamera,
     camera_faults,
     fixed_cameras,
-    seen_by,
+    in_own_frame,
 )
-from hiros_mcap.calibrate.tracklets import Sighting
+from hiros_mcap.calibrate.tracklets import PeopleFollowed, Sighting
 from hiros_mcap.calibrate.verdict import TIMED, weakness_of
 from hiros_mcap.frames import Block, join
 from hiros_mcap.io.log import Reading
@@ -48,7 +47,6 @@ _WINDOW_S = 60.0
 _TICK_NS = 100_000_000
 _STEP_DEG, _STEP_M = 0.02, 0.001
 """Largest change of a pose in a tick."""
-_seconds = attrgetter("seconds")
 
 
 class PoseFollower:
@@ -68,7 +66,7 @@ class PoseFollower:
         self._reading, self._alignment = reading, alignment
         self._clocks, self._movable = clocks, movable
         self._mirror = symmetry_of(reading.log.model).mirror
-        self._seen: dict[str, list[Sighting]] = {}
+        self._seen: dict[str, PeopleFollowed] = {}
         """Whom each camera sees, where the log's poses put them, at times without what is proved of
         its clock."""
         self._latest: dict[str, int] = {}
@@ -109,7 +107,8 @@ class PoseFollower:
                 moves[i] = self._moves[source]
             if i in new:
                 at = new[i].seconds - self._clocks.added(source)
-                self._seen.setdefault(source, []).append(new[i]._replace(seconds=at))
+                followed = self._seen.setdefault(source, PeopleFollowed(self._mirror))
+                followed.add(new[i]._replace(seconds=at))
         if not moves:
             return block
         block = join([block])
@@ -141,24 +140,15 @@ class PoseFollower:
     def _compare(self) -> None:
         """Compare the poses with the people of the last minute."""
         since = self._tick * _TICK_NS / 1e9 - _WINDOW_S
-        self._seen = {
-            name: [s for s in some if s.seconds > since] for name, some in self._seen.items()
-        }
+        for followed in self._seen.values():
+            followed.forget(since)
         log = self._reading.log
         fixed = fixed_cameras(log, camera_faults(log))
         cameras = sorted(c for c in fixed if c.movable and c.name in self._seen)
         if len(cameras) < 2:
             return
         anchors = [k for k, one in enumerate(cameras) if one.frame == log.fixed_frame]
-        views = [
-            seen_by(
-                camera,
-                sorted(self._seen[camera.name], key=_seconds),
-                self._mirror,
-                self._clocks.proved(camera.name),
-            )
-            for camera in cameras
-        ]
+        views = [in_own_frame(camera, self._view(camera)) for camera in cameras]
         poses_too = self._movable and self._tick * _TICK_NS >= _POSES_S * 1e9
         rig = refine_poses(
             views,
@@ -166,10 +156,18 @@ class PoseFollower:
             self._mirror,
             anchors[0] if anchors else None,
             [poses_too] * len(cameras),
+            moves=False,
         ).cameras
         self._correct_clocks(rig)
         if poses_too:
             self._take_poses(cameras, rig)
+
+    def _view(self, camera: FixedCamera) -> CameraView:
+        """Return what a camera sees, where the log's poses put it."""
+        followed, proved = self._seen[camera.name], self._clocks.proved(camera.name)
+        tracks = followed.tracklets(proved)
+        half_width = half_width_of(followed.times)
+        return CameraView(camera.name, camera.frame, tracks, proved, half_width)
 
     def _correct_clocks(self, rig: Sequence[CalibratedCamera]) -> None:
         """Correct the clocks by what the people prove besides what they had proved."""

@@ -21,7 +21,7 @@ from hiros_mcap.calibrate.pair_pose import PairFit, ranked
 from hiros_mcap.calibrate.people import _only_ambiguous
 from hiros_mcap.calibrate.registration import kabsch
 from hiros_mcap.calibrate.sampling import Rig, instants_of, lines_of
-from hiros_mcap.calibrate.tracklets import Sighting, find_tracklets
+from hiros_mcap.calibrate.tracklets import PeopleFollowed, Sighting, find_tracklets
 from hiros_mcap.calibrate.verdict import Evidence, verdict_of
 from hiros_mcap.kernels.local_line import Tracklet
 
@@ -225,3 +225,30 @@ def test_the_verdict_names_its_reason(change, verdict, reason):
 
 def test_a_pose_that_differs_from_the_log_is_an_improvement():
     assert verdict_of(GOOD, moved=True) == ("improved", "")
+
+
+def test_people_are_followed_while_they_come():
+    """Late frames are put in order; what was forgotten is as if it had never come."""
+    rng = np.random.default_rng(3)
+    base = rng.normal(size=(2, 8, 3)) + np.array([[[0.0, 0, 0]], [[3.0, 0, 0]]])
+    seen = [
+        Sighting(k / 25, base + 0.01 * k, np.ones((2, 8)))
+        for k in range(100)
+        if not 50 <= k < 60  # a gap ends the tracklets
+    ]
+    followed = PeopleFollowed(np.arange(8))
+    late = [seen[k + 1 - 2 * (k % 2)] for k in range(len(seen))]  # pairs are exchanged
+    for sighting in late:
+        followed.add(sighting)
+    followed.add(seen[0])  # too late
+    for tracks in (followed.tracklets(), find_tracklets(seen, np.arange(8))):
+        assert [len(one.seconds) for one in tracks] == [50, 50, 40, 40]
+    followed.forget(1.0)
+    (first, *_), (other, *_) = (
+        followed.tracklets(0.5),
+        find_tracklets([s for s in seen if s.seconds > 1.0], np.arange(8)),
+    )
+    np.testing.assert_allclose(first.seconds, other.seconds + 0.5)
+    np.testing.assert_array_equal(first.positions, other.positions)
+    followed.forget(9.0)
+    assert followed.tracklets() == []

@@ -80,9 +80,9 @@ def test_detections_come_nearer_to_where_the_true_pose_puts_them(folder):
 def test_only_the_people_of_the_last_seconds_are_compared(folder, monkeypatch):
     compared: list[float] = []
 
-    def noting(views, *rest):
+    def noting(views, *rest, **how):
         compared.append(min(t.seconds[0] for view in views for t in view.tracks))
-        return refine_poses(views, *rest)
+        return refine_poses(views, *rest, **how)
 
     monkeypatch.setattr(pose_follower, "refine_poses", noting)
     monkeypatch.setattr(pose_follower, "_WINDOW_S", 6.0)
