@@ -231,6 +231,8 @@ def align_cameras(
     clocks = align_clocks(log, config, reorder, survey.times)
     if missing is not None:
         poses = _from_nothing(survey, clocks, missing, mode)
+    elif mode == "off":
+        poses = _compared(survey, clocks)
     else:
         poses = _refined_poses(survey, clocks, mode)
     if clocks.times:
@@ -252,6 +254,13 @@ def _missing_poses(log: Log) -> LogError | None:
     return None
 
 
+def _compared(survey: Survey, clocks: ClockAlignment) -> PoseAlignment:
+    """Compare the log's poses as they are with the people, for the clocks alone."""
+    cameras = fixed_cameras(survey.log, camera_faults(survey.log))
+    posed = _posed(survey, clocks, [camera._replace(movable=False) for camera in cameras])
+    return _aligned(posed, survey.log.span[0], {})
+
+
 def _refined_poses(survey: Survey, clocks: ClockAlignment, mode: Calibration) -> PoseAlignment:
     """Compare the log's poses with those that the people give; use the better ones."""
     log = survey.log
@@ -259,38 +268,52 @@ def _refined_poses(survey: Survey, clocks: ClockAlignment, mode: Calibration) ->
     free = [camera.name for camera in fixed_cameras(log, faults) if camera.movable]
     if len(free) == 1:
         faults |= {free[0]: _ALONE}
-    cameras = sorted(
-        camera._replace(movable=camera.movable and mode != "off")
-        for camera in fixed_cameras(log, faults)
-    )
-    posed = PosedViews([], [], [], [])
-    if len(cameras) > 1:
-        posed = _refined(survey, clocks.corrections, cameras, clocks.lags)
-    if mode == "off":
-        return _aligned(posed, log.span[0], {})
+    posed = _posed(survey, clocks, fixed_cameras(log, faults))
     if not free and mode != "require" and all(one.reason == UNLINKED for one in posed.rig):
         return PoseAlignment()  # nothing tells a pose, and none is used: all are in one frame
     posed = split_moved(survey, clocks, posed)
+    alike = [] if faults else same_place({camera.name: camera.pose for camera in posed.cameras})
+    if not faults and (anew := _found_anew(survey, clocks, mode, posed, alike)):
+        return anew
     alignment = _aligned(posed, log.span[0], faults)
     alignment.contradictions = _contradictions(log, posed)
-    alike = [] if faults else same_place({camera.name: camera.pose for camera in posed.cameras})
-    misfit = any(not one.fits for one in posed.rig)
-    if not faults and (misfit or (alike and any(c.verdict == "impossible" for c in posed.rig))):
-        nowhere = misfit and any(len(group) == len(posed.cameras) for group in alike)
-        error = LogError(_NOWHERE, path=log.path) if nowhere else None
-        try:
-            return replace(_from_nothing(survey, clocks, error, mode), alike=tuple(alike))
-        except LogError:
-            if nowhere:
-                raise
-            # The log's poses stay, and the warning says that they do not fit.
     if mode == "require":
         _require(log, alignment)
-    poses = _poses_used(posed)
-    if poses:
+    if poses := _poses_used(posed):
         alignment.better = poses, log.fixed_frame
         alignment.to_given = _to_given(posed)
     return alignment
+
+
+def _posed(survey: Survey, clocks: ClockAlignment, cameras: Iterable[FixedCamera]) -> PosedViews:
+    """Compare cameras, of which some are movable, with each other; one alone cannot be."""
+    ordered = sorted(cameras)
+    if len(ordered) < 2:
+        return PosedViews([], [], [], [])
+    return _refined(survey, clocks.corrections, ordered, clocks.lags)
+
+
+def _found_anew(
+    survey: Survey, clocks: ClockAlignment, mode: Calibration, posed: PosedViews,
+    alike: list[list[str]],
+) -> PoseAlignment | None:  # fmt: skip
+    """Return poses that the people alone give, where those of the log cannot be.
+
+    ``alike`` are the cameras with one pose, in groups. Without an answer the log's poses stay, and
+    a warning says that they do not fit; raises LogError if all cameras are at one place.
+    """
+    misfit = any(not one.fits for one in posed.rig)
+    impossible = any(one.verdict == "impossible" for one in posed.rig)
+    if not misfit and not (alike and impossible):
+        return None
+    nowhere = misfit and any(len(group) == len(posed.cameras) for group in alike)
+    error = LogError(_NOWHERE, path=survey.log.path) if nowhere else None
+    try:
+        return replace(_from_nothing(survey, clocks, error, mode), alike=tuple(alike))
+    except LogError:
+        if nowhere:
+            raise
+        return None
 
 
 def _contradictions(log: Log, posed: PosedViews) -> tuple[str, ...]:

@@ -190,7 +190,7 @@ def test_a_camera_that_stands_in_its_place_again_is_no_longer_doubtful(system, s
     options = ProcessOptions(system=system, calibrate="off")
     summary = process(log, out, config=load_config(system=system), options=options)
     assert summary.warnings == ()
-    (note,) = (note for note in summary.notes if "from where" in note)
+    (note,) = (note for note in summary.notes if "showed people" in note)
     found = re.fullmatch(
         r"camera_1 showed people 0\.1\d m from .* for (\S+) s, from (\S+) s on", note
     )
