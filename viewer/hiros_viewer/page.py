@@ -34,8 +34,10 @@ th, td { padding: .2rem .45rem; text-align: right; border-bottom: 1px solid #e3e
 th:first-child, td:first-child { text-align: left; } td + td { white-space: nowrap; }
 th { border-bottom: 2px solid #9aa4af; font-weight: 600; }
 caption, figcaption { text-align: left; color: #57606a; font-size: .9rem; padding: .3rem 0; }
-figure { margin: 1rem 0; overflow-x: auto; } figure svg { max-width: 100%; height: auto; }
-.curves, figure > svg { min-width: 40rem; } figcaption { position: sticky; left: 0; }
+caption span { display: inline-block; position: sticky; left: 0; max-width: calc(100vw - 3rem); }
+figure { margin: 1rem 0; overflow-x: auto; } figcaption { position: sticky; left: 0; }
+.curves, figure > svg { min-width: 40rem; }
+figure > svg { width: 100%; max-width: 62rem; height: auto; }
 .wide { overflow-x: auto; }
 @media (prefers-color-scheme: dark) {
   body { color: #dde3ea; background: #141414; } /* as white inverted, below */
@@ -74,7 +76,7 @@ class Page:
         body = "".join(
             "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>\n" for row in rows
         )
-        title = f"<caption>{escape(caption)}</caption>" if caption else ""
+        title = f"<caption><span>{escape(caption)}</span></caption>" if caption else ""
         self._parts.append(
             f'<div class="wide"><table>{title}<thead><tr>{head}</tr></thead>\n'
             f"<tbody>{body}</tbody></table></div>"
