@@ -254,13 +254,13 @@ def _join_uncertainty(
     some = [block.uncertainty for block in blocks if block.uncertainty is not None]
     if len(some) < len(blocks):
         return None
-    begins = np.cumsum([0, *(len(each.deviations) for each in some)])
-    whole = _rows_between(rows + begins[of_block, None])
+    whole, parts = _used(of_block, rows, [len(each.deviations) for each in some])
+    cut = [each.at(part) for each, part in zip(some, parts, strict=True)]
     return Uncertainty(
-        np.concatenate([each.deviations for each in some])[whole],
-        np.concatenate([each.cameras for each in some])[whole],
+        np.concatenate([each.deviations for each in cut])[whole],
+        np.concatenate([each.cameras for each in cut])[whole],
         max((each.names for each in some), key=len),
-        np.concatenate([each.shared for each in some])[whole],
+        np.concatenate([each.shared for each in cut])[whole],
     )
 
 
@@ -269,8 +269,23 @@ def _join_hidden(blocks: Sequence[Block], of_block: Stamps, rows: Stamps) -> Flo
     some = [block.hidden for block in blocks if block.hidden is not None]
     if len(some) < len(blocks):
         return None
-    begins = np.cumsum([0, *map(len, some)])
-    return np.asarray(np.concatenate(some)[_rows_between(rows + begins[of_block, None])])
+    whole, parts = _used(of_block, rows, list(map(len, some)))
+    cut = [each[part] for each, part in zip(some, parts, strict=True)]
+    return np.asarray(np.concatenate(cut)[whole])
+
+
+def _used(of_block: Stamps, rows: Stamps, sizes: Sequence[int]) -> tuple[Stamps, list[slice]]:
+    """Return the part of each block's rows that frames lie in, and their rows among these parts.
+
+    A stage takes a few frames at a time out of a block of many; the others need not be copied.
+    """
+    begins, ends = np.array(sizes, np.int64), np.zeros(len(sizes), np.int64)
+    np.minimum.at(begins, of_block, rows[:, 0])
+    np.maximum.at(ends, of_block, rows[:, 1])
+    ends = np.maximum(begins, ends)  # of a block without frames: none
+    shifts = np.cumsum(ends - begins) - ends
+    whole = _rows_between(rows + shifts[of_block, None])
+    return whole, list(map(slice, begins.tolist(), ends.tolist()))
 
 
 def frames_of(blocks: Iterable[Block]) -> Iterator[Frame]:
