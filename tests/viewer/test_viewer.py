@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
@@ -26,9 +27,11 @@ from viewers import (
 )
 
 from hiros_cli.app import run
+from hiros_mcap.io.container.live_input import McapInput
 from hiros_mcap.io.export.colours import person_colour
 from hiros_mcap.io.log import open_log
-from hiros_mcap.running.pipeline import process
+from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.running.process_live import process_live
 from hiros_viewer.blueprint import LAYOUTS, blueprint
 from hiros_viewer.palette import curve_colour
 from hiros_viewer.poses import Poses
@@ -160,6 +163,39 @@ def test_live_view_shows_the_run_and_outlives_it(tmp_path):
             reports = [report for view_ in client.get_state().views for report in view_.reports]
         assert reports == []
     assert pixels_like(image, person_colour(0)) > 300
+
+
+def test_live_input_is_followed_as_it_comes(monkeypatch):
+    """The cursor stays at what came last, and seconds count from the first message."""
+    from hiros_viewer import live
+    from hiros_viewer.destinations import new_recording
+
+    notes: list[str] = []
+    explained = live.explain
+
+    def noting(recording, content, layout="overview", note=""):
+        notes.append(note)
+        explained(recording, content, layout, note)
+
+    monkeypatch.setattr(live, "explain", noting)
+    with headless() as (url, viewer), CROSSING.open("rb", buffering=0) as file:
+        from rerun.experimental import ViewerClient
+
+        recording = new_recording("live")
+        recording.connect_grpc(url)
+        view = live.LiveView(recording, lambda: viewer.poll() is None, lambda: None)
+        options = ProcessOptions(system="fuse-realtime")
+        process_live(McapInput(file.fileno(), "pipe"), None, options=options, watcher=view)
+        recording.disconnect()
+        with ViewerClient.connect(url) as client:
+            wait_until_loaded(client)
+            settled_picture(client)
+            shown = client.get_state().recordings[0]
+    (line,) = (each for each in shown.timelines if each.name == "seconds from start")
+    assert line.start == 0
+    assert 3e9 < line.end < 60e9
+    assert shown.current_time == line.end
+    assert re.fullmatch(r"\*\*Delay\*\*: 0\.\d\d s\.", notes[-1])
 
 
 def test_the_viewers_death_does_not_stop_the_processing(tmp_path):

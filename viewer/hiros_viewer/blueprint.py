@@ -230,11 +230,19 @@ def fitting(content: Content, layout: str) -> str:
     return "overview" if is_empty.get(layout, False) else layout
 
 
-def blueprint(content: Content, layout: str = "overview") -> rrb.Blueprint:
-    """Return a layout by its name in :data:`LAYOUTS`, paused at the start."""
+def blueprint(
+    content: Content, layout: str = "overview", *, follows: bool = False
+) -> rrb.Blueprint:
+    """Return a layout by its name in :data:`LAYOUTS`, paused at the start.
+
+    If it ``follows``, it shows what came last.
+    """
+    plays: dict[str, Any] = {"play_state": "paused", "loop_mode": "all"}
+    if follows:
+        plays = {"play_state": "following", "loop_mode": "off"}
     return rrb.Blueprint(
         LAYOUTS[fitting(content, layout)](content),
-        rrb.TimePanel(timeline=TIMELINE, state="collapsed", play_state="paused", loop_mode="all"),
+        rrb.TimePanel(timeline=TIMELINE, state="collapsed", **plays),
         collapse_panels=True,
         auto_views=False,
     )

@@ -14,15 +14,23 @@ HUES = ("orange", "blue", "green", "pink", "yellow", "violet", "turquoise", "red
 """Names of the colours of people, and of logs that are overlaid."""
 
 
-def lay_out(recording: rr.RecordingStream, content: Content, layout: str = "overview") -> None:
-    """Send a layout with the lines that explain it."""
+def lay_out(
+    recording: rr.RecordingStream,
+    content: Content,
+    layout: str = "overview",
+    *,
+    follows: bool = False,
+) -> None:
+    """Send a layout with the lines that explain it; ``follows`` as in :func:`blueprint`."""
     explain(recording, content, layout)
-    recording.send_blueprint(blueprint(content, layout))
+    recording.send_blueprint(blueprint(content, layout, follows=follows))
 
 
-def explain(recording: rr.RecordingStream, content: Content, layout: str = "overview") -> None:
-    """Show what the colours of a layout mean."""
-    text = legend(content, layout)
+def explain(
+    recording: rr.RecordingStream, content: Content, layout: str = "overview", note: str = ""
+) -> None:
+    """Show what the colours of a layout mean, and a note."""
+    text = f"{legend(content, layout)} {note}"
     recording.log(KEY, rr.TextDocument(text, media_type="text/markdown"), static=True)
 
 

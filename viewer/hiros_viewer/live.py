@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from statistics import median
 
 import rerun as rr
 
@@ -21,7 +24,10 @@ from hiros_viewer.replay import content_of, describe
 from hiros_viewer.scene import Scene
 
 BATCH = 120
-"""Frames that are drawn at once: a fifth of a second of five cameras and four stages."""
+"""Frames of a file that are drawn at once."""
+_PERIOD_S, _SHARE = 1 / 15, 0.25
+"""Live, what came is drawn so often, if that takes no more than this share of the time."""
+_RECENT = 30  # results whose delay is shown
 
 
 class LiveView:
@@ -38,14 +44,20 @@ class LiveView:
         self._scene: Scene | None = None
         self._names: dict[str, str] = {}
         self._waiting = Gatherer()
-        self._laid_out = False
+        self._laid_out = self._is_live = False
+        self._due = 0.0
+        """When to draw next, s of a monotonic clock."""
+        self._delays: deque[int] = deque(maxlen=_RECENT)
+        """ns, of the latest results."""
 
     def begin(self, log: Log, chain: Sequence[str]) -> None:
         """Draw the cameras."""
         source = describe(log)
         self._names = dict(source.names)
         self._scene = Scene(self._recording, source.model, final=chain[-1])
-        self._scene.start = source.start
+        self._is_live = log.is_live
+        # A live log has no span yet: the first frame is its start.
+        self._scene.start = None if log.is_live else source.start
         self._scene.begin(source.cameras, source.later)
         content = content_of([self._scene])
         self._lay_out(replace(content, stages=list(chain)))
@@ -53,13 +65,17 @@ class LiveView:
     def frame(self, channel: str, frame: Frame) -> None:
         """Draw a frame, as long as somebody looks."""
         scene = self._scene
-        if scene is None:
-            return
+        if scene is None or (self._is_live and channel not in (DETECTIONS, scene.final)):
+            return  # the layout shows no other stage
         camera = self._names.get(frame.source, frame.source) if channel == DETECTIONS else ""
         self._waiting.add([(channel, camera)], Block.of(frame))
-        if self._waiting.size >= BATCH:
+        if channel == scene.final:
+            self._delays.append(frame.log_time - frame.stamp)
+        now = time.monotonic()
+        if now >= self._due if self._is_live else self._waiting.size >= BATCH:
             scene.draw(self._waiting.rest())
             self._follow(scene)
+            self._due = now + max(_PERIOD_S, (time.monotonic() - now) / _SHARE)
 
     def _follow(self, scene: Scene) -> None:
         """Stop when the viewer was closed; lay the views out anew once people are known."""
@@ -70,10 +86,17 @@ class LiveView:
             self._laid_out = True
             self._lay_out(content_of([scene]))
         elif self._laid_out:
-            explain(self._recording, content_of([scene]))  # by now there may be more to name
+            # By now there may be more to name.
+            explain(self._recording, content_of([scene]), note=self._delay())
 
     def _lay_out(self, content: Content) -> None:
-        lay_out(self._recording, content)
+        lay_out(self._recording, content, follows=self._is_live)
+
+    def _delay(self) -> str:
+        """Return in words how long after their time live results were known."""
+        if not (self._is_live and self._delays):
+            return ""
+        return f"**Delay**: {median(self._delays) / 1e9:.2f} s."
 
     def end(self, events: Events) -> None:
         """Draw the events and what is left."""
