@@ -26,7 +26,7 @@ from mcap.stream_reader import StreamReader
 
 from hiros_mcap.io.channels import TF_TOPICS
 from hiros_mcap.io.codec import Decoder, Encoder
-from hiros_mcap.io.container.live_writer import LiveWriter
+from hiros_mcap.io.container.live_writer import LiveWriter, Pipe
 from hiros_mcap.io.log import open_log
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.body_model import MODEL
@@ -68,7 +68,7 @@ class Feeder(threading.Thread):
     def run(self) -> None:
         with (
             open_log(self._log) as log,
-            LiveWriter(self._pipe.fileno(), "pipe") as writer,
+            LiveWriter(Pipe(self._pipe.fileno(), "pipe")) as writer,
         ):
             reader = log.reader
             ids = {i: writer.adopt(c, reader.schema(c)) for i, c in reader.channels.items()}

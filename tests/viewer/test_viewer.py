@@ -32,7 +32,7 @@ from hiros_mcap.io.export.colours import person_colour
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.process_live import process_live
-from hiros_viewer.blueprint import LAYOUTS, blueprint
+from hiros_viewer.blueprint import LAYOUTS, Content, blueprint
 from hiros_viewer.palette import curve_colour
 from hiros_viewer.poses import Poses
 
@@ -163,6 +163,22 @@ def test_live_view_shows_the_run_and_outlives_it(tmp_path):
             reports = [report for view_ in client.get_state().views for report in view_.reports]
         assert reports == []
     assert pixels_like(image, person_colour(0)) > 300
+
+
+@pytest.mark.parametrize(
+    ("people", "far", "is_new"), [((0,), 0.4, False), ((0,), 0.6, True), ((0, 1), 0.0, True)]
+)
+def test_a_live_room_grows_with_its_people(people, far, is_new):
+    from hiros_viewer import live
+    from hiros_viewer.destinations import new_recording
+
+    def content(who, metres):
+        box = np.array([[[-1.0, -1.0, 0.0], [1.0, 1.0 + metres, 2.0]]])
+        return Content(stages=("filtered",), people=who, cameras=("camera_0",), boxes=box)
+
+    view = live.LiveView(new_recording("room"), lambda: True, lambda: None)
+    view._lay_out(content((0,), 0.0))
+    assert view._outgrows(content(people, far)) == is_new
 
 
 def test_live_input_is_followed_as_it_comes(monkeypatch):

@@ -27,6 +27,7 @@ BATCH = 120
 """Frames of a file that are drawn at once."""
 _PERIOD_S, _SHARE = 1 / 15, 0.25
 """Live, what came is drawn so often, if that takes no more than this share of the time."""
+_BEYOND_M = 0.5  # how far people are outside of the room that is shown, until it is shown anew
 _RECENT = 30  # results whose delay is shown
 
 
@@ -86,10 +87,20 @@ class LiveView:
             self._laid_out = True
             self._lay_out(content_of([scene]))
         elif self._laid_out:
+            content = content_of([scene])
+            if self._is_live and self._outgrows(content):
+                self._lay_out(content)
             # By now there may be more to name.
-            explain(self._recording, content_of([scene]), note=self._delay())
+            explain(self._recording, content, note=self._delay())
+
+    def _outgrows(self, content: Content) -> bool:
+        """Whether somebody is new, or farther out than the layout shows."""
+        (low, high), (lowest, highest) = content.box, self._shown.box
+        far = (low < lowest - _BEYOND_M).any() or (high > highest + _BEYOND_M).any()
+        return bool(far or list(content.people) != list(self._shown.people))
 
     def _lay_out(self, content: Content) -> None:
+        self._shown = content
         lay_out(self._recording, content, follows=self._is_live)
 
     def _delay(self) -> str:
