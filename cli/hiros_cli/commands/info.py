@@ -69,14 +69,14 @@ def _show(overview: Overview) -> None:
         overview.channels,
         ("Channel", lambda row: row.topic),
         (">Messages", lambda row: row.messages),
-        (">Rate", lambda row: number(row.rate_hz, 1, " Hz")),
+        (">Mean rate", lambda row: number(row.rate_hz, 1, " Hz")),
         (">Seconds", lambda row: number(row.seconds, 1)),
         ("Type", _type),
     )
     cameras = listing(
         overview.cameras,
         ("Camera", lambda row: row.name),
-        (">Rate", lambda row: number(row.rate_hz, 1, " Hz")),
+        (">Usual rate", lambda row: number(row.rate_hz, 1, " Hz")),
         (">Longest gap", lambda row: number(row.longest_gap_s, 2, " s")),
         (
             ">People (mean)",

@@ -48,6 +48,6 @@ def unit_warning(topic: str, size: float) -> str:
             f"read them with --unit {unit}"
         )
     return (
-        f"{topic}: people are {1000 * size:.1f} mm large; check the unit of the positions, which "
-        "hiros reads as m"
+        f"{topic}: people are {1000 * size:.1f} mm large; check the unit of the positions, and "
+        "--unit, without which hiros reads m"
     )
