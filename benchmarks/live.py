@@ -5,7 +5,7 @@
 Simulates a log, feeds it to the program through a pipe at the speed at which it was recorded, and
 takes the time at which each result comes out of the other pipe. The log time of a result is that of
 the last message that it needed; when that message was sent is known. Prints quantiles of the delay
-for every channel.
+for every channel, and the share of one core that the program takes.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ def main() -> None:
     command = [sys.executable, "-m", "hiros_cli", "process", "-", "-o", "-", "-q"]
     run = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     sent: dict[int, float] = {}
-    feeder = threading.Thread(target=feed, args=(log, run.stdin, sent))
+    cpu: list[tuple[float, float]] = []
+    feeder = threading.Thread(target=feed, args=(log, run, sent, cpu))
     feeder.start()
     taken = take(run.stdout)
     feeder.join()
@@ -53,9 +54,13 @@ def main() -> None:
         quantiles = np.quantile(delays, [0.5, 0.95, 0.99, 1])
         print(f"{topic:18} {len(delays):6} messages ", *(f"{q:7.1f}" for q in quantiles))
 
+    (begin_s, before), (end_s, after) = cpu
+    print(f"{100 * (after - before) / (end_s - begin_s):.0f} % of one core")
 
-def feed(log: Path, pipe, sent: dict[int, float]) -> None:
-    """Write the messages when their log times come; note when."""
+
+def feed(log: Path, run, sent: dict[int, float], cpu: list[tuple[float, float]]) -> None:
+    """Write the messages when their log times come; note when, and the CPU time of the run."""
+    pipe = run.stdin
     with McapReader(log) as reader, LiveWriter(Pipe(pipe.fileno(), "pipe")) as writer:
         ids = {i: writer.adopt(c, reader.schema(c)) for i, c in reader.channels.items()}
         begin, first = 0.0, 0
@@ -66,8 +71,17 @@ def feed(log: Path, pipe, sent: dict[int, float]) -> None:
             writer.write_message(ids[message.channel_id], message)
             writer.flush()
             sent[message.log_time] = time.monotonic()
+            if not cpu and message.log_time - first > _WARM_UP * 1e9:
+                cpu.append((time.monotonic(), cpu_of(run.pid)))
+        cpu.append((time.monotonic(), cpu_of(run.pid)))
         writer.commit()
     pipe.close()
+
+
+def cpu_of(process: int) -> float:
+    """CPU time of a process so far, s."""
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
 
 
 def take(pipe) -> dict[str, list[tuple[int, float]]]:
