@@ -65,7 +65,7 @@ class ClockAlignment:
     causal: bool = False
     """Whether each message is corrected by those before it."""
     offsets: dict[str, float] = field(default_factory=dict)
-    """Camera -> s that its clock is ahead, as far as found and corrected."""
+    """Camera -> s that its clock is ahead, as far as found and corrected before the run."""
     needed: Mapping[str, float] = field(default_factory=dict)
     """Camera -> wait, s, that its messages need, where that is over the longest one."""
 
@@ -82,7 +82,7 @@ class ClockAlignment:
     def follower(self) -> ClockFollower:
         """Return what corrects each message by those before it; the faults are those it finds."""
         self.faults.clear()
-        return ClockFollower(self.given, self.faults, self.offsets, self.reorder)
+        return ClockFollower(self.given, self.faults, self.reorder)
 
     @property
     def lags(self) -> dict[str, float]:

@@ -120,17 +120,15 @@ class ClockFollower:
 
     Parameters
     ----------
-    given : seconds that the user adds to the stamps of cameras. faults, offsets : what is found
-        goes here; of each camera, by how many s its clock is ahead.
+    given : seconds that the user adds to the stamps of cameras. faults : what is found goes here.
     reorder : s; a camera that is so much ahead of the others makes their messages too late.
     """
 
     def __init__(
-        self, given: Mapping[str, float], faults: list[ClockFault], offsets: dict[str, float],
-        reorder: float,
-    ) -> None:  # fmt: skip
+        self, given: Mapping[str, float], faults: list[ClockFault], reorder: float
+    ) -> None:
         self.given, self._reorder = given, max(reorder, _AHEAD / 2)
-        self._faults, self._offsets = faults, offsets
+        self._faults = faults
         self._clocks: dict[str, _FollowedClock] = {}
         self._checked = 0
 
@@ -270,6 +268,4 @@ class ClockFollower:
             if kind == OFFSET and (fault.camera, fault.kind) == (source, kind):
                 self._faults.remove(fault)
                 seconds, stamp = seconds + fault.seconds, fault.at_ns
-        if kind == OFFSET:
-            self._offsets[source] = seconds
         self._faults.append(ClockFault(source, kind, seconds, stamp, corrected=True))

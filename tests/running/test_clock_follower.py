@@ -30,7 +30,7 @@ def errors(clock, seconds):
         frame = Frame.empty(1, MODEL, stamp=stamp, source=name)
         blocks.append(Block.of(frame.replace(log_time=START + round(1e9 * (at + delay)))))
     faults: list[ClockFault] = []
-    clocks = ClockFollower({}, faults, {}, 0.3)
+    clocks = ClockFollower({}, faults, 0.3)
     found = [int(clocks.correct(block).stamps[0]) for block in clocks.compared(blocks)]
     mine = np.array(cameras) == "b"
     return sent[mine], (np.array(found)[mine] - START) * 1e-9 - sent[mine], faults
@@ -53,7 +53,7 @@ def test_what_a_clock_did_long_ago_is_forgotten():
 
 def test_what_the_people_prove_comes_in_without_a_jump():
     """A tenth of a second in a second of the log, and no further."""
-    clocks = ClockFollower({}, [], {}, 0.3)
+    clocks = ClockFollower({}, [], 0.3)
     blocks = [message(START + k * 33_000_000) for k in range(90)]
     moved = []
     for k, block in enumerate(clocks.compared(blocks)):
@@ -68,7 +68,7 @@ def test_what_the_people_prove_comes_in_without_a_jump():
 
 def test_a_clock_whose_messages_are_logged_before_their_time_is_ahead():
     faults: list[ClockFault] = []
-    clocks = ClockFollower({}, faults, {}, 0.3)
+    clocks = ClockFollower({}, faults, 0.3)
     blocks = []
     for k in range(300):
         at = START + k * 33_000_000

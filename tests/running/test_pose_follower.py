@@ -36,7 +36,7 @@ def folder(scene, tmp_path_factory):
 
 
 def followed(log, blocks):
-    alignment, clocks = PoseAlignment(), ClockFollower({}, [], {}, 0.0)
+    alignment, clocks = PoseAlignment(), ClockFollower({}, [], 0.0)
     follower = PoseFollower(log.read(), alignment, clocks, movable=True)
     return list(frames_of(follower.correct(blocks))), alignment
 
