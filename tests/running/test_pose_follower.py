@@ -7,7 +7,9 @@ import pytest
 from test_live import AS_KNOWN, LIVE, recorded, results, run_live, send
 from test_pose_alignment import turned, write
 
+from hiros_mcap.calibrate.camera_views import sightings_of
 from hiros_mcap.calibrate.refinement import refine_poses
+from hiros_mcap.calibrate.survey import SPACING_NS
 from hiros_mcap.frames import Block, frames_of, join
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running import pose_follower
@@ -75,6 +77,25 @@ def test_detections_come_nearer_to_where_the_true_pose_puts_them(folder):
         return float(np.nanmean(np.linalg.norm(np.concatenate(ways), axis=-1)))
 
     assert miss(found) < 0.8 * miss(given)
+
+
+def test_a_few_messages_of_a_second_are_compared_and_spread_over_it(folder, monkeypatch):
+    compared = {}
+
+    def seen(block, chosen, start):
+        for k in chosen:
+            if block.sizes[k]:
+                compared.setdefault(block.source(k), []).append(int(block.stamps[k]))
+        return sightings_of(block, chosen, start)
+
+    monkeypatch.setattr(pose_follower, "sightings_of", seen)
+    with open_log(folder / "true.mcap") as log:
+        followed(log, log.blocks())
+    assert len(compared) == 3
+    for stamps in compared.values():
+        gaps = np.diff(stamps)
+        assert gaps.min() >= SPACING_NS
+        assert np.median(gaps) < SPACING_NS + 40e6  # the next message comes after 33 ms
 
 
 def test_only_the_people_of_the_last_seconds_are_compared(folder, monkeypatch):
