@@ -45,7 +45,7 @@ SCHEMA_VERSIONS: Mapping[str, int] = {
     "eval.self": 2,
     "compare": 2,
     "check": 1,
-    "recover": 1,
+    "recover": 2,
     "calibrate.people": 1,
     "calibrate.noise": 1,
     "calibrate.ball": 1,

@@ -24,7 +24,7 @@ from hiros_mcap.io.container import (
     Recovery,
 )
 from hiros_mcap.io.container.reader import MEMORY
-from hiros_mcap.io.container.recovery import Damage, joined
+from hiros_mcap.io.container.recovery import Damage, Lost, joined
 from hiros_mcap.io.detectors.registry import detector_readers
 from hiros_mcap.io.ros_types import ros2_types, types_of
 
@@ -249,7 +249,7 @@ def join(
                 raise
             failed = failed or error
             size = path.stat().st_size if path.is_file() else 0
-            recoveries.append((name, Recovery((Damage(0, size, error.fault),))))
+            recoveries.append((name, Recovery((Damage(0, size, error.fault, Lost.REST),))))
             continue
         with part:
             writer.append(part, wanted(part) if wanted else part.channels)

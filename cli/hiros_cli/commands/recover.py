@@ -55,9 +55,8 @@ def _show(recovery: Recovery, target: Path) -> None:
 
     lines = []
     for damage in recovery.damages:
-        where = f"{damage.file}, byte {damage.offset}" if damage.file else f"byte {damage.offset}"
         size = quantity(damage.end - damage.offset, "byte")
-        lines.append(f"damage at {where}: {damage.fault} ({size} not readable)")
+        lines.append(f"damage at {damage.place}: {damage.fault} ({size} not readable)")
     if recovery.complete:
         damaged = "the damage cost no message" if recovery.damages else "the log is not damaged"
         lines.append(f"nothing was lost: {damaged}")
@@ -67,13 +66,7 @@ def _show(recovery: Recovery, target: Path) -> None:
             recovery.channels,
             ("Channel", lambda c: c.topic),
             (">Recovered", lambda c: c.recovered),
-            (">Lost", lambda c: _count(c.lost)),
-            (">Bytes lost", lambda c: _count(c.lost_bytes)),
-            (">Time lost", lambda c: "unknown" if c.lost_s is None else f"{c.lost_s:.2f} s"),
+            (">Lost", lambda c: "unknown" if c.lost is None else str(c.lost)),
         ),
         [*lines, f"wrote {quantity(recovery.recovered, 'message')} to {target}"],
     )
-
-
-def _count(number: int | None) -> str:
-    return "unknown" if number is None else str(number)

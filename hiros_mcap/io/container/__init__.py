@@ -4,17 +4,15 @@ from hiros_mcap.io.container.memory import MemorySink
 from hiros_mcap.io.container.order import Keys, LogOrder
 from hiros_mcap.io.container.reader import Batch, McapReader, Records
 from hiros_mcap.io.container.records import Channel, Chunk, Message, Schema
-from hiros_mcap.io.container.recovery import ChannelLoss, Damage, Recovery
+from hiros_mcap.io.container.recovery import Recovery
 from hiros_mcap.io.container.salvage import RecoveringReader
 from hiros_mcap.io.container.writer import ChunkCopier, McapWriter
 
 __all__ = [
     "Batch",
     "Channel",
-    "ChannelLoss",
     "Chunk",
     "ChunkCopier",
-    "Damage",
     "Keys",
     "LogOrder",
     "McapReader",

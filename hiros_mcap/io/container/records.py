@@ -110,10 +110,6 @@ class Chunk:
         """Whether any of the channels has a message in here, as far as is known."""
         return self.counts is None or any(i in self.counts for i in channels)
 
-    def indexed(self, index_end: int, counts: Mapping[int, int]) -> Chunk:
-        """Return the chunk with what the message indexes behind it claim."""
-        return replace(self, index_end=index_end, counts=counts)
-
 
 class Cursor(ReadDataStream):
     """Reads fields one after the other and never past the end of the record.

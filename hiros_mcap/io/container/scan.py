@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shlex
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 from hiros_mcap.errors import LogError
@@ -77,11 +78,11 @@ class StrictWalk(Walk):
         self.contents.chunks.append(chunk)
         return chunk.end
 
-    def _leave_chunk(self, *, whole: bool) -> None:
+    def _leave_chunk(self) -> None:
         index, self._index = self._index, None
         if index:
-            counts = {channel: entries.number for channel, entries in index.items()}
-            self.contents.chunks[-1] = self.contents.chunks[-1].indexed(self._index_end, counts)
+            chunk = self.contents.chunks[-1]
+            self.contents.chunks[-1] = replace(chunk, index_end=self._index_end, counts=index)
 
     def _fault(self, fault: Exception, stop: int) -> int:
         raise fault

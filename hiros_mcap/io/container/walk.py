@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 from hiros_mcap.io.container import records as r
 from hiros_mcap.io.container.file import LogFile
@@ -63,14 +63,6 @@ class CutOffError(FormatError):
     """The file ends inside a record, or before one that must come."""
 
 
-class Entries(NamedTuple):
-    """Where the entries of a message index lie: log time and place of each message."""
-
-    start: int
-    """First byte."""
-    number: int
-
-
 @dataclass(slots=True)
 class _LooseMessages:
     """Consecutive messages outside of chunks, to be read as one chunk."""
@@ -109,7 +101,7 @@ class Walk(ABC):
         self._ahead = b""
         self._ahead_at = 0
         self._run: _LooseMessages | None = None
-        self._index: dict[int, Entries] | None = None  # by channel, right after a chunk only
+        self._index: dict[int, int] | None = None  # messages by channel, right after a chunk only
         self._index_end = 0
 
     # -- the policy ----------------------------------------------------------------------------
@@ -123,8 +115,8 @@ class Walk(ABC):
         """Add a chunk, or a run of messages outside of chunks; return where it ends."""
 
     @abstractmethod
-    def _leave_chunk(self, *, whole: bool) -> None:
-        """Use the message indexes behind the last chunk. ``whole``: damage has hidden none."""
+    def _leave_chunk(self) -> None:
+        """Use the message indexes behind the last chunk."""
 
     @abstractmethod
     def _fault(self, fault: Exception, stop: int) -> int:
@@ -143,7 +135,7 @@ class Walk(ABC):
                 opcode, begin, stop = self._next()
                 reader = self._skip if opcode == last else self._reader(readers, opcode, stop)
                 if self._index is not None and opcode != Opcode.MESSAGE_INDEX:
-                    self._leave_chunk(whole=True)
+                    self._leave_chunk()
                 if self._run is not None and opcode not in _LOOSE:
                     self._end_run()
                 if opcode == last:
@@ -254,7 +246,7 @@ class Walk(ABC):
             raise FormatError("a message index does not fit its record")
         if channel in self._index:
             raise FormatError(f"a chunk has two message indexes of channel {channel}")
-        self._index[channel] = Entries(begin + r.INDEX_HEAD.size, size // 16)
+        self._index[channel] = size // 16
         self._index_end = stop
 
     def _attachment(self, begin: int, stop: int) -> None:
