@@ -4,7 +4,7 @@
 
 Each change is made in a copy of the project: a comparison or an operator becomes another one, a
 condition is negated, a number grows by 1, True becomes False. Folders have equal chances, then the
-lines in them. Tests run that import the module by its name; without such, those that import
+lines in them. Tests run that import the module or have its name; without such, those that import
 something from its folder; they stop at the first failure. Before, the same tests have to pass
 without the change. A change that goes unnoticed is printed: it may change nothing that counts, so
 look at each. Baselines that fail, and changes for which the time did not suffice, are no verdicts.
@@ -109,7 +109,10 @@ def tests_of(path: Path) -> list[str]:
     module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
     tests = {p: p.read_text(encoding="utf-8") for p in sorted((ROOT / "tests").rglob("test_*.py"))}
     for name in (module, module.rpartition(".")[0]):
-        found = [str(p.relative_to(ROOT)) for p, text in tests.items() if name in text]
+        named = f"test_{path.stem}"  # it may import the module's contents from its folder
+        found = [
+            str(p.relative_to(ROOT)) for p, text in tests.items() if name in text or p.stem == named
+        ]
         if found:
             return found
     return ["tests/running"]
