@@ -8,6 +8,7 @@ subscription (4 bytes), the time at which the server took it (8 bytes, ns), and 
 from __future__ import annotations
 
 import json
+import logging
 import struct
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -82,6 +83,8 @@ class FoxgloveInput:
             raise LogError(
                 "needs the package websockets: pip install websockets", path=self.name
             ) from None
+        # Its thread may outlive the run; Python would print that nobody takes what it logs.
+        logging.getLogger("websockets").addHandler(logging.NullHandler())
         try:
             with connect(
                 self.name,
