@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -236,10 +236,13 @@ class DisplacedCameras:
         event = self._named.get((source, False))
         if event is not None:
             self._named = {key: other for key, other in self._named.items() if other is not event}
-            self._events.log.remove(event)
             seconds = (stamp - event.stamp) / 1e9
             detail = f"{event.detail.replace('shows', 'showed')} for {seconds:.1f} s"
-            self._events.note(event.stamp, DISPLACED_A_WHILE, source=source, detail=detail)
+            # In its place: a live run publishes what is behind the events that it knows.
+            place = self._events.log.index(event)
+            self._events.log[place] = replace(
+                event, kind=DISPLACED_A_WHILE, source=source, detail=detail
+            )
 
     def compare(self, lone: LoneTracks) -> list[int]:
         """Compare what a camera alone shows with the people known elsewhere.
