@@ -10,7 +10,7 @@ from hiros_mcap.frames import Block
 from hiros_mcap.kernels.distance import centre
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, People, Stamps
 from hiros_mcap.stages.track.coverage import Coverage
-from hiros_mcap.stages.track.reidentify import REACH, TOP_SPEED
+from hiros_mcap.stages.track.reidentify import is_near
 
 _RECENT = 1_000_000_000  # ns: a camera that was silent for longer did not see the person anyway
 
@@ -148,7 +148,7 @@ class Unseen:
         for other in shown & self._views.keys():
             seconds = (self._came[other] - last) * 1e-9
             way = float(np.hypot(*(_centre(*self._views[other]) - place)[:2]))
-            if seconds > 0 and way < REACH + TOP_SPEED * seconds:
+            if seconds > 0 and is_near(way, seconds):
                 return True
         return False
 

@@ -39,8 +39,8 @@ _STATURE, _PROPORTION = 0.055, 0.04  # SD of the logarithm among adults
 _SHORT = 0.15  # m: shorter limbs are too noisy
 _FEWEST_LENGTHS = 5.0  # detections that make a limb's length worth comparing
 _PLACE, _WALK, _ROOM = 0.4, 0.7, 2.5  # SD of the place, m: at once, more per s, at most
-TOP_SPEED = 4.0  # m/s on the floor; nobody comes back faster
-REACH = 0.6  # m, besides
+_TOP_SPEED = 4.0  # m/s on the floor; nobody comes back faster
+_REACH = 0.6  # m, besides
 OVERLAP = 300_000_000  # ns for which two tracks of a person may run side by side
 _SURE_IF_MISSING, _SURE_IF_COMPLETE = 0.95, 0.5  # that a newcomer was there before
 _SURE_IF_UNWATCHED = 0.998  # the same if cameras watched for fewer s than it takes to go
@@ -139,13 +139,18 @@ def limb_cue(new: PersonCues, old: PersonCues, limbs: Limbs) -> float:
     return _log_student(ratios, noise) - _log_student(ratios, noise + population)
 
 
+def is_near(way: float, seconds: float) -> bool:
+    """Whether anybody goes so far, m, on the floor in so many seconds."""
+    return way <= _REACH + _TOP_SPEED * seconds
+
+
 def place_cue(new: PersonCues, old: PersonCues) -> float:
     """Logarithm of the likelihood ratio of the way on the floor; -inf if it can't be."""
     if new.stamp < old.stamp - OVERLAP:
         return -math.inf
     seconds = max((new.stamp - old.stamp) * 1e-9, 0.0)
     way = float(np.hypot(*(new.place - old.place)[:2]))
-    if not way <= REACH + TOP_SPEED * seconds:
+    if not is_near(way, seconds):
         return -math.inf
     sd = min(_PLACE + _WALK * seconds, _ROOM)
     went = _log_place(way, sd)
