@@ -246,10 +246,14 @@ class Report:
             )
 
     def _displaced_for_a_while(self) -> Iterator[str]:
-        """Yield which cameras did so, and do no longer."""
+        """Yield which cameras did so, and do no longer: the first time, and how often later."""
+        times: dict[str, list[Event]] = {}
         for event in sorted(self.run.events.log, key=attrgetter("stamp")):
             if event.kind == DISPLACED_A_WHILE:
-                yield f"{event.source} {event.detail}, from {self._seconds(event):.1f} s on"
+                times.setdefault(event.source, []).append(event)
+        for source, (first, *later) in times.items():
+            again = f", and {quantity(len(later), 'time')} more" if later else ""
+            yield f"{source} {first.detail}, from {self._seconds(first):.1f} s on{again}"
 
     def _distortions(self, cameras: Sequence[CameraSummary]) -> Iterator[str]:
         """Yield which cameras often show people distorted."""
