@@ -24,7 +24,8 @@ from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.container.live_writer import LiveWriter, Pipe
+from hiros_mcap.io.container.sinks import Pipe
+from hiros_mcap.io.container.writer import LiveWriter
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.write_log import write_log
 

@@ -16,7 +16,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -86,7 +85,8 @@ def repeat(minute: Path, target: Path, minutes: int) -> None:
             for topic, block in parts:
                 moved = block.restamped(block.stamps + k * MINUTE_NS)
                 times = (block.log_times + k * MINUTE_NS).tolist()
-                writer.write_into(channels[topic], times, partial(encoder.encode_into, moved))
+                for time, message in zip(times, encoder.encode_block(moved), strict=True):
+                    writer.write(channels[topic], time, message)
         writer.commit()
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from itertools import count
+from itertools import count, pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -532,7 +532,7 @@ class Encoder:
         columns = STATE if derivatives else POSE
         dropped = 0 if precision == "full" else _DROPPED
         self._format = encode.Format(columns, dropped, int(boxes))
-        self._out = np.empty(0, np.uint8)
+        self._out = np.empty(1 << 18, np.uint8)
 
     def encode(self, frame: Frame, source: str | None = None) -> bytes:
         """Write a message, little-endian; absent markers and links are left out.
@@ -543,38 +543,30 @@ class Encoder:
         express, and :class:`ValueError` for arrays that do not fit each other or the model.
         """
         block = Block.of(frame if source is None else frame.replace(source=source))
-        while isinstance(ends := self.encode_into(block, self._out), int):
-            self._out = np.empty(2 * ends, np.uint8)
-        return self._out[: ends[0]].tobytes()
+        return bytes(next(self.encode_block(block)))
 
-    def encode_into(
-        self,
-        block: Block,
-        out: npt.NDArray[np.uint8],
-        first: int = 0,
-        gap: int = 0,
-        limit: int = 1,
-    ) -> list[int] | int:
-        """Write the messages of a block from frame ``first`` on to the front of ``out``.
-
-        Each comes ``gap`` bytes behind the one before it, the first too. It ends with the first
-        message that reaches byte ``limit``, or for which there is no room. Returns where each
-        message ends, or how many bytes are enough if there is no room for one. Raises as
-        :meth:`encode` does.
-        """
-        messages = _messages(block, first)
-        ends = np.empty(len(messages.stamps), np.int64)
-        n = encode.encode(
-            out, gap, limit, messages, self._hierarchy, block.people, self._format, ends
-        )
-        if n == -encode.SHAPE:
-            raise ValueError("the arrays of the frame do not fit each other or the model")
-        if n == -encode.STAMP:
-            raise LogError(
-                "a stamp lies outside the years 1901 to 2038, which messages cannot hold; "
-                "check the clocks of the cameras and --clock"
+    def encode_block(self, block: Block) -> Iterator[memoryview]:
+        """Yield the message of each frame, as :meth:`encode`; it is valid until the next one."""
+        first = 0
+        while first < len(block):
+            messages = _messages(block, first)
+            ends = np.empty(len(messages.stamps), np.int64)
+            n = encode.encode(
+                self._out, messages, self._hierarchy, block.people, self._format, ends
             )
-        return -int(n) if n < 0 else ends[:n].tolist()
+            if n == -encode.SHAPE:
+                raise ValueError("the arrays of the frame do not fit each other or the model")
+            if n == -encode.STAMP:
+                raise LogError(
+                    "a stamp lies outside the years 1901 to 2038, which messages cannot hold; "
+                    "check the clocks of the cameras and --clock"
+                )
+            if n < 0:
+                self._out = np.empty(2 * -int(n), np.uint8)
+                continue
+            places = [0, *ends[:n].tolist()]
+            yield from (self._out.data[a:b] for a, b in pairwise(places))
+            first += int(n)
 
 
 def _messages(block: Block, first: int) -> encode.Messages:

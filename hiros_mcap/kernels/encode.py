@@ -273,15 +273,12 @@ def _fits(people: People, model: Hierarchy) -> bool:
 
 @entry
 def encode(
-    out: U1, gap: int, limit: int, messages: Messages, model: Hierarchy, people: People,
-    form: Format, ends: I1,
+    out: U1, messages: Messages, model: Hierarchy, people: People, form: Format, ends: I1
 ) -> int:  # fmt: skip
     """Write messages, little-endian, one after the other into ``out``.
 
     Parameters
     ----------
-    gap : bytes that are left free before each message.
-    limit : no message is begun at this byte of ``out`` or later; the first one is.
     messages, people : what is written. model : its markers and links.
     form : which numbers are written, and how exactly.
     ends : (N,) byte after each message that was written.
@@ -303,12 +300,9 @@ def encode(
         places = messages.places[i]
         texts = places[1] - places[0] + places[3] - places[2]
         n_people = messages.rows[i, 1] - messages.rows[i, 0]
-        size = at + gap + _size(n_people, texts, model.markers, model.links)
-        if i > 0 and (at >= limit or len(out) < size):
-            return i
+        size = at + _size(n_people, texts, model.markers, model.links)
         if len(out) < size:
-            return -size
-        at += gap
+            return i if i > 0 else -size
         length = _put_message(out[at:], messages, i, model, flat, form)
         if length < 0:
             return length

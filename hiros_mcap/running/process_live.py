@@ -19,9 +19,9 @@ from hiros_mcap.defaults import LIVE_SYSTEM
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.channels import LATCHED_QOS, TF_TOPICS, ChannelInfo, channels_of
 from hiros_mcap.io.container import McapWriter, Message
-from hiros_mcap.io.container.atomic import Sink
 from hiros_mcap.io.container.live_input import LiveInput
-from hiros_mcap.io.container.live_writer import LiveWriter, Pipe
+from hiros_mcap.io.container.sinks import Pipe, Sink
+from hiros_mcap.io.container.writer import LiveWriter
 from hiros_mcap.io.detectors.conversion import HUMANS
 from hiros_mcap.io.live_log import LiveLog, may_be_read, open_live, takes
 from hiros_mcap.io.rosbag2 import needs_latching

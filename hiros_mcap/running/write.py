@@ -7,7 +7,6 @@ import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
-from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -151,8 +150,9 @@ class LogOutput:
             return
         times = block.stamps if self._by_stamp else block.log_times
         self._copier.until(int(times[0]))
-        fill = partial(self._encoders[channel].encode_into, block)
-        self._writer.write_into(self._channels[channel], times.tolist(), fill)
+        messages = self._encoders[channel].encode_block(block)
+        for time, message in zip(times.tolist(), messages, strict=True):
+            self._writer.write(self._channels[channel], time, message)
         if block.uncertainty is not None and channel == self._chain[-1]:
             self._write_uncertainty(block, times.tolist())
         if self._export is not None and channel == self._chain[-1]:

@@ -10,7 +10,7 @@ from threading import Lock
 from isal.isal_zlib import crc32
 
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.container.records import FormatError
+from hiros_mcap.io.container.records import Bytes, FormatError
 
 _BLOCK = 1 << 20
 
@@ -80,6 +80,30 @@ class LogFile:
         except (OSError, ValueError) as error:
             raise _refused(self.path, error) from None
         return state.st_size, state.st_mtime_ns
+
+
+class MemoryFile(LogFile):
+    """The bytes of a log that are in memory.
+
+    Parameters
+    ----------
+    path : what errors name. data : the bytes.
+    """
+
+    def __init__(self, path: Path, data: Bytes) -> None:
+        self.path = path
+        self.size = len(data)
+        self._data = memoryview(data)
+
+    def close(self) -> None:
+        """Forget the bytes."""
+        self._data = memoryview(b"")
+
+    def check_unchanged(self) -> None:
+        """Do nothing: nobody else has the bytes."""
+
+    def _read_at(self, offset: int, n: int) -> bytes:
+        return bytes(self._data[offset : offset + n])
 
 
 def _refused(path: Path, error: Exception) -> LogError:

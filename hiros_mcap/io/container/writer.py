@@ -1,6 +1,6 @@
 """Writes an MCAP file: chunked, indexed, with every checksum, the same bytes for the same calls.
 
-One background thread encodes, compresses and writes messages in the order of the calls. Timing and
+One background thread compresses and writes in the order of the calls. Timing and
 the number of cores therefore change no byte. Clock, host and paths do not get into the file.
 """
 
@@ -15,52 +15,31 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, Self
 
-import numpy as np
-import numpy.typing as npt
 from isal.isal_zlib import crc32
 
 from hiros_mcap._version import __version__
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import records as r
-from hiros_mcap.io.container.atomic import OutputFile, Sink
 from hiros_mcap.io.container.chunks import COMPRESSIONS, compress
 from hiros_mcap.io.container.reader import McapReader
 from hiros_mcap.io.container.records import Opcode
+from hiros_mcap.io.container.sinks import OutputFile, Sink
 
 CHUNK_SIZE = 2 << 20
 """A chunk is closed when its records reach this many bytes. 2 and 4 MiB take 5 % less than 1 MiB,
 since the threads disturb each other less often."""
-_SPARE = 1 << 16
 _IN_FLIGHT = 8
-_GATHERED = 1 << 18  # bytes of single messages that are handed over together
 _MAX_ID = 0xFFFF
 _MESSAGE = struct.Struct("<BQHIQQ")
 
 
-Buffer = npt.NDArray[np.uint8]
-Fill = Callable[[Buffer, int, int, int], list[int] | int]
-"""See :meth:`McapWriter.write_into`."""
+class OpenChunk:
+    """The chunk that is being filled."""
 
-
-class _Batch:
-    """The chunk that is being filled, by the background thread alone."""
-
-    def __init__(self, size: int) -> None:
-        self.buffer: Buffer = np.empty(size, np.uint8)
-        """Its records, one after the other, and space for more."""
-        self.clear()
-
-    def clear(self) -> None:
-        """Begin the next chunk in the same buffer, which is in the caches."""
-        self.size = 0
+    def __init__(self) -> None:
+        self.records = bytearray()
         self.index: dict[int, list[tuple[int, int]]] = {}
         self.start_time, self.end_time = 2**64, 0
-
-    def enlarge(self, size: int) -> None:
-        """Make room for ``size`` bytes in all."""
-        bigger = np.empty(size, np.uint8)
-        bigger[: self.size] = self.buffer[: self.size]
-        self.buffer = bigger
 
 
 class McapWriter:
@@ -96,9 +75,7 @@ class McapWriter:
         self._chunk_size = chunk_size
         self._times: list[int] = []
         self._reserved: tuple[set[int], set[int]] = (set(), set())  # schemas and channels
-        self._batch = _Batch(chunk_size + _SPARE)
-        self._singles: list[r.Message] = []
-        self._gathered = 0
+        self._batch = OpenChunk()
         self._indexes: list[r.ChunkIndex] = []
         self._extras: list[tuple[int, bytes]] = []
         self._waiting: deque[Future[None]] = deque()
@@ -203,32 +180,19 @@ class McapWriter:
         times = log_time, published
         if not (0 <= min(times) <= max(times) < 2**64 and 0 <= (sequence or 0) < 2**32):
             raise ValueError(f"a message has no such times or number: {times}, {sequence}")
-        counted = self._number(channel_id, 1)
-        number = counted if sequence is None else sequence
-        self._singles.append(r.Message(channel_id, log_time, bytes(data), published, number))
-        self._gathered += _MESSAGE.size + len(data)
-        if self._gathered >= _GATHERED:
-            self._hand_over()
-
-    def write_into(self, channel_id: int, log_times: Sequence[int], fill: Fill) -> None:
-        """Add messages that ``fill`` writes into the chunk itself, without a copy.
-
-        ``fill(space, first, gap, limit)`` writes messages from number ``first`` on into ``space``,
-        each ``gap`` bytes behind the one before it, the first too. It stops behind the message that
-        reaches byte ``limit``, or before one that does not fit. It returns where each of them ends.
-        If not even one fits, it returns how many bytes are enough and is called again. The
-        background thread calls it later; a later call of the writer raises its errors.
-        """
-        self._submit(
-            self._fill, channel_id, log_times, self._number(channel_id, len(log_times)), fill
-        )
-
-    def _number(self, channel_id: int, n: int) -> int:
-        """Count messages of a channel; return the sequence number of the first."""
         if channel_id not in self.channels:
             raise ValueError(f"there is no channel {channel_id}")
-        self.counts[channel_id] += n
-        return self.counts[channel_id] - n
+        number = self.counts[channel_id] if sequence is None else sequence
+        self.counts[channel_id] += 1
+        batch, at = self._batch, len(self._batch.records)
+        size = _MESSAGE.size - r.HEAD.size + len(data)
+        batch.records += _MESSAGE.pack(Opcode.MESSAGE, size, channel_id, number, *times)
+        batch.records += data
+        batch.index.setdefault(channel_id, []).append((log_time, at))
+        batch.start_time = min(batch.start_time, log_time)
+        batch.end_time = max(batch.end_time, log_time)
+        if len(batch.records) >= self._chunk_size:
+            self._flush()
 
     def copy_chunk(self, reader: McapReader, chunk: r.Chunk) -> None:
         """Copy a chunk's messages of the copied channels; bytes, times and numbers stay.
@@ -272,7 +236,7 @@ class McapWriter:
         kept = all(i == new for i, new in ids.items()) and not (others & self.channels.keys())
         for chunk in sorted(reader.contents.chunks, key=lambda chunk: chunk.offset):
             if kept:
-                self._submit(self._flush)  # what is copied next lies behind these messages
+                self._flush()  # what is copied next lies behind these messages
                 self.copy_chunk(reader, chunk)
             elif chunk.holds(ids):
                 for message in reader.messages_in(chunk):
@@ -343,7 +307,7 @@ class McapWriter:
 
     def commit(self) -> None:
         """Finish the file, check it and let it appear at ``path``, replacing what was there."""
-        self._submit(self._flush)
+        self._flush()
         self._wait()
         self._summary()
         self._out.commit()
@@ -352,16 +316,6 @@ class McapWriter:
 
     def _submit(self, job: Callable[..., None], *args: Any) -> None:
         """Queue a job of the background thread; its errors are raised by a later call."""
-        if self._singles:
-            self._hand_over()
-        self._queue(job, *args)
-
-    def _hand_over(self) -> None:
-        """Queue the single messages so far."""
-        singles, self._singles, self._gathered = self._singles, [], 0
-        self._queue(self._add, singles)
-
-    def _queue(self, job: Callable[..., None], *args: Any) -> None:
         self._waiting.append(self._worker.submit(self._do, job, *args))
         while len(self._waiting) > _IN_FLIGHT:
             self._waiting.popleft().result()
@@ -373,61 +327,14 @@ class McapWriter:
         finally:
             self.cpu_s += time.thread_time() - start
 
-    def _add(self, singles: list[r.Message]) -> None:
-        """Add messages that are complete."""
-        batch = self._batch
-        for single in singles:
-            end = batch.size + _MESSAGE.size + len(single.data)
-            if len(batch.buffer) < end:
-                batch.enlarge(end)
-            batch.buffer.data[end - len(single.data) : end] = single.data
-            self._head(
-                single.channel_id, single.sequence, single.log_time, single.publish_time, end
-            )
-            if batch.size >= self._chunk_size:
-                self._flush()
-
-    def _fill(self, channel_id: int, log_times: Sequence[int], number: int, fill: Fill) -> None:
-        """Let messages be written, see :meth:`write_into`; ``number`` is that of the first."""
-        batch, first = self._batch, 0
-        while first < len(log_times):
-            begin = batch.size
-            ends = fill(batch.buffer[begin:], first, _MESSAGE.size, self._chunk_size - begin)
-            if isinstance(ends, int):
-                batch.enlarge(begin + ends)
-                continue
-            for end in ends:
-                self._head(
-                    channel_id, number + first, log_times[first], log_times[first], begin + end
-                )
-                first += 1
-            if batch.size >= self._chunk_size:
-                self._flush()
-
-    def _head(
-        self, channel_id: int, sequence: int, log_time: int, publish_time: int, end: int
-    ) -> None:
-        """Complete the record of the message that reaches from the batch's size to ``end``."""
-        batch = self._batch
-        at, batch.size = batch.size, end
-        _MESSAGE.pack_into(
-            batch.buffer.data, at, Opcode.MESSAGE, end - at - r.HEAD.size, channel_id, sequence,
-            log_time, publish_time,
-        )  # fmt: skip
-        batch.index.setdefault(channel_id, []).append((log_time, at))
-        batch.start_time = min(batch.start_time, log_time)
-        batch.end_time = max(batch.end_time, log_time)
-
     def _flush(self) -> None:
-        """Write the chunk."""
-        batch = self._batch
-        if batch.index:
-            self._emit_batch()
-            batch.clear()
+        """Let the chunk be written, and begin the next one."""
+        if self._batch.index:
+            self._submit(self._emit_batch, self._batch)
+            self._batch = OpenChunk()
 
-    def _emit_batch(self) -> None:
-        batch = self._batch
-        times, data = (batch.start_time, batch.end_time), batch.buffer.data[: batch.size]
+    def _emit_batch(self, batch: OpenChunk) -> None:
+        times, data = (batch.start_time, batch.end_time), batch.records
         packed = compress(data, self._compression)
         head = r.CHUNK_HEAD.pack(*times, len(data), crc32(data)) + r.text(self._compression)
         fixed = head + struct.pack("<Q", len(packed))
@@ -532,6 +439,28 @@ class McapWriter:
         footer += struct.pack("<QQ", start, start + len(summary))
         crc = crc32(summary + offsets + footer)
         self._out.write(summary, offsets, footer, struct.pack("<I", crc), r.MAGIC)
+
+
+class LiveWriter(McapWriter):
+    """An MCAP on its way to a reader: :meth:`flush` sends what was written since the last.
+
+    Messages are not in chunks, since a chunk would have to wait for its last message, and no index
+    grows with the length of the recording. Whatever leaves the ``with`` block without a commit has
+    no end mark.
+    """
+
+    def __init__(self, out: Sink) -> None:
+        super().__init__(out, compression="")
+
+    def flush(self) -> None:
+        """Send everything so far, and wait until it is on its way."""
+        self._flush()
+        self._wait()
+
+    def _emit_batch(self, batch: OpenChunk) -> None:
+        first, last = self._times or (batch.start_time, batch.end_time)
+        self._times = [min(first, batch.start_time), max(last, batch.end_time)]
+        self._out.write(batch.records)
 
 
 class ChunkCopier:

@@ -1,4 +1,4 @@
-"""A file that appears under its name only when it is complete."""
+"""Where bytes go: a file that appears only when it is complete, a pipe, or the memory."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pathlib import Path
 from isal.isal_zlib import crc32
 
 from hiros_mcap.errors import LogError
+from hiros_mcap.io.container.file import MemoryFile
 from hiros_mcap.io.container.records import Bytes
 from hiros_mcap.outputs import temporary_name
 
@@ -97,3 +98,42 @@ class OutputFile(Sink):
     def _error(self, error: Exception) -> LogError:
         fault = getattr(error, "strerror", None) or str(error) or type(error).__name__
         return LogError(f"cannot be written: {fault}", path=self.path)
+
+
+class Pipe(Sink):
+    """A pipe in place of a file.
+
+    A reader that is slow makes the writer wait; BrokenPipeError is raised if it is gone.
+    """
+
+    def __init__(self, descriptor: int, name: str) -> None:
+        super().__init__(name)
+        self._descriptor = descriptor
+
+    def _put(self, parts: Iterable[Bytes]) -> None:
+        """Write everything, however long that takes; raises BrokenPipeError or LogError."""
+        data = memoryview(b"".join(parts))
+        try:
+            while data:
+                data = data[os.write(self._descriptor, data) :]
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            raise LogError(f"cannot be written: {error.strerror}", path=self.path) from None
+
+
+class MemorySink(Sink):
+    """Bytes in place of a file: what a recording of another format becomes."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._data = bytearray()
+
+    @property
+    def file(self) -> MemoryFile:
+        """What was written."""
+        return MemoryFile(self.path, self._data)
+
+    def _put(self, parts: Iterable[Bytes]) -> None:
+        for part in parts:
+            self._data += part
