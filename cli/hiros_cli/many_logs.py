@@ -43,7 +43,7 @@ class ManyLogs:
     )
     cluster: str | None = option(
         "ADDRESS",
-        "Run on a Dask cluster: its address, a scheduler file (.json), or local to start one.",
+        "Run on a Dask cluster: its address, or a scheduler file (.json).",
         panel=MANY,
     )
     csv: Path | None = option("FILE", "Also write the table of all logs as CSV.", panel=MANY)
@@ -159,7 +159,7 @@ def _runner(many: ManyLogs, logs: Sequence[str], folder: str) -> Runner:
     from hiros_mcap.many.cluster_runner import on_cluster
 
     paths = [*logs[:1], *([folder] if folder else [])]
-    return on_cluster(many.cluster, paths, many.jobs or 0)
+    return on_cluster(many.cluster, paths)
 
 
 def short(log: str) -> str:
