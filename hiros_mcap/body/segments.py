@@ -33,16 +33,16 @@ LARGEST_FOREARM_DEG = 45.0
 """The same for a forearm, whose marker at the thumb is noisy but right in the mean."""
 
 SIDES = ("left", "right")
-_PELVIS = ("pelvis", "spinebase", "midhip", "hips", "spine_base")
+PELVIS = ("pelvis", "spinebase", "midhip", "hips", "spine_base")
 NECK = ("neck", "spineshoulder", "spine_shoulder", "spine_chest")
-_LOWER_SPINE = ("spine_naval", "spinemid", "spine_mid", "spine", "naval")
+LOWER_SPINE = ("spine_naval", "spinemid", "spine_mid", "spine", "naval")
 HEAD = ("head", "nose")
 _FACE = ("ear", "eye")
 TOE = ("foot", "toe", "bigtoe", "big_toe", "toebase")
 
 # Segment -> names of the markers at both ends of the link that turns with it.
 _LINKS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "pelvis": (_PELVIS, (*_LOWER_SPINE, *NECK)),
+    "pelvis": (PELVIS, (*LOWER_SPINE, *NECK)),
     "thorax": ((), NECK),
     "head": (NECK, HEAD),
     "thigh": (("hip",), ("knee",)),
@@ -72,7 +72,7 @@ def finder(model: SkeletonModel, positions: Floats) -> Finder:
         slot = next((slots[name, side] for name in names if (name, side) in slots), None)
         if slot is not None:
             return np.asarray(positions[:, slot])
-        for part, ours in (("shoulder", NECK), ("hip", _PELVIS)):
+        for part, ours in (("shoulder", NECK), ("hip", PELVIS)):
             if set(names) & {*ours}:
                 return (at(part, side="left") + at(part, side="right")) / 2
         return absent
@@ -98,8 +98,8 @@ def marker_segments(model: SkeletonModel, positions: Floats) -> dict[str, Floats
     shoulders = at("shoulder", side="right") - at("shoulder", side="left")
     face = at(*_FACE, side="right") - at(*_FACE, side="left")
     segments = {
-        "pelvis": frame(z=right - left, y=at(*_LOWER_SPINE, *NECK) - middle),
-        "thorax": frame(y=at(*NECK) - at(*_PELVIS), z=shoulders, keep="y"),
+        "pelvis": frame(z=right - left, y=at(*LOWER_SPINE, *NECK) - middle),
+        "thorax": frame(y=at(*NECK) - at(*PELVIS), z=shoulders, keep="y"),
         "head": frame(y=long_axis_of_head(at), z=face, keep="y"),
     }
     for side in SIDES:

@@ -734,3 +734,23 @@ def test_a_guess_moves_an_offset_less_than_a_sighting():
     params = PLAIN.model_copy(update={"offset_time": 5.0, "cameras": 3})
     b, c = [list(merge([*frames, f], MODEL, params))[-1].positions[0, 0, 0] for f in late]
     assert 0.06 - b > 5 * (0.06 - c) > 0
+
+
+def test_a_faint_view_has_no_vote():
+    """With the past, which it led astray, it would win against a view that sees the joint."""
+    apart = np.array([[0.0, 1.0, 1.0], [1.0, 0.0, 0.1], [1.0, 0.1, 0.0]])
+    assert merging.largest_group(apart, np.array([1.0, 0.05]), True, 0.2) == 0
+    assert merging.largest_group(apart, np.array([1.0, 0.5]), True, 0.2) == 1
+
+
+def test_who_is_carried_does_not_come_apart():
+    """A distorted view before an absence gives a limb a velocity that no limb keeps."""
+    frames = [seen([person(0.02 * k), person(2)], at(k), "a", ids=[0, 1]) for k in range(5)]
+    for frame in frames:
+        frame.velocities[:] = [[[0.6, 0.0, 0.0]], [[0.0, 0.0, 0.0]]]
+        frame.velocities[0, 7] = [0.6, 0.0, 4.0]
+    frames += [seen([person(2)], at(k), "a", ids=[1]) for k in range(5, 10)]
+    merged = list(merge(frames, MODEL, MergeParams(bridge=0.2)))
+    off = merged[9].positions[0] - person(0.02 * 9)
+    assert np.abs(off[:7]).max() < 0.1  # it went on as a whole
+    assert 0.2 < off[7, 2] < 0.3  # of 0.8 m at its own velocity

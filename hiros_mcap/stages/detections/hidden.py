@@ -1,4 +1,4 @@
-"""What a camera cannot see: joints behind somebody else, which detectors invent.
+"""What a camera cannot see and no body can do: joints that detectors invent.
 
 A detector reports a whole person also where somebody stands in front, and is as sure of the hidden
 joints as of the others. Geometry tells which these are. For every message, in the order of time:
@@ -7,7 +7,9 @@ joints as of the others. Geometry tells which these are. For every message, in t
    0 to 1 (:mod:`hiros_mcap.kernels.line_of_sight`). Others are those of the same message, and those
    whom another camera has just shown.
 2. A detector that sees a part distorts the rest. With H, the mean of h over the view,
-   1 - h' = (1 - h) (1 - H^2).
+   1 - h' = (1 - h) (1 - H^2). It is also wrong where a body would bend as no body does, whoever
+   hides it: there 1 - h' is multiplied by the probability that the posture is right
+   (:mod:`~hiros_mcap.stages.detections.impossible_postures`).
 3. An invented joint may lie where the camera does see. So every person has a remembered pose: each
    joint where it was seen last, moved with the person by the geometric median of the displacements
    of the joints that are seen now. After t s it is known with the variance
@@ -49,10 +51,13 @@ from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, SkeletonModel, Sta
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.detections import hidden_joints as kernels
 from hiros_mcap.stages.detections.detection_params import PlausibleParams
+from hiros_mcap.stages.detections.impossible_postures import limits_of
 from hiros_mcap.stages.detections.limb_deviations import ComparedMessages
 
 HIDDEN = "hidden"
 """Kind of the event "somebody stood behind somebody else", and of the count of such joints."""
+POSTURE = "impossible posture"
+"""Kind of the count of joints that bend as no body does."""
 _MOSTLY = 0.5  # share of a view's joints that are hidden while the person is
 _PAUSE = 300_000_000  # ns without such a view that end it
 _SHORTEST = 100_000_000  # ns; shorter ones are not noted
@@ -98,7 +103,8 @@ class _HiddenPeople:
     """What is known of everybody's pose, and who is hidden."""
 
     def __init__(self, model: SkeletonModel, events: Events, places: Mapping[str, Floats]) -> None:
-        self._capsules, self._events, self._places = capsules_of(model), events, places
+        self._capsules, self._limits = capsules_of(model), limits_of(model)
+        self._events, self._places = events, places
         self._bank = Bank(kernels.HiddenPast.empty(model.n_markers))
         self._cameras = CameraNumbers()
         self._rates = np.zeros((0, 2))
@@ -115,8 +121,9 @@ class _HiddenPeople:
         out = kernels.MendedViews.of(*shape)
         kernels.mend_hidden(kernels.HiddenScene(
             ComparedMessages(block.stamps, cameras, block.rows, known), people,
-            places_of(self._cameras, self._places), self._rates, self._capsules, self._bank.past,
-            out, kernels.HiddenWork.of(shape[0], len(self._bank.past.ids), shape[1]),
+            places_of(self._cameras, self._places), self._rates, self._capsules, self._limits,
+            self._bank.past, out,
+            kernels.HiddenWork.of(shape[0], len(self._bank.past.ids), shape[1]),
         ))  # fmt: skip
         self._note(block, rows, owners, out)
         if not out.variances.any():
@@ -127,9 +134,11 @@ class _HiddenPeople:
 
     def _note(self, block: Block, rows: Stamps, owners: Stamps, out: kernels.MendedViews) -> None:
         """Count hidden joints, and note who is hidden from whom."""
-        invented = (out.shares[rows] > 0.5).sum(axis=1)
-        for k in np.flatnonzero(invented).tolist():
-            self._events.count(HIDDEN, block.source(int(owners[k])), int(invented[k]))
+        invented, bent = out.shares[rows] > 0.5, out.postures[rows] > 0.5
+        for kind, markers in ((HIDDEN, invented & ~bent), (POSTURE, invented & bent)):
+            counts = markers.sum(axis=1)
+            for k in np.flatnonzero(counts).tolist():
+                self._events.count(kind, block.source(int(owners[k])), int(counts[k]))
         for k in np.flatnonzero(out.hidden[rows] > _MOSTLY).tolist():
             row, owner = int(rows[k]), int(owners[k])
             source, stamp = block.source(owner), int(block.stamps[owner])

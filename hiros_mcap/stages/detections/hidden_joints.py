@@ -14,6 +14,7 @@ from hiros_mcap.kernels.array_types import B1, F1, F2, F3, I1, I2, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.kernels.line_of_sight import OUTLINE, Capsules, hidden_by, outline
 from hiros_mcap.skeletons import UNTRACKED, Floats, People
+from hiros_mcap.stages.detections.impossible_postures import PostureLimits, doubt_posture
 from hiros_mcap.stages.detections.limb_deviations import ComparedMessages
 
 HONEST = 0.06  # m; deviation of a joint that is seen: a Kinect v2 at 3 to 4 m, hands included
@@ -28,6 +29,7 @@ _CORRELATED = 0.5  # s; how long a limb keeps its place within the body: half a 
 _MOVES = 0.1  # m; deviation of a joint within the body before it is measured
 _MEMORY = 3.0  # s; that the measured one is of: three strides
 _AGO = 0.15  # s unseen after which the remembered place counts; till then another camera sees it
+_ONE = 1.0  # joint that must be hidden, so that a view may be displaced as a whole
 _RECENT = 300_000_000  # ns; whom a camera's message lacks is where he was, for so long
 _LONGEST = 0.5  # s between two views that motion is carried over
 _FEWEST = 0.25  # share of joints that show how the person moved
@@ -64,6 +66,7 @@ class MendedViews(NamedTuple):
     places: F3  # (P, M, 3) m, of hidden joints; NaN = as measured
     variances: F2  # (P, M) m2, to be added to that of the measurement
     shares: F2  # (P, M) h, then the probability that the joint was invented
+    postures: F2  # (P, M) the probability that it is wrong by how the body bends
     hidden: F1  # (P,) mean of h over the joints
     hiders: I1  # (P,) who hides most of them; UNTRACKED = nobody
 
@@ -71,7 +74,7 @@ class MendedViews(NamedTuple):
     def of(cls, n_people: int, n_markers: int) -> MendedViews:
         """Return views that nobody hides."""
         p, m = n_people, n_markers
-        views = arrays(cls, (p, m, 3), (p, m), (p, m), p, p)
+        views = arrays(cls, (p, m, 3), (p, m), (p, m), (p, m), p, p)
         views.places.fill(np.nan)
         views.hiders.fill(UNTRACKED)
         return views
@@ -103,6 +106,7 @@ class HiddenScene(NamedTuple):
     places: F2  # (C, 3) of the cameras, m; NaN = unknown
     rates: F2  # (C, 2) views, and the share of joints that the camera's detector guesses
     capsules: Capsules
+    limits: PostureLimits
     past: HiddenPast
     out: MendedViews
     work: HiddenWork
@@ -176,20 +180,22 @@ def _cover(points: Floats, p: int, i: int, scene: HiddenScene, shares: Floats) -
 
 @kernel
 def _see(p: int, i: int, scene: HiddenScene) -> None:
-    """Find out how far each measured joint is hidden, and the whole view (1, 2)."""
+    """Find out how far joints are hidden or bend wrongly, and the whole view (1, 2)."""
     markers, shares = scene.people.markers[p], scene.out.shares[p]
-    camera = scene.messages.cameras[i]
-    if math.isnan(scene.places[camera, 0]) or scene.work.rates[p]:
+    if scene.work.rates[p]:
         return
-    scene.out.hiders[p] = _cover(markers, p, i, scene, shares)
+    if not math.isnan(scene.places[scene.messages.cameras[i], 0]):
+        scene.out.hiders[p] = _cover(markers, p, i, scene, shares)
     total, n = 0.0, 0
     for m in range(len(markers)):
         if not math.isnan(markers[m, 0]):
             total += shares[m]
             n += 1
     whole = scene.out.hidden[p] = total / max(n, 1)
+    doubt_posture(markers, scene.limits, scene.out.postures[p])
     for m in range(len(markers)):
-        shares[m] = 1.0 - (1.0 - shares[m]) * (1.0 - whole * whole)
+        seen = (1.0 - shares[m]) * (1.0 - whole * whole) * (1.0 - scene.out.postures[p, m])
+        shares[m] = 1.0 - seen
 
 
 @inlined
@@ -248,7 +254,7 @@ def _doubt_leap(p: int, row: int, passed: float, scene: HiddenScene) -> int:
     """Find out whether a view is displaced as a whole (4); return how many joints it has."""
     view, shares, work = scene.people.markers[p], scene.out.shares[p], scene.work
     n = _steps(view, shares, row, np.inf, scene.past, work.steps)
-    if n == 0 or scene.out.hidden[p] == 0.0:
+    if n == 0 or scene.out.hidden[p] * n < _ONE:
         return n
     _geometric_median(work.steps, n, work.centre)
     x, y, z = work.centre[0], work.centre[1], work.centre[2]
@@ -326,6 +332,8 @@ def _weigh(p: int, m: int, row: int, stamp: int, scene: HiddenScene) -> None:
         square = (z[0] - x[0]) ** 2 + (z[1] - x[1]) ** 2 + (z[2] - x[2]) ** 2
         out.shares[p, m] = _invented(max(out.shares[p, m], expected), square, HONEST**2, held)
         error = _error(square, held)
+        # That a joint was there before does not make an impossible posture right.
+        out.shares[p, m] = max(out.shares[p, m], _SURELY * out.postures[p, m])
         # What another camera sees now is no second measurement.
         held /= 1.0 - math.exp(-((age / _AGO) ** 2)) + 1e-9
     if out.shares[p, m] <= _LEAST:
@@ -343,9 +351,11 @@ def _mend(p: int, i: int, scene: HiddenScene) -> None:
     row, camera = scene.messages.rows[p], scene.messages.cameras[i]
     stamp, markers = scene.messages.stamps[i], scene.people.markers[p]
     _move(p, row, _passed(stamp, scene.past.stamps[row]), scene)
-    if math.isnan(scene.places[camera, 0]) or scene.work.rates[p]:
+    if scene.work.rates[p]:
         return
-    _cover(scene.past.poses[row], p, i, scene, scene.work.expected)
+    scene.work.expected[:] = 0.0
+    if not math.isnan(scene.places[camera, 0]):
+        _cover(scene.past.poses[row], p, i, scene, scene.work.expected)
     for m in range(len(markers)):
         if not math.isnan(markers[m, 0]):
             _weigh(p, m, row, stamp, scene)

@@ -40,10 +40,14 @@ EXCHANGED, LEFT_OUT = 1, 2
 """What became of a view that faced the wrong way: its sides were exchanged, or it was dropped."""
 
 _HORIZON = 0.2  # s for which a past pose is carried on at constant velocity
+_LIMBS = 0.05  # s; how long the limbs of somebody whom no view shows go on by themselves
 _MAX_HOLD = 4.0  # s for which the past outvotes views at most; flips of detectors last up to 3 s
 _HOLD_RATIO = 3.0  # the past outvotes views this many times as long as it was confirmed itself
 _CLEARLY = 0.75  # share of a view's distance to the past that exchanged sides must leave at most
 _ROUNDS = 3  # of reweighting
+_FAINT = 1 / 9
+"""Share of the best view's weight below which a view has no vote: a third of its confidence.
+Otherwise it would lead the past astray, and then win with it."""
 
 
 class MergerSettings(NamedTuple):
@@ -214,9 +218,10 @@ def _fade(confidences: Floats, p: int, share: float) -> None:
 def _bridge(
     stamp: int, past: MergerPast, row: int, settings: MergerSettings, out: People, p: int
 ) -> None:
-    """Write the past pose, carried on at constant velocity up to the horizon.
+    """Write the past pose, carried on at the body's velocity up to the horizon.
 
-    Beyond ``bridge`` s without a view, confidences fall, to nothing at ``carry`` s.
+    What limbs move beside it fades: else who is carried comes apart. Beyond ``bridge`` s without
+    a view, confidences fall, to nothing at ``carry`` s.
     """
     copy_pose(out, p, past, row)
     unseen = (stamp - past.seen[row]) * 1e-9
@@ -226,10 +231,16 @@ def _bridge(
         _fade(out.marker_confidences, p, share)
         _fade(out.link_confidences, p, share)
     dt = min(unseen, _HORIZON)
-    for m in range(out.markers.shape[1]):
-        for c in range(3):
-            v = out.markers[p, m, VELOCITY + c]
-            out.markers[p, m, c] += dt * (0.0 if math.isnan(v) else v)
+    own = _LIMBS * (1.0 - math.exp(-dt / _LIMBS))
+    for c in range(3):
+        column, body = VELOCITY + c, 0.0
+        for m in range(out.markers.shape[1]):
+            v = out.markers[p, m, column]
+            body += 0.0 if math.isnan(v) else v / out.markers.shape[1]
+        for m in range(out.markers.shape[1]):
+            v = out.markers[p, m, column]
+            v = body if math.isnan(v) else v
+            out.markers[p, m, c] += dt * body + own * (v - body)
 
 
 # Votes: on the way a person faces, on the position of a marker, on the orientation of a link.
@@ -257,8 +268,9 @@ def _distance(values: Floats, a: int, b: int, orientations: bool) -> float:
 def largest_group(distances: F2, weights: F1, has_past: bool, limit: float) -> int:
     """Return the view whose neighbours, nearer than ``limit``, are the right ones; -1 = no view.
 
-    The largest group wins (section 3.2); of equal ones the nearest to the past, then the most
-    confident, then the tightest. The order of the cameras never matters.
+    The largest group wins (section 3.2), without the votes of ``_FAINT`` views; of equal ones the
+    nearest to the past, then the most confident, then the tightest. The order of the cameras never
+    matters.
 
     Parameters
     ----------
@@ -268,15 +280,18 @@ def largest_group(distances: F2, weights: F1, has_past: bool, limit: float) -> i
     """
     n = distances.shape[0]
     views = n - 1 if has_past else n
-    best = -1
+    best, least = -1, 0.0
+    for k in range(views):
+        if not math.isnan(distances[k, k]):
+            least = max(least, _FAINT * weights[k])
     best_votes, best_past, best_weight, best_sum = 0, 0.0, 0.0, 0.0
     for k in range(views):
-        if math.isnan(distances[k, k]):
+        if math.isnan(distances[k, k]) or weights[k] < least:
             continue
         votes, weight, total = 0, 0.0, 0.0
         for j in range(n):
             if distances[k, j] < limit:
-                votes += 1
+                votes += int(j >= views or weights[j] >= least)
                 total += distances[k, j]
                 if j < views:
                     weight += weights[j]
