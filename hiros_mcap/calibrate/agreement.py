@@ -11,7 +11,7 @@ from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.joint_refinement import Points, RigResiduals, common_motion
 from hiros_mcap.calibrate.pair_pose import FIT_M
 from hiros_mcap.calibrate.sampling import Rig, group, placed, sample
-from hiros_mcap.skeletons import Floats, Ints, Stamps
+from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
 WHOLE = 8
 """Bodies are compared by at least so many joints."""
@@ -32,7 +32,7 @@ class SharedView(NamedTuple):
     """What C cameras have in common."""
 
     common: Floats
-    """(C, C) skeletons that could be the same: the fewer of both cameras, over all instants."""
+    """(C, C) skeletons that could be the same, over all instants."""
     fitting: Floats
     """(C, C) those that are."""
     seconds: Floats
@@ -51,12 +51,10 @@ def shared_view(
     places = placed(samples, rig)
     groups = group(samples, places, mirror, FIT_M)
     n = len(views)
-    seen = np.zeros((n, len(instants)))
-    np.add.at(seen, (samples.cameras, samples.instants), 1.0)
     people = np.zeros((n, len(samples.cameras)), np.bool_)  # camera, first row of a person
     people[samples.cameras, groups.people] = True
     fitting = people.astype(np.float64) @ people.T
-    common = np.array([[np.minimum(a, b).sum() for b in seen] for a in seen])
+    common = fitting + _could_fit(people, samples.instants)
     cell = float(np.median(np.diff(instants))) if len(instants) > 1 else 0.0
     weights = samples.lines.weights > 0.0
     middles = (places * weights[:, :, None]).sum(axis=1) / weights.sum(axis=1)[:, None]
@@ -68,6 +66,29 @@ def shared_view(
         company[c] = np.count_nonzero(both) / max(together, 1)
         spread[c] = np.sqrt(middles[both].var(axis=0).sum()) if both.any() else 0.0
     return SharedView(common, fitting, seconds, spread, company)
+
+
+def _could_fit(people: Flags, instants: Stamps) -> Floats:
+    """(C, C) Skeletons of two cameras that do not fit, and could be the same person.
+
+    Two people are different if a third camera sees both. Otherwise the fewer of both cameras count.
+
+    Parameters
+    ----------
+    people : (C, N) which cameras see a person, at the person's first row; none at other rows.
+    instants : (N,) of the rows, never decreasing.
+    """
+    left = np.zeros((len(people), len(people)))
+    rows = np.flatnonzero(people.any(axis=0))
+    starts = np.flatnonzero(np.diff(instants[rows], prepend=-1))
+    for at_once in np.split(rows, starts[1:]):
+        seen = people[:, at_once].astype(np.float64)
+        alone = seen[:, None] * (1.0 - seen)  # (C, C, G) who is seen by the first, not the second
+        perhaps_same = (seen.T @ seen == 0.0).astype(np.float64)
+        partners = np.swapaxes(alone, 0, 1) @ perhaps_same
+        count = (alone * (partners > 0.0)).sum(axis=2)
+        left += np.minimum(count, count.T)
+    return left
 
 
 def compare_bodies(residuals: RigResiduals, points: Points) -> Bodies:

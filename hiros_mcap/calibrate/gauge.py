@@ -28,6 +28,8 @@ CHI2_3_MEDIAN = 2.36597
 """Median of a chi-square distribution with three degrees of freedom."""
 _AXES = 3
 ROUNDS = 20
+_UNKNOWN = 1.0
+"""Standard error, radians or m, from which on a pose tells nothing."""
 STILL = 1e-5
 """A step that changes less, m or radians, is the last."""
 
@@ -115,16 +117,28 @@ def _observed(scaled: Floats) -> float:
     return max(1.0, (_AXES + free * middle) / (_AXES + free))
 
 
-def on_transforms(rig: Rig, given: Mapping[int, Rigid]) -> Placement:
+def on_transforms(rig: Rig, given: Mapping[int, Rigid], errors: Floats | None = None) -> Placement:
     """Return the placement that keeps the rig where the log's transforms put it.
 
-    It minimises the deviations of all cameras from the log's poses in units of the prior, with
-    Cauchy weights: a camera that was moved does not carry the others along.
+    It minimises the deviations of all cameras from the log's poses in units of their standard
+    deviations, with Cauchy weights: a camera that was moved does not carry the others along.
+
+    Parameters
+    ----------
+    errors : (C, 2) standard errors of the rig's poses, radians and m; None = none. A camera that
+        the people hardly place in the rig tells little about where the rig stands.
     """
+    cameras = list(given)
+    deviations = np.tile([np.radians(PRIOR_DEG), PRIOR_M], (len(cameras), 1))
+    if errors is not None:
+        deviations = np.hypot(deviations, np.minimum(errors[cameras], _UNKNOWN))
     starts = [_by_camera(rig, c, pose) for c, pose in given.items()]
-    best = min(starts, key=lambda start: float(np.log1p(_deviations(rig, given, start)[2]).sum()))
+    best = min(
+        starts,
+        key=lambda start: float(np.log1p(_deviations(rig, given, deviations, start)[2]).sum()),
+    )
     for _ in range(ROUNDS):
-        before, best = best, _improved(rig, given, best)
+        before, best = best, _improved(rig, given, deviations, best)
         if max(np.abs(a - b).max() for a, b in zip(before, best, strict=True)) < STILL:
             break
     return best
@@ -137,9 +151,12 @@ def _by_camera(rig: Rig, c: int, pose: Rigid) -> Placement:
 
 
 def _deviations(
-    rig: Rig, given: Mapping[int, Rigid], placement: Placement
+    rig: Rig, given: Mapping[int, Rigid], deviations: Floats, placement: Placement
 ) -> tuple[Floats, Floats, Floats]:
-    """(K, 3) rotation and (K, 3) shift of each camera against the log, and (K,) chi squared."""
+    """(K, 3) rotation and (K, 3) shift of each camera against the log, and (K,) chi squared.
+
+    ``deviations`` (K, 2) are standard deviations of both, radians and m.
+    """
     turn, shift = placement
     cameras = list(given)
     turned = turn @ rig.rotations[cameras]
@@ -147,22 +164,25 @@ def _deviations(
     angles = to_vector(from_matrix(turned @ np.swapaxes(wanted, 1, 2)))
     places = rig.shifts[cameras] @ turn.T + shift
     shifts = places - np.stack([pose.translation for pose in given.values()])
-    chi2 = np.sum((angles / np.radians(PRIOR_DEG)) ** 2, axis=1)
-    return angles, shifts, chi2 + np.sum((shifts / PRIOR_M) ** 2, axis=1)
+    angle, metres = deviations.T[:, :, None]
+    return angles, shifts, np.sum((angles / angle) ** 2 + (shifts / metres) ** 2, axis=1)
 
 
-def _improved(rig: Rig, given: Mapping[int, Rigid], placement: Placement) -> Placement:
+def _improved(
+    rig: Rig, given: Mapping[int, Rigid], deviations: Floats, placement: Placement
+) -> Placement:
     """Return the placement after one Gauss-Newton step; it turns about the cameras' middle."""
-    angles, shifts, chi2 = _deviations(rig, given, placement)
+    angles, shifts, chi2 = _deviations(rig, given, deviations, placement)
     # All poses may be worse than the prior says; only those that are worse than most count less.
     weights = 1.0 / (1.0 + chi2 / max(6.0, float(np.median(chi2))))
     turn, shift = placement
     places = rig.shifts[list(given)] @ turn.T + shift
+    angle, metres = deviations.T[:, :, None, None]
     rows = np.zeros((len(places), 6, 6))
-    rows[:, :3, :3] = np.eye(3) / np.radians(PRIOR_DEG)
-    rows[:, 3:, :3] = np.cross(places[:, None], np.eye(3)) / PRIOR_M
-    rows[:, 3:, 3:] = np.eye(3) / PRIOR_M
-    off = np.concatenate([angles / np.radians(PRIOR_DEG), shifts / PRIOR_M], axis=1)
+    rows[:, :3, :3] = np.eye(3) / angle
+    rows[:, 3:, :3] = np.cross(places[:, None], np.eye(3)) / metres
+    rows[:, 3:, 3:] = np.eye(3) / metres
+    off = np.concatenate([angles / angle[:, 0], shifts / metres[:, 0]], axis=1)
     hessian = np.einsum("k,kia,kib->ab", weights, rows, rows)
     slope = np.einsum("k,kia,ki->a", weights, rows, off)
     step = -np.linalg.solve(hessian, slope)

@@ -9,6 +9,7 @@ joint and lasts for seconds.
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -353,7 +354,8 @@ def _better(
     """
     rig = fit.refined.rig
     poses = {k: given[k] for k in kept or range(len(given))}
-    rig = moved(rig, on_transforms(rig, poses))
+    errors = np.array([(math.radians(e.error_deg), e.error_m) for e in fit.evidence])
+    rig = moved(rig, on_transforms(rig, poses, errors))
     better = _certainty(fit.refined, mirror) > CERTAIN
     cameras = cameras_of(fit, rig, given, proven=better)
     for k, camera in enumerate(cameras):

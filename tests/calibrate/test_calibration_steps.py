@@ -11,6 +11,7 @@ from stick_figures import MIRROR, MODEL, POSE, person
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
+from hiros_mcap.calibrate.agreement import shared_view
 from hiros_mcap.calibrate.camera_graph import chained, coarse_clocks, spanning_tree
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
@@ -167,6 +168,48 @@ def test_the_rig_stays_though_one_camera_was_moved():
     others = [0, 1, 3, 4]
     wanted = np.stack([given[c].translation for c in others])
     assert placed.shifts[others] == pytest.approx(wanted, abs=0.003)
+
+
+def test_the_rig_stays_though_the_people_hardly_place_one_camera_in_it():
+    turns = Rotation.random(3, random_state=2)
+    rig = Rig(turns.as_matrix(), np.eye(3), np.zeros(3), np.zeros(3))
+    given = {c: Rigid(turns[c].as_quat(), rig.shifts[c]) for c in range(3)}
+    off = Rotation.from_rotvec([np.radians(1.0), 0, 0])
+    rig.rotations[2] = (off * turns[2]).as_matrix()
+    rig.shifts[2] += 0.03
+    errors = np.array([[0.0, 0.0], [0.0, 0.0], [np.radians(2.0), 0.06]])
+    placed = moved(rig, on_transforms(rig, given, errors))
+    blind = moved(rig, on_transforms(rig, given))
+    off = [np.abs(each.shifts[:2] - np.eye(3)[:2]).max() for each in (placed, blind)]
+    assert off[0] < 0.5 * off[1]
+
+
+def still(*places):
+    """A view of people who stand at places (2,)."""
+    seconds, ones = np.arange(0.0, 4.0, 1 / 30), np.ones((120, 8))
+    poses = [np.tile(np.add(POSE, [x, y, 0.0]), (120, 1, 1)) for x, y in places]
+    return CameraView("c", "c", [Tracklet(seconds, each, ones) for each in poses], 0.0, 0.1)
+
+
+def common(*views):
+    instants = np.arange(0.5, 3.5, 0.5)
+    return shared_view(views, Rig.alone(len(views)), instants, SIDES).common / len(instants)
+
+
+def test_two_cameras_could_have_a_person_in_common_unless_a_third_one_sees_two():
+    here, there = still((0, 0)), still((3, 0))
+    assert common(here, there)[0, 1] == 1
+    assert common(here, there, still((0, 0), (3, 0)))[0, 1] == 0
+    # One that shows both elsewhere does not tell that they are two, nor does one that shows one.
+    assert common(here, there, still((0, 2), (3, 2)))[0, 1] == 1
+    assert common(here, there, still((0, 0)))[0, 1] == 1
+
+
+def test_people_in_common_still_count_beside_those_who_are_not():
+    both = still((0, 0), (3, 0))
+    assert common(both, still((0, 0)), still((3, 0)), both).tolist() == [
+        [2, 1, 1, 2], [1, 1, 0, 1], [1, 0, 1, 1], [2, 1, 1, 2]
+    ]  # fmt: skip
 
 
 def test_up_is_where_standing_people_point():
