@@ -158,12 +158,12 @@ def join(blocks: Sequence[Block], order: Stamps | None = None, width: int = 0) -
         max(width, *(block.people.markers.shape[2] for block in blocks)),
         max(width, *(block.people.links.shape[2] for block in blocks)),
     )
-    if len(blocks) == 1 and _is_one_frame(blocks[0], widths) and (order is None or len(order) == 1):
+    is_all = order is None or len(order) == len(blocks[0]) == 1
+    if len(blocks) == 1 and is_all and _is_whole(blocks[0], widths):
         block = blocks[0]  # a live input has one such frame after the other
-        every = np.arange(len(block.people.ids))
-        sure = block.uncertainty and block.uncertainty.at(every)
-        hidden = None if block.hidden is None else block.hidden[every]
-        return replace(block, people=block.people.at(every), uncertainty=sure, hidden=hidden)
+        sure = block.uncertainty and block.uncertainty.at(np.arange(len(block.people.ids)))
+        hidden = None if block.hidden is None else block.hidden.copy()
+        return replace(block, people=block.people.copy(), uncertainty=sure, hidden=hidden)
     of_block = np.repeat(np.arange(len(blocks)), [len(block) for block in blocks])
     wanted = np.arange(len(of_block)) if order is None else order
     of_block, rows = of_block[wanted], np.concatenate([block.rows for block in blocks])[wanted]
@@ -188,10 +188,18 @@ def join(blocks: Sequence[Block], order: Stamps | None = None, width: int = 0) -
     )
 
 
-def _is_one_frame(block: Block, widths: tuple[int, int]) -> bool:
-    """Whether these are all people of one frame, with as many columns of markers and links."""
-    whole = (block.people.markers.shape[2], block.people.links.shape[2]) == widths
-    return bool(whole and block.rows.tolist() == [[0, len(block.people.ids)]])
+def together(blocks: Sequence[Block]) -> Block:
+    """Return the frames of blocks as one: a single one shares its arrays, others are copied."""
+    return blocks[0] if len(blocks) == 1 else join(blocks)
+
+
+def _is_whole(block: Block, widths: tuple[int, int]) -> bool:
+    """Whether frames have all rows of their arrays, in order, and as many columns."""
+    if (block.people.markers.shape[2], block.people.links.shape[2]) != widths:
+        return False
+    bounds = block.rows.ravel().tolist()
+    ends = [0, *bounds[1::2]]
+    return bounds[::2] == ends[:-1] and ends[-1] == len(block.people.ids)
 
 
 class HeldFrames:

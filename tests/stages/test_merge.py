@@ -16,6 +16,7 @@ from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, by_frame, frames_of, join
 from hiros_mcap.stages.merge import merging
+from hiros_mcap.stages.merge.instants import by_instants
 from hiros_mcap.stages.merge.merge import MergeParams, merge_blocks
 
 merge = by_frame(merge_blocks)
@@ -754,3 +755,31 @@ def test_who_is_carried_does_not_come_apart():
     off = merged[9].positions[0] - person(0.02 * 9)
     assert np.abs(off[:7]).max() < 0.1  # it went on as a whole
     assert 0.2 < off[7, 2] < 0.3  # of 0.8 m at its own velocity
+
+
+MS = SECOND // 1000
+
+
+def one_by_one(*messages):
+    """A block for each message of (ms, camera)."""
+    for ms, camera in messages:
+        yield Block.of(seen([person()], ms * MS, camera))
+
+
+def test_messages_that_come_one_by_one_wait_for_their_instant():
+    messages = [(0, "a"), (5, "b"), (33, "a"), (38, "b"), (66, "a")]
+    out = [block.stamps.tolist() for block in by_instants(one_by_one(*messages), 2, 0.1)]
+    assert out == [[0, 5 * MS], [33 * MS, 38 * MS], [66 * MS]]
+
+
+def test_a_second_message_of_a_camera_lets_the_first_ones_go():
+    messages = [(0, "a"), (5, "b"), (33, "a"), (66, "a")]
+    out = [len(block) for block in by_instants(one_by_one(*messages), 3, 0.1)]
+    assert out == [3, 1]
+
+
+def test_messages_that_came_together_do_not_wait():
+    alone, (whole,) = one_by_one((0, "a")), [join([*one_by_one((5, "b"), (33, "a"))])]
+    blocks = list(by_instants([*alone, whole], 2, 0.1))
+    assert [block.stamps.tolist() for block in blocks] == [[0], [5 * MS, 33 * MS]]
+    assert blocks[1] is whole

@@ -24,7 +24,7 @@ import numpy as np
 from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block
+from hiros_mcap.frames import Block, join
 from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Ints, SkeletonModel, Stamps
 from hiros_mcap.stages.fuse.fuse_params import ConstrainParams
 from hiros_mcap.stages.fuse.pair_lengths import AllPoses, MeasuredLengths, PairLimbs, RunningLengths
@@ -75,11 +75,14 @@ def constrain_blocks(
     ahead, waiting = LookAhead(params.window), deque[_WaitingWindow]()
     log_time = 0
     for block in blocks:
+        if params.window == 0:
+            yield bodies.corrected(bodies.measure(join([block])))
+            continue
         for window in ahead.windows(block):
             waiting.append(bodies.measure(window))
             now, log_time = int(window.stamps[-1]), int(window.log_times[-1])
             while waiting and bodies.can_correct(waiting[0], now):
-                yield bodies.corrected(*waiting.popleft(), log_time)
+                yield _logged_at(bodies.corrected(waiting.popleft()), log_time)
             del window  # it takes more memory than what waits
         log_time = int(block.log_times[-1])
         del block  # for the same reason
@@ -87,14 +90,21 @@ def constrain_blocks(
         waiting.append(bodies.measure(ahead.release(len(ahead))))
     bodies.end_of_log()
     while waiting:
-        yield bodies.corrected(*waiting.popleft(), log_time)
+        yield _logged_at(bodies.corrected(waiting.popleft()), log_time)
+
+
+def _logged_at(block: Block, log_time: int) -> Block:
+    return block.logged_at([log_time] * len(block))
 
 
 class _WaitingWindow(NamedTuple):
     """Frames that are corrected together, and wait for lengths."""
 
     frames: Block
-    people: list[tuple[int, Stamps]]  # who has an id in them, and the rows
+    people: list[tuple[int, Stamps]]
+    """Who has an id in them, and the rows; without a window, each row by itself."""
+    lengths: list[Floats]
+    """(K,) m, of each of ``people``, without a window: those that were known then."""
 
 
 @dataclass
@@ -126,22 +136,35 @@ class _Bodies:
 
     def measure(self, out: Block) -> _WaitingWindow:
         """Measure everybody in a window, as long as the lengths are not well known."""
-        variances, people = unshared_variances(out), list(_tracked(out))
-        stamps = np.repeat(out.stamps, out.sizes)
+        variances, stamps = unshared_variances(out), np.repeat(out.stamps, out.sizes)
+        people = list(_tracked(out) if self._params.window > 0 else _tracked_rows(out))
+        lengths = list[Floats]()
         for person, rows in people:
-            if person not in self._people:
-                first = int(stamps[rows[0]])
-                self._people[person] = _Body(self._meter(), RecentMotion(), first)
-            body = self._people[person]
+            body = self._body(person, int(stamps[rows[0]]))
             body.last = int(stamps[rows[-1]])
-            begun = (int(stamps[rows[0]]) - body.first) * 1e-9
-            if not body.is_fixed and (self._params.window > 0 or begun <= self._params.enough):
-                body.meter.update(out.people.markers[rows, :, POSITION], variances[rows])  # 1
-                body.measured = None
-            if not body.is_fixed and body.last - body.first >= self._params.enough * 1e9:
-                self._keep(person, body)
-                body.is_fixed, body.meter = True, self._meter()
-        return _WaitingWindow(out, people)
+            if not body.is_fixed:
+                begun = (int(stamps[rows[0]]) - body.first) * 1e-9
+                if self._params.window > 0 or begun <= self._params.enough:
+                    poses = out.people.markers[rows, :, POSITION]
+                    body.meter.update(poses, variances[rows])  # 1
+                    body.measured = None
+                if body.last - body.first >= self._params.enough * 1e9:
+                    self._keep(person, body)
+                    body.is_fixed, body.meter = True, self._meter()
+            if self._params.window == 0:
+                lengths.append(self._lengths(person))
+        return _WaitingWindow(out, people, lengths)
+
+    def _body(self, person: int, stamp: int) -> _Body:
+        """Return what is known of somebody who is seen at ``stamp``, ns."""
+        body = self._people.get(person)
+        if body is None or stamp - body.last > _FORGET * 1e9:
+            body = self._people[person] = _Body(self._meter(), RecentMotion(), stamp)
+        return body
+
+    def _lengths(self, person: int) -> Floats:
+        """(K,) Lengths of a person as they are known, m."""
+        return self._limbs.given_or(person, self._result(self._people[person]).lengths)
 
     def _meter(self) -> AllPoses | RunningLengths:
         if self._params.window > 0:
@@ -173,14 +196,14 @@ class _Bodies:
         waited = now - int(window.frames.stamps[0]) >= patience * 1e9
         return waited or all(self._people[person].is_fixed for person, _ in window.people)
 
-    def corrected(self, out: Block, people: list[tuple[int, Stamps]], log_time: int) -> Block:
+    def corrected(self, window: _WaitingWindow) -> Block:
         """Project a window, in place, onto the lengths; move towards what people do; project."""
+        out, people, known = window
         variances = unshared_variances(out)
         lengths = np.ones((len(people), len(self._pairs), 2))
         which = np.full(len(out.people.ids), -1)
         for k, (person, rows) in enumerate(people):
-            measured = self._result(self._people[person])
-            lengths[k, :, 0] = self._limbs.given_or(person, measured.lengths)
+            lengths[k, :, 0] = known[k] if known else self._lengths(person)
             which[rows] = k
         self._project(out, which, lengths, variances)  # 2
         if self._params.prior:
@@ -188,7 +211,7 @@ class _Bodies:
             self._project(out, which, lengths, variances)
         now = int(out.stamps[-1])
         self._people = {p: b for p, b in self._people.items() if now - b.last <= _FORGET * 1e9}
-        return surer(out, variances, self._links).logged_at([log_time] * len(out))  # 4
+        return surer(out, variances, self._links)  # 4
 
     def _project(self, out: Block, which: Stamps, lengths: Floats, variances: Floats) -> None:
         from hiros_mcap.stages.filter.link_lengths import project_all
@@ -209,13 +232,14 @@ class _Bodies:
                 if not has_heading(positions[rows], self._lateral):
                     frames[rows], origins[rows] = body_frames(positions[rows], variances[rows])
         poses = (positions - origins) @ frames
+        stamps = np.repeat(out.stamps, out.sizes).tolist()
         for person, rows in people:
             if self._params.window > 0:
                 poses[rows] = shrink_noise(poses[rows], variances[rows])
                 continue
-            body = self._people[person]
-            for row in rows.tolist():
-                poses[row] = body.recent.shrink(poses[row], variances[row], body.last)
+            row = int(rows[0])
+            recent = self._people[person].recent
+            poses[row] = recent.shrink(poses[row], variances[row], stamps[row])
         positions[:] = poses @ np.swapaxes(frames, 1, 2) + origins
 
 
@@ -224,6 +248,13 @@ def _tracked(block: Block) -> Iterator[tuple[int, Stamps]]:
     for person in np.unique(block.people.ids).tolist():
         if person != UNTRACKED:
             yield person, np.flatnonzero(block.people.ids == person)
+
+
+def _tracked_rows(block: Block) -> Iterator[tuple[int, Stamps]]:
+    """Yield everybody who has an id, frame by frame, with the row."""
+    for row, person in enumerate(block.people.ids.tolist()):
+        if person != UNTRACKED:
+            yield person, np.array([row])
 
 
 def unshared_variances(block: Block) -> Floats:

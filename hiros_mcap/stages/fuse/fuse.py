@@ -61,15 +61,10 @@ def fuse_blocks(
     causal = params.window == 0
     residuals = ResidualMeter(model, noise, events, causal=causal)
 
-    def finished(fused: Block) -> Block:
-        residuals.compare(fused)
-        return residuals.scaled(fused)
-
     for block, sightings, names in views.run(blocks, events, fixed_frame):
         residuals.expect(len(block), sightings, names)
-        # Unlike a loop, map lets go of each window before the next is smoothed.
-        yield from map(finished, smoother.update(block, sightings, names))
-    yield from map(finished, smoother.rest())
+        yield from residuals.compared(smoother.update(block, sightings, names))
+    yield from residuals.compared(smoother.rest())
     residuals.finish()
     smoother.displaced.warn(events)
 

@@ -12,6 +12,7 @@ chi-square distribution with three degrees of freedom if the model is right.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from hiros_mcap.calibrate.gauge import CHI2_3_MEDIAN
 from hiros_mcap.events import COMMON, RESIDUAL, Events
-from hiros_mcap.frames import Block, join
+from hiros_mcap.frames import Block, together
 from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.skeletons import POSITION, VELOCITY, Floats, SkeletonModel
 from hiros_mcap.stages.fuse.displaced_views import SECOND, excess_of, limits_of
@@ -51,7 +52,7 @@ class ResidualMeter:
     def __init__(
         self, model: SkeletonModel, noise: FusionNoise, events: Events, *, causal: bool = False
     ) -> None:
-        self._healthy = _HEALTHY_CAUSAL if causal else _HEALTHY
+        self._healthy, self._is_causal = _HEALTHY_CAUSAL if causal else _HEALTHY, causal
         self._n_markers = model.n_markers
         self._noise, self._events = noise, events
         self._names: tuple[str, ...] = ()
@@ -73,20 +74,34 @@ class ResidualMeter:
         self._views.append(some)
         self._seen += n_instants
 
-    def compare(self, fused: Block) -> None:
-        """Take the next frames, one for each instant."""
-        self._fused.append(fused)
-        self._waiting += len(fused)
-        if self._waiting >= _BATCH:
-            self.finish()
+    def compared(self, windows: Iterable[Block]) -> Iterator[Block]:
+        """Take the next frames, one for each instant; yield them as :meth:`scaled`.
+
+        Frames that a filter gives one by one are joined: later stages cost a call per block.
+        """
+        some: list[Block] = []
+        for fused in windows:
+            ends_batch = self._waiting + len(fused) >= _BATCH
+            if ends_batch and some:  # they are scaled by what the batches before have shown
+                yield self.scaled(together(some))
+                some = []
+            self._fused.append(fused)
+            self._waiting += len(fused)
+            if ends_batch:
+                self.finish()
+            elif self._is_causal:
+                some.append(fused)
+                continue
+            yield self.scaled(fused)
+            del fused  # else it lies in memory until the next one is made
+        if some:
+            yield self.scaled(together(some))
 
     def finish(self) -> None:
         """Count what was fused so far."""
         if not self._waiting:
             return
-        fused = self._fused[0]
-        if len(self._fused) > 1:
-            fused = join(self._fused)
+        fused = together(self._fused)
         views = joined(self._views)
         done = views.instants < self._first + len(fused)
         self._count(fused, chosen(views, done))

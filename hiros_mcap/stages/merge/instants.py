@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hiros_mcap.events import TOO_LATE, Events
-from hiros_mcap.frames import Block, CameraNumbers
+from hiros_mcap.frames import Block, CameraNumbers, together
 from hiros_mcap.kernels.averaging import Buffers
 from hiros_mcap.skeletons import STATE, UNTRACKED, Flags, Ints, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
@@ -85,6 +85,30 @@ class Instants:
         messages = [buffer[source] for source in sorted(buffer)]
         self._newest = sum(stamp for stamp, _ in messages) // len(messages)
         return Instant([number for _, number in messages], self._newest, log_time)
+
+
+def by_instants(blocks: Iterable[Block], cameras: int, max_delta_time: float) -> Iterator[Block]:
+    """Join messages that come one by one until an instant is complete; others pass.
+
+    No merger gives anything before, and stages cost a call per block. The parameters are those of
+    :class:`Instants`.
+    """
+    gathered, held = Instants(cameras, max_delta_time, Events()), list[Block]()
+    for block in blocks:
+        if len(block) != 1:
+            if held:
+                yield together(held)
+                held = []
+            yield block
+            del block  # else it lies in memory until the next one is made
+            continue
+        held.append(block)
+        (message,) = block.messages()
+        if gathered.add(*message, 0):
+            yield together(held)
+            held = []
+    if held:
+        yield together(held)
 
 
 MergeKernel = Callable[[Buffers, People, int, People, Stamps], None]
