@@ -2,7 +2,7 @@
 
 fuse.py              the page
 sightings.py         the views of each instant
-window_smoother.py   the estimate; fusing.py holds the compiled loops
+window_smoother.py   the estimate; stepping.py, fusing.py, comparing.py are its compiled loops
 pose_error.py        how well each camera's pose is known
 fusion_noise.py      how well each camera sees; residuals.py, log_histograms.py
 displaced_views.py   views of a camera that is not where its pose says

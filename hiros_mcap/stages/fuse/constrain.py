@@ -101,6 +101,7 @@ class _WaitingWindow(NamedTuple):
     """Frames that are corrected together, and wait for lengths."""
 
     frames: Block
+    variances: Floats  # (P, M) of its markers before, m2
     people: list[tuple[int, Stamps]]
     """Who has an id in them, and the rows; without a window, each row by itself."""
     lengths: list[Floats]
@@ -153,7 +154,7 @@ class _Bodies:
                     body.is_fixed, body.meter = True, self._meter()
             if self._params.window == 0:
                 lengths.append(self._lengths(person))
-        return _WaitingWindow(out, people, lengths)
+        return _WaitingWindow(out, variances, people, lengths)
 
     def _body(self, person: int, stamp: int) -> _Body:
         """Return what is known of somebody who is seen at ``stamp``, ns."""
@@ -198,8 +199,7 @@ class _Bodies:
 
     def corrected(self, window: _WaitingWindow) -> Block:
         """Project a window, in place, onto the lengths; move towards what people do; project."""
-        out, people, known = window
-        variances = unshared_variances(out)
+        out, variances, people, known = window
         lengths = np.ones((len(people), len(self._pairs), 2))
         which = np.full(len(out.people.ids), -1)
         for k, (person, rows) in enumerate(people):
@@ -281,7 +281,6 @@ def left_by_lengths(variances: Floats, links: Ints) -> Floats:
     """
     a, b = links[(links >= 0).all(axis=1)].T
     share = variances[:, a] / (variances[:, a] + variances[:, b])
-    parts = np.stack([share / 3, (1 - share) / 3], axis=2).reshape(len(variances), 2 * len(a))
-    taken = np.zeros(variances.shape[::-1])
-    np.add.at(taken, np.stack([a, b], axis=1).ravel(), parts.T)
-    return np.asarray(1 - np.minimum(taken.T, 2 / 3))
+    of_marker = np.eye(variances.shape[1])
+    taken = share / 3 @ of_marker[a] + (1 - share) / 3 @ of_marker[b]
+    return np.asarray(1 - np.minimum(taken, 2 / 3))

@@ -20,7 +20,7 @@ import numpy as np
 from hiros_mcap.events import Events
 from hiros_mcap.skeletons import Flags, Floats, Stamps
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.fuse.fusing import FusedPoses, Sightings
+from hiros_mcap.stages.fuse.fusing import Sightings
 from hiros_mcap.stages.track.displaced import CAMERA_DISPLACED, DISPLACED_A_WHILE
 
 LIMIT, LIMIT_AHEAD = 0.035, 0.06
@@ -45,33 +45,6 @@ of two who touch one may be seen wrong."""
 _PART, _PAUSE = 250_000_000, 4  # ns, and so many of it in which people are in place end one
 
 
-def view_offsets(
-    views: Sightings, variances: Floats, poses: FusedPoses, stamps: Stamps, rows: Stamps
-) -> Floats:
-    """(N, 3) Mean residual of the joints of each view, m; NaN = nothing to compare.
-
-    Parameters
-    ----------
-    variances : (N, M) of the measurements, m2. poses, stamps : (K, M) results and (K,) times, ns.
-    rows : (N,) the result of each view; -1 = none.
-    """
-    offsets = np.full((len(rows), 3), np.nan)
-    fused = np.flatnonzero(rows >= 0)
-    these = rows[fused]
-    later = (views.stamps[fused] - stamps[these])[:, None, None] * 1e-9
-    residuals = views.positions[fused]  # in place: these arrays are large
-    residuals -= poses.positions[these]
-    residuals -= later * poses.velocities[these]
-    there = ~np.isnan(residuals[:, :, 0])
-    weights = np.where(there, 1.0 / variances[fused], 0.0)
-    total = weights.sum(axis=1)
-    residuals[~there] = 0.0
-    sums = np.einsum("nm,nmi->ni", weights, residuals)
-    with np.errstate(invalid="ignore"):
-        offsets[fused] = sums / total[:, None]
-    return offsets
-
-
 class _Offsets(NamedTuple):
     """Sums over the recent views of R people by C cameras."""
 
@@ -93,6 +66,8 @@ class DisplacedViews:
         self._bank = Bank(_Offsets(np.zeros((0, 0, 3)), np.zeros((0, 0))))
         self._stamp = 0
         self._spans: dict[int, _Span] = {}
+        self._uncounted: list[tuple[Stamps, Stamps, Floats]] = []
+        """Cameras, times, ns, and excess, m2, of views of the latest part of a second."""
 
     def name(self, names: tuple[str, ...]) -> None:
         """Take the names of the cameras, by index."""
@@ -129,15 +104,28 @@ class DisplacedViews:
 
     def count(self, views: Sightings, excess: Floats, done: Flags) -> None:
         """Note which of the views whose results are ``done`` have lost their weight."""
-        for camera in np.unique(views.cameras[done]).tolist():
-            these = done & (views.cameras == camera)
-            self._spans.setdefault(camera, _Span()).add(views.stamps[these], excess[these])
+        if not done.any():
+            return
+        self._uncounted.append((views.cameras[done], views.stamps[done], excess[done]))
+        if self._uncounted[0][1][0] // _PART != views.stamps[done][-1] // _PART:
+            self._count_all()
+
+    def _count_all(self) -> None:
+        """Count, part of a second by part, the views that were noted."""
+        if not self._uncounted:
+            return
+        cameras, stamps, excess = map(np.concatenate, zip(*self._uncounted, strict=True))
+        self._uncounted = []
+        for camera in np.unique(cameras).tolist():
+            these = cameras == camera
+            self._spans.setdefault(camera, _Span()).add(stamps[these], excess[these])
 
     def warn(self, events: Events) -> None:
         """Note the cameras that were displaced for long enough, and those that still are.
 
         If most are, none is: then the people's views differ, not the cameras.
         """
+        self._count_all()
         still = []
         for camera, span in self._spans.items():
             span.close()

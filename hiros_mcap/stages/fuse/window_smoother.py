@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,26 +13,23 @@ from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.skeletons import (
     POSITION,
     VELOCITY,
-    Flags,
-    Floats,
-    Ints,
     SkeletonModel,
     Stamps,
     Uncertainty,
 )
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.fuse import fusing
+from hiros_mcap.stages.fuse.comparing import compare_views, find_cameras
 from hiros_mcap.stages.fuse.displaced_views import (
     DisplacedViews,
     excess_of,
     limits_of,
-    view_offsets,
 )
 from hiros_mcap.stages.fuse.fuse_params import FuseParams
-from hiros_mcap.stages.fuse.fusing import POSE, FusedPoses, JointStates, Sightings, Steps
+from hiros_mcap.stages.fuse.fusing import FusedPoses, JointStates, Sightings
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 from hiros_mcap.stages.fuse.pose_error import PoseError
 from hiros_mcap.stages.fuse.sightings import rows_of
+from hiros_mcap.stages.fuse.stepping import FusionWindow, StepWork, smooth_people
 from hiros_mcap.stages.look_ahead import LookAhead
 from hiros_mcap.threads import run_each
 
@@ -47,16 +43,6 @@ _UNSEEN = 0.04
 """Deviation, m, that a hidden joint adds from which on its camera does not count as seeing it: that
 of a joint's remembered place."""
 _ROUNDS = 3  # of smoothing again without displaced cameras; the first finds nearly all
-
-
-class _Window(NamedTuple):
-    """N views of people, and the K poses that are wanted of them."""
-
-    views: Sightings
-    new: Flags  # (N,) whether the filters have not taken a view yet
-    people: Ints  # (K,) whose pose is wanted
-    stamps: Stamps  # (K,) at which time, ns
-    everybody: Ints  # of ``people``, each once, sorted
 
 
 class WindowSmoother:
@@ -154,32 +140,36 @@ class WindowSmoother:
         views = joined(self._views)
         self._views = [views]
         owners = np.repeat(np.arange(n), out.sizes)
-        ids, new = out.people.ids, views.stamps >= self._taken
-        window = _Window(views, new, ids, out.stamps[owners], np.unique(ids))
         of_views = rows_of(views, first + owners, out.people.ids)
         self._bank.expire(int(stamps[0]))
-        poses = self._without_displaced(window, of_views, boundary)
-        seen = cameras_by_row(views, of_views, poses.variances.shape)
+        everybody = np.unique(out.people.ids).astype(np.int64)
+        rows = [self._bank.row(person, boundary) for person in everybody.tolist()]
+        window = FusionWindow(
+            views, self._noise.variances(views, self._names), views.stamps >= self._taken,
+            out.people.ids, out.stamps[owners], everybody, np.array(rows, np.int64),
+            self._origin or 0, boundary,
+        )  # fmt: skip
+        poses = self._without_displaced(window, of_views)
+        seen = np.zeros(poses.variances.shape, np.int64)
+        find_cameras(views, of_views, _UNSEEN**2, seen)
         # The filters have taken over what is before the boundary.
         self._taken = boundary
         self._views = [chosen(views, (views.stamps >= boundary) | (views.instants >= first + n))]
         return self._finished(out, log_time, poses, seen)
 
-    def _without_displaced(self, window: _Window, of_views: Stamps, boundary: int) -> FusedPoses:
+    def _without_displaced(self, window: FusionWindow, of_views: Stamps) -> FusedPoses:
         """Smooth a window. Cameras that prove to be displaced lose their weight."""
-        views, new = window.views, window.new
-        white = self._noise.variances(views, self._names)
+        views, white = window.views, window.variances
         limits = limits_of(self._names, self._noise.pose_errors)
         ahead = self._params.window > 0
-        excess = np.zeros(len(new)) if ahead else self.displaced.expected(views)
-        for person in window.everybody.tolist():
-            self._bank.row(person, boundary)
+        excess = np.zeros(len(white)) if ahead else self.displaced.expected(views)
         for again in range(1 + _ROUNDS):
             before = self._bank.past
             if ahead:
                 self._bank.past = JointStates(*[array.copy() for array in before])
-            poses = self._smooth_people(window, white + excess[:, None], boundary)
-            offsets = view_offsets(views, white, poses, window.stamps, of_views)
+            poses = self._smooth_people(window._replace(variances=white + excess[:, None]))
+            offsets = np.empty((len(white), 3))
+            compare_views(views, white, poses, window.stamps, of_views, offsets)
             if not ahead:
                 self.displaced.remember(views, offsets)
                 break
@@ -191,45 +181,21 @@ class WindowSmoother:
         self._pose_error.learn(views, np.where(excess > 0, np.nan, offsets.T).T, self._names)
         return poses
 
-    def _smooth_people(self, window: _Window, variances: Floats, boundary: int) -> FusedPoses:
-        """Smooth everybody; the filters stand at ``boundary``, ns, afterwards."""
-        people, stamps, steps = self._steps(window, variances)
-        rows = np.argsort(window.people, kind="stable")
-        smoothed = FusedPoses.absent(len(rows), variances.shape[1])
-        everybody, calls = window.everybody, []
-        parts = _parts(people, everybody), _parts(window.people[rows], everybody)
-        for person, theirs, poses in zip(everybody.tolist(), *parts, strict=True):
-            keep = int(np.searchsorted(stamps[theirs], boundary))
-            arrays = chosen(steps, theirs), keep, self._bank.rows[person], chosen(smoothed, poses)
-            calls.append(partial(self._smooth_person, *arrays))
+    def _smooth_people(self, window: FusionWindow) -> FusedPoses:
+        """Smooth everybody; the filters stand at the boundary afterwards."""
+        n, m = len(window.people), window.variances.shape[1]
+        states, poses = self._bank.past, FusedPoses.absent(n, m)
+
+        def smooth(first: int, last: int, steps: int) -> None:
+            work = StepWork.of(steps, m, states.means.shape[2])
+            smooth_people(window, first, last, self._motion, states, poses, work)
+
         if self._params.window > 0:
-            run_each(calls)
+            some = enumerate(window.everybody.tolist())
+            run_each([partial(smooth, k, k + 1, _steps_of(window, person)) for k, person in some])
         else:  # one pose of each takes less time than to start a thread
-            for call in calls:
-                call()
-        return chosen(smoothed, np.argsort(rows))  # as they came
-
-    def _smooth_person(self, steps: Steps, keep: int, row: int, out: FusedPoses) -> None:
-        """Write one person's poses; ``keep`` is the number of steps that the filter takes over."""
-        work = fusing.FusionWork.of(len(steps.times), self._bank.past.means.shape[2])
-        fusing.smooth_joints(steps, keep, self._motion, self._bank.past, row, out, work)
-
-    def _steps(self, window: _Window, variances: Floats) -> tuple[Ints, Stamps, Steps]:
-        """Order new measurements and wanted poses by person and time: ids, times (ns), steps."""
-        views, (k, m) = chosen(window.views, window.new), (len(window.people), variances.shape[1])
-        people = np.concatenate([views.people, window.people])
-        stamps = np.concatenate([views.stamps, window.stamps])
-        cameras = np.concatenate([views.cameras, np.full(k, POSE)])
-        # At one time: measurements by camera, then the pose.
-        last = np.where(cameras == POSE, len(self._names), cameras)
-        order = np.lexsort((last, stamps, people))
-        steps = Steps(
-            (stamps[order] - (self._origin or 0)) * 1e-9,
-            cameras[order],
-            np.concatenate([views.positions, np.full((k, m, 3), np.nan)])[order],
-            np.concatenate([variances[window.new], np.full((k, m), np.nan)])[order],
-        )
-        return people[order], stamps[order], steps
+            smooth(0, len(window.everybody), len(window.new) + n)
+        return poses
 
     def _finished(self, out: Block, log_time: int, poses: FusedPoses, seen: Stamps) -> Block:
         """Write poses, confidences and uncertainty."""
@@ -251,17 +217,7 @@ class WindowSmoother:
         return replace(out.logged_at([log_time] * len(out)), uncertainty=uncertainty)
 
 
-def _parts(numbers: Ints, wanted: Ints) -> list[slice]:
-    """Return where each wanted number lies among sorted ones."""
-    begins, ends = (np.searchsorted(numbers, wanted, side) for side in ("left", "right"))
-    return list(map(slice, begins.tolist(), ends.tolist()))
-
-
-def cameras_by_row(views: Sightings, rows: Stamps, shape: tuple[int, int]) -> Stamps:
-    """(K, M) Cameras that saw each marker of a person at an instant, a bit each."""
-    seen = np.zeros(shape, np.int64)
-    shown = np.flatnonzero(rows >= 0)
-    sees = ~np.isnan(views.positions[shown, :, 0]) & (views.hidden[shown] < _UNSEEN**2)
-    bits = sees * (1 << views.cameras[shown])[:, None]
-    np.bitwise_or.at(seen, rows[shown], bits)
-    return seen
+def _steps_of(window: FusionWindow, person: int) -> int:
+    """Return how many new views and wanted poses of a person there are."""
+    views = window.new & (window.views.people == person)
+    return int(views.sum() + (window.people == person).sum())
