@@ -23,6 +23,7 @@ from hiros_mcap.stages.fuse.fusing import (
     FusionWork,
     JointNoise,
     JointStates,
+    Sightings,
     Steps,
 )
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
@@ -33,6 +34,7 @@ from hiros_mcap.stages.fuse.pose_prior import (
     local_frames,
     shrink_noise,
 )
+from hiros_mcap.stages.fuse.stepping import FusionWindow, StepWork, smooth_people
 from hiros_mcap.systems import Run, system
 
 fuse = by_frame(fuse_blocks)
@@ -60,6 +62,33 @@ def smoothed(steps, keep=10**9, states=None, work=None):
     work = work or FusionWork.of(len(steps.times), 4)
     fusing.smooth_joints(steps, keep, NOISE, states, 0, out, work)
     return out
+
+
+def test_views_are_filtered_in_the_order_of_their_times_person_by_person():
+    """Whatever the order in which they come: two people, who have the steps of two seeds."""
+    parts = [steps_of(seed) for seed in (3, 4)]
+    both = Steps(*map(np.concatenate, zip(*parts, strict=True)))
+    people, is_pose = np.repeat([7, 9], 180), both.cameras == POSE
+    stamps = np.round(both.times * 1e9).astype(np.int64)
+    order = np.random.default_rng(1).permutation(np.flatnonzero(~is_pose))
+    views = Sightings.allocate(len(order), 1)._replace(
+        people=people[order], cameras=both.cameras[order], stamps=stamps[order],
+        positions=both.positions[order],
+    )  # fmt: skip
+    window = FusionWindow(
+        views, both.variances[order], np.ones(len(order), np.bool_),
+        people[is_pose].astype(np.int32), stamps[is_pose], np.array([7, 9]), np.array([1, 0]),
+        0, 10**9,
+    )  # fmt: skip
+    states, out = JointStates.unknown(2, 1, 2), FusedPoses.absent(120, 1)
+    smooth_people(window, 0, 2, NOISE, states, out, StepWork.of(180, 1, 4))
+    for k, (steps, row) in enumerate(zip(parts, (1, 0), strict=True)):
+        alone = JointStates.unknown(1, 1, 2)
+        expected = smoothed(steps, keep=int((steps.times < 1).sum()), states=alone)
+        for array, wanted in zip(out, expected, strict=True):
+            np.testing.assert_allclose(array[60 * k : 60 * k + 60], wanted, atol=1e-7)
+        for array, wanted in zip(states, alone, strict=True):
+            np.testing.assert_allclose(array[row], wanted[0], atol=1e-7)
 
 
 def dense_solution(steps, factors):
