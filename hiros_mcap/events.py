@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 from pydantic import Field, TypeAdapter
 
@@ -92,6 +93,27 @@ class Event:
     def is_warning(self) -> bool:
         """Whether something was lost, refused or wrong."""
         return any(word in self.kind for word in _WARNING_WORDS)
+
+
+_BEHIND = re.compile(r"(behind person \d+) for ([\d.]+) s")
+
+
+class HiddenTime(NamedTuple):
+    """While somebody stands in front of a person, seen from one camera."""
+
+    begin: float
+    end: float  # s
+    behind: str  # "behind person 1"
+    source: str  # the camera
+
+
+def hidden_times(events: Iterable[Event], person: int, start: int) -> Iterator[HiddenTime]:
+    """Yield when a person was hidden, in s from ``start``, ns."""
+    for event in events:
+        found = _BEHIND.search(event.detail)
+        if event.kind == "hidden" and event.person == person and found is not None:
+            begin = (event.stamp - start) * 1e-9
+            yield HiddenTime(begin, begin + float(found[2]), found[1], event.source)
 
 
 @dataclass(slots=True)

@@ -16,6 +16,7 @@ import pytest
 from hiros_cli.app import run
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.truth_files import read_mocap
+from hiros_mcap.events import Event
 from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
@@ -126,6 +127,27 @@ def test_tables_come_back(suffix, result, tmp_path):
     deviations = result.motions[1].deviations
     assert deviations is not None
     np.testing.assert_allclose(mine["HEAD SD (m)"], deviations[:, slot], atol=1e-6)
+
+
+def test_tables_say_from_how_many_cameras_somebody_is_hidden(result, tmp_path):
+    """Person 1 from one camera, then from two, as the events say; person 0 never."""
+    happened = [
+        Event(result.start + round(begin * 1e9), "hidden", 1, camera, f"behind person 0 for {s} s")
+        for begin, camera, s in ((1.0, "a", 1.0), (1.5, "b", 0.5))
+    ]
+    marked = replace(result, happened=(*happened, Event(result.start, "track born", 1, "a", "")))
+    (path,) = export(marked, tmp_path / "out.csv")
+    table = pd.read_csv(path).set_index(["person", "time (s)"])["hidden from (cameras)"]
+    assert not table[0].any()
+    for time, expected in ((0.9, 0), (1.2, 1), (1.8, 2), (2.2, 0)):
+        nearest = abs(table[1].index - time).argmin()
+        assert table[1].iloc[nearest] == expected
+    (path,) = export(marked, tmp_path / "out.jsonl")
+    rows = [json.loads(line) for line in path.read_text().splitlines()]
+    assert [row["hidden_from"] for row in rows if row["person"] == 1] == table[1].tolist()
+    (path,) = export(marked, str(tmp_path / "out.npz"))
+    with np.load(path) as arrays:
+        assert arrays["person_1_hidden_from"].tolist() == table[1].tolist()
 
 
 def test_json_lines_have_names_and_gaps(result, tmp_path):

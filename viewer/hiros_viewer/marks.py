@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hiros_mcap.events import Event
+from hiros_mcap.events import Event, hidden_times
 from hiros_mcap.skeletons import Flags, Floats
 from hiros_mcap.summary import number
 from hiros_viewer.figures import PAUSE_S
@@ -23,7 +22,6 @@ _WORDS = {
     "predicted": "Red: no camera sees the person, who is predicted",
     "gap": "Grey: not in the result",
 }
-_BEHIND = re.compile(r"(behind person \d+) for ([\d.]+) s")
 BAND = "band"
 """Marks the bands of a figure for the page that draws it anew."""
 
@@ -41,13 +39,8 @@ class Mark(NamedTuple):
 
 def hidden_marks(events: Sequence[Event], person: int, start: int) -> Iterator[Mark]:
     """Yield when somebody was hidden from a camera, and behind whom; ``start`` in ns."""
-    for event in events:
-        if event.kind == "hidden" and event.person == person:
-            found = _BEHIND.search(event.detail)
-            if found is not None:
-                since = (event.stamp - start) / 1e9
-                remark = f"{found[1]} for {event.source}"
-                yield Mark("hidden", since, since + float(found[2]), remark)
+    for time in hidden_times(events, person, start):
+        yield Mark("hidden", time.begin, time.end, f"{time.behind} for {time.source}")
 
 
 def marks_of(seconds: Floats, is_predicted: Flags) -> Iterator[Mark]:

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hiros_mcap.events import hidden_times
 from hiros_mcap.io.export.choices import Choices
 from hiros_mcap.outputs import EXPORT_MARK
-from hiros_mcap.skeletons import Floats
+from hiros_mcap.skeletons import Floats, Stamps
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -24,7 +25,7 @@ def table(result: Result, parts: tuple[str, ...]) -> pd.DataFrame:
     """Return joints and angles side by side, with flat column names that carry their units.
 
     Behind the joints follow their confidences, 0 to 1, and if the result states them, their
-    standard deviations along an axis.
+    standard deviations along an axis. The last column is :func:`hidden_from`.
     """
     import pandas as pd
 
@@ -40,6 +41,8 @@ def table(result: Result, parts: tuple[str, ...]) -> pd.DataFrame:
     if "angles" in parts:
         angles = result.angles(0)
         columns.append(angles.rename(columns=lambda name: f"{name} (deg)"))
+    hidden = np.concatenate([hidden_from(result, person) for person in result.motions])
+    columns.append(pd.DataFrame({"hidden from (cameras)": hidden}, columns[0].index))
     return pd.concat(columns, axis=1).rename_axis(index=["person", "time (s)"])
 
 
@@ -56,6 +59,15 @@ def deviations_of(motion: Motion) -> Floats:
     """(T, M) standard deviations of a motion, m; NaN if it states none."""
     absent = np.full_like(motion.confidences, np.nan)
     return absent if motion.deviations is None else motion.deviations
+
+
+def hidden_from(result: Result, person: int) -> Stamps:
+    """(T,) Number of cameras from which somebody else hides a person: its joints are guesses."""
+    times = result.motions[person].times
+    count = np.zeros(len(times), np.int64)
+    for span in hidden_times(result.happened, person, result.start):
+        count += (times >= span.begin) & (times <= span.end)
+    return count
 
 
 def write_csv(result: Result, target: Path, choices: Choices) -> int:
@@ -86,6 +98,7 @@ def write_jsonl(result: Result, target: Path, choices: Choices) -> int:
     angles = result.angles(0)
     for person, motion in result.motions.items():
         degrees, deviations = angles.loc[[person]].to_numpy(), deviations_of(motion)
+        hidden = hidden_from(result, person).tolist()
         for k, time in enumerate(motion.times.tolist()):
             row: dict[str, Any] = {"person": int(person), "time": round(time, 6)}
             if "joints" in choices.parts:
@@ -95,6 +108,7 @@ def write_jsonl(result: Result, target: Path, choices: Choices) -> int:
                     row["deviations"] = _named(names, deviations[k])
             if "angles" in choices.parts:
                 row["angles"] = _named(angles.columns, degrees[k])
+            row["hidden_from"] = hidden[k]
             lines.append(json.dumps(row))
     return write_lines(target, lines)
 
@@ -107,6 +121,7 @@ def write_npz(result: Result, target: Path, choices: Choices) -> int:
         arrays["angles"] = np.array(angles.columns, dtype=str)
     for person, motion in result.motions.items():
         arrays[f"person_{person}_times"] = motion.times
+        arrays[f"person_{person}_hidden_from"] = hidden_from(result, person)
         if "joints" in choices.parts:
             arrays[f"person_{person}_positions"] = motion.positions
             arrays[f"person_{person}_confidences"] = motion.confidences
