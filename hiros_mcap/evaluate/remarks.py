@@ -30,7 +30,7 @@ def warnings_of(
     """
     texts = [_partial(truth, others), _silence(results)]
     if not asked:
-        texts.append(_unlabelled(truth, results))
+        texts.append(_unlabelled(results))
     return [text for text in texts if text]
 
 
@@ -83,9 +83,9 @@ def _silence(results: Mapping[str, ChannelResult]) -> str:
     return f"instants of the truth without a frame, where everybody is missing: {counts}"
 
 
-def _unlabelled(truth: Truth, results: Mapping[str, ChannelResult]) -> str:
+def _unlabelled(results: Mapping[str, ChannelResult]) -> str:
     scores = list(results.values())[-1].scores
-    if truth.partial or not scores.false or scores.false < _MANY_FALSE * scores.frames:
+    if not scores.false or scores.false < _MANY_FALSE * scores.frames:
         return ""
     return (
         f"{scores.false} skeletons in {scores.frames} frames are of nobody. If the truth lacks "

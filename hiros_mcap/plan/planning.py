@@ -137,7 +137,8 @@ def _mean(errors: Floats) -> float:
 def _camera(name: str, pose: Rigid, then: Outlook) -> PlannedCamera:
     x, y, z = pose.translation.tolist()
     east, north, up = to_matrix(pose.xyzw)[:, 2].tolist()
-    bearing, tilt = np.degrees([np.arctan2(north, east), -np.arcsin(np.clip(up, -1, 1))]).tolist()
+    angles = np.arctan2([north, -up], [east, np.hypot(east, north)])
+    bearing, tilt = np.degrees(angles).tolist()
     return PlannedCamera(name, x, y, z, bearing, tilt, then)
 
 

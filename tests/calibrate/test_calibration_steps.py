@@ -89,6 +89,16 @@ def test_the_lag_of_two_clocks_needs_no_pose():
     assert best.pairs == [(0, 0)]
 
 
+def test_log_times_hint_at_a_lag_that_many_people_hide(monkeypatch):
+    monkeypatch.setattr("hiros_mcap.calibrate.camera_graph.lag_candidates", lambda *_: [])
+    cameras = [
+        view("a", Rotation.identity(), np.zeros(3)),
+        view("b", Rotation.identity(), np.zeros(3), clock=6.0),
+    ]
+    found = coarse_clocks(cameras, Rig.alone(2), [2.0, 8.05], landmarks_of(MODEL), SIDES)
+    assert found == pytest.approx([0.0, 6.0], abs=0.06)
+
+
 @pytest.mark.parametrize(("clock", "hint"), [(1.4, 0.0), (6.0, 6.05), (0.0, 0.2)])
 def test_at_given_poses_the_lag_is_where_people_fit(clock, hint):
     turn, shift = Rotation.from_euler("xyz", [0.3, 1.2, -0.8]), np.array([1.0, 2.0, 3.0])

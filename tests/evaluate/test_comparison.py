@@ -6,15 +6,17 @@ import json
 import time
 
 import pytest
+from stick_figures import SECOND, START, person, seen
 
 from hiros_cli.app import run
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.evaluate import score_tables
+from hiros_mcap.evaluate import Truth, score_tables
 from hiros_mcap.evaluate.comparison import (
     DEFAULT,
     Entry,
     Task,
+    _by_second,
     by_number_of_cameras,
     camera_subsets,
     comparison,
@@ -29,6 +31,7 @@ from hiros_mcap.evaluate.logs import (
     read_channel,
     results_of,
 )
+from hiros_mcap.evaluate.match import match
 from hiros_mcap.evaluate.measures import text_of
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
@@ -164,6 +167,14 @@ def bare(walking, tmp_path):
     path = tmp_path / "bare.mcap"
     process(walking, path, options=ProcessOptions(stages="T", keep=("/camera_*", "/tf_static")))
     return path
+
+
+def test_the_last_instant_counts_where_a_truth_lasts_whole_seconds():
+    frames = [seen([person()], START + k * SECOND, ids=[0]) for k in range(3)]
+    truth = Truth.of(frames)
+    distances = _by_second(match(frames, truth), truth)
+    assert distances.stamps.tolist() == [frame.stamp for frame in frames]
+    assert distances.joints.ravel().tolist() == [0.0, 0.0, 0.0]
 
 
 def test_without_a_truth_nothing_is_ranked(bare, tmp_path, capsys):

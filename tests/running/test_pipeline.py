@@ -537,6 +537,11 @@ def test_a_wrong_type_is_one_line(name, value, fault):
         process(WALKING, **{name: value})
 
 
+def test_the_limit_of_memory_is_in_gib():
+    with pytest.raises(LogError, match="--memory GIB raises the limit"):
+        process(WALKING, memory=10_000 / 2**30)
+
+
 def test_a_text_is_one_glob(tmp_path):
     summary = process(WALKING, tmp_path / "out.mcap", calibrate="off", keep="abc")
     assert "keep: the log has no channel abc" in summary.notes
