@@ -279,6 +279,16 @@ class Decoder:
 
     def decode(self, batch: Batch) -> Iterator[Decoded]:
         """Read the messages of a batch; in several parts if their people take much memory."""
+        decoded = self._decoded(batch)
+        if decoded is None:
+            for half in batch.halves():
+                yield from self.decode(half)
+            return
+        del batch  # else its bytes lie in memory until somebody wants what comes next
+        yield decoded
+
+    def _decoded(self, batch: Batch) -> Decoded | None:
+        """Read the messages of a batch; None if their people take much memory."""
         n = sum(len(records.messages) for records in batch.records)
         first, reports = np.zeros(n + 1, np.int64), np.zeros((n, cdr.REPORT), np.int64)
         faults: dict[int, str] = {}
@@ -286,13 +296,11 @@ class Decoder:
         for section in sections:
             batch_kernels.read_headers(*section, first, reports)
         if n > 1 and first[-1] * 8 * (sum(self._slots) * (STATE + 1) + BOX) > self._MOST:
-            for half in batch.halves():
-                yield from self.decode(half)
-            return
+            return None
         data = [part.data.data[a:b] for part in sections for a, b in part.places.tolist()]
         people, results = self._people(sections, data, first, reports)
         channels = np.concatenate([records.messages[:, CHANNEL] for records in batch.records])
-        yield Decoded(
+        return Decoded(
             people,
             np.concatenate([records.keys for records in batch.records]),
             channels.tolist(),

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 from hiros_mcap.io.channels import CameraChannel
-from hiros_mcap.io.codec import Decoded, MessagePart
+from hiros_mcap.io.codec import Decoded
 from hiros_mcap.skeletons import People, widened
 
 STALE = "repeat the one before"
@@ -16,6 +15,7 @@ DAMAGED = "cannot be decoded"
 FAR_FUTURE = "log time after the year 2262"
 """Frames count ns in 63 bits; MCAP has 64."""
 LATEST = 2**63 - 1
+_NO_TIME = frozenset([0])
 
 
 @dataclass(slots=True)
@@ -37,26 +37,12 @@ class Account:
     """What was wrong with the first message that could not be decoded."""
 
 
-class Row(NamedTuple):
-    """A frame of a block."""
-
-    topic: str
-    stamp: int
-    log_time: int
-    source: str
-    frame_id: str
-    begin: int
-    end: int
-
-
-class _LastMessage(NamedTuple):
-    """The people of a camera's previous message."""
-
-    times: Sequence[int]
-    """Source time of each, ns; 0 = not given."""
-    people: People
-    begin: int
-    """Row of the first of them."""
+Row = tuple[str, int, int, str, str, int, int]
+"""A frame of a block: topic, stamp and log time, ns, camera, coordinate frame, and the rows of its
+people: the first, and the one after the last."""
+_Sent = tuple[Sequence[int], People, int]
+"""The people of a camera's previous message: source time of each, ns, 0 = not given; where they
+lie, and the row of the first."""
 
 
 class CameraInput:
@@ -67,7 +53,7 @@ class CameraInput:
         self._names = dict(camera.sources)
         self._only = next(iter(self._names)) if len(self._names) == 1 else ""
         self._account = account
-        self._previous: dict[str, _LastMessage] = {}
+        self._previous: dict[str, _Sent] = {}
 
     def take(
         self, decoded: Decoded, i: int, log_times: Sequence[int], times: Sequence[int]
@@ -76,9 +62,9 @@ class CameraInput:
 
         ``log_times`` are of all messages, ``times`` of all people, ns.
         """
-        account = self._account
+        account, log_time, people = self._account, log_times[i], decoded.people
         account.read += 1
-        if log_times[i] > LATEST:
+        if log_time > LATEST:
             account.skipped[FAR_FUTURE] += 1
             return []
         if i in decoded.faults:
@@ -88,46 +74,40 @@ class CameraInput:
         if i in decoded.cleaned:
             account.cleaned.update(decoded.cleaned[i])
         rows: list[Row] = []
-        for part in decoded.parts[i]:
-            rows += self._fresh(decoded, i, part, log_times[i], times[part.begin : part.end])
+        stale = 0
+        for source, frame_id, begin, end in decoded.parts[i]:
+            # A message without people does not name its camera.
+            sent, camera = times[begin:end], source if end > begin else self._only or source
+            stamp = max(sent, default=0) or max(0, decoded.stamps[i])
+            if not stamp:
+                account.untimed += 1
+            last, n_fresh = self._previous.get(camera), end - begin
+            if last is not None and not set(sent).difference(_NO_TIME).isdisjoint(last[0]):
+                n_fresh = _repeats_last(people, begin, sent, last)
+                sent = people.stamps[begin:end].tolist()
+            self._previous[camera] = sent, people, begin
+            stale += end - begin - n_fresh
+            if n_fresh or not sent:  # else the camera sent all of it before
+                name = self._names.get(camera, camera or self.topic)
+                frame = frame_id.lstrip("/")
+                rows.append(
+                    (self.topic, stamp or log_time, log_time, name, frame, begin, begin + n_fresh)
+                )
         if rows:
             account.used += 1
-            n_people = sum(part.end - part.begin for part in decoded.parts[i])
-            account.stale += n_people - sum(row.end - row.begin for row in rows)
+            account.stale += stale
         else:
             account.skipped[STALE] += 1
         return rows
 
-    def _fresh(
-        self, decoded: Decoded, i: int, part: MessagePart, log_time: int, times: Sequence[int]
-    ) -> Iterator[Row]:
-        """Yield the frame of a part unless all of its people are repeats."""
-        people, begin, end = decoded.people, part.begin, part.end
-        # A message without people does not name its camera.
-        source = part.source if times else self._only or part.source
-        stamp = max(times, default=0) or max(0, decoded.stamps[i])
-        if not stamp:
-            self._account.untimed += 1
-        last = self._previous.get(source)
-        n_fresh = end - begin
-        if last is not None and not (set(times) - {0}).isdisjoint(last.times):
-            n_fresh = _repeats_last(people, begin, times, last)
-            times = people.stamps[begin:end].tolist()
-        self._previous[source] = _LastMessage(times, people, begin)
-        if n_fresh or not times:
-            name = self._names.get(source, source or self.topic)
-            frame_id = part.frame_id.lstrip("/")
-            yield Row(
-                self.topic, stamp or log_time, log_time, name, frame_id, begin, begin + n_fresh
-            )
 
-
-def _repeats_last(people: People, begin: int, times: Sequence[int], last: _LastMessage) -> int:
+def _repeats_last(people: People, begin: int, times: Sequence[int], last: _Sent) -> int:
     """Put people who repeat one of the last message behind the others; return how many do not.
 
     A repeat has the same source time, and the same bits in every number of markers and links.
     """
-    before = {_bits(last.people, row, time) for row, time in enumerate(last.times, last.begin)}
+    times_before, people_before, first = last
+    before = {_bits(people_before, row, time) for row, time in enumerate(times_before, first)}
     here = [_bits(people, row, time) for row, time in enumerate(times, begin)]
     repeated = [bits[0] != 0 and bits in before for bits in here]
     people.reorder(begin, sorted(range(len(here)), key=lambda p: repeated[p]))

@@ -42,12 +42,15 @@ class Spacing:
     def thinned(
         self, batches: Iterable[Batch], decoder: Decoder, times: list[Stamps] | None
     ) -> Iterator[Batch]:
-        """Yield the batches with the messages that are kept; the times of all go to ``times``."""
-        for batch in batches:
-            thin, table = decoder.spaced(batch, self._kept)
+        """Return the batches with the messages that are kept; the times of all go to ``times``."""
+
+        def thin(batch: Batch) -> Batch:
+            some, table = decoder.spaced(batch, self._kept)
             if times is not None:
                 times.append(table)
-            yield thin
+            return some
+
+        return map(thin, batches)
 
     def _kept(self, channel: int, times: Stamps, log_times: Stamps, shows: Flags) -> Flags:
         """(n,) which of the next messages of a channel are kept, by their times, ns.

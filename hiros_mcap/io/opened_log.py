@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import chain
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -106,7 +107,7 @@ class Reading:
             spans = None if times is None else self._spans
             spacing = Spacing(self._step, self.log.cameras, spans)
             batches = spacing.thinned(batches, decoder, times)
-        decoded = (d for batch in batches for d in decoder.decode(batch))
+        decoded = chain.from_iterable(map(decoder.decode, batches))
         order = LogOrder[Decoded]()
         for some in reader.ahead(decoded):
             order.add(some, some.keys)

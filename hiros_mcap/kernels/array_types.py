@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from operator import call
+from operator import attrgetter, call
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -69,6 +69,8 @@ _NUMBERS: dict[Any, Any] = {
     int: (int, np.integer),
     bool: (bool, np.bool_),
 }
+_READ = attrgetter("dtype", "ndim", "flags.c_contiguous")
+_WRITTEN = attrgetter("dtype", "ndim", "flags.carray")
 
 N = TypeVar("N", bound=tuple[Any, ...])
 
@@ -93,23 +95,35 @@ def fields_of(kind: type[Any]) -> Fields:
     return Fields(kind, tuple(type_of(each.__forward_arg__, names) for each in fields))
 
 
-def check_of(kind: Any) -> Callable[[Any], bool]:
-    """Return what tells whether a value is of a kind that :func:`type_of` returns."""
+def check_of(kind: Fields) -> Callable[[Any], bool]:
+    """Return what tells whether a value is such a tuple.
+
+    It is one call of Python for each tuple: what the fields look like is looked up in C.
+    """
+    named, (looks, right) = kind.kind, zip(*map(_look_of, kind.fields), strict=True)
+    wanted = [*right]
+
+    def is_right(value: Any) -> bool:
+        try:
+            return (
+                type(value) is named
+                and len(value) == len(wanted)
+                and [*map(call, looks, value)] == wanted
+            )
+        except AttributeError:  # what is no array has no dtype
+            return False
+
+    return is_right
+
+
+def _look_of(kind: Any) -> tuple[Callable[[Any], Any], Any]:
+    """Return what looks at a value, and what it finds if the value is of a kind."""
     if isinstance(kind, Array):
-        numbers, dimensions = np.dtype(kind.numbers), kind.dimensions
-        order = "carray" if kind.written else "c_contiguous"
-        return lambda value: (
-            isinstance(value, np.ndarray)
-            and value.dtype == numbers
-            and value.ndim == dimensions
-            and getattr(value.flags, order)
-        )
+        look = _WRITTEN if kind.written else _READ
+        return look, (np.dtype(kind.numbers), kind.dimensions, True)
     if isinstance(kind, Fields):
-        checks, named = [*map(check_of, kind.fields)], kind.kind
-        return lambda value: (
-            type(value) is named and len(value) == len(checks) and all(map(call, checks, value))
-        )
-    return lambda value: isinstance(value, _NUMBERS[kind])
+        return check_of(kind), True
+    return lambda value: isinstance(value, _NUMBERS[kind]), True
 
 
 def arrays(kind: type[N], *shapes: Any) -> N:

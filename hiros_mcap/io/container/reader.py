@@ -48,9 +48,9 @@ MEMORY = 2**30
 """Bytes that reading may take unless the user allows more."""
 _KEPT = 64 * 2**20
 """Bytes: the chunks of a file that holds no more stay in memory, so that each is read once."""
-_TOGETHER = 4 * 2**20
-"""Bytes of chunks that are read together: each batch costs its user as much as some messages.
-Recorders' chunks are of 0.75 to 4 MiB."""
+_TOGETHER = 8 * 2**20
+"""Bytes of chunks that are read together: each batch costs every stage as much as some messages.
+Recorders' chunks are of 0.75 to 4 MiB, ours of a little more than 2."""
 _COLUMNS = [LOG_TIME, START]
 _ATTACHMENT_FIXED = 32  # bytes before the data of an attachment, besides its names
 
