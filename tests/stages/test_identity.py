@@ -244,7 +244,7 @@ def test_what_was_nobody_is_not_missing(chair):
         for c, name in enumerate("ab")
     ]
     frames += standing([two[0]], 3, 5) + standing([two[0], third * TALL], 5, 8)
-    frames += standing([two[0], third * TALL, person(1.0) * 1.03], 8, 10)
+    frames += standing([two[0], third * TALL, person(0.0) * 1.03], 8, 10)
     found = events_of(frames)
     assert ("track withdrawn" in kinds(found)) == chair
     assert found[-1].kind == "track born"
@@ -270,15 +270,13 @@ def test_cameras_that_stop_one_by_one_do_not_pause():
     assert ids(frames, TrackParams(reidentify=4.0))[-1] == [1]
 
 
-def test_who_stood_still_before_a_pause_still_stands_there():
-    """Two people of one size. The cameras see them move 1 m, or see nothing."""
-    two, frames = [person(-1.0), person(1.0)], {}
-    frames["pause"] = away(9.0, two, two)
-    frames["left"] = standing(two, 0, 2) + standing([], 2, 11) + standing(two, 11, 13)
-    assert {name: ids(each)[-1] for name, each in frames.items()} == {
-        "pause": [0, 1],
-        "left": [2, 3],
-    }
+@pytest.mark.parametrize("pause", [True, False])
+@pytest.mark.parametrize(("shift", "expected"), [(0.0, [0, 1]), (0.8, [2, 3])])
+def test_who_stood_still_still_stands_there(pause, shift, expected):
+    """Two people of one size, who were not seen for 9 s; or others, in between the two places."""
+    two, away = [person(-1.0), person(1.0)], [] if pause else standing([], 2, 11)
+    later = [person(-1.0 + shift), person(1.0 - shift)]
+    assert ids([*standing(two, 0, 2), *away, *standing(later, 11, 13)])[-1] == expected
 
 
 @pytest.mark.parametrize(

@@ -116,6 +116,43 @@ def test_blocks_change_no_histogram_and_no_result(params):
         np.testing.assert_array_equal(counts, other.histograms[key])
 
 
+def deviations(frames, **params):
+    """The mean deviation, m, from 5 s on, without that of the poses."""
+    params = {"pose_angle": 0.0, "pose_shift": 0.0, **params}
+    later = [f for f in fuse(frames, BODY, FuseParams(**params)) if f.stamp > 6e9]
+    return float(np.mean([f.uncertainty.deviations for f in later]))
+
+
+@pytest.mark.parametrize("cameras", ["abc", "ab"])
+@pytest.mark.parametrize(("params", "off"), [({}, 0.06), (REALTIME, 0.14)])
+def test_ellipsoids_hold_their_share_of_cameras_as_the_model_has_them(cameras, params, off):
+    frames = [frame for frame in detections({}) if frame.source in cameras]
+    params = FuseParams(pose_angle=0.0, pose_shift=0.0, **params)
+    squares = []
+    for frame in fuse(frames, BODY, params):
+        t = frame.stamp * 1e-9 - 1.0
+        away = frame.positions[0] - 0.4 * np.sin(t + np.arange(24.0).reshape(8, 3))
+        squares.append((away**2).sum(axis=1) / frame.uncertainty.deviations[0] ** 2)
+    assert np.mean(np.array(squares) < 3.506) == pytest.approx(0.68, abs=off)
+
+
+@pytest.mark.parametrize("params", [{}, REALTIME])
+def test_what_lasts_and_is_larger_makes_deviations_larger(params):
+    rng, frames = np.random.default_rng(9), detections({})
+    usual, offsets = deviations(frames, **params), rng.normal(0, 0.02, (3, 8, 3))
+    for k, frame in enumerate(frames):
+        frame.markers[0, :, :3] += offsets[k % 3]
+    assert 1.4 * usual < deviations(frames, **params) < 2.6 * usual
+
+
+@pytest.mark.parametrize("params", [{}, REALTIME])
+def test_the_error_of_a_pose_is_no_scatter(params):
+    """What all joints of a view have in common is in the shared part, and counts once."""
+    usual = deviations(detections({}), **params)
+    shifted = detections({}, np.array([0.0, 0.05, 0.0]))
+    assert deviations(shifted, **params) == pytest.approx(usual, rel=0.1)
+
+
 def test_medians_of_histograms_are_those_of_the_values():
     values = np.random.default_rng(7).lognormal(0, 2, (3, 4001))
     values[1, 100:] = np.nan

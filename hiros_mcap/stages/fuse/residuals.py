@@ -8,10 +8,19 @@ used (principle of orthogonality, Bar-Shalom et al. 2001, section 3.3.1). So
 
 holds for a smoother, and for a filter with any look-ahead. |z - x_s|^2 over this variance has a
 chi-square distribution with three degrees of freedom if the model is right.
+
+The mean over n views of a second tells what lasts. Of C cameras, x_s holds each b by about 1 / C:
+
+    var(mean) = (R + B / C - P_s) / n + B (1 - 1 / C)
+
+What the means of a body's joints have in common is left out: it is the error of the camera's pose
+or clock, which the standard deviations hold already. How much larger or smaller the rest is than
+expected is the factor of the standard deviations.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any
@@ -34,10 +43,14 @@ FEWEST = 50  # residuals that give a median
 _EVERY = 3  # instants; residuals of neighbours tell the same
 _BATCH = 48  # frames that are compared at once
 _MEMORY = 60.0  # s; time constant of the mean of a camera's residuals
-_FEWEST_VIEWS = 5
-_HEALTHY, _HEALTHY_CAUSAL = 1.1, 1.4
-"""Means over a second, over what is expected, that need no larger ellipsoids. The errors of a
-filter, which looks at most 0.1 s ahead, last for longer than those of a smoother."""
+_FEWEST_VIEWS, _FEWEST_JOINTS = 5, 5  # of a second, and of a body
+_USUAL, _USUAL_CAUSAL = 0.93, 1.15
+"""Size of the means, over what is expected, with which the standard deviations are right. The first
+is that of simulated cameras that are as the model has them. Detectors err for longer than the model
+says, and have 1.15: a smoother, which averages over seconds, is less certain then; a filter hardly
+averages."""
+_LEAST = 0.7
+"""Least factor of the standard deviations: a detector that filters hides its noise."""
 
 
 class ResidualMeter:
@@ -52,7 +65,7 @@ class ResidualMeter:
     def __init__(
         self, model: SkeletonModel, noise: FusionNoise, events: Events, *, causal: bool = False
     ) -> None:
-        self._healthy, self._is_causal = _HEALTHY_CAUSAL if causal else _HEALTHY, causal
+        self._usual, self._is_causal = _USUAL_CAUSAL if causal else _USUAL, causal
         self._n_markers = model.n_markers
         self._noise, self._events = noise, events
         self._names: tuple[str, ...] = ()
@@ -109,18 +122,16 @@ class ResidualMeter:
         self._first, self._waiting = self._first + len(fused), 0
 
     def scaled(self, fused: Block) -> Block:
-        """Return a block whose uncertainty allows for cameras that scatter more than expected.
+        """Return a block whose uncertainty allows for how much the cameras scatter.
 
-        The variance of a marker grows by the mean of the squared ratios of the cameras that saw
-        it, beyond what healthy cameras show.
+        The variance of a marker is multiplied by the mean of the squared factors of the cameras
+        that saw it.
         """
         uncertainty = fused.uncertainty
-        if uncertainty is None:
+        if uncertainty is None or not self._ratios:
             return fused
-        ratio = np.array([self._ratios.get(name, np.nan) for name in uncertainty.names])
-        factors = np.fmax(np.nan_to_num(ratio, nan=1.0) / self._healthy, 1.0) ** 2
-        if (factors == 1.0).all():
-            return fused
+        sizes = np.array([self._ratios.get(name, math.nan) for name in uncertainty.names])
+        factors = np.maximum(np.nan_to_num(sizes / self._usual, nan=1.0), _LEAST) ** 2
         sees = (uncertainty.cameras[:, :, None] >> np.arange(len(factors))) & 1
         count = sees.sum(axis=2)
         factor = np.where(count > 0, sees @ factors / np.maximum(count, 1), factors.mean())
@@ -156,30 +167,39 @@ class ResidualMeter:
             whole /= (~np.isnan(squares)).sum(axis=1)[:, None]
         # The result does not rest on displaced cameras.
         rests = excess_of(views, whole, limits_of(self._names, self._noise.pose_errors)) == 0
-        slow = (variances - white)[rests]
+        sees = (uncertainty.cameras[rows][:, :, None] >> np.arange(len(self._names))) & 1
+        count = np.maximum(sees.sum(axis=2), 1)
+        offsets = self._noise.offsets**2
+        fast = np.maximum(white + offsets / count - posterior, 0.1 * white)
+        fast[sees.sum(axis=2) < 2] = np.nan  # of one camera nothing that lasts shows
+        slow = offsets * (1 - 1 / count)
         self._remember(
-            chosen(views, rests), residuals[rests], white[rests], slow, int(fused.stamps[-1])
+            chosen(views, rests), residuals[rests], fast[rests], slow[rests], int(fused.stamps[-1])
         )
 
     def _remember(
-        self, views: Sightings, residuals: Floats, white: Floats, slow: Floats, stamp: int
+        self, views: Sightings, residuals: Floats, fast: Floats, slow: Floats, stamp: int
     ) -> None:
         """Add the means of residuals (N, M, 3) over a second to the cameras' histograms.
 
-        The mean of n has the variance R / n + B - P; ``white`` is R, ``slow`` B - P, (N, M) m2.
+        ``fast`` and ``slow`` (N, M), m2, are the two parts of the expected variance.
         """
         keys = np.stack([views.cameras, views.people, views.stamps // SECOND])
         keys, groups = np.unique(keys, axis=1, return_inverse=True)
         groups = groups.ravel()
-        there = ~np.isnan(residuals[:, :, 0] + slow)
+        there = ~np.isnan(residuals[:, :, 0] + fast)
         shape = (keys.shape[1], there.shape[1])
         count, variance, mean = np.zeros(shape), np.zeros(shape), np.zeros((*shape, 3))
         np.add.at(count, groups, there)
         np.add.at(mean, groups, np.where(there[:, :, None], residuals, 0.0))
-        expected = white / np.maximum(count, 1)[groups] + slow
+        expected = fast / np.maximum(count, 1)[groups] + slow
         np.add.at(variance, groups, np.where(there, expected, 0.0))
         n = np.where(count >= _FEWEST_VIEWS, count, np.nan)
-        squares = ((mean / n[:, :, None]) ** 2).sum(axis=2) / (variance / n)
+        joints = np.count_nonzero(count >= _FEWEST_VIEWS, axis=1, keepdims=True)
+        n[joints.ravel() < _FEWEST_JOINTS] = np.nan
+        mean /= n[:, :, None]
+        mean -= np.nansum(mean, axis=1, keepdims=True) / np.maximum(joints, 1)[:, :, None]
+        squares = (mean**2).sum(axis=2) / (variance / n * (1 - 1 / np.maximum(joints, 2)))
         passed = stamp - (stamp if self._last is None else self._last)
         keep = float(np.exp(-max(passed, 0) * 1e-9 / _MEMORY))
         self._last = stamp
