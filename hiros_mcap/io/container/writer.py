@@ -452,6 +452,10 @@ class LiveWriter(McapWriter):
     def __init__(self, out: Sink) -> None:
         super().__init__(out, compression="")
 
+    def _submit(self, job: Callable[..., None], *args: Any) -> None:
+        """Do a job at once: whoever flushes would wait for another thread anyway."""
+        job(*args)
+
     def flush(self) -> None:
         """Send everything so far, and wait until it is on its way."""
         self._flush()

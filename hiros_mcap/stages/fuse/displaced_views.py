@@ -20,6 +20,7 @@ import numpy as np
 from hiros_mcap.events import Events
 from hiros_mcap.skeletons import Flags, Floats, Stamps
 from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.fuse.comparing import add_offsets, find_displaced
 from hiros_mcap.stages.fuse.fusing import Sightings
 from hiros_mcap.stages.track.displaced import CAMERA_DISPLACED, DISPLACED_A_WHILE
 
@@ -89,17 +90,16 @@ class DisplacedViews:
 
     def remember(self, views: Sightings, offsets: Floats) -> None:
         """Take the offsets of views, m; NaN = none. Each view comes once with an offset."""
-        these = np.flatnonzero(~np.isnan(offsets[:, 0]))
-        if not len(these):
+        these = ~np.isnan(offsets[:, 0])
+        if not these.any():
             return
         stamp = int(views.stamps[these].max())
-        rows = np.array([self._bank.row(p, stamp) for p in views.people[these].tolist()], np.int64)
-        keep = np.exp(-max(stamp - self._stamp, 0) * 1e-9 / _MEMORY)
+        bank = self._bank
+        people = zip(views.people.tolist(), these.tolist(), strict=True)
+        rows = [bank.row(person, stamp) if there else -1 for person, there in people]
+        keep = float(np.exp(-max(stamp - self._stamp, 0) * 1e-9 / _MEMORY))
         self._stamp = max(stamp, self._stamp)
-        for array in self._bank.past:
-            array *= keep
-        np.add.at(self._bank.past.sums, (rows, views.cameras[these]), offsets[these])
-        np.add.at(self._bank.past.weights, (rows, views.cameras[these]), 1.0)
+        add_offsets(offsets, np.array(rows, np.int64), views.cameras, keep, *bank.past)
         self._bank.expire(stamp)
 
     def count(self, views: Sightings, excess: Floats, done: Flags) -> None:
@@ -237,14 +237,6 @@ def displaced(sums: Floats, weights: Floats, limits: Floats) -> Floats:
 
     ``sums`` (G, C, 3) of offsets, m, ``weights`` (G, C) of views, 0 = none, ``limits`` (C,), m.
     """
-    seen = weights > 0
-    with np.errstate(invalid="ignore", divide="ignore"):
-        squares = ((sums / weights[:, :, None]) ** 2).sum(axis=2)
-    order = np.sort(np.where(seen, squares, np.inf), axis=1)
-    count = seen.sum(axis=1)
-    if not order.size:
-        return np.zeros(weights.shape)
-    middle = np.take_along_axis(order, np.maximum(count - 1, 0)[:, None] // 2, axis=1)
-    clearly = squares > np.maximum(limits**2, CLEARLY**2 * middle)
-    lost = seen & clearly & (count >= MAJORITY)[:, None]
-    return np.where(lost, SHARE * squares, 0.0)
+    squares = np.zeros(weights.shape)
+    find_displaced(sums, weights, limits, CLEARLY, MAJORITY, np.empty(len(limits)), squares)
+    return SHARE * squares

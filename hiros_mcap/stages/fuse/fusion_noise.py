@@ -156,7 +156,7 @@ class RunningNoise(FusionNoise):
 
         Instants are numbered through the log; a view comes again for as long as it is needed.
         """
-        new = chosen(views, views.instants >= self.next_instant)
+        new = chosen(views, slice(int(np.searchsorted(views.instants, self.next_instant)), None))
         if len(new.instants):
             self.next_instant = int(new.instants[-1]) + 1
             self.held.append(new)

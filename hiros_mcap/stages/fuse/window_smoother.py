@@ -11,14 +11,12 @@ import numpy as np
 from hiros_mcap.frames import Block
 from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.skeletons import (
-    POSITION,
-    VELOCITY,
     SkeletonModel,
     Stamps,
     Uncertainty,
 )
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.fuse.comparing import compare_views, find_cameras
+from hiros_mcap.stages.fuse.comparing import compare_views, find_cameras, write_poses
 from hiros_mcap.stages.fuse.displaced_views import (
     DisplacedViews,
     excess_of,
@@ -199,21 +197,12 @@ class WindowSmoother:
 
     def _finished(self, out: Block, log_time: int, poses: FusedPoses, seen: Stamps) -> Block:
         """Write poses, confidences and uncertainty."""
-        people = out.people
         shared = self._pose_error.variances(poses.positions, seen, self._names)
         if late := self._noise.time_variance(self._names):
             shared = shared + late / 3 * (poses.velocities**2).sum(axis=-1)
-        variances = poses.variances + shared
-        unknown = ~(variances <= _MAX_DEVIATION**2)
-        variances[unknown] = np.nan
-        for columns, values in ((POSITION, poses.positions), (VELOCITY, poses.velocities)):
-            values[unknown] = np.nan
-            people.markers[:, :, columns] = values
-        people.marker_confidences[:] = 1 / (1 + variances / HALF_CONFIDENCE**2)
-        count = (~unknown).sum(axis=1)
-        total = np.nansum(people.marker_confidences, axis=1)
-        people.confidences[:] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
-        uncertainty = Uncertainty(np.sqrt(variances), seen, self._names, np.sqrt(shared))
+        deviations = np.empty_like(shared)
+        write_poses(poses, shared, _MAX_DEVIATION, HALF_CONFIDENCE, out.people, deviations)
+        uncertainty = Uncertainty(deviations, seen, self._names, np.sqrt(shared))
         return replace(out.logged_at([log_time] * len(out)), uncertainty=uncertainty)
 
 
