@@ -57,7 +57,7 @@ def find_cameras(views: Sightings, rows: I1, hidden: float, seen: I2) -> None:
 
 
 @entry
-def write_poses(
+def write_fused(
     poses: FusedPoses, shared: F2, most: float, half: float, people: People, deviations: F2
 ) -> None:
     """Write positions, velocities, and confidences 1 / (1 + variance / half^2) of people.

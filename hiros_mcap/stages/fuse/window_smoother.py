@@ -16,7 +16,7 @@ from hiros_mcap.skeletons import (
     Uncertainty,
 )
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.fuse.comparing import compare_views, find_cameras, write_poses
+from hiros_mcap.stages.fuse.comparing import compare_views, find_cameras, write_fused
 from hiros_mcap.stages.fuse.displaced_views import (
     DisplacedViews,
     excess_of,
@@ -201,7 +201,7 @@ class WindowSmoother:
         if late := self._noise.time_variance(self._names):
             shared = shared + late / 3 * (poses.velocities**2).sum(axis=-1)
         deviations = np.empty_like(shared)
-        write_poses(poses, shared, _MAX_DEVIATION, HALF_CONFIDENCE, out.people, deviations)
+        write_fused(poses, shared, _MAX_DEVIATION, HALF_CONFIDENCE, out.people, deviations)
         uncertainty = Uncertainty(deviations, seen, self._names, np.sqrt(shared))
         return replace(out.logged_at([log_time] * len(out)), uncertainty=uncertainty)
 
