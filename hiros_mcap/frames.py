@@ -159,11 +159,12 @@ def join(blocks: Sequence[Block], order: Stamps | None = None, width: int = 0) -
         max(width, *(block.people.links.shape[2] for block in blocks)),
     )
     is_all = order is None or len(order) == len(blocks[0]) == 1
-    if len(blocks) == 1 and is_all and _is_whole(blocks[0], widths):
-        block = blocks[0]  # a live input has one such frame after the other
-        sure = block.uncertainty and block.uncertainty.at(np.arange(len(block.people.ids)))
-        hidden = None if block.hidden is None else block.hidden.copy()
-        return replace(block, people=block.people.copy(), uncertainty=sure, hidden=hidden)
+    if len(blocks) == 1 and is_all and (span := _span_of(blocks[0], widths)):
+        block, rows = blocks[0], np.arange(*span)  # a live input has one such frame after the other
+        sure = block.uncertainty and block.uncertainty.at(rows)
+        hidden = None if block.hidden is None else block.hidden[rows]
+        people, begins = block.people.at(slice(*span)).copy(), block.rows - span[0]
+        return replace(block, rows=begins, people=people, uncertainty=sure, hidden=hidden)
     of_block = np.repeat(np.arange(len(blocks)), [len(block) for block in blocks])
     wanted = np.arange(len(of_block)) if order is None else order
     of_block, rows = of_block[wanted], np.concatenate([block.rows for block in blocks])[wanted]
@@ -193,13 +194,16 @@ def together(blocks: Sequence[Block]) -> Block:
     return blocks[0] if len(blocks) == 1 else join(blocks)
 
 
-def _is_whole(block: Block, widths: tuple[int, int]) -> bool:
-    """Whether frames have all rows of their arrays, in order, and as many columns."""
-    if (block.people.markers.shape[2], block.people.links.shape[2]) != widths:
-        return False
+def _span_of(block: Block, widths: tuple[int, int]) -> tuple[int, int] | None:
+    """First row, and the row after the last, of frames that follow each other in their arrays.
+
+    None if they do not, or have not as many columns.
+    """
     bounds = block.rows.ravel().tolist()
-    ends = [0, *bounds[1::2]]
-    return bounds[::2] == ends[:-1] and ends[-1] == len(block.people.ids)
+    have = block.people.markers.shape[2], block.people.links.shape[2]
+    if not bounds or have != widths or bounds[1:-1:2] != bounds[2::2]:
+        return None
+    return bounds[0], bounds[-1]
 
 
 class HeldFrames:

@@ -81,11 +81,11 @@ class DisplacedViews:
 
     def expected(self, views: Sightings) -> Floats:
         """(N,) Variance, m2, to be added to new views, by the offsets of the views before them."""
-        rows = np.array([self._bank.rows.get(p, -1) for p in views.people.tolist()], np.int64)
         limits = limits_of(self._names, self._pose_errors, LIMIT_AHEAD)
         variances = displaced(*self._bank.past, limits)
-        if not len(variances):
-            return np.zeros(len(rows))
+        if not variances.any():
+            return np.zeros(len(views.people))
+        rows = np.array([self._bank.rows.get(p, -1) for p in views.people.tolist()], np.int64)
         return np.where(rows >= 0, variances[rows, views.cameras], 0.0)
 
     def remember(self, views: Sightings, offsets: Floats) -> None:
@@ -94,12 +94,12 @@ class DisplacedViews:
         if not these.any():
             return
         stamp = int(views.stamps[these].max())
-        bank = self._bank
-        people = zip(views.people.tolist(), these.tolist(), strict=True)
-        rows = [bank.row(person, stamp) if there else -1 for person, there in people]
+        people = {p: self._bank.row(p, stamp) for p in {*views.people[these].tolist()}}
+        rows = np.array([people.get(person, -1) for person in views.people.tolist()], np.int64)
+        rows[~these] = -1
         keep = float(np.exp(-max(stamp - self._stamp, 0) * 1e-9 / _MEMORY))
         self._stamp = max(stamp, self._stamp)
-        add_offsets(offsets, np.array(rows, np.int64), views.cameras, keep, *bank.past)
+        add_offsets(offsets, rows, views.cameras, keep, *self._bank.past)
         self._bank.expire(stamp)
 
     def count(self, views: Sightings, excess: Floats, done: Flags) -> None:

@@ -203,7 +203,8 @@ class WindowSmoother:
         deviations = np.empty_like(shared)
         write_fused(poses, shared, _MAX_DEVIATION, HALF_CONFIDENCE, out.people, deviations)
         uncertainty = Uncertainty(deviations, seen, self._names, np.sqrt(shared))
-        return replace(out.logged_at([log_time] * len(out)), uncertainty=uncertainty)
+        log_times = np.full(len(out), log_time)
+        return replace(out, log_times=log_times, uncertainty=uncertainty)
 
 
 def _steps_of(window: FusionWindow, person: int) -> int:
