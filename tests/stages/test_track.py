@@ -17,6 +17,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 from stick_figures import MIRROR, MODEL, SECOND, at, person, seen
 
+from hiros_mcap.body.limb_radii import capsules_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import by_frame
 from hiros_mcap.io.channels import add_skeleton_channel
@@ -80,7 +81,7 @@ def compared(tracks, markers, links, confidence=1.0, **changes):  # fmt: skip
     work.pairs.wanted.fill(True)
     same = np.arange(m, dtype=np.int32)
     association.predict(SECOND, rows, tracks, used, work.predicted)
-    slots = association.SlotOrders(same, same, np.empty((0, 2), np.int32))
+    slots = association.SlotOrders(same, same, np.empty((0, 2), np.int32), capsules_of(MODEL))
     association.association_cost(rows, people, tracks, slots, used, work)
     return work.pairs
 
@@ -929,3 +930,18 @@ def test_ids_last_at_10_hz_though_cameras_guess_who_is_half_hidden(seed):
     tracked = list(track(where.frames, where.model, params, cameras=where.cameras))
     counts = Counter(itertools.chain(*ids(tracked)))
     assert sum(number >= 0 for number in counts) <= 4
+
+
+@pytest.mark.parametrize("front", [0.0, 1.5])
+def test_a_view_of_somebody_hidden_does_not_throw_out_the_good_one(front):
+    """Person 0 stands. Camera a shows him sink, behind person 1 or beside; then b shows him."""
+    places = {"a": np.array([-3.0, 0.0, 1.2]), "b": np.array([0.0, -3.0, 1.2])}
+    frames = []
+    for k in range(63):
+        sunk = 0.2 * max(k - 59, 0)
+        other = person(-1.0, 1.5 if k < 60 else front)
+        views = ("a", [person() - [0, 0, sunk], other]), ("b", [person(), other])
+        frames += [seen(view, at(k, c), name) for c, (name, view) in enumerate(views)
+                   if name == "a" or k < 60 or k == 62]  # fmt: skip
+    last = list(track(frames, MODEL, TrackParams(), None, places))[-1]
+    assert (last.ids[0] == 0) == (front == 0.0)

@@ -19,7 +19,7 @@ from hiros_mcap.stages.detections.limb_deviations import ComparedMessages
 
 HONEST = 0.06  # m; deviation of a joint that is seen: a Kinect v2 at 3 to 4 m, hands included
 _WHOLE = 0.03  # m; of a whole body: slow offsets of joints are 1 to 2 cm, poses of cameras as well
-_INVENTED = 0.2  # m; of one that a detector invents: on a Kinect log, .2 to .8 m off (3 axes)
+INVENTED = 0.2  # m; of one that a detector invents: on a Kinect log, .2 to .8 m off (3 axes)
 _SURELY = 0.9  # of ten joints behind somebody, nine are invented at most: bodies are no capsules
 _LEAST = 0.01  # probability below which a joint counts as seen
 _SEEN = 0.5  # above which it teaches nothing
@@ -36,7 +36,7 @@ _FEWEST = 0.25  # share of joints that show how the person moved
 _WANDERS = 0.5  # m/s; deviation of a body from its last velocity
 _FOLLOWS = 0.3  # s; of a person of whom fewer are seen, and of the velocity that remains
 _GUESSED = 0.5  # confidence below which a detector guesses
-_RATES = 0.03  # share of such joints from which on a detector is taken to rate joints
+RATES = 0.03  # share of such joints from which on a detector is taken to rate joints
 _RATED = 1000.0  # views that this share is of: half a minute
 _ROUNDS, _SMALL = 8, 0.003  # of Weiszfeld's iteration; m
 _UNKNOWN = 1e6  # m2
@@ -124,16 +124,16 @@ def _look(i: int, scene: HiddenScene) -> None:
             scene.work.shown[row] = True
             outline(scene.people.markers[p], camera, scene.work.outlines[p])
             rate = scene.rates[scene.messages.cameras[i]]
-            _learn_rating(scene.people.marker_confidences[p], rate)
+            learn_rating(scene.people.marker_confidences[p], rate)
     for p in range(begin, end):
-        scene.work.rates[p] = scene.rates[scene.messages.cameras[i], 1] > _RATES
+        scene.work.rates[p] = scene.rates[scene.messages.cameras[i], 1] > RATES
     for r in range(len(scene.past.stamps)):
         if scene.messages.stamps[i] - scene.past.stamps[r] <= _RECENT and not scene.work.shown[r]:
             outline(scene.past.poses[r], camera, scene.work.remembered[r])
 
 
 @inlined
-def _learn_rating(confidences: Floats, rate: Floats) -> None:
+def learn_rating(confidences: Floats, rate: Floats) -> None:
     """Add the joints of a view to the share of those that its detector guesses."""
     low = 0.0
     for m in range(len(confidences)):
@@ -307,7 +307,7 @@ def _held_variance(age: float, within: float) -> float:
 def _invented(hidden: float, square: float, honest: float, held: float) -> float:
     """Probability that a place was invented: by h, its squared distance, m2, HONEST^2 and s^2."""
     h = _SURELY * hidden
-    wide, narrow = _INVENTED**2 + held, honest + held
+    wide, narrow = INVENTED**2 + held, honest + held
     a = h * math.exp(-0.5 * square / wide) / (wide * math.sqrt(wide))
     b = (1.0 - h) * math.exp(-0.5 * square / narrow) / (narrow * math.sqrt(narrow))
     return a / (a + b) if a + b > 0.0 else h
@@ -316,7 +316,7 @@ def _invented(hidden: float, square: float, honest: float, held: float) -> float
 @inlined
 def _error(square: float, held: float) -> float:
     """Return e^2, m2: how wrong an invented joint is, by its squared distance from x and s^2."""
-    share = _INVENTED**2 / (_INVENTED**2 + held)  # of the distance that is the error
+    share = INVENTED**2 / (INVENTED**2 + held)  # of the distance that is the error
     return share * share * square / 3.0 + share * held
 
 
@@ -324,11 +324,11 @@ def _error(square: float, held: float) -> float:
 def _weigh(p: int, m: int, row: int, stamp: int, scene: HiddenScene) -> None:
     """Find out whether a joint was invented; put it where it must be (4, 5)."""
     past, out, z = scene.past, scene.out, scene.people.markers[p, m]
-    x, held, error = past.poses[row, m], _UNKNOWN, _INVENTED**2
+    x, held, error = past.poses[row, m], _UNKNOWN, INVENTED**2
     if past.seen[row, m] > 0:
         age = max(stamp - past.seen[row, m], 0) * 1e-9
         held = _held_variance(age, past.variances[row, m])
-        expected = scene.work.expected[m] * _INVENTED**2 / (_INVENTED**2 + held)
+        expected = scene.work.expected[m] * INVENTED**2 / (INVENTED**2 + held)
         square = (z[0] - x[0]) ** 2 + (z[1] - x[1]) ** 2 + (z[2] - x[2]) ** 2
         out.shares[p, m] = _invented(max(out.shares[p, m], expected), square, HONEST**2, held)
         error = _error(square, held)

@@ -11,6 +11,7 @@ from hiros_mcap.kernels.array_types import B1, B2, F1, F2, F3, I1, I2, I3, J1, J
 from hiros_mcap.kernels.assignment import AssignmentWork, solve
 from hiros_mcap.kernels.compile import entry, inlined
 from hiros_mcap.kernels.distance import weighted_mean_distance
+from hiros_mcap.kernels.line_of_sight import OUTLINE, Capsules
 from hiros_mcap.kernels.points import norm3, point_distance
 from hiros_mcap.kernels.quaternions import Quaternion, Vector, angle_of, dot, exponential, multiply
 from hiros_mcap.skeletons import (
@@ -112,12 +113,14 @@ class TrackPairs(NamedTuple):
     cost: F2  # (T, P) eq 6; infinite where a pair is not allowed
     match: I1  # (P,) index of the track of each detection, -1 = none
     broken: B1  # (P,) whether a detection is too far from the track that ``match`` gives it
+    hidden: F1  # (P,) share of a detection that others hide from its camera
 
 
 class TrackWork(NamedTuple):
     """Scratch for at most T tracks and P detections; its arrays are larger than what counts."""
 
     bounds: F2  # (P, 6) least and greatest x y z of each detection's markers, m
+    outlines: F2  # (P, OUTLINE) of the detections, seen from their camera
     predicted: PredictedTracks
     weights: TrackWeights
     pairs: TrackPairs
@@ -131,9 +134,17 @@ class TrackWork(NamedTuple):
         t, p, m, n = n_tracks, n_people, n_markers, n_links
         predicted = arrays(PredictedTracks, (t, m, 3), (t, n, 4), t, t)
         weights = arrays(TrackWeights, (t, m), (t, n), (p, m), (p, n))
-        pairs = arrays(TrackPairs, p, (t, p), (t, p), (t, p), p, p)
+        pairs = arrays(TrackPairs, p, (t, p), (t, p), (t, p), p, p, p)
         return arrays(
-            cls, (p, 6), predicted, weights, pairs, AssignmentWork.allocate(max(t, p)), p, p
+            cls,
+            (p, 6),
+            (p, OUTLINE),
+            predicted,
+            weights,
+            pairs,
+            AssignmentWork.allocate(max(t, p)),
+            p,
+            p,
         )
 
 
@@ -145,6 +156,7 @@ class SlotOrders(NamedTuple):
     ends: J2
     """(L, 2) the track's markers at the ends of each link whose length is learned; of no link if
     nobody asks for lengths."""
+    capsules: Capsules  # how thick limbs are
 
 
 # Prediction, eq 7

@@ -32,6 +32,7 @@ from hiros_mcap.skeletons import (
     Ints,
     People,
 )
+from hiros_mcap.stages.detections.hidden_joints import INVENTED
 from hiros_mcap.stages.track.association import (
     SlotOrders,
     TrackPairs,
@@ -46,6 +47,7 @@ _RESTART = 4.0  # horizons without a detection after which a marker or link star
 _JERK = 50.0  # m/s3/sqrt(Hz): how fast accelerations of markers may change
 _ANGULAR_JERK = 500.0  # rad/s3/sqrt(Hz): the same of links
 _ORIENTATION_NOISE = 0.15  # rad; SD of a link that one camera reports
+_MOSTLY = 0.5  # share of a detection that is hidden while its limbs are guessed
 _LEAST_CONFIDENCE = 0.05  # a marker of less counts as one of this confidence
 # Variances of a new state: (m/s)2, (m/s2)2, (rad/s)2, (rad/s2)2.
 _SPEED, _ACCELERATION, _ANGULAR_SPEED, _ANGULAR_ACCELERATION = 1.0, 25.0, 4.0, 100.0
@@ -263,7 +265,8 @@ def correct(
 
     The velocities and accelerations that the detector left open are written into ``people``. A
     mirrored detection corrects the track with its sides swapped; its orientations are wrong and are
-    left alone.
+    left alone. What others hide of a detection is a guess: the variance of its markers is larger,
+    so that it does not pull the track away from what other cameras see.
     """
     for j in range(len(people.ids)):
         i = pairs.match[j]
@@ -272,11 +275,13 @@ def correct(
         row, swapped = rows[i], pairs.mirrored[i, j]
         markers, confidences = people.markers[j], people.marker_confidences[j]
         which = slots.mirror if swapped else slots.same
+        invented = (INVENTED * pairs.hidden[j]) ** 2
         for m in range(len(which)):
             if not math.isnan(markers[which[m], 0]):
-                noise = _variance(confidences[which[m]], settings)
+                noise = _variance(confidences[which[m]], settings) + invented
                 _correct_marker(stamp, tracks, row, m, markers[which[m]], noise, settings)
-        _learn_lengths(row, tracks, markers, confidences, which, slots.ends)
+        if pairs.hidden[j] < _MOSTLY:
+            _learn_lengths(row, tracks, markers, confidences, which, slots.ends)
         for k in range(0 if swapped else len(people.links[j])):
             if not math.isnan(people.links[j, k, _TO_ORIENTATION]):
                 _correct_link(stamp, tracks, row, k, people.links[j, k], settings)

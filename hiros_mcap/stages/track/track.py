@@ -15,6 +15,8 @@ Beyond the paper:
 - A detection with left and right swapped is compared, and corrects its track, swapped back.
 - A detection that leaps away from its track is left out: a detector distorts people who are about
   to be hidden. The gate of an unseen track grows.
+- A detection behind somebody else corrects its track little: what its camera cannot see, the
+  detector invents.
 - A camera that shows people elsewhere than the others do brings nobody new
   (:mod:`~hiros_mcap.stages.track.copies`).
 """
@@ -28,6 +30,7 @@ from operator import itemgetter
 
 import numpy as np
 
+from hiros_mcap.body.limb_radii import capsules_of
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, join
@@ -104,7 +107,9 @@ class _Tracker:
         symmetry = symmetry_of(model)
         same = np.arange(model.n_markers, dtype=np.int32)
         ends = model.links if params.reidentify > 0 else np.empty((0, 2), np.int32)
-        self._slots = SlotOrders(same, symmetry.mirror, np.ascontiguousarray(ends))
+        self._slots = SlotOrders(
+            same, symmetry.mirror, np.ascontiguousarray(ends), capsules_of(model)
+        )
         flip_aware = params.flip_aware and symmetry.has_sides
         self._settings = settings_of(TrackSettings, params, flip_aware=flip_aware)
         self._allocate = partial(
@@ -112,7 +117,7 @@ class _Tracker:
         )
         self._work = self._allocate(8, 8)
         self._delay: Delay[DetectionGroup] = Delay(params.lookahead)
-        self._people = TrackedPeople(model)
+        self._people = TrackedPeople(model, cameras)
         link_mirror = symmetry.link_mirror[: len(ends)]
         self._identities = Identities(self._people, params, events, link_mirror)
         self._support = Confirmation(self._people, self._identities, params, events, cameras)

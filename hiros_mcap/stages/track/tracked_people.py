@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from hiros_mcap.frames import Block, CameraNumbers
+from hiros_mcap.frames import Block, CameraNumbers, places_of
 from hiros_mcap.kernels.array_types import joined
 from hiros_mcap.kernels.distance import centre, mean_distances
 from hiros_mcap.skeletons import UNTRACKED, Floats, People, SkeletonModel, Stamps
@@ -151,7 +152,8 @@ class Present:
 class TrackedPeople:
     """All tracks, the states of their filters, and the cameras that send messages."""
 
-    def __init__(self, model: SkeletonModel) -> None:
+    def __init__(self, model: SkeletonModel, places: Mapping[str, Floats]) -> None:
+        self._places = places
         self.tracks: list[PersonTrack] = []
         self.bank = Bank(Tracks.allocate(0, model.n_markers, model.n_links))
         self.cameras = Cameras.allocate(0)
@@ -164,6 +166,7 @@ class TrackedPeople:
         messages = CameraMessages(block.stamps, self.names.of(block), block.rows)
         if new := len(self.names) - len(self.cameras.heard):
             self.cameras = joined([self.cameras, Cameras.allocate(new)])
+            self.cameras.places[:] = places_of(self.names, self._places)
             past = self.bank.past
             leaps = np.pad(past.leaps, ((0, 0), (0, new), (0, 0)), constant_values=NEVER)
             self.bank.past = past._replace(leaps=leaps)

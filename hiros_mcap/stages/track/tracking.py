@@ -11,9 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.array_types import B1, I1, I2, J1, arrays
-from hiros_mcap.kernels.compile import entry, inlined, rows_of
+from hiros_mcap.kernels.array_types import B1, F2, I1, I2, J1, arrays
+from hiros_mcap.kernels.compile import entry, inlined, kernel, rows_of
+from hiros_mcap.kernels.line_of_sight import hidden_by, outline
 from hiros_mcap.skeletons import Floats, People, Stamps
+from hiros_mcap.stages.detections.hidden_joints import RATES, learn_rating
 from hiros_mcap.stages.track.association import (
     SlotOrders,
     Tracks,
@@ -49,13 +51,16 @@ class Cameras(NamedTuple):
     due: I1  # (C,) time, ns, from which on a message tells what the camera looks at
     displaced: B1  # (C,) whether the camera is known to show people elsewhere
     faults: I2  # (C, FAULTS) detections that were left out since the last look
+    places: F2  # (C, 3) positions, m; NaN = unknown
+    rates: F2  # (C, 2) views, and the share of joints that the camera's detector guesses
 
     @classmethod
     def allocate(cls, n_cameras: int) -> Cameras:
         """Cameras that have sent nothing."""
         c = n_cameras
-        cameras = arrays(cls, c, c, c, (c, len(FAULTS)))
+        cameras = arrays(cls, c, c, c, (c, len(FAULTS)), (c, 3), (c, 2))
         cameras.heard.fill(NEVER)
+        cameras.places.fill(np.nan)
         return cameras
 
 
@@ -89,6 +94,38 @@ def screen(people: People, min_marker: float, min_skeleton: float, faults: I1) -
         faults[j] = NO_MARKERS
         if some:
             faults[j] = LOW_CONFIDENCE if people.confidences[j] < min_skeleton else USABLE
+
+
+@kernel
+def _find_hidden(
+    camera: int, people: People, cameras: Cameras, slots: SlotOrders, work: TrackWork
+) -> None:
+    """Fill ``hidden``: how much of each detection the others in the message hide.
+
+    A detector that rates its joints knows that itself (stages/detections/hidden.py).
+    """
+    n, place = len(people.ids), cameras.places[camera]
+    work.pairs.hidden[:] = 0.0
+    for j in range(n):
+        learn_rating(people.marker_confidences[j], cameras.rates[camera])
+        outline(people.markers[j], place, work.outlines[j])
+    if math.isnan(place[0]) or cameras.rates[camera, 1] > RATES:
+        return
+    for j in range(n):
+        total, count = 0.0, 0
+        for m in range(people.markers.shape[1]):
+            if math.isnan(people.markers[j, m, 0]):
+                continue
+            share, count = 0.0, count + 1
+            for k in range(n):
+                if k != j:
+                    h = hidden_by(
+                        people.markers[j, m], place, people.markers[k], work.outlines[k],
+                        slots.capsules,
+                    )  # fmt: skip
+                    share = max(share, h)
+            total += share
+        work.pairs.hidden[j] = total / max(count, 1)
 
 
 @inlined
@@ -184,6 +221,7 @@ def update(
             least = settings.min_marker_confidence, settings.min_skeleton_confidence
             screen(group, least[0], least[1], work.faults)
         work.track_rows[:n] = -1
+        _find_hidden(camera, group, cameras, slots, work)
         _match(stamp, camera, known.persons, True, group, tracks, slots, settings, work)
         _drop_duplicates(known.persons, n, settings.min_distance, work)
         _match(stamp, camera, known.tentative, False, group, tracks, slots, settings, work)
