@@ -34,6 +34,12 @@ def _signals():
         signal.signal(name, handler)
 
 
+@pytest.fixture
+def without_curves(monkeypatch):
+    """Pages without their curves, which take seconds: for tests of all else about a page."""
+    monkeypatch.setattr("hiros_viewer.page.curves_json", lambda figure, target: "{}")
+
+
 @pytest.fixture(scope="session")
 def crossing():
     """Two people who cross, three cameras, 5 s."""

@@ -159,6 +159,7 @@ def done():
     return set()
 
 
+@pytest.mark.usefixtures("without_curves")
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_commands_run(page, laboratory, done, monkeypatch):
     monkeypatch.chdir(laboratory)

@@ -43,6 +43,12 @@ def nothing(scene, tmp_path_factory):
     return write(tmp_path_factory.mktemp("log") / "lab.mcap", frames, scene.model)
 
 
+@pytest.fixture(scope="module")
+def found(nothing):
+    """What the people in that log tell."""
+    return calibrated(nothing)
+
+
 def calibrated(path):
     with open_log(path) as log:
         return calibrate_people(log)
@@ -61,8 +67,7 @@ def errors(scene, found):
     return rows
 
 
-def test_poses_and_clocks_from_nothing(scene, nothing):
-    found = calibrated(nothing)
+def test_poses_and_clocks_from_nothing(scene, found):
     assert (found.verdict, found.gauge, found.fixed_frame) == ("good", "floor", "world")
     for degrees, metres in errors(scene, found):
         assert degrees < 0.7
@@ -71,8 +76,7 @@ def test_poses_and_clocks_from_nothing(scene, nothing):
         assert camera.clock_s == pytest.approx(-CLOCKS[camera.name], abs=0.005)
 
 
-def test_without_transforms_the_people_stand_on_the_floor(nothing):
-    found = calibrated(nothing)
+def test_without_transforms_the_people_stand_on_the_floor(found):
     first = found.cameras[0].pose
     assert first.translation == pytest.approx([0.0, 0.0, 2.0], abs=0.08)
     level = [camera.pose.translation[2] for camera in found.cameras]

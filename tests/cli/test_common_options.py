@@ -132,7 +132,22 @@ def test_each_of_many_logs_has_the_parameters_of_its_folder(lab, tmp_path, capsy
         shutil.copy(lab, tmp_path / "logs" / name / f"{name}.mcap")
         (tmp_path / "logs" / name / "hiros.toml").write_text(f"[filter]\ncutoff = {cutoff}.0\n")
     out = tmp_path / "out"
-    assert run(["process", str(tmp_path / "logs"), "-o", str(out), "--calibrate", "off", "-q"]) == 0
+    assert (
+        run(
+            [
+                "process",
+                str(tmp_path / "logs"),
+                "-o",
+                str(out),
+                "--calibrate",
+                "off",
+                "-q",
+                "--jobs",
+                "1",
+            ]
+        )
+        == 0
+    )
     assert f"1 log with parameters of {tmp_path}/logs/b/hiros.toml" in capsys.readouterr().err
     for name, cutoff in (("a", 7), ("b", 9)):
         assert run(["info", str(out / f"{name}.hiros.mcap")]) == 0

@@ -169,13 +169,14 @@ AGAIN = [
     "compare walk.mcap --system raw --html page.html --rrd raw.rrd",
     "eval result.mcap --html page.html",
     "plot result.mcap -o page.html",
-    "plot result.mcap -o page.png",
+    "plot result.mcap -o page.png --what limbs",
     "view walk.mcap --save view.rrd",
     "check suite.toml --junit junit.xml --markdown sum.md --keep kept",
     "simulate new.mcap --seconds 0.2 --cameras 1 -q",
 ]
 
 
+@pytest.mark.usefixtures("without_curves")
 @pytest.mark.parametrize("command", AGAIN)
 def test_what_hiros_wrote_is_replaced_by_the_next_run(command, lab, monkeypatch):
     monkeypatch.chdir(lab)
@@ -187,6 +188,7 @@ def test_what_hiros_wrote_is_replaced_by_the_next_run(command, lab, monkeypatch)
     assert {path.name for path in lab.iterdir()} == after
 
 
+@pytest.mark.usefixtures("without_curves")
 def test_force_replaces_a_foreign_file(lab):
     page = lab / "notes.html"
     assert run(["eval", str(lab / "result.mcap"), "--html", str(page), "--force"]) == 0

@@ -127,15 +127,15 @@ def test_saved_limbs_can_be_loaded(walking, tmp_path):
     [
         ["--system", "hiros", "--two-pass"],
         ["--system", "hiros-realtime", "--two-pass"],
-        ["--system", "hiros", "--limb-window", "0:2"],
+        ["--system", "hiros", "--limb-window", "0:0.8"],
         ["--system", "hiros", "--solver", "ceres"],
-        ["--preset", "paper", "--limb-window", "0:2"],
+        ["--preset", "paper", "--limb-window", "0:0.8"],
         ["--topic", "/c*"],
     ],
 )
-def test_options_with_a_name_of_their_own(options, walking, tmp_path):
+def test_options_with_a_name_of_their_own(options, short, tmp_path):
     target = tmp_path / "out.mcap"
-    assert run(["process", str(walking), "-o", str(target), "-q", *options]) == 0
+    assert run(["process", str(short), "-o", str(target), "-q", *options]) == 0
     assert target.exists()
 
 

@@ -15,7 +15,7 @@ COMMANDS = {
     "eval": ["eval", "LAB", "--leave-one-out", "--system", "average"],
     "simulate": ["simulate", "OUT.mcap", "--seconds", "1"],
     "export": ["export", "RESULT", "-o", "OUT.csv"],
-    "plot": ["plot", "RESULT", "-o", "OUT.png"],
+    "plot": ["plot", "RESULT", "-o", "OUT.png", "--what", "limbs"],
     "view": ["view", "RESULT", "--save", "OUT.rrd", "--time-range", "0:1"],
     "people": ["calibrate", "people", "WALK"],
     "recover": ["recover", "LAB", "-o", "OUT.mcap"],

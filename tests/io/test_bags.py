@@ -171,6 +171,7 @@ def test_a_bag_without_skeletons_says_what_it_has(maker, tmp_path, messages, cap
     assert last.startswith("nothing to process: has no SkeletonGroup topic; `hiros import`")
 
 
+@pytest.mark.parametrize("bag", [sqlite, ros1_bag], indirect=True)
 def test_a_bag_is_a_log_for_every_command(bag, tmp_path, capsys):
     commands = ["info", "eval", "compare --jobs 1 --system raw", "view --save v.rrd"]
     for command in (*commands, "calibrate noise --json"):

@@ -168,7 +168,8 @@ def test_the_verdict_says_from_when_on_a_pose_does_not_fit(scene, tmp_path):
         people.markers[:, :, 0] += 0.25 * late
         return frame.replace(people=people)
 
-    summary = process(write(tmp_path / "log.mcap", scene, nudged))
+    log = write(tmp_path / "log.mcap", scene, nudged)
+    summary = process(log, options=ProcessOptions(stages="T"))
     reasons = {c.name: c.reason for c in summary.poses if "from where" in c.reason}
     assert list(reasons) == ["camera_1"]
     when = re.fullmatch(r"shows people 0\.\d\d m from .* from (\S+) s on", reasons["camera_1"])

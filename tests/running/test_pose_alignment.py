@@ -28,6 +28,8 @@ from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.simulate import SimulateParams, simulate
 
 NAMES = ("camera_0", "camera_1", "camera_2")
+FIRST_STAGE = ProcessOptions(stages="T")
+"""Poses and clocks are found before it; the other stages would take most of the time."""
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +95,7 @@ def test_a_camera_that_is_off_is_put_right_and_the_result_says_where_it_stands(
 ):
     given = true | {"camera_2": turned(true["camera_2"], 3.0, 0.06)}
     log, out = write(tmp_path / "log.mcap", scene, detections, given), tmp_path / "out.mcap"
-    summary = process(log, out)
+    summary = process(log, out, options=FIRST_STAGE)
     assert summary.poses[2].verdict == "improved"
     assert summary.poses[2].moved_deg == pytest.approx(3.0, abs=0.4)
     assert summary.poses[2].moved_mm == pytest.approx(60.0, abs=15.0)
@@ -117,7 +119,7 @@ def test_a_pose_is_replaced_in_the_frame_of_its_own_parent(scene, detections, tr
     given = {name: turned(pose, 1.5, 0.0) for name, pose in true.items()}
     given |= {"tripod": tripod, "camera_1": tripod.inverse() @ given["camera_1"]}
     log = write(tmp_path / "log.mcap", scene, detections, given, {"camera_1": "tripod"})
-    process(log, tmp_path / "out.mcap")
+    process(log, tmp_path / "out.mcap", options=FIRST_STAGE)
     with open_log(tmp_path / "out.mcap") as result:
         assert_same(result.transforms.lookup("tripod", "lab", 0), tripod)
     used = poses_in(tmp_path / "out.mcap")
@@ -130,7 +132,7 @@ def test_a_camera_that_defines_the_fixed_frame_stays(scene, detections, true, tm
     given = {name: turned(inverse @ true[name], 2.0, 0.0) for name in NAMES[1:]}
     parents = dict.fromkeys(given, "camera_0")
     log = write(tmp_path / "log.mcap", scene, detections, given, parents)
-    process(log, tmp_path / "out.mcap")
+    process(log, tmp_path / "out.mcap", options=FIRST_STAGE)
     with open_log(tmp_path / "out.mcap") as result:
         assert result.fixed_frame == "camera_0"
         found = result.transforms.lookup("camera_1", "camera_0", 0)
@@ -140,7 +142,8 @@ def test_a_camera_that_defines_the_fixed_frame_stays(scene, detections, true, tm
 def test_a_short_log_keeps_its_poses(scene, detections, true, tmp_path):
     given = true | {"camera_2": turned(true["camera_2"], 3.0, 0.06)}
     some = [frame for frame in detections if frame.stamp < detections[0].stamp + 1e9]
-    summary = process(write(tmp_path / "log.mcap", scene, some, given), tmp_path / "out.mcap")
+    log = write(tmp_path / "log.mcap", scene, some, given)
+    summary = process(log, tmp_path / "out.mcap", options=FIRST_STAGE)
     assert verdicts(summary) == ["doubtful"] * 3
     assert_same(poses_in(tmp_path / "out.mcap")["camera_2"], given["camera_2"])
 
@@ -149,7 +152,7 @@ def test_cameras_that_see_nobody_in_common_keep_their_poses(scene, detections, t
     start = detections[0].stamp
     ours = [f for f in detections if int((f.stamp - start) // 4e9) == NAMES.index(f.source)]
     log = write(tmp_path / "log.mcap", scene, ours, true)
-    summary = process(log)
+    summary = process(log, options=FIRST_STAGE)
     assert verdicts(summary) == ["impossible"] * 3
     assert "shares no view" in summary.poses[0].reason
     assert sum("if it should, its pose is wrong" in text for text in summary.warnings) == 3
@@ -160,7 +163,7 @@ def test_cameras_that_see_nobody_in_common_keep_their_poses(scene, detections, t
 @pytest.mark.parametrize("given", [{}, dict.fromkeys(NAMES, Rigid.identity())])
 def test_a_log_that_nobody_calibrated_is_processed(given, scene, detections, true, tmp_path):
     log, out = write(tmp_path / "log.mcap", scene, detections, given), tmp_path / "out.mcap"
-    summary = process(log, out)
+    summary = process(log, out, options=FIRST_STAGE)
     assert verdicts(summary) == ["good"] * 3
     assert any("poses come from the people" in note for note in summary.notes)
     assert summary.placement is None  # nothing says where the rig is
@@ -174,8 +177,8 @@ def test_two_cameras_at_one_place_are_named_and_the_peoples_rig_is_used(
     scene, detections, true, tmp_path
 ):
     given = true | {"camera_2": true["camera_1"]}
-    out = tmp_path / "out.mcap"
-    summary = process(write(tmp_path / "log.mcap", scene, detections, given), out)
+    log, out = write(tmp_path / "log.mcap", scene, detections, given), tmp_path / "out.mcap"
+    summary = process(log, out, options=FIRST_STAGE)
     assert any("one pose for camera_1 and camera_2" in text for text in summary.warnings)
     used = poses_in(out)
     got = used["camera_1"].inverse() @ used["camera_2"]
@@ -218,7 +221,7 @@ def test_detectors_that_write_one_frame_id_are_named(sharing, scene, detections,
         frame.replace(frame_id="camera_0") if frame.source in sharing else frame
         for frame in detections
     ]
-    summary = process(write(tmp_path / "log.mcap", scene, wrong, true), tmp_path / "out.mcap")
+    summary = process(write(tmp_path / "log.mcap", scene, wrong, true), options=FIRST_STAGE)
     (warning,) = [text for text in summary.warnings if "same frame" in text]
     assert warning.startswith(f"{' and '.join(sharing)} publish in the same frame 'camera_0', but")
 
@@ -239,7 +242,7 @@ def in_place(tmp_path, given=None, **params):
 
 def test_a_usable_rig_is_used_and_a_warning_says_how_exact_it_is(tmp_path):
     scene, log = in_place(tmp_path, action="walk", seconds=7.5)
-    summary = process(log, tmp_path / "out.mcap")
+    summary = process(log, tmp_path / "out.mcap", options=FIRST_STAGE)
     assert set(verdicts(summary)) == {"usable"}
     (text,) = (text for text in summary.warnings if "usable only" in text)
     assert "expect joints to be " in text
@@ -260,7 +263,7 @@ def test_a_usable_rig_is_used_and_a_warning_says_how_exact_it_is(tmp_path):
 def test_a_camera_without_a_sure_pose_is_left_out(scene, detections, tmp_path):
     start = detections[0].stamp
     some = [f for f in detections if f.source != "camera_2" or f.stamp < start + 3e9]
-    summary = process(write(tmp_path / "log.mcap", scene, some, {}), tmp_path / "out.mcap")
+    summary = process(write(tmp_path / "log.mcap", scene, some, {}), options=FIRST_STAGE)
     assert verdicts(summary) == ["good", "good", "doubtful"]
     assert any(text.startswith("camera_2 is left out, because") for text in summary.warnings)
     assert [camera.name for camera in summary.cameras] == ["camera_0", "camera_1"]
@@ -285,9 +288,9 @@ def test_a_doubtful_rig_that_is_consistent_is_used_if_the_user_accepts_it(tmp_pa
     log, out = write(tmp_path / "log.mcap", room, frames, {}), tmp_path / "out.mcap"
     with pytest.raises(LogError, match="--calibrate accept uses those"):
         process(log, out, calibrate="require")
-    before = process(log, out)
+    before = process(log, out, options=FIRST_STAGE)
     assert "camera_1" not in [camera.name for camera in before.cameras]
-    accepted = process(log, out, calibrate="accept")
+    accepted = process(log, out, options=ProcessOptions(stages="T", calibrate="accept"))
     assert [camera.name for camera in accepted.cameras] == list(NAMES)
     (text,) = [text for text in accepted.warnings if "you accepted" in text]
     assert re.search(r"expect joints to be \d+ mm off .*camera_1: its people are", text)
