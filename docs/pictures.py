@@ -27,9 +27,9 @@ from hiros_mcap.plan.planning import make_plan
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.simulate import SimulateParams
 from hiros_viewer.columns import TIMELINE
-from hiros_viewer.curves import save_png
 from hiros_viewer.destinations import running_viewer, save
 from hiros_viewer.floor_picture import floor_figure
+from hiros_viewer.pictures import save_png
 from hiros_viewer.replay import ViewOptions, replay
 
 HERE = Path(__file__).parent

@@ -41,7 +41,7 @@ def show_truth(
     """Write the page, and print the scores of every channel and the angles of the last one."""
     notes = notes_of(truth, results)
     if output.html is not None:
-        from hiros_viewer.evaluation_page import truth_page
+        from hiros_viewer.score_pages import truth_page
 
         truth_page(output.log, truth, results, [*warnings, *notes]).write(output.html)
     if output.table is not None:
@@ -97,7 +97,7 @@ def _print_truth(
 def show_self(output: Output, scores: SelfScores) -> None:
     """Write the page, and print what a log says about itself."""
     if output.html is not None:
-        from hiros_viewer.evaluation_page import self_page
+        from hiros_viewer.score_pages import self_page
 
         self_page(output.log, scores).write(output.html)
     notes = score_tables.notes_without_truth(scores)

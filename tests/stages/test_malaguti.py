@@ -24,9 +24,18 @@ from hiros_mcap.events import Events
 from hiros_mcap.skeletons import Floats, Frame, People, SkeletonModel
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.lee.predict import predict
-from hiros_mcap.stages.malaguti import centroid_filter, joint_filter, limb_lengths
-from hiros_mcap.stages.malaguti.associate import AssociateParams, associate
-from hiros_mcap.stages.malaguti.kalman import KalmanParams, kalman
+from hiros_mcap.stages.malaguti import limb_lengths
+from hiros_mcap.stages.malaguti.associate import (
+    AssociateParams,
+    Centroids,
+    associate,
+    association_cost,
+    centroids_of,
+    correct_track,
+    predict_tracks,
+    start_track,
+)
+from hiros_mcap.stages.malaguti.kalman import FilteredPeople, KalmanParams, kalman, update
 from hiros_mcap.stages.malaguti.moving_average import MovingAverageParams, moving_average
 from hiros_mcap.stages.malaguti.straighten import StraightenParams, link_order, straighten
 from hiros_mcap.systems import chain_of
@@ -39,30 +48,25 @@ EPS = 1e-12
 
 
 class Track:
-    """One track of the association, behind its kernels."""
+    """One track of the association."""
 
     def __init__(self, noise=0.1, acceleration=3.0):
-        self.past = Bank(centroid_filter.Centroids.empty())
-        self.past.row(0, 0)
-        self.rows = np.array([0])
-        self.settings = centroid_filter.CentroidSettings(1e9, noise, acceleration)
-        self.state, self.p = self.past.past.states[0], self.past.past.covariances[0]
+        self.past = Centroids(*map(np.zeros, ((1,), (1, 2, 2), (1, 2, 2), (1,))))
+        constants = {"position_noise": noise, "acceleration": acceleration}
+        self.params = type("Params", (AssociateParams,), constants)(gate=1e9)
+        self.state, self.p = self.past.states[0], self.past.covariances[0]
 
     def start(self, place):
-        centroid_filter.start_track(self.past.past, 0, 0, np.append(place, 0.0), self.settings)
+        start_track(self.past, 0, 0, place, self.params)
 
     def predict(self, stamp):
-        centroid_filter.predict_tracks(self.past.past, self.rows, stamp, self.settings)
+        predict_tracks(self.past, np.array([0]), stamp, self.params)
 
     def cost(self, place):
-        cost, places = np.empty((1, 1)), np.append(place, 0.0)[np.newaxis]
-        arguments = self.past.past, self.rows, places, self.settings, cost
-        centroid_filter.association_cost(*arguments)
-        return float(cost[0, 0])
+        return float(association_cost(self.past, np.array([0]), place[None], self.params)[0, 0])
 
     def correct(self, place):
-        places = np.append(place, 0.0)[np.newaxis]
-        centroid_filter.correct_tracks(self.past.past, self.rows, places, self.settings)
+        correct_track(self.past, 0, place, self.params)
 
 
 def test_the_cost_is_the_mahalanobis_distance_of_the_states():
@@ -72,7 +76,7 @@ def test_the_cost_is_the_mahalanobis_distance_of_the_states():
         root, noise = rng.normal(size=(2, 2)), rng.uniform(0.05, 0.5)
         p = root @ root.T
         track, place = Track(noise), rng.normal(size=2)
-        track.state[:], track.p[:] = rng.normal(size=(2, 2)), [p[0, 0], p[0, 1], 0, p[1, 1], 0, 0]
+        track.state[:], track.p[:] = rng.normal(size=(2, 2)), p
         covariance = np.kron(p, np.eye(2))
         gain = covariance[:, :2] @ np.linalg.inv(covariance[:2, :2] + noise**2 * np.eye(2))
         step = gain @ (place - track.state[0])
@@ -89,8 +93,7 @@ def test_a_track_is_the_dense_filter():
         track.predict(k * SECOND // 10)
         track.correct(z)
         assert track.state.ravel() == pytest.approx(state, abs=EPS)
-        numbers = covariance[0, 0], covariance[0, 2], 0.0, covariance[2, 2], 0.0, 0.0
-        assert track.p == pytest.approx(numbers, abs=EPS)
+        assert track.p == pytest.approx(covariance[::2, ::2], abs=EPS)
 
 
 def test_the_gate_is_the_chi_squared_quantile():
@@ -157,8 +160,7 @@ def test_a_detection_without_markers_is_nobody():
 def test_centroids_are_means_of_what_is_known():
     frame = seen([POSE, POSE, POSE * np.nan], at(0))
     frame.markers[1, 2:] = np.nan
-    places = np.empty((3, 3))
-    centroid_filter.find_centroids(frame.markers, places)
+    places = centroids_of(frame)
     assert places[0] == pytest.approx(POSE.mean(axis=0))
     assert places[1] == pytest.approx(POSE[:2].mean(axis=0))
     assert np.isnan(places[2]).all()
@@ -193,13 +195,11 @@ def dense_step(x, p, dt, q, z, variances):
 
 
 class Joints:
-    """The filter of one person with M joints, behind its kernels."""
+    """The filter of one person with M joints."""
 
     def __init__(self, joints=1, **changes):
-        params = KalmanParams.model_validate(changes)
-        names = joint_filter.JointFilterSettings._fields
-        self.settings = joint_filter.JointFilterSettings(*[getattr(params, n) for n in names])
-        bank = Bank(joint_filter.FilteredPeople.empty(joints, 0, params.history))
+        self.params = KalmanParams.model_validate(changes)
+        bank = Bank(FilteredPeople.empty(joints, 0, self.params.history))
         bank.row(0, 0)
         self.past = bank.past
         self.x, self.p = self.past.states[0], self.past.covariances[0]
@@ -211,12 +211,11 @@ class Joints:
         people.markers[:] = np.nan
         people.markers[0, :, :3], people.marker_confidences[0] = z, confidences
         self.now += round(dt * 1e9)
-        arguments = people, np.zeros(1, np.int64), self.now, np.zeros(1), self.settings
-        return int(joint_filter.update(self.past, *arguments))
+        return update(self.past, [0], people, self.now, np.zeros(1), self.params)
 
     def measure(self, distance, confidence=1.0):
         """Measure ``distance`` from a state as uncertain as a detection; outliers and gain."""
-        self.past.started[:], self.x[:], self.p[:] = True, 0.0, [0.0009, 0, 0, 1, 0, 0]
+        self.past.started[:], self.x[:], self.p[:] = True, 0.0, np.diag([0.0009, 1])
         found = self.take(np.array([[distance, 0, 0]]), confidence)
         return found, float(self.x[0, 0, 0] / distance)
 
@@ -242,8 +241,8 @@ def test_joint_by_joint_equals_the_dense_filter():
         x, p = dense_step(x, p, dt, 64.0 / 30, z.ravel(), np.repeat(0.03**2 / confidences, 3))
     assert np.abs(joints.x[:, 0].ravel() - x[: 3 * m]).max() < 1e-9
     assert np.abs(joints.x[:, 1].ravel() - x[3 * m :]).max() < 1e-9
-    assert np.abs(joints.p[:, 0] - np.diag(p)[: 3 * m : 3]).max() < 1e-9
-    assert np.abs(joints.p[:, 3] - np.diag(p)[3 * m :: 3]).max() < 1e-9
+    assert np.abs(joints.p[:, 0, 0] - np.diag(p)[: 3 * m : 3]).max() < 1e-9
+    assert np.abs(joints.p[:, 1, 1] - np.diag(p)[3 * m :: 3]).max() < 1e-9
     diagonals = sum(np.diag(np.diag(p, k), k) for k in (0, 3 * m, -3 * m))
     assert np.abs(p - diagonals).max() == 0
 
@@ -270,8 +269,7 @@ def test_the_process_noise_of_a_step_is_g_g_transposed():
     joints.p[:] = 0.0
     joints.take(NOTHING, dt=0.033)
     g = np.array([0.033**2 / 2, 0.033])
-    (a, b), (_, d) = 4.0 * np.outer(g, g)
-    assert joints.p[0] == pytest.approx([a, b, 0, d, 0, 0], rel=1e-12)
+    assert joints.p[0] == pytest.approx(4.0 * np.outer(g, g), rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -283,7 +281,7 @@ def test_the_confidence_divides_the_variance_and_below_one_half_the_prediction_s
     joints = Joints()
     assert joints.measure(0.3, confidence) == (0, pytest.approx(gain))
     if not gain:
-        assert joints.p[0].tolist() == [0.0009, 0, 0, 1, 0, 0]
+        assert joints.p[0].tolist() == [[0.0009, 0], [0, 1]]
 
 
 def test_confidences_do_not_count_on_request():
@@ -383,8 +381,8 @@ def test_d_as_printed_is_between_consecutive_positions(consecutive, outliers, x)
     """
     joints = Joints(consecutive=consecutive, process_noise=1e-6)
     joints.past.started[:], joints.x[0, 1, 0] = True, 1.0
-    joints.p[:] = [0.0009, 0, 0, 0, 0, 0]
-    joints.past.distances[0, 0], joints.past.counts[0, 0, 0] = 0.0504, 15
+    joints.p[:] = np.diag([0.0009, 0])
+    joints.past.distances[0, 0], joints.past.remembered[0, 0] = 0.0504, 15
     assert joints.take(np.array([[0.126, 0, 0]]), dt=0.1) == outliers
     assert joints.x[0, 0, 0] == pytest.approx(x, abs=1e-9)
     assert joints.past.distances[0, 0, 0] == pytest.approx(x if consecutive else 0.026, abs=1e-9)

@@ -21,10 +21,17 @@ SAMPLES = Path(__file__).parents[2] / "sample_data"
 
 
 from hiros_viewer import curves  # noqa: E402
-from hiros_viewer.figures import new_axes, with_gaps  # noqa: E402
-from hiros_viewer.interactive import curves_json  # noqa: E402
-from hiros_viewer.marks import hidden_marks, in_words, marked, marks_of  # noqa: E402
-from hiros_viewer.page import Page  # noqa: E402
+from hiros_viewer.figures import (  # noqa: E402
+    Curve,
+    CurvePlot,
+    hidden_marks,
+    in_words,
+    marks_of,
+    over_time,
+    with_gaps,
+)
+from hiros_viewer.page import Page, curves_json  # noqa: E402
+from hiros_viewer.pictures import picture_of  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -39,36 +46,57 @@ def collected(path, *, with_truth=True):
     return curves.collect("x", frames, model, find_truth(path) if with_truth else None)
 
 
+def plots(collection, kind, person=None):
+    """The plots of a kind, row by row."""
+    grid = curves.grid_of(collection, collection.body(person)[1], kind)
+    return [plot for row in grid.rows for plot in row]
+
+
+def one_plot(seconds, *values, marks=()):
+    """A grid of one plot of curves named 0, 1, ..."""
+    drawn = [Curve(f"{k}", "#1f5fa8", seconds, y) for k, y in enumerate(values)]
+    return over_time([[CurvePlot(drawn, (-1.0, 1.0))]], 3.0, seconds, marks)
+
+
 def test_angles_are_drawn_beside_the_truth(processed):
-    figure = curves.figure_of(collected(processed), "angles", 1)
-    assert [axes.get_title(loc="left") for axes in figure.axes[:2]] == [
-        "left hip flexion, degrees",
-        "right hip flexion, degrees",
-    ]
-    assert len(figure.axes) == 14
-    for axes in figure.axes:
-        _, true, result = (line.get_ydata() for line in axes.lines)
-        assert len(true) == len(result)
-        assert np.nanmean(np.abs(np.asarray(true) - np.asarray(result))) < 12
+    angles = plots(collected(processed), "angles", 1)
+    titles = [plot.title for plot in angles[:2]]
+    assert titles == ["left hip flexion, degrees", "right hip flexion, degrees"]
+    assert len(angles) == 14
+    for plot in angles:
+        true, result = plot.curves
+        assert (true.name, result.name) == ("truth", "result")
+        assert np.nanmean(np.abs(true.y - result.y)) < 12
+        assert plot.y_range[0] <= np.nanmin(true.y) and np.nanmax(result.y) <= plot.y_range[1]
 
 
 def test_hips_swing_through_zero(processed):
-    axes = curves.figure_of(collected(processed), "angles", 1).axes[0]
-    hip = np.asarray(axes.lines[-1].get_ydata())
+    hip = plots(collected(processed), "angles", 1)[0].curves[-1].y
     assert np.nanmin(hip) < -5
     assert np.nanmax(hip) > 20
 
 
 def test_limbs_are_flat_and_errors_small(processed):
-    plots = curves.figure_of(collected(processed), "limbs").axes
-    assert [len(axes.lines) for axes in plots] == [2, 2, 2, 2]
-    for axes in plots:
-        assert all(np.ptp(np.asarray(line.get_ydata())) < 3 for line in axes.lines)
-        low, high = axes.get_ylim()
-        assert high - low == pytest.approx(120)
-    largest, mean = curves.figure_of(collected(processed), "error").axes[0].lines
-    assert 5 < np.nanmean(np.asarray(mean.get_ydata())) < 40
-    assert np.nanmin(np.asarray(largest.get_ydata()) - np.asarray(mean.get_ydata())) >= 0
+    limbs = plots(collected(processed), "limbs")
+    assert [len(plot.curves) for plot in limbs] == [2, 2, 2, 2]
+    for plot in limbs:
+        assert all(np.ptp(curve.y) < 3 for curve in plot.curves)
+        assert plot.y_range[1] - plot.y_range[0] == pytest.approx(120)
+    (error,) = plots(collected(processed), "error")
+    largest, mean = error.curves
+    assert 5 < np.nanmean(mean.y) < 40
+    assert np.nanmin(largest.y - mean.y) >= 0
+    assert error.y_range[0] == 0
+
+
+def test_a_picture_shows_what_the_page_does(processed):
+    collection = collected(processed)
+    axes = curves.figure_of(collection, "angles", 1).axes
+    for plot, drawn in zip(plots(collection, "angles", 1), axes, strict=True):
+        assert drawn.get_title(loc="left") == plot.title
+        assert drawn.get_ylim() == plot.y_range
+        for curve, line in zip(plot.curves, drawn.lines[1:], strict=True):
+            np.testing.assert_array_equal(line.get_ydata(), curve.y)
 
 
 def test_no_line_is_drawn_over_a_pause():
@@ -142,11 +170,12 @@ def curves_in(text):
 
 
 def test_a_page_holds_the_values_of_its_curves(processed):
-    figure = curves.figure_of(collected(processed), "angles", 1)
-    shown = curves_in(curves_json(figure, "f1"))
+    collection = collected(processed)
+    grid = curves.grid_of(collection, collection.body(1)[1], "angles")
+    shown = curves_in(curves_json(grid, "f1"))
     assert len(shown) == 28  # truth and result of 14 angles
-    for line in (line for axes in figure.axes for line in axes.lines[1:]):
-        drawn = np.asarray(line.get_ydata(), np.float32)
+    for curve in (curve for row in grid.rows for plot in row for curve in plot.curves):
+        drawn = np.asarray(curve.y, np.float32)
         assert any(np.array_equal(y, drawn, equal_nan=True) for _, y in shown)
 
 
@@ -155,19 +184,17 @@ def test_five_minutes_of_two_people_with_a_truth_stay_below_4_mb():
     page = Page("two people")
     seconds = np.cumsum(np.random.default_rng(0).uniform(0.02, 0.04, 9000))
     for _ in range(2):
-        figure, axes = new_axes(8, 3)
-        for k in range(38):  # 14 angles and 4 limbs of each side, with the truth; two errors
-            axes.plot(seconds, np.random.default_rng(k).normal(size=9000), label=f"{k}")
-        page.figure(figure)
+        # 14 angles and 4 limbs of each side, with the truth; two errors
+        values = [np.random.default_rng(k).normal(size=9000) for k in range(38)]
+        page.figure(one_plot(seconds, *values))
     assert len(page.html().encode()) < 4_000_000
 
 
 def test_a_long_curve_is_thinned_and_the_page_says_so():
     page = Page("long")
-    figure, axes = new_axes(8, 3)
-    axes.plot(np.arange(9000) / 30, np.sin(np.arange(9000)), label="knee")
-    page.figure(figure, "Angles.")
-    (points,) = {len(x) for x, _ in curves_in(curves_json(figure, "f1"))}
+    grid = one_plot(np.arange(9000) / 30, np.sin(np.arange(9000)))
+    page.figure(grid, "Angles.")
+    (points,) = {len(x) for x, _ in curves_in(curves_json(grid, "f1"))}
     assert points == 4500
     assert "Angles. 1 of 2 instants is drawn." in page.html()
 
@@ -205,12 +232,11 @@ def test_gaps_predictions_and_hidden_people_are_marked_and_named():
     words = in_words(spans)
     assert words[0] == "Yellow: hidden: 0.1 to 0.5 s (behind person 1 for left)."
     assert words[2] == "Grey: not in the result: 0.3 to 5.0 s."
-    figure, axes = new_axes(6, 3)
-    axes.plot(seconds, seconds, label="x")
-    limits = axes.get_xlim()
-    drawn = curves_json(marked(figure, spans), "f1")
-    assert axes.get_xlim() == limits
+    grid = one_plot(seconds, seconds, marks=spans)
+    (axes,) = picture_of(grid).axes
+    assert axes.get_xlim() == grid.x_range
     assert len(axes.patches) == len(spans)
+    drawn = curves_json(grid, "f1")
     bands = re.findall(r'"BoxAnnotation".*?"left":([\d.]+),"right":([\d.]+)', drawn)
     assert [[round(float(x), 3) for x in band] for band in bands] == [
         [0.1, 0.5], [0.3, 5.0], [0.1, 0.2], [5.2, 5.2]

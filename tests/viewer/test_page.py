@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 from hiros_mcap.errors import LogError
+from hiros_viewer.figures import Curve, CurveGrid, CurvePlot
 from hiros_viewer.page import Page
 
 
@@ -16,10 +18,13 @@ def page():
     result.heading("Errors")
     result.text("per joint")
     result.table(["joint", "mm"], [["<wrist>", "1.0"]], caption="Table")
-    for name in (None, None, "knee"):
+    for _ in range(2):
         figure = Figure()
-        figure.subplots().plot([0, 1], [0, 1], marker="o", label=name)
+        figure.subplots().plot([0, 1], [0, 1], marker="o")
         result.figure(figure, "A line")
+    ends = np.array([0.0, 1.0])
+    plot = CurvePlot([Curve("knee", "#1f5fa8", ends, ends, has_dots=True)], (0.0, 1.0))
+    result.figure(CurveGrid([[plot]], 3.0, (0.0, 1.0)), "A curve")
     return result
 
 

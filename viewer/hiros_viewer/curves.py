@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,28 +12,36 @@ import numpy as np
 
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.evaluate.logs import consistency
+from hiros_mcap.evaluate.logs import consistency, start_of
 from hiros_mcap.evaluate.match import Matches, match
 from hiros_mcap.evaluate.smoothness import lengths_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.events import Event
-from hiros_mcap.outputs import replacing
+from hiros_mcap.io.attachments import stored_report
+from hiros_mcap.io.log import open_reader
+from hiros_mcap.regression.provenance import Provenance
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
-from hiros_mcap.summary import number
+from hiros_mcap.summary import number, quantity
 from hiros_viewer.figures import (
     RESULT,
     SPREAD,
-    angle_figure,
+    Curve,
+    CurveGrid,
+    CurvePlot,
+    Mark,
+    angle_grid,
     angles_of,
-    entitle,
-    limb_figure,
+    from_zero,
+    hidden_marks,
+    in_words,
+    limb_grid,
     limb_links,
-    name_above,
-    new_axes,
+    marks_of,
+    over_time,
     with_gaps,
 )
-from hiros_viewer.marks import Mark, hidden_marks, in_words, marked, marks_of
 from hiros_viewer.page import Page
+from hiros_viewer.pictures import picture_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -130,19 +139,39 @@ def _true_poses(matches: Matches) -> dict[tuple[int, int], tuple[Floats, Floats]
 
 
 def figure_of(curves: Curves, kind: str, person: int | None = None) -> Figure:
-    """Return one of :data:`KINDS` for one person.
+    """Return a picture of one of :data:`KINDS` for one person.
 
     Raises ConfigError if there is nobody, or nothing of this kind to plot.
     """
     who, body = curves.body(person)
     title = (f"{curves.title}, person {who}", *curves.about, *in_words(body.marks))
+    return picture_of(grid_of(curves, body, kind), title)
+
+
+def grid_of(curves: Curves, body: Body, kind: str) -> CurveGrid:
+    """Return the plots of one of :data:`KINDS`; raises ConfigError if there is nothing to plot."""
+    model, true = curves.model, body.true_poses
     if kind == "angles":
-        return _angles(curves.model, body, title)
+        angles = angles_of(model, body.poses, body.orientations)
+        true_angles = None if true is None else angles_of(model, true, body.true_orientations)
+        return angle_grid(body.seconds, angles, true_angles, body.marks)
     if kind == "limbs":
-        return _limbs(curves.model, body, title)
-    if body.true_poses is None:
+        limbs = limb_links(model)
+        if not limbs:
+            raise ConfigError("the marker names reveal no arms or legs")
+        lengths = 1000 * lengths_of(body.poses, model)
+        return limb_grid(body.seconds, {n: lengths[:, k] for n, k in limbs.items()}, body.marks)
+    if true is None:
         raise ConfigError(f"{curves.title}: there is no truth to plot an error against")
-    return _error(body, body.true_poses, title)
+    errors = 1000 * np.linalg.norm(body.poses - true, axis=-1)
+    present = ~np.isnan(errors).all(axis=1)
+    drawn = []
+    for name, colour, of in (("largest", SPREAD, np.nanmax), ("mean", RESULT, np.nanmean)):
+        values = np.full(len(errors), np.nan)
+        values[present] = of(errors[present], axis=1)
+        drawn.append(Curve(name, colour, *with_gaps(body.seconds, values)))
+    plot = CurvePlot(drawn, from_zero(drawn), y_title="mm")
+    return over_time([[plot]], 2.6, body.seconds, body.marks)
 
 
 def page_of(curves: Curves) -> Page:
@@ -153,14 +182,12 @@ def page_of(curves: Curves) -> Page:
         page.heading(f"Person {person}, {span}")
         for line in in_words(body.marks):
             page.text(line)
-        page.figure(
-            _angles(curves.model, body),
-            "Joint angles, degrees. docs/angles.md defines their signs.",
-        )
+        caption = "Joint angles, degrees. docs/angles.md defines their signs."
+        page.figure(grid_of(curves, body, "angles"), caption)
         if limb_links(curves.model):
-            page.figure(_limbs(curves.model, body), "Limb lengths, mm")
+            page.figure(grid_of(curves, body, "limbs"), "Limb lengths, mm")
         if body.true_poses is not None:
-            page.figure(_error(body, body.true_poses), "Mean and largest joint error, mm")
+            page.figure(grid_of(curves, body, "error"), "Mean and largest joint error, mm")
     return page
 
 
@@ -185,45 +212,22 @@ def summary_row(frames: Sequence[Frame], model: SkeletonModel) -> str:
     )
 
 
-def _angles(model: SkeletonModel, body: Body, title: Sequence[str] = ()) -> Figure:
-    angles = angles_of(model, body.poses, body.orientations)
-    true = body.true_poses
-    true_angles = None if true is None else angles_of(model, true, body.true_orientations)
-    return marked(angle_figure(body.seconds, angles, true_angles, title), body.marks)
+_EPOCH_2001 = 1_000_000_000 * 1_000_000_000  # ns; earlier times are no dates
 
 
-def _limbs(model: SkeletonModel, body: Body, title: Sequence[str] = ()) -> Figure:
-    limbs = limb_links(model)
-    if not limbs:
-        raise ConfigError("the marker names reveal no arms or legs")
-    lengths = 1000 * lengths_of(body.poses, model)
-    sides = {name: lengths[:, k] for name, k in limbs.items()}
-    return marked(limb_figure(body.seconds, sides, title), body.marks)
+def about(path: Path, *verdict: str) -> tuple[str, str]:
+    """Return when a log that hiros wrote was recorded and how it was made, and the verdict.
 
-
-def _error(body: Body, true_poses: Floats, title: Sequence[str] = ()) -> Figure:
-    errors = 1000 * np.linalg.norm(body.poses - true_poses, axis=-1)
-    present = ~np.isnan(errors).all(axis=1)
-    mean, largest = np.full(len(errors), np.nan), np.full(len(errors), np.nan)
-    mean[present], largest[present] = (
-        np.nanmean(errors[present], axis=1),
-        np.nanmax(errors[present], axis=1),
-    )
-    figure, axes = new_axes(11, 2.6)
-    entitle(figure, title)
-    axes.plot(*with_gaps(body.seconds, largest), color=SPREAD, lw=1.0, label="largest")
-    axes.plot(*with_gaps(body.seconds, mean), color=RESULT, lw=1.2, label="mean")
-    axes.set(xlabel="s", ylabel="mm", ylim=(0, None))
-    axes.margins(x=0.01)
-    name_above(axes, {"largest": SPREAD, "mean": RESULT})
-    return marked(figure, body.marks)
-
-
-def save_png(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG, whole or not at all; the same figure gives the same bytes.
-
-    Raises LogError if the file cannot be written.
+    Raises LogError if it is damaged.
     """
-    with replacing(path) as temporary:
-        # Without matplotlib's version; the name is how a later run knows the file.
-        figure.savefig(temporary, format="png", dpi=150, metadata={"Software": "hiros"})
+    facts = []
+    start = start_of(path)
+    if start > _EPOCH_2001:
+        facts.append(f"recorded {datetime.fromtimestamp(start // 10**9, UTC):%Y-%m-%d %H:%M} UTC")
+    run = Provenance.of_log(path).run
+    if "version" in run:
+        facts.append(f"hiros {run['version']}, system {run.get('system', '')}")
+    with open_reader(path) as reader:
+        n = len(stored_report(reader).warnings)
+    warnings = quantity(n, "warning") if n else "no warnings"
+    return "; ".join(facts), "; ".join([*filter(None, verdict), warnings])

@@ -1,9 +1,14 @@
-"""What all plots share, and the plot of joint angles."""
+"""What plots of curves show: joint angles, limb lengths and errors over time, and others.
+
+A :class:`CurveGrid` is drawn by Bokeh on a page (``interactive.py``), where it can be zoomed, and
+by matplotlib as a picture (``pictures.py``).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,17 +16,69 @@ from hiros_mcap.body.anatomy import ANGLE_NAMES, anatomical_angles
 from hiros_mcap.body.segments import SIDES
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.skeletons import Floats, SkeletonModel
+from hiros_mcap.events import Event, hidden_times
+from hiros_mcap.skeletons import Flags, Floats, SkeletonModel
+from hiros_mcap.summary import number
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+MARKED = {"hidden": "#f0b429", "predicted": "#d64545", "gap": "#9aa4af"}
+"""Of the bands, which lie below the curves."""
+_WORDS = {
+    "hidden": "Yellow: hidden",
+    "predicted": "Red: no camera sees the person, who is predicted",
+    "gap": "Grey: not in the result",
+}
+PAUSE_S = 0.25
+"""A longer time without frames is a gap."""
+
+
+class Mark(NamedTuple):
+    """A span of one person's curves."""
+
+    kind: str
+    """A key of :data:`MARKED`."""
+    start: float
+    """s since the channel's first frame."""
+    end: float
+    remark: str = ""
+
+
+def hidden_marks(events: Sequence[Event], person: int, start: int) -> Iterator[Mark]:
+    """Yield when somebody was hidden from a camera, and behind whom; ``start`` in ns."""
+    for time in hidden_times(events, person, start):
+        yield Mark("hidden", time.begin, time.end, f"{time.behind} for {time.source}")
+
+
+def marks_of(seconds: Floats, is_predicted: Flags) -> Iterator[Mark]:
+    """Yield spans without frames, and those whose frames (T,) nobody saw."""
+    for k in np.flatnonzero(np.diff(seconds) > PAUSE_S).tolist():
+        yield Mark("gap", float(seconds[k]), float(seconds[k + 1]))
+    breaks = (np.diff(is_predicted.astype(int)) != 0) | (np.diff(seconds) > PAUSE_S)
+    for run in np.split(np.arange(len(seconds)), np.flatnonzero(breaks) + 1):
+        if len(run) and is_predicted[run[0]]:
+            yield Mark("predicted", float(seconds[run[0]]), float(seconds[run[-1]]))
+
+
+def in_words(marks: Sequence[Mark]) -> list[str]:
+    """Return a line for each kind of mark: what its colour means, and when it is."""
+    lines = []
+    for kind, words in _WORDS.items():
+        spans = [
+            f"{number(mark.start, 1)} to {number(mark.end, 1)} s"
+            + (f" ({mark.remark})" if mark.remark else "")
+            for mark in marks
+            if mark.kind == kind
+        ]
+        if spans:
+            lines.append(f"{words}: {', '.join(spans)}.")
+    return lines
+
 
 TRUTH, RESULT, SPREAD = "#1f5fa8", "#e07b1a", "#9aa4af"
 LEFT, RIGHT = "#8a8f98", "#3c56d8"
 """Of the limbs on each side, as in the viewer: pale and strong."""
+OTHERS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
+"""Of curves of channels and systems, in their order."""
 _LIMB_RANGE_MM = 60.0
-PAUSE_S = 0.25
 _LIMBS = {
     "upper arm": ("shoulder", "elbow"),
     "forearm": ("elbow", "wrist"),
@@ -30,82 +87,71 @@ _LIMBS = {
 }
 
 
-def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure, size in inches."""
-    from matplotlib.figure import Figure
+class Curve(NamedTuple):
+    """A curve with a name."""
 
-    return Figure(figsize=(width, height), layout="constrained")
+    name: str
+    colour: str
+    x: Floats
+    """(T,)"""
+    y: Floats
+    """(T,); NaN where the line is interrupted."""
+    width: float = 1.2
+    has_dots: bool = False
+    """Whether its points are shown."""
 
 
-def new_axes(width: float, height: float) -> tuple[Figure, Axes]:
-    """Return a figure of one plot, tidy, size in inches."""
-    figure = new_figure(width, height)
-    axes = figure.subplots()
-    tidy(axes)
-    return figure, axes
+@dataclass(frozen=True, slots=True)
+class CurvePlot:
+    """Curves in one pair of axes."""
+
+    curves: Sequence[Curve]
+    y_range: tuple[float, float]
+    title: str = ""
+    y_title: str = ""
+    has_zero: bool = False
+    """Whether a line marks 0."""
 
 
-def tidy(axes: Axes) -> None:
-    """Take away what carries no data."""
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(alpha=0.3)
-    axes.set_axisbelow(True)
+@dataclass(frozen=True, slots=True)
+class CurveGrid:
+    """Plots beside and below each other that share their x axis."""
+
+    rows: Sequence[Sequence[CurvePlot]]
+    height: float
+    """Of all plots, inches."""
+    x_range: tuple[float, float]
+    x_title: str = "s"
+    marks: Sequence[Mark] = ()
+    """Spans of x that are shown as bands in all plots."""
+
+
+def around(values: Floats, margin: float) -> tuple[float, float]:
+    """Return the range of values, wider by a share of it at both ends; (0, 1) if there are none."""
+    present = values[np.isfinite(values)]
+    if not present.size:
+        return 0.0, 1.0
+    low, high = float(present.min()), float(present.max())
+    beside = margin * (high - low) or 0.5
+    return low - beside, high + beside
+
+
+def from_zero(curves: Sequence[Curve]) -> tuple[float, float]:
+    """Return a range of y that begins at 0."""
+    return 0.0, around(np.concatenate([curve.y for curve in curves]), 0.05)[1]
+
+
+def over_time(
+    rows: Sequence[Sequence[CurvePlot]], height: float, seconds: Floats, marks: Sequence[Mark] = ()
+) -> CurveGrid:
+    """Return plots over all of some times (T,), s."""
+    return CurveGrid(rows, height, around(seconds, 0.01), marks=marks)
 
 
 def with_gaps(seconds: Floats, values: Floats) -> tuple[Floats, Floats]:
     """Put a NaN into every pause, so that no line is drawn over it."""
     pauses = np.nonzero(np.diff(seconds) > PAUSE_S)[0] + 1
     return np.insert(seconds, pauses, np.nan), np.insert(values, pauses, np.nan, axis=0)
-
-
-def entitle(figure: Figure, lines: Sequence[str]) -> None:
-    """Write a title above all plots: the first line large, what follows small and grey."""
-    if lines:
-        figure.suptitle("\n".join(filter(None, lines)), fontsize=9, x=0.01, ha="left")
-
-
-def name_above(axes: Axes, colours: Mapping[str, str]) -> None:
-    """Name curves in their colours above the right end of a plot, where no curve is."""
-    x = 1.0
-    style: dict[str, Any] = {"transform": axes.transAxes, "ha": "right", "va": "bottom"}
-    for name, colour in reversed(list(colours.items())):
-        axes.text(x, 1.01, name, color=colour, fontsize=9, **style)
-        x -= 0.022 * (len(name) + 1)
-
-
-def name_ends(axes: Axes) -> None:
-    """Name every curve at its right end; names keep apart."""
-    low, high = axes.get_ylim()
-    ends = []
-    for line in axes.lines:
-        heights = np.asarray(line.get_ydata(), float)
-        heights = heights[~np.isnan(heights)]
-        if len(heights):
-            ends.append(((heights[-1] - low) / (high - low), line))
-    height = axes.get_figure(root=True).get_figheight() * axes.get_position().height  # type: ignore[union-attr]
-    apart, below = 0.16 / height, -np.inf
-    for end, line in sorted(ends, key=lambda pair: pair[0]):
-        below = max(end, below + apart)
-        axes.annotate(
-            str(line.get_label()), (1.01, below), xycoords="axes fraction", va="center", fontsize=9,
-            color=line.get_color(), annotation_clip=False,
-        )  # fmt: skip
-
-
-def value_bars(axes: Axes, names: Sequence[str], values: Sequence[float], spread: Any) -> None:
-    """Draw horizontal bars, the first one on top, each with its value."""
-    axes.barh(list(names), values, xerr=spread, color=TRUTH, ecolor=SPREAD)
-    wide = np.nan_to_num(values).max(initial=0.0) / 8
-    for row, value in enumerate(values):
-        if not np.isnan(value):  # beside a bar that is too short for it
-            x, colour = (0.0, "white") if value > wide else (value, "black")
-            # The line of the spread may begin left of the value.
-            box = {"facecolor": TRUTH if value > wide else "white", "pad": 1.0, "edgecolor": "none"}
-            text = f" {value:.1f}"
-            axes.text(x, row, text, va="center", fontsize=8, color=colour, bbox=box, zorder=4)
-    axes.set_xlim(0, None)
-    axes.invert_yaxis()
-    axes.margins(y=0.01)
 
 
 def limb_links(model: SkeletonModel) -> dict[str, int]:
@@ -121,35 +167,27 @@ def limb_links(model: SkeletonModel) -> dict[str, int]:
     return links
 
 
-def limb_figure(
-    seconds: Floats, lengths: Mapping[str, Floats], title: Sequence[str] = ()
-) -> Figure:
-    """Draw limb lengths, a plot per limb with left and right, of the same range each.
+def limb_grid(
+    seconds: Floats, lengths: Mapping[str, Floats], marks: Sequence[Mark] = ()
+) -> CurveGrid:
+    """Plot limb lengths, a plot per limb with left and right, of the same range each.
 
     Parameters
     ----------
-    seconds : (T,). lengths : "left shin" -> (T,) mm. title : lines above all plots.
+    seconds : (T,). lengths : "left shin" -> (T,) mm.
     """
-    limbs = list(dict.fromkeys(name.split(" ", 1)[1] for name in lengths))
-    figure = new_figure(11, 1.7 * ((len(limbs) + 1) // 2) + 0.5)
-    entitle(figure, title)
-    grid = figure.subplots((len(limbs) + 1) // 2, 2, sharex=True, squeeze=False)
-    for axes in grid.ravel()[len(limbs) :]:
-        axes.set_visible(False)
-    for limb, axes in zip(limbs, grid.ravel(), strict=False):
+    plots = []
+    for limb in dict.fromkeys(name.split(" ", 1)[1] for name in lengths):
         sides = {side: lengths[f"{side} {limb}"] for side in SIDES if f"{side} {limb}" in lengths}
-        both = np.concatenate(list(sides.values()))
-        for side, values in sides.items():
-            colour, width = (LEFT, 1.2) if side == "left" else (RIGHT, 1.8)
-            axes.plot(*with_gaps(seconds, values), color=colour, lw=width, label=side)
-        axes.set_title(f"{limb}, mm", loc="left", fontsize=9)
-        axes.set_ylim(*_limb_range(both))
-        axes.margins(x=0.01)
-        name_above(axes, {"left": LEFT, "right": RIGHT})
-        tidy(axes)
-    for axes in grid[-1]:
-        axes.set_xlabel("s")
-    return figure
+        curves = [
+            Curve(side, *((LEFT, RIGHT)[side == "right"], *with_gaps(seconds, values)),
+                  width=1.8 if side == "right" else 1.2)
+            for side, values in sides.items()
+        ]  # fmt: skip
+        y_range = _limb_range(np.concatenate(list(sides.values())))
+        plots.append(CurvePlot(curves, y_range, f"{limb}, mm"))
+    rows = [plots[k : k + 2] for k in range(0, len(plots), 2)]
+    return over_time(rows, 1.7 * len(rows) + 0.5, seconds, marks)
 
 
 def _limb_range(lengths: Floats) -> tuple[float, float]:
@@ -168,48 +206,41 @@ SHOWN_ANGLES = (
 """Of each side, from top to bottom."""
 
 
-def angle_figure(
-    seconds: Floats, angles: Floats, true_angles: Floats | None, title: Sequence[str] = ()
-) -> Figure:
+def angle_grid(
+    seconds: Floats, angles: Floats, true_angles: Floats | None, marks: Sequence[Mark] = ()
+) -> CurveGrid:
     """Signed joint angles, left beside right, truth and result, as in Fig. 5 of the Hi-ROS paper.
 
     Parameters
     ----------
     seconds : (T,). angles, true_angles : (T, A) degrees, of
         :data:`hiros_mcap.body.anatomy.ANGLE_NAMES`; None without a truth.
-    title : lines above all plots.
 
     Raises
     ------
     ConfigError
         The markers' names tell no joint.
     """
-    column = {name: k for k, name in enumerate(ANGLE_NAMES)}
-    shown = [
-        joint
-        for joint in SHOWN_ANGLES
-        if not np.isnan(angles[:, [column[f"{side} {joint}"] for side in SIDES]]).all()
-    ]
-    if not shown:
+    drawn = {"truth": (TRUTH, true_angles), "result": (RESULT, angles)}
+    rows = []
+    for joint in SHOWN_ANGLES:
+        columns = [ANGLE_NAMES.index(f"{side} {joint}") for side in SIDES]
+        if np.isnan(angles[:, columns]).all():
+            continue
+        both = [values[:, columns].ravel() for _, values in drawn.values() if values is not None]
+        y_range = around(np.concatenate([*both, [0.0]]), 0.05)  # of left and right
+        row = []
+        for side, k in zip(SIDES, columns, strict=True):
+            curves = [
+                Curve(name, colour, *with_gaps(seconds, values[:, k]))
+                for name, (colour, values) in drawn.items()
+                if values is not None
+            ]
+            row.append(CurvePlot(curves, y_range, f"{side} {joint}, degrees", has_zero=True))
+        rows.append(row)
+    if not rows:
         raise ConfigError("the marker names reveal no joint with an angle")
-    figure = new_figure(11, 1.6 * len(shown) + 0.5)
-    entitle(figure, title)
-    grid = figure.subplots(len(shown), 2, sharex=True, sharey="row", squeeze=False)
-    for joint, row in zip(shown, grid, strict=True):
-        for side, axes in zip(SIDES, row, strict=True):
-            k = column[f"{side} {joint}"]
-            axes.axhline(0, color=SPREAD, lw=0.8)
-            if true_angles is not None:
-                true = with_gaps(seconds, true_angles[:, k])
-                axes.plot(*true, color=TRUTH, lw=1.2, label="truth")
-                name_above(axes, {"truth": TRUTH, "result": RESULT})
-            axes.plot(*with_gaps(seconds, angles[:, k]), color=RESULT, lw=1.2, label="result")
-            axes.set_title(f"{side} {joint}, degrees", loc="left", fontsize=9)
-            axes.margins(x=0.01)
-            tidy(axes)
-    for axes in grid[-1]:
-        axes.set_xlabel("s")
-    return figure
+    return over_time(rows, 1.6 * len(rows) + 0.5, seconds, marks)
 
 
 def angles_of(model: SkeletonModel, poses: Floats, orientations: Floats | None) -> Floats:

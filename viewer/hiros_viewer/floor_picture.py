@@ -10,7 +10,7 @@ import numpy as np
 from hiros_mcap.plan.planning import PlannedCamera, RoomPlan
 from hiros_mcap.simulate.settings import RigParams
 from hiros_mcap.skeletons import Flags, Floats
-from hiros_viewer.figures import new_figure
+from hiros_viewer.pictures import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -57,7 +57,7 @@ def show(result: Result, person: int | None = None) -> Picture:
     ConfigError
         There is nobody to draw.
     """
-    from hiros_viewer.figures import new_figure
+    from hiros_viewer.pictures import new_figure
 
     if person is not None:
         result = result.select(person)
@@ -95,7 +95,8 @@ def plot(result: Result, person: int | None = None) -> Picture:
     ConfigError
         There is nobody to draw, or the marker names tell no joint.
     """
-    from hiros_viewer.figures import angle_figure
+    from hiros_viewer.figures import angle_grid
+    from hiros_viewer.pictures import picture_of
 
     _need_people(result)
     if person is None:
@@ -103,7 +104,7 @@ def plot(result: Result, person: int | None = None) -> Picture:
     one = result.select(person)
     seconds = one.motions[person].times
     title = f"{result.path.name}, person {person}"
-    figure = angle_figure(seconds, one.angles().to_numpy(), None, [title])
+    figure = picture_of(angle_grid(seconds, one.angles().to_numpy(), None), [title])
     return Picture(figure, f"of the joint angles of {title}")
 
 

@@ -99,7 +99,7 @@ def compare(
 
             save_overlay(rrd, paths[0], entries)
     if html is not None:
-        from hiros_viewer.comparison_page import comparison_page
+        from hiros_viewer.score_pages import comparison_page
 
         comparison_page(outcomes, study).write(html)
     if table is not None:

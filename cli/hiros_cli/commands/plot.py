@@ -47,7 +47,7 @@ def plot(
     from hiros_mcap.io.attachments import stored_events
     from hiros_mcap.io.log import open_reader
     from hiros_viewer import curves
-    from hiros_viewer.headline import about
+    from hiros_viewer.pictures import save_png
 
     if what not in curves.KINDS:
         raise ConfigError(f"--what: {what!r} is none of {', '.join(curves.KINDS)}")
@@ -60,11 +60,11 @@ def plot(
             events = stored_events(reader)
         true = None if its_truth is None else its_truth.moved(start=start)
         collected = curves.collect(f"{log}: {topic}", frames, model, true, events)
-        lines = about(log, curves.verdict(collected), curves.summary_row(frames, model))
+        lines = curves.about(log, curves.verdict(collected), curves.summary_row(frames, model))
         collected = replace(collected, about=lines)
         if target.suffix == ".html":
             curves.page_of(collected).write(target)
         else:
-            curves.save_png(curves.figure_of(collected, what, person), target)
+            save_png(curves.figure_of(collected, what, person), target)
     if not quiet:
         print(f"wrote {target}")

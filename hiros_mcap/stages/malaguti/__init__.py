@@ -1,7 +1,7 @@
 """Malaguti et al. (2019): associate centroids, filter joints, straighten limbs.
 
-associate.py         people by their centroids; centroid_filter.py
-kalman.py            joints; joint_filter.py
+associate.py         people by their centroids
+kalman.py            joints
 straighten.py        constant lengths; limb_lengths.py
 moving_average.py    the average that the paper compares with
 malaguti_params.py   the parameters

@@ -9,16 +9,16 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 
 from hiros_mcap.events import Events
-from hiros_mcap.kernels.array_types import settings_of
 from hiros_mcap.kernels.assignment import assign
-from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel, widened
+from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel, Stamps, widened
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.malaguti import centroid_filter as kernels
-from hiros_mcap.stages.malaguti.malaguti_params import AssociateParams
+from hiros_mcap.stages.malaguti.malaguti_params import NOISE_RATE, STARTING_SPEED, AssociateParams
+from hiros_mcap.stages.point_filter import correct, predict, seconds, white_acceleration
 
 
 def associate(
@@ -43,13 +43,26 @@ def associate(
         yield associator.update(frame.replace(**states))  # with room for velocities
 
 
+class Centroids(NamedTuple):
+    """The filters K_i of T tracks."""
+
+    stamps: Stamps
+    """(T,) time of the state, ns."""
+    states: Floats
+    """(T, 2, 2) position, m, and velocity, m/s, on the floor."""
+    covariances: Floats
+    """(T, 2, 2) of position and velocity along an axis."""
+    detections: Stamps
+    """(T,) how many detections were associated."""
+
+
 class _Associator:
     """The tracks, tentative until they are confirmed."""
 
     def __init__(self, params: AssociateParams, events: Events) -> None:
         self._params, self._events = params, events
-        self._bank = Bank(kernels.Centroids.empty(), params.max_gap)
-        self._settings = settings_of(kernels.CentroidSettings, params)
+        zero, none = np.zeros(0, np.int64), np.zeros((0, 2, 2))
+        self._bank = Bank(Centroids(zero, none, none, zero), params.max_gap)
         self._tracks, self._people = itertools.count(), itertools.count()
         self._ids: dict[int, int] = {}
         """Confirmed track -> id."""
@@ -57,15 +70,14 @@ class _Associator:
     def update(self, frame: Frame) -> Frame:
         """Give every detection of one message its id (III-A)."""
         self._end_lost_tracks(frame.stamp)
-        settings, past = self._settings, self._bank.past
         tracks, rows = list(self._bank.rows), np.array(list(self._bank.rows.values()), np.int64)
-        centroids, cost = np.empty((frame.n_people, 3)), np.empty((len(rows), frame.n_people))
-        kernels.find_centroids(frame.markers, centroids)
-        kernels.predict_tracks(past, rows, frame.stamp, settings)  # z^, without a new detection
-        kernels.association_cost(past, rows, centroids, settings, cost)  # eq 2 and 3, epsilon
+        past, centroids = self._bank.past, centroids_of(frame)
+        predict_tracks(past, rows, frame.stamp, self._params)  # z^, without a new detection
+        cost = association_cost(past, rows, centroids, self._params)  # eq 2 and 3, epsilon
         matches = [tracks[k] if k >= 0 else None for k in assign(cost).tolist()]  # Hungarian
-        seen = [-1 if k is None else self._bank.row(k, frame.stamp) for k in matches]
-        kernels.correct_tracks(past, np.array(seen, np.int64), centroids, settings)
+        for centroid, track in zip(centroids, matches, strict=True):
+            if track is not None:
+                correct_track(past, self._bank.row(track, frame.stamp), centroid, self._params)
         for d, track in enumerate(matches):
             if track is None:  # a person never seen before
                 matches[d] = self._start(centroids[d], frame)
@@ -90,7 +102,7 @@ class _Associator:
             return None
         track = next(self._tracks)
         row = self._bank.row(track, frame.stamp)
-        kernels.start_track(self._bank.past, row, frame.stamp, centroid, self._settings)
+        start_track(self._bank.past, row, frame.stamp, centroid, self._params)
         return track
 
     def _id(self, track: int | None, frame: Frame) -> int:
@@ -105,3 +117,50 @@ class _Associator:
             person = self._ids[track] = next(self._people)
             self._events.note(frame.stamp, "track born", person=person, source=frame.source)
         return self._ids[track]
+
+
+def centroids_of(frame: Frame) -> Floats:
+    """(P, 3) Means of the known markers, m; NaN where none is known."""
+    known = ~np.isnan(frame.positions[..., :1])
+    total, n = np.where(known, frame.positions, 0.0).sum(axis=1), known.sum(axis=1)
+    return np.where(n > 0, total / np.maximum(n, 1), np.nan)
+
+
+def start_track(
+    tracks: Centroids, row: int, now: int, centroid: Floats, params: AssociateParams
+) -> None:
+    """Start a track at a centroid (3,), m, at ``now``, ns."""
+    tracks.states[row] = centroid[:2], (0.0, 0.0)
+    tracks.covariances[row] = np.diag([params.position_noise**2, STARTING_SPEED**2])
+    tracks.stamps[row], tracks.detections[row] = now, 1
+
+
+def predict_tracks(tracks: Centroids, rows: Stamps, now: int, params: AssociateParams) -> None:
+    """Carry the tracks in ``rows`` on to ``now``, ns."""
+    dt = seconds(now - tracks.stamps[rows])
+    process = white_acceleration(dt, params.acceleration**2 / NOISE_RATE)
+    tracks.states[rows], tracks.covariances[rows] = predict(  # z^ of eq 2
+        tracks.states[rows], tracks.covariances[rows], dt, process
+    )
+    tracks.stamps[rows] = now
+
+
+def association_cost(
+    tracks: Centroids, rows: Stamps, centroids: Floats, params: AssociateParams
+) -> Floats:
+    """(T, D) Cost of every track in ``rows`` and centroid (D, 3).
+
+    The vector of eq 2 is the gain times the innovation. With the gain K = P H' / (p00 + r), its
+    Mahalanobis distance by P is the squared innovation times p00 / (p00 + r)^2.
+    """
+    p00, r = tracks.covariances[rows, 0, 0], params.position_noise**2
+    apart = centroids[:, :2] - tracks.states[rows, None, 0]
+    distance = (apart**2).sum(axis=-1) * (p00 / (p00 + r) ** 2)[:, None]  # eq 2 and 3
+    return np.where(distance <= params.gate, distance, np.inf)  # epsilon
+
+
+def correct_track(tracks: Centroids, row: int, centroid: Floats, params: AssociateParams) -> None:
+    """Correct a track by the centroid (3,) of its detection."""
+    x, p, variance = tracks.states[row], tracks.covariances[row], params.position_noise**2
+    tracks.states[row], tracks.covariances[row] = correct(x, p, centroid[:2], np.array(variance))
+    tracks.detections[row] += 1

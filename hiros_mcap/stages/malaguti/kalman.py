@@ -2,24 +2,54 @@
 
 Nothing is buffered: each message moves its people at once, whenever it comes. A detection counts by
 its confidence, and less if it lies farther from the prediction than others lately did.
+
+No noise of the paper's 6M-state filter couples two joints or two axes. Its covariance therefore
+stays block-diagonal, and the three axes of a joint share one block: the filter is computed joint by
+joint, all joints at once. The result is the same.
+
+The difference d of equations 9 and 10 has two forms (``consecutive``):
+
+- As printed, it is the distance between consecutive positions of the joint: of a detection, the
+  distance from the joint's previous position; in the history, the steps that the joint has made.
+- By default it is the length of the innovation, the distance from the predicted to the measured
+  position. This departs from the paper. The cameras share no clock, so their messages come 1 to
+  33 ms after each other. The printed form measures these intervals times the speed: a joint in
+  steady motion would be an outlier after every longer interval. The prediction covers the motion in
+  the interval, so the innovation depends on neither. Innovations of outliers do not enter the
+  history; the first one would raise the threshold for the next N measurements.
+
+The paper replaces a rejected joint by its prediction (III-C). Here the correction is left out. A
+correction by the prediction would not move the joint; it would only lower the covariance, as if the
+joint had been measured.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 
 from hiros_mcap.events import TOO_LATE, Events
-from hiros_mcap.kernels.array_types import settings_of
-from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, People, SkeletonModel, Stamps
+from hiros_mcap.kernels.array_types import B2, F1, F2, F3, F4, I1, I2, arrays
+from hiros_mcap.skeletons import (
+    POSITION,
+    STATE,
+    UNTRACKED,
+    VELOCITY,
+    Flags,
+    Floats,
+    Frame,
+    People,
+    SkeletonModel,
+    Stamps,
+)
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.malaguti import joint_filter
-from hiros_mcap.stages.malaguti.centroid_filter import find_centroids
-from hiros_mcap.stages.malaguti.malaguti_params import KalmanParams
+from hiros_mcap.stages.malaguti.associate import centroids_of
+from hiros_mcap.stages.malaguti.malaguti_params import NOISE_RATE, STARTING_SPEED, KalmanParams
+from hiros_mcap.stages.point_filter import correct, predict, seconds, white_acceleration
 
-_PEOPLE = attrgetter(*People._fields)
+_LEAST_CONFIDENCE = 1e-3  # keeps eq 8 finite where every confidence is accepted
 
 
 def kalman(
@@ -57,6 +87,30 @@ def kalman(
             yield fusion.people_at(frame.stamp, frame)
 
 
+class FilteredPeople(NamedTuple):
+    """The filters of all people: R rows, M joints, L links."""
+
+    stamps: I1  # (R,) time of the state, ns
+    started: B2  # (R, M) joints that were measured at least once
+    states: F4  # (R, M, 2, 3) position, m, and velocity, m/s (eq 4)
+    covariances: F4  # (R, M, 2, 2) of position and velocity along an axis
+    distances: F3  # (R, M, N) the last N d of eq 9, m: innovations accepted, or steps made
+    remembered: I2  # (R, M) distances so far
+    outliers: I2  # (R, M) consecutive ones
+    confidences: F1  # (R,) of the newest detection, as are the next three
+    marker_confidences: F2  # (R, M)
+    links: F3  # (R, L, 19)
+    link_confidences: F2  # (R, L)
+
+    @classmethod
+    def empty(cls, markers: int, links: int, history: int) -> FilteredPeople:
+        """Return the filters of nobody, with ``history`` distances (N) per joint."""
+        m, n = (0, markers), (0, links)
+        return arrays(
+            cls, 0, m, (*m, 2, 3), (*m, 2, 2), (*m, history), m, m, 0, m, (*n, STATE), n
+        )  # fmt: skip
+
+
 class _Fusion:
     """The filters of all people."""
 
@@ -66,36 +120,25 @@ class _Fusion:
     ) -> None:  # fmt: skip
         self.params, self._model = params, model
         self._fixed, self._cameras = fixed_frame, cameras
-        empty = joint_filter.FilteredPeople.empty(model.n_markers, model.n_links, params.history)
+        empty = FilteredPeople.empty(model.n_markers, model.n_links, params.history)
         self._bank = Bank(empty, params.max_gap)
-        self._settings = settings_of(joint_filter.JointFilterSettings, params)
         self._due = 0
 
     def update(self, frame: Frame) -> int:
-        """Predict and correct everybody whom a message shows; return how many joints are outliers.
-
-        The kernel has the steps of sections III-B to III-D in their order.
-        """
+        """Take a message; return how many joints of those whom it shows are outliers."""
         self._bank.expire(frame.stamp)
-        rows = [
-            -1 if person == UNTRACKED else self._bank.row(person, frame.stamp)
-            for person in frame.ids.tolist()
-        ]
-        return int(
-            joint_filter.update(
-                self._bank.past, People(*_PEOPLE(frame)), np.array(rows, np.int64), frame.stamp,
-                self._range_variances(frame), self._settings,
-            )
-        )  # fmt: skip
+        if (frame.ids == UNTRACKED).any():
+            frame = frame.select(frame.ids != UNTRACKED)
+        rows = [self._bank.row(person, frame.stamp) for person in frame.ids.tolist()]
+        further = self._range_variances(frame)
+        return update(self._bank.past, rows, frame.people, frame.stamp, further, self.params)
 
     def _range_variances(self, frame: Frame) -> Floats:
         """(P,) Variance that the distance from the camera adds, m2, as in OpenPTrack."""
         if not self.params.range_noise or frame.source not in self._cameras:
             return np.zeros(frame.n_people)
-        centroids = np.empty((frame.n_people, 3))
-        find_centroids(frame.markers, centroids)
-        distances = ((centroids - self._cameras[frame.source]) ** 2).sum(axis=1)
-        return np.asarray((self.params.range_noise * np.nan_to_num(distances)) ** 2)
+        apart = centroids_of(frame) - self._cameras[frame.source]
+        return (self.params.range_noise * np.nan_to_num((apart**2).sum(axis=1))) ** 2
 
     def due_times(self, now: int) -> Iterator[int]:
         """Yield the times before ``now``, ns, at which a fixed rate wants a result."""
@@ -115,6 +158,103 @@ class _Fusion:
             frame_id=fixed,
         )  # fmt: skip
         out.ids[:] = people
-        rows: Stamps = np.array([self._bank.rows[person] for person in people], np.int64)
-        joint_filter.write(self._bank.past, rows, stamp, People(*_PEOPLE(out)))
+        past, rows = self._bank.past, [self._bank.rows[person] for person in people]
+        positions, velocities = np.moveaxis(past.states[rows], 2, 0)
+        dt = seconds(stamp - past.stamps[rows])
+        started = past.started[rows][..., None]
+        moved = positions + dt[:, None, None] * velocities
+        out.markers[..., POSITION] = np.where(started, moved, np.nan)
+        out.markers[..., VELOCITY] = np.where(started, velocities, np.nan)
+        for name in ("confidences", "marker_confidences", "links", "link_confidences"):
+            getattr(out, name)[:] = getattr(past, name)[rows]
         return out
+
+
+def update(
+    past: FilteredPeople, rows: list[int], people: People, now: int, further: Floats,
+    params: KalmanParams,
+) -> int:  # fmt: skip
+    """Predict and correct the people of one message; return how many joints are outliers.
+
+    Parameters
+    ----------
+    rows : row of each of the P people in ``past``. now : ns.
+    further : (P,) what the distance from the camera adds to eq 8, m2.
+    """
+    x, p, started = past.states[rows], past.covariances[rows], past.started[rows]
+    before, measured = x[:, :, 0], people.markers[..., POSITION]
+    dt = seconds(now - past.stamps[rows])
+    dt[~started.any(axis=1)] = 0.0  # who is new has no state to be carried on
+    x, p = _predicted(x, p, dt, params)  # eq 5
+    variances = _variances(people.marker_confidences, further, params)  # eq 8
+    counts = ~np.isnan(variances + measured[..., 0])  # else the prediction stands (III-C)
+    old, new = counts & started, counts & ~started
+    innovations = _norm(measured - x[:, :, 0])
+    d = _norm(measured - before) if params.consecutive else innovations
+    outlier, factors = _outliers(past, rows, d, old, params)  # eq 9 and 10
+    corrected = correct(x, p, measured, variances * factors)  # eq 6 and 7
+    x, p = (np.where(old[..., None, None], z, a) for z, a in zip(corrected, (x, p), strict=True))
+    x[new], x[new, 0] = 0.0, measured[new]
+    p[new], p[new, 0, 0], p[new, 1, 1] = 0.0, variances[new], STARTING_SPEED**2
+    if params.consecutive:
+        _remember(past, rows, _norm(x[:, :, 0] - before), old)
+    else:
+        _remember(past, rows, innovations, old & ~outlier)
+    past.states[rows], past.covariances[rows], past.started[rows] = x, p, started | counts
+    past.stamps[rows] = now
+    for name in ("confidences", "marker_confidences", "links", "link_confidences"):
+        getattr(past, name)[rows] = getattr(people, name)
+    return int(outlier.sum())
+
+
+def _predicted(x: Floats, p: Floats, dt: Floats, params: KalmanParams) -> tuple[Floats, Floats]:
+    """Carry people on by ``dt`` (P,), s: in whole steps as the paper does, or exactly."""
+    q, step = params.process_noise**2, params.step
+    if not step:
+        return predict(x, p, dt[:, None], white_acceleration(dt, q / NOISE_RATE)[:, None])
+    g = np.array([step**2 / 2, step])
+    times = np.round(dt / step)
+    for n in range(int(times.max(initial=0))):  # "computed n times" (III-B)
+        moving = times > n
+        x[moving], p[moving] = predict(x[moving], p[moving], step, q * np.outer(g, g))
+    return x, p
+
+
+def _variances(confidences: Floats, further: Floats, params: KalmanParams) -> Floats:
+    """(P, M) Variance of measured positions, m2; NaN where the joint is rejected."""
+    if not params.use_confidence:
+        confidences = np.ones_like(confidences)
+    known = np.where(np.isnan(confidences), 1.0, confidences)
+    accepted = np.where(known < params.min_confidence, np.nan, known)  # th (III-C)
+    sigma_r = params.measurement_noise
+    return sigma_r**2 / np.maximum(accepted, _LEAST_CONFIDENCE) + further[:, None]  # eq 8
+
+
+def _outliers(
+    past: FilteredPeople, rows: list[int], d: Floats, counts: Flags, params: KalmanParams
+) -> tuple[Flags, Floats]:
+    """(P, M) which measurements at distances ``d``, m, are outliers, and factors of their variance.
+
+    Only those that ``counts`` says are looked at.
+    """
+    threshold = params.outlier_factor * past.distances[rows].max(axis=2, initial=0.0)  # eq 9
+    is_full = past.remembered[rows] >= params.history
+    in_a_row = past.outliers[rows]
+    far = counts & is_full & (d > threshold) & (threshold > 0)
+    outlier = far & (in_a_row < params.max_outliers)  # o_max
+    past.outliers[rows] = np.where(counts, np.where(outlier, in_a_row + 1, 0), in_a_row)
+    return outlier, np.divide(d, threshold, out=np.ones_like(d), where=outlier)  # eq 10
+
+
+def _remember(past: FilteredPeople, rows: list[int], d: Floats, which: Flags) -> None:
+    """Put some of the distances (P, M) into the history, each in place of the oldest."""
+    size = past.distances.shape[2]
+    if size:
+        p, m = np.nonzero(which)
+        r: Stamps = np.array(rows, np.int64)[p]
+        past.distances[r, m, past.remembered[r, m] % size] = d[p, m]
+        past.remembered[r, m] += 1
+
+
+def _norm(vectors: Floats) -> Floats:
+    return np.sqrt((vectors**2).sum(axis=-1))

@@ -8,6 +8,11 @@ from pydantic import Field
 
 from hiros_mcap.params import Accelerations, Metres, Params, Seconds, advanced, fixed
 
+NOISE_RATE = 30.0
+"""Hz: the noise of one second is that of so many steps of the paper's model (33 ms)."""
+STARTING_SPEED = 1.0
+"""m/s, SD per axis of what was just seen for the first time."""
+
 
 class AssociateParams(Params):
     """Parameters of the association by centroids."""

@@ -1,29 +1,43 @@
-"""The pages of ``hiros eval --html``: the tables of the terminal, with plots."""
+"""The pages of ``hiros eval --html`` and ``hiros compare --html``: tables and plots."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hiros_mcap._version import __version__
 from hiros_mcap.evaluate import PCK_MM, ErrorStats, Scores, Truth, score_tables
+from hiros_mcap.evaluate.comparison import Outcome, by_number_of_cameras
 from hiros_mcap.evaluate.leave_one_out import SelfScores
 from hiros_mcap.evaluate.logs import ChannelResult
 from hiros_mcap.evaluate.measures import text_of
+from hiros_mcap.evaluate.score_tables import (
+    best_first,
+    camera_sheet,
+    differences_of,
+    has_truth,
+    notes_on,
+    system_table,
+)
 from hiros_mcap.skeletons import Floats
 from hiros_mcap.summary import number
+from hiros_viewer.curves import about
 from hiros_viewer.figures import (
-    angle_figure,
+    OTHERS,
+    Curve,
+    CurveGrid,
+    CurvePlot,
+    angle_grid,
     angles_of,
-    name_ends,
-    new_axes,
-    new_figure,
-    value_bars,
+    around,
+    from_zero,
 )
-from hiros_viewer.headline import about
 from hiros_viewer.page import Page
+from hiros_viewer.pictures import new_axes, new_figure, tidy, value_bars
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -62,13 +76,14 @@ def truth_page(
     return page
 
 
-def _pck(scores: Mapping[str, Scores]) -> Figure:
-    figure, axes = new_axes(7, 3.4)
-    for topic, s in scores.items():
-        axes.plot(PCK_MM, 100 * np.array(s.pck["all"]), label=topic)
-    axes.set(xlabel="mm", ylabel="joints, %", xlim=(0, PCK_MM[-1]), ylim=(0, 101))
-    name_ends(axes)
-    return figure
+def _pck(scores: Mapping[str, Scores]) -> CurveGrid:
+    within = np.array(PCK_MM, float)
+    curves = [
+        Curve(topic, colour, within, 100 * np.array(s.pck["all"]), 1.5)
+        for (topic, s), colour in zip(scores.items(), cycle(OTHERS))
+    ]
+    plot = CurvePlot(curves, (0.0, 101.0), y_title="joints, %")
+    return CurveGrid([[plot]], 3.4, (0.0, float(PCK_MM[-1])), "mm")
 
 
 def _joint_bars(joints: Mapping[str, ErrorStats]) -> Figure:
@@ -79,7 +94,7 @@ def _joint_bars(joints: Mapping[str, ErrorStats]) -> Figure:
     return figure
 
 
-def _angle_curves(result: ChannelResult, person: int) -> Figure:
+def _angle_curves(result: ChannelResult, person: int) -> CurveGrid:
     """Truth and result of one true person over time."""
     matches = result.matches
     rows = matches.people == person
@@ -91,7 +106,7 @@ def _angle_curves(result: ChannelResult, person: int) -> Figure:
             (matches.true_poses, matches.true_orientations),
         )
     )
-    return angle_figure((times - times[0]) / 1e9, angles, true_angles)
+    return angle_grid((times - times[0]) / 1e9, angles, true_angles)
 
 
 def self_page(log: Path, scores: SelfScores) -> Page:
@@ -143,3 +158,68 @@ def _camera_joints(cameras: Mapping[str, Mapping[str, ErrorStats]]) -> Figure:
                 column, row, f"{value:.0f}", ha="center", va="center", fontsize=7, color=colour
             )
     return figure
+
+
+def comparison_page(outcomes: Sequence[Outcome], study: str | None) -> Page:
+    """Page with the systems on every log, or their errors by number of cameras."""
+    page = Page("Systems compared", [f"hiros {__version__}"])
+    if study == "cameras":
+        errors = by_number_of_cameras(outcomes)
+        page.heading("Number of cameras")
+        sheet = camera_sheet(errors)
+        page.table(*text_of(sheet), sheet.title)
+        page.figure(_camera_plot(errors), "Mean joint error by number of cameras")
+        return page
+    for log in dict.fromkeys(o.log for o in outcomes):
+        group = [o for o in outcomes if o.log == log]
+        page.heading(log)
+        if has_truth(group):
+            best = best_first(group)[0]
+            page.text(f"Least error: {best.name}, {number(best.error, 1, ' mm')}.")
+            page.table(*system_table(group), "Least error first; mm, degrees, ms")
+            page.figure(_error_bars(group), "Mean joint error; the line is its standard deviation")
+        else:
+            page.table(*system_table(group), "Distances and jitter in mm")
+            for text in notes_on(group):
+                page.text(text)
+            page.figure(_self_bars(group), "Systems in the order in which they were named")
+        for line in differences_of(group):
+            page.text(line)
+    return page
+
+
+def _error_bars(outcomes: Sequence[Outcome]) -> Figure:
+    ordered = best_first(outcomes)
+    figure, axes = new_axes(8, 0.32 * len(ordered) + 0.9)
+    deviations = [np.nan if o.scores is None else o.scores.deviation for o in ordered]
+    value_bars(axes, [o.name for o in ordered], [o.error for o in ordered], deviations)
+    axes.set_xlabel("mm")
+    return figure
+
+
+def _self_bars(outcomes: Sequence[Outcome]) -> Figure:
+    """Plot what each system does without a truth; none of it alone says who is best."""
+    figure = new_figure(10, 0.32 * len(outcomes) + 1.1)
+    shown = {
+        "disagreement with the camera left out, mm": [o.disagreement for o in outcomes],
+        "jitter, mm": [o.jitter for o in outcomes],
+        "limb-length variation, %": [100 * o.limb_variation for o in outcomes],
+    }
+    for axes, (label, values) in zip(
+        figure.subplots(1, len(shown), sharey=True), shown.items(), strict=True
+    ):
+        tidy(axes)
+        value_bars(axes, [o.name for o in outcomes], values, None)
+        axes.set_xlabel(label)
+    return figure
+
+
+def _camera_plot(table: dict[str, dict[int, tuple[float, float]]]) -> CurveGrid:
+    curves = []
+    for (name, row), colour in zip(table.items(), cycle(OTHERS)):
+        sizes = sorted(row)
+        errors = np.array([row[size][0] for size in sizes])
+        curves.append(Curve(name, colour, np.array(sizes, float), errors, 1.5, has_dots=True))
+    x_range = around(np.concatenate([curve.x for curve in curves]), 0.05)
+    plot = CurvePlot(curves, from_zero(curves), y_title="mm")
+    return CurveGrid([[plot]], 3.4, x_range, "cameras")
