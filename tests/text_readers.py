@@ -17,7 +17,7 @@ from hiros_mcap.io.attachments import StoredReport
 from hiros_mcap.io.export.marker_set import load_marker_set
 from hiros_mcap.io.foxglove import FoxgloveInput
 from hiros_mcap.io.joints.importing import import_joints
-from hiros_mcap.regression.metrics import load_metrics
+from hiros_mcap.regression.golden import load_metrics
 from hiros_mcap.regression.quantities import load_tolerances
 from hiros_mcap.regression.suite import load_suite
 from hiros_mcap.skeletons import SkeletonModel

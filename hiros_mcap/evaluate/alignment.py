@@ -19,7 +19,6 @@ What is constant in the error of a result is lost by that: an alignment hides it
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -128,18 +127,6 @@ def align(
     return found
 
 
-class _Fit(NamedTuple):
-    """A true person on a track, at some shift of the time."""
-
-    pose: Rigid
-    left: float
-    """What remains, m RMS."""
-    moves: float
-    """How much the joints of the track move about their mean, m RMS."""
-    malus: float
-    """1 to 2: what remains counts so much more, the less of the track is covered."""
-
-
 def _candidates(
     truth: Truth, tracks: Sequence[Track], *, time: bool
 ) -> Iterator[tuple[Alignment, float]]:
@@ -157,7 +144,8 @@ def _candidates(
                 best, shift = min(_unexplained(truth, person, sample, near), default=(1.0, 0.0))
             fit = _fit(truth, person, sample, shift)
             if fit is not None and best < _UNEXPLAINED:
-                yield Alignment(fit.pose, seconds=shift), fit.malus
+                pose, _, _, malus = fit
+                yield Alignment(pose, seconds=shift), malus
 
 
 def _shifts(truth: Truth, track: Track) -> Floats:
@@ -174,12 +162,20 @@ def _unexplained(
     """Yield (share of the motion that a shift leaves, with its malus; shift)."""
     for shift in shifts:
         fit = _fit(truth, person, track, float(shift))
-        if fit is not None and fit.moves > _STILL_M:
-            yield fit.malus * fit.left / fit.moves, float(shift)
+        if fit is not None:
+            _, left, moves, malus = fit
+            if moves > _STILL_M:
+                yield malus * left / moves, float(shift)
 
 
-def _fit(truth: Truth, person: int, track: Track, shift: float) -> _Fit | None:
-    """Return the rigid transform of a person to a track; None if they have too little in common."""
+def _fit(
+    truth: Truth, person: int, track: Track, shift: float
+) -> tuple[Rigid, float, float, float] | None:
+    """Return how a person lies on a track at some shift; None if they have too little in common.
+
+    That is the pose; what remains, m RMS; how much the joints of the track move about their mean, m
+    RMS; and a malus of 1 to 2: what remains counts so much more, the less of the track is covered.
+    """
     rows = np.full(len(track.stamps), person)
     true = truth.positions_of(rows, track.stamps - round(shift * 1e9))
     known = np.asarray(~np.isnan(true + track.poses).any(axis=-1))  # (T, M)
@@ -193,7 +189,8 @@ def _fit(truth: Truth, person: int, track: Track, shift: float) -> _Fit | None:
     left = track.poses[known] - rotate(pose.xyzw, true[known]) - pose.translation
     moves = np.where(known[..., None], track.poses, np.nan)[:, known.any(axis=0)]
     moves -= np.nanmean(moves, axis=0)
-    return _Fit(pose, _rms(left), _rms(moves[~np.isnan(moves[..., 0])]), 2 - instants.mean())
+    malus = 2 - float(instants.mean())
+    return pose, _rms(left), _rms(moves[~np.isnan(moves[..., 0])]), malus
 
 
 def _rms(vectors: Floats) -> float:

@@ -1,14 +1,21 @@
-"""Golden logs: what a check compares with. Small, because they are kept under version control."""
+"""Golden files, logs or metrics: what a check compares with.
+
+They are small, because they are kept under version control.
+"""
 
 from __future__ import annotations
 
+import json
+import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.logs import output_channels, read_channel
+from hiros_mcap.evaluate.measures import MEASURES
 from hiros_mcap.io.channels import (
     CONFIG_ATTACHMENT,
     LIMBS_ATTACHMENT,
@@ -18,8 +25,13 @@ from hiros_mcap.io.channels import (
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_reader
+from hiros_mcap.outputs import write_text
+from hiros_mcap.outside import parse, read_text
+from hiros_mcap.regression.provenance import Provenance
 from hiros_mcap.skeletons import Floats, Frame
 
+VERSION = 1
+"""Of a file of metrics."""
 _GRID = np.repeat([2.0**-23, 2.0**-16, 2.0**-10, 2.0**-23], [7, 6, 6, 3])
 """Of the columns of a Box: poses, velocities, accelerations, sizes. The numbers of a golden log are
 multiples of these, so that they compress: at most a sixth of the default tolerances, such as 0.12
@@ -69,3 +81,36 @@ def compact(frame: Frame) -> Frame:
 
 def _rounded(numbers: Floats, grid: Floats) -> Floats:
     return np.asarray(np.rint(numbers / grid) * grid)
+
+
+def save_metrics(
+    path: Path, channel: str, metrics: Mapping[str, float], provenance: Provenance
+) -> None:
+    """Write golden metrics: JSON, one number a line, so that a change shows in a diff."""
+    rounded = {name: float(f"{value:.6g}") for name, value in metrics.items()}
+    data = {
+        "hiros_golden_metrics": VERSION,
+        "channel": channel,
+        "metrics": rounded,
+        "provenance": provenance.to_json(),
+    }
+    write_text(path, json.dumps(data, indent=1) + "\n")
+
+
+def load_metrics(path: Path) -> tuple[dict[str, float], Provenance]:
+    """Read golden metrics, and how they were made.
+
+    Raises ConfigError if the file is not what :func:`save_metrics` writes, or names a metric that
+    does not exist.
+    """
+    data = parse(read_text(path), "JSON", path)
+    values = data.get("metrics") if isinstance(data, dict) else None
+    if not isinstance(values, dict) or data.get("hiros_golden_metrics") != VERSION:
+        raise ConfigError(f"{path}: is not a file of golden metrics, version {VERSION}")
+    for name, value in values.items():
+        if name not in MEASURES:
+            raise ConfigError(f"{path}: no metric {name!r} (there are: {', '.join(MEASURES)})")
+        if not isinstance(value, int | float) or not math.isfinite(value):
+            raise ConfigError(f"{path}: {name} is not a number")
+    numbers = {name: float(value) for name, value in values.items()}
+    return numbers, Provenance.from_json(data.get("provenance"), path)

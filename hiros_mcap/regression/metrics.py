@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import math
 import operator
 import os
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate import Truth
 from hiros_mcap.evaluate.logs import consistency, evaluate_log, find_truth, read_channel
 from hiros_mcap.evaluate.measures import CONSISTENCY, MEASURES
-from hiros_mcap.outputs import write_text
-from hiros_mcap.outside import parse, read_text
 from hiros_mcap.regression.differences import Difference
-from hiros_mcap.regression.provenance import Provenance
-
-VERSION = 1
-
 
 _FORM = re.compile(r"\s*(\w+)\s*(<=|>=|==|=|!=|<|>)\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(\S*)\s*")
 _COMPARE: dict[str, Callable[[float, float], bool]] = {
@@ -114,44 +106,3 @@ def worse(
         elif -loss > slack:
             gains.append(change)
     return losses, gains
-
-
-@dataclass(frozen=True, slots=True)
-class GoldenMetrics:
-    """What a golden file of metrics holds."""
-
-    channel: str
-    values: Mapping[str, float]
-    provenance: Provenance = field(default_factory=Provenance)
-
-
-def save_metrics(path: Path, golden: GoldenMetrics) -> None:
-    """Write golden metrics: JSON, one number a line, so that a change shows in a diff."""
-    rounded = {name: float(f"{value:.6g}") for name, value in golden.values.items()}
-    data = {
-        "hiros_golden_metrics": VERSION,
-        "channel": golden.channel,
-        "metrics": rounded,
-        "provenance": golden.provenance.to_json(),
-    }
-    write_text(path, json.dumps(data, indent=1) + "\n")
-
-
-def load_metrics(path: Path) -> GoldenMetrics:
-    """Read golden metrics.
-
-    Raises ConfigError if the file is not what :func:`save_metrics` writes, or names a metric that
-    does not exist.
-    """
-    data = parse(read_text(path), "JSON", path)
-    values = data.get("metrics") if isinstance(data, dict) else None
-    if not isinstance(values, dict) or data.get("hiros_golden_metrics") != VERSION:
-        raise ConfigError(f"{path}: is not a file of golden metrics, version {VERSION}")
-    for name, value in values.items():
-        if name not in MEASURES:
-            raise ConfigError(f"{path}: no metric {name!r} (there are: {', '.join(MEASURES)})")
-        if not isinstance(value, int | float) or not math.isfinite(value):
-            raise ConfigError(f"{path}: {name} is not a number")
-    numbers = {name: float(value) for name, value in values.items()}
-    provenance = Provenance.from_json(data.get("provenance"), path)
-    return GoldenMetrics(str(data.get("channel")), numbers, provenance)

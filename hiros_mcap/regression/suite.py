@@ -34,15 +34,8 @@ from hiros_mcap.outputs import check_outputs
 from hiros_mcap.outside import read_toml
 from hiros_mcap.params import Params, explain
 from hiros_mcap.regression.differences import Difference, Divergence, compare_logs
-from hiros_mcap.regression.golden import write_golden
-from hiros_mcap.regression.metrics import (
-    GoldenMetrics,
-    Threshold,
-    load_metrics,
-    metrics_of,
-    save_metrics,
-    worse,
-)
+from hiros_mcap.regression.golden import load_metrics, save_metrics, write_golden
+from hiros_mcap.regression.metrics import Threshold, metrics_of, worse
 from hiros_mcap.regression.provenance import Provenance, changes
 from hiros_mcap.regression.quantities import Tolerances, beside, validated
 from hiros_mcap.running.pipeline import ProcessOptions, Progress, Silent, process
@@ -318,9 +311,9 @@ class Golden:
         """Return how the golden file was made, metrics that are better, and what differs."""
         tolerances = self.tolerances or beside(self.path)
         if self.path.suffix == ".json":
-            golden = load_metrics(self.path)
-            lost, gains = worse(result.metrics, golden.values, tolerances.metrics)
-            return golden.provenance, gains, replace(result, differences=tuple(lost))
+            golden, provenance = load_metrics(self.path)
+            lost, gains = worse(result.metrics, golden, tolerances.metrics)
+            return provenance, gains, replace(result, differences=tuple(lost))
         provenance, notes = Provenance.of_log(self.path), []
         kinds = [p.parameters.get(LOG_TIME) for p in (provenance, Provenance.of_log(output))]
         one_kind = kinds[0] == kinds[1] or None in kinds
@@ -349,7 +342,6 @@ class Golden:
     def _replace(self, metrics: Mapping[str, float], output: Path, topic: str) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         if self.path.suffix == ".json":
-            golden = GoldenMetrics(topic, dict(metrics), Provenance.of_log(output))
-            save_metrics(self.path, golden)
+            save_metrics(self.path, topic, metrics, Provenance.of_log(output))
         else:
             write_golden(output, self.path, self.channels)

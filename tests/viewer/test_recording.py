@@ -40,7 +40,7 @@ from hiros_viewer.poses import Poses
 from hiros_viewer.replay import numbered_axis
 from hiros_viewer.scene import Scene, magnified
 from hiros_viewer.uncertainties import HALF_SIZE
-from hiros_viewer.waiting import EarlierPoses
+from hiros_viewer.view_check import EarlierPoses
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 CROSSING = SAMPLES / "two_people_crossing.mcap"

@@ -1,7 +1,7 @@
 """What plots of curves show: joint angles, limb lengths and errors over time, and others.
 
-A :class:`CurveGrid` is drawn by Bokeh on a page (``interactive.py``), where it can be zoomed, and
-by matplotlib as a picture (``pictures.py``).
+A :class:`CurveGrid` is drawn by Bokeh on a page (``page.py``), where it can be zoomed, and by
+matplotlib as a picture (``pictures.py``).
 """
 
 from __future__ import annotations

@@ -61,8 +61,14 @@ from hiros_viewer.palette import DISTANCES, FAULTY, SIDES, SILENCE, curve_colour
 from hiros_viewer.poses import Channel, Poses
 from hiros_viewer.presence import HIDDEN, Crowd, Visit, Visits
 from hiros_viewer.uncertainties import HALF_SIZE, UNCERTAIN_STAGE, Uncertainties
-from hiros_viewer.view_check import FaultySpan, ViewCheck
-from hiros_viewer.waiting import Compared, EarlierPoses, Waiting, mean_distances
+from hiros_viewer.view_check import (
+    Compared,
+    EarlierPoses,
+    FaultySpan,
+    ViewCheck,
+    Waiting,
+    mean_distances,
+)
 
 STAGES = ("tracked", "merged", "optimized", "filtered", "truth")
 _ALONE = Layer()

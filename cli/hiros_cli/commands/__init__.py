@@ -23,7 +23,6 @@ from hiros_cli.commands import (
     recover,
     setup,
     simulate,
-    systems,
     view,
 )
 from hiros_cli.help_page import HelpfulCommand
@@ -87,9 +86,9 @@ app.command(cls=HelpfulCommand)(recover.recover)
 app.command(cls=HelpfulCommand)(simulate.demo)
 app.command(cls=HelpfulCommand)(simulate.simulate)
 app.command(cls=HelpfulCommand)(plan.plan)
-app.command(cls=HelpfulCommand)(systems.systems)
+app.command(cls=HelpfulCommand)(setup.systems)
 app.add_typer(calibrate.app, name="calibrate")
-app.command(cls=HelpfulCommand)(systems.config)
+app.command(cls=HelpfulCommand)(setup.config)
 app.command(cls=HelpfulCommand)(setup.warmup)
 app.command(cls=HelpfulCommand)(setup.completion)
 

@@ -22,8 +22,8 @@ def export(
     logs: list[str] = argument("LOG", "Outputs of `hiros process`: files, folders, globs, URLs."),
     output: str = option(
         "FILE",
-        "Output file: .csv, .parquet, .jsonl, .npz, .trc, .mot, .osim, .xml, .c3d or .bvh; with "
-        "many logs, the folder for all.",
+        "Output file; its suffix is the format, such as .csv, .parquet, .trc, .mot, .osim, .c3d or "
+        ".bvh (a wrong one lists all). With many logs, the folder for all.",
         "-o",
         "--output",
         default=...,

@@ -62,7 +62,8 @@ def limits_of(model: SkeletonModel) -> PostureLimits:
         trunk = pelvis, at(*LOWER_SPINE, *NECK)
         swings += [((*trunk, *hips, hips[k], knee), _HIP)]
         swings += [((pelvis, neck, *shoulders, shoulders[k], elbow), _SHOULDER)]
-    bends, swings = ([row for row in rows if min(row[0]) >= 0] for rows in (bends, swings))
+    bends = [row for row in bends if min(row[0]) >= 0]
+    swings = [row for row in swings if min(row[0]) >= 0]
     return PostureLimits(
         np.array([ends for ends, _ in bends], np.int32).reshape(-1, 4),
         np.array([most for _, most in bends], np.float64),
