@@ -151,8 +151,7 @@ class LogOutput:
         times = block.stamps if self._by_stamp else block.log_times
         self._copier.until(int(times[0]))
         messages = self._encoders[channel].encode_block(block)
-        for time, message in zip(times.tolist(), messages, strict=True):
-            self._writer.write(self._channels[channel], time, message)
+        self._writer.write_each(self._channels[channel], times.tolist(), messages)
         if block.uncertainty is not None and channel == self._chain[-1]:
             self._write_uncertainty(block, times.tolist())
         if self._export is not None and channel == self._chain[-1]:
@@ -163,8 +162,7 @@ class LogOutput:
         if not self._uncertainty:
             topic, kind = UNCERTAINTY_TOPIC, hiros_schemas.UNCERTAINTY
             self._uncertainty = add_ros_channel(self._writer, topic, kind)
-        for message, time in zip(uncertainty_messages(block, self._model), times, strict=True):
-            self._writer.write(self._uncertainty, time, message)
+        self._writer.write_each(self._uncertainty, times, uncertainty_messages(block, self._model))
 
     def commit(self, summary: Summary) -> None:
         """Copy the rest of the input, add the provenance, and let the file appear."""

@@ -124,6 +124,28 @@ def test_the_speed_of_the_background_thread_changes_no_byte(tmp_path, out, monke
     assert write(tmp_path / "other.mcap").read_bytes() == usual
 
 
+def test_messages_that_are_made_later_lie_in_the_order_of_the_calls(out):
+    with McapWriter(out, chunk_size=500) as writer:
+        channel = writer.add_channel("/a", 0)
+        writer.write(channel, 1, b"first")
+        writer.write_each(channel, [2, 3], iter([b"second" * 100, b"third"]))
+        writer.write(channel, 4, b"fourth")
+        writer.commit()
+    got = [(log_time, data, number) for _, log_time, data, _, number in by_library(out)]
+    assert got == [(1, b"first", 0), (2, b"second" * 100, 1), (3, b"third", 2), (4, b"fourth", 3)]
+
+
+def test_an_error_in_making_messages_is_raised_and_nothing_appears(out):
+    def broken():
+        yield b"one"
+        raise LogError("cannot be encoded")
+
+    with pytest.raises(LogError, match="cannot be encoded"), McapWriter(out) as writer:
+        writer.write_each(writer.add_channel("/a", 0), [1, 2], broken())
+        writer.commit()
+    assert not out.exists()
+
+
 def test_messages_larger_than_a_chunk_and_empty_ones_are_written(out):
     sizes = [0, 1, 70_000, 499, 0, 200_000, 3]
     write(out, [(1, k, bytes([k]) * n) for k, n in enumerate(sizes)])

@@ -1,7 +1,7 @@
 """Writes an MCAP file: chunked, indexed, with every checksum, the same bytes for the same calls.
 
-One background thread compresses and writes in the order of the calls. Timing and
-the number of cores therefore change no byte. Clock, host and paths do not get into the file.
+One background thread encodes, compresses and writes in the order of the calls. Timing and the
+number of cores therefore change no byte. Clock, host and paths do not get into the file.
 """
 
 from __future__ import annotations
@@ -29,12 +29,16 @@ CHUNK_SIZE = 2 << 20
 """A chunk is closed when its records reach this many bytes. 2 and 4 MiB take 5 % less than 1 MiB,
 since the threads disturb each other less often."""
 _IN_FLIGHT = 8
+_GATHERED = 1 << 18  # bytes of single messages that are handed over together
 _MAX_ID = 0xFFFF
 _MESSAGE = struct.Struct("<BQHIQQ")
 
+Numbered = tuple[int, int, int, int, r.Bytes]
+"""A message: channel, sequence number, log and publish time, ns, and its bytes."""
+
 
 class OpenChunk:
-    """The chunk that is being filled."""
+    """The chunk that is being filled, by the background thread alone."""
 
     def __init__(self) -> None:
         self.records = bytearray()
@@ -76,6 +80,8 @@ class McapWriter:
         self._times: list[int] = []
         self._reserved: tuple[set[int], set[int]] = (set(), set())  # schemas and channels
         self._batch = OpenChunk()
+        self._singles: list[Numbered] = []
+        self._gathered = 0
         self._indexes: list[r.ChunkIndex] = []
         self._extras: list[tuple[int, bytes]] = []
         self._waiting: deque[Future[None]] = deque()
@@ -180,19 +186,30 @@ class McapWriter:
         times = log_time, published
         if not (0 <= min(times) <= max(times) < 2**64 and 0 <= (sequence or 0) < 2**32):
             raise ValueError(f"a message has no such times or number: {times}, {sequence}")
+        counted = self._count(channel_id, 1)
+        number = counted if sequence is None else sequence
+        self._singles.append((channel_id, number, *times, bytes(data)))
+        self._gathered += _MESSAGE.size + len(data)
+        if self._gathered >= _GATHERED:
+            self._hand_over()
+
+    def write_each(
+        self, channel_id: int, log_times: Sequence[int], messages: Iterable[r.Bytes]
+    ) -> None:
+        """Add messages that the background thread makes; a later call raises its errors.
+
+        So a run is not held up: encoding takes a tenth of the time of a whole run.
+        """
+        first = self._count(channel_id, len(log_times))
+        pairs = enumerate(zip(log_times, messages, strict=True), first)
+        self._submit(self._add, ((channel_id, n, time, time, data) for n, (time, data) in pairs))
+
+    def _count(self, channel_id: int, n: int) -> int:
+        """Count messages of a channel; return the sequence number of the first."""
         if channel_id not in self.channels:
             raise ValueError(f"there is no channel {channel_id}")
-        number = self.counts[channel_id] if sequence is None else sequence
-        self.counts[channel_id] += 1
-        batch, at = self._batch, len(self._batch.records)
-        size = _MESSAGE.size - r.HEAD.size + len(data)
-        batch.records += _MESSAGE.pack(Opcode.MESSAGE, size, channel_id, number, *times)
-        batch.records += data
-        batch.index.setdefault(channel_id, []).append((log_time, at))
-        batch.start_time = min(batch.start_time, log_time)
-        batch.end_time = max(batch.end_time, log_time)
-        if len(batch.records) >= self._chunk_size:
-            self._flush()
+        self.counts[channel_id] += n
+        return self.counts[channel_id] - n
 
     def copy_chunk(self, reader: McapReader, chunk: r.Chunk) -> None:
         """Copy a chunk's messages of the copied channels; bytes, times and numbers stay.
@@ -236,7 +253,7 @@ class McapWriter:
         kept = all(i == new for i, new in ids.items()) and not (others & self.channels.keys())
         for chunk in sorted(reader.contents.chunks, key=lambda chunk: chunk.offset):
             if kept:
-                self._flush()  # what is copied next lies behind these messages
+                self._submit(self._flush)  # what is copied next lies behind these messages
                 self.copy_chunk(reader, chunk)
             elif chunk.holds(ids):
                 for message in reader.messages_in(chunk):
@@ -307,7 +324,7 @@ class McapWriter:
 
     def commit(self) -> None:
         """Finish the file, check it and let it appear at ``path``, replacing what was there."""
-        self._flush()
+        self._submit(self._flush)
         self._wait()
         self._summary()
         self._out.commit()
@@ -316,6 +333,16 @@ class McapWriter:
 
     def _submit(self, job: Callable[..., None], *args: Any) -> None:
         """Queue a job of the background thread; its errors are raised by a later call."""
+        if self._singles:
+            self._hand_over()
+        self._queue(job, *args)
+
+    def _hand_over(self) -> None:
+        """Queue the single messages so far."""
+        singles, self._singles, self._gathered = self._singles, [], 0
+        self._queue(self._add, singles)
+
+    def _queue(self, job: Callable[..., None], *args: Any) -> None:
         self._waiting.append(self._worker.submit(self._do, job, *args))
         while len(self._waiting) > _IN_FLIGHT:
             self._waiting.popleft().result()
@@ -327,10 +354,25 @@ class McapWriter:
         finally:
             self.cpu_s += time.thread_time() - start
 
+    def _add(self, messages: Iterable[Numbered]) -> None:
+        """Put messages into the chunk."""
+        for channel_id, number, log_time, published, data in messages:
+            batch, at = self._batch, len(self._batch.records)
+            size = _MESSAGE.size - r.HEAD.size + len(data)
+            batch.records += _MESSAGE.pack(
+                Opcode.MESSAGE, size, channel_id, number, log_time, published
+            )
+            batch.records += data
+            batch.index.setdefault(channel_id, []).append((log_time, at))
+            batch.start_time = min(batch.start_time, log_time)
+            batch.end_time = max(batch.end_time, log_time)
+            if len(batch.records) >= self._chunk_size:
+                self._flush()
+
     def _flush(self) -> None:
-        """Let the chunk be written, and begin the next one."""
+        """Write the chunk, and begin the next one."""
         if self._batch.index:
-            self._submit(self._emit_batch, self._batch)
+            self._emit_batch(self._batch)
             self._batch = OpenChunk()
 
     def _emit_batch(self, batch: OpenChunk) -> None:
@@ -452,13 +494,13 @@ class LiveWriter(McapWriter):
     def __init__(self, out: Sink) -> None:
         super().__init__(out, compression="")
 
-    def _submit(self, job: Callable[..., None], *args: Any) -> None:
+    def _queue(self, job: Callable[..., None], *args: Any) -> None:
         """Do a job at once: whoever flushes would wait for another thread anyway."""
         job(*args)
 
     def flush(self) -> None:
         """Send everything so far, and wait until it is on its way."""
-        self._flush()
+        self._submit(self._flush)
         self._wait()
 
     def _emit_batch(self, batch: OpenChunk) -> None:
