@@ -279,6 +279,17 @@ def test_who_stood_still_still_stands_there(pause, shift, expected):
     assert ids([*standing(two, 0, 2), *away, *standing(later, 11, 13)])[-1] == expected
 
 
+def test_who_walked_by_does_not_stand_there():
+    """Both cross the room; after 8 s two people stand where they were seen last."""
+    steps = [
+        seen([person(-2.0 + 0.033 * k), person(2.0 - 0.033 * k, 0.8)], at(k, c), name)
+        for k in range(60)
+        for c, name in enumerate("ab")
+    ]
+    later = standing([person(), person(0.0, 0.8)], 10, 12)
+    assert ids([*steps, *standing([], 2, 10), *later])[-1] == [2, 3]
+
+
 @pytest.mark.parametrize(
     ("system", "expected"), [("hiros-realtime", 0), ("fuse-realtime", 0), ("lee", 1)]
 )

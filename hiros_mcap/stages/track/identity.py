@@ -9,7 +9,7 @@ import numpy as np
 
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
-from hiros_mcap.skeletons import UNTRACKED, Ints
+from hiros_mcap.skeletons import UNTRACKED, Floats, Ints
 from hiros_mcap.stages.track.limb_scatter import SECOND
 from hiros_mcap.stages.track.reidentify import OVERLAP, Limbs, PersonCues, Verdict, reidentify
 from hiros_mcap.stages.track.track_params import TrackParams
@@ -22,6 +22,7 @@ from hiros_mcap.stages.track.tracked_people import (
 
 _PAUSE, _LONGEST_PAUSE = 1_000_000_000, 60_000_000_000  # ns: all cameras are silent for this long
 _AT_ONCE = 200_000_000  # ns from the first camera's last message to the last one's before a pause
+_STANDS = 0.3  # m from the place of a second or two before
 _PATIENCE = 0.8  # share of the look-ahead for which the evidence of a newcomer is gathered
 
 
@@ -46,6 +47,8 @@ class Identities:
         """Time of the last message, and of the last look at everybody's limbs, ns."""
         self._pauses: list[tuple[int, int]] = []
         """When all cameras were silent: from, to, ns."""
+        self._places: dict[int, tuple[Floats, Floats]] = {}
+        """Number of a track to where it was at the last look but one, and at the last, m."""
         self._patience = round(_PATIENCE * params.lookahead * 1e9)
         self._crowd: set[int] = set()
         """Numbers of the tracks of as many people as were there at once."""
@@ -86,13 +89,16 @@ class Identities:
     def _cues_of(self, track: PersonTrack) -> PersonCues:
         past, row = self._people.bank.past, track.row
         lengths, counts = past.lengths[row].copy(), past.length_counts[row].copy()
-        return PersonCues(track.id, track.seen, self._people.centre(track), lengths, counts)
+        place = self._people.centre(track)
+        before, _ = self._places.get(track.number, (np.full(3, np.inf), place))
+        stood = bool(np.linalg.norm(place - before) <= _STANDS)
+        return PersonCues(track.id, track.seen, place, lengths, counts, stood)
 
     def advance(self, stamp: int) -> None:
         """Come to the time, ns, of a message: learn, forget."""
         if self._params.reidentify and stamp - self._looked >= SECOND:
             self._looked = stamp
-            self._learn_limbs()
+            self._look()
         longest = round(self._params.reidentify * 1e9)
         if self._absent and stamp - self._absent[0].stamp > longest:
             latest = stamp - longest
@@ -121,12 +127,16 @@ class Identities:
         paused = (min(end, until) - max(begin, since) for since, until in self._pauses)
         return end - begin - sum(each for each in paused if 0 < each < _LONGEST_PAUSE)
 
-    def _learn_limbs(self) -> None:
-        """Learn how much everybody's measured limbs vary."""
-        past, scatter = self._people.bank.past, self._limbs.scatter
+    def _look(self) -> None:
+        """Learn how much everybody's measured limbs vary, and where everybody is."""
+        past, scatter, places = self._people.bank.past, self._limbs.scatter, self._places
         for track in self._people.confirmed():
             scatter.learn(track.number, past.lengths[track.row], past.length_counts[track.row])
+            if track.is_there(self._looked):
+                place = self._people.centre(track)
+                places[track.number] = places.get(track.number, (place, place))[1], place
         scatter.keep(self._people.bank.rows)
+        self._places = {n: places[n] for n in places if n in self._people.bank.rows}
 
     def _is_unseen_since(self, person: PersonTrack, track: PersonTrack) -> bool:
         """Whether a person was last seen before a track began, and not for a while.

@@ -8,8 +8,8 @@ Each newcomer is one of the people who are absent, or a stranger. The model, wit
   moment, by another amount from each side. How far, and which limbs gain what others lose, shows
   everybody who is tracked: their limbs change from second to second (:mod:`.limb_scatter`).
 - Place and time: a person who left is somewhere about the place where he was lost, on the floor,
-  normal with an SD that grows with the time to that of a room. Or he stood there all the time, and
-  only nobody saw him. A stranger may be anywhere in the room.
+  normal with an SD that grows with the time to that of a room. Or he stands there still, if he
+  stood before or could not go. A stranger may be anywhere in the room.
 - Number of people: whoever comes while somebody is missing, of as many as were there at once, is
   probably one of the missing. Who is missing since a moment ago, or since all cameras paused, did
   not leave: it is nearly certain.
@@ -46,7 +46,7 @@ OVERLAP = 300_000_000  # ns for which two tracks of a person may run side by sid
 _SURE_IF_MISSING, _SURE_IF_COMPLETE = 0.95, 0.5  # that a newcomer was there before
 _SURE_IF_UNWATCHED = 0.998  # the same if cameras watched for fewer s than it takes to go
 _GOING = 1.0  # s
-_STAYS = 0.2  # probability that somebody stands where he stood, however long nobody saw him
+_STAYS = 0.2  # probability that who stood, or could not go, stands there still, however long it is
 _MOST = 4  # newcomers, and absent people, that are weighed together; older ones wait or are left
 
 LIMBS, PLACE, NUMBER = "limb lengths", "place and time", "number of people"
@@ -61,6 +61,7 @@ class PersonCues:
     place: Floats  # (3,) mean marker position at that time, m
     lengths: Floats  # (L,) mean limb lengths, m
     counts: Floats  # (L,) detections that they are of
+    stood: bool = False  # whether one who is absent had not moved in the last second or two
     watched: float = math.inf  # s of an absence in which cameras watched; they may pause
 
 
@@ -154,6 +155,8 @@ def place_cue(new: PersonCues, old: PersonCues) -> float:
     if not is_near(way, seconds):
         return -math.inf
     went = _log_place(way, min(_PLACE + _WALK * seconds, _ROOM))
+    if old.watched >= _GOING and not old.stood:
+        return went
     stayed = _log_place(way, _PLACE)
     return float(np.logaddexp(math.log(1 - _STAYS) + went, math.log(_STAYS) + stayed))
 
