@@ -6,6 +6,9 @@
     page.table(["joint", "mean, mm"], [["wrist", "18.2"]], caption="Error per joint")
     page.figure(figure, "Error over time")
     page.write(Path("report.html"))
+
+Curves are drawn by Bokeh, so that a reader can zoom them and read their values; other plots are
+pictures.
 """
 
 from __future__ import annotations
@@ -26,6 +29,11 @@ from hiros_viewer.pictures import svg_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+MOST_POINTS = 5000
+"""Of a curve: five minutes at 15 Hz, finer than a screen shows and small enough to send."""
+_PIXELS = 84
+"""Per inch of a figure."""
+_LEGEND_PX = 24
 _STYLE = """
 :root { color-scheme: light dark; } .about { color: #57606a; margin: .2rem 0; }
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 80rem; padding: 0 1rem;
@@ -132,13 +140,6 @@ def breakable(text: str) -> str:
 
 def _script(text: str) -> str:
     return f"<script>{text}</script>\n"
-
-
-MOST_POINTS = 5000
-"""Of a curve: five minutes at 15 Hz, finer than a screen shows and small enough to send."""
-_PIXELS = 84
-"""Per inch of a figure."""
-_LEGEND_PX = 24
 
 
 def library() -> str:

@@ -130,8 +130,8 @@ class _Fusion:
         if (frame.ids == UNTRACKED).any():
             frame = frame.select(frame.ids != UNTRACKED)
         rows = [self._bank.row(person, frame.stamp) for person in frame.ids.tolist()]
-        further = self._range_variances(frame)
-        return update(self._bank.past, rows, frame.people, frame.stamp, further, self.params)
+        ranges = self._range_variances(frame)
+        return update(self._bank.past, rows, frame.people, frame.stamp, ranges, self.params)
 
     def _range_variances(self, frame: Frame) -> Floats:
         """(P,) Variance that the distance from the camera adds, m2, as in OpenPTrack."""
@@ -171,7 +171,7 @@ class _Fusion:
 
 
 def update(
-    past: FilteredPeople, rows: list[int], people: People, now: int, further: Floats,
+    past: FilteredPeople, rows: list[int], people: People, now: int, range_variances: Floats,
     params: KalmanParams,
 ) -> int:  # fmt: skip
     """Predict and correct the people of one message; return how many joints are outliers.
@@ -179,28 +179,28 @@ def update(
     Parameters
     ----------
     rows : row of each of the P people in ``past``. now : ns.
-    further : (P,) what the distance from the camera adds to eq 8, m2.
+    range_variances : (P,) what the distance from the camera adds to eq 8, m2.
     """
     x, p, started = past.states[rows], past.covariances[rows], past.started[rows]
     before, measured = x[:, :, 0], people.markers[..., POSITION]
     dt = seconds(now - past.stamps[rows])
     dt[~started.any(axis=1)] = 0.0  # who is new has no state to be carried on
     x, p = _predicted(x, p, dt, params)  # eq 5
-    variances = _variances(people.marker_confidences, further, params)  # eq 8
-    counts = ~np.isnan(variances + measured[..., 0])  # else the prediction stands (III-C)
-    old, new = counts & started, counts & ~started
+    variances = _variances(people.marker_confidences, range_variances, params)  # eq 8
+    valid = ~np.isnan(variances + measured[..., 0])  # else the prediction stands (III-C)
+    known, first = valid & started, valid & ~started  # (P, M) joints to correct, and to start
     innovations = _norm(measured - x[:, :, 0])
     d = _norm(measured - before) if params.consecutive else innovations
-    outlier, factors = _outliers(past, rows, d, old, params)  # eq 9 and 10
+    outlier, factors = _outliers(past, rows, d, known, params)  # eq 9 and 10
     corrected = correct(x, p, measured, variances * factors)  # eq 6 and 7
-    x, p = (np.where(old[..., None, None], z, a) for z, a in zip(corrected, (x, p), strict=True))
-    x[new], x[new, 0] = 0.0, measured[new]
-    p[new], p[new, 0, 0], p[new, 1, 1] = 0.0, variances[new], STARTING_SPEED**2
+    x, p = (np.where(known[..., None, None], z, a) for z, a in zip(corrected, (x, p), strict=True))
+    x[first], x[first, 0] = 0.0, measured[first]
+    p[first], p[first, 0, 0], p[first, 1, 1] = 0.0, variances[first], STARTING_SPEED**2
     if params.consecutive:
-        _remember(past, rows, _norm(x[:, :, 0] - before), old)
+        _remember(past, rows, _norm(x[:, :, 0] - before), known)
     else:
-        _remember(past, rows, innovations, old & ~outlier)
-    past.states[rows], past.covariances[rows], past.started[rows] = x, p, started | counts
+        _remember(past, rows, innovations, known & ~outlier)
+    past.states[rows], past.covariances[rows], past.started[rows] = x, p, started | valid
     past.stamps[rows] = now
     for name in ("confidences", "marker_confidences", "links", "link_confidences"):
         getattr(past, name)[rows] = getattr(people, name)
@@ -220,29 +220,29 @@ def _predicted(x: Floats, p: Floats, dt: Floats, params: KalmanParams) -> tuple[
     return x, p
 
 
-def _variances(confidences: Floats, further: Floats, params: KalmanParams) -> Floats:
+def _variances(confidences: Floats, ranges: Floats, params: KalmanParams) -> Floats:
     """(P, M) Variance of measured positions, m2; NaN where the joint is rejected."""
     if not params.use_confidence:
         confidences = np.ones_like(confidences)
     known = np.where(np.isnan(confidences), 1.0, confidences)
     accepted = np.where(known < params.min_confidence, np.nan, known)  # th (III-C)
     sigma_r = params.measurement_noise
-    return sigma_r**2 / np.maximum(accepted, _LEAST_CONFIDENCE) + further[:, None]  # eq 8
+    return sigma_r**2 / np.maximum(accepted, _LEAST_CONFIDENCE) + ranges[:, None]  # eq 8
 
 
 def _outliers(
-    past: FilteredPeople, rows: list[int], d: Floats, counts: Flags, params: KalmanParams
+    past: FilteredPeople, rows: list[int], d: Floats, known: Flags, params: KalmanParams
 ) -> tuple[Flags, Floats]:
     """(P, M) which measurements at distances ``d``, m, are outliers, and factors of their variance.
 
-    Only those that ``counts`` says are looked at.
+    Only those of joints that are ``known`` are looked at.
     """
     threshold = params.outlier_factor * past.distances[rows].max(axis=2, initial=0.0)  # eq 9
     is_full = past.remembered[rows] >= params.history
     in_a_row = past.outliers[rows]
-    far = counts & is_full & (d > threshold) & (threshold > 0)
+    far = known & is_full & (d > threshold) & (threshold > 0)
     outlier = far & (in_a_row < params.max_outliers)  # o_max
-    past.outliers[rows] = np.where(counts, np.where(outlier, in_a_row + 1, 0), in_a_row)
+    past.outliers[rows] = np.where(known, np.where(outlier, in_a_row + 1, 0), in_a_row)
     return outlier, np.divide(d, threshold, out=np.ones_like(d), where=outlier)  # eq 10
 
 
