@@ -29,7 +29,7 @@ from scenes import Scene, late, simulated, wrong_stamps
 from hiros_mcap.body.rotations import Rigid, angle
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.calibrate import verdict
-from hiros_mcap.calibrate.cameras_file import save_cameras
+from hiros_mcap.calibrate.calibration_files import save_cameras
 from hiros_mcap.calibrate.people import PeopleCalibration, calibrate_people
 from hiros_mcap.calibrate.registration import kabsch
 from hiros_mcap.errors import ConfigError, LogError

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,36 +16,19 @@ WHOLE = 8
 """Bodies are compared by at least so many joints."""
 
 
-class Bodies(NamedTuple):
-    """How each camera's people compare with the same people in the other cameras, (C,) each."""
-
-    sizes: Floats
-    """Ratio of their sizes, the root mean square distance of joints from the body's middle."""
-    wander: Floats
-    """Median distance of the bodies' middles, m."""
-    limbs: Floats
-    """Correlation of the joints' velocities against the body's middle, -1 to 1."""
-
-
-class SharedView(NamedTuple):
-    """What C cameras have in common."""
-
-    common: Floats
-    """(C, C) skeletons that could be the same, over all instants."""
-    fitting: Floats
-    """(C, C) those that are."""
-    seconds: Floats
-    """(C,) s in which another camera sees the same people."""
-    spread: Floats
-    """(C,) how far these people move about, m."""
-    people: Floats
-    """(C,) how many of them there are at a time."""
-
-
 def shared_view(
     views: Sequence[CameraView], rig: Rig, instants: Floats, mirror: Ints
-) -> SharedView:
-    """Count what the cameras could have in common, and what they have, at (K,) instants, s."""
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Count what C cameras could have in common, and what they have, at (K,) instants, s.
+
+    Returns
+    -------
+    (C, C) skeletons that could be the same, over all instants.
+    (C, C) those that are.
+    (C,) s in which another camera sees the same people.
+    (C,) how far these people move about, m.
+    (C,) how many of them there are at a time.
+    """
     samples = sample(views, instants, rig)
     places = placed(samples, rig)
     groups = group(samples, places, mirror, FIT_M)
@@ -65,7 +47,7 @@ def shared_view(
         seconds[c] = cell * together
         company[c] = np.count_nonzero(both) / max(together, 1)
         spread[c] = np.sqrt(middles[both].var(axis=0).sum()) if both.any() else 0.0
-    return SharedView(common, fitting, seconds, spread, company)
+    return common, fitting, seconds, spread, company
 
 
 def _could_fit(people: Flags, instants: Stamps) -> Floats:
@@ -91,11 +73,16 @@ def _could_fit(people: Flags, instants: Stamps) -> Floats:
     return left
 
 
-def compare_bodies(residuals: RigResiduals, points: Points) -> Bodies:
+def compare_bodies(residuals: RigResiduals, points: Points) -> tuple[Floats, Floats, Floats]:
     """Compare whole bodies, where :func:`camera_distances` compares joints.
 
     Two people who walk alike at the same time may fit each other joint by joint. But they are not
     of one size, their middles drift apart, or their limbs swing out of step.
+
+    Returns, (C,) each, how every camera's people compare with the same people in the others: the
+    ratio of their sizes, the root mean square distance of joints from the body's middle; the median
+    distance of the bodies' middles, m; the correlation of the joints' velocities against the body's
+    middle, -1 to 1.
     """
     n = len(residuals.weights)
     sizes, wander, inside = np.ones(n), np.full(n, np.inf), residuals.velocities.copy()
@@ -113,7 +100,7 @@ def compare_bodies(residuals: RigResiduals, points: Points) -> Bodies:
         speeds = residuals.velocities[c, kept]
         inside[c, kept] = speeds - _middles(speeds, people)[people]
     limbs = common_motion(residuals._replace(velocities=inside))
-    return Bodies(sizes, wander, limbs)
+    return sizes, wander, limbs
 
 
 def _middles(numbers: Floats, people: Stamps) -> Floats:

@@ -23,9 +23,10 @@ import numpy as np
 from hiros_mcap.body.transforms import TransformTree
 from hiros_mcap.calibrate.ball_image import BallFit, ColorRange, DepthCamera, find_ball
 from hiros_mcap.calibrate.ball_poses import BallCalibration, BallTrack, calibrate_centres
-from hiros_mcap.calibrate.image_channels import ImageChannels, pair_channels
 from hiros_mcap.calibrate.image_search import (
+    ImageChannels,
     is_chosen,
+    pair_channels,
     search_images,
     stamp_of,
     static_transforms,

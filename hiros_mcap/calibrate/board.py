@@ -24,10 +24,10 @@ from hiros_mcap.body.rotations import Rigid, rotate
 from hiros_mcap.body.transforms import TransformTree, read_extrinsics
 from hiros_mcap.calibrate.ball_image import DepthCamera, points_of_labels
 from hiros_mcap.calibrate.camera_result import CameraResult
-from hiros_mcap.calibrate.image_channels import pair_channels
 from hiros_mcap.calibrate.image_search import (
     ImageSearch,
     is_chosen,
+    pair_channels,
     search_images,
     static_transforms,
 )

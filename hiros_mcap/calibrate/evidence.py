@@ -46,7 +46,7 @@ def full_evidence(refined: Refinement, mirror: Ints, rivals: Sequence[bool]) -> 
     rivals : whether the pose by which each camera was found is ambiguous.
     """
     halves = _halves(refined, mirror)
-    bodies = compare_bodies(refined.residuals, refined.points)
+    sizes, wander, limbs = compare_bodies(refined.residuals, refined.points)
     paths = path_distances(refined.residuals, refined.points)
     clocks = refined.rig.clocks
     return [
@@ -54,9 +54,9 @@ def full_evidence(refined: Refinement, mirror: Ints, rivals: Sequence[bool]) -> 
             one,
             rival=rivals[c],
             halves_deg=float(halves[c]),
-            size=float(bodies.sizes[c]),
-            wander=float(bodies.wander[c]),
-            limbs=float(bodies.limbs[c]) if refined.timed[c] else 1.0,
+            size=float(sizes[c]),
+            wander=float(wander[c]),
+            limbs=float(limbs[c]) if refined.timed[c] else 1.0,
             path=float(paths[c]),
             repetition=closest_repetition(refined.views[c]),
             late=float(np.abs(np.delete(clocks, c) - clocks[c]).min()) * bool(refined.timed[c]),

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -119,17 +118,6 @@ class NoiseModel:
         return "\n".join(lines)
 
 
-class _Differences(NamedTuple):
-    """N second differences of a joint's positions."""
-
-    cameras: Stamps
-    joints: Stamps
-    guessed: Stamps
-    ranges: Floats
-    squares: Floats
-    """(N,) squared length over 6, m2: chi squared of 3 times the variance along an axis."""
-
-
 def measure_noise_model(
     frames: Iterable[Frame], model: SkeletonModel, places: Mapping[str, Floats]
 ) -> NoiseModel:
@@ -142,8 +130,7 @@ def measure_noise_model(
     frames : with ids, in the fixed frame. places : camera -> (3,) its position there, m.
     """
     names = sorted(places)
-    samples = _differences(frames, model, places, names)
-    rows = _cells(samples)
+    rows = _cells(*_differences(frames, model, places, names))
     if rows is None:
         nan = float("nan")
         return NoiseModel(nan, nan, nan, {}, {})
@@ -174,7 +161,12 @@ def measure_noise_model(
 
 def _differences(
     frames: Iterable[Frame], model: SkeletonModel, places: Mapping[str, Floats], names: list[str]
-) -> _Differences:
+) -> tuple[Stamps, Floats, Floats]:
+    """Return (N, 3) camera, joint and whether it is guessed, of N second differences.
+
+    Beside them (N,) ranges, m, and (N,) squared lengths over 6, m2: chi squared of 3 times the
+    variance along an axis.
+    """
     last: dict[tuple[str, int], list[tuple[int, Floats, Floats]]] = {}
     parts: list[list[Floats]] = []
     for frame in frames:
@@ -197,24 +189,25 @@ def _differences(
             camera = np.full(len(pairs), float(names.index(frame.source)))
             parts.append([camera, pairs.astype(np.float64), guessed, ranges, squares[pairs]])
     columns = [np.concatenate(each) for each in zip(*parts, strict=True)] or [np.zeros(0)] * 5
-    cameras, joints, guesses = (each.astype(np.int64) for each in columns[:3])
-    return _Differences(cameras, joints, guesses, columns[3], columns[4])
+    return np.stack(columns[:3], axis=1).astype(np.int64), columns[3], columns[4]
 
 
-def _cells(samples: _Differences) -> tuple[Stamps, Floats, Floats, Floats] | None:
+def _cells(
+    kinds: Stamps, ranges: Floats, squares: Floats
+) -> tuple[Stamps, Floats, Floats, Floats] | None:
     """Return what is alike in each of K cells, and its SD, m, samples, and log (range / 2 m).
 
     Camera, joint, guessed and range bin (K, 4) are alike.
     """
-    log_ranges = np.log(np.maximum(samples.ranges, 0.1) / REFERENCE_M)
+    log_ranges = np.log(np.maximum(ranges, 0.1) / REFERENCE_M)
     bins = np.floor(log_ranges / np.log(BIN))
-    keys = np.stack([*samples[:3], bins.astype(np.int64)], axis=1)
+    keys = np.column_stack([kinds, bins.astype(np.int64)])
     cells, owner, counts = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
     kept = np.flatnonzero(counts >= LEAST_SAMPLES)
     if not len(kept):
         return None
     order = np.argsort(owner.ravel(), kind="stable")
-    groups = np.split(samples.squares[order], np.cumsum(counts)[:-1])
+    groups = np.split(squares[order], np.cumsum(counts)[:-1])
     medians = np.array([np.median(groups[k]) for k in kept])
     middles = np.bincount(owner.ravel(), log_ranges)[kept] / counts[kept]
     return (

@@ -6,8 +6,8 @@
         calibration = calibrate_people(log)
 
 Nothing is asked of the people but to walk about where two cameras see them at the same time. Each
-step is a module: ``camera_views`` and ``tracklets``, ``coarse_clock``, ``pair_pose``,
-``camera_graph``, ``refinement``, ``evidence`` and ``verdict``, ``gauge`` and ``floor``.
+step is a module: ``camera_views``, ``coarse_clock``, ``pair_pose``, ``camera_graph``,
+``refinement``, ``evidence`` and ``verdict``, ``gauge``.
 """
 
 from __future__ import annotations
@@ -29,8 +29,7 @@ from hiros_mcap.calibrate.camera_result import NAN, CalibratedCamera
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
 from hiros_mcap.calibrate.evidence import full_evidence
-from hiros_mcap.calibrate.floor import find_floor
-from hiros_mcap.calibrate.gauge import moved, on_floor, on_transforms
+from hiros_mcap.calibrate.gauge import find_floor, moved, on_floor, on_transforms
 from hiros_mcap.calibrate.pair_pose import register_pair
 from hiros_mcap.calibrate.refinement import (
     FROM_PAIRS,
@@ -246,8 +245,8 @@ def _solve(views: Sequence[CameraView], fits: Fits, mirror: Ints) -> Solution:
     fit, left = fit_together(seeing, refined, fault)
     fitting = [] if fit is None else fit.cameras
     rest = {c: UNLINKED for c in range(len(views)) if c not in fitting}
-    faults = rest | {c: out.reason for c, out in left.items()} | blind
-    last = {c: out.fit for c, out in left.items()}
+    faults = rest | {c: reason for c, (reason, _) in left.items()} | blind
+    last = {c: fit for c, (_, fit) in left.items()}
     return Solution(fit or next(reversed(last.values()), None), faults, last)
 
 

@@ -153,24 +153,26 @@ def refine_together(
 
 def evidence_of(refined: Refinement, mirror: Ints) -> list[Evidence]:
     """Gather how well each camera fits the others."""
-    shared = shared_view(refined.views, refined.rig, refined.instants, mirror)
+    common, fitting, seconds, spread, people = shared_view(
+        refined.views, refined.rig, refined.instants, mirror
+    )
     distances = camera_distances(refined.residuals)
     evidence = []
     unknowns = refined.errors.unknowns
     for c in range(len(refined.views)):
         others = np.arange(len(refined.views)) != c
-        common = shared.common[c, others].sum()
+        most = common[c, others].sum()
         apart = distances[c][~np.isnan(distances[c])]
         evidence.append(
             Evidence(
-                share=float(shared.fitting[c, others].sum() / common) if common else 0.0,
+                share=float(fitting[c, others].sum() / most) if most else 0.0,
                 residual=float(np.median(apart)) if len(apart) else np.inf,
-                seconds=float(shared.seconds[c]),
-                spread=float(shared.spread[c]),
-                people=float(shared.people[c]),
+                seconds=float(seconds[c]),
+                spread=float(spread[c]),
+                people=float(people[c]),
                 error_deg=float(np.degrees(np.linalg.norm(unknowns[c, :3]))),
                 error_m=float(np.linalg.norm(unknowns[c, 3:6])),
-                partner=refined.views[int(np.where(others, shared.common[c], -1.0).argmax())].name,
+                partner=refined.views[int(np.where(others, common[c], -1.0).argmax())].name,
             )
         )
     return evidence
@@ -184,19 +186,11 @@ class FittingRig(NamedTuple):
     evidence: list[Evidence]
 
 
-class DroppedCamera(NamedTuple):
-    """A camera that does not fit the others."""
-
-    reason: str
-    fit: FittingRig
-    """The last in which it was."""
-
-
 def fit_together(
     cameras: Sequence[int],
     refined: Callable[[list[int]], FittingRig | None],
     fault: Callable[[Evidence], str],
-) -> tuple[FittingRig | None, dict[int, DroppedCamera]]:
+) -> tuple[FittingRig | None, dict[int, tuple[str, FittingRig]]]:
     """Refine cameras; while one of them does not fit, leave out the worst.
 
     Parameters
@@ -204,9 +198,9 @@ def fit_together(
     refined : of some cameras, refines those that are linked; None if there are none.
     fault : what speaks against a camera, "" if nothing does.
 
-    Returns the fit, and the cameras that were left out.
+    Returns the fit, and of each camera that was left out the reason and the last fit with it.
     """
-    left: dict[int, DroppedCamera] = {}
+    left: dict[int, tuple[str, FittingRig]] = {}
     while True:
         fit = refined([c for c in cameras if c not in left])
         if fit is None:
@@ -216,7 +210,7 @@ def fit_together(
             return fit, left
         worst = min(bad, key=lambda k: _rank(fit.evidence[k]))
         out = fit.cameras if len(fit.cameras) == 2 else [fit.cameras[worst]]
-        left |= dict.fromkeys(out, DroppedCamera(bad[worst], fit))
+        left |= dict.fromkeys(out, (bad[worst], fit))
 
 
 def _rank(one: Evidence) -> tuple[bool, float, float]:
@@ -318,8 +312,8 @@ def refine_poses(
     for part in _linked(points):
         # The first camera defines the common frame.
         fit, left = fit_together(sorted(part, key=lambda c: movable[c]), refined, misfit)
-        for c, out in left.items():
-            cameras[c] = replace(cameras[c], reason=out.reason)
+        for c, (reason, _) in left.items():
+            cameras[c] = replace(cameras[c], reason=reason)
         if fit is not None:
             kept = [k for k, c in enumerate(fit.cameras) if c == anchor or not movable[c]]
             better = _better(fit, [given[c] for c in fit.cameras], kept, mirror)

@@ -18,8 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hiros_mcap.body.rotations import Rigid, to_matrix
-from hiros_mcap.calibrate.camera_views import CameraView, rows_of, sightings_from, view_of
-from hiros_mcap.calibrate.tracklets import Sighting
+from hiros_mcap.calibrate.camera_views import CameraView, Sighting, rows_of, sightings_from, view_of
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.camera_clock import CameraTimes, ClockCorrection
 from hiros_mcap.io.log import Log

@@ -16,8 +16,7 @@ from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.truth import MAX_GAP_NS, Truth
 from hiros_mcap.io.channels import TRUTH_PREFIX
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.joints.c3d import MARKER_FILES
-from hiros_mcap.io.joints.trc import lines_of, number_of
+from hiros_mcap.io.joints.marker_files import MARKER_FILES, lines_of, number_of
 from hiros_mcap.io.log import Source, open_log
 from hiros_mcap.skeletons import Floats, SkeletonModel
 

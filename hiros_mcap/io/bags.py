@@ -7,6 +7,7 @@ fields. Chunks are compressed, so that it takes as much memory as the file.
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
@@ -24,9 +25,10 @@ from hiros_mcap.io.container import (
     Recovery,
 )
 from hiros_mcap.io.container.reader import MEMORY
-from hiros_mcap.io.container.recovery import Damage, Lost, joined
+from hiros_mcap.io.container.recovery import RECOVERY_METADATA, Damage, Lost, joined
 from hiros_mcap.io.detectors.registry import detector_readers
 from hiros_mcap.io.ros_types import ros2_types, types_of
+from hiros_mcap.outputs import check_outputs
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -290,3 +292,35 @@ def _metadata(connection: Connection) -> dict[str, str]:
 
     profiles = getattr(connection.ext, "offered_qos_profiles", [])
     return {"offered_qos_profiles": dump_qos_v8(profiles)}
+
+
+def recover(
+    source: str | os.PathLike[str], target: str | os.PathLike[str], *, force: bool = False
+) -> Recovery:
+    """Write everything that can be read of a recording to one indexed MCAP file with checksums.
+
+    Messages keep their bytes, times and numbers. A metadata record, ``hiros.recovery``, marks the
+    file if anything was damaged.
+
+    Parameters
+    ----------
+    source : an MCAP file, or a folder with the files of one recording.
+    target : the output.
+    force : replace a file that hiros did not write.
+
+    Raises
+    ------
+    LogError
+        nothing can be read; ``source`` is a bag of another kind; ``target`` cannot be written.
+    """
+    path, out = Path(source), Path(target)
+    parts = parts_of(path, recover=True)
+    if not parts:
+        raise LogError(f"is {kind_of(path)}; hiros recovers MCAP files", path=path)
+    check_outputs([(out, "log")], [path], force=force)
+    with McapWriter(out, inputs=parts) as writer:
+        recovery = join(parts, writer, recover=True)
+        if recovery.damages:
+            writer.add_metadata(RECOVERY_METADATA, recovery.metadata())
+        writer.commit()
+    return recovery

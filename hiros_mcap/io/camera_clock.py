@@ -251,16 +251,11 @@ def _judged(times: CameraTimes) -> tuple[Flags, Flags]:
 # Steps
 
 
-@dataclass(frozen=True, slots=True)
-class _Step:
-    """The clock was set before message ``place``."""
-
-    place: int
-    seconds: float
-    """How far the clock went ahead."""
+Step = tuple[int, float]
+"""The message before which a clock was set, and how far it went ahead, s."""
 
 
-def find_steps(times: CameraTimes, others: Sequence[CameraTimes]) -> list[_Step]:
+def find_steps(times: CameraTimes, others: Sequence[CameraTimes]) -> list[Step]:
     """Find the steps of a clock, the largest first, each on what the former ones leave."""
     if len(times.stamps) < _LEAST:
         return []
@@ -268,14 +263,15 @@ def find_steps(times: CameraTimes, others: Sequence[CameraTimes]) -> list[_Step]
     stamps = np.asarray((times.stamps - start) * 1e-9, np.float64)
     logged = np.asarray((times.log_times - start) * 1e-9, np.float64)
     logged_alone: Floats = logged - _recorder(others, times.log_times)
-    steps: list[_Step] = []
+    steps: list[Step] = []
     for _ in range(_ROUNDS):
         largest = _largest_step(stamps, logged_alone)
         if largest is None:
             break
         steps.append(largest)
-        stamps[largest.place :] -= largest.seconds
-    return sorted(steps, key=lambda step: step.place)
+        place, seconds = largest
+        stamps[place:] -= seconds
+    return sorted(steps)
 
 
 def _recorder(others: Sequence[CameraTimes], log_times: Stamps) -> Floats:
@@ -298,7 +294,7 @@ def _smooth(values: Floats) -> Floats:
     return np.asarray(np.median(windows, axis=1))
 
 
-def _largest_step(stamps: Floats, logged: Floats) -> _Step | None:
+def _largest_step(stamps: Floats, logged: Floats) -> Step | None:
     """Return the largest step of a clock, None if there is none."""
     period = _period(stamps)
     intervals, lags = np.diff(stamps), logged - stamps
@@ -306,7 +302,7 @@ def _largest_step(stamps: Floats, logged: Floats) -> _Step | None:
     jumps = -np.diff(lags)
     jitter = 1.48 * float(np.median(np.abs(jumps)))
     odd = np.flatnonzero(np.abs(intervals - period) > IRREGULAR) + 1
-    steps: list[tuple[float, _Step]] = []
+    steps: list[tuple[float, Step]] = []
     for k in odd[(odd >= LEAST_AFTER) & (odd <= len(lags) - LEAST_AFTER)].tolist():
         before, after = lags[max(0, k - _STEP_SIDE) : k], lags[k : k + _STEP_SIDE]
         shift = float(np.median(before) - np.median(after))
@@ -316,7 +312,7 @@ def _largest_step(stamps: Floats, logged: Floats) -> _Step | None:
             error = float(np.hypot(_error(before), _error(after)))
             seconds = _explained(float(intervals[k - 1]), shift, (period, noise, error))
             if seconds:
-                steps.append((abs(seconds), _Step(k, seconds)))
+                steps.append((abs(seconds), (k, seconds)))
     for _, step in sorted(steps, key=lambda pair: -pair[0]):
         if _lasts(step, stamps, logged):
             return step
@@ -369,42 +365,42 @@ def _oddity(interval: float, period: float, spread: float) -> float:
     return min(n - 1, 5) + min(abs(interval - n * period) / spread, 6.0)
 
 
-def _lasts(step: _Step, stamps: Floats, logged: Floats) -> bool:
+def _lasts(step: Step, stamps: Floats, logged: Floats) -> bool:
     """Whether the least lag changes, too: a late delivery ends where it began."""
-    lags, k = logged - stamps, step.place
+    lags, (k, seconds) = logged - stamps, step
     before = lags[:k][logged[:k] > logged[k] - _LASTING]
     after = lags[k:][logged[k:] < logged[k] + _LASTING]
     if min(before.size, after.size) < LEAST_AFTER:
         return False
     change = float(np.quantile(before, 0.1) - np.quantile(after, 0.1))
-    return change / step.seconds > 0.5
+    return change / seconds > 0.5
 
 
-def _usual(lags: Floats, steps: list[_Step]) -> list[float]:
+def _usual(lags: Floats, steps: list[Step]) -> list[float]:
     """Return the usual lag between steps, s."""
-    places = [0, *(step.place for step in steps), len(lags)]
+    places = [0, *(place for place, _ in steps), len(lags)]
     return [float(np.median(lags[a:b])) for a, b in pairwise(places)]
 
 
 def _stepped(
-    name: str, times: CameraTimes, steps: list[_Step], levels: list[float], others: list[float]
+    name: str, times: CameraTimes, steps: list[Step], levels: list[float], others: list[float]
 ) -> tuple[ClockCorrection, list[ClockFault]]:
     """Return the correction of steps, and what to say of them.
 
     The part of the log whose lag is most like the other cameras' keeps its stamps; the first one
     if they are alike.
     """
-    ahead = np.cumsum([0.0, *(step.seconds for step in steps)])
+    ahead = np.cumsum([0.0, *(seconds for _, seconds in steps)])
     usual = float(np.median(others)) if others else levels[0]
     strange = [abs(level - usual) for level in levels]
     right = 0 if strange[0] <= min(strange) + _LEAST_STEP else int(np.argmin(strange))
     offsets = np.round((ahead[right] - ahead) * 1e9).astype(np.int64)
-    begins = [int(times.log_times[step.place]) for step in steps]
+    begins = [int(times.log_times[place]) for place, _ in steps]
     correction = ClockCorrection((-(2**63), *begins), tuple(offsets.tolist()))
     stamps = correction.follow(*_pair(times))
     return correction, [
-        ClockFault(name, STEP, step.seconds, int(stamps[step.place]), corrected=True)
-        for step in steps
+        ClockFault(name, STEP, seconds, int(stamps[place]), corrected=True)
+        for place, seconds in steps
     ]
 
 

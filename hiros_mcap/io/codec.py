@@ -540,7 +540,7 @@ class Encoder:
         columns = STATE if derivatives else POSE
         dropped = 0 if precision == "full" else _DROPPED
         self._format = encode.Format(columns, dropped, int(boxes))
-        self._out = np.empty(1 << 18, np.uint8)
+        self._out = np.empty(1 << 21, np.uint8)
 
     def encode(self, frame: Frame, source: str | None = None) -> bytes:
         """Write a message, little-endian; absent markers and links are left out.

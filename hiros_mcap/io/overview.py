@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -162,34 +162,6 @@ class Overview:
         return plain(self)
 
 
-@dataclass(slots=True)
-class _CameraCounts:
-    """Times and numbers of people of a camera's frames."""
-
-    topic: str
-    frame: str
-    stamps: list[int] = field(default_factory=list)
-    people: list[int] = field(default_factory=list)
-
-    def row(self, name: str, fault: str) -> CameraRow:
-        """Return the camera's line of the overview."""
-        ordered = sorted(self.stamps)
-        steps = [(b - a) / 1e9 for a, b in pairwise(ordered) if b > a]
-        steady = [step for step in steps if step <= _GAP_S]
-        return CameraRow(
-            name=name,
-            topic=self.topic,
-            frame=self.frame,
-            fault=fault,
-            frames=len(self.stamps),
-            rate_hz=len(steady) / sum(steady) if steady else math.nan,
-            longest_gap_s=max(steps, default=math.nan),
-            least_people=min(self.people, default=0),
-            most_people=max(self.people, default=0),
-            mean_people=sum(self.people) / len(self.people) if self.people else math.nan,
-        )
-
-
 def overview_of(
     path: str | os.PathLike[str],
     *,
@@ -246,16 +218,14 @@ def _with_cameras(overview: Overview, log: Log) -> Overview:
     """Add what is known of the cameras of a log whose skeletons can be read."""
     fixed, fault = _fixed_frame(log)
     reading = log.read(fixed=False)
-    counts = _counts(reading)
+    cameras = tuple(_camera_rows(reading, fixed))
     start, end = log.span
     return replace(
         overview,
         seconds=(end - start) / 1e9,
         fault=fault,
         fixed_frame=fixed,
-        cameras=tuple(
-            count.row(name, _unresolved(log, count.frame, fixed)) for name, count in counts.items()
-        ),
+        cameras=cameras,
         markers=log.model.marker_names,
         links=log.model.link_names,
         warnings=log.warnings if fixed else (),
@@ -451,14 +421,31 @@ def _unresolved(log: Log, frame: str, fixed: str) -> str:
     return "" if fixed or not frame else "no fixed frame"
 
 
-def _counts(reading: Reading) -> dict[str, _CameraCounts]:
-    topics = {name: camera for camera in reading.log.cameras for name in camera.sources.values()}
-    counts = {
-        name: _CameraCounts(camera.channel.topic, next(iter(camera.frames), ""))
-        for name, camera in topics.items()
+def _camera_rows(reading: Reading, fixed: str) -> Iterator[CameraRow]:
+    """Yield a row for each camera; those that sent nothing have a row, too."""
+    log = reading.log
+    topics = {
+        name: (camera.channel.topic, next(iter(camera.frames), ""))
+        for camera in log.cameras
+        for name in camera.sources.values()
     }
+    seen: dict[str, list[tuple[int, int]]] = {name: [] for name in topics}  # stamp, people
     for frame in reading.frames():
-        count = counts.setdefault(frame.source, _CameraCounts("", frame.frame_id))
-        count.stamps.append(frame.stamp)
-        count.people.append(frame.n_people)
-    return counts
+        topics.setdefault(frame.source, ("", frame.frame_id))
+        seen.setdefault(frame.source, []).append((frame.stamp, frame.n_people))
+    for name, (topic, frame_id) in topics.items():
+        people = [n for _, n in seen[name]]
+        steps = [(b - a) / 1e9 for (a, _), (b, _) in pairwise(sorted(seen[name])) if b > a]
+        steady = [step for step in steps if step <= _GAP_S]
+        yield CameraRow(
+            name=name,
+            topic=topic,
+            frame=frame_id,
+            fault=_unresolved(log, frame_id, fixed),
+            frames=len(people),
+            rate_hz=len(steady) / sum(steady) if steady else math.nan,
+            longest_gap_s=max(steps, default=math.nan),
+            least_people=min(people, default=0),
+            most_people=max(people, default=0),
+            mean_people=sum(people) / len(people) if people else math.nan,
+        )

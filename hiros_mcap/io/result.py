@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from glob import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -313,8 +313,10 @@ def open_result(path: str | os.PathLike[str], channel: str = "") -> Result:
         It has no such channel.
     """
     with open_reader(path) as reader:
-        channels = _hiros_channels(reader)
-        chosen = channel or _last_of(channels, path)
+        results, truths, detections = _hiros_channels(reader)
+        if not (channel or results or (truths and not detections)):
+            raise LogError("holds no results of hiros; run `hiros process` first", path=path)
+        chosen = channel or [*truths[:1], *results][-1]
         topics = [info.topic for info in channels_of(reader)]
         if chosen not in topics:
             raise ConfigError(f"{path}: no channel {chosen!r} (there are: {_listed(topics)})")
@@ -322,17 +324,18 @@ def open_result(path: str | os.PathLike[str], channel: str = "") -> Result:
         with open_log(reader, topics=[escape(chosen)], output_prefix="/none") as log:
             frames, model = list(log.frames()), log.model
         deviations = read_uncertainty(reader) if chosen == UNCERTAIN_TOPIC else {}
-    if channels.detections == 0 and frames:
+    if detections == 0 and frames:
         start = frames[0].stamp  # results are logged later than the data that they belong to
-    rows: dict[int, list[_Instant]] = {}
+    rows: dict[int, list[_Row]] = {}
     for frame in frames:
         for k, person in frame.tracked():
-            row = _Instant(
+            of_marker = deviations.get((frame.stamp, person), {})
+            row = (
                 frame.stamp,
                 frame.positions[k],
                 frame.marker_confidences[k],
                 frame.orientations[k],
-                _deviations(model, deviations.get((frame.stamp, person), {})),
+                np.array([of_marker.get(marker, np.nan) for marker in model.marker_ids]),
             )
             rows.setdefault(person, []).append(row)
     motions = {person: _motion(person, rows[person], start, model) for person in sorted(rows)}
@@ -349,7 +352,7 @@ def is_result(path: str | os.PathLike[str]) -> bool:
         return False
     try:
         with open_reader(path) as reader:
-            return bool(_hiros_channels(reader).results)
+            return bool(_hiros_channels(reader)[0])
     except LogError:
         return False
 
@@ -363,61 +366,32 @@ def is_truth(path: str | os.PathLike[str]) -> bool:
         return False
     try:
         with open_reader(path) as reader:
-            channels = _hiros_channels(reader)
+            results, truths, detections = _hiros_channels(reader)
     except LogError:
         return False
-    return bool(channels.truths) and not channels.results and not channels.detections
+    return bool(truths) and not results and not detections
 
 
-class _HirosChannels(NamedTuple):
-    """Which skeleton channels a log has."""
+def _hiros_channels(reader: McapReader) -> tuple[list[str], list[str], int]:
+    """Return the topics of results and of truths, and how many other skeleton channels there are.
 
-    results: list[str]
-    """Topics, in the order of the stages; without messages if no camera sent any."""
-    truths: list[str]
-    """Topics with messages."""
-    detections: int
-    """Number of skeleton channels with messages that are neither."""
-
-
-def _hiros_channels(reader: McapReader) -> _HirosChannels:
+    Results are in the order of the stages, and may be without messages if no camera sent any. All
+    others have messages.
+    """
     skeletons = [i for i in channels_of(reader) if i.has_type(hiros_schemas.SKELETON_GROUP)]
     topics = {info.topic for info in skeletons}
     results = [topic for topic in OUTPUT_TOPICS if topic in topics]
     others = sorted({info.topic for info in skeletons if info.count} - {*results})
     truths = [topic for topic in others if topic.startswith(f"{TRUTH_PREFIX}/")]
-    return _HirosChannels(results, truths, len(others) - len(truths))
+    return results, truths, len(others) - len(truths)
 
 
-def _last_of(channels: _HirosChannels, path: str | os.PathLike[str]) -> str:
-    """Return the last stage, or the truth of a log that holds nothing else.
-
-    Raises LogError if there is neither.
-    """
-    if channels.results:
-        return channels.results[-1]
-    if channels.truths and not channels.detections:
-        return channels.truths[0]
-    raise LogError("holds no results of hiros; run `hiros process` first", path=path)
+_Row = tuple[int, Floats, Floats, Floats, Floats]
+"""One person at one instant: stamp, positions, confidences, orientations, deviations."""
 
 
-class _Instant(NamedTuple):
-    """One person at one instant."""
-
-    stamp: int
-    positions: Floats
-    confidences: Floats
-    orientations: Floats
-    deviations: Floats
-
-
-def _deviations(model: SkeletonModel, deviations: Mapping[int, float]) -> Floats:
-    """(M,) of one person at one instant, m; NaN where absent."""
-    return np.array([deviations.get(marker, np.nan) for marker in model.marker_ids])
-
-
-def _motion(person: int, rows: Sequence[_Instant], start: int, model: SkeletonModel) -> Motion:
-    rows = sorted(rows, key=lambda row: row.stamp)
+def _motion(person: int, rows: Sequence[_Row], start: int, model: SkeletonModel) -> Motion:
+    rows = sorted(rows, key=lambda row: row[0])
     columns = (np.stack(column) for column in zip(*rows, strict=True))
     stamps, positions, confidences, turns, deviations = columns
     seconds: Floats = (stamps.astype(np.int64) - start) / 1e9

@@ -237,13 +237,13 @@ class ClockFollower:
         """
         others = [other.times for other in self._clocks.values() if other is not clock]
         times, total = clock.times, 0
-        for step in find_steps(times, others):
-            if abs(step.seconds) < _LEAST_STEP or (step.seconds < 0 and clock.suspected):
+        for place, seconds in find_steps(times, others):
+            if abs(seconds) < _LEAST_STEP or (seconds < 0 and clock.suspected):
                 continue
-            shift = round(step.seconds * 1e9)
-            times.stamps[step.place :] -= shift
+            shift = round(seconds * 1e9)
+            times.stamps[place:] -= shift
             total -= shift
-            self._note(source, STEP, step.seconds, int(times.stamps[step.place]))
+            self._note(source, STEP, seconds, int(times.stamps[place]))
         if total:
             clock.offset += total
             clock.suspected = 0

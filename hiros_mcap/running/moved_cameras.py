@@ -24,7 +24,7 @@ from hiros_mcap.calibrate.camera_change import (
     split_views,
 )
 from hiros_mcap.calibrate.camera_result import CalibratedCamera
-from hiros_mcap.calibrate.camera_views import CameraView
+from hiros_mcap.calibrate.camera_views import CameraView, Sighting
 from hiros_mcap.calibrate.gauge import PRIOR_DEG, PRIOR_M, moved, on_transforms
 from hiros_mcap.calibrate.refinement import (
     FROM_GIVEN,
@@ -33,7 +33,6 @@ from hiros_mcap.calibrate.refinement import (
 )
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.calibrate.survey import FixedCamera, Survey, seen_by
-from hiros_mcap.calibrate.tracklets import Sighting
 from hiros_mcap.calibrate.verdict import SURE
 from hiros_mcap.events import Event
 from hiros_mcap.running.clock_alignment import ClockAlignment

@@ -19,7 +19,13 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import pose_arrays
 from hiros_mcap.calibrate.camera_result import CalibratedCamera
-from hiros_mcap.calibrate.camera_views import CameraView, half_width_of, sightings_of
+from hiros_mcap.calibrate.camera_views import (
+    CameraView,
+    PeopleFollowed,
+    Sighting,
+    half_width_of,
+    sightings_of,
+)
 from hiros_mcap.calibrate.refinement import refine_poses
 from hiros_mcap.calibrate.survey import (
     SPACING_NS,
@@ -28,7 +34,6 @@ from hiros_mcap.calibrate.survey import (
     fixed_cameras,
     in_own_frame,
 )
-from hiros_mcap.calibrate.tracklets import PeopleFollowed, Sighting
 from hiros_mcap.calibrate.verdict import TIMED, weakness_of
 from hiros_mcap.frames import Block, join
 from hiros_mcap.io.log import Reading

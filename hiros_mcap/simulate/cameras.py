@@ -1,39 +1,33 @@
-"""The cameras: their true and published poses, and the times of their frames."""
+"""The cameras: their true and published poses, the times of their frames, and their file.
+
+The file is that of ``--extrinsics``, with a table ``[room]``.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import tomli_w
 
 from hiros_mcap.body.rotations import Rigid, multiply, to_matrix
+from hiros_mcap.body.transforms import read_camera_entries, read_extrinsics, read_room
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.outputs import CAMERAS_MARK, write_text
 from hiros_mcap.simulate.randomness import stream
-from hiros_mcap.simulate.settings import SimulateParams
+from hiros_mcap.simulate.settings import Area, SimulateParams
 from hiros_mcap.simulate.spatial import from_vector, quaternions
-from hiros_mcap.skeletons import Floats, Stamps
+from hiros_mcap.skeletons import Flags, Floats, Stamps
 
 _SECOND = 1e9
 
 
 @dataclass(frozen=True, slots=True)
-class Ticks:
-    """The nominal frames of one camera, n of them, also those that never arrive. All (n,)."""
-
-    captured: Stamps
-    """When light hit the sensor, ns: true time."""
-    stamped: Stamps
-    """The same on the camera's own clock: the skeletons' src_time."""
-    sent: Stamps
-    """header.stamp: when the detector was done, on the camera's clock."""
-    logged: Stamps
-    """When the message reached the log, ns: true time."""
-    kept: np.ndarray[tuple[int], np.dtype[np.bool_]]
-    """Whether the frame arrives at all."""
-
-
-@dataclass(frozen=True, slots=True)
 class SimulatedCamera:
-    """One simulated depth camera."""
+    """One simulated depth camera, and its n nominal frames, also those that never arrive."""
 
     index: int
     matrix: Floats
@@ -42,7 +36,16 @@ class SimulatedCamera:
     """True pose in the world, of camera coordinates (x right, y down, z forward)."""
     published: Rigid
     """The pose on /tf_static, with the errors of a calibration."""
-    ticks: Ticks
+    captured: Stamps
+    """(n,) when light hit the sensor, ns: true time."""
+    stamped: Stamps
+    """(n,) the same on the camera's own clock: the skeletons' src_time."""
+    sent: Stamps
+    """(n,) header.stamp: when the detector was done, on the camera's clock."""
+    logged: Stamps
+    """(n,) when the message reached the log, ns: true time."""
+    kept: Flags
+    """(n,) whether the frame arrives at all."""
 
     @property
     def name(self) -> str:
@@ -81,8 +84,28 @@ def aimed(forward: Floats) -> Floats:
 
 
 def _camera(params: SimulateParams, index: int, pose: Rigid, matrix: Floats) -> SimulatedCamera:
+    """Add the errors of the calibration and of the clock, and the times of all frames."""
+    rng, rig = stream(params.seed, "clock", index), params.rig
+    phase = 0.0 if rig.synchronised else rng.random()
+    offset = rig.clock_offset * rng.standard_normal()
+    n = max(1, int(np.ceil(params.seconds * rig.rate - phase)))
+    jitter = params.clock_jitter * rig.jitter * rng.standard_normal(n)
+    jitter = np.clip(jitter, -0.4 / rig.rate, 0.4 / rig.rate)  # frames stay in order
+    seconds = np.maximum(0.0, (phase + np.arange(n)) / rig.rate + jitter)
+    delay = rng.uniform(*rig.delay, n)
+    captured = params.start + _nanoseconds(seconds)
+    logged = np.maximum.accumulate(captured + _nanoseconds(delay))
+    clock = _nanoseconds(np.array(offset))
     return SimulatedCamera(
-        index, matrix, pose, _with_calibration_error(pose, params, index), _ticks(params, index)
+        index=index,
+        matrix=matrix,
+        pose=pose,
+        published=_with_calibration_error(pose, params, index),
+        captured=captured,
+        stamped=captured + clock,
+        sent=logged + clock,
+        logged=logged,
+        kept=rng.random(n) >= min(1.0, params.dropouts * rig.lost_frames),
     )
 
 
@@ -98,27 +121,6 @@ def _with_calibration_error(pose: Rigid, params: SimulateParams, index: int) -> 
     return Rigid(multiply(from_vector(turn), pose.xyzw), pose.translation + shift)
 
 
-def _ticks(params: SimulateParams, index: int) -> Ticks:
-    rng, rig = stream(params.seed, "clock", index), params.rig
-    phase = 0.0 if rig.synchronised else rng.random()
-    offset = rig.clock_offset * rng.standard_normal()
-    n = max(1, int(np.ceil(params.seconds * rig.rate - phase)))
-    jitter = params.clock_jitter * rig.jitter * rng.standard_normal(n)
-    jitter = np.clip(jitter, -0.4 / rig.rate, 0.4 / rig.rate)  # frames stay in order
-    seconds = np.maximum(0.0, (phase + np.arange(n)) / rig.rate + jitter)
-    delay = rng.uniform(*rig.delay, n)
-    captured = params.start + _nanoseconds(seconds)
-    logged = np.maximum.accumulate(captured + _nanoseconds(delay))
-    clock = _nanoseconds(np.array(offset))
-    return Ticks(
-        captured=captured,
-        stamped=captured + clock,
-        sent=logged + clock,
-        logged=logged,
-        kept=rng.random(n) >= min(1.0, params.dropouts * rig.lost_frames),
-    )
-
-
 def _nanoseconds(seconds: Floats) -> Stamps:
     return np.round(seconds * _SECOND).astype(np.int64)
 
@@ -127,3 +129,73 @@ def seconds_since(start: int, stamps: Stamps) -> Floats:
     """Time, s, since ``start`` of stamps, both ns."""
     elapsed: Floats = (stamps - start).astype(np.float64) / _SECOND
     return elapsed
+
+
+_LOWEST, _HIGHEST = 0.05, 20.0  # m above the floor
+_SMALLEST, _LARGEST = 1.5, 40.0  # m, of a room
+_NEVER = 1 << 62
+
+
+def read_rig(path: Path) -> tuple[Mapping[str, Rigid], dict[str, Any]]:
+    """Read the cameras of a file, where they were last, and the room if the file has one.
+
+    Without the table ``[room]``, the room is the least rectangle that holds all cameras.
+
+    Returns
+    -------
+    Frame of a camera -> its pose, z up from the floor.
+    What that means for a simulation: fields of SimulateParams.
+
+    Raises ConfigError naming the file and what is wrong with it.
+    """
+    tree, room = read_extrinsics(path), read_room(path)
+    names = list(dict.fromkeys(entry.frame for entry in read_camera_entries(path)))
+    roots = {name: tree.root(name) for name in names}
+    if len(set(roots.values())) > 1:
+        raise ConfigError(f"{path}: the cameras have no common parent: {', '.join(roots)}")
+    poses = {name: tree.lookup(name, roots[name], _NEVER, _NEVER) for name in names}
+    for name, pose in poses.items():
+        height = float(pose.translation[2])
+        if not _LOWEST <= height <= _HIGHEST:
+            fault = f"stands {height:.2f} m above the floor; z must point up, with the floor at 0"
+            raise ConfigError(f"{path}: {name} {fault}")
+    rows = [(*pose.translation.tolist(), *pose.xyzw.tolist()) for pose in poses.values()]
+    places = np.array(rows)[:, :2]
+    settings: dict[str, Any] = {"cameras": len(rows), "rig": {"poses": tuple(rows)}}
+    settings["area"] = (*places.min(axis=0).tolist(), *places.max(axis=0).tolist())
+    if room is not None:
+        settings["area"] = room.area
+        settings["rig"] |= {"fov": room.fov, "range": room.range}
+    return poses, settings
+
+
+def room_area(size: tuple[float, float] | None, area: Area | None) -> Area:
+    """Return the room of a width and depth, m, around the middle of ``area`` or the origin.
+
+    Raises ConfigError if nothing says how large it is, or it is too small or large.
+    """
+    if size is None and area is None:
+        raise ConfigError("--room: is missing; give the width and depth of the room, such as 6x5")
+    x0, y0, x1, y1 = area or (0.0, 0.0, 0.0, 0.0)
+    width, depth = size or (x1 - x0, y1 - y0)
+    if not (_SMALLEST <= width <= _LARGEST and _SMALLEST <= depth <= _LARGEST):
+        limits = f"{_SMALLEST:g} to {_LARGEST:g} m wide and deep"
+        raise ConfigError(f"--room: should be {limits}, is {width:.3g} x {depth:.3g}")
+    x, y = (x0 + x1) / 2, (y0 + y1) / 2
+    return x - width / 2, y - depth / 2, x + width / 2, y + depth / 2
+
+
+def save_rig(path: Path, params: SimulateParams) -> None:
+    """Write a planned room, so that it can be simulated; raises LogError if that fails."""
+    rig = params.rig
+    cameras = [
+        {
+            "frame": f"camera_{k}",
+            "parent": "world",
+            "translation": [round(x, 4) for x in pose[:3]],
+            "quaternion_xyzw": [round(x, 7) for x in pose[3:]],
+        }
+        for k, pose in enumerate(rig.poses)
+    ]
+    room = {"area": list(params.area), "fov": list(rig.fov), "range": list(rig.range)}
+    write_text(path, CAMERAS_MARK + tomli_w.dumps({"room": room, "camera": cameras}))

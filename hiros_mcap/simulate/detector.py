@@ -99,7 +99,7 @@ def observe(
     people: Sequence[Person | Performer], camera: SimulatedCamera, params: SimulateParams
 ) -> SimulatedDetections:
     """Return the truth in the camera's coordinates at the times of its nominal frames."""
-    t = seconds_since(params.start, camera.ticks.captured)
+    t = seconds_since(params.start, camera.captured)
     detections = SimulatedDetections.of(len(t), len(people), params.detector.confidence_seen)
     to_camera = conjugate(camera.pose.xyzw)
     for slot, person in enumerate(people):
@@ -175,16 +175,6 @@ def reverse_facing(detections: SimulatedDetections, frames: slice, person: int) 
     orientations[:] = multiply(orientations, _HALF_ROTATION)
 
 
-@dataclass(frozen=True, slots=True)
-class _Deviations:
-    """SD per axis of an error's parts, m or rad, broadcastable to (n, P, K, 1)."""
-
-    slow: Floats
-    white: Floats
-    bias: Floats
-    guess: Floats
-
-
 def _disturb(
     detections: SimulatedDetections, camera: SimulatedCamera, params: SimulateParams
 ) -> None:
@@ -194,8 +184,7 @@ def _disturb(
     growth = (distance / REFERENCE_RANGE) ** d.range_growth
     wide = params.noise * (1 + (d.extremities - 1) * EXTREMITY[:, None])
     far = params.occlusion * (1 + (d.guess_extremities - 1) * EXTREMITY[:, None])
-    joints = _Deviations(d.coloured * wide * growth, d.white * wide * growth, d.bias * wide,
-                         d.guess * far)  # fmt: skip
+    joints = d.coloured * wide * growth, d.white * wide * growth, d.bias * wide, d.guess * far
     rng = stream(params.seed, "joint errors", camera.index)
     detections.positions += _errors(rng, joints, detections.guessed, params)
     if d.invents:
@@ -204,23 +193,32 @@ def _disturb(
         invention = params.occlusion * d.invented * coloured(rng, detections.positions.shape, lasts)
         detections.positions += np.where(detections.invented[..., None], invention, 0.0)
     wide, far = np.radians(wide[1:]), np.radians(far[1:])
-    links = _Deviations(d.orientation_coloured * wide * growth, d.orientation_white * wide * growth,
-                        d.orientation_bias * wide, d.guess_orientation * far)  # fmt: skip
+    links = (
+        d.orientation_coloured * wide * growth,
+        d.orientation_white * wide * growth,
+        d.orientation_bias * wide,
+        d.guess_orientation * far,
+    )
     rng = stream(params.seed, "link errors", camera.index)
     rotation = _errors(rng, links, guessed_links(detections.guessed), params)
     detections.orientations[:] = multiply(from_vector(rotation), detections.orientations)
 
 
 def _errors(
-    rng: np.random.Generator, sd: _Deviations, guessed: Mask, params: SimulateParams
+    rng: np.random.Generator, sds: Sequence[Floats], guessed: Mask, params: SimulateParams
 ) -> Floats:
-    """Errors (n, P, K, 3) of K joints or links, correlated over the n frames."""
+    """Errors (n, P, K, 3) of K joints or links, correlated over the n frames.
+
+    ``sds`` are those per axis of the slow part, the white part, the bias and the guesses, m or rad,
+    broadcastable to (n, P, K, 1).
+    """
+    slow, white, bias, guesses = sds
     rate, detector, shape = params.rig.rate, params.detector, (*guessed.shape, 3)
-    errors = sd.slow * coloured(rng, shape, detector.correlation ** (30 / rate))
-    errors += sd.white * rng.standard_normal(shape)
-    errors += sd.bias * coloured(rng, shape, float(np.exp(-1 / (rate * detector.bias_seconds))))
+    errors = slow * coloured(rng, shape, detector.correlation ** (30 / rate))
+    errors += white * rng.standard_normal(shape)
+    errors += bias * coloured(rng, shape, float(np.exp(-1 / (rate * detector.bias_seconds))))
     guess = coloured(rng, shape, float(np.exp(-1 / (rate * detector.guess_seconds))))
-    errors += np.where(guessed[..., None], sd.guess * guess, 0.0)
+    errors += np.where(guessed[..., None], guesses * guess, 0.0)
     return errors
 
 

@@ -91,9 +91,9 @@ class Simulation:
         ``stamp`` is header.stamp; ``stamps`` are the skeletons' src_time.
         """
         order = sorted(
-            (int(camera.ticks.logged[k]), camera.index, int(k))
+            (int(camera.logged[k]), camera.index, int(k))
             for camera in self.cameras
-            for k in np.flatnonzero(camera.ticks.kept)
+            for k in np.flatnonzero(camera.kept)
         )
         ids = [_ids(reported.present, self.params) for reported in self._reported]
         for _, index, k in order:
@@ -171,17 +171,17 @@ def _ids(present: Mask, params: SimulateParams) -> Ints:
 
 def _frame(camera: SimulatedCamera, reported: SimulatedDetections, ids: Ints, k: int) -> Frame:
     """Message ``k`` of a camera."""
-    ticks, there = camera.ticks, np.flatnonzero(reported.present[k])
+    there = np.flatnonzero(reported.present[k])
     frame = Frame.empty(
         len(there),
         MODEL,
-        stamp=int(ticks.sent[k]),
-        log_time=int(ticks.logged[k]),
+        stamp=int(camera.sent[k]),
+        log_time=int(camera.logged[k]),
         source=camera.name,
         frame_id=camera.name,
     )
     frame.ids[:] = ids[k, there]
-    frame.stamps[:] = ticks.stamped[k]
+    frame.stamps[:] = camera.stamped[k]
     frame.positions[:] = reported.positions[k, there]
     frame.orientations[:] = reported.orientations[k, there]
     confidences = reported.confidences[k, there]

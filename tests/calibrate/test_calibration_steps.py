@@ -13,16 +13,14 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.calibrate.agreement import shared_view
 from hiros_mcap.calibrate.camera_graph import chained, coarse_clocks, spanning_tree
-from hiros_mcap.calibrate.camera_views import CameraView
+from hiros_mcap.calibrate.camera_views import CameraView, PeopleFollowed, Sighting, find_tracklets
 from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
-from hiros_mcap.calibrate.floor import find_floor
-from hiros_mcap.calibrate.gauge import moved, on_transforms
+from hiros_mcap.calibrate.gauge import find_floor, moved, on_transforms
 from hiros_mcap.calibrate.joint_refinement import free_unknowns, refine
 from hiros_mcap.calibrate.pair_pose import PairFit, ranked
 from hiros_mcap.calibrate.people import _only_ambiguous
 from hiros_mcap.calibrate.registration import kabsch
 from hiros_mcap.calibrate.sampling import Rig, instants_of, lines_of
-from hiros_mcap.calibrate.tracklets import PeopleFollowed, Sighting, find_tracklets
 from hiros_mcap.calibrate.verdict import Evidence, verdict_of
 from hiros_mcap.kernels.local_line import Tracklet
 

@@ -18,9 +18,8 @@ from hiros_mcap.plan.scenes import FloorGrid, Scenes, make_scenes
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.body_model import MARKERS, SLOT
-from hiros_mcap.simulate.cameras import aimed
+from hiros_mcap.simulate.cameras import aimed, read_rig, save_rig
 from hiros_mcap.simulate.detector import REFERENCE_RANGE
-from hiros_mcap.simulate.rig_file import read_rig, save_rig
 from hiros_mcap.simulate.settings import WALL
 from hiros_mcap.simulate.write_log import write_log
 from hiros_mcap.skeletons import Floats
@@ -171,10 +170,10 @@ def test_views_add_up_and_take_away(plan):
 def test_a_planned_room_can_be_simulated(plan, tmp_path):
     path = tmp_path / "cameras.toml"
     save_rig(path, plan.params)
-    rig = read_rig(path)
-    assert list(rig.poses) == ["camera_0", "camera_1", "camera_2"]
-    assert rig.settings["area"] == AREA
-    params = SimulateParams.model_validate(rig.settings)
+    poses, settings = read_rig(path)
+    assert list(poses) == ["camera_0", "camera_1", "camera_2"]
+    assert settings["area"] == AREA
+    params = SimulateParams.model_validate(settings)
     np.testing.assert_allclose(params.rig.poses, plan.params.rig.poses, atol=1e-4)
     assert read_extrinsics(path).root("camera_1") == "world"
 
@@ -200,9 +199,9 @@ def test_a_file_without_a_room_has_the_rectangle_of_its_cameras(tmp_path):
             for name, x, y in (("left", -2.0, 1.0), ("right", 3.0, -1.5))
         )
     )
-    rig = read_rig(path)
-    assert rig.settings["area"] == (-2.0, -1.5, 3.0, 1.0)
-    np.testing.assert_allclose(rotate(rig.poses["left"].xyzw, [0, 0, 1]), [0, 0, 1])
+    poses, settings = read_rig(path)
+    assert settings["area"] == (-2.0, -1.5, 3.0, 1.0)
+    np.testing.assert_allclose(rotate(poses["left"].xyzw, [0, 0, 1]), [0, 0, 1])
 
 
 UNDER = """[[camera]]

@@ -55,8 +55,7 @@ def people(
     check_outputs((output, "camera file"), (write_log, "log"), inputs=(log,), force=force)
     prepare(quiet=json)
     from hiros_cli.calibration_report import show_calibration
-    from hiros_mcap.calibrate.cameras_file import save_cameras
-    from hiros_mcap.calibrate.corrected_log import write_corrected_log
+    from hiros_mcap.calibrate.calibration_files import save_cameras, write_corrected_log
     from hiros_mcap.calibrate.people import calibrate_people
     from hiros_mcap.running.pipeline import ProcessOptions, open_input
 
@@ -108,7 +107,7 @@ def ball(
     check_outputs((output, "camera file"), inputs=(log,), force=force)
     from hiros_mcap.calibrate.ball import BallOptions, calibrate_ball
     from hiros_mcap.calibrate.ball_image import ColorRange
-    from hiros_mcap.calibrate.cameras_file import save_cameras
+    from hiros_mcap.calibrate.calibration_files import save_cameras
 
     options = BallOptions(radius, ColorRange.parse(color), tuple(topic or ()))
     with bar(f"calibrating on {log.name}", quiet=False):
@@ -137,7 +136,7 @@ def board(
     log.stat()
     check_outputs((output, "camera file"), inputs=(log, extrinsics), force=force)
     from hiros_mcap.calibrate.board import calibrate_board
-    from hiros_mcap.calibrate.cameras_file import save_cameras
+    from hiros_mcap.calibrate.calibration_files import save_cameras
 
     with bar(f"calibrating on {log.name}", quiet=False):
         report = calibrate_board(

@@ -69,17 +69,18 @@ def plan(
 
     prepare(quiet=json or quiet)
     from hiros_mcap.plan.planning import make_plan
-    from hiros_mcap.simulate.rig_file import read_rig, room_area, save_rig
+    from hiros_mcap.simulate.cameras import read_rig, room_area, save_rig
 
-    rig = None if placed is None else read_rig(placed)
-    given: dict[str, Any] = {"cameras": int(cameras)} if rig is None else rig.settings
+    poses, given = None, dict[str, Any](cameras=int(cameras))
+    if placed is not None:
+        poses, given = read_rig(placed)
     size = None if room is None else _pair("--room", room, "x")
     given["area"] = room_area(size, given.get("area"))
     for name, text, mark in (("fov", fov, "x"), ("range", reach, ":")):
         if text is not None:
             given.setdefault("rig", {})[name] = _pair(f"--{name}", text, mark)
     params = simulate_params({**given, "people": people, "noise": noise})
-    rig_plan = make_plan(params, height, None if rig is None else rig.poses)
+    rig_plan = make_plan(params, height, poses)
     if output is not None:
         save_rig(output, rig_plan.params)
     if picture is not None:

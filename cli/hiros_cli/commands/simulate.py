@@ -83,11 +83,11 @@ def simulate(
 
     check_outputs((output, "log"), inputs=(*(motion or ()), *(skeleton or ()), file), force=force)
     prepare(quiet=quiet)
-    from hiros_mcap.simulate.rig_file import read_rig
+    from hiros_mcap.simulate.cameras import read_rig
     from hiros_mcap.simulate.write_log import write_log
 
     if file is not None:
-        given |= read_rig(file).settings
+        given |= read_rig(file)[1]
     elif cameras is not None:
         given["cameras"] = int(cameras)
     params = simulate_params({name: value for name, value in given.items() if value is not None})

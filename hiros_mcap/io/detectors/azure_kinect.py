@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -56,19 +56,19 @@ class AzureKinectMarkers(DetectorReader):
         if gathered is None:
             _ = message.fields  # says that it is damaged; otherwise it has other markers
             return None
-        ids, kinds, poses = gathered.ids, gathered.kinds, gathered.poses
+        stamp, frame_id, ids, kinds, poses = gathered
         if not self._are_joints(ids) or (kinds != (_SPHERE, _ADD)).any():
             return None
-        self._frames[message.topic] = gathered.frame_id
+        self._frames[message.topic] = frame_id
         bodies, rows = np.unique(ids // _FACTOR, return_inverse=True)
         joints = np.full((len(bodies), self._model.n_markers, 7), np.nan)
         joints[rows, ids % _FACTOR] = poses
         people = seen_people(
             self._model,
             message,
-            gathered.frame_id,
+            frame_id,
             joints[:, :, :3],
-            stamp=gathered.stamp,
+            stamp=stamp,
             ids=bodies.tolist(),
         )
         turned = (joints[:, :, 3:] != 0).any(axis=-1)
@@ -85,22 +85,11 @@ class AzureKinectMarkers(DetectorReader):
         return seen_people(self._model, message, self._frames.get(message.topic, ""), empty)
 
 
-class _Markers(NamedTuple):
-    """The markers of a message."""
+def _gathered(data: bytes) -> tuple[int, str, Stamps, Stamps, Floats] | None:
+    """Find the N markers of a capture, which all have one header; None where that does not hold.
 
-    stamp: int
-    """ns."""
-    frame_id: str
-    ids: Stamps
-    """(N,)."""
-    kinds: Stamps
-    """(N, 2) type and action."""
-    poses: Floats
-    """(N, 7) position, m, and orientation x y z w."""
-
-
-def _gathered(data: bytes) -> _Markers | None:
-    """Find the markers of a capture, which all have one header; None where that does not hold.
+    Returns the stamp, ns; the frame_id; the ids, (N,); types and actions, (N, 2); positions, m, and
+    orientations x y z w, (N, 7).
 
     The header's bytes show where each marker begins. What stands behind the pose differs between
     the versions of ROS and is passed over. Decoding the fields takes fifty times as long.
@@ -129,7 +118,7 @@ def _gathered(data: bytes) -> _Markers | None:
     heads = _numbers(content, ids, "<i4", 3).astype(np.int64)
     frame_id = str(header[12 : 11 + length], "utf-8", "replace")
     stamp = sec * NANO + nanosec
-    return _Markers(stamp, frame_id, heads[:, 0], heads[:, 1:], _numbers(content, poses, "<f8", 7))
+    return stamp, frame_id, heads[:, 0], heads[:, 1:], _numbers(content, poses, "<f8", 7)
 
 
 def _numbers(content: npt.NDArray[np.uint8], places: Stamps, kind: str, n: int) -> Any:

@@ -8,17 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from itertools import pairwise
-from typing import NamedTuple
 
 from hiros_mcap.io.detectors.joint_names import Joint, joints_of
 from hiros_mcap.skeletons import SkeletonModel
-
-
-class _Skeleton(NamedTuple):
-    source: str
-    markers: str
-    tree: str
-
 
 # Azure Kinect Body Tracking SDK, k4abt_joint_id_t; its joint hierarchy.
 _AZURE = """
@@ -102,19 +94,18 @@ _MEDIAPIPE_TREE = """
     left_hip-right_hip  *_hip-*_shoulder-*_elbow-*_wrist-*_index  *_wrist-*_pinky  *_wrist-*_thumb
     *_hip-*_knee-*_ankle-*_foot_index  *_ankle-*_heel"""
 
-_TABLE: Mapping[str, _Skeleton] = {
-    "azure-kinect": _Skeleton("Azure Kinect Body Tracking SDK 1.1", _AZURE, _AZURE_TREE),
-    "kinect-v2": _Skeleton("Kinect for Windows SDK 2.0, JointType", _KINECT_V2, _KINECT_V2_TREE),
-    "zed-18": _Skeleton("ZED SDK 4, BODY_18_PARTS", _ZED_18, _ZED_18_TREE),
-    "zed-34": _Skeleton("ZED SDK 4, BODY_34_PARTS", _ZED_34, _ZED_34_TREE),
-    "zed-38": _Skeleton("ZED SDK 4, BODY_38_PARTS", _ZED_38, _ZED_38_TREE),
-    "zed-70": _Skeleton("ZED SDK 4, BODY_70_PARTS", _ZED_70, _ZED_70_TREE),
-    "ros4hri": _Skeleton(
-        "ROS REP 155, links of the package human_description", _HUMAN, _HUMAN_TREE
-    ),
-    "openpose-25": _Skeleton("OpenPose 1.7, BODY_25", _OPENPOSE, _OPENPOSE_TREE),
-    "mediapipe-33": _Skeleton("MediaPipe 0.10, PoseLandmark", _MEDIAPIPE, _MEDIAPIPE_TREE),
+_TABLE: Mapping[str, tuple[str, str, str]] = {
+    "azure-kinect": ("Azure Kinect Body Tracking SDK 1.1", _AZURE, _AZURE_TREE),
+    "kinect-v2": ("Kinect for Windows SDK 2.0, JointType", _KINECT_V2, _KINECT_V2_TREE),
+    "zed-18": ("ZED SDK 4, BODY_18_PARTS", _ZED_18, _ZED_18_TREE),
+    "zed-34": ("ZED SDK 4, BODY_34_PARTS", _ZED_34, _ZED_34_TREE),
+    "zed-38": ("ZED SDK 4, BODY_38_PARTS", _ZED_38, _ZED_38_TREE),
+    "zed-70": ("ZED SDK 4, BODY_70_PARTS", _ZED_70, _ZED_70_TREE),
+    "ros4hri": ("ROS REP 155, links of the package human_description", _HUMAN, _HUMAN_TREE),
+    "openpose-25": ("OpenPose 1.7, BODY_25", _OPENPOSE, _OPENPOSE_TREE),
+    "mediapipe-33": ("MediaPipe 0.10, PoseLandmark", _MEDIAPIPE, _MEDIAPIPE_TREE),
 }
+"""Name -> where the names of the joints are from, the joints, and the tree."""
 BODY_MODELS = tuple(_TABLE)
 """Names of the models."""
 
@@ -125,10 +116,10 @@ def body_model(name: str) -> SkeletonModel:
 
     Raises KeyError for another name.
     """
-    row = _TABLE[name]
-    markers = row.markers.split()
+    _, joints, tree = _TABLE[name]
+    markers = joints.split()
     slots = {marker: slot for slot, marker in enumerate(markers)}
-    parents = {slots[child]: slots[parent] for parent, child in _edges(row.tree, slots)}
+    parents = {slots[child]: slots[parent] for parent, child in _edges(tree, slots)}
     links = [(markers[child], parents[child], child) for child in sorted(parents)]
     return SkeletonModel.of(markers, links)
 

@@ -15,7 +15,7 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.export.choices import Choices, pauses
 from hiros_mcap.io.export.rajagopal import NEEDS, PELVIS, bridged, coordinates
 from hiros_mcap.io.export.tables import write_lines
-from hiros_mcap.io.joints.c3d import open_c3d
+from hiros_mcap.io.joints.marker_files import open_c3d
 from hiros_mcap.io.result import safe_name
 from hiros_mcap.outputs import EXPORT_MARK
 from hiros_mcap.skeletons import Floats

@@ -7,8 +7,6 @@ strips; it would join those of a LINE_LIST to a single line.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 import hiros_schemas
@@ -28,6 +26,7 @@ LIFETIME_NS = 250_000_000
 _LINE_STRIP, _TEXT, _ADD = 4, 9, 0
 _INFO, _WARN = 20, 30
 _WIDTH_M, _TEXT_M, _ABOVE_M = 0.03, 0.15, 0.2
+_ORIGIN, _NO_POINTS = np.zeros(3), np.zeros((0, 3))
 
 
 class MarkerExport:
@@ -111,7 +110,7 @@ def marker_array(frame: Frame, chains: tuple[tuple[int, ...], ...]) -> bytes:
     out = CdrWriter()
     out.uint32(len(strips))
     for person, k, points in strips:
-        _put(out, frame, _Marker(person, f"person {person}", k, _LINE_STRIP, points=points))
+        _put(out, frame, person, f"person {person}", k, points=points)
     return out.finish()
 
 
@@ -122,7 +121,7 @@ def label_array(frame: Frame) -> bytes:
     out = CdrWriter()
     out.uint32(len(labelled))
     for person, top in labelled:
-        _put(out, frame, _Marker(person, "names", person, _TEXT, position=top, text=str(person)))
+        _put(out, frame, person, "names", person, top, text=str(person))
     return out.finish()
 
 
@@ -146,40 +145,38 @@ def _top(positions: Floats) -> Floats | None:
     return np.array([*present[:, :2].mean(axis=0), present[:, 2].max() + _ABOVE_M])
 
 
-class _Marker(NamedTuple):
-    """What markers differ in."""
+def _put(
+    out: CdrWriter,
+    frame: Frame,
+    person: int,
+    namespace: str,
+    ident: int,
+    position: Floats = _ORIGIN,
+    points: Floats = _NO_POINTS,
+    text: str = "",
+) -> None:
+    """Write a visualization_msgs/Marker, fields in the order of its definition.
 
-    person: int
-    namespace: str
-    id: int
-    kind: int
-    position: Floats = np.zeros(3)
-    """m."""
-    points: Floats = np.zeros((0, 3))
-    """(K, 3), m."""
-    text: str = ""
-
-
-def _put(out: CdrWriter, frame: Frame, marker: _Marker) -> None:
-    """Write a visualization_msgs/Marker, fields in the order of its definition."""
+    It is a text at a position (3,), m, or a line through points (K, 3), m.
+    """
     out.header(frame.stamp, frame.frame_id)
-    out.string(marker.namespace)
-    out.int32(marker.id, marker.kind, _ADD)
-    out.array(marker.position)
+    out.string(namespace)
+    out.int32(ident, _TEXT if text else _LINE_STRIP, _ADD)
+    out.array(position)
     out.float64(0.0, 0.0, 0.0, 1.0)
-    out.float64(_WIDTH_M, 0.0, _TEXT_M if marker.kind == _TEXT else 0.0)
-    out.float32(*(part / 255 for part in person_colour(marker.person)), 1.0)
+    out.float64(_WIDTH_M, 0.0, _TEXT_M if text else 0.0)
+    out.float32(*(part / 255 for part in person_colour(person)), 1.0)
     out.time(LIFETIME_NS)
     out.byte(0)  # frame_locked
-    out.uint32(len(marker.points))
-    out.array(marker.points)
+    out.uint32(len(points))
+    out.array(points)
     out.uint32(0)  # colors
     out.string("")  # texture_resource
     out.header(0, "")  # texture: format, data
     out.string("")
     out.uint32(0)
     out.uint32(0)  # uv_coordinates
-    out.string(marker.text)
+    out.string(text)
     out.string("")  # mesh_resource
     out.string("")  # mesh_file: filename, data
     out.uint32(0)

@@ -124,24 +124,20 @@ NEEDS = {
 """Coordinates -> the joints that show them."""
 
 
-class ModelPose(NamedTuple):
-    """The coordinates of the model, and where its bones cannot follow the person's."""
-
-    columns: dict[str, Floats]
-    """(T,) each coordinate, degrees and m; NaN where joints are missing."""
-    deviations: dict[str, Floats]
-    """(T,) angle between the model's shanks and forearms and the person's, degrees; NaN as above.
-
-    0 for an arm that is straighter than the model's can be.
-    """
-
-
-def coordinates(model: SkeletonModel, motion: Motion) -> ModelPose:
+def coordinates(
+    model: SkeletonModel, motion: Motion
+) -> tuple[dict[str, Floats], dict[str, Floats]]:
     """Pose the model.
 
     Parameters
     ----------
     model : names the markers. motion : in a fixed frame whose z axis points up.
+
+    Returns
+    -------
+    (T,) each coordinate, degrees and m; NaN where joints are missing.
+    (T,) angle between the model's shanks and forearms and the person's, degrees; NaN as above, and
+    0 for an arm that is straighter than the model's can be.
     """
     at = finder(model, motion.positions)
     shown = segments_of(model, motion.positions, motion.orientations, motion.axes)
@@ -153,17 +149,17 @@ def coordinates(model: SkeletonModel, motion: Motion) -> ModelPose:
     for side in SIDES:
         names += [f"{name}_{side[0]}" for name in (*LEG, *ARM)]
         joints = [at(name, side=side) for name in ("hip", "knee", "ankle")]
-        leg = _limb(side, pelvis, KNEE, joints, shown[f"{side} thigh"][:, :, 0])
-        values += [*leg.angles, ANKLE.towards(into(leg.last, toes(at, side)))]
+        leg, last, shank = _limb(side, pelvis, KNEE, joints, shown[f"{side} thigh"][:, :, 0])
+        values += [*leg, ANKLE.towards(into(last, toes(at, side)))]
         joints = [at(name, side=side) for name in ("shoulder", "elbow", "wrist")]
-        arm = _limb(side, torso, ELBOW, joints, shown[f"{side} upper arm"][:, :, 0])
-        values += arm.angles
-        deviations |= {f"{side} shank": leg.apart, f"{side} forearm": arm.apart}
+        arm, _, forearm = _limb(side, torso, ELBOW, joints, shown[f"{side} upper arm"][:, :, 0])
+        values += arm
+        deviations |= {f"{side} shank": shank, f"{side} forearm": forearm}
     # Only a whole person turns round and round.
     most = np.where([name in PELVIS for name in names], np.inf, 1.5 * np.pi)
     angles = np.degrees(continued(np.stack(values, axis=-1), most=most))
     columns = dict(zip(names, angles.T, strict=True))
-    return ModelPose(columns | dict(zip(PELVIS[3:], origin.T, strict=True)), deviations)
+    return columns | dict(zip(PELVIS[3:], origin.T, strict=True)), deviations
 
 
 class Trunk(NamedTuple):
@@ -199,27 +195,22 @@ def _torso(at: Finder, pelvis: Floats, hips: Floats) -> Floats:
     return np.asarray(frame(y=spine, z=across, keep="y") @ np.swapaxes(rest, -1, -2))
 
 
-class _Limb(NamedTuple):
-    angles: list[Floats]
-    """(T,) flexion, adduction and rotation of the upper joint, and angle of the hinge, rad."""
-    last: Floats
-    """(T, 3, 3) frames of the second bone's body; of a left one, its mirror image."""
-    apart: Floats
-    """(T,) angle between the second bone and the person's, degrees; NaN where that is hidden.
-
-    0 where the limb is straighter than the model's can be.
-    """
-
-
 def _limb(
     side: str, body: Floats, hinge: Hinge, joints: Sequence[Floats], forward: Floats
-) -> _Limb:
+) -> tuple[list[Floats], Floats, Floats]:
     """Pose two bones.
 
     Parameters
     ----------
     body : (T, 3, 3) that the limb hangs on. joints : (T, 3) upper, middle and lower.
     forward : (T, 3) axis of the upper segment, NaN where nothing shows it.
+
+    Returns
+    -------
+    (T,) flexion, adduction and rotation of the upper joint, and angle of the hinge, rad.
+    (T, 3, 3) frames of the second bone's body; of a left one, its mirror image.
+    (T,) angle between the second bone and the person's, degrees; NaN where that is hidden, 0 where
+    the limb is straighter than the model's can be.
     """
     upper, middle, lower = joints
     first, second, ahead = (
@@ -242,7 +233,7 @@ def _limb(
     frames = body * _mirror(side) @ turned @ rotations(hinge.axis, angle)
     apart = np.degrees(between(hinge.turned(angle), into(turned, second)))
     apart = np.where(bend < hinge.straightest, 0.0, apart)
-    return _Limb(angles, frames, np.where(hidden, np.nan, apart))
+    return angles, frames, np.where(hidden, np.nan, apart)
 
 
 def _steady_twist(now: Floats, wanted: Floats, bend: Floats, most: float) -> Floats:

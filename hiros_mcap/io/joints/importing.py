@@ -16,10 +16,9 @@ from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.detectors.body_models import linked
 from hiros_mcap.io.detectors.body_size import LARGEST, SMALLEST, body_size
 from hiros_mcap.io.detectors.detector_reader import add_links
-from hiros_mcap.io.joints.c3d import MARKER_FILES
 from hiros_mcap.io.joints.joint_rows import JointRow, read_rows
 from hiros_mcap.io.joints.mapping import FileMapping, TimeMapping, read_mapping
-from hiros_mcap.io.joints.trc import METRES
+from hiros_mcap.io.joints.marker_files import MARKER_FILES, METRES
 from hiros_mcap.skeletons import POSITION, Frame, SkeletonModel
 
 RELATIVE_START = datetime(2020, 1, 1, tzinfo=UTC).timestamp()

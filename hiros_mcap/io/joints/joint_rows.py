@@ -13,9 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io.joints.c3d import MARKER_FILES
 from hiros_mcap.io.joints.mapping import SECONDS, ColumnMapping, FileMapping, of_columns
-from hiros_mcap.io.joints.trc import METRES, lines_of, number_of, text_of
+from hiros_mcap.io.joints.marker_files import MARKER_FILES, METRES, lines_of, number_of, text_of
 from hiros_mcap.outside import parse
 
 _BODY = 33

@@ -1,23 +1,88 @@
-"""A copy of a log with the poses and clocks that were found."""
+"""What a calibration writes: a file for ``--extrinsics``, and the log with what was found."""
 
 from __future__ import annotations
 
 import heapq
+import json
+import math
 import os
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 from mcap.records import Message
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import parse_tf
-from hiros_mcap.calibrate.camera_result import CalibratedCamera
+from hiros_mcap.calibrate.ball_poses import BallCalibration
+from hiros_mcap.calibrate.board import BoardReport
+from hiros_mcap.calibrate.camera_result import CalibratedCamera, CameraResult
 from hiros_mcap.calibrate.people import PeopleCalibration
 from hiros_mcap.io.channels import TF_TOPICS, add_skeleton_channel, add_static_poses
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import Log
+from hiros_mcap.outputs import CAMERAS_MARK, write_text
 from hiros_mcap.skeletons import Frame
+
+_ERRORS = {
+    "error_deg": "standard error of the orientation",
+    "error_mm": "standard error of the position",
+    "residual_mm": "how far what it sees is from what the others see",
+}
+"""Keys of a camera, of which each is written if it is known."""
+
+
+def save_cameras(path: Path, rig: PeopleCalibration | BallCalibration | BoardReport) -> None:
+    """Write the file, or nothing at all; raises LogError if it cannot be written."""
+    write_text(path, CAMERAS_MARK + cameras_toml(rig))
+
+
+def cameras_toml(rig: PeopleCalibration | BallCalibration | BoardReport) -> str:
+    """Return poses and clocks as TOML: every camera with a pose, every clock that is known."""
+    frame = rig.fixed_frame
+    lines = [f"# verdict: {_verdict_text(rig.verdict, rig.reason)}"]
+    for camera in rig.cameras:
+        if camera.pose is not None:
+            lines += ["", *_camera(camera, camera.pose, frame)]
+    clocks = {c.name: c.clock_s for c in rig.cameras if not math.isnan(c.clock_s)}
+    if clocks:
+        lines += ["", "[clock]  # s to add to the stamps of each camera"]
+    lines += [f"{_text(name)} = {seconds:.4f}" for name, seconds in clocks.items()]
+    return "\n".join([*lines, ""])
+
+
+def _camera(camera: CameraResult, pose: Rigid, parent: str) -> list[str]:
+    since = getattr(camera, "since", 0)
+    lines = [
+        "[[camera]]",
+        f"frame = {_text(camera.frame)}",
+        f"parent = {_text(parent)}",
+        f"translation = [{', '.join(f'{x:.5f}' for x in pose.translation)}]  # m",
+        f"quaternion_xyzw = [{', '.join(f'{x:.7f}' for x in pose.xyzw)}]",
+    ]
+    lines.append(f"verdict = {_text(camera.verdict)}")
+    if camera.verdict == "impossible":
+        lines[-1] += "  # the pose is the log's"
+    if camera.reason:
+        lines.append(f"reason = {_text(camera.reason)}")
+    for key, comment in _ERRORS.items():
+        value = getattr(camera, key)
+        if not math.isnan(value) and camera.verdict != "impossible":
+            lines.append(f"{key} = {value:.2f}  # {comment}")
+    if since:
+        lines.append(f"since = {since}  # ns since 1970, log time: the camera was moved then")
+    return lines
+
+
+def _verdict_text(verdict: str, reason: str) -> str:
+    return f"{verdict} ({reason})" if reason else verdict
+
+
+def _text(value: str) -> str:
+    """Return a TOML string; JSON's escapes are TOML's, too."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
 
 _STATIC = TF_TOPICS[0]
 Item = tuple[int, Frame | None, Message | None]
