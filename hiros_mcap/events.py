@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Annotated, NamedTuple
 
@@ -65,6 +65,10 @@ def counted(kind: str, n: int) -> str:
     return f"{quantity(n, noun)} {what}"
 
 
+CAMERA_DISPLACED, CAMERA_BACK = "camera displaced", "camera back"
+"""A camera shows people elsewhere than the others do; it did, and shows them in place again."""
+MIRROR_SEEN, CAMERA_MOVED = "mirror seen", "camera moved"
+
 _WARNING_WORDS = "lost", "withdrawn", "rejected", "clock", "moved", "displaced", "mirror"
 
 
@@ -114,6 +118,24 @@ def hidden_times(events: Iterable[Event], person: int, start: int) -> Iterator[H
         if event.kind == "hidden" and event.person == person and found is not None:
             begin = (event.stamp - start) * 1e-9
             yield HiddenTime(begin, begin + float(found[2]), found[1], event.source)
+
+
+def camera_displaced(
+    stamp: int, camera: str, metres: float, others: Sequence[str] = (), seconds: float | None = None
+) -> Event:
+    """Return that a camera shows people elsewhere than the others do.
+
+    Parameters
+    ----------
+    stamp : since when, ns. metres : how far from where they are.
+    others : the cameras that see them there, if nobody can know which of them is wrong.
+    seconds : for how long; None = it still does.
+    """
+    who = f"{' or '.join(others)} sees them; which of them is wrong cannot be known"
+    where = f"people {metres:.2f} m from where {who if others else 'other cameras see them'}"
+    if seconds is None:
+        return Event(stamp, CAMERA_DISPLACED, -1, camera, f"shows {where}")
+    return Event(stamp, CAMERA_BACK, -1, camera, f"showed {where} for {seconds:.1f} s")
 
 
 @dataclass(slots=True)

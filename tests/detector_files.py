@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hiros_mcap.io.detectors.body_models import body_model
-from hiros_mcap.io.detectors.joint_names import joints_of
+from hiros_mcap.io.detectors.body_models import body_model, joints_of
 from hiros_mcap.io.log import open_log
 
 CAMERA = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])

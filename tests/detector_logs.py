@@ -17,8 +17,7 @@ import hiros_schemas
 from hiros_mcap.io.channels import TRUTH_PREFIX
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.detectors.body_models import body_model
-from hiros_mcap.io.detectors.joint_names import joints_of
+from hiros_mcap.io.detectors.body_models import body_model, joints_of
 from hiros_mcap.io.log import open_log
 from hiros_mcap.simulate.settings import SimulateParams
 from hiros_mcap.simulate.write_log import write_log

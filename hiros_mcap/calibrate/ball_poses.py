@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hiros_mcap.body.rotations import Rigid, rotate, to_matrix
-from hiros_mcap.calibrate.camera_graph import links_from
 from hiros_mcap.calibrate.camera_result import CameraResult
 from hiros_mcap.calibrate.gauge import moved, on_transforms
+from hiros_mcap.calibrate.pair_pose import links_from
 from hiros_mcap.calibrate.registration import common_frames, jackknife, rigid_fit
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.calibrate.verdict import Verdict

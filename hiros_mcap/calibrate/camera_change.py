@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.calibrate.camera_graph import ambiguous, usable
 from hiros_mcap.calibrate.camera_result import CalibratedCamera
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import (
@@ -25,7 +24,7 @@ from hiros_mcap.calibrate.coarse_clock import (
     signatures_of,
 )
 from hiros_mcap.calibrate.joint_refinement import Points, RigResiduals
-from hiros_mcap.calibrate.pair_pose import FIT_M, PairFit, register_pair
+from hiros_mcap.calibrate.pair_pose import FIT_M, PairFit, ambiguous, register_pair, usable
 from hiros_mcap.calibrate.sampling import CELL_S, Rig, group, instants_of, placed, sample
 from hiros_mcap.kernels.local_line import Tracklet
 from hiros_mcap.skeletons import Floats, Ints, Stamps

@@ -6,8 +6,8 @@
         calibration = calibrate_people(log)
 
 Nothing is asked of the people but to walk about where two cameras see them at the same time. Each
-step is a module: ``camera_views``, ``coarse_clock``, ``pair_pose``, ``camera_graph``,
-``refinement``, ``evidence`` and ``verdict``, ``gauge``.
+step is a module: ``camera_views``, ``coarse_clock``, ``pair_pose``, ``refinement``, ``evidence``
+and ``verdict``, ``gauge``.
 """
 
 from __future__ import annotations
@@ -24,13 +24,19 @@ from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import same_place
 from hiros_mcap.calibrate.agreement import camera_distances
 from hiros_mcap.calibrate.camera_change import find_moves, split_views, with_times
-from hiros_mcap.calibrate.camera_graph import Fits, Pair, ambiguous, chained, spanning_tree
 from hiros_mcap.calibrate.camera_result import NAN, CalibratedCamera
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
 from hiros_mcap.calibrate.evidence import full_evidence
 from hiros_mcap.calibrate.gauge import find_floor, moved, on_floor, on_transforms
-from hiros_mcap.calibrate.pair_pose import register_pair
+from hiros_mcap.calibrate.pair_pose import (
+    Fits,
+    Pair,
+    ambiguous,
+    chained,
+    register_pair,
+    spanning_tree,
+)
 from hiros_mcap.calibrate.refinement import (
     FROM_PAIRS,
     FittingRig,

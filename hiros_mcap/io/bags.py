@@ -27,7 +27,7 @@ from hiros_mcap.io.container import (
 from hiros_mcap.io.container.reader import MEMORY
 from hiros_mcap.io.container.recovery import RECOVERY_METADATA, Damage, Lost, joined
 from hiros_mcap.io.detectors.registry import detector_readers
-from hiros_mcap.io.ros_types import ros2_types, types_of
+from hiros_mcap.io.ros_cdr import ros2_types, types_of
 from hiros_mcap.outputs import check_outputs
 
 if TYPE_CHECKING:

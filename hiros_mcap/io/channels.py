@@ -10,9 +10,9 @@ from fnmatch import fnmatchcase
 import hiros_schemas
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.cdr_writer import CdrWriter
 from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.layout import Layout
+from hiros_mcap.io.ros_cdr import CdrWriter
 
 OUTPUT_PREFIX = "/hiros"
 OUTPUT_TOPICS = tuple(

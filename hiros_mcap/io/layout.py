@@ -14,8 +14,7 @@ from typing import Any
 
 import hiros_schemas
 from hiros_mcap.errors import LogError, SchemaError
-from hiros_mcap.io.cdr_writer import CdrWriter
-from hiros_mcap.io.ros_types import decoder_of, exact_types
+from hiros_mcap.io.ros_cdr import CdrWriter, decoder_of, exact_types
 
 Bytes = bytes | bytearray | memoryview
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from hiros_mcap.frames import Block
-from hiros_mcap.io.cdr_writer import HEADER, TIME_SIZE, CdrWriter
 from hiros_mcap.io.channels import OUTPUT_PREFIX
 from hiros_mcap.io.container import McapReader
+from hiros_mcap.io.ros_cdr import HEADER, TIME_SIZE, CdrWriter
 from hiros_mcap.io.ros_messages import open_messages
 from hiros_mcap.skeletons import Frame, SkeletonModel
 

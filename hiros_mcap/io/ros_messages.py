@@ -14,7 +14,7 @@ import hiros_schemas
 from hiros_mcap.errors import naming
 from hiros_mcap.io.bags import kind_of, open_bag, parts_of
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.ros_types import decoder_of, ros2_types
+from hiros_mcap.io.ros_cdr import decoder_of, ros2_types
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"

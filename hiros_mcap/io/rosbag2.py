@@ -16,7 +16,7 @@ from hiros_mcap._version import __version__
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.channels import LATCHED_QOS, TF_TOPICS, ChannelInfo, channels_of
 from hiros_mcap.io.container import McapReader, McapWriter
-from hiros_mcap.io.ros_types import ros2_types
+from hiros_mcap.io.ros_cdr import ros2_types
 from hiros_mcap.outputs import BAG_MARK, bag_files, target_kind, write_text
 
 _VERSION = 8

@@ -34,10 +34,9 @@ from hiros_mcap.calibrate.refinement import (
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.calibrate.survey import FixedCamera, Survey, seen_by
 from hiros_mcap.calibrate.verdict import SURE
-from hiros_mcap.events import Event
+from hiros_mcap.events import Event, camera_displaced
 from hiros_mcap.running.clock_alignment import ClockAlignment
 from hiros_mcap.skeletons import Ints
-from hiros_mcap.stages.track.displaced import CAMERA_DISPLACED
 
 GAIN = 0.3
 """A camera whose misfit falls by this share with a second pose may have been moved."""
@@ -184,13 +183,10 @@ class _Splitter:
         c = max(range(len(gains)), key=lambda k: (round(gains[k].metres, 2), k))
         if not _is_late(gains[c]):
             return None
-        name, who = posed.cameras[c].name, "other cameras see them"
-        if len(gains) == 2:
-            other = posed.cameras[1 - c].name
-            who = f"{other} sees them; which of them is wrong cannot be known"
-        detail = f"shows people {gains[c].metres:.2f} m from where {who}"
+        name = posed.cameras[c].name
         first, _ = self._first_message(name, gains[c].seconds)
-        return Event(first, CAMERA_DISPLACED, -1, name, detail)
+        other = [posed.cameras[1 - c].name] if len(gains) == 2 else []
+        return camera_displaced(first, name, gains[c].metres, other)
 
     def _narrowed(
         self, change: CameraChange, posed: PosedViews, pair: tuple[int, int]

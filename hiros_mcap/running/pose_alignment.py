@@ -19,10 +19,10 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import TimedPoses, same_place
-from hiros_mcap.calibrate.camera_graph import coarse_clocks
 from hiros_mcap.calibrate.camera_result import CalibratedCamera
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import landmarks_of
+from hiros_mcap.calibrate.pair_pose import coarse_clocks
 from hiros_mcap.calibrate.refinement import refine_poses
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.calibrate.survey import (
@@ -37,7 +37,7 @@ from hiros_mcap.calibrate.survey import (
 from hiros_mcap.calibrate.verdict import CONFIRMED, SURE, UNLINKED, remedy
 from hiros_mcap.config import Config
 from hiros_mcap.errors import LogError
-from hiros_mcap.events import Event, Events
+from hiros_mcap.events import CAMERA_MOVED, Event, Events
 from hiros_mcap.frames import Block
 from hiros_mcap.io.camera_clock import ClockCorrection
 from hiros_mcap.io.log import Log
@@ -50,7 +50,6 @@ from hiros_mcap.summary import PoseSummary
 if TYPE_CHECKING:
     from hiros_mcap.calibrate.people import PeopleCalibration
 
-MOVED = "camera moved"
 CHECKED_S = 10.0
 """So much of a log is read for a quick check."""
 WRONG_DEG, WRONG_MM = 1.0, 30.0
@@ -156,7 +155,7 @@ class PoseAlignment:
     def note_events(self, events: Events) -> None:
         """Note the cameras that were moved."""
         for move in self.moves:
-            events.note(move.stamp, MOVED, source=move.camera, detail=move.distance)
+            events.note(move.stamp, CAMERA_MOVED, source=move.camera, detail=move.distance)
         if self.late:
             events.log.append(self.late)
             events.count(DISPLACED, self.late.source, self.not_used)

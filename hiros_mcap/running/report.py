@@ -12,7 +12,17 @@ from operator import attrgetter
 import numpy as np
 
 from hiros_mcap.calibrate.gauge import placement_error
-from hiros_mcap.events import COMMON, RESIDUAL, TOO_LATE, Event, Events, counted
+from hiros_mcap.events import (
+    CAMERA_BACK,
+    CAMERA_DISPLACED,
+    COMMON,
+    MIRROR_SEEN,
+    RESIDUAL,
+    TOO_LATE,
+    Event,
+    Events,
+    counted,
+)
 from hiros_mcap.io.channels import OUTPUT_PREFIX
 from hiros_mcap.io.log import DAMAGED, FAR_FUTURE, STALE, Account, CameraChannel, Log, Reading
 from hiros_mcap.running.clock_alignment import clock_notes, clock_warnings
@@ -22,7 +32,6 @@ from hiros_mcap.running.write import unmatched_globs
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_mcap.stages.fuse.log_histograms import medians
 from hiros_mcap.stages.fuse.residuals import FEWEST, ratios
-from hiros_mcap.stages.track.displaced import CAMERA_DISPLACED, DISPLACED_A_WHILE, MIRROR_SEEN
 from hiros_mcap.stages.track.likeness import DISPLACED
 from hiros_mcap.summary import (
     CameraSummary,
@@ -249,7 +258,7 @@ class Report:
         """Yield which cameras did so, and do no longer: the first time, and how often later."""
         times: dict[str, list[Event]] = {}
         for event in sorted(self.run.events.log, key=attrgetter("stamp")):
-            if event.kind == DISPLACED_A_WHILE:
+            if event.kind == CAMERA_BACK:
                 times.setdefault(event.source, []).append(event)
         for source, (first, *later) in times.items():
             again = f", and {quantity(len(later), 'time')} more" if later else ""

@@ -12,12 +12,11 @@ from stick_figures import MIRROR, MODEL, POSE, person
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.calibrate.agreement import shared_view
-from hiros_mcap.calibrate.camera_graph import chained, coarse_clocks, spanning_tree
 from hiros_mcap.calibrate.camera_views import CameraView, PeopleFollowed, Sighting, find_tracklets
 from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
 from hiros_mcap.calibrate.gauge import find_floor, moved, on_transforms
 from hiros_mcap.calibrate.joint_refinement import free_unknowns, refine
-from hiros_mcap.calibrate.pair_pose import PairFit, ranked
+from hiros_mcap.calibrate.pair_pose import PairFit, chained, coarse_clocks, ranked, spanning_tree
 from hiros_mcap.calibrate.people import _only_ambiguous
 from hiros_mcap.calibrate.registration import kabsch
 from hiros_mcap.calibrate.sampling import Rig, instants_of, lines_of
@@ -88,7 +87,7 @@ def test_the_lag_of_two_clocks_needs_no_pose():
 
 
 def test_log_times_hint_at_a_lag_that_many_people_hide(monkeypatch):
-    monkeypatch.setattr("hiros_mcap.calibrate.camera_graph.lag_candidates", lambda *_: [])
+    monkeypatch.setattr("hiros_mcap.calibrate.pair_pose.lag_candidates", lambda *_: [])
     cameras = [
         view("a", Rotation.identity(), np.zeros(3)),
         view("b", Rotation.identity(), np.zeros(3), clock=6.0),
@@ -201,7 +200,7 @@ def still(*places):
 
 def common(*views):
     instants = np.arange(0.5, 3.5, 0.5)
-    return shared_view(views, Rig.alone(len(views)), instants, SIDES).common / len(instants)
+    return shared_view(views, Rig.alone(len(views)), instants, SIDES)[0] / len(instants)
 
 
 def test_two_cameras_could_have_a_person_in_common_unless_a_third_one_sees_two():

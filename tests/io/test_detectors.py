@@ -22,11 +22,10 @@ from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate import evaluate, load_truth
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.detectors import azure_kinect, registry
-from hiros_mcap.io.detectors.body_models import BODY_MODELS, body_model, name_of
+from hiros_mcap.io.detectors.body_models import BODY_MODELS, body_model, joints_of, name_of
 from hiros_mcap.io.detectors.body_size import unit_of
 from hiros_mcap.io.detectors.conversion import SkeletonChoice
 from hiros_mcap.io.detectors.detector_reader import DetectorMessage
-from hiros_mcap.io.detectors.joint_names import joints_of
 from hiros_mcap.io.detectors.model_fitting import union_of
 from hiros_mcap.io.detectors.registry import detector_readers
 from hiros_mcap.io.log import open_log
@@ -150,14 +149,15 @@ def test_markers_are_gathered_as_rosbags_decodes_them(namespaces, seconds, scene
         gathered = azure_kinect._gathered(data)
         assert (gathered is None) == (frame.n_people == 0)
         if gathered:
+            stamp, frame_id, ids, kinds, placed = gathered
             markers = made.ROS2.deserialize_cdr(data, made.MARKERS).markers
-            assert gathered.stamp == seconds * 10**9 + markers[0].header.stamp.nanosec
-            assert gathered.frame_id == markers[0].header.frame_id
-            assert gathered.ids.tolist() == [marker.id for marker in markers]
-            assert gathered.kinds.tolist() == [[marker.type, marker.action] for marker in markers]
+            assert stamp == seconds * 10**9 + markers[0].header.stamp.nanosec
+            assert frame_id == markers[0].header.frame_id
+            assert ids.tolist() == [marker.id for marker in markers]
+            assert kinds.tolist() == [[marker.type, marker.action] for marker in markers]
             poses = [(m.pose.position, m.pose.orientation) for m in markers]
             numbers = [(p.x, p.y, p.z, q.x, q.y, q.z, q.w) for p, q in poses]
-            assert gathered.poses.tolist() == [list(row) for row in numbers]
+            assert placed.tolist() == [list(row) for row in numbers]
         assert azure_kinect._gathered(data[: len(data) // 2]) is None
 
 

@@ -12,7 +12,7 @@ from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid, from_vector, rotate
 from hiros_mcap.body.transforms import pose_arrays
 from hiros_mcap.config import load_config
-from hiros_mcap.events import Event, events_from_json
+from hiros_mcap.events import CAMERA_DISPLACED, Event, events_from_json
 from hiros_mcap.frames import Block
 from hiros_mcap.io.channels import EVENTS_ATTACHMENT, add_skeleton_channel, add_static_poses
 from hiros_mcap.io.codec import Encoder
@@ -23,7 +23,6 @@ from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.skeletons import Frame, SkeletonModel
-from hiros_mcap.stages.track.displaced import CAMERA_DISPLACED
 
 STEP = Rigid(from_vector(np.radians([6.0, -8.0, 0.0])), np.array([0.3, 0.0, 0.27]))
 """10 degrees and 40 cm, in the camera's own frame."""

@@ -11,10 +11,9 @@ from stick_figures import MIRROR, MODEL, PERIOD, POSE, at, person, seen
 
 from hiros_mcap.body.rotations import from_vector, to_matrix
 from hiros_mcap.config import load_config
-from hiros_mcap.events import Events
+from hiros_mcap.events import CAMERA_BACK, Events
 from hiros_mcap.frames import by_frame
 from hiros_mcap.skeletons import Floats
-from hiros_mcap.stages.track.displaced import DISPLACED_A_WHILE
 from hiros_mcap.stages.track.likeness import Displacement, likeness
 from hiros_mcap.stages.track.track import track_blocks
 
@@ -259,7 +258,7 @@ def test_a_camera_that_is_back_in_place_counts_again():
     ids, events = tracked(filmed({"a": one, "b": one, "c": back}))
     assert ids["c"] == [[0]] * 45 + [[-1]] * 60 + [[0]] * 45
     assert displacements(events) == []
-    (event,) = (event for event in events.log if event.kind == DISPLACED_A_WHILE)
+    (event,) = (event for event in events.log if event.kind == CAMERA_BACK)
     assert not event.is_warning
     assert event.source == "c"
     assert re.search(r"showed people \d\.\d\d m from where .* for 2\.0 s$", event.detail)

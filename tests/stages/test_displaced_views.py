@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from hiros_mcap.events import Events
+from hiros_mcap.events import CAMERA_BACK, CAMERA_DISPLACED, Events
 from hiros_mcap.frames import by_frame
 from hiros_mcap.kernels.array_types import chosen
 from hiros_mcap.skeletons import Frame, SkeletonModel
@@ -21,7 +21,6 @@ from hiros_mcap.stages.fuse.displaced_views import (
 from hiros_mcap.stages.fuse.fuse import FuseParams, fuse_blocks, noise_of
 from hiros_mcap.stages.fuse.fusing import Sightings
 from hiros_mcap.stages.fuse.sightings import joined
-from hiros_mcap.stages.track.displaced import CAMERA_DISPLACED, DISPLACED_A_WHILE
 
 fuse = by_frame(fuse_blocks)
 
@@ -103,7 +102,7 @@ def told(*lost, seconds=12.0):
 def test_a_camera_that_shows_people_in_place_again_is_displaced_no_longer():
     """Its clock was corrected, or its pose was found."""
     (event,) = told({}, {1, 2, 3}, {}, {})
-    assert event[:3] == (DISPLACED_A_WHILE, "b", 1)
+    assert event[:3] == (CAMERA_BACK, "b", 1)
     assert event[3] == "showed people 0.08 m from where other cameras see them for 3.0 s"
     (event,) = told({}, {1, 2, 3, *range(8, 12)}, {}, {})[1:]
     assert event[:3] == (CAMERA_DISPLACED, "b", 8)

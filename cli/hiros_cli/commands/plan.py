@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hiros_cli.commands.simulate import simulate_params
 from hiros_cli.compiling import prepare
@@ -71,9 +71,9 @@ def plan(
     from hiros_mcap.plan.planning import make_plan
     from hiros_mcap.simulate.cameras import read_rig, room_area, save_rig
 
-    poses, given = None, dict[str, Any](cameras=int(cameras))
-    if placed is not None:
-        poses, given = read_rig(placed)
+    poses, given = (None, {}) if placed is None else read_rig(placed)
+    if placed is None:
+        given["cameras"] = int(cameras)
     size = None if room is None else _pair("--room", room, "x")
     given["area"] = room_area(size, given.get("area"))
     for name, text, mark in (("fov", fov, "x"), ("range", reach, ":")):

@@ -33,7 +33,7 @@ from hiros_mcap.io.detectors.detector_reader import DetectorMessage, DetectorRea
 from hiros_mcap.io.detectors.model_fitting import UNION, Fit, chosen_model
 from hiros_mcap.io.detectors.registry import detector_readers
 from hiros_mcap.io.layout import Layout, check_schema
-from hiros_mcap.io.ros_types import cdr_of, decoder_of, types_of
+from hiros_mcap.io.ros_cdr import cdr_of, decoder_of, types_of
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_mcap.summary import quantity
 
@@ -81,15 +81,15 @@ class InputChannel(NamedTuple):
     """``pkg/Type``."""
     selected: bool
     """Whether its skeletons are wanted; others are copied."""
-    stays: bool
-    """Whether hiros reads it as it is."""
+    is_native: bool
+    """Whether it has a type and an encoding that hiros reads without a conversion."""
     cdr: Callable[[Any], Any]
     decode: Callable[[Any], Any]
 
     @property
-    def is_new(self) -> bool:
-        """Whether a log with this channel must be converted."""
-        return not self.stays or (self.selected and self.type == TRANSFORMS)
+    def needs_conversion(self) -> bool:
+        """Whether a log with this channel is converted; transforms may show humans."""
+        return not self.is_native or (self.selected and self.type == TRANSFORMS)
 
     def message(self, message: Message) -> DetectorMessage:
         """Return a message of it as readers take it; raises LogError for damaged bytes."""
@@ -110,7 +110,7 @@ def converted(reader: McapReader, selection: Selection) -> McapReader:
     ``reader`` stays open. Raises LogError, and ConfigError for a model that is not there.
     """
     sources = _sources(reader, selection)
-    if selection.is_usual and not any(source.is_new for source in sources):
+    if selection.is_usual and not any(source.needs_conversion for source in sources):
         return reader
     layouts = _probe(reader, sources)
     chosen = [
@@ -118,7 +118,9 @@ def converted(reader: McapReader, selection: Selection) -> McapReader:
         for s in sources
         if s.info.topic in layouts or not s.selected or s.type == TRANSFORMS
     ]
-    if not layouts or (selection.is_usual and not any(source.is_new for source in chosen)):
+    if not layouts:
+        return reader
+    if selection.is_usual and not any(source.needs_conversion for source in chosen):
         return reader
     return ConvertedReader(reader, Conversion(reader, selection, chosen, layouts))
 
@@ -175,10 +177,10 @@ def source_of(reader: McapReader, info: ChannelInfo, *, selected: bool) -> Input
     if info.encoding == "cdr" and name in (SKELETONS, TRANSFORMS):
         layouts: dict[str, Layout] = {}
         read = partial(_published, layouts, schema, info.topic) if name == SKELETONS else _same
-        return InputChannel(info, kind, selected, stays=True, cdr=read, decode=_same)
+        return InputChannel(info, kind, selected, is_native=True, cdr=read, decode=_same)
     store = types_of({name: bytes(schema.data).decode(errors="replace")})
     cdr: Callable[[Any], Any] = cdr_of(store, name) if info.encoding == "ros1" else _same
-    return InputChannel(info, kind, selected, stays=False, cdr=cdr, decode=decoder_of(store, name))
+    return InputChannel(info, kind, selected, False, cdr, decoder_of(store, name))
 
 
 def _published(layouts: dict[str, Layout], schema: Schema, topic: str, data: Any) -> Any:
@@ -299,22 +301,25 @@ class Conversion:
                 writer.write(self._channel(writer, topic, kind), log_time, data)
 
     def rewritten(self, source: InputChannel, message: Message) -> Iterator[Rewritten]:
-        """Yield what a message becomes; one that cannot be decoded is counted."""
-        topic = source.info.topic
+        """Yield what a message becomes; one that cannot be decoded is counted.
+
+        Transforms are copied, and may show humans besides. Others either are copied, or become the
+        skeletons in them.
+        """
+        topic, moves = source.info.topic, source.type == TRANSFORMS
+        copies = moves or not source.selected or self._fits_target(source)
+        reads = source.selected and (moves or not copies)
         try:
             given = source.message(message)
-            stays = not self._is_read(source)
-            reads = not stays or (source.selected and source.type == TRANSFORMS)
             people = _read(self._readers, given) if reads else None
-            is_human = people is not None and source.type == TRANSFORMS
-            if stays and not (is_human and _is_of_one_body(given.cdr)):
+            if copies and not (moves and people is not None and _is_of_one_body(given.cdr)):
                 yield Rewritten(topic, source.type, message.log_time, bytes(given.cdr))
         except LogError as error:
             self.faulty[topic] += 1
             self.first.setdefault(topic, error.fault)
             return
-        if reads and people is None:
-            self._declined[topic] += source.type != TRANSFORMS
+        if reads and people is None and not moves:
+            self._declined[topic] += 1
         yield from self._groups(people or ())
 
     def rest(self) -> Iterator[Rewritten]:
@@ -332,13 +337,11 @@ class Conversion:
                 self._ids[topic] = add_ros_channel(writer, topic, hiros_schemas.TF_MESSAGE, *qos)
         return self._ids[topic]
 
-    def _is_read(self, source: InputChannel) -> bool:
-        """Whether a channel's messages change: others are copied."""
-        if source.type == TRANSFORMS or not source.selected:
-            return False
+    def _fits_target(self, source: InputChannel) -> bool:
+        """Whether a channel has SkeletonGroups of the model that results are to have, in m."""
         model = self._models.get(source.info.topic)
-        same = self.target in (None, model) and self._choice.unit == "m"
-        return not (source.type == SKELETONS and same)
+        fits = self.target in (None, model) and self._choice.unit == "m"
+        return source.type == SKELETONS and fits
 
     def _groups(self, people: Iterable[SeenPeople]) -> Iterator[Rewritten]:
         """Yield people as SkeletonGroups."""
@@ -359,7 +362,7 @@ class Conversion:
         topics: dict[tuple[str, str], dict[str, None]] = {}
         for source in self._sources.values():
             for topic, model in self._layouts.get(source.info.topic, {}).items():
-                if source.is_new:
+                if source.needs_conversion:
                     key = source.info.schema, _named(model)
                     topics.setdefault(key, {})[topic] = None
         for (schema, name), some in topics.items():

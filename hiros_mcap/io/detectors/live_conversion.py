@@ -111,14 +111,14 @@ class LiveConversion(Conversion):
 
     def _message(self, one: Rewritten, message: Message, source: InputChannel | None) -> Message:
         """Return a new message, on the old channel where that has the type."""
-        stays = source is not None and source.stays and one.type == source.type
+        keeps_channel = source is not None and source.is_native and one.type == source.type
         if source is not None and one.type == SKELETONS and source.type != SKELETONS:
             known = self._layouts.get(source.info.topic, {})
             self._layouts[source.info.topic] = {**known, one.topic: self._models[one.topic]}
-        ident = message.channel_id if stays else self._channel_of(one)
-        if source is not None and not stays and source.type != TRANSFORMS:
+        ident = message.channel_id if keeps_channel else self._channel_of(one)
+        if source is not None and not keeps_channel and source.type != TRANSFORMS:
             self._live.hidden.add(message.channel_id)
-        if source is not None and not stays and source.type == TRANSFORMS:
+        if source is not None and not keeps_channel and source.type == TRANSFORMS:
             self._human.add(ident)
         return replace(message, channel_id=ident, log_time=one.log_time, data=one.data)
 
@@ -141,7 +141,7 @@ class LiveConversion(Conversion):
         source = self._read_as[ident]
         if source is not None and source.type == TRANSFORMS:
             source = source._replace(selected=self._may_show_humans())
-            if source.stays and not source.selected:
+            if source.is_native and not source.selected:
                 return None
         return source
 
@@ -158,7 +158,7 @@ class LiveConversion(Conversion):
             return None
         self._sources[info.id] = source
         # Whoever comes when results have their skeleton gets that one.
-        return None if is_group and source.stays and self.target is None else source
+        return None if is_group and source.is_native and self.target is None else source
 
     def _group_source(self, ident: int) -> InputChannel | None:
         """Return how the SkeletonGroups of a channel are read; None for other channels."""
@@ -166,7 +166,7 @@ class LiveConversion(Conversion):
         if type_of(info) != SKELETONS or not self._selects(info.topic):
             return None
         source = source_of(self._live, info, selected=True)
-        return source if source.stays else None
+        return source if source.is_native else None
 
     def _may_show_humans(self) -> bool:
         """Whether transforms are looked at: something hints at humans, or nothing else shows any.

@@ -8,9 +8,8 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.io.detectors.body_models import BODY_MODELS, body_model
+from hiros_mcap.io.detectors.body_models import BODY_MODELS, Joint, body_model, joints_of
 from hiros_mcap.io.detectors.detector_reader import add_links
-from hiros_mcap.io.detectors.joint_names import Joint, joints_of
 from hiros_mcap.skeletons import (
     ACCELERATION,
     ORIENTATION,

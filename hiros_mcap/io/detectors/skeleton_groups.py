@@ -14,7 +14,7 @@ import hiros_schemas
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.codec import Decoder, ModelBuilder
 from hiros_mcap.io.detectors.detector_reader import DetectorMessage, DetectorReader, SeenPeople
-from hiros_mcap.io.ros_types import long_name, types_of
+from hiros_mcap.io.ros_cdr import long_name, types_of
 from hiros_mcap.skeletons import Frame
 
 if TYPE_CHECKING:

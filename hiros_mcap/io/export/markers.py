@@ -13,10 +13,10 @@ import hiros_schemas
 from hiros_mcap.body.anatomy import ANGLE_NAMES, anatomical_angles
 from hiros_mcap.events import Event, Events
 from hiros_mcap.frames import Block
-from hiros_mcap.io.cdr_writer import CdrWriter
 from hiros_mcap.io.channels import OUTPUT_PREFIX, add_ros_channel
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.export.colours import person_colour
+from hiros_mcap.io.ros_cdr import CdrWriter
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 
 MARKERS, LABELS = f"{OUTPUT_PREFIX}/markers", f"{OUTPUT_PREFIX}/labels"

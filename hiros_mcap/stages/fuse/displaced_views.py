@@ -17,12 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.events import Events
+from hiros_mcap.events import Events, camera_displaced
 from hiros_mcap.skeletons import Flags, Floats, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.fuse.comparing import add_offsets, find_displaced
 from hiros_mcap.stages.fuse.fusing import Sightings
-from hiros_mcap.stages.track.displaced import CAMERA_DISPLACED, DISPLACED_A_WHILE
 
 LIMIT, LIMIT_AHEAD = 0.035, 0.06
 """m; of a smoother, and of a filter, whose poses and means are less sure. Healthy cameras of
@@ -130,19 +129,13 @@ class DisplacedViews:
         for camera, span in self._spans.items():
             span.close()
             for first, last, metres in span.over:
-                events.note(
-                    first,
-                    DISPLACED_A_WHILE,
-                    source=self._names[camera],
-                    detail=f"showed people {metres:.2f} m from where other cameras see them "
-                    f"for {(last - first) / SECOND:.1f} s",
-                )
+                name, seconds = self._names[camera], (last - first) / SECOND
+                events.log.append(camera_displaced(first, name, metres, seconds=seconds))
             if span.is_worth:
                 still.append(camera)
         for camera in still if 2 * len(still) <= len(self._spans) else ():
             span = self._spans[camera]
-            detail = f"shows people {span.metres:.2f} m from where other cameras see them"
-            events.note(span.first, CAMERA_DISPLACED, source=self._names[camera], detail=detail)
+            events.log.append(camera_displaced(span.first, self._names[camera], span.metres))
 
 
 class _Span:

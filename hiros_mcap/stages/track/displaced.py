@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.events import Event, Events
+from hiros_mcap.events import CAMERA_BACK, MIRROR_SEEN, Event, Events, camera_displaced
 from hiros_mcap.skeletons import Flags, Floats, Ints
 from hiros_mcap.stages.track.likeness import (
     ALIKE,
@@ -42,9 +42,6 @@ from hiros_mcap.stages.track.likeness import (
     mean_marker_distances,
     median_distance,
 )
-
-CAMERA_DISPLACED, MIRROR_SEEN = "camera displaced", "mirror seen"  # events: a camera's first copy
-DISPLACED_A_WHILE = "camera back"  # event: a camera that was displaced shows people in place
 
 _INTERVAL = 45_000_000  # ns between two samples of a track
 _PATIENCE, _LATER = 90_000_000, 500_000_000  # ns between two comparisons of a track: at first, and
@@ -240,9 +237,7 @@ class DisplacedCameras:
             detail = f"{event.detail.replace('shows', 'showed')} for {seconds:.1f} s"
             # In its place: a live run publishes what is behind the events that it knows.
             place = self._events.log.index(event)
-            self._events.log[place] = replace(
-                event, kind=DISPLACED_A_WHILE, source=source, detail=detail
-            )
+            self._events.log[place] = replace(event, kind=CAMERA_BACK, source=source, detail=detail)
 
     def compare(self, lone: LoneTracks) -> list[int]:
         """Compare what a camera alone shows with the people known elsewhere.
@@ -331,14 +326,12 @@ class DisplacedCameras:
         if (lone.source, like.by.mirrors) in self._named:
             return
         both = len(lone.heard) == 1
-        kind, detail = CAMERA_DISPLACED, f"shows people {like.apart:.2f} m from where "
         if like.by.mirrors:
-            kind, detail = MIRROR_SEEN, f"shows mirror images of people, {like.apart:.2f} m away"
-        elif pairs.agreed and len(right) > 1:
-            detail += "other cameras see them"
+            detail = f"shows mirror images of people, {like.apart:.2f} m away"
+            event = Event(since, MIRROR_SEEN, -1, lone.source, detail)
         else:
-            detail += f"{' or '.join(right)} sees them; which of them is wrong cannot be known"
-        event = Event(since, kind, -1, lone.source, detail)
+            certain = pairs.agreed and len(right) > 1
+            event = camera_displaced(since, lone.source, like.apart, [] if certain else right)
         self._events.log.append(event)
         for name in (lone.source, *lone.heard[:both]):
             self._named[name, like.by.mirrors] = event

@@ -1,0 +1,170 @@
+"""Messages of ROS in CDR: decoded by the definitions of their log, written piece by piece.
+
+Skeletons have a faster road, :mod:`hiros_mcap.io.codec`.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hiros_mcap.errors import LogError
+from hiros_mcap.skeletons import Floats
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+Bytes = bytes | memoryview
+
+_HEADER = "std_msgs/msg/Header"
+_HEADER_TEXT = "builtin_interfaces/Time stamp\nstring frame_id\n"
+
+
+def long_name(name: str) -> str:
+    """``pkg/msg/Type`` of ``pkg/Type`` or of itself."""
+    package, *_, kind = name.split("/")
+    return f"{package}/msg/{kind}"
+
+
+def types_of(texts: Mapping[str, str]) -> Typestore:
+    """Types of definitions, by name, and of what they contain; the Header is that of ROS 2.
+
+    The definitions of standard types differ from release to release, so only those of the log
+    itself tell what its bytes are. Raises LogError for text that is no definition.
+    """
+    return _with_types(exact_types({_HEADER: _HEADER_TEXT}), texts)
+
+
+def exact_types(texts: Mapping[str, str]) -> Typestore:
+    """Types of complete definitions; raises LogError for text that is none."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return _with_types(get_typestore(Stores.EMPTY), texts)
+
+
+def ros2_types(texts: Mapping[str, str]) -> Typestore:
+    """Types of ``texts`` on top of ROS 2's standard ones, whose Header has no ``seq``.
+
+    Raises LogError for text that is no definition.
+    """
+    from rosbags.typesys import Stores, get_typestore
+
+    return _with_types(get_typestore(Stores.ROS2_HUMBLE), texts)
+
+
+def _with_types(store: Typestore, texts: Mapping[str, str]) -> Typestore:
+    from rosbags.typesys import get_types_from_msg
+
+    for name, text in texts.items():
+        try:
+            types = get_types_from_msg(text, long_name(name))
+            store.register({k: v for k, v in types.items() if k not in store.fielddefs})
+        except Exception as error:  # noqa: BLE001 - its parser raises many kinds
+            reason = " ".join(str(error).split())[:80]
+            raise LogError(f"the definition of {name} cannot be parsed: {reason}") from None
+    return store
+
+
+def decoder_of(store: Typestore, name: str) -> Callable[[Bytes], Any]:
+    """Return what decodes messages of a type in CDR; it raises LogError for damaged bytes."""
+    return partial(_converted, store.deserialize_cdr, long_name(name))
+
+
+def cdr_of(store: Typestore, name: str) -> Callable[[Bytes], bytes]:
+    """Return what turns messages of ROS 1 into CDR; it raises LogError for damaged bytes."""
+    convert = partial(_converted, store.ros1_to_cdr, long_name(name))
+    return lambda data: bytes(convert(data))
+
+
+def _converted(convert: Callable[[Bytes, str], Any], name: str, data: Bytes) -> Any:
+    try:
+        return convert(data, name)
+    except Exception as error:  # noqa: BLE001 - damaged bytes raise anything
+        raise LogError(f"a message cannot be decoded: {type(error).__name__}") from None
+
+
+HEADER = b"\0\1\0\0"  # CDR, little endian
+TIME_SIZE = 8
+"""Bytes of a Time."""
+
+
+class CdrWriter:
+    """Bytes of one message; every number stands at a multiple of its size."""
+
+    def __init__(self) -> None:
+        self._body = bytearray()
+
+    def finish(self) -> bytes:
+        """Return the message."""
+        return HEADER + bytes(self._body)
+
+    def _put(self, form: str, size: int, *values: float) -> None:
+        self._body += bytes(-len(self._body) % size)
+        self._body += struct.pack(f"<{len(values)}{form}", *values)
+
+    def raw(self, data: bytes) -> None:
+        """Write bytes that another writer made at the same place."""
+        self._body += data
+
+    def byte(self, value: int) -> None:
+        """Write a uint8 or a bool."""
+        self._body.append(value)
+
+    def int32(self, *values: int) -> None:
+        """Write one or more int32."""
+        self._put("i", 4, *values)
+
+    def uint32(self, value: int) -> None:
+        """Write a uint32, as the length of a sequence is."""
+        self._put("I", 4, value)
+
+    def float32(self, *values: float) -> None:
+        """Write one or more float32."""
+        self._put("f", 4, *values)
+
+    def float64(self, *values: float) -> None:
+        """Write one or more float64."""
+        self._put("d", 8, *values)
+
+    def array(self, values: Floats) -> None:
+        """Write all numbers of an array as float64, without a length."""
+        if values.size:
+            self._body += bytes(-len(self._body) % 8)
+            self._body += np.ascontiguousarray(values, "<f8").tobytes()
+
+    def sequence(self, values: Floats) -> None:
+        """Write a sequence of float64."""
+        self.uint32(values.size)
+        self.array(values)
+
+    def int32s(self, values: Sequence[int]) -> None:
+        """Write a sequence of int32."""
+        self.uint32(len(values))
+        self._put("i", 4, *values)
+
+    def string(self, text: str) -> None:
+        """Write a string."""
+        data = text.encode() + b"\0"
+        self.uint32(len(data))
+        self._body += data
+
+    def strings(self, texts: Sequence[str]) -> None:
+        """Write a sequence of strings."""
+        self.uint32(len(texts))
+        for text in texts:
+            self.string(text)
+
+    def time(self, stamp: int) -> None:
+        """Write a Time or a Duration, given in ns."""
+        seconds, nanoseconds = divmod(stamp, 1_000_000_000)
+        self.int32(seconds)
+        self.uint32(nanoseconds)
+
+    def header(self, stamp: int, frame_id: str) -> None:
+        """Write a std_msgs/Header."""
+        self.time(stamp)
+        self.string(frame_id)
