@@ -64,7 +64,9 @@ HELD_OUT_STEPS = 2
 CERTAIN = 3.0
 """Poses are better if they are so by this many standard errors on what was held out."""
 LEAST_BLOCKS = 3
-"""Fewer blocks of 2 s tell no standard error of that."""
+"""Fewer blocks tell no standard error of that."""
+SHORT_BLOCKS = 5
+"""Where less is enough for a proof, the blocks are shorter, so that there are as many."""
 
 
 class Effort(NamedTuple):
@@ -277,6 +279,7 @@ def refine_poses(
     movable: Sequence[bool] | None = None,
     *,
     moves: bool = True,
+    proven_s: float = PROVEN.seconds,
 ) -> Estimate:
     """Find out whether the people know better poses than the given ones, and how the clocks go.
 
@@ -289,6 +292,7 @@ def refine_poses(
     anchor : the camera whose frame is the fixed frame, so that its pose is right by definition.
     movable : of which cameras the pose may change; None = all. The clocks of all may.
     moves : whether to look for cameras that were moved; otherwise nothing is gained.
+    proven_s : shortest common view, s, that proves a pose.
     """
     movable = [True] * len(views) if movable is None else movable
     cameras = [
@@ -316,7 +320,7 @@ def refine_poses(
             cameras[c] = replace(cameras[c], reason=reason)
         if fit is not None:
             kept = [k for k, c in enumerate(fit.cameras) if c == anchor or not movable[c]]
-            better = _better(fit, [given[c] for c in fit.cameras], kept, mirror)
+            better = _better(fit, [given[c] for c in fit.cameras], kept, mirror, proven_s)
             for c, one in zip(fit.cameras, better, strict=True):
                 cameras[c] = one
             if not moves:
@@ -340,34 +344,42 @@ def _linked(points: Points) -> list[list[int]]:
 
 
 def _better(
-    fit: FittingRig, given: Sequence[Rigid], kept: Sequence[int], mirror: Ints
+    fit: FittingRig, given: Sequence[Rigid], kept: Sequence[int], mirror: Ints, proven_s: float
 ) -> list[CalibratedCamera]:
     """Return cameras at their better poses, where these are proven, and at the given ones.
 
-    The poses of the cameras ``kept`` are right.
+    The poses of the cameras ``kept`` are right. A common view of ``proven_s`` seconds is enough.
     """
     rig = fit.refined.rig
     poses = {k: given[k] for k in kept or range(len(given))}
     errors = np.array([(math.radians(e.error_deg), e.error_m) for e in fit.evidence])
     rig = moved(rig, on_transforms(rig, poses, errors))
-    better = _certainty(fit.refined, mirror) > CERTAIN
+    better = _certainty(fit.refined, mirror, proven_s) > CERTAIN
+    limits = PROVEN._replace(seconds=proven_s)
     cameras = cameras_of(fit, rig, given, proven=better)
     for k, camera in enumerate(cameras):
-        weak = bool(weakness_of(fit.evidence[k], PROVEN))
+        weak = bool(weakness_of(fit.evidence[k], limits))
         if not better or weak or k in kept:
             camera = replace(camera, pose=given[k], moved_deg=np.nan, moved_mm=np.nan)
         cameras[k] = camera
     return cameras
 
 
-def _certainty(refined: Refinement, mirror: Ints) -> float:
-    """Return by how many standard errors the loss is smaller on what was held out."""
+def _certainty(refined: Refinement, mirror: Ints, proven_s: float) -> float:
+    """Return by how many standard errors the loss is smaller on what was held out.
+
+    ``proven_s`` seconds are to be enough for that.
+    """
     points, rig, free = refined.points, refined.rig, refined.free
     if len(points.seconds) < LEAST_LINK or not free[:, :CLOCK].any():
         return 0.0
     scale = CAUCHY * float(np.nanmedian(refined.residuals.distances))
-    differences = _held_out(points, scale, rig, refined.start, free, mirror)
-    blocks = np.unique(np.floor(points.seconds / BLOCK_S), return_inverse=True)[1]
+    least = BLOCK_S * min(proven_s / PROVEN.seconds, 1.0)
+    length = float(np.clip(np.ptp(points.seconds) / SHORT_BLOCKS, least, BLOCK_S))
+    numbers = np.floor(points.seconds / length)
+    late = numbers.astype(np.int64) % 2 == 1
+    differences = _held_out(points, late, scale, rig, refined.start, free, mirror)
+    blocks = np.unique(numbers, return_inverse=True)[1]
     sums = np.bincount(blocks, differences)
     if len(sums) < LEAST_BLOCKS:
         return 0.0
@@ -376,16 +388,17 @@ def _certainty(refined: Refinement, mirror: Ints) -> float:
 
 
 def _held_out(
-    points: Points, scale: float, rig: Rig, given: Rig, free: Flags, mirror: Ints
+    points: Points, late: Flags, scale: float, rig: Rig, given: Rig, free: Flags, mirror: Ints
 ) -> Floats:
     """(P,) loss of the given poses less that of poses found without the point.
 
-    The clocks are free in both: this is about the poses. ``scale`` is that of the loss, m.
+    The clocks are free in both: this is about the poses. ``late`` are the points in every other
+    block of time, ``scale`` is that of the loss, m.
     """
     clocks = free.copy()
     clocks[:, :6] = False
     differences = np.zeros(len(points.seconds))
-    for train, test in _folds(points, mirror):
+    for train, test in _folds(points, late, mirror):
         some, rest = _part(points, train), _part(points, test)
         refined = solve(some, rig, free, rig, HELD_OUT_STEPS)
         kept = solve(some, given._replace(clocks=rig.clocks), clocks, rig, HELD_OUT_STEPS)
@@ -393,9 +406,8 @@ def _held_out(
     return differences
 
 
-def _folds(points: Points, mirror: Ints) -> Iterator[tuple[Flags, Flags]]:
+def _folds(points: Points, late: Flags, mirror: Ints) -> Iterator[tuple[Flags, Flags]]:
     """Yield the points to learn from and those to test on: other times and other joints."""
-    late = np.floor(points.seconds / BLOCK_S).astype(np.int64) % 2 == 1
     pairs = np.unique(np.minimum(np.arange(len(mirror)), mirror), return_inverse=True)[1]
     odd = pairs[points.joints] % 2 == 1
     for time in (late, ~late):

@@ -48,6 +48,7 @@ _FUTURE = 0.5  # s: no delivery is so much faster than the fastest
 LONGEST_DELAY = 10.0  # s: no delivery takes so much longer than another camera's
 _LEAST_DRIFT = 0.7e-3  # s/s: cheap crystals are off by a tenth of that
 _LEAST_DRIFTED = 0.01  # s
+_LEAST_SECONDS = 15  # fewer least lags fit a line by chance, where messages are late
 _LARGEST_DRIFT = 0.01  # s/s: what changes less over a pause is no step
 _ROUNDS = 100  # steps of one camera
 
@@ -501,7 +502,7 @@ def _common(seconds: Stamps, table: Floats) -> Floats:
 def _slope(seconds: Stamps, lags: Floats) -> float:
     """Return a drift of (n,) lags at some seconds, 0 if they do not follow a line throughout."""
     present = np.flatnonzero(~np.isnan(lags))
-    if len(present) < 8:
+    if len(present) < _LEAST_SECONDS:
         return 0.0
     slope, error = _line(seconds, lags)
     span = float(seconds[present[-1]] - seconds[present[0]])

@@ -34,7 +34,7 @@ from hiros_mcap.calibrate.survey import (
     fixed_cameras,
     in_own_frame,
 )
-from hiros_mcap.calibrate.verdict import TIMED, weakness_of
+from hiros_mcap.calibrate.verdict import MOVED, TIMED, weakness_of
 from hiros_mcap.frames import Block, join
 from hiros_mcap.io.log import Reading
 from hiros_mcap.kernels.transforming import PoseArrays, move
@@ -42,16 +42,19 @@ from hiros_mcap.running.clock_alignment import significant_offsets
 from hiros_mcap.running.clock_follower import ClockFollower
 from hiros_mcap.running.pose_alignment import PoseAlignment, summary_of
 
-_MOMENTS_S = (3, 6, 8, 10, 15, 20, 30, 40)
+_MOMENTS_S = (3, 4, 6, 8, 10, 15, 20, 30, 40)
 """When poses and clocks are compared, s after the first message."""
-_POSES_S = 6
-"""Before that, people have not been to enough places to tell poses, but they tell clocks."""
+_PROVEN_S = 2.0
+"""Common view that proves a pose. It is looked at again soon; before a run of a file, never."""
+_CERTAIN_S = 5.0
+"""Before that, poses are known to .2 degrees: as well as a careful calibration knows them."""
 _EVERY_S = 60
 """Afterwards at all multiples of this."""
 _WINDOW_S = 60.0
 _TICK_NS = 100_000_000
-_STEP_DEG, _STEP_M = 0.02, 0.001
-"""Largest change of a pose in a tick."""
+_STEP_DEG, _STEP_M = 0.1, 0.005
+"""Largest change of a pose in a tick. All cameras move together, and people stay where they are on
+the average of the cameras: they are not seen to move."""
 
 
 class PoseFollower:
@@ -154,17 +157,17 @@ class PoseFollower:
             return
         anchors = [k for k, one in enumerate(cameras) if one.frame == log.fixed_frame]
         views = [in_own_frame(camera, self._view(camera)) for camera in cameras]
-        poses_too = self._movable and self._tick * _TICK_NS >= _POSES_S * 1e9
+        # Also where the poses are to stay: wrong ones, held, would look like wrong clocks.
         rig = refine_poses(
             views,
             [camera.pose for camera in cameras],
             self._mirror,
             anchors[0] if anchors else None,
-            [poses_too] * len(cameras),
             moves=False,
+            proven_s=_PROVEN_S,
         ).cameras
         self._correct_clocks(rig)
-        if poses_too:
+        if self._movable:
             self._take_poses(cameras, rig)
 
     def _view(self, camera: FixedCamera) -> CameraView:
@@ -185,9 +188,10 @@ class PoseFollower:
             clocks.prove(name, clocks.proved(name) - ahead)
 
     def _take_poses(self, cameras: Sequence[FixedCamera], rig: Sequence[CalibratedCamera]) -> None:
-        """Go to the poses that are proven."""
+        """Go to the poses that are proven; in the first seconds, only if one is clearly wrong."""
+        certain = self._tick * _TICK_NS >= _CERTAIN_S * 1e9 or any(map(_is_clearly_wrong, rig))
         for camera, one in zip(cameras, rig, strict=True):
-            if one.pose is not None and not math.isnan(one.moved_mm):
+            if certain and one.pose is not None and not math.isnan(one.moved_mm):
                 self._given[camera.name] = camera.pose
                 self._goals[camera.name] = one.pose
                 self._poses.setdefault(camera.name, camera.pose)
@@ -216,6 +220,11 @@ class PoseFollower:
             pose = goal if share >= 1.0 else self._poses[name].towards(goal, share)
             self._poses[name] = pose
             self._moves[name] = pose_arrays([pose @ self._given[name].inverse()])
+
+
+def _is_clearly_wrong(one: CalibratedCamera) -> bool:
+    """Whether the people prove a pose that is far from the given one."""
+    return one.moved_deg > MOVED * one.error_deg or one.moved_mm > MOVED * one.error_mm
 
 
 def _refinements_until(tick: int) -> int:
