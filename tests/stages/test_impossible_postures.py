@@ -41,11 +41,11 @@ MODEL = SkeletonModel.of(
 )
 
 
-def bent(joint, degrees, *limb):
+def bent(joint, degrees, *limb, axis="y"):
     """Markers of somebody whose limb, which begins at a joint, swings forwards and up."""
     pose = np.array(list(PLACES.values()))
     centre, rows = PLACES[joint], [NAMES.index(name) for name in limb]
-    turn = Rotation.from_euler("y", -degrees, degrees=True)
+    turn = Rotation.from_euler(axis, -degrees, degrees=True)
     pose[rows] = turn.apply(pose[rows] - centre) + centre
     return pose
 
@@ -57,6 +57,7 @@ IMPOSSIBLE = {
     "head, back": bent("Neck", -110.0, "Head"),
     "hip": bent("HipLeft", -80.0, *LEG),
     "shoulder": bent("ShoulderLeft", -110.0, *ARM),
+    "hip, inwards": bent("HipLeft", 75.0, *LEG, axis="x"),
     "knee": bent("KneeLeft", -178.0, "AnkleLeft"),
     "elbow": bent("ElbowLeft", 175.0, "WristLeft"),
 }
@@ -64,6 +65,7 @@ POSSIBLE = {
     "head": bent("Neck", 70.0, "Head"),
     "hip": bent("HipLeft", 120.0, *LEG),
     "hip, back": bent("HipLeft", -25.0, *LEG),
+    "hip, outwards": bent("HipLeft", -75.0, *LEG, axis="x"),
     "shoulder": bent("ShoulderLeft", 175.0, *ARM),
     "knee": bent("KneeLeft", -140.0, "AnkleLeft"),
     "elbow": bent("ElbowLeft", 140.0, "WristLeft"),
@@ -98,6 +100,13 @@ def test_what_a_body_can_do_is_believed(what):
     out = run([POSSIBLE[what]] * 15)
     assert not out.hidden.any()
     np.testing.assert_array_equal(out.frame(-1).positions[0], POSSIBLE[what])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_absent_marker_makes_nothing_impossible(name):
+    pose = STANDS.copy()
+    pose[NAMES.index(name)] = np.nan
+    assert not run([pose] * 15).hidden.any()
 
 
 def test_an_impossible_head_goes_back_to_where_it_was_seen_when_nobody_else_sees_it():

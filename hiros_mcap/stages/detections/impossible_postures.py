@@ -6,7 +6,8 @@ give for active motion, or, where people squat and kneel, for passive motion (Am
 Orthopaedic Surgeons, Joint motion, 1965; Kapandji, The physiology of the joints).
 
 Hips and shoulders are judged by flexion, which needs left and right, and only where the limb is not
-lifted sideways; neck, elbows and knees by how far they bend to whatever side.
+lifted sideways; hips also by how far the thigh points to the other side; neck, elbows and knees by
+how far they bend to whatever side.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from hiros_mcap.skeletons import Flags, Floats, Ints, SkeletonModel
 _BLUR = math.radians(8.0)  # of a limb of 30 cm whose ends are 3 cm off
 _SIDEWAYS = math.sin(math.radians(60.0))  # share of a limb beyond which its flexion is ill-defined
 _NECK, _ELBOW, _KNEE = (math.radians(degrees) for degrees in (80.0, 150.0, 160.0))
+_INWARDS = math.radians(45.0)  # of a thigh: 30 degrees, more in somebody who sits cross-legged
 _HIP, _SHOULDER = np.radians([-30.0, 145.0]), np.radians([-60.0, 180.0])
 
 
@@ -39,6 +41,7 @@ class PostureLimits(NamedTuple):
     bent: B2  # (K, M) markers that are wrong where it is more
     swings: J2  # (J, 6): from, to of the trunk upwards; left, right; from, to of the limb
     ranges: F2  # (J, 2) rad of flexion
+    inwards: F2  # (J, 2) 1 = a right limb, -1 = a left one; the most, rad, to the other side
     swung: B2  # (J, M)
 
 
@@ -60,8 +63,10 @@ def limits_of(model: SkeletonModel) -> PostureLimits:
         bends += [((hips[k], knee, knee, ankle), _KNEE)]
         bends += [((shoulders[k], elbow, elbow, wrist), _ELBOW)]
         trunk = pelvis, at(*LOWER_SPINE, *NECK)
-        swings += [((*trunk, *hips, hips[k], knee), _HIP)]
-        swings += [((pelvis, neck, *shoulders, shoulders[k], elbow), _SHOULDER)]
+        outwards = 2.0 * k - 1.0
+        swings += [((*trunk, *hips, hips[k], knee), (*_HIP, outwards, _INWARDS))]
+        arm = pelvis, neck, *shoulders, shoulders[k], elbow
+        swings += [(arm, (*_SHOULDER, outwards, math.pi))]
     bends = [row for row in bends if min(row[0]) >= 0]
     swings = [row for row in swings if min(row[0]) >= 0]
     return PostureLimits(
@@ -69,7 +74,8 @@ def limits_of(model: SkeletonModel) -> PostureLimits:
         np.array([most for _, most in bends], np.float64),
         _wrong(model, [ends[1:] for ends, _ in bends]),
         np.array([ends for ends, _ in swings], np.int32).reshape(-1, 6),
-        np.array([limits for _, limits in swings], np.float64).reshape(-1, 2),
+        np.array([limits[:2] for _, limits in swings], np.float64).reshape(-1, 2),
+        np.array([limits[2:] for _, limits in swings], np.float64).reshape(-1, 2),
         _wrong(model, [ends for ends, _ in swings]),
     )
 
@@ -109,15 +115,21 @@ def _across(u: Vector, v: Vector) -> Vector:
 
 
 @inlined
-def _flexion(view: Floats, ends: Ints) -> float:
-    """Flexion, rad, of a limb that hangs from the trunk; NaN where it is lifted sideways."""
+def _swing(view: Floats, ends: Ints) -> tuple[float, float]:
+    """Flexion of a limb that hangs from the trunk, NaN where it is lifted sideways; to the right.
+
+    Both in rad.
+    """
     up, right = _bone(view, ends[0], ends[1]), _bone(view, ends[2], ends[3])
     limb = _bone(view, ends[4], ends[5])
     forward = _across(up, right)
     up = _across(right, forward)
-    if abs(_dot(limb, right)) > _SIDEWAYS:
-        return np.nan
-    return math.atan2(_dot(limb, forward), -_dot(limb, up))
+    sideways = _dot(limb, right)
+    if math.isnan(sideways):
+        return np.nan, np.nan
+    sideways = min(max(sideways, -1.0), 1.0)
+    flexion = math.atan2(_dot(limb, forward), -_dot(limb, up))
+    return np.nan if abs(sideways) > _SIDEWAYS else flexion, math.asin(sideways)
 
 
 @inlined
@@ -144,6 +156,10 @@ def doubt_posture(view: Floats, limits: PostureLimits, shares: Floats) -> None:
     for k in range(len(limits.swings)):
         middle = (limits.ranges[k, 0] + limits.ranges[k, 1]) / 2.0
         half = (limits.ranges[k, 1] - limits.ranges[k, 0]) / 2.0
-        off = (_flexion(view, limits.swings[k]) - middle) % (2.0 * math.pi)
+        flexion, sideways = _swing(view, limits.swings[k])
+        inwards = -limits.inwards[k, 0] * sideways
+        if not math.isnan(sideways):
+            _doubt(inwards - limits.inwards[k, 1], limits.swung[k], shares)
+        off = (flexion - middle) % (2.0 * math.pi)
         off = min(off, 2.0 * math.pi - off)
         _doubt(off - half, limits.swung[k], shares)
