@@ -1,12 +1,13 @@
 """A long live run, faster than real time: memory, lost messages, ids.
 
-    python benchmarks/soak.py [MINUTES [SPEED [PEOPLE [CAMERAS]]]]
+    python benchmarks/soak.py [MINUTES [SPEED [PEOPLE [CAMERAS [RATE]]]]]
 
 Simulates a minute of people who walk about, and feeds it to ``hiros process - -o -`` again and
 again, with times that go on: forwards, then backwards, so that nobody jumps. A program that is
 slower than SPEED holds the input up. Prints for each minute of input how long it took, s, how far
 the results are behind what was sent, s, the memory of the program, MB, and how many results each id
-has; at the end, how many messages were sent, and how many came back.
+has; at the end, how many messages were sent, how many came back, and how many were lost on the way:
+sent, but not copied; and sent, but not tracked.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from hiros_mcap.io.codec import Decoder, Encoder
 from hiros_mcap.io.container.sinks import Pipe
 from hiros_mcap.io.container.writer import LiveWriter
 from hiros_mcap.io.log import open_log
-from hiros_mcap.simulate import SimulateParams
+from hiros_mcap.simulate import RigParams, SimulateParams
 from hiros_mcap.simulate.body_model import MODEL
 from hiros_mcap.simulate.write_log import write_log
 
@@ -40,20 +41,27 @@ RESULTS = "/hiros/filtered"
 
 
 def main() -> None:
-    given = [float(text) for text in sys.argv[1:]] + [30.0, 10.0, 2, 4][len(sys.argv) - 1 :]
-    minutes, speed, people, cameras = int(given[0]), given[1], int(given[2]), int(given[3])
-    log = Path(tempfile.gettempdir()) / f"hiros-soak-{people}x{cameras}.mcap"
+    given = [float(text) for text in sys.argv[1:]] + [30.0, 10.0, 2, 4, 30.0][len(sys.argv) - 1 :]
+    minutes, speed, people, cameras, rate = int(given[0]), given[1], *map(int, given[2:4]), given[4]
+    log = Path(tempfile.gettempdir()) / f"hiros-soak-{people}x{cameras}-{rate:g}.mcap"
     if not log.exists():
-        write_log(log, SimulateParams(people=people, cameras=cameras, seconds=60.0, seed=1))
+        rig = RigParams(rate=rate)
+        params = SimulateParams(people=people, cameras=cameras, seconds=60.0, seed=1, rig=rig)
+        write_log(log, params)
     command = [sys.executable, "-m", "hiros_cli", "process", "-", "-o", "-"]
     run = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     feeder = Feeder(log, run.stdin, minutes, speed)
     feeder.start()
     print(f"{minutes} min of {people} people and {cameras} cameras at {speed:g} times the speed")
     print(f"{'minute':>6} {'took':>6} {'behind':>6} {'MB':>6} {'results':>8}  ids")
-    take(run, feeder)
+    counts = take(run, feeder)
     feeder.join()
-    print(f"{feeder.sent} messages of cameras sent; exit code {run.wait()}")
+    tracked = counts["/hiros/tracked"]
+    copied = sum(n for topic, n in counts.items() if not topic.startswith(("/hiros/", "/tf")))
+    print(
+        f"{feeder.sent} messages of cameras sent, {feeder.sent - copied} not copied, "
+        f"{feeder.sent - tracked} not tracked; exit code {run.wait()}"
+    )
 
 
 class Feeder(threading.Thread):
@@ -118,8 +126,8 @@ def repeated(rows: list, first: int, minutes: int) -> Iterator[tuple[int, object
         yield from sorted(moved, key=lambda pair: pair[1].log_time)
 
 
-def take(run: subprocess.Popen, feeder: Feeder) -> None:
-    """Read what comes back; print a line for each minute of input."""
+def take(run: subprocess.Popen, feeder: Feeder) -> dict[str, int]:
+    """Read what comes back; print a line for each minute of input. Return messages by topic."""
     topics: dict[int, str] = {}
     counts: dict[str, int] = defaultdict(int)
     ids: dict[int, int] = defaultdict(int)
@@ -152,6 +160,7 @@ def take(run: subprocess.Popen, feeder: Feeder) -> None:
             ids.clear()
     for topic, n in sorted(counts.items()):
         print(f"{topic:24} {n:8} messages")
+    return counts
 
 
 def memory_of(process: int) -> float:
