@@ -150,9 +150,18 @@ def select_skeletons(
         chosen = [i for i in others if any(fnmatchcase(i.topic, glob) for glob in topics)]
     for info in chosen:
         if info.encoding != "cdr":
-            raise LogError(f"is encoded as {info.encoding!r}, not as CDR", topic=info.topic)
+            raise not_cdr(info)
     # Without any message, the room was empty.
     return tuple(info for info in chosen if info.count) or tuple(chosen)
+
+
+def not_cdr(info: ChannelInfo) -> LogError:
+    """Return the error of a channel whose messages cannot be read."""
+    return LogError(
+        f"is encoded as {info.encoding!r}, not as CDR; record it anew, or choose other channels "
+        "with --topic",
+        topic=info.topic,
+    )
 
 
 def is_selected(topic: str, topics: Sequence[str] | None, output_prefix: str) -> bool:

@@ -25,6 +25,7 @@ from hiros_mcap.io.channels import (
     add_ros_channel,
     add_skeleton_channel,
     channels_of,
+    not_cdr,
 )
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapReader, McapWriter, Message, Schema
@@ -43,6 +44,7 @@ METRES: Mapping[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 SKELETONS = hiros_schemas.short_name(hiros_schemas.SKELETON_GROUP)
 TRANSFORMS = hiros_schemas.short_name(hiros_schemas.TF_MESSAGE)
 _OLD_TRANSFORMS = "tf/tfMessage"
+_ENCODINGS = "cdr", "ros1"
 HUMANS = "hri_msgs/"
 _PROBED = 16 * 2**20
 """Bytes of a channel that are looked at to learn whether it shows people, and which joints."""
@@ -158,7 +160,8 @@ def _sources(reader: McapReader, selection: Selection) -> list[InputChannel]:
     for info in infos:
         moves = is_transforms(info)
         selected = not moves and selection.selects(info.topic)
-        if selected or (moves and info.topic in TF_TOPICS) or type_of(info) == SKELETONS:
+        copied = type_of(info) == SKELETONS and info.encoding in _ENCODINGS
+        if selected or (moves and info.topic in TF_TOPICS) or copied:
             sources.append(source_of(reader, info, selected=selected))
     # Every log has transforms. Those of humans are looked for where something hints at them.
     hints = any(i.schema.startswith(HUMANS) for i in channels_of(reader))
@@ -171,8 +174,8 @@ def source_of(reader: McapReader, info: ChannelInfo, *, selected: bool) -> Input
     """Prepare a channel; raises LogError for a definition that cannot be used."""
     schema = reader.schema(reader.channels[info.id])
     name = type_of(info)
-    if schema is None or info.encoding not in ("cdr", "ros1"):
-        raise LogError(f"is encoded as {info.encoding!r}, not as CDR", topic=info.topic)
+    if schema is None or info.encoding not in _ENCODINGS:
+        raise not_cdr(info)
     kind = TRANSFORMS if is_transforms(info) else name
     if info.encoding == "cdr" and name in (SKELETONS, TRANSFORMS):
         layouts: dict[str, Layout] = {}
