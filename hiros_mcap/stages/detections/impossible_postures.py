@@ -1,9 +1,9 @@
 """Which joints of a view bend as no body does: its detector has them wrong.
 
-An angle beyond its limit by x says that the markers that it is of, and those farther out, are
-wrong, with the probability 1 - exp(-(x / BLUR)^2 / 2). The limits are the ends of what textbooks
-give for active motion, or, where people squat and kneel, for passive motion (American Academy of
-Orthopaedic Surgeons, Joint motion, 1965; Kapandji, The physiology of the joints).
+Where an angle is beyond its limit by x, its markers, and those farther out, are wrong with the
+probability 1 - exp(-(x / BLUR)^2 / 2). The limits are the ends of what textbooks give for active
+motion, or, where people squat and kneel, for passive motion (American Academy of Orthopaedic
+Surgeons, Joint motion, 1965; Kapandji, The physiology of the joints).
 
 Hips and shoulders are judged by flexion, which needs left and right, and only where the limb is not
 lifted sideways; hips also by how far the thigh points to the other side; neck, elbows and knees by
@@ -116,9 +116,9 @@ def _across(u: Vector, v: Vector) -> Vector:
 
 @inlined
 def _swing(view: Floats, ends: Ints) -> tuple[float, float]:
-    """Flexion of a limb that hangs from the trunk, NaN where it is lifted sideways; to the right.
+    """Return how far a limb is lifted forwards, and to the right, from where it hangs; both rad.
 
-    Both in rad.
+    The first is NaN where the limb is lifted too far sideways. Both are where a marker is absent.
     """
     up, right = _bone(view, ends[0], ends[1]), _bone(view, ends[2], ends[3])
     limb = _bone(view, ends[4], ends[5])

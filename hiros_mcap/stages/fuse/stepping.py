@@ -70,7 +70,7 @@ def _is_later(window: FusionWindow, i: int, j: int) -> bool:
 
 @kernel
 def _insert(window: FusionWindow, i: int, order: Stamps, n: int) -> None:
-    """Put a view or a wanted pose behind the ``n`` that come no later."""
+    """Put a view or a wanted pose in its place among the ``n`` that are in order."""
     while n > 0 and _is_later(window, order[n - 1], i):
         order[n] = order[n - 1]
         n -= 1
@@ -133,7 +133,7 @@ def smooth_people(
     window: FusionWindow, first: int, last: int, noise: JointNoise, states: JointStates,
     out: FusedPoses, work: StepWork,
 ) -> None:  # fmt: skip
-    """Smooth the people of a window from the ``first`` until before the ``last``.
+    """Smooth some of the people of a window: ``everybody[first:last]``.
 
     Parameters
     ----------
