@@ -9,7 +9,10 @@ from __future__ import annotations
 
 import json
 import logging
+import socket
 import struct
+import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -23,6 +26,10 @@ _PATIENCE = 0.1  # s: how soon a request to stop is heard
 LARGEST = 64 << 20
 """Bytes of the largest message; one of a camera has less than 1 MiB."""
 _FAREWELL_S = 1.0
+_TOO_EARLY = "Unknown channel ID: "
+_ATTEMPTS, _PAUSE_S = 100, 0.01
+_SILENT_S = {"TCP_KEEPIDLE": 15, "TCP_KEEPALIVE": 15, "TCP_KEEPINTVL": 5, "TCP_KEEPCNT": 3}
+"""When the system asks a silent server whether it is there; some of the names exist on each."""
 _QUEUED = 4
 """Messages that wait for a busy run, before the server has to."""
 
@@ -52,6 +59,8 @@ class FoxgloveInput:
         """Channel of the server -> our number of it and of the subscription."""
         self._counts: dict[int, int] = {}
         """Our number of a channel -> messages so far."""
+        self._again: Counter[int] = Counter()
+        """Channel of the server -> how often it was too early to subscribe."""
 
     def stop(self) -> None:
         """End the input here; a signal handler may call it."""
@@ -93,7 +102,9 @@ class FoxgloveInput:
                 max_queue=_QUEUED,
                 close_timeout=_FAREWELL_S,
                 compression=None,
+                ping_interval=None,  # the answer would lie behind messages that a busy run leaves
             ) as self._connection:
+                _keep_alive(self._connection.socket)
                 yield from self._received(self._connection)
         except ConnectionClosedOK:
             return
@@ -123,6 +134,8 @@ class FoxgloveInput:
         """Subscribe to what is wanted of the entry channels, and yield the definitions."""
         try:
             entry = parse(text, "JSON", "text")
+            if entry.get("op") == "status" and entry["message"].startswith(_TOO_EARLY):
+                self._ask_again(connection, int(entry["message"].removeprefix(_TOO_EARLY)))
             channels = entry["channels"] if entry.get("op") == "advertise" else []
             news = [c for c in channels if c["id"] not in self._ids]
             wanted = [c for c in news if self._wanted(c["topic"], c["schemaName"])]
@@ -137,16 +150,39 @@ class FoxgloveInput:
             yield schema
             yield channel
         self._ids |= numbers
-        pairs = [{"id": ours, "channelId": theirs} for theirs, ours in numbers.items()]
-        connection.send(json.dumps({"op": "subscribe", "subscriptions": pairs}))
+        _subscribe(connection, numbers)
+
+    def _ask_again(self, connection: Any, channel: int) -> None:
+        """Subscribe to a channel that the server has advertised and does not know yet.
+
+        foxglove-sdk advertises a channel a moment before it takes subscriptions of it.
+        """
+        if self._again[channel] < _ATTEMPTS and channel in self._ids:
+            self._again[channel] += 1
+            time.sleep(_PAUSE_S)
+            _subscribe(connection, {channel: self._ids[channel]})
 
     def _message(self, data: bytes) -> Iterator[Message]:
         if data[:1] != b"\x01" or len(data) < _DATA.size:
             return
-        _, ident, time = _DATA.unpack_from(data)
+        _, ident, log_time = _DATA.unpack_from(data)
         if ident in self._counts:
             self._counts[ident] += 1
-            yield Message(ident, time, data[_DATA.size :], time, self._counts[ident])
+            yield Message(ident, log_time, data[_DATA.size :], log_time, self._counts[ident])
+
+
+def _subscribe(connection: Any, numbers: dict[int, int]) -> None:
+    """Subscribe to channels of the server, each with our number of it."""
+    pairs = [{"id": ours, "channelId": theirs} for theirs, ours in numbers.items()]
+    connection.send(json.dumps({"op": "subscribe", "subscriptions": pairs}))
+
+
+def _keep_alive(end: socket.socket) -> None:
+    """Let the connection break half a minute after the server has gone without a farewell."""
+    end.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for name, value in _SILENT_S.items():
+        if hasattr(socket, name):
+            end.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
 def _definitions(entry: dict[str, Any], ident: int) -> tuple[Schema, Channel]:

@@ -57,7 +57,8 @@ class FoxgloveServer(Sink):
             ) from None
         self._library: Any = foxglove
         # Else the library complains on stderr that nobody takes its log.
-        logging.getLogger("foxglove_py").addHandler(logging.NullHandler())
+        for name in ("foxglove", "foxglove_py"):
+            logging.getLogger(name).addHandler(logging.NullHandler())
         self._context = foxglove.Context()
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Any] = {}
