@@ -99,7 +99,7 @@ class Event:
         return any(word in self.kind for word in _WARNING_WORDS)
 
 
-_BEHIND = re.compile(r"(behind person \d+) for ([\d.]+) s")
+_BEHIND = re.compile(r"(behind.*) for ([\d.]+)")
 
 
 class HiddenTime(NamedTuple):
