@@ -9,6 +9,9 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from typing import TypeVar
+
+T = TypeVar("T")
 
 _LOCAL = threading.local()
 _ARENA_MAX = -8  # M_ARENA_MAX in malloc.h
@@ -51,8 +54,31 @@ def run_each(calls: Sequence[Callable[[], object]]) -> None:
     _LOCAL.cpu_s = _others_cpu() + sum(other.result() for other in others)
 
 
+def beside(call: Callable[[], T]) -> Callable[[], T]:
+    """Begin a call beside this thread; return what waits for its result.
+
+    Its CPU time counts as that of the thread that waits.
+    """
+
+    def work() -> tuple[T, float]:
+        begun = time.thread_time()
+        result = call()
+        return result, time.thread_time() - begun
+
+    pool = ThreadPoolExecutor(1, thread_name_prefix="hiros-beside")
+    future = pool.submit(work)
+    pool.shutdown(wait=False)
+
+    def wait() -> T:
+        result, cpu_s = future.result()
+        _LOCAL.cpu_s = _others_cpu() + cpu_s
+        return result
+
+    return wait
+
+
 def cpu_time() -> float:
-    """Return the CPU of this thread and of those that :func:`run_each` started for it, s."""
+    """Return the CPU of this thread and of those that worked for it, s."""
     return time.thread_time() + _others_cpu()
 
 

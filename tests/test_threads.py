@@ -50,3 +50,37 @@ def test_their_cpu_is_that_of_the_thread_which_asked():
     begin = threads.cpu_time()
     threads.run_each(3 * [call])
     assert threads.cpu_time() - begin >= sum(used)
+
+
+def test_a_call_beside_this_thread_goes_on_until_its_result_is_wanted():
+    go_on = threading.Event()
+
+    def call():
+        assert go_on.wait(60)  # this thread is not held up
+        return threading.get_ident()
+
+    wait = threads.beside(call)
+    go_on.set()
+    assert wait() != threading.get_ident()
+
+
+def test_an_error_beside_this_thread_comes_with_the_result():
+    def fail():
+        raise ValueError("no")
+
+    wait = threads.beside(fail)
+    with pytest.raises(ValueError, match="no"):
+        wait()
+
+
+def test_the_cpu_beside_this_thread_counts_when_the_result_is_taken():
+    used = []
+
+    def call():
+        begin = time.thread_time()
+        sum(range(10**6))
+        used.append(time.thread_time() - begin)
+
+    begin = threads.cpu_time()
+    threads.beside(call)()
+    assert threads.cpu_time() - begin >= used[0]

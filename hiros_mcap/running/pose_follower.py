@@ -9,7 +9,7 @@ to be wrong are corrected a little with each message.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -41,6 +41,7 @@ from hiros_mcap.kernels.transforming import PoseArrays, move
 from hiros_mcap.running.clock_alignment import significant_offsets
 from hiros_mcap.running.clock_follower import ClockFollower
 from hiros_mcap.running.pose_alignment import PoseAlignment, summary_of
+from hiros_mcap.threads import beside
 
 _MOMENTS_S = (3, 4, 6, 8, 10, 15, 20, 30, 40)
 """When poses and clocks are compared, s after the first message."""
@@ -50,6 +51,9 @@ _CERTAIN_S = 5.0
 """Before that, poses are known to .2 degrees: as well as a careful calibration knows them."""
 _EVERY_S = 60
 """Afterwards at all multiples of this."""
+_TAKES = 3
+"""Ticks from the beginning of a comparison to its result: it goes on beside the run, which would
+otherwise stand still for a quarter of a second."""
 _WINDOW_S = 60.0
 _TICK_NS = 100_000_000
 _STEP_DEG, _STEP_M = 0.1, 0.005
@@ -88,6 +92,8 @@ class PoseFollower:
         """Camera -> the pose that is used, between the given one and the goal."""
         self._moves: dict[str, PoseArrays] = {}
         """Camera -> how its detections move."""
+        self._comparison: Callable[[], None] | None = None
+        """Waits for the result of the comparison that has begun, and takes it."""
 
     def correct(self, blocks: Iterable[Block]) -> Iterator[Block]:
         """Yield blocks with right stamps and the detections where better poses put them."""
@@ -96,11 +102,15 @@ class PoseFollower:
             for part in self._parts(block):
                 self._advance(int(part.log_times[0]))
                 yield self._take(self._clocks.correct(part))
+        self._conclude()
 
     def _parts(self, block: Block) -> Iterator[Block]:
-        """Cut a block where poses and clocks are compared."""
+        """Cut a block where the results of comparisons come in."""
+        if len(block) == 1:
+            yield block
+            return
         ticks = (block.log_times - self._start) // _TICK_NS
-        counts = [_refinements_until(tick) for tick in ticks.tolist()]
+        counts = [_comparisons_until(tick - _TAKES) for tick in ticks.tolist()]
         cuts = [0, *(np.flatnonzero(np.diff(counts)) + 1).tolist(), len(block)]
         for begin, end in pairwise(cuts):
             yield block.select(slice(begin, end))
@@ -132,6 +142,8 @@ class PoseFollower:
                 if sizes[i]:  # a detector may send an empty message between any two
                     self._latest[source] = stamp
                 chosen.append(i)
+        if not chosen:
+            return {}
         return dict(zip(chosen, sightings_of(block, chosen, self._start), strict=True))
 
     def _advance(self, log_time: int) -> None:
@@ -140,13 +152,22 @@ class PoseFollower:
         if tick <= self._tick:
             return
         before, self._tick = self._tick, tick
-        if _refinements_until(tick) > _refinements_until(before):
+        if _comparisons_until(tick - _TAKES) > _comparisons_until(before - _TAKES):
+            self._conclude()
+        if _comparisons_until(tick) > _comparisons_until(before):
+            self._conclude()
             self._compare()
         if any(self._poses[name] is not goal for name, goal in self._goals.items()):
             self._step(tick - before)
 
+    def _conclude(self) -> None:
+        """Take the result of the comparison that has begun, if one has."""
+        if self._comparison is not None:
+            self._comparison()
+            self._comparison = None
+
     def _compare(self) -> None:
-        """Compare the poses with the people of the last minute."""
+        """Begin to compare the poses with the people of the last minute."""
         since = self._tick * _TICK_NS / 1e9 - _WINDOW_S
         for followed in self._seen.values():
             followed.forget(since)
@@ -158,17 +179,24 @@ class PoseFollower:
         anchors = [k for k, one in enumerate(cameras) if one.frame == log.fixed_frame]
         views = [in_own_frame(camera, self._view(camera)) for camera in cameras]
         # Also where the poses are to stay: wrong ones, held, would look like wrong clocks.
-        rig = refine_poses(
-            views,
-            [camera.pose for camera in cameras],
-            self._mirror,
-            anchors[0] if anchors else None,
-            moves=False,
-            proven_s=_PROVEN_S,
-        ).cameras
-        self._correct_clocks(rig)
-        if self._movable:
-            self._take_poses(cameras, rig)
+        estimate = beside(
+            lambda: refine_poses(
+                views,
+                [camera.pose for camera in cameras],
+                self._mirror,
+                anchors[0] if anchors else None,
+                moves=False,
+                proven_s=_PROVEN_S,
+            )
+        )
+
+        def take() -> None:
+            rig = estimate().cameras
+            self._correct_clocks(rig)
+            if self._movable:
+                self._take_poses(cameras, rig)
+
+        self._comparison = take
 
     def _view(self, camera: FixedCamera) -> CameraView:
         """Return what a camera sees, where the log's poses put it."""
@@ -227,7 +255,7 @@ def _is_clearly_wrong(one: CalibratedCamera) -> bool:
     return one.moved_deg > MOVED * one.error_deg or one.moved_mm > MOVED * one.error_mm
 
 
-def _refinements_until(tick: int) -> int:
+def _comparisons_until(tick: int) -> int:
     """Return how often the poses are compared up to a tick."""
     seconds = tick * _TICK_NS / 1e9
     return sum(seconds >= moment for moment in _MOMENTS_S) + int(seconds // _EVERY_S)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 import pytest
 from test_live import AS_KNOWN, LIVE, recorded, results, run_live, send
@@ -127,6 +129,35 @@ def test_only_the_people_of_the_last_seconds_are_compared(folder, monkeypatch):
         followed(log, log.blocks())
     # After 3, 4, 6, 8 and 10 s.
     assert compared == pytest.approx([0.0, 0.0, 0.0, 2.0, 4.0], abs=0.5)
+
+
+def test_the_run_goes_on_while_poses_are_compared(folder, monkeypatch):
+    start, seen = threading.Event(), []
+
+    def waiting(*what, **how):
+        assert start.wait(60)
+        return refine_poses(*what, **how)
+
+    def noting(frames):
+        for frame in frames:
+            seen.append(frame.log_time)
+            if seen[-1] - seen[0] > 3.2e9:  # messages go on behind the first comparison, at 3 s
+                start.set()
+            yield Block.of(frame)
+
+    monkeypatch.setattr(pose_follower, "refine_poses", waiting)
+    with open_log(folder / "off.mcap") as log:
+        _, alignment = followed(log, noting(log.detections()))
+    assert alignment.cameras[2].verdict == "improved"
+
+
+def test_a_comparison_at_the_end_of_a_log_counts(folder):
+    with open_log(folder / "off.mcap") as log:
+        frames = list(log.detections())
+        end = frames[0].log_time + 3_100_000_000  # the first comparison begins after 3 s
+        shorter = [Block.of(frame) for frame in frames if frame.log_time < end]
+        _, alignment = followed(log, shorter)
+    assert [camera.name for camera in alignment.cameras] == [f"camera_{k}" for k in range(3)]
 
 
 def test_it_does_not_matter_how_messages_come_in_blocks(folder):
