@@ -134,13 +134,25 @@ BlockStage = Callable[[Iterable[Block]], Iterator[Block]]
 class CameraNumbers(dict[str, int]):
     """Numbers the cameras of some blocks in the order in which their first frames come."""
 
+    def __init__(self) -> None:
+        super().__init__()
+        self._table: tuple[tuple[str, ...], Stamps] = (), np.empty(0, np.int64)
+        """Names of the last block, and the numbers of those that were cameras; -1 of the others."""
+
     def of(self, block: Block) -> Stamps:
         """(N,) Number of the camera of each frame."""
+        names, table = self._table
+        if names != block.names or (table[block.sources] < 0).any():
+            self._number(block)
+        return np.asarray(self._table[1][block.sources])
+
+    def _number(self, block: Block) -> None:
+        """Give numbers to the cameras of a block; keep those of all its names."""
         codes, first = np.unique(block.sources, return_index=True)
-        numbers = np.zeros(len(block.names), np.int64)
         for code in codes[np.argsort(first)].tolist():
-            numbers[code] = self.setdefault(block.names[code], len(self))
-        return np.asarray(numbers[block.sources])
+            self.setdefault(block.names[code], len(self))
+        numbers = [self.get(name, -1) for name in block.names]
+        self._table = block.names, np.array(numbers, np.int64)
 
 
 def places_of(names: Iterable[str], places: Mapping[str, Floats]) -> Floats:
@@ -222,13 +234,14 @@ class HeldFrames:
             self._blocks.append((np.arange(first, self.count), block))
         return first
 
-    def copies(self, numbers: Sequence[int] | Stamps, width: int = 0) -> Block:
-        """Return copies of the frames with these numbers, in this order; see :func:`join`."""
+    def take(self, numbers: Sequence[int] | Stamps) -> Block:
+        """Return the frames with these numbers, in this order; copies if they were not together."""
         wanted = np.asarray(numbers)
         first, last = wanted.min(), wanted.max()
         held = [pair for pair in self._blocks if first <= pair[0][-1] and pair[0][0] <= last]
-        every = np.concatenate([ids for ids, _ in held])
-        return join([block for _, block in held], np.searchsorted(every, wanted), width)
+        places = np.searchsorted(np.concatenate([ids for ids, _ in held]), wanted)
+        blocks = [block for _, block in held]
+        return blocks[0].select(places) if len(blocks) == 1 else join(blocks, places)
 
     def keep(self, numbers: Sequence[int] | Stamps) -> None:
         """Let go of all frames but these."""
@@ -245,6 +258,9 @@ class HeldFrames:
 
 def _common_names(blocks: Sequence[Block]) -> tuple[tuple[str, ...], Stamps, Stamps]:
     """Return names for all blocks, and the numbers of the sources and of the frame_ids of all."""
+    if all(block.names == blocks[0].names for block in blocks):
+        sources = np.concatenate([block.sources for block in blocks])
+        return blocks[0].names, sources, np.concatenate([block.frame_ids for block in blocks])
     numbers = CameraNumbers()
     tables = [np.array([numbers.setdefault(n, len(numbers)) for n in b.names]) for b in blocks]
     pairs = list(zip(tables, blocks, strict=True))

@@ -79,7 +79,8 @@ def test_held_frames_come_back_with_all_columns(width):
         slim = [np.ascontiguousarray(each[..., :width]) for each in (frame.markers, frame.links)]
         held.add(Block.of(frame.replace(markers=slim[0], links=slim[1])))
     held.keep([0, 2])
-    for frame, number in zip(held.copies([2, 0], 19).frames(), (2, 0), strict=True):
+    wide = join([held.take([2, 0])], width=19)
+    for frame, number in zip(wide.frames(), (2, 0), strict=True):
         expected = frames[number]
         assert frame.ids.tolist() == expected.ids.tolist()
         assert frame.markers.shape == expected.markers.shape
@@ -98,21 +99,26 @@ def test_joined_people_have_as_many_columns_as_the_widest():
 
 @pytest.mark.parametrize("width", [19, 7])
 @pytest.mark.parametrize("others", [0, 1])
-def test_a_frame_that_waits_alone_is_copied_with_all_columns(others, width):
+def test_a_single_frame_is_copied_with_all_columns(others, width):
     frames = [numbered(2, 10), numbered(2 * others, 20)]
     block = join([Block.of(frame) for frame in frames]).select([0])
     markers = np.ascontiguousarray(block.people.markers[:, :, :width])
     block = replace(block, people=block.people._replace(markers=markers))
-    held = HeldFrames()
-    held.add(block)
-    copy = held.copies([0], 19)
+    copy = join([block], width=19)
     assert copy.people.ids.tolist() == [10, 11]
     assert copy.people.markers.shape == (2, 2, 19)
     np.testing.assert_array_equal(copy.people.markers[:, :, :width], markers[:2])
     for array in copy.people:
         array[:] = 0
     assert markers[:2].min() == 10
-    assert held.copies([0]).people.ids.tolist() == [10, 11]
+
+
+def test_held_frames_of_one_block_are_not_copied():
+    held, block = HeldFrames(), join([Block.of(numbered(1, start)) for start in (5, 6, 7)])
+    held.add(block)
+    taken = held.take([2, 0])
+    assert taken.people is block.people
+    assert [frame.ids.tolist() for frame in taken.frames()] == [[7], [5]]
 
 
 def test_people_of_whom_no_marker_is_known_can_be_left_out():

@@ -25,6 +25,7 @@ from hiros_mcap.running.process_options import Calibration, ProcessOptions
 from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.skeletons import Floats
 from hiros_mcap.stages.lateness import Lateness
+from hiros_mcap.stages.merge.instants import by_instants
 from hiros_mcap.stages.time_order import in_time_order
 from hiros_mcap.systems import Run, Stages, chain_of, sections_of, system
 
@@ -57,7 +58,9 @@ class Prepared:
         follower = PoseFollower(reading, self.poses, self.clocks.follower(), movable=movable)
         lateness = Lateness(self.config.input.max_delay, self.clocks.reorder)
         self.clocks.needed = lateness.needed
-        return in_time_order(follower.correct(reading.blocks()), lateness=lateness)
+        ordered = in_time_order(follower.correct(reading.blocks()), lateness=lateness)
+        merge = self.config.merge
+        return by_instants(ordered, merge.cameras, merge.max_delta_time)
 
 
 def prepare(log: Log, config: Config, options: ProcessOptions, watch: Stopwatch) -> Prepared:

@@ -82,12 +82,8 @@ class TimeOrder:
         )
         self._waiting = queue[: len(queue) - n].copy()
         numbers, log_times = leaving[:n].T.copy()
-        ready = []
-        if n:
-            # What waited goes on together with what came: later stages cost a call per block.
-            waited = bool((numbers < first).any())
-            ordered = self._held.copies(numbers) if waited else block.select(numbers - first)
-            ready.append(ordered.logged_at(log_times))
+        # What waited goes on together with what came: later stages cost a call per block.
+        ready = [self._held.take(numbers).logged_at(log_times)] if n else []
         self._held.keep(self._waiting[:, 2])
         return ready
 
@@ -100,7 +96,7 @@ class TimeOrder:
     def rest(self) -> Iterator[Block]:
         """Yield what is left, now that nothing more comes."""
         if n := len(self._waiting):
-            yield self._held.copies(self._waiting[:, 2]).logged_at([int(self._times[_NOW])] * n)
+            yield self._held.take(self._waiting[:, 2]).logged_at([int(self._times[_NOW])] * n)
 
 
 @kernel

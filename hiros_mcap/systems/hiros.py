@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 from hiros_mcap.frames import BlockStage
 from hiros_mcap.stages.merge.merge_params import MergeParams
@@ -67,7 +66,6 @@ def _mended_views(run: Run) -> tuple[BlockStage, MergeParams]:
     from hiros_mcap.stages.detections.hidden import mend_hidden_blocks
     from hiros_mcap.stages.detections.plausible import drop_implausible_blocks
     from hiros_mcap.stages.detections.sides import decide_sides, knows_sides
-    from hiros_mcap.stages.merge.instants import by_instants
 
     merging = run.config.merge
     if run.config.sides.over_time and knows_sides(run.model):
@@ -75,8 +73,7 @@ def _mended_views(run: Run) -> tuple[BlockStage, MergeParams]:
     bodies = run.stage(drop_implausible_blocks, run.config.plausible, cameras=run.cameras)
     decide = run.stage(decide_sides, run.config.sides)
     hidden = run.stage(mend_hidden_blocks, run.config.plausible, cameras=run.cameras)
-    together = partial(by_instants, cameras=merging.cameras, max_delta_time=merging.max_delta_time)
-    return lambda blocks: hidden(decide(bodies(together(blocks)))), merging
+    return lambda blocks: hidden(decide(bodies(blocks))), merging
 
 
 def merging_order(params: MergeParams) -> tuple[str, ...]:

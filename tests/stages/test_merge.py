@@ -778,8 +778,8 @@ def test_a_second_message_of_a_camera_lets_the_first_ones_go():
     assert out == [3, 1]
 
 
-def test_messages_that_came_together_do_not_wait():
-    alone, (whole,) = one_by_one((0, "a")), [join([*one_by_one((5, "b"), (33, "a"))])]
-    blocks = list(by_instants([*alone, whole], 2, 0.1))
-    assert [block.stamps.tolist() for block in blocks] == [[0], [5 * MS, 33 * MS]]
-    assert blocks[1] is whole
+def test_blocks_are_cut_behind_the_message_that_completes_an_instant():
+    first, second = [(0, "a"), (5, "b"), (33, "a")], [(38, "b"), (66, "a"), (71, "b"), (99, "a")]
+    came = [join(list(one_by_one(*messages))) for messages in (first, second)]
+    out = [[stamp // MS for stamp in block.stamps.tolist()] for block in by_instants(came, 2, 0.1)]
+    assert out == [[0, 5], [33, 38, 66, 71], [99]]

@@ -38,6 +38,13 @@ class LogOrder(Generic[T]):
         Yields runs of messages of one item: the item, and which of its messages.
         """
         times = self._keys[:, 0]
+        is_all = len(times) > 0 and (log_time is None or bool(times[-1] < log_time))
+        if is_all and len(self._items) == 1 and bool((times[1:] > times[:-1]).all()):
+            # Nothing overlaps, or one live message comes after the other.
+            (item,) = self._items.values()
+            self._keys, self._places, self._items = self._keys[:0], self._places[:0], {}
+            yield item, list(range(len(times)))
+            return
         ready = np.full(len(times), log_time is None) if log_time is None else times < log_time
         chosen = np.flatnonzero(ready)
         order = chosen[np.lexsort(self._keys[chosen].T[::-1])]

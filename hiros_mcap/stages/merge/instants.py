@@ -88,25 +88,22 @@ class Instants:
 
 
 def by_instants(blocks: Iterable[Block], cameras: int, max_delta_time: float) -> Iterator[Block]:
-    """Join messages that come one by one until an instant is complete; others pass.
+    """Gather messages until an instant is complete: blocks end where one does.
 
-    No merger gives anything before, and stages cost a call per block. The parameters are those of
-    :class:`Instants`.
+    No merger gives anything before, and all stages cost a call per block. The parameters are those
+    of :class:`Instants`.
     """
     gathered, held = Instants(cameras, max_delta_time, Events()), list[Block]()
     for block in blocks:
-        if len(block) != 1:
-            if held:
-                yield together(held)
-                held = []
-            yield block
-            del block  # else it lies in memory until the next one is made
-            continue
-        held.append(block)
-        (message,) = block.messages()
-        if gathered.add(*message, 0):
-            yield together(held)
+        end = 0
+        for n, message in enumerate(block.messages(), 1):
+            end = n if gathered.add(*message, 0) else end
+        if end:
+            yield together([*held, block.select(slice(end))])
             held = []
+        if end < len(block):
+            held.append(block.select(slice(end, None)))
+        del block  # else it lies in memory until the next one is made
     if held:
         yield together(held)
 
