@@ -280,6 +280,7 @@ def refine_poses(
     *,
     moves: bool = True,
     proven_s: float = PROVEN.seconds,
+    effort: Effort = FROM_GIVEN,
 ) -> Estimate:
     """Find out whether the people know better poses than the given ones, and how the clocks go.
 
@@ -292,7 +293,7 @@ def refine_poses(
     anchor : the camera whose frame is the fixed frame, so that its pose is right by definition.
     movable : of which cameras the pose may change; None = all. The clocks of all may.
     moves : whether to look for cameras that were moved; otherwise nothing is gained.
-    proven_s : shortest common view, s, that proves a pose.
+    proven_s : shortest common view, s, that proves a pose. effort : on how much they are refined.
     """
     movable = [True] * len(views) if movable is None else movable
     cameras = [
@@ -307,12 +308,12 @@ def refine_poses(
         start = Rig.of([given[c] for c in some])
         free = np.array([movable[c] for c in some])
         shared = points if some == everyone else None
-        rig = refine_together([views[c] for c in some], start, mirror, FROM_GIVEN, free, shared)
+        rig = refine_together([views[c] for c in some], start, mirror, effort, free, shared)
         return FittingRig(some, rig, evidence_of(rig, mirror))
 
     everyone = list(range(len(views)))
-    instants = instants_of(views, FROM_GIVEN.instants)
-    points = common_points(views, Rig.of(given), instants, mirror, FROM_GIVEN.gates[0])
+    instants = instants_of(views, effort.instants)
+    points = common_points(views, Rig.of(given), instants, mirror, effort.gates[0])
     for part in _linked(points):
         # The first camera defines the common frame.
         fit, left = fit_together(sorted(part, key=lambda c: movable[c]), refined, misfit)
@@ -326,7 +327,7 @@ def refine_poses(
             if not moves:
                 continue
             some, rig = fit.refined, fit.refined.rig
-            wide = common_points(some.views, rig, some.instants, mirror, FROM_GIVEN.gates[0])
+            wide = common_points(some.views, rig, some.instants, mirror, effort.gates[0])
             second = second_poses(residuals_of(wide, rig), wide)
             for c, gain in zip(fit.cameras, second, strict=True):
                 gains[c] = gain
