@@ -15,7 +15,7 @@ from hiros_mcap.body.symmetry import split_side, symmetry_of
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.sampling import lines_of
 from hiros_mcap.kernels.lagging import LagWork, correlate
-from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
+from hiros_mcap.skeletons import Floats, SkeletonModel, Stamps
 
 STEP_S = 0.05
 LONGEST_LAG_S = 5.0
@@ -64,21 +64,16 @@ def landmarks_of(model: SkeletonModel) -> Landmarks:
     """Find the paired joints and the pelvis by their names; without names, all joints."""
     symmetry = symmetry_of(model)
     slots = np.arange(model.n_markers)
-    left = np.array(
-        [m for m in slots if symmetry.mirror[m] != m and _is_left(model.marker_names[m])], np.int64
-    )
-    parts = [split_side(name)[0] for name in model.marker_names]
-    pelvis = [m for m in slots if parts[m] in _PELVIS]
-    hips = [m for m in slots if parts[m] == "hip" and symmetry.mirror[m] != m]
+    names = [split_side(name) for name in model.marker_names]
+    paired = [m for m in slots if symmetry.mirror[m] != m]
+    left = np.array([m for m in paired if names[m][1] == "left"], np.int64)
+    pelvis = [m for m in slots if names[m][0] in _PELVIS]
+    hips = [m for m in paired if names[m][0] == "hip"]
     if not len(left):
         return Landmarks(slots, slots, slots)
     return Landmarks(
         left, symmetry.mirror[left].astype(np.int64), np.array(pelvis or hips or slots)
     )
-
-
-def _is_left(name: str) -> bool:
-    return split_side(name)[1] == "left"
 
 
 def signatures_of(view: CameraView, landmarks: Landmarks) -> list[Signature]:
@@ -122,12 +117,8 @@ def lag_candidates(ones: list[Signature], others: list[Signature]) -> list[LagCa
         ranked = sorted(table, key=lambda pair: -float(table[pair][near].max()))
         pairs = [pair for pair in ranked[:PAIRS] if table[pair][near].any()]
         candidates.append(LagCandidate(STEP_S * float(lags[k]), pairs))
-        votes[_near(lags, int(lags[k]))] = 0.0
+        votes[np.abs(lags - lags[k]) < APART_S / STEP_S] = 0.0
     return candidates
-
-
-def _near(lags: Stamps, lag: int) -> Flags:
-    return np.abs(lags - lag) < APART_S / STEP_S
 
 
 def _scores(one: Signature, other: Signature, lags: Stamps) -> Floats:
