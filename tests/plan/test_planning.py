@@ -12,6 +12,7 @@ from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid, from_matrix, rotate
 from hiros_mcap.body.transforms import read_extrinsics
 from hiros_mcap.evaluate.logs import evaluate_log, find_truth
+from hiros_mcap.plan import placing
 from hiros_mcap.plan.expected_error import MEAN_OF_NORMAL, RIGID, ErrorModel, View
 from hiros_mcap.plan.planning import make_plan
 from hiros_mcap.plan.scenes import FloorGrid, Scenes, make_scenes
@@ -80,6 +81,42 @@ def test_errors_grow_with_the_noise_and_shrink_with_cameras():
     assert pelvis_error(FOUR, noise=2) > 1.5 * pelvis_error(FOUR, noise=1)
     by_count = [pelvis_error(FOUR[:count]) for count in (1, 2, 3, 4)]
     assert all(fewer > more for fewer, more in pairwise(by_count))
+
+
+def test_an_error_that_changes_as_slowly_as_a_lasting_one_weighs_as_much():
+    """A first-order process of correlation c from frame to frame at 30 Hz."""
+    seconds, steady = 2.0, {**QUIET, "range_growth": 0.0}
+    coloured = {**steady, "coloured": 0.02, "correlation": float(np.exp(-1 / (30 * seconds)))}
+    bias = {**steady, "bias": 0.02, "bias_seconds": seconds}
+    one, other = (variance(FOUR[:1], calibration_error=0, detector=d) for d in (coloured, bias))
+    assert one == pytest.approx(other, rel=1e-6)
+
+
+def test_the_floor_is_divided_without_the_strip_along_its_walls():
+    floor = FloorGrid.of((1 - WALL, 2 - WALL, 7 + WALL, 5 + WALL), 8)  # 6 m x 3 m in 1.5 m cells
+    np.testing.assert_allclose(floor.x, [1.75, 3.25, 4.75, 6.25])
+    np.testing.assert_allclose(floor.y, [2.75, 4.25])
+    np.testing.assert_allclose(floor.centres[[0, 1, 4]], [[1.75, 2.75], [3.25, 2.75], [1.75, 4.25]])
+
+
+def test_a_plan_does_not_depend_on_where_the_room_is(monkeypatch):
+    monkeypatch.setattr(placing, "_CELLS", 4)  # which is quick
+    (one,), (other,) = (
+        placing.Placing(SimulateParams(area=area), 2.2).place(1)
+        for area in ((-2, -1.5, 2, 1.5), (8, 16, 12, 19))
+    )
+    np.testing.assert_allclose(other.translation - one.translation, [10, 17.5, 0], atol=1e-6)
+    np.testing.assert_allclose(other.xyzw, one.xyzw, atol=1e-6)
+
+
+def test_candidates_stand_along_all_walls_and_look_at_the_middle_or_beside_it(monkeypatch):
+    monkeypatch.setattr(placing, "_CELLS", 4)
+    stands = [*placing.Placing(SimulateParams(area=(0, 0, 8, 6)), 1.0)._stands()]
+    np.testing.assert_allclose([s.along for s in stands[::3]], np.arange(28))  # m, one in each
+    corner = np.arctan2(3, 4)
+    bearings = np.degrees(np.array([s.bearing for s in stands[:3]]) - corner)
+    np.testing.assert_allclose(bearings, [0, -25, 25], atol=1e-9)
+    np.testing.assert_allclose([s.tilt for s in stands], 0)  # at the height of a body's middle
 
 
 def test_nobody_is_seen_by_a_camera_that_looks_away():
