@@ -13,9 +13,11 @@ run where a function runs that names it.
 
 Of the tests that call the changed function, those that are quick and call little else run first, up
 to ``--seconds`` of their time, and stop at the first failure. Where none is known (it may run in
-another process), the test files run that import the module or have its name. The test that fails
-has to pass without the change. A change that goes unnoticed is printed: it may change nothing that
-counts, so look at each.
+another process), the test files run that import the module or have its name. What fails, or does
+not end, has to pass without the change. What is compiled goes to a folder that is deleted.
+
+A change that goes unnoticed is printed: it may change nothing that counts, so look at each. Those
+that were looked at stand in mutations_same.json, with the reason why nothing changes.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ import os
 import random
 import resource
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -37,6 +40,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import platformdirs
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -46,6 +50,8 @@ OPERATORS: dict[type[ast.AST], tuple[str, str]] = {
     ast.Eq: ("==", "!="), ast.NotEq: ("!=", "=="), ast.Add: ("+", "-"), ast.Sub: ("-", "+"),
     ast.Mult: ("*", "/"), ast.Div: ("/", "*"), ast.And: ("and", "or"), ast.Or: ("or", "and"),
 }  # fmt: skip
+SAME = Path(__file__).with_name("mutations_same.json")
+"""Changes that change nothing that counts -> the reason."""
 ORDER, REPORT = "HIROS_TESTS", "HIROS_REPORT"
 """Environment of pytest: a file with the tests to run, in order, and one for what it saw."""
 
@@ -70,10 +76,15 @@ class Change(NamedTuple):
         lines[self.line - 1] = text[: self.column] + self.after + text[end:]
         return "\n".join(lines)
 
-    def __str__(self) -> str:
+    @property
+    def key(self) -> str:
+        """The change without the number of its line, which other changes of the file move."""
         line = self.path.read_text(encoding="utf-8").split("\n")[self.line - 1].strip()
-        place = f"{self.path.relative_to(ROOT)}:{self.line}:{self.column + 1}"
+        place = f"{self.path.relative_to(ROOT)}:{self.column + 1}"
         return f"{place}: {self.before!r} -> {self.after!r} in: {line}"
+
+    def __str__(self) -> str:
+        return f"line {self.line} of {self.key}"
 
 
 def changes_in(path: Path) -> Iterator[Change]:
@@ -104,12 +115,12 @@ def changes_in(path: Path) -> Iterator[Change]:
             case ast.Constant(value=bool(value)):
                 yield Change(path, node.lineno, node.col_offset, str(value), str(not value))
             case ast.Constant(value=int() | float()):
-                text = ast.get_source_segment(source, node) or ""
+                text = lines[node.lineno - 1][node.col_offset : node.end_col_offset]
                 yield Change(path, node.lineno, node.col_offset, text, f"({text} + 1)")
 
 
 def drawn(seed: int, n: int) -> list[Change]:
-    """Return n changes, drawn at random."""
+    """Return n different changes, drawn at random."""
     dice = random.Random(seed)
     table = {
         folder: [
@@ -119,7 +130,10 @@ def drawn(seed: int, n: int) -> list[Change]:
         ]
         for folder in FOLDERS
     }
-    return [dice.choice(table[dice.choice(FOLDERS)]) for _ in range(n)]
+    found: dict[Change, None] = {}
+    while len(found) < n:
+        found[dice.choice(table[dice.choice(FOLDERS)])] = None
+    return list(found)
 
 
 # -- which tests call a function -------------------------------------------------------------------
@@ -378,7 +392,8 @@ class Copy(NamedTuple):
         folders = (self.root, *(self.root / n for n in ("cli", "schemas", "viewer", "benchmarks")))
         environment = {
             **os.environ, REPORT: str(self.report), "PYTHONDONTWRITEBYTECODE": "1",
-            "PYTHONPATH": os.pathsep.join(map(str, folders)), **more,
+            "PYTHONPATH": os.pathsep.join(map(str, folders)),
+            "NUMBA_CACHE_DIR": str(self.scratch / "compiled"), **more,
         }  # fmt: skip
         command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
         process = subprocess.Popen(
@@ -389,9 +404,11 @@ class Copy(NamedTuple):
         try:
             return process.wait(limit)
         except subprocess.TimeoutExpired:
-            os.killpg(process.pid, 9)  # with the workers and commands that the tests have started
-            process.wait()
             return None
+        finally:  # also when this script is interrupted
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)  # with the commands that the tests started
+                process.wait()
 
     @property
     def report(self) -> Path:
@@ -437,21 +454,32 @@ def verdict(change: Change, copy: Copy, cases: Sequence[Case], limit: float) -> 
     files = list(dict.fromkeys(name.partition("::")[0] for name in chosen))
     if not (files := files or files_about(change.path)):
         return "not called"
+    limit = 60 + 10 * sum(case.seconds for case in reaching if case.name in chosen)
+    limit = limit if chosen else 900
     target = copy.root / change.path.relative_to(ROOT)
     source = target.read_text(encoding="utf-8")
     target.write_text(change.apply(source), encoding="utf-8")
     try:
-        found = copy.failing(files, chosen, 300 + 10 * limit)
+        found = copy.failing(files, chosen, limit)
     finally:
         target.write_text(source, encoding="utf-8")
-    if found is None:
-        return "no end"
-    if not found:
+    if found == "":
         ran = f"{len(chosen)} of {len(reaching)} tests" if chosen else ", ".join(files)
-        return f"unnoticed ({ran})"
-    if "::" in found and copy.failing([found.partition("::")[0]], [found], 300 + 10 * limit):
+        return f"not noticed ({ran})"
+    if found and "::" in found:
+        files, chosen = [found.partition("::")[0]], [found]
+    if copy.failing(files, chosen, limit) != "":
         return f"no baseline ({found})"
-    return f"noticed ({found})"
+    return f"noticed ({found or 'no end'})"
+
+
+def summary(counts: Counter[str]) -> str:
+    """Return what became of all changes."""
+    text = f"{counts.total()} drawn: " + ", ".join(f"{n} {what}" for what, n in counts.items())
+    noticed = counts["noticed"]
+    counted = noticed + counts["not noticed"] + counts["not called"]
+    share = f"{noticed / counted:.0%}" if counted else "none"
+    return f"{text}; noticed of those that change behaviour: {share}"
 
 
 def main() -> None:
@@ -463,6 +491,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0, help="of tests for a change")
     parser.add_argument("--reach", type=Path, help="file that keeps which test calls what")
     options = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit("ended"))  # which deletes the copy
+    same = json.loads(SAME.read_text(encoding="utf-8"))
     counts: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as folder:
         copy = Copy(Path(folder) / "hiros", Path(folder))
@@ -470,6 +500,9 @@ def main() -> None:
         for name in filter(None, names.split("\0")):
             (copy.root / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, copy.root / name)
+        compiled = os.environ.get("NUMBA_CACHE_DIR") or platformdirs.user_cache_dir("hiros")
+        if Path(compiled).is_dir():
+            shutil.copytree(compiled, copy.scratch / "compiled")
         if options.reach and options.reach.exists():
             text = options.reach.read_text(encoding="utf-8")
         else:
@@ -479,9 +512,11 @@ def main() -> None:
         cases = read_cases(text)
         for change in drawn(options.seed, options.changes)[options.begin :]:
             result = verdict(change, copy, cases, options.seconds)
+            if result.startswith("not ") and (reason := same.get(change.key)):
+                result = f"no change of behaviour ({reason})"
             counts[result.partition(" (")[0]] += 1
             print(f"{result}: {change}", flush=True)
-    print(", ".join(f"{n} {result}" for result, n in counts.most_common()))
+    print(summary(counts))
 
 
 if __name__ == "__main__":
