@@ -81,7 +81,7 @@ def test_views_are_filtered_in_the_order_of_their_times_person_by_person():
         0, 10**9,
     )  # fmt: skip
     states, out = JointStates.unknown(2, 1, 2), FusedPoses.absent(120, 1)
-    smooth_people(window, 0, 2, NOISE, states, out, StepWork.of(180, 1, 4))
+    smooth_people(window, 0, 2, NOISE, states, out, StepWork.of(180, 180, 1, 4))
     for k, (steps, row) in enumerate(zip(parts, (1, 0), strict=True)):
         alone = JointStates.unknown(1, 1, 2)
         expected = smoothed(steps, keep=int((steps.times < 1).sum()), states=alone)

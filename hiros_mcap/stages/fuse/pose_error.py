@@ -106,13 +106,16 @@ class PoseError:
 
         ``seen`` (K, M) has a bit for each camera.
         """
-        sees = (seen >> np.arange(len(names))[:, None, None]) & 1
-        agrees = [self._placement is not None and name in self._refined for name in names]
-        these = np.flatnonzero(~np.array(agrees, np.bool_))
-        refined, count = sees[agrees].sum(axis=0), sees.sum(axis=0)
-        places = places_of(names, self._places)[these, None, None]
-        alone = (sees[these] * self._assumed(positions, places)).sum(axis=0)
-        shared = np.zeros(seen.shape)
+        refined, count = np.zeros(seen.shape, np.int64), np.zeros(seen.shape, np.int64)
+        alone, shared = np.zeros(seen.shape), np.zeros(seen.shape)
+        places = places_of(names, self._places)
+        for k, name in enumerate(names):  # all at once would take much memory
+            sees = (seen >> k) & 1
+            count += sees
+            if self._placement is not None and name in self._refined:
+                refined += sees
+            else:
+                alone += sees * self._assumed(positions, places[k])
         if self._placement is not None:
             shared = self._placement.variances(positions)
         return np.asarray((self.ratio * alone + refined**2 * shared) / np.maximum(count, 1) ** 2)

@@ -32,7 +32,7 @@ from hiros_mcap.calibrate.gauge import CHI2_3_MEDIAN
 from hiros_mcap.events import COMMON, RESIDUAL, Events
 from hiros_mcap.frames import Block, together
 from hiros_mcap.kernels.array_types import chosen, joined
-from hiros_mcap.skeletons import POSITION, VELOCITY, Floats, SkeletonModel
+from hiros_mcap.skeletons import POSITION, VELOCITY, Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.fuse.displaced_views import SECOND, excess_of, limits_of
 from hiros_mcap.stages.fuse.fusing import Sightings
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
@@ -117,8 +117,8 @@ class ResidualMeter:
         fused = together(self._fused)
         views = joined(self._views)
         done = views.instants < self._first + len(fused)
-        self._count(fused, chosen(views, done))
         self._views, self._fused = [chosen(views, ~done)], []
+        self._count(fused, chosen(views, done))
         self._first, self._waiting = self._first + len(fused), 0
 
     def scaled(self, fused: Block) -> Block:
@@ -132,9 +132,8 @@ class ResidualMeter:
             return fused
         sizes = np.array([self._ratios.get(name, math.nan) for name in uncertainty.names])
         factors = np.maximum(np.nan_to_num(sizes / self._usual, nan=1.0), _LEAST) ** 2
-        sees = (uncertainty.cameras[:, :, None] >> np.arange(len(factors))) & 1
-        count = sees.sum(axis=2)
-        factor = np.where(count > 0, sees @ factors / np.maximum(count, 1), factors.mean())
+        count, total = sums_over_cameras(uncertainty.cameras, factors)
+        factor = np.where(count > 0, total / np.maximum(count, 1), factors.mean())
         return restated(fused, factor * (uncertainty.deviations**2 - uncertainty.shared**2))
 
     def _count(self, fused: Block, views: Sightings) -> None:
@@ -145,11 +144,7 @@ class ResidualMeter:
         uncertainty = fused.uncertainty
         if uncertainty is None or not len(rows):
             return
-        late = (views.stamps - fused.people.stamps[rows]) * 1e-9
-        markers = fused.people.markers
-        velocities = markers[rows, :, VELOCITY]
-        expected = markers[rows, :, POSITION] + late[:, None, None] * velocities
-        residuals = views.positions - expected
+        residuals = _residuals(views, fused, rows)
         posterior = uncertainty.deviations[rows] ** 2 - uncertainty.shared[rows] ** 2
         white = self._noise.variances(views, self._names)
         variances = white + self._noise.offsets**2 - posterior
@@ -166,23 +161,22 @@ class ResidualMeter:
             whole = np.where(~np.isnan(squares)[:, :, None], residuals, 0.0).sum(axis=1)
             whole /= (~np.isnan(squares)).sum(axis=1)[:, None]
         # The result does not rest on displaced cameras.
-        rests = excess_of(views, whole, limits_of(self._names, self._noise.pose_errors)) == 0
-        sees = (uncertainty.cameras[rows][:, :, None] >> np.arange(len(self._names))) & 1
-        count = np.maximum(sees.sum(axis=2), 1)
-        offsets = self._noise.offsets**2
+        excess = excess_of(views, whole, limits_of(self._names, self._noise.pose_errors))
+        seeing, _ = sums_over_cameras(uncertainty.cameras[rows], np.ones(len(self._names)))
+        count, offsets = np.maximum(seeing, 1), self._noise.offsets**2
         fast = np.maximum(white + offsets / count - posterior, 0.1 * white)
-        fast[sees.sum(axis=2) < 2] = np.nan  # of one camera nothing that lasts shows
+        fast[seeing < 2] = np.nan  # of one camera nothing that lasts shows
+        fast[excess > 0] = np.nan
         slow = offsets * (1 - 1 / count)
-        self._remember(
-            chosen(views, rests), residuals[rests], fast[rests], slow[rests], int(fused.stamps[-1])
-        )
+        self._remember(views, residuals, fast, slow, int(fused.stamps[-1]))
 
     def _remember(
         self, views: Sightings, residuals: Floats, fast: Floats, slow: Floats, stamp: int
     ) -> None:
         """Add the means of residuals (N, M, 3) over a second to the cameras' histograms.
 
-        ``fast`` and ``slow`` (N, M), m2, are the two parts of the expected variance.
+        ``fast`` and ``slow`` (N, M), m2, are the two parts of the expected variance; where ``fast``
+        is NaN, a residual does not count.
         """
         keys = np.stack([views.cameras, views.people, views.stamps // SECOND])
         keys, groups = np.unique(keys, axis=1, return_inverse=True)
@@ -214,6 +208,20 @@ def ratios(counts: NDArray[Any]) -> Floats:
     return np.sqrt(medians(counts, FEWEST) / CHI2_3_MEDIAN)
 
 
+def sums_over_cameras(cameras: Stamps, values: Floats) -> tuple[Stamps, Floats]:
+    """(P, M) How many cameras saw each marker, and the sum of their ``values`` (C,).
+
+    ``cameras`` (P, M) has a bit for each camera. One is added after the other: all at once would
+    take C times the memory.
+    """
+    count, total = np.zeros(cameras.shape, np.int64), np.zeros(cameras.shape)
+    for k, value in enumerate(values.tolist()):
+        sees = (cameras >> k) & 1
+        count += sees
+        total += sees * value
+    return count, total
+
+
 def restated(fused: Block, variances: Floats) -> Block:
     """Return a block whose markers have other ``variances`` (P, M), m2, and confidences."""
     uncertainty, people = fused.uncertainty, fused.people
@@ -232,6 +240,17 @@ def restated(fused: Block, variances: Floats) -> Block:
     return replace(
         fused, people=people, uncertainty=uncertainty._replace(deviations=np.sqrt(total))
     )
+
+
+def _residuals(views: Sightings, fused: Block, rows: Stamps) -> Floats:
+    """(N, M, 3) Of views against the rows (N,) of a block, m. They take the place of the views."""
+    late = (views.stamps - fused.people.stamps[rows]) * 1e-9
+    expected = fused.people.markers[rows, :, VELOCITY]
+    expected *= late[:, None, None]
+    expected += fused.people.markers[rows, :, POSITION]
+    residuals = views.positions
+    residuals -= expected
+    return residuals
 
 
 def _common_share(residuals: Floats, squares: Floats) -> Floats:

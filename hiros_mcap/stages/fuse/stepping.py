@@ -36,7 +36,7 @@ class FusionWindow(NamedTuple):
 
 
 class StepWork(NamedTuple):
-    """Scratch for T steps of one person."""
+    """Scratch for T steps of one person, of which K want a pose."""
 
     order: I1  # (T,) views by their numbers, then wanted poses: from N on
     steps: Steps
@@ -44,10 +44,10 @@ class StepWork(NamedTuple):
     joint: FusionWork
 
     @classmethod
-    def of(cls, steps: int, markers: int, size: int) -> StepWork:
-        """Make room for joints with states of length ``size``."""
-        t, m = steps, markers
-        poses = arrays(FusedPoses, (t, m, 3), (t, m, 3), (t, m))
+    def of(cls, steps: int, wanted: int, markers: int, size: int) -> StepWork:
+        """Make room for joints with states of length ``size``, and for the ``wanted`` poses."""
+        t, k, m = steps, wanted, markers
+        poses = arrays(FusedPoses, (k, m, 3), (k, m, 3), (k, m))
         measured = arrays(Steps, t, t, (t, m, 3), (t, m))
         return arrays(cls, t, measured, poses, FusionWork.of(t, size))
 
