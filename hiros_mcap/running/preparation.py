@@ -27,7 +27,7 @@ from hiros_mcap.skeletons import Floats
 from hiros_mcap.stages.lateness import Lateness
 from hiros_mcap.stages.merge.instants import by_instants
 from hiros_mcap.stages.time_order import in_time_order
-from hiros_mcap.systems import Run, Stages, chain_of, sections_of, system
+from hiros_mcap.systems import LETTERS, Run, Stages, chain_of, sections_of, system
 
 if TYPE_CHECKING:
     from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
@@ -59,6 +59,9 @@ class Prepared:
         lateness = Lateness(self.config.input.max_delay, self.clocks.reorder)
         self.clocks.needed = lateness.needed
         ordered = in_time_order(follower.correct(reading.blocks()), lateness=lateness)
+        chain = chain_of(self.options.system, self.options.stages)
+        if LETTERS["M"] not in chain or "merge" not in sections_of(self.options.system):
+            return ordered
         merge = self.config.merge
         return by_instants(ordered, merge.cameras, merge.max_delta_time)
 

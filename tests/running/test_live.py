@@ -34,6 +34,7 @@ from detector_logs import (
     write_ros2,
 )
 from mcap.reader import NonSeekingReader
+from mcap.records import Channel
 from mcap.stream_reader import StreamReader
 
 from hiros_mcap.config import load_config
@@ -114,7 +115,7 @@ def send(path, messages, *, commit=True):
     return write
 
 
-def run_live(write, options=LIVE):
+def run_live(write, options=LIVE, config=None):
     """Run with a pipe at both ends."""
     taken: list[bytes] = []
     end, begin = os.pipe()
@@ -128,7 +129,7 @@ def run_live(write, options=LIVE):
     thread.start()
     try:
         with piped(write) as source:
-            summary = process_live(source, begin, options=options)
+            summary = process_live(source, begin, config=config, options=options)
     finally:
         os.close(begin)
         thread.join()
@@ -192,6 +193,22 @@ def test_results_come_before_the_input_ends(crossing):
         process_live(source, begin, options=LIVE)
     os.close(begin)
     assert done.wait(60)
+
+
+def test_where_nothing_is_merged_no_message_waits_for_other_cameras(crossing):
+    options = ProcessOptions(system="hiros-realtime", stages="T")
+    at_once = ["input.max_delay=0", "track.reorder=0"]
+    config = load_config(None, at_once, system="hiros-realtime")
+    _, out = run_live(send(crossing, recorded(crossing)), options, config)
+    topics, order = {}, []
+    for record in StreamReader(io.BytesIO(out)).records:
+        if isinstance(record, Channel):
+            topics[record.id] = record.topic
+        elif isinstance(record, Message):
+            order.append(topics[record.channel_id])
+    order = [topic for topic in order if topic.startswith(("/camera", "/hiros"))][-150:]
+    assert order[1::2] == 75 * ["/hiros/tracked"]  # behind the second of listening
+    assert "/hiros/tracked" not in order[::2]
 
 
 def test_a_camera_may_join_later(crossing):
