@@ -155,11 +155,11 @@ class PoseFollower:
         if tick <= self._tick:
             return
         before, self._tick = self._tick, tick
-        if _comparisons_until(tick - _TAKES) > _comparisons_until(before - _TAKES):
-            self._conclude()
         if _comparisons_until(tick) > _comparisons_until(before):
             self._conclude()
             self._compare()
+        if _comparisons_until(tick - _TAKES) > _comparisons_until(before - _TAKES):
+            self._conclude()  # also of one that has just begun: nothing came for so long
         if any(self._poses[name] is not goal for name, goal in self._goals.items()):
             self._step(tick - before)
 

@@ -160,6 +160,25 @@ def test_a_comparison_at_the_end_of_a_log_counts(folder):
     assert [camera.name for camera in alignment.cameras] == [f"camera_{k}" for k in range(3)]
 
 
+def test_a_comparison_after_a_pause_counts_at_once(folder):
+    with open_log(folder / "off.mcap") as log:
+        frames = list(log.detections())
+        times = [frame.log_time - frames[0].log_time for frame in frames]
+        # Cameras pause while the first comparison would begin, and its result come in.
+        kept = [
+            Block.of(frame)
+            for frame, time in zip(frames, times, strict=True)
+            if time < 3.9e9 and not 2.9e9 < time < 3.5e9
+        ]
+        alignment, clocks = PoseAlignment(), ClockFollower({}, [], 0.0)
+        follower = PoseFollower(log.read(), alignment, clocks, movable=True)
+        for block in follower.correct(kept):
+            if int(block.log_times[0]) > frames[0].log_time + 3_500_000_000:
+                assert len(alignment.cameras) == 3
+                return
+    pytest.fail("no message came after the pause")
+
+
 def test_it_does_not_matter_how_messages_come_in_blocks(folder):
     with open_log(folder / "off.mcap") as log:
         frames = list(log.detections())
