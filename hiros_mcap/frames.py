@@ -261,7 +261,7 @@ def _common_names(blocks: Sequence[Block]) -> tuple[tuple[str, ...], Stamps, Sta
     if all(block.names == blocks[0].names for block in blocks):
         sources = np.concatenate([block.sources for block in blocks])
         return blocks[0].names, sources, np.concatenate([block.frame_ids for block in blocks])
-    numbers = CameraNumbers()
+    numbers = dict[str, int]()
     tables = [np.array([numbers.setdefault(n, len(numbers)) for n in b.names]) for b in blocks]
     pairs = list(zip(tables, blocks, strict=True))
     sources = np.concatenate([table[block.sources] for table, block in pairs])

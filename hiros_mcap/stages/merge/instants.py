@@ -194,7 +194,7 @@ class InstantMerger:
             for source, n in zip(self._cameras, by_camera, strict=True):
                 self._events.count(kind, source, n)
         names = [name for plan in plans for name in plan.frame_ids]
-        numbers = CameraNumbers()
+        numbers = dict[str, int]()
         frames = np.array([numbers.setdefault(name, len(numbers)) for name in names])
         log_times = np.concatenate([plan.log_times for plan in plans])
         rows = np.stack([ends[:-1], ends[1:]], 1)
