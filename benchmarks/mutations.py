@@ -40,8 +40,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import platformdirs
 import pytest
+
+from hiros_mcap.kernels import cache_folder
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = ("calibrate", "running", "stages", "io", "kernels", "plan", "many", "evaluate")
@@ -447,15 +448,15 @@ def read_cases(text: str) -> list[Case]:
     ]
 
 
-def verdict(change: Change, copy: Copy, cases: Sequence[Case], limit: float) -> str:
-    """Return what became of a change, and by which test."""
+def verdict(change: Change, copy: Copy, cases: Sequence[Case], seconds: float) -> str:
+    """Return what became of a change, and by which of so many ``seconds`` of tests."""
     reaching = those_that_call(change, cases)
-    chosen = [case.name for case in within(reaching, limit)]
+    some = within(reaching, seconds)
+    chosen = [case.name for case in some]
     files = list(dict.fromkeys(name.partition("::")[0] for name in chosen))
     if not (files := files or files_about(change.path)):
         return "not called"
-    limit = 60 + 10 * sum(case.seconds for case in reaching if case.name in chosen)
-    limit = limit if chosen else 900
+    limit = 60 + 10 * sum(case.seconds for case in some) if some else 900
     target = copy.root / change.path.relative_to(ROOT)
     source = target.read_text(encoding="utf-8")
     target.write_text(change.apply(source), encoding="utf-8")
@@ -500,9 +501,8 @@ def main() -> None:
         for name in filter(None, names.split("\0")):
             (copy.root / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, copy.root / name)
-        compiled = os.environ.get("NUMBA_CACHE_DIR") or platformdirs.user_cache_dir("hiros")
-        if Path(compiled).is_dir():
-            shutil.copytree(compiled, copy.scratch / "compiled")
+        if (compiled := cache_folder()).is_dir():
+            shutil.copytree(compiled, copy.scratch / "compiled" / compiled.name)
         if options.reach and options.reach.exists():
             text = options.reach.read_text(encoding="utf-8")
         else:

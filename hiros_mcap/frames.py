@@ -235,7 +235,7 @@ class HeldFrames:
         return first
 
     def take(self, numbers: Sequence[int] | Stamps) -> Block:
-        """Return the frames with these numbers, in this order; copies if they were not together."""
+        """Return the frames with these numbers, in this order; of several blocks, their copies."""
         wanted = np.asarray(numbers)
         first, last = wanted.min(), wanted.max()
         held = [pair for pair in self._blocks if first <= pair[0][-1] and pair[0][0] <= last]

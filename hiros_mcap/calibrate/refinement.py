@@ -293,7 +293,8 @@ def refine_poses(
     anchor : the camera whose frame is the fixed frame, so that its pose is right by definition.
     movable : of which cameras the pose may change; None = all. The clocks of all may.
     moves : whether to look for cameras that were moved; otherwise nothing is gained.
-    proven_s : shortest common view, s, that proves a pose. effort : on how much they are refined.
+    proven_s : shortest common view, s, that proves a pose.
+    effort : on how many joints at how many instants.
     """
     movable = [True] * len(views) if movable is None else movable
     cameras = [

@@ -243,7 +243,7 @@ def restated(fused: Block, variances: Floats) -> Block:
 
 
 def _residuals(views: Sightings, fused: Block, rows: Stamps) -> Floats:
-    """(N, M, 3) Of views against the rows (N,) of a block, m. They take the place of the views."""
+    """(N, M, 3) Residuals, m, of views against rows (N,) of a block; written over the views."""
     late = (views.stamps - fused.people.stamps[rows]) * 1e-9
     expected = fused.people.markers[rows, :, VELOCITY]
     expected *= late[:, None, None]

@@ -88,10 +88,10 @@ class Instants:
 
 
 def by_instants(blocks: Iterable[Block], cameras: int, max_delta_time: float) -> Iterator[Block]:
-    """Gather messages until an instant is complete: blocks end where one does.
+    """Gather messages into blocks that end where an instant is complete.
 
-    No merger gives anything before, and all stages cost a call per block. The parameters are those
-    of :class:`Instants`.
+    No merger gives anything before, and every stage costs a call per block. The parameters are
+    those of :class:`Instants`.
     """
     gathered, held = Instants(cameras, max_delta_time, Events()), list[Block]()
     for block in blocks:
