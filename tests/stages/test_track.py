@@ -877,6 +877,32 @@ def test_markers_of_little_confidence_move_velocities_little():
     assert velocity(0.01) == pytest.approx(velocity(0.05))
 
 
+def test_a_guessed_marker_hardly_moves_its_velocity():
+    """Detectors guess a joint five times as wrongly as they see one (confidence 0.33 and 0.66)."""
+
+    def velocity(confidence):
+        frames = [seen([person()], at(k)) for k in range(30)] + [seen([person(0.05)], at(30))]
+        frames[-1].marker_confidences[:] = confidence
+        return float(list(track(frames, MODEL, AT_ONCE))[-1].velocities[0, 0, 0])
+
+    assert velocity(0.33) < 0.2 * velocity(0.66)
+
+
+@pytest.mark.parametrize(("moved", "expected"), [("guessed", 0), ("seen", -1)])
+def test_a_detection_leaps_by_the_markers_that_its_detector_sees(moved, expected):
+    """Three guesses 1.5 m off leave the mean beyond max_jump."""
+    guessed = np.arange(MODEL.n_markers) >= MODEL.n_markers - 3
+    frames = [seen([person()], at(k)) for k in range(31)]
+    last = frames[-1]
+    last.marker_confidences[0] = np.where(guessed, 0.33, 0.66)
+    if moved == "guessed":
+        last.markers[0, guessed, 2] += 1.5
+    else:
+        last.markers[0, ~guessed, 2] += 0.4
+    params = AT_ONCE.model_copy(update={"max_jump": 0.3})
+    assert ids(track(frames, MODEL, params))[-1] == [expected]
+
+
 def test_no_marker_is_faster_than_a_person():
     frames = [seen([person(0.5 * k)], at(k)) for k in range(30)]
     params = AT_ONCE.model_copy(update={"max_distance": 5.0, "innovation_gate": 1e6})

@@ -35,7 +35,7 @@ _LONGEST = 0.5  # s between two views that motion is carried over
 _FEWEST = 0.25  # share of joints that show how the person moved
 _WANDERS = 0.5  # m/s; deviation of a body from its last velocity
 _FOLLOWS = 0.3  # s; of a person of whom fewer are seen, and of the velocity that remains
-_GUESSED = 0.5  # confidence below which a detector guesses
+GUESSED_BELOW = 0.5  # confidence below which a detector guesses
 RATES = 0.03  # share of such joints from which on a detector is taken to rate joints
 _RATED = 1000.0  # views that this share is of: half a minute
 _ROUNDS, _SMALL = 8, 0.003  # of Weiszfeld's iteration; m
@@ -137,7 +137,7 @@ def learn_rating(confidences: Floats, rate: Floats) -> None:
     """Add the joints of a view to the share of those that its detector guesses."""
     low = 0.0
     for m in range(len(confidences)):
-        low += 1.0 if confidences[m] < _GUESSED else 0.0
+        low += 1.0 if confidences[m] < GUESSED_BELOW else 0.0
     rate[0] += 1.0
     rate[1] += (low / len(confidences) - rate[1]) / min(rate[0], _RATED)
 

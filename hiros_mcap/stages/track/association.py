@@ -22,10 +22,12 @@ from hiros_mcap.skeletons import (
     People,
     Stamps,
 )
+from hiros_mcap.stages.detections.hidden_joints import GUESSED_BELOW
 
 _NOT_MIRRORED = 0.1  # m: a detection with swapped sides is farther than this from its track
 _WIDEST_GATE = 2.0  # times the gate: how far it grows while a track is unseen
 _FASTEST = 3.0  # m/s that a whole body may move besides its prediction
+_FEWEST_SEEN = 4  # markers that tell how far a detection is from its track
 _USUAL_INTERVAL = 0.033  # s between two detections; longer ones leave more time to move
 
 # First columns of a KinematicState's parts.
@@ -423,11 +425,30 @@ def association_cost(
 
 
 @inlined
-def _breaks(i: int, j: int, work: TrackWork, settings: TrackSettings) -> bool:
+def _distance_of_seen(i: int, j: int, people: People, slots: SlotOrders, work: TrackWork) -> float:
+    """Mean distance, m, of the markers that the detector sees; of all if it sees few.
+
+    Those that it guesses may be half a metre off.
+    """
+    total, n, markers = 0.0, 0, people.markers[j]
+    which = slots.mirror if work.pairs.mirrored[i, j] else slots.same
+    for m in range(len(which)):
+        distance = point_distance(work.predicted.positions[i, m], markers[which[m]])
+        guessed = work.weights.marker_confidences[j, which[m]] < GUESSED_BELOW
+        if not guessed and not math.isnan(distance):
+            total, n = total + distance, n + 1
+    return total / n if n >= _FEWEST_SEEN else work.pairs.distances[i, j]
+
+
+@inlined
+def _breaks(
+    i: int, j: int, people: People, slots: SlotOrders, work: TrackWork, settings: TrackSettings
+) -> bool:
     """Whether a detection is farther from a track that was just seen than a person can move."""
-    unseen, distance = work.predicted.unseen[i], work.pairs.distances[i, j]
+    unseen = work.predicted.unseen[i]
     if unseen > settings.horizon:
         return False
+    distance = _distance_of_seen(i, j, people, slots, work)
     return distance > settings.max_jump + _FASTEST * max(unseen - _USUAL_INTERVAL, 0.0)
 
 
@@ -446,4 +467,4 @@ def associate(
     solve(pairs.cost, len(rows), n_people, work.assignment, pairs.match)  # Munkres
     for j in range(n_people):
         i = pairs.match[j]
-        pairs.broken[j] = i >= 0 and _breaks(i, j, work, settings)
+        pairs.broken[j] = i >= 0 and _breaks(i, j, people, slots, work, settings)

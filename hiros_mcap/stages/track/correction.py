@@ -32,7 +32,7 @@ from hiros_mcap.skeletons import (
     Ints,
     People,
 )
-from hiros_mcap.stages.detections.hidden_joints import INVENTED
+from hiros_mcap.stages.detections.hidden_joints import GUESSED_BELOW, INVENTED
 from hiros_mcap.stages.track.association import (
     SlotOrders,
     TrackPairs,
@@ -41,7 +41,6 @@ from hiros_mcap.stages.track.association import (
     quaternion,
 )
 
-_TRUSTED = 0.5  # markers of less confidence are guessed: they say nothing about limb lengths
 _MOST_LENGTHS = 600.0  # detections that a mean length remembers
 _RESTART = 4.0  # horizons without a detection after which a marker or link starts anew
 _JERK = 50.0  # m/s3/sqrt(Hz): how fast accelerations of markers may change
@@ -247,7 +246,9 @@ def _learn_lengths(
     """Average the limb lengths of a detection (M, 19), whose slots are ``slots``."""
     for k in range(len(ends)):
         a, b = ends[k, 0], ends[k, 1]
-        if a < 0 or b < 0 or confidences[slots[a]] < _TRUSTED or confidences[slots[b]] < _TRUSTED:
+        if a < 0 or b < 0:
+            continue
+        if min(confidences[slots[a]], confidences[slots[b]]) < GUESSED_BELOW:
             continue
         length = point_distance(markers[slots[a]], markers[slots[b]])
         if not math.isnan(length):
@@ -265,8 +266,8 @@ def correct(
 
     The velocities and accelerations that the detector left open are written into ``people``. A
     mirrored detection corrects the track with its sides swapped; its orientations are wrong and are
-    left alone. What others hide of a detection is a guess: the variance of its markers is larger,
-    so that it does not pull the track away from what other cameras see.
+    left alone. What others hide of a detection is a guess, and so is a marker of little confidence:
+    its variance is larger, so that it does not pull the track away from what cameras see.
     """
     for j in range(len(people.ids)):
         i = pairs.match[j]
@@ -275,10 +276,11 @@ def correct(
         row, swapped = rows[i], pairs.mirrored[i, j]
         markers, confidences = people.markers[j], people.marker_confidences[j]
         which = slots.mirror if swapped else slots.same
-        invented = (INVENTED * pairs.hidden[j]) ** 2
         for m in range(len(which)):
             if not math.isnan(markers[which[m], 0]):
-                noise = _variance(confidences[which[m]], settings) + invented
+                confidence = confidences[which[m]]
+                share = 1.0 if confidence < GUESSED_BELOW else pairs.hidden[j]
+                noise = _variance(confidence, settings) + (INVENTED * share) ** 2
                 _correct_marker(stamp, tracks, row, m, markers[which[m]], noise, settings)
         if pairs.hidden[j] < _MOSTLY:
             _learn_lengths(row, tracks, markers, confidences, which, slots.ends)
