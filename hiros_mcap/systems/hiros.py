@@ -17,7 +17,7 @@ def hiros(run: Run) -> Stages:
     from hiros_mcap.stages.track.track import track_blocks
 
     config = run.config
-    mended, merging = _mended_views(run)
+    mended, merging = _mended_views(run, guesses=True)
     merge = run.stage(merge_blocks, merging, fixed_frame=run.fixed_frame, cameras=run.cameras)
     return {
         "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),  # 3.1
@@ -36,7 +36,7 @@ def fuse(run: Run) -> Stages:
     from hiros_mcap.stages.track.track import track_blocks
 
     config = run.config
-    mended, merging = _mended_views(run)
+    mended, merging = _mended_views(run, guesses=False)
     noise = noise_of(run.model, config.fuse, run.noise)
     noise = replace(noise, to_given=run.to_given, pose_errors=run.pose_errors, clocks=run.clocks)
     fusion = run.stage(
@@ -56,12 +56,13 @@ def fuse(run: Run) -> Stages:
     }
 
 
-def _mended_views(run: Run) -> tuple[BlockStage, MergeParams]:
+def _mended_views(run: Run, *, guesses: bool) -> tuple[BlockStage, MergeParams]:
     """Return what comes between tracker and merger, and the merger's parameters.
 
     Detections that contradict the person's own body count less; then left and right are decided;
-    then joints behind somebody else count less. Where left and right are decided, the merger does
-    not vote on them (section 3.2).
+    then joints that a camera does not see count less. With ``guesses``, so do those that its
+    detector guesses by its own word. Where left and right are decided, the merger does not vote
+    on them (section 3.2).
     """
     from hiros_mcap.stages.detections.hidden import mend_hidden_blocks
     from hiros_mcap.stages.detections.plausible import drop_implausible_blocks
@@ -72,7 +73,9 @@ def _mended_views(run: Run) -> tuple[BlockStage, MergeParams]:
         merging = merging.model_copy(update={"max_facing_delta": 0.0})
     bodies = run.stage(drop_implausible_blocks, run.config.plausible, cameras=run.cameras)
     decide = run.stage(decide_sides, run.config.sides)
-    hidden = run.stage(mend_hidden_blocks, run.config.plausible, cameras=run.cameras)
+    hidden = run.stage(
+        mend_hidden_blocks, run.config.plausible, cameras=run.cameras, guesses=guesses
+    )
     return lambda blocks: hidden(decide(bodies(blocks))), merging
 
 

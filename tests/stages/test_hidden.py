@@ -37,10 +37,12 @@ def log(pose, front=0.25, confidences=1.0):
     return frames
 
 
-def run(frames, events=None, cameras=CAMERAS, **params):
+def run(frames, events=None, cameras=CAMERAS, *, guesses=True, **params):
     settings = PlausibleParams.model_validate(params)
     whole = join([Block.of(frame) for frame in frames])
-    return join(list(mend_hidden_blocks([whole], MODEL, settings, events, cameras)))
+    return join(
+        list(mend_hidden_blocks([whole], MODEL, settings, events, cameras, guesses=guesses))
+    )
 
 
 def test_an_invented_wrist_stays_where_it_was_seen_last():
@@ -72,10 +74,35 @@ def test_somebody_behind_hides_nothing():
     assert not run(frames).hidden[0::2].any()
 
 
+def rated():
+    """The wrist that person 8 hides is guessed, by its confidence."""
+    confidences = np.where(np.arange(MODEL.n_markers) == WRIST, 0.33, 0.66)
+    return log(raised(), confidences=confidences)
+
+
 def test_a_detector_that_rates_joints_is_believed():
-    """It knows what it sees through between two bodies, and what it guesses."""
+    """It knows what it sees through between two bodies: only its guesses count less."""
     confidences = np.where(np.arange(MODEL.n_markers) == PELVIS, 0.33, 0.66)
     out = run(log(raised(), confidences=confidences))
+    assert not np.delete(out.hidden, PELVIS, axis=1).any()
+    np.testing.assert_array_equal(out.frame(-1).positions[0, WRIST], raised()[WRIST])
+
+
+def test_a_guessed_joint_stays_where_it_was_seen_last():
+    """Nobody has to be in front, and it is no event: the detector says so itself."""
+    events = Events()
+    frames = rated()
+    for frame in frames[:ALONE]:
+        frame.marker_confidences[:, PELVIS] = 0.33
+        frame.marker_confidences[:, WRIST] = 0.66
+    out = run(frames, events, cameras={})
+    np.testing.assert_allclose(out.frame(-1).positions[0, WRIST], person()[WRIST], atol=0.15)
+    assert out.hidden[-2, WRIST] > 0
+    assert not events.counts
+
+
+def test_guesses_are_left_to_a_smoother():
+    out = run(rated(), guesses=False)
     assert not out.hidden.any()
     np.testing.assert_array_equal(out.frame(-1).positions[0], raised())
 

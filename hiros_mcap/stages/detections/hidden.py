@@ -29,9 +29,12 @@ joints as of the others. Geometry tells which these are. For every message, in t
    s^2 / (1 - exp(-(t / AGO)^2)): what another camera sees now is no second measurement.
 6. Joints with p < 0.5 are remembered.
 
-A detector that rates its joints knows what it guesses (Azure Kinect): cameras whose confidences
-vary are believed. The fuser adds the variance to that of the measurement; the merger weighs the
-marker by HONEST^2 / (HONEST^2 + variance).
+A detector that rates its joints knows what it guesses (Azure Kinect). Cameras whose confidences
+vary are believed: h' is 1 for the joints that they guess and 0 for the others.
+
+The fuser adds the variance to that of the measurement; the merger weighs the marker by
+HONEST^2 / (HONEST^2 + variance). The fuser takes the guesses of a rating detector as they are:
+over time it averages them better than a remembered place does.
 
 The constants stand in ``hidden_joints.py``. They were set by reasoning and by one Kinect log, and
 checked on three others with two people and on simulated logs. A person's own limbs hide nothing.
@@ -65,9 +68,10 @@ _SHORTEST = 100_000_000  # ns; shorter ones are not noted
 
 def mend_hidden_blocks(
     blocks: Iterable[Block], model: SkeletonModel, params: PlausibleParams | None = None,
-    events: Events | None = None, cameras: Mapping[str, Floats] | None = None,
+    events: Events | None = None, cameras: Mapping[str, Floats] | None = None, *,
+    guesses: bool = True,
 ) -> Iterator[Block]:  # fmt: skip
-    """Lower the weight of joints that somebody else hides; put them where they must be.
+    """Lower the weight of joints that a camera does not see; put them where they must be.
 
     Parameters
     ----------
@@ -76,6 +80,7 @@ def mend_hidden_blocks(
     events : counts "hidden" (markers), by camera. Notes from when on, by whom and how long somebody
         was hidden from a camera.
     cameras : source -> (3,) position in the fixed frame, m. Without it nothing is hidden from it.
+    guesses : whether joints are mended, too, that a detector guesses and says so.
 
     Yields
     ------
@@ -85,7 +90,8 @@ def mend_hidden_blocks(
     if not params.behind_others:
         yield from blocks
         return
-    people = _HiddenPeople(model, Events() if events is None else events, cameras or {})
+    events = Events() if events is None else events
+    people = _HiddenPeople(model, events, cameras or {}, guesses=guesses)
     yield from map(people.mend, blocks)
     people.finish()
 
@@ -102,9 +108,11 @@ class _Absence:
 class _HiddenPeople:
     """What is known of everybody's pose, and who is hidden."""
 
-    def __init__(self, model: SkeletonModel, events: Events, places: Mapping[str, Floats]) -> None:
+    def __init__(
+        self, model: SkeletonModel, events: Events, places: Mapping[str, Floats], *, guesses: bool
+    ) -> None:
         self._capsules, self._limits = capsules_of(model), limits_of(model)
-        self._events, self._places = events, places
+        self._events, self._places, self._guesses = events, places, guesses
         self._bank = Bank(kernels.HiddenPast.empty(model.n_markers))
         self._cameras = CameraNumbers()
         self._rates = np.zeros((0, 2))
@@ -119,13 +127,14 @@ class _HiddenPeople:
         cameras, shape = self._cameras.of(block), people.markers.shape[:2]
         self._rates = np.pad(self._rates, ((0, len(self._cameras) - len(self._rates)), (0, 0)))
         out = kernels.MendedViews.of(*shape)
+        work = kernels.HiddenWork.of(shape[0], len(self._bank.past.ids), shape[1])
         kernels.mend_hidden(kernels.HiddenScene(
             ComparedMessages(block.stamps, cameras, block.rows, known), people,
             places_of(self._cameras, self._places), self._rates, self._capsules, self._limits,
-            self._bank.past, out,
-            kernels.HiddenWork.of(shape[0], len(self._bank.past.ids), shape[1]),
+            self._guesses, self._bank.past, out, work,
         ))  # fmt: skip
-        self._note(block, rows, owners, out)
+        unrated = ~work.rates[rows]  # what a detector guesses is hidden by nobody
+        self._note(block, rows[unrated], owners[unrated], out)
         if not out.variances.any():
             return replace(block, hidden=out.variances)
         markers, moved = people.markers.copy(), ~np.isnan(out.places[:, :, 0])

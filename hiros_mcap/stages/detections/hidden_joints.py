@@ -107,6 +107,7 @@ class HiddenScene(NamedTuple):
     rates: F2  # (C, 2) views, and the share of joints that the camera's detector guesses
     capsules: Capsules
     limits: PostureLimits
+    guesses: bool  # whether joints are mended that a rating detector guesses
     past: HiddenPast
     out: MendedViews
     work: HiddenWork
@@ -180,9 +181,15 @@ def _cover(points: Floats, p: int, i: int, scene: HiddenScene, shares: Floats) -
 
 @kernel
 def _see(p: int, i: int, scene: HiddenScene) -> None:
-    """Find out how far joints are hidden or bend wrongly, and the whole view (1, 2)."""
+    """Find out how far joints are hidden or bend wrongly, and the whole view (1, 2).
+
+    A detector that rates its joints tells itself which ones it does not see.
+    """
     markers, shares = scene.people.markers[p], scene.out.shares[p]
     if scene.work.rates[p]:
+        for m in range(len(markers)):
+            guesses = scene.people.marker_confidences[p, m] < GUESSED_BELOW
+            shares[m] = 1.0 if guesses else 0.0
         return
     if not math.isnan(scene.places[scene.messages.cameras[i], 0]):
         scene.out.hiders[p] = _cover(markers, p, i, scene, shares)
@@ -351,10 +358,10 @@ def _mend(p: int, i: int, scene: HiddenScene) -> None:
     row, camera = scene.messages.rows[p], scene.messages.cameras[i]
     stamp, markers = scene.messages.stamps[i], scene.people.markers[p]
     _move(p, row, _passed(stamp, scene.past.stamps[row]), scene)
-    if scene.work.rates[p]:
+    if scene.work.rates[p] and not scene.guesses:
         return
     scene.work.expected[:] = 0.0
-    if not math.isnan(scene.places[camera, 0]):
+    if not scene.work.rates[p] and not math.isnan(scene.places[camera, 0]):
         _cover(scene.past.poses[row], p, i, scene, scene.work.expected)
     for m in range(len(markers)):
         if not math.isnan(markers[m, 0]):
@@ -417,7 +424,7 @@ def _body_centre(pose: Floats, seen: Floats, out: Floats) -> None:
 
 @entry
 def mend_hidden(scene: HiddenScene) -> None:
-    """Find the joints that somebody else hides, in messages in the order of time.
+    """Find the joints that cameras do not see, in messages in the order of time.
 
     ``scene.out`` is written; ``scene.past`` and ``scene.rates`` are brought to the last message.
     """
