@@ -45,6 +45,19 @@ POINT = SkeletonModel.of(["A"], [])
 NOISE = JointNoise(np.array([5.0]), np.array([0.02**2]), 2.0, 10**9)
 
 
+def numbered(times, cameras, positions, variances):
+    """Steps of which each has a row of its own in the positions."""
+    is_pose = cameras == POSE
+    rows = np.where(is_pose, np.cumsum(is_pose) - 1, np.arange(len(times)))
+    return Steps(times, cameras, rows, positions, variances)
+
+
+def part_of(steps, which):
+    """Some of the steps that ``numbered`` returned."""
+    arrays = steps.times, steps.cameras, steps.positions, steps.variances
+    return numbered(*[array[which] for array in arrays])
+
+
 def steps_of(seed=0):
     """Two cameras in turn with noise of 1 cm, a pose wanted after every second measurement."""
     rng = np.random.default_rng(seed)
@@ -53,7 +66,7 @@ def steps_of(seed=0):
     truth = np.stack([times, np.sin(times), times * 0], axis=1)[:, None]
     z = truth + rng.normal(0, 0.01, truth.shape)
     z[cameras == POSE] = np.nan
-    return Steps(times, cameras, z, np.full((180, 1), 0.01**2))
+    return numbered(times, cameras, z, np.full((180, 1), 0.01**2))
 
 
 def smoothed(steps, keep=10**9, states=None, work=None):
@@ -81,7 +94,7 @@ def test_views_are_filtered_in_the_order_of_their_times_person_by_person():
         0, 10**9,
     )  # fmt: skip
     states, out = JointStates.unknown(2, 1, 2), FusedPoses.absent(120, 1)
-    smooth_people(window, 0, 2, NOISE, states, out, StepWork.of(180, 180, 1, 4))
+    smooth_people(window, 0, 2, NOISE, states, out, StepWork.of(180, 4))
     for k, (steps, row) in enumerate(zip(parts, (1, 0), strict=True)):
         alone = JointStates.unknown(1, 1, 2)
         expected = smoothed(steps, keep=int((steps.times < 1).sum()), states=alone)
@@ -135,7 +148,7 @@ def test_the_smoother_equals_regression_over_all_states(unseen):
     """Also where nobody is seen for a while in the middle."""
     all_steps = steps_of()
     away = (all_steps.times > 0.2) & (all_steps.times < 0.2 + unseen) & (all_steps.cameras >= 0)
-    steps = Steps(*[array[~away][:60] for array in all_steps])
+    steps = part_of(all_steps, np.flatnonzero(~away)[:60])
     work = FusionWork.of(len(steps.times), 4)
     found = smoothed(steps, work=work)
     positions, variances = dense_solution(steps, work.factors)
@@ -146,7 +159,7 @@ def test_the_smoother_equals_regression_over_all_states(unseen):
 def test_a_window_goes_on_where_the_last_one_ended():
     steps, states = steps_of(), JointStates.unknown(1, 1, 2)
     smoothed(steps, 90, states)
-    rest = smoothed(Steps(*[array[90:] for array in steps]), states=states)
+    rest = smoothed(part_of(steps, slice(90, None)), states=states)
     # The levels of the acceleration start from the filter, not from the filters of each level.
     np.testing.assert_allclose(rest.positions, smoothed(steps).positions[30:], atol=2e-4)
 
@@ -158,7 +171,7 @@ def test_who_is_not_seen_any_more_stops_within_half_a_second(speed):
     z = np.stack([speed * times, 0 * times, 0 * times], axis=1)[:, None]
     seen = (cameras == POSE) | (times < 1.0)
     z[cameras == POSE] = np.nan
-    out = smoothed(Steps(times[seen], cameras[seen], z[seen], np.full((seen.sum(), 1), 0.01**2)))
+    out = smoothed(numbered(times[seen], cameras[seen], z[seen], np.full((seen.sum(), 1), 1e-4)))
     last = int(np.flatnonzero(np.arange(60) / 30 < 1.0)[-1])
     x, v = out.positions[:, 0, 0], out.velocities[:, 0, 0]
     np.testing.assert_allclose(v[last : last + 6], speed, rtol=0.02)
@@ -172,7 +185,7 @@ def moving(x):
     rng = np.random.default_rng(4)
     times = np.repeat(np.arange(len(x)) / 30, 2)
     z = np.stack([x, 0 * x, 0 * x], axis=1) + rng.normal(0, 0.01, (len(x), 3))
-    steps = Steps(
+    steps = numbered(
         times,
         np.tile([0, POSE], len(x)),
         np.repeat(z, 2, axis=0)[:, None],
@@ -229,6 +242,15 @@ def test_lengths_are_right_in_spite_of_noise_and_never_shortened_by_a_wrong_one(
     right = measured_lengths(noisy, np.full((4000, 2), 0.02**2), pairs)
     assert right == pytest.approx(0.1, abs=0.004)
     assert measured_lengths(ends, np.full((4000, 2), 0.02**2), pairs) == pytest.approx(0.1)
+
+
+def test_an_exact_distance_weighs_more_than_an_uncertain_one():
+    """By the inverse of its variance; 5 mm of each end are never known: 3 to 1 here."""
+    ends = np.zeros((400, 2, 3))
+    ends[:200, 1, 0], ends[200:, 1, 0] = 0.100, 0.102
+    variances = np.repeat([0.0, 2 * 0.005**2], 200)[:, None] * np.ones(2)
+    found = measured_lengths(ends, variances, np.array([[0, 1]], np.int32))
+    assert found == pytest.approx(np.sqrt((3 * 0.100**2 + 0.102**2) / 4), abs=1e-4)
 
 
 def test_the_prior_takes_noise_off_and_keeps_motion():

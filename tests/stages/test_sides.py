@@ -18,6 +18,7 @@ from hiros_mcap.frames import Block, frames_of, join
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.simulate.body_model import MODEL, SLOT, SYMMETRY
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
+from hiros_mcap.stages.detections import sides
 from hiros_mcap.stages.detections.body_axes import find_upright, follow_line
 from hiros_mcap.stages.detections.facing_evidence import (
     BINS,
@@ -258,6 +259,17 @@ def test_ids_may_come_after_earlier_frames_of_the_same_arrays():
 
     out = list(frames_of(decide_sides(feed(), MODEL)))
     assert all(len(frame.ids) and (frame.ids != UNTRACKED).all() for frame in out)
+
+
+def test_many_views_are_passed_on_in_several_blocks(monkeypatch):
+    """As one block, what fast cameras see in a second would take much memory."""
+    frames = views(5, lambda f, c, t: mirror(f) if c == 0 and t % 2 > 1 else f)
+    whole = decided(frames)
+    monkeypatch.setattr(sides, "_MOST", 20)
+    parts = [join([Block.of(f) for f in frames[k : k + 8]]) for k in range(0, len(frames), 8)]
+    out = list(decide_sides(parts, MODEL))
+    assert max(len(block.people.ids) for block in out) < 20 + 8
+    assert all(map(same_markers, frames_of(out), whole))
 
 
 @pytest.mark.parametrize("params", [SidesParams(lookahead=1.0), LIVE])

@@ -25,6 +25,7 @@ model starts anew when the trunk is seen again.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -52,6 +53,7 @@ from hiros_mcap.stages.detections.facing_evidence import (
 )
 
 _SLAVED = 0.3  # toes that point the same way less often than this follow the label
+_MOST = 2000  # views that become one block, about: 20 MB
 
 
 def knows_sides(model: SkeletonModel) -> bool:
@@ -114,6 +116,16 @@ class _Piece:
         return replace(self, block=self.block.logged_at(times))
 
 
+def _split(pieces: Sequence[_Piece], until: int) -> tuple[list[_Piece], list[_Piece]]:
+    """Return the frames before the cell ``until``, and the others."""
+    for k, piece in enumerate(pieces):
+        late = piece.block.stamps // CELL >= until
+        if late.any():
+            first, kept = piece.cut(int(late.argmax()))
+            return [*pieces[:k], first], [kept, *pieces[k + 1 :]]
+    return [*pieces], []
+
+
 class _Sides:
     """What is known of the people, and the frames that are not decided yet."""
 
@@ -147,12 +159,12 @@ class _Sides:
             last = int(due.argmax())
             first, piece = piece.cut(last + 1)
             self._held.append(first)
-            yield self._decide(int(cells[last]) - self._ahead)
+            yield from self._decide(int(cells[last]) - self._ahead)
 
     def rest(self) -> Iterator[Block]:
         """Yield the frames that are still held, now that nothing more comes."""
         if self._held:
-            yield self._decide(np.iinfo(np.int64).max)
+            yield from self._decide(np.iinfo(np.int64).max)
 
     def _piece(self, block: Block) -> _Piece:
         """Find the views of a block, and whose they are."""
@@ -177,8 +189,8 @@ class _Sides:
         )
         return out
 
-    def _decide(self, until: int) -> Block:
-        """Decide on everything that is held; return the frames before the cell ``until``."""
+    def _decide(self, until: int) -> Iterator[Block]:
+        """Decide on everything that is held; yield the frames before the cell ``until``."""
         self._add_evidence()
         held, self._held = self._held, []
         measured = joined([piece.measured for piece in held])
@@ -192,16 +204,10 @@ class _Sides:
         out.toes[:] = self._tables.reliability(TOES)
         self._decided = until
         now = int(held[-1].block.log_times.max())
-        done: list[_Piece] = []
-        for k, piece in enumerate(held):
-            late = piece.block.stamps // CELL >= until
-            if late.any():
-                first, kept = piece.cut(int(late.argmax()))
-                done.append(first)
-                self._held = [kept, *held[k + 1 :]]
-                break
-            done.append(piece)
-        return self._mirrored([piece.logged_from(now) for piece in done], out)
+        done, self._held = _split(held, until)
+        pieces = deque(piece.logged_from(now) for piece in done)
+        del held, done
+        yield from self._mirrored_blocks(pieces, out)
 
     def _add_evidence(self) -> None:
         """Measure the views that are new, learn from all of them, then weigh them."""
@@ -221,6 +227,19 @@ class _Sides:
 
     # The result
 
+    def _mirrored_blocks(self, pieces: deque[_Piece], facings: facing.Facings) -> Iterator[Block]:
+        """Yield all frames of the pieces. What was yielded lies in memory no longer."""
+        first = 0
+        while pieces:
+            some = [pieces.popleft()]
+            while pieces and sum(len(piece.views) for piece in some) < _MOST:
+                some.append(pieces.popleft())
+            last = first + sum(len(piece.views) for piece in some)
+            block, first = self._mirrored(some, chosen(facings, slice(first, last))), last
+            del some
+            yield block
+            del block
+
     def _mirrored(self, pieces: Sequence[_Piece], facings: facing.Facings) -> Block:
         """Return the frames with the sides of swapped views exchanged, and trunks turned.
 
@@ -228,9 +247,7 @@ class _Sides:
         still write into other frames of their arrays, and later stages cost a call per block.
         """
         measured = joined([piece.measured for piece in pieces])
-        swapped, turned = (
-            np.flatnonzero(some[: len(measured.cells)]) for some in (facings.swapped, facings.turns)
-        )
+        swapped, turned = np.flatnonzero(facings.swapped), np.flatnonzero(facings.turns)
         if len(pieces) == 1 and not len(swapped) and not len(turned):
             return pieces[0].block
         block = join([piece.block for piece in pieces])

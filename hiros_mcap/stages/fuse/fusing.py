@@ -63,12 +63,13 @@ class Sightings(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """T steps of one person, in the order of time."""
+    """T steps of one person, in the order of time: measurements, of N, and wanted poses."""
 
     times: F1  # (T,) s
     cameras: I1  # (T,) which camera measured, POSE = a pose is wanted
-    positions: F3  # (T, M, 3) measured, m; NaN = not measured
-    variances: F2  # (T, M) of the white noise of a measurement along each axis, m2
+    rows: I1  # (T,) row of the measurement among the N, or of the wanted pose among those
+    positions: F3  # (N, M, 3) measured, m; NaN = not measured
+    variances: F2  # (N, M) of the white noise of a measurement along each axis, m2
 
 
 class JointNoise(NamedTuple):
@@ -97,7 +98,7 @@ class JointStates(NamedTuple):
 
 
 class FusedPoses(NamedTuple):
-    """Smoothed joints at the K steps that want a pose; NaN = unknown."""
+    """Smoothed joints at K times; NaN = unknown."""
 
     positions: F3  # (K, M, 3) m
     velocities: F3  # (K, M, 3) m/s
@@ -284,17 +285,17 @@ def _excess(scaled: float, freedom: int) -> float:
 def _correct(steps: Steps, t: int, m: int, freedom: int, work: FusionWork) -> None:
     """Correct the state by a measurement."""
     x, p, h = work.mean, work.covariance, work.row
-    n, k = len(x), OFFSETS + steps.cameras[t]
+    n, k, row = len(x), OFFSETS + steps.cameras[t], steps.rows[t]
     for j in range(n):
         h[j] = p[POSITION, j] + p[k, j]
-    variance = h[POSITION] + h[k] + steps.variances[t, m]
+    variance = h[POSITION] + h[k] + steps.variances[row, m]
     square = 0.0
     for c in range(3):
-        y = steps.positions[t, m, c] - x[POSITION, c] - x[k, c]
+        y = steps.positions[row, m, c] - x[POSITION, c] - x[k, c]
         work.innovations[t, c] = y
         square += y * y
     scaled = square / variance
-    information = 1.0 / (variance + steps.variances[t, m] * _excess(scaled, freedom))
+    information = 1.0 / (variance + steps.variances[row, m] * _excess(scaled, freedom))
     work.information[t] = information
     for i in range(n):
         gain = h[i] * information
@@ -303,6 +304,12 @@ def _correct(steps: Steps, t: int, m: int, freedom: int, work: FusionWork) -> No
             x[i, c] += gain * work.innovations[t, c]
         for j in range(n):
             p[i, j] -= gain * h[j]
+
+
+@inlined
+def _is_measured(steps: Steps, t: int, m: int) -> bool:
+    """Whether a step measures a joint."""
+    return bool(steps.cameras[t] >= 0 and not math.isnan(steps.positions[steps.rows[t], m, 0]))
 
 
 @kernel
@@ -324,9 +331,9 @@ def _rate(
     q = noise.accelerations[m] * _LEVELS[level]
     for t in range(len(steps.times)):
         work.levels[t, level] = 1.0
-        if steps.cameras[t] < 0 or math.isnan(steps.positions[t, m, 0]):
+        if not _is_measured(steps, t, m):
             continue
-        z = steps.positions[t, m]
+        z = steps.positions[steps.rows[t], m]
         if xx == 0.0:
             time = seen = steps.times[t]
             xx, xv, vv = _POSITION_VARIANCE, 0.0, _VELOCITY_VARIANCE
@@ -338,7 +345,7 @@ def _rate(
         xx += lasts * (2.0 * xv + lasts * vv) + q * dt * dt * dt / 3.0
         xv = slow * (xv + lasts * vv) + q * dt * dt / 2.0
         vv = slow * slow * vv + q * dt
-        noise_variance = steps.variances[t, m] + noise.offsets[m]
+        noise_variance = steps.variances[steps.rows[t], m] + noise.offsets[m]
         square = 0.0
         for c in range(3):
             x[c] += lasts * v[c]
@@ -418,7 +425,7 @@ def _choose_levels(
 def _first_seen(steps: Steps, m: int) -> int:
     """Return the first step that measures a joint; the number of steps if none does."""
     for t in range(len(steps.times)):
-        if steps.cameras[t] >= 0 and not math.isnan(steps.positions[t, m, 0]):
+        if _is_measured(steps, t, m):
             return t
     return len(steps.times)
 
@@ -439,13 +446,13 @@ def _forward(
             _save(states, row, m, (time, seen), work)
         work.intervals[t] = _UNKNOWN
         is_pose = steps.cameras[t] < 0
-        if not is_pose and math.isnan(steps.positions[t, m, 0]):
+        if not is_pose and not _is_measured(steps, t, m):
             continue
         if not started:
             if first == len(steps.times) or steps.times[t] < steps.times[first] - _EARLY:
                 continue
             started, time, seen = True, steps.times[t], steps.times[first]
-            _start(steps.positions[first, m], offset_variance, x, p)
+            _start(steps.positions[steps.rows[first], m], offset_variance, x, p)
         dt = max(steps.times[t] - time, 0.0)
         work.intervals[t], work.slows[t] = _slowed(max(time - seen, 0.0), dt)
         work.remains[t] = math.exp(-dt / noise.time)
@@ -524,16 +531,14 @@ def _backward(steps: Steps, m: int, out: FusedPoses, work: FusionWork) -> None:
     adjoint, square = work.mean, work.covariance
     adjoint[:] = 0.0
     square[:] = 0.0
-    n, pose = len(adjoint), len(out.variances)
+    n = len(adjoint)
     for t in range(len(steps.times) - 1, -1, -1):
-        if steps.cameras[t] < 0:
-            pose -= 1
         if work.intervals[t] < 0.0:
             continue
         if steps.cameras[t] >= 0:
             _measured(steps, t, work)
         else:
-            p = work.gains[t]
+            p, pose = work.gains[t], steps.rows[t]
             variance = work.information[t]
             for i in range(n):
                 for j in range(n):
@@ -561,7 +566,7 @@ def smooth_joints(
     ----------
     states, row : where the person's filter stands before the first step; brought to the state
         before step ``keep``, where the next window starts.
-    out : of all steps that want a pose.
+    out : gets the poses that steps want. Where a joint is unknown, it stays as it is.
     """
     for m in range(len(noise.offsets)):
         for level in range(LEVELS):

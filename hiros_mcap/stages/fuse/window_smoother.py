@@ -184,15 +184,15 @@ class WindowSmoother:
         n, m = len(window.people), window.variances.shape[1]
         states, poses = self._bank.past, FusedPoses.absent(n, m)
 
-        def smooth(first: int, last: int, views: int, wanted: int) -> None:
-            work = StepWork.of(views + wanted, wanted, m, states.means.shape[2])
+        def smooth(first: int, last: int, steps: int) -> None:
+            work = StepWork.of(steps, states.means.shape[2])
             smooth_people(window, first, last, self._motion, states, poses, work)
 
         if self._params.window > 0:
             some = enumerate(window.everybody.tolist())
-            run_each([partial(smooth, k, k + 1, *_steps_of(window, person)) for k, person in some])
+            run_each([partial(smooth, k, k + 1, _steps_of(window, person)) for k, person in some])
         else:  # one pose of each takes less time than to start a thread
-            smooth(0, len(window.everybody), len(window.new), n)
+            smooth(0, len(window.everybody), len(window.new) + n)
         return poses
 
     def _finished(self, out: Block, log_time: int, poses: FusedPoses, seen: Stamps) -> Block:
@@ -207,7 +207,7 @@ class WindowSmoother:
         return replace(out, log_times=log_times, uncertainty=uncertainty)
 
 
-def _steps_of(window: FusionWindow, person: int) -> tuple[int, int]:
-    """Return how many new views of a person there are, and how many wanted poses."""
+def _steps_of(window: FusionWindow, person: int) -> int:
+    """Return how many new views of a person and wanted poses there are."""
     views = window.new & (window.views.people == person)
-    return int(views.sum()), int((window.people == person).sum())
+    return int(views.sum() + (window.people == person).sum())
