@@ -426,6 +426,38 @@ def test_a_log_is_known_if_nothing_has_changed():
         assert manifest.knows(replace(record, **{field: value}), {"a.mcap": 3}) is None, field
 
 
+class SlowPlace:
+    """A folder on a slow disk, and a clock that tells how long it takes to write, s."""
+
+    def __init__(self, takes):
+        self.takes, self.now, self.written = takes, 1000.0, 0
+
+    def read_text(self, name):
+        return None
+
+    def write_text(self, name, text):
+        self.now, self.written = self.now + self.takes, self.written + 1
+
+    def monotonic(self):
+        return self.now
+
+
+@pytest.mark.parametrize(("takes", "pause"), [(0.0, 1.0), (0.5, 10.0)])
+def test_a_manifest_is_written_once_a_second_and_takes_a_twentieth_of_the_time(
+    takes, pause, monkeypatch
+):
+    place = SlowPlace(takes)
+    monkeypatch.setattr("hiros_mcap.many.manifest.time", place)
+    manifest, record = Manifest("process", place), LogRecord("/a.mcap", "a", "done")
+    manifest.add(record)
+    place.now += 0.9 * pause
+    manifest.add(record)
+    assert place.written == 1
+    place.now += 0.2 * pause
+    manifest.add(record)
+    assert place.written == 2
+
+
 def test_totals_are_those_of_the_numbers_that_are_known():
     values = [1.0, 2, 6.0, float("nan"), "text"]
     records = [LogRecord(f"/{v}", "x", "done", values={"n": v}) for v in values]

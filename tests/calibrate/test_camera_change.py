@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.calibrate.camera_change import located
+from hiros_mcap.calibrate.camera_change import find_changes, located
 from hiros_mcap.calibrate.camera_views import HALF_WIDTH_S, CameraView
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.kernels.local_line import Tracklet
@@ -42,6 +43,26 @@ def test_the_time_is_that_of_the_camera_that_was_moved():
     change = change_of(2.0)
     assert change.seconds == pytest.approx(2.0, abs=0.15)
     assert change.end - change.begin < 0.2
+
+
+@pytest.mark.parametrize(
+    ("degrees", "metres", "moves"), [(0.0, 0.3, 1), (20.0, 0.0, 1), (0.0, 0.0, 0)]
+)
+def test_a_camera_has_moved_if_it_was_turned_or_shifted(degrees, metres, moves):
+    rng, seconds = np.random.default_rng(3), np.arange(0.0, 60.0, 0.1)
+    joints = rng.uniform(-0.5, 0.5, (6, 3))
+    angle = 0.4 * seconds
+    places = np.stack([1.5 * np.cos(angle), 0.3 * np.sin(0.7 * seconds), 3 + np.sin(angle)], 1)
+    path = joints + places[:, None]
+    turn = Rotation.from_euler("y", degrees * (seconds >= 30.0)[:, None], degrees=True)
+    moved = np.einsum("tij,tmj->tmi", turn.as_matrix(), path)
+    moved[seconds >= 30.0, :, 0] += metres
+    pair = []
+    for name, seen in (("one", path), ("other", moved)):
+        noisy = seen + rng.normal(0.0, 0.005, path.shape)
+        track = Tracklet(seconds, noisy, np.ones(path.shape[:2]))
+        pair.append(CameraView(name, name, [track], 0.0, HALF_WIDTH_S))
+    assert len(find_changes(pair, None, MIRROR)) == moves
 
 
 @pytest.mark.parametrize("moved_s", [-20.0, 20.0])

@@ -57,8 +57,10 @@ def test_those_who_walk_where_the_truth_has_nobody_are_people():
         lambda k: person(5 + 0.05 * math.sin(k), 5),  # and what noise makes of it
         lambda k: walker(k) + np.array([0.0, 0.3, 0.0]),  # a second skeleton of the same person
         lambda k: walker(k, 4 if k < 30 else math.nan),  # a phantom of one second
+        lambda k: walker(k, 4 if 50 <= k < 100 else math.nan),  # a third of the time, but 1.7 s
+        lambda k: walker(k, 4 if k % 90 == 0 else math.nan),  # for 3 s, but in few frames
     ],
-    ids=["still", "noisy", "double", "short"],
+    ids=["still", "noisy", "double", "short", "too short", "rare"],
 )
 def test_a_false_person_is_not_excused(false):
     frames = []

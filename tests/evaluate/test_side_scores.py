@@ -9,7 +9,7 @@ from builders import FAULTLESS, moved
 from scipy.spatial.transform import Rotation
 
 from hiros_mcap.evaluate.score_tables import side_table
-from hiros_mcap.evaluate.side_scores import side_scores
+from hiros_mcap.evaluate.side_scores import SideScores, side_scores
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.simulate.body_model import MODEL, SYMMETRY
 
@@ -77,6 +77,11 @@ def test_who_walks_sideways_does_not_walk_backwards():
 def test_a_swap_in_the_middle_is_two_jumps():
     frames = [mirror(f) if 40 <= k < 80 else f for k, f in enumerate(walk())]
     assert side_scores(frames, MODEL).jumps == 2
+
+
+def test_the_share_that_walks_backwards_is_of_the_frames_that_walk():
+    scores = SideScores(1, 1, 0, {}, {})
+    assert side_table(scores)[1][0][2] == "100.0 % of 1"
 
 
 def test_an_empty_result_has_no_share():

@@ -68,6 +68,14 @@ def test_an_orientation_error_moves_two_of_three_axes_by_the_distance():
     assert np.sqrt(variance(FOUR[:1], detector=QUIET, rig=rig)) == pytest.approx(length, rel=0.02)
 
 
+def test_the_error_of_the_poses_grows_with_the_calibration_error():
+    rig = {"position_error": 0.01, "orientation_error": 0.5}
+    one, three = (
+        variance(FOUR, detector=QUIET, rig=rig, calibration_error=size) for size in (1, 3)
+    )
+    assert three == pytest.approx(9 * one, rel=1e-6)
+
+
 def test_a_lasting_error_stays_and_white_noise_is_smoothed():
     lasting, white = (
         variance(FOUR[:1], calibration_error=0, detector={**QUIET, part: 0.02})

@@ -233,6 +233,20 @@ def test_one_pose_for_all_cameras_counts_as_none(tmp_path):
         process(log)
 
 
+def test_a_camera_that_shows_somebody_else_keeps_its_pose_and_is_named(
+    scene, detections, true, tmp_path
+):
+    """Only where all cameras are at one place are some left out without a word of the user."""
+    other = simulate(SimulateParams(people=1, cameras=3, seconds=12.0, seed=9))
+    frames = [f for f in detections if f.source != "camera_2"]
+    frames += [f for f in other.detections if f.source == "camera_2"]
+    log = write(tmp_path / "log.mcap", scene, frames, true)
+    summary = process(log, options=FIRST_STAGE)
+    assert verdicts(summary) == ["good", "good", "impossible"]
+    assert [camera.name for camera in summary.cameras] == list(NAMES)
+    assert any(w.startswith("camera_2: its pose does not fit") for w in summary.warnings)
+
+
 def in_place(tmp_path, given=None, **params):
     """A log of somebody who stays in place; without poses unless some are given."""
     settings = {"people": 1, "cameras": 3, "seconds": 20.0, "seed": 4, **params}
