@@ -302,6 +302,17 @@ def test_causal_filter_bridges_with_what_it_knows():
     assert np.isnan(x[36:]).all()
 
 
+def test_what_an_earlier_stage_has_smoothed_stays_with_its_gaps():
+    """It left the marker out because it no longer knows where that is."""
+    frames = along(np.arange(40) / 30, 2 * np.arange(40) / 30)
+    for f in frames[30:32]:
+        f.markers[0, 0] = np.nan
+    out = list(filter_frames(frames, MODEL, params(lookahead=0, bridge=0.2), keep_positions=True))
+    for before, after in zip(frames, out, strict=True):
+        np.testing.assert_array_equal(after.positions, before.positions)
+        np.testing.assert_array_equal(np.isnan(after.velocities), np.isnan(after.positions))
+
+
 @pytest.mark.parametrize("lookahead", LOOKAHEADS)
 @pytest.mark.parametrize(("method", "order"), METHODS)
 def test_person_starts_anew_after_a_long_gap(method, order, lookahead):

@@ -57,7 +57,7 @@ def filter_blocks(
     events : counts "filter: time not increasing" (a person passed unchanged) and "filter: cut-off
         lowered" (the frames come too slowly for the chosen one).
     keep_positions : leave markers where they are, because an earlier stage has smoothed them.
-        Their velocities and accelerations, and the links, are filtered.
+        Their velocities and accelerations, and the links, are filtered. Gaps stay gaps.
 
     Yields
     ------
@@ -84,6 +84,8 @@ class _SkeletonFilter:
         self._params, self._events, self._method = params, events, _method(params)
         self._keep_positions = keep_positions
         self._settings = settings_of(FilterSettings, params)
+        if keep_positions:  # what the earlier stage leaves out, it does not know
+            self._settings = self._settings._replace(bridge=0.0)
         self._links = np.ascontiguousarray(model.links)
         self._max_gap = round(params.max_gap * 1e9)
         nobody = _nobody(model, params.order, self._method)
@@ -175,7 +177,7 @@ class _SkeletonFilter:
         # Beyond 3.4: the look-ahead, which removes the lag (fixed-lag smoothing)
         self._method.estimate(out.people, todo, past, self._settings, self._work)
         if self._keep_positions:
-            positions[:] = np.where(np.isnan(unfiltered), positions, unfiltered)
+            positions[:] = unfiltered
         elif self._params.keep_lengths:
             restore_lengths(out.people, todo, past, self._links)
         return out.logged_at(log_times[completing])
