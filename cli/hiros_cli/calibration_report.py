@@ -11,8 +11,8 @@ from rich.table import Table
 from hiros_cli.run_report import listing, page, period
 from hiros_mcap.calibrate.ball import BallReport
 from hiros_mcap.calibrate.board import BoardReport
-from hiros_mcap.calibrate.camera_result import CalibratedCamera
 from hiros_mcap.calibrate.people import PeopleCalibration
+from hiros_mcap.calibrate.verdict import CalibratedCamera
 from hiros_mcap.summary import number, quantity
 
 GAUGES = {

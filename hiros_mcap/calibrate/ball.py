@@ -2,7 +2,7 @@
 
 ::
 
-    report = calibrate_ball(Path("ball.mcap"), BallOptions(radius=0.12))
+    report = calibrate_ball(Path("ball.mcap"), radius=0.12)
 
 A camera is a colour image, a depth image and the CameraInfo of both. Where another program has
 found the ball already, a camera is a channel of PointStamped messages. Each step is a module:
@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,7 +24,7 @@ from hiros_mcap.body.transforms import TransformTree
 from hiros_mcap.calibrate.ball_image import BallFit, ColorRange, DepthCamera, find_ball
 from hiros_mcap.calibrate.ball_poses import BallCalibration, BallTrack, calibrate_centres
 from hiros_mcap.calibrate.image_search import (
-    ImageChannels,
+    ImageSearch,
     is_chosen,
     pair_channels,
     search_images,
@@ -32,26 +32,15 @@ from hiros_mcap.calibrate.image_search import (
     static_transforms,
 )
 from hiros_mcap.errors import LogError, RegistrationError
-from hiros_mcap.io.images import Bytes, require_opencv
-from hiros_mcap.io.ros_messages import POINT, RosMessages, open_messages
+from hiros_mcap.io.ros_messages import POINT, Bytes, RosMessages, open_messages, require_opencv
 from hiros_mcap.skeletons import Floats
 
 RADIUS_M = 0.24
 """The paper's ball."""
 OTHER_RADIUS = 0.07
 """A radius that differs more from the one measured is doubtful."""
+RED = ColorRange()
 WORLD = "world"
-
-
-@dataclass(frozen=True, slots=True)
-class BallOptions:
-    """What to look for."""
-
-    radius: float = RADIUS_M
-    """m"""
-    color: ColorRange = field(default_factory=ColorRange)
-    cameras: Sequence[str] = ()
-    """Globs of the topics to read; none = all."""
 
 
 class BallReport(NamedTuple):
@@ -92,8 +81,17 @@ class _BallViews:
         return BallTrack(self.name, self.frame, np.array(self.stamps, np.int64), centres)
 
 
-def calibrate_ball(path: Path, options: BallOptions | None = None) -> BallReport:
+def calibrate_ball(
+    path: Path,
+    radius: float = RADIUS_M,
+    color: ColorRange = RED,
+    cameras: Sequence[str] = (),
+) -> BallReport:
     """Find the poses of a log's cameras from the ball that they see.
+
+    Parameters
+    ----------
+    radius : of the ball, m. color : of the ball. cameras : globs of the topics to read; none = all.
 
     Raises
     ------
@@ -104,25 +102,29 @@ def calibrate_ball(path: Path, options: BallOptions | None = None) -> BallReport
     RegistrationError
         The ball does not tell the pose of a camera. The line says what to record.
     """
-    options = options or BallOptions()
-    if not 0.01 <= options.radius <= 2.0:
-        raise RegistrationError(f"a ball of radius {options.radius:g} m? It is given in m")
+    if not 0.01 <= radius <= 2.0:
+        raise RegistrationError(f"a ball of radius {radius:g} m? It is given in m")
     try:
         with open_messages(path) as log:
             tree = static_transforms(log)
-            chosen = {t: k for t, k in log.types.items() if is_chosen(t, options.cameras)}
+            chosen = {t: k for t, k in log.types.items() if is_chosen(t, cameras)}
             points = sorted(topic for topic, kind in chosen.items() if kind == POINT)
             if points:
                 seen = _ready_centres(log, points)
             else:
                 require_opencv()
-                seen = _calibrated_balls(log, pair_channels(log, chosen), tree, options)
+
+                def find(colour: Bytes, depth: Floats, camera: DepthCamera) -> BallFit | None:
+                    return find_ball(colour, depth, camera, radius, color)
+
+                searches = search_images(log, pair_channels(log, chosen), tree, find)
+                seen = [_views_of(search) for search in searches]
     except LogError as error:
         if error.path is None:
             raise LogError(error.fault, path=path, topic=error.topic) from None
         raise
     try:
-        return _report(seen, tree, options)
+        return _report(seen, tree, radius)
     except RegistrationError as error:
         raise RegistrationError(f"{path}: {error}") from None
 
@@ -140,34 +142,24 @@ def _ready_centres(log: RosMessages, topics: Sequence[str]) -> list[_BallViews]:
     return [seen[topic] for topic in topics if topic in seen]
 
 
-def _calibrated_balls(
-    log: RosMessages, cameras: Sequence[ImageChannels], tree: TransformTree, options: BallOptions
-) -> list[_BallViews]:
-    """Find the ball in all images."""
-
-    def find(colour: Bytes, depth: Floats, camera: DepthCamera) -> BallFit | None:
-        return find_ball(colour, depth, camera, options.radius, options.color)
-
-    views = []
-    for search in search_images(log, cameras, tree, find):
-        one = _BallViews(search.channels.name, search.channels.colour_frame)
-        one.skipped = search.skipped
-        one.skipped["no ball"] = one.skipped.pop("not seen", 0)
-        for stamp, ball in search.hits:
-            one.radii.append(ball.radius)
-            one.add(stamp, ball.centre)
-        views.append(one)
+def _views_of(search: ImageSearch) -> _BallViews:
+    views = _BallViews(search.channels.name, search.channels.colour_frame)
+    views.skipped = search.skipped
+    views.skipped["no ball"] = views.skipped.pop("not seen", 0)
+    for stamp, ball in search.hits:
+        views.radii.append(ball.radius)
+        views.add(stamp, ball.centre)
     return views
 
 
-def _report(seen: Sequence[_BallViews], tree: TransformTree, options: BallOptions) -> BallReport:
+def _report(seen: Sequence[_BallViews], tree: TransformTree, true_radius: float) -> BallReport:
     """Register the centres, and check the ball's radius."""
     radii = [radius for one in seen for radius in one.radii]
     radius = float(np.median(radii)) if radii else float("nan")
     for one in seen:
         if not one.stamps and one.skipped["no ball"]:
             raise RegistrationError(
-                f"{one.name} never saw a ball of radius {options.radius:g} m and this colour in "
+                f"{one.name} never saw a ball of radius {true_radius:g} m and this colour in "
                 f"{one.skipped['no ball']} images; pass its --radius and --color, or carry it "
                 "where the camera sees it"
             )
@@ -177,9 +169,9 @@ def _report(seen: Sequence[_BallViews], tree: TransformTree, options: BallOption
     given = {t.frame: pose for t in tracks if roots and (pose := tree.at_rest(t.frame, root))}
     given = {frame: pose for frame, pose in given.items() if frame != root}
     calibration = calibrate_centres(tracks, fixed_frame=root if given else WORLD, given=given)
-    if abs(radius - options.radius) > OTHER_RADIUS * options.radius:
+    if abs(radius - true_radius) > OTHER_RADIUS * true_radius:
         other = (
-            f"the ball looks like one of radius {radius:.3f} m, not {options.radius:g} m; "
+            f"the ball looks like one of radius {radius:.3f} m, not {true_radius:g} m; "
             "measure it and pass --radius"
         )
         reason = "; ".join(filter(None, (other, calibration.reason)))

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from hiros_mcap.body.rotations import Rigid, rotate
 from hiros_mcap.calibrate.registration import fit_sphere
 from hiros_mcap.errors import ConfigError, RegistrationError
-from hiros_mcap.io.images import Bytes, Intrinsics
+from hiros_mcap.io.ros_messages import Bytes, Intrinsics
 from hiros_mcap.skeletons import Floats
 
 Labels = npt.NDArray[np.int32]

@@ -11,12 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hiros_mcap.body.rotations import Rigid, rotate, to_matrix
-from hiros_mcap.calibrate.camera_result import CameraResult
 from hiros_mcap.calibrate.gauge import moved, on_transforms
 from hiros_mcap.calibrate.pair_pose import links_from
 from hiros_mcap.calibrate.registration import common_frames, jackknife, rigid_fit
 from hiros_mcap.calibrate.sampling import Rig
-from hiros_mcap.calibrate.verdict import Verdict
+from hiros_mcap.calibrate.verdict import CameraResult, Verdict
 from hiros_mcap.errors import RegistrationError
 from hiros_mcap.skeletons import Flags, Floats, Stamps
 from hiros_mcap.summary import plain
@@ -187,13 +186,13 @@ def _chain(tracks: Sequence[BallTrack]) -> dict[int, tuple[int, Placement]]:
     shared = {
         (a, b): common_frames(
             [t.stamps for t in (tracks[a], tracks[b])], [t.centres for t in (tracks[a], tracks[b])]
-        )
+        )[1]
         for a, b in combinations(range(len(tracks)), 2)
     }
     placements: dict[int, tuple[int, Placement]] = {}
-    for a, b in links_from(0, sorted(shared, key=lambda pair: -shared[pair].centres.shape[1])):
+    for a, b in links_from(0, sorted(shared, key=lambda pair: -shared[pair].shape[1])):
         names = tracks[a].camera, tracks[b].camera
-        both = shared[min(a, b), max(a, b)].centres[:: 1 if a < b else -1]
+        both = shared[min(a, b), max(a, b)][:: 1 if a < b else -1]
         placement = place(both[0], both[1], names)
         placements[b] = a, _after(placements[a][1], placement) if a else placement
     return placements

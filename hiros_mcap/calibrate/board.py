@@ -23,7 +23,6 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid, rotate
 from hiros_mcap.body.transforms import TransformTree, read_extrinsics
 from hiros_mcap.calibrate.ball_image import DepthCamera, points_of_labels
-from hiros_mcap.calibrate.camera_result import CameraResult
 from hiros_mcap.calibrate.image_search import (
     ImageSearch,
     is_chosen,
@@ -32,10 +31,9 @@ from hiros_mcap.calibrate.image_search import (
     static_transforms,
 )
 from hiros_mcap.calibrate.registration import board_frame, rigid_fit
-from hiros_mcap.calibrate.verdict import Verdict
+from hiros_mcap.calibrate.verdict import CameraResult, Verdict
 from hiros_mcap.errors import ConfigError, LogError, RegistrationError
-from hiros_mcap.io.images import Bytes, require_opencv
-from hiros_mcap.io.ros_messages import open_messages
+from hiros_mcap.io.ros_messages import Bytes, open_messages, require_opencv
 from hiros_mcap.skeletons import Floats
 
 DICTIONARY = "DICT_4X4_50"

@@ -16,8 +16,8 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import parse_tf
 from hiros_mcap.calibrate.ball_poses import BallCalibration
 from hiros_mcap.calibrate.board import BoardReport
-from hiros_mcap.calibrate.camera_result import CalibratedCamera, CameraResult
 from hiros_mcap.calibrate.people import PeopleCalibration
+from hiros_mcap.calibrate.verdict import CalibratedCamera, CameraResult
 from hiros_mcap.io.channels import TF_TOPICS, add_skeleton_channel, add_static_poses
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
@@ -41,7 +41,7 @@ def save_cameras(path: Path, rig: PeopleCalibration | BallCalibration | BoardRep
 def cameras_toml(rig: PeopleCalibration | BallCalibration | BoardReport) -> str:
     """Return poses and clocks as TOML: every camera with a pose, every clock that is known."""
     frame = rig.fixed_frame
-    lines = [f"# verdict: {_verdict_text(rig.verdict, rig.reason)}"]
+    lines = [f"# verdict: {rig.verdict}" + (f" ({rig.reason})" if rig.reason else "")]
     for camera in rig.cameras:
         if camera.pose is not None:
             lines += ["", *_camera(camera, camera.pose, frame)]
@@ -73,10 +73,6 @@ def _camera(camera: CameraResult, pose: Rigid, parent: str) -> list[str]:
     if since:
         lines.append(f"since = {since}  # ns since 1970, log time: the camera was moved then")
     return lines
-
-
-def _verdict_text(verdict: str, reason: str) -> str:
-    return f"{verdict} ({reason})" if reason else verdict
 
 
 def _text(value: str) -> str:

@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.calibrate.camera_result import CalibratedCamera
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import (
     LagCandidate,
@@ -26,6 +25,7 @@ from hiros_mcap.calibrate.coarse_clock import (
 from hiros_mcap.calibrate.joint_refinement import Points, RigResiduals
 from hiros_mcap.calibrate.pair_pose import FIT_M, PairFit, ambiguous, register_pair, usable
 from hiros_mcap.calibrate.sampling import CELL_S, Rig, group, instants_of, placed, sample
+from hiros_mcap.calibrate.verdict import CalibratedCamera
 from hiros_mcap.kernels.local_line import Tracklet
 from hiros_mcap.skeletons import Floats, Ints, Stamps
 
@@ -324,7 +324,7 @@ def _pose(
     if not other.tracks:
         return None
     if landmarks is None:
-        candidates = [LagCandidate(0.0, [])]
+        candidates: list[LagCandidate] = [(0.0, [])]
     else:
         candidates = lag_candidates(signatures_of(one, landmarks), signatures_of(other, landmarks))
     instants = instants_of([other], PAIR_INSTANTS)

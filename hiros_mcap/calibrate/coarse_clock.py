@@ -42,22 +42,12 @@ class Landmarks(NamedTuple):
     """Slots whose mean is the pelvis: one, both hips, or all joints of an unknown skeleton."""
 
 
-class Signature(NamedTuple):
-    """A tracklet as numbers that every camera agrees on."""
-
-    first: int
-    """Time of the first sample, in steps of 50 ms."""
-    features: Floats
-    """(F, T) m; NaN = unknown."""
-
-
-class LagCandidate(NamedTuple):
-    """A lag of two cameras, and the tracklets that speak for it."""
-
-    seconds: float
-    """Time on the second camera's clock less that on the first one's, s."""
-    pairs: list[tuple[int, int]]
-    """Tracklets of the first and the second camera, the most similar first."""
+Signature = tuple[int, Floats]
+"""A tracklet as numbers that every camera agrees on: the time of its first sample, in steps of
+50 ms, and features (F, T), m; NaN = unknown."""
+LagCandidate = tuple[float, list[tuple[int, int]]]
+"""Time on the second camera's clock less that on the first one's, s, and the tracklets of both
+that speak for it, the most similar first."""
 
 
 def landmarks_of(model: SkeletonModel) -> Landmarks:
@@ -91,7 +81,7 @@ def _signature(view: CameraView, k: int, landmarks: Landmarks) -> Signature:
     pelvis = positions[:, landmarks.pelvis].mean(axis=1)[:, None]
     across = np.linalg.norm(left - right, axis=2)
     along = np.linalg.norm((left + right) / 2.0 - pelvis, axis=2)
-    return Signature(first, np.ascontiguousarray(np.concatenate([across, along], axis=1).T))
+    return first, np.ascontiguousarray(np.concatenate([across, along], axis=1).T)
 
 
 def lag_candidates(ones: list[Signature], others: list[Signature]) -> list[LagCandidate]:
@@ -116,19 +106,20 @@ def lag_candidates(ones: list[Signature], others: list[Signature]) -> list[LagCa
         near = slice(max(0, k - 2), k + 3)
         ranked = sorted(table, key=lambda pair: -float(table[pair][near].max()))
         pairs = [pair for pair in ranked[:PAIRS] if table[pair][near].any()]
-        candidates.append(LagCandidate(STEP_S * float(lags[k]), pairs))
+        candidates.append((STEP_S * float(lags[k]), pairs))
         votes[np.abs(lags - lags[k]) < APART_S / STEP_S] = 0.0
     return candidates
 
 
 def _scores(one: Signature, other: Signature, lags: Stamps) -> Floats:
     """(L,) how alike two tracklets are at each lag; 0 where they are not, or hardly overlap."""
-    longest = STEP_S * min(one.features.shape[1], other.features.shape[1])
+    (first, features), (other_first, other_features) = one, other
+    longest = STEP_S * min(features.shape[1], other_features.shape[1])
     if longest < LEAST_OVERLAP_S:
         return np.zeros(len(lags))
     work = LagWork.allocate(len(lags))
-    offset = int(lags[0]) + one.first - other.first
-    correlate(one.features, other.features, offset, np.zeros(5), work)
+    offset = int(lags[0]) + first - other_first
+    correlate(features, other_features, offset, np.zeros(5), work)
     overlaps = STEP_S * work.overlaps
     alike = (overlaps >= LEAST_OVERLAP_S) & (work.correlations > LEAST_CORRELATION)
     similar = np.exp(-((work.differences / DIFFERENCE_M) ** 2))

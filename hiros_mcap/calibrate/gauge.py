@@ -207,15 +207,16 @@ def on_floor(rig: Rig, floor: Floor | None, people: Floats) -> Placement:
     """
     if floor is None:
         return np.eye(3), np.zeros(3)
+    up, height = floor
     axes = np.concatenate([rig.rotations[0].T, -rig.rotations[0].T])
     towards = people - rig.shifts[0]
     for axis in axes[np.argsort(-(axes @ towards))]:
-        level = axis - (axis @ floor.up) * floor.up
+        level = axis - (axis @ up) * up
         if np.linalg.norm(level) > 0.3:
             break
     x = level / np.linalg.norm(level)
-    turn = np.stack([x, np.cross(floor.up, x), floor.up])
-    below = rig.shifts[0] - (rig.shifts[0] @ floor.up - floor.height) * floor.up
+    turn = np.stack([x, np.cross(up, x), up])
+    below = rig.shifts[0] - (rig.shifts[0] @ up - height) * up
     return turn, -turn @ below
 
 
@@ -244,13 +245,8 @@ _PARTS = {
 }
 
 
-class Floor(NamedTuple):
-    """A horizontal plane."""
-
-    up: Floats
-    """(3,) unit vector."""
-    height: float
-    """Of the floor along ``up``, m."""
+Floor = tuple[Floats, float]
+"""A horizontal plane: up, a unit vector (3,), and the height of the floor along it, m."""
 
 
 def find_floor(model: SkeletonModel, poses: Floats, velocities: Floats) -> Floor | None:
@@ -299,7 +295,7 @@ def _plane(points: Floats, up: Floats) -> Floor:
     near = np.abs(heights - level) < NEAR_M + np.linalg.norm(flat, axis=1) * np.radians(STEEP_DEG)
     flat, heights = flat[near], heights[near]
     if np.linalg.eigvalsh(np.cov(flat.T))[0] < SPREAD_M**2 if len(flat) > 2 else True:
-        return Floor(up, level + float(middle @ up))
+        return up, level + float(middle @ up)
     design = np.column_stack([flat, np.ones(len(flat))])
     weights = np.ones(len(flat))
     for _ in range(FLOOR_ROUNDS):
@@ -308,9 +304,9 @@ def _plane(points: Floats, up: Floats) -> Floor:
         errors = heights - design @ slope
         weights = cauchy(errors)
     if np.degrees(np.arctan(np.hypot(*slope[:2]))) > STEEP_DEG:
-        return Floor(up, level + float(middle @ up))
+        return up, level + float(middle @ up)
     normal = _unit((up - across @ slope[:2])[None])[0]
-    return Floor(normal, float((middle + slope[2] * up) @ normal))
+    return normal, float((middle + slope[2] * up) @ normal)
 
 
 def _unit(vectors: Floats) -> Floats:

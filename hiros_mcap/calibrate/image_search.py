@@ -13,14 +13,19 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import TransformTree, parse_tf
 from hiros_mcap.calibrate.ball_image import DepthCamera
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.images import Bytes, Intrinsics, colour_image, depth_image, is_colour, is_depth
 from hiros_mcap.io.ros_messages import (
     CAMERA_INFO,
     COMPRESSED_IMAGE,
     IMAGE,
     TRANSFORMS,
+    Bytes,
+    Intrinsics,
     RosMessage,
     RosMessages,
+    colour_image,
+    depth_image,
+    is_colour,
+    is_depth,
 )
 from hiros_mcap.skeletons import Floats
 

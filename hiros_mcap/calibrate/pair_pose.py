@@ -160,7 +160,7 @@ def _coarse_fits(
 
     At the likeliest lag, or where no motion tells one, all long pairs are tried.
     """
-    likely = [(one.seconds, one.pairs) for one in candidates] or [(lag, []) for lag in BLIND_LAGS]
+    likely = candidates or [(lag, []) for lag in BLIND_LAGS]
     for k, (lag, pairs) in enumerate(likely):
         start = Rig.alone(2)._replace(clocks=np.array([0.0, -lag]))
         samples = sample(pair, instants, start)
@@ -307,7 +307,7 @@ def coarse_clocks(
     fits = {}
     for a, b in combinations(range(len(views)), 2):
         candidates = lag_candidates(signatures[a], signatures[b])
-        tried = [0.0, lags[b] - lags[a], *(-one.seconds for one in candidates), *NEAR_LAGS]
+        tried = [0.0, lags[b] - lags[a], *(-lag for lag, _ in candidates), *NEAR_LAGS]
         pair = [views[a], views[b]]
         fits[a, b] = [best_lag(pair, rig.select([a, b]).anchored(), tried, mirror)]
     tree, _ = spanning_tree(fits, list(range(len(views))))

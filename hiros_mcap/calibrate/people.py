@@ -22,12 +22,10 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import same_place
-from hiros_mcap.calibrate.agreement import camera_distances
 from hiros_mcap.calibrate.camera_change import find_moves, split_views, with_times
-from hiros_mcap.calibrate.camera_result import NAN, CalibratedCamera
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
-from hiros_mcap.calibrate.evidence import full_evidence
+from hiros_mcap.calibrate.evidence import camera_distances, full_evidence
 from hiros_mcap.calibrate.gauge import find_floor, moved, on_floor, on_transforms
 from hiros_mcap.calibrate.pair_pose import (
     Fits,
@@ -54,7 +52,15 @@ from hiros_mcap.calibrate.survey import (
     fixed_cameras,
     seen_by,
 )
-from hiros_mcap.calibrate.verdict import GRADES, NO_VIEW, UNLINKED, Verdict, fault
+from hiros_mcap.calibrate.verdict import (
+    GRADES,
+    NAN,
+    NO_VIEW,
+    UNLINKED,
+    CalibratedCamera,
+    Verdict,
+    fault,
+)
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.camera_clock import CameraTimes, ClockCorrection
 from hiros_mcap.io.log import Log

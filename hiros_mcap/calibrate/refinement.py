@@ -18,10 +18,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.calibrate.agreement import camera_distances, shared_view
 from hiros_mcap.calibrate.camera_change import SecondPose, second_poses
-from hiros_mcap.calibrate.camera_result import CalibratedCamera
 from hiros_mcap.calibrate.camera_views import CameraView
+from hiros_mcap.calibrate.evidence import evidence_of
 from hiros_mcap.calibrate.gauge import moved, on_transforms
 from hiros_mcap.calibrate.joint_refinement import (
     BLOCK_S,
@@ -45,6 +44,7 @@ from hiros_mcap.calibrate.verdict import (
     NO_VIEW,
     PROVEN,
     UNLINKED,
+    CalibratedCamera,
     Evidence,
     misfit,
     verdict_of,
@@ -153,33 +153,6 @@ def refine_together(
     return Refinement(views, start, rig, instants, points, residuals, free, errors, timed)
 
 
-def evidence_of(refined: Refinement, mirror: Ints) -> list[Evidence]:
-    """Gather how well each camera fits the others."""
-    common, fitting, seconds, spread, people = shared_view(
-        refined.views, refined.rig, refined.instants, mirror
-    )
-    distances = camera_distances(refined.residuals)
-    evidence = []
-    unknowns = refined.errors.unknowns
-    for c in range(len(refined.views)):
-        others = np.arange(len(refined.views)) != c
-        most = common[c, others].sum()
-        apart = distances[c][~np.isnan(distances[c])]
-        evidence.append(
-            Evidence(
-                share=float(fitting[c, others].sum() / most) if most else 0.0,
-                residual=float(np.median(apart)) if len(apart) else np.inf,
-                seconds=float(seconds[c]),
-                spread=float(spread[c]),
-                people=float(people[c]),
-                error_deg=float(np.degrees(np.linalg.norm(unknowns[c, :3]))),
-                error_m=float(np.linalg.norm(unknowns[c, 3:6])),
-                partner=refined.views[int(np.where(others, common[c], -1.0).argmax())].name,
-            )
-        )
-    return evidence
-
-
 class FittingRig(NamedTuple):
     """Cameras that fit each other."""
 
@@ -263,14 +236,6 @@ def cameras_of(
     return cameras
 
 
-class Estimate(NamedTuple):
-    """What the people tell about cameras with given poses."""
-
-    cameras: list[CalibratedCamera]
-    gains: list[SecondPose]
-    """What each would gain by a second pose: it may have been moved."""
-
-
 def refine_poses(
     views: Sequence[CameraView],
     given: Sequence[Rigid],
@@ -281,7 +246,7 @@ def refine_poses(
     moves: bool = True,
     proven_s: float = PROVEN.seconds,
     effort: Effort = FROM_GIVEN,
-) -> Estimate:
+) -> tuple[list[CalibratedCamera], list[SecondPose]]:
     """Find out whether the people know better poses than the given ones, and how the clocks go.
 
     The rig as a whole stays where the given poses put it. Cameras that see nobody in common with
@@ -295,6 +260,8 @@ def refine_poses(
     moves : whether to look for cameras that were moved; otherwise nothing is gained.
     proven_s : shortest common view, s, that proves a pose.
     effort : on how many joints at how many instants.
+
+    Returns the cameras, and what each would gain by a second pose: it may have been moved.
     """
     movable = [True] * len(views) if movable is None else movable
     cameras = [
@@ -332,7 +299,7 @@ def refine_poses(
             second = second_poses(residuals_of(wide, rig), wide)
             for c, gain in zip(fit.cameras, second, strict=True):
                 gains[c] = gain
-    return Estimate(cameras, gains)
+    return cameras, gains
 
 
 def _linked(points: Points) -> list[list[int]]:

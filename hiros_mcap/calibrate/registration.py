@@ -37,15 +37,6 @@ class SphereFit(NamedTuple):
     """Root mean square of the inliers' distances from the surface, m."""
 
 
-class CommonFrames(NamedTuple):
-    """The instants at which all of S sensors saw an object."""
-
-    stamps: Stamps
-    """(K,) mean time of the sensors' frames, ns, increasing."""
-    centres: Floats
-    """(S, K, 3) where each sensor saw it, m: column k of all sensors are corresponding points."""
-
-
 def fit_sphere(
     points: Floats,
     radius: float,
@@ -151,7 +142,7 @@ def _refine(
 
 def common_frames(
     stamps: Sequence[Stamps], centres: Sequence[Floats], *, max_delta_time: float = 0.017
-) -> CommonFrames:
+) -> tuple[Stamps, Floats]:
     """Keep the frames in which all sensors saw an object, as corresponding points (Lee, 2.1.1).
 
     Each frame of a sensor is paired with the nearest frame in time of the first sensor, if each is
@@ -167,7 +158,8 @@ def common_frames(
 
     Returns
     -------
-    Times and centres; K may be 0, which :func:`rigid_fit` rejects.
+    (K,) mean time of the sensors' frames, ns, increasing, and (S, K, 3) where each sensor saw the
+    object, m: column k of all sensors are corresponding points. :func:`rigid_fit` rejects K = 0.
 
     Raises
     ------
@@ -181,7 +173,7 @@ def common_frames(
     sensors = [_seen(times, places) for times, places in zip(stamps, centres, strict=True)]
     first = sensors[0][0]
     if any(len(times) == 0 for times, _ in sensors):
-        return CommonFrames(np.zeros(0, np.int64), np.zeros((len(sensors), 0, 3)))
+        return np.zeros(0, np.int64), np.zeros((len(sensors), 0, 3))
     others = (nearest_stamps(times, first) for times, _ in sensors[1:])
     rows = np.stack([np.arange(len(first)), *others])
     paired = np.stack([times[row] for (times, _), row in zip(sensors, rows, strict=True)])
@@ -189,7 +181,7 @@ def common_frames(
     kept = mutual & (np.ptp(paired, axis=0) <= max_delta_time * 1e9)
     late = (paired[:, kept] - first[kept]).mean(axis=0)
     places = [places[row[kept]] for (_, places), row in zip(sensors, rows, strict=True)]
-    return CommonFrames(first[kept] + np.rint(late).astype(np.int64), np.stack(places))
+    return first[kept] + np.rint(late).astype(np.int64), np.stack(places)
 
 
 def _seen(stamps: Stamps, centres: Floats) -> tuple[Stamps, Floats]:

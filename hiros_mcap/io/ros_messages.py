@@ -1,4 +1,4 @@
-"""Messages of ROS's standard types, such as images, from a log of any kind.
+"""Messages of ROS's standard types from a log of any kind, and images of them as arrays.
 
 A log of skeletons is read by :mod:`hiros_mcap.io.log`, which is much faster.
 """
@@ -10,11 +10,15 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
 import hiros_schemas
-from hiros_mcap.errors import naming
+from hiros_mcap.errors import ConfigError, LogError, naming
 from hiros_mcap.io.bags import kind_of, open_bag, parts_of
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.ros_cdr import decoder_of, ros2_types
+from hiros_mcap.skeletons import Floats
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
@@ -123,3 +127,145 @@ def open_messages(path: Path | McapReader) -> Iterator[RosMessages]:
             yield _McapMessages([stack.enter_context(McapReader(part)) for part in parts])
         else:
             yield _BagMessages(stack.enter_context(open_bag(path, kind_of(path))))
+
+
+Bytes = npt.NDArray[np.uint8]
+
+_CHANNELS = {
+    "bgr8": (0, 1, 2),
+    "8UC3": (0, 1, 2),
+    "rgb8": (2, 1, 0),
+    "bgra8": (0, 1, 2, 3),
+    "8UC4": (0, 1, 2, 3),
+    "rgba8": (2, 1, 0, 3),
+}
+"""Encoding of a colour image -> where blue, green and red are."""
+_DEPTHS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
+_CONFIG_BYTES = 12
+"""Before the picture of a compressedDepth image: its kind, and two numbers that scale it."""
+
+
+def require_opencv() -> None:
+    """Raise ConfigError, which names the extra to install, if OpenCV is not installed."""
+    try:
+        import cv2  # noqa: F401
+    except ImportError:
+        raise ConfigError(
+            "images need OpenCV: install it by `pip install opencv-python-headless`"
+        ) from None
+
+
+class Intrinsics(NamedTuple):
+    """The lens of a camera, from CameraInfo."""
+
+    matrix: Floats
+    """(3, 3) K: focal lengths and principal point, pixels."""
+    distortion: Floats
+    """Coefficients as OpenCV has them."""
+
+    @classmethod
+    def of(cls, info: Any, topic: str) -> Intrinsics:
+        """Read the CameraInfo of a topic's images; raises LogError if the lens is not usable."""
+        matrix = np.asarray(info.k, np.float64).reshape(3, 3)
+        if not (matrix[0, 0] > 0.0 and matrix[1, 1] > 0.0):
+            raise LogError("its CameraInfo has no focal length; calibrate the lens", topic=topic)
+        if info.distortion_model in ("equidistant", "fisheye"):
+            fault = f"has the lens model {info.distortion_model!r}; record rectified images"
+            raise LogError(fault, topic=topic)
+        return cls(matrix, np.asarray(info.d, np.float64))
+
+    def rays(self, height: int, width: int) -> Floats:
+        """(H, W, 2) x / z and y / z of what each pixel sees."""
+        import cv2
+
+        columns, rows = np.meshgrid(np.arange(width), np.arange(height))
+        pixels = np.stack([columns, rows], axis=-1).astype(np.float64).reshape(-1, 1, 2)
+        seen = cv2.undistortPoints(pixels, self.matrix, self.distortion)
+        return np.asarray(seen, np.float64).reshape(height, width, 2)
+
+    def project(self, points: Floats) -> Floats:
+        """(N, 2) column and row at which (N, 3) points appear, all with z > 0."""
+        import cv2
+
+        pixels, _ = cv2.projectPoints(
+            points, np.zeros(3), np.zeros(3), self.matrix, self.distortion
+        )
+        return np.asarray(pixels, np.float64).reshape(-1, 2)
+
+
+def is_depth(message: Any) -> bool:
+    """Whether an Image or CompressedImage holds depths."""
+    if hasattr(message, "encoding"):
+        return message.encoding in _DEPTHS
+    return "compressedDepth" in message.format
+
+
+def is_colour(message: Any) -> bool:
+    """Whether an Image or CompressedImage has colours."""
+    if hasattr(message, "encoding"):
+        return message.encoding in _CHANNELS
+    grey = message.format.split(";")[0].strip() in ("mono8", "mono16", "8UC1", "16UC1", "32FC1")
+    return not is_depth(message) and not grey
+
+
+def colour_image(message: Any) -> Bytes:
+    """(H, W, 3) blue, green, red; raises LogError for a damaged image."""
+    if not hasattr(message, "encoding"):
+        return _picture(message.data, colour=True)
+    order = _CHANNELS[message.encoding]
+    pixels = _pixels(message, np.dtype("u1"), len(order))
+    return np.ascontiguousarray(pixels[:, :, order[:3]])
+
+
+def depth_image(message: Any) -> Floats:
+    """(H, W) distance along z, m, NaN = unknown; raises LogError for a damaged image.
+
+    Integers are mm, floating-point numbers m (REP 118).
+    """
+    if hasattr(message, "encoding"):
+        order = ">" if message.is_bigendian else "<"
+        raw = _pixels(message, np.dtype(order + _DEPTHS[message.encoding]), 1)[:, :, 0]
+        in_mm = raw.dtype.kind == "u"
+        depth = raw.astype(np.float64) * (1e-3 if in_mm else 1.0)
+    else:
+        depth = _compressed_depth(message)
+    with np.errstate(invalid="ignore"):
+        depth[~(np.isfinite(depth) & (depth > 0.0))] = np.nan
+    return depth
+
+
+def _compressed_depth(message: Any) -> Floats:
+    """Undo ROS's compressed_depth_image_transport, whose floats are quantised as 1 / depth."""
+    if "rvl" in message.format.lower():
+        raise LogError("RVL compression cannot be read; record depth as raw images or PNG")
+    raw = _picture(message.data[_CONFIG_BYTES:], colour=False).astype(np.float64)
+    if raw.ndim != 2:
+        raise LogError("a depth image has several channels")
+    if not message.format.strip().startswith("32FC1"):
+        return np.asarray(raw * 1e-3)
+    a, b = np.frombuffer(message.data[:_CONFIG_BYTES], "<f4")[1:]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(raw > 0.0, a / (raw - b), np.nan)
+
+
+def _pixels(message: Any, kind: np.dtype[Any], channels: int) -> npt.NDArray[Any]:
+    """(H, W, channels) of an image whose rows may be padded."""
+    height, width, step = message.height, message.width, message.step
+    used = width * channels * kind.itemsize
+    if step < used or len(message.data) < height * step or not used * height:
+        raise LogError(f"an image of {width} x {height} pixels has only {len(message.data)} bytes")
+    rows = np.asarray(message.data, np.uint8)[: height * step].reshape(height, step)[:, :used]
+    return np.ascontiguousarray(rows).view(kind).reshape(height, width, channels)
+
+
+def _picture(data: Bytes, *, colour: bool) -> npt.NDArray[Any]:
+    import cv2
+
+    flag = cv2.IMREAD_COLOR if colour else cv2.IMREAD_UNCHANGED
+    try:
+        picture = cv2.imdecode(np.ascontiguousarray(data), flag)
+    except cv2.error:
+        picture = None
+    if picture is None:
+        raise LogError("a compressed image cannot be decoded")
+    return np.asarray(picture)

@@ -23,7 +23,6 @@ from hiros_mcap.calibrate.camera_change import (
     partner_of,
     split_views,
 )
-from hiros_mcap.calibrate.camera_result import CalibratedCamera
 from hiros_mcap.calibrate.camera_views import CameraView, Sighting
 from hiros_mcap.calibrate.gauge import PRIOR_DEG, PRIOR_M, moved, on_transforms
 from hiros_mcap.calibrate.refinement import (
@@ -33,7 +32,7 @@ from hiros_mcap.calibrate.refinement import (
 )
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.calibrate.survey import FixedCamera, Survey, seen_by
-from hiros_mcap.calibrate.verdict import SURE
+from hiros_mcap.calibrate.verdict import SURE, CalibratedCamera
 from hiros_mcap.events import Event, camera_displaced
 from hiros_mcap.running.clock_alignment import ClockAlignment
 from hiros_mcap.skeletons import Ints
@@ -179,7 +178,7 @@ class _Splitter:
     def moved_late(self, posed: PosedViews) -> Event | None:
         """Find the camera whose people are elsewhere from some time on."""
         given = [placed(posed, k) for k in range(len(posed.views))]
-        gains = refine_poses(posed.views, given, self._mirror).gains
+        _, gains = refine_poses(posed.views, given, self._mirror)
         c = max(range(len(gains)), key=lambda k: (round(gains[k].metres, 2), k))
         if not _is_late(gains[c]):
             return None

@@ -19,7 +19,6 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import TimedPoses, same_place
-from hiros_mcap.calibrate.camera_result import CalibratedCamera
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import landmarks_of
 from hiros_mcap.calibrate.pair_pose import coarse_clocks
@@ -34,7 +33,7 @@ from hiros_mcap.calibrate.survey import (
     moves,
     seen_by,
 )
-from hiros_mcap.calibrate.verdict import CONFIRMED, SURE, UNLINKED, remedy
+from hiros_mcap.calibrate.verdict import CONFIRMED, SURE, UNLINKED, CalibratedCamera, remedy
 from hiros_mcap.config import Config
 from hiros_mcap.errors import LogError
 from hiros_mcap.events import CAMERA_MOVED, Event, Events

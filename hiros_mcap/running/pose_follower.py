@@ -18,7 +18,6 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import pose_arrays
-from hiros_mcap.calibrate.camera_result import CalibratedCamera
 from hiros_mcap.calibrate.camera_views import (
     CameraView,
     PeopleFollowed,
@@ -34,7 +33,7 @@ from hiros_mcap.calibrate.survey import (
     fixed_cameras,
     in_own_frame,
 )
-from hiros_mcap.calibrate.verdict import MOVED, TIMED, weakness_of
+from hiros_mcap.calibrate.verdict import MOVED, TIMED, CalibratedCamera, weakness_of
 from hiros_mcap.frames import Block, join
 from hiros_mcap.io.log import Reading
 from hiros_mcap.kernels.transforming import PoseArrays, move
@@ -195,7 +194,7 @@ class PoseFollower:
         )
 
         def take() -> None:
-            rig = estimate().cameras
+            rig, _ = estimate()
             self._correct_clocks(rig)
             if self._movable:
                 self._take_poses(cameras, rig)

@@ -22,7 +22,7 @@ from rendered_ball import (
 from hiros_cli.app import run
 from hiros_mcap.body.rotations import angle
 from hiros_mcap.body.transforms import read_extrinsics
-from hiros_mcap.calibrate.ball import BallOptions, calibrate_ball
+from hiros_mcap.calibrate.ball import calibrate_ball
 from hiros_mcap.errors import LogError, RegistrationError
 
 CAMERAS = [camera_at(0.0), camera_at(1.7)]
@@ -68,7 +68,7 @@ def test_poses_from_images(log, tmp_path, capsys):
 
 
 def test_what_is_counted_and_measured(log):
-    report = calibrate_ball(log, BallOptions(radius=0.12))
+    report = calibrate_ball(log, radius=0.12)
     camera = report.calibration.cameras[1]
     assert camera.seen > 0.9 * FRAMES
     assert camera.seen + sum(report.skipped[camera.name].values()) == FRAMES
@@ -78,7 +78,7 @@ def test_what_is_counted_and_measured(log):
 
 
 def test_another_radius_is_noticed(log):
-    report = calibrate_ball(log, BallOptions(radius=0.13))
+    report = calibrate_ball(log, radius=0.13)
     assert "looks like one of radius 0.12" in report.warnings[0]
     assert report.calibration.verdict == "doubtful"
 
@@ -86,9 +86,7 @@ def test_another_radius_is_noticed(log):
 def test_compressed_depth(tmp_path):
     path = ball_path(24)
     messages = [m for k in (0, 1) for m in images_of(k, CAMERAS[k], path, depth=as_png)]
-    found = calibrate_ball(
-        write_messages(tmp_path / "a.mcap", messages), BallOptions(0.12)
-    ).calibration
+    found = calibrate_ball(write_messages(tmp_path / "a.mcap", messages), 0.12).calibration
     assert_pose(found.cameras[1].pose, CAMERAS[0].inverse() @ CAMERAS[1], 0.6, 0.02)
 
 

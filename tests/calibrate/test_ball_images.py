@@ -10,7 +10,7 @@ from rendered_ball import RADIUS, K, compressed, header, image, millimetres, ren
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.calibrate.ball_image import ColorRange, DepthCamera, find_ball
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.io.images import Intrinsics, colour_image, depth_image, is_colour, is_depth
+from hiros_mcap.io.ros_messages import Intrinsics, colour_image, depth_image, is_colour, is_depth
 
 LENS = Intrinsics(K, np.zeros(5))
 CAMERA = DepthCamera(LENS.rays(120, 160), K[0, 0], None, Rigid.identity())

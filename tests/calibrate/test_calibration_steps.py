@@ -11,9 +11,9 @@ from stick_figures import MIRROR, MODEL, POSE, person
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
-from hiros_mcap.calibrate.agreement import shared_view
 from hiros_mcap.calibrate.camera_views import CameraView, PeopleFollowed, Sighting, find_tracklets
 from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
+from hiros_mcap.calibrate.evidence import shared_view
 from hiros_mcap.calibrate.gauge import find_floor, moved, on_transforms
 from hiros_mcap.calibrate.joint_refinement import free_unknowns, refine
 from hiros_mcap.calibrate.pair_pose import PairFit, chained, coarse_clocks, ranked, spanning_tree
@@ -81,9 +81,9 @@ def test_the_lag_of_two_clocks_needs_no_pose():
     turn, shift = Rotation.from_euler("xyz", [0.3, 1.2, -0.8]), np.array([1.0, 2.0, 3.0])
     landmarks = landmarks_of(MODEL)
     cameras = [view("a", Rotation.identity(), np.zeros(3)), view("b", turn, shift, clock=1.4)]
-    best = lag_candidates(*(signatures_of(camera, landmarks) for camera in cameras))[0]
-    assert best.seconds == pytest.approx(-1.4, abs=0.05)
-    assert best.pairs == [(0, 0)]
+    lag, pairs = lag_candidates(*(signatures_of(camera, landmarks) for camera in cameras))[0]
+    assert lag == pytest.approx(-1.4, abs=0.05)
+    assert pairs == [(0, 0)]
 
 
 def test_log_times_hint_at_a_lag_that_many_people_hide(monkeypatch):
@@ -230,8 +230,8 @@ def test_up_is_where_standing_people_point():
     poses = tilt.apply((body + places + [0, 0, 0.3]).reshape(-1, 3)).reshape(40, 6, 3)
     floor = find_floor(model, poses, np.zeros_like(poses))
     assert floor is not None
-    assert floor.up == pytest.approx(tilt.apply([0, 0, 1]), abs=1e-6)
-    assert floor.height == pytest.approx(0.3, abs=1e-6)
+    assert floor[0] == pytest.approx(tilt.apply([0, 0, 1]), abs=1e-6)
+    assert floor[1] == pytest.approx(0.3, abs=1e-6)
     assert find_floor(MODEL, np.tile(POSE, (3, 1, 1)), np.zeros((3, 8, 3))) is None  # no ankles
 
 

@@ -9,9 +9,9 @@ from hiros_cli.app import run
 from hiros_mcap.calibrate.noise import USUAL_POWER, measure_noise_model
 from hiros_mcap.config import load_config, to_toml
 from hiros_mcap.io.log import open_log
+from hiros_mcap.running.observe import Stopwatch
 from hiros_mcap.running.preparation import prepare, set_up
 from hiros_mcap.running.process_options import ProcessOptions
-from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 

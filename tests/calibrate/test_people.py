@@ -14,7 +14,6 @@ from hiros_cli.calibration_report import _notes
 from hiros_mcap.body.rotations import Rigid, angle, multiply
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import read_extrinsics
-from hiros_mcap.calibrate.camera_result import CalibratedCamera
 from hiros_mcap.calibrate.joint_refinement import (
     Points,
     free_unknowns,
@@ -24,6 +23,7 @@ from hiros_mcap.calibrate.joint_refinement import (
 )
 from hiros_mcap.calibrate.people import calibrate_people
 from hiros_mcap.calibrate.sampling import Rig
+from hiros_mcap.calibrate.verdict import CalibratedCamera
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.log import open_log
 

@@ -13,18 +13,17 @@ from scipy.spatial.transform import Rotation
 
 from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid, angle
-from hiros_mcap.calibrate.camera_result import CalibratedCamera
 from hiros_mcap.calibrate.survey import stretches
-from hiros_mcap.calibrate.verdict import Evidence, verdict_of
+from hiros_mcap.calibrate.verdict import CalibratedCamera, Evidence, verdict_of
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.channels import add_skeleton_channel, add_static_poses
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_log
+from hiros_mcap.running.observe import Stopwatch
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.preparation import prepare, set_up
-from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.simulate import SimulateParams, simulate
 
 NAMES = ("camera_0", "camera_1", "camera_2")
