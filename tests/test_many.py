@@ -24,8 +24,7 @@ from hiros_mcap.io.places import place_of
 from hiros_mcap.many.find import are_many, distinct_names, find_logs
 from hiros_mcap.many.jobs import Finding, Job, ProcessJob
 from hiros_mcap.many.manifest import Identity, LogRecord, Manifest
-from hiros_mcap.many.run_logs import Folder, in_processes, run_logs, run_one
-from hiros_mcap.many.totals import ColumnTotal, column_totals
+from hiros_mcap.many.run_logs import column_totals, in_processes, run_logs, run_one
 
 SAMPLES = Path(__file__).parents[1] / "sample_data"
 BAG = "rosbag2_bagfile_information:\n  version: 8\n"
@@ -160,7 +159,7 @@ def test_a_second_run_does_only_what_is_left(recordings, tmp_path):
 
 
 def test_another_log_of_the_same_size_is_done(tmp_path):
-    log, out = tmp_path / "lab.mcap", Folder(str(tmp_path / "out"))
+    log, out = tmp_path / "lab.mcap", str(tmp_path / "out")
     job, done = Nothing(), []
     for k, content in enumerate((b"one", b"one", b"two")):
         log.write_bytes(content)
@@ -192,7 +191,7 @@ def test_other_parameters_do_everything_again(walking, tmp_path):
 
 def test_a_stopped_run_has_its_manifest(recordings, tmp_path):
     job, out = ProcessJob(Settings()), str(tmp_path / "out")
-    runs = run_logs(job, find_logs([str(recordings)]), Folder(out), in_processes(1))
+    runs = run_logs(job, find_logs([str(recordings)]), out, in_processes(1))
     done = [next(runs)[0], next(runs)[0]]
     runs.close()  # type: ignore[attr-defined]
     assert set(Manifest("process", place_of(out)).records) == {record.log for record in done}
@@ -204,7 +203,7 @@ def test_a_log_that_kills_its_process_is_reported(recordings):
         yield 1, function(*tasks[1])
 
     logs = find_logs([str(recordings / "walk.mcap"), str(recordings / "b")])
-    walk, lab = (record for record, _ in run_logs(Nothing(), logs, Folder(""), deadly))
+    walk, lab = (record for record, _ in run_logs(Nothing(), logs, "", deadly))
     assert (walk.verdict, lab.verdict) == ("failed", "done")
     assert walk.error == "stopped its process more than once: a process was killed by signal 9"
 
@@ -462,7 +461,9 @@ def test_totals_are_those_of_the_numbers_that_are_known():
     values = [1.0, 2, 6.0, float("nan"), "text"]
     records = [LogRecord(f"/{v}", "x", "done", values={"n": v}) for v in values]
     totals = column_totals(records, ProcessJob(Settings()))
-    assert totals == {"n": ColumnTotal(3, mean=3.0, median=2.0, least=1.0, most=6.0, sum=None)}
+    assert totals == {
+        "n": {"logs": 3, "mean": 3.0, "median": 2.0, "least": 1.0, "most": 6.0, "sum": None}
+    }
 
 
 def test_the_table_of_many_logs_as_csv(recordings, tmp_path, capsys):

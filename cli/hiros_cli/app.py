@@ -94,7 +94,7 @@ def _report(error: Exception, *, debug: bool) -> int:
         # The reader has seen enough. Python flushes stdout once more when it exits.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
-    from hiros_cli.printable import error_line, lacks_memory, left_out
+    from hiros_cli.output import error_line, lacks_memory, left_out
     from hiros_mcap.errors import HirosError
 
     if debug:

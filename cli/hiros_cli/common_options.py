@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from hiros_cli.printable import error_line, printable
+from hiros_cli.output import error_line, printable
 from hiros_mcap.errors import ConfigError, LogError
 
 LOGGERS = ("hiros_mcap", "hiros_cli")

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from typer import Context, Exit
 
 from hiros_cli.options import FORCE, JSON, LOSSES, MANY, QUIET, option
-from hiros_cli.output import check_outputs, print_json, warn
-from hiros_cli.printable import printable
+from hiros_cli.output import check_outputs, print_json, printable, warn
 from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -93,7 +92,7 @@ def run(job: Job, named: Sequence[str], many: ManyLogs, folder: str = "") -> NoR
     Raises HirosError or OSError if the logs are not found, or the folder cannot be written.
     """
     from hiros_mcap.many.find import find_logs
-    from hiros_mcap.many.run_logs import Folder, run_logs
+    from hiros_mcap.many.run_logs import as_csv, run_logs, to_dict
     from hiros_mcap.outputs import write_text
 
     check_outputs((many.csv, "table of logs"), inputs=(), force=many.force)
@@ -105,7 +104,7 @@ def run(job: Job, named: Sequence[str], many: ManyLogs, folder: str = "") -> NoR
     with _follower(len(logs), quiet=many.quiet) as follower:
         runner = _runner(many, logs, folder)
         try:
-            for record, is_new in run_logs(job, logs, Folder(folder, many.force), runner):
+            for record, is_new in run_logs(job, logs, folder, runner, force=many.force):
                 by_log[record.log] = record
                 follower.finished(record, is_new=is_new)
         except Exception:
@@ -115,15 +114,11 @@ def run(job: Job, named: Sequence[str], many: ManyLogs, folder: str = "") -> NoR
             raise
     records = [by_log[log] for log in logs]
     if many.json:
-        from hiros_mcap.many.totals import to_dict
-
         warnings = [f"{record.log}: {text}" for record in records for text in record.warnings]
         print_json("logs", to_dict(records, job), warnings)
     elif not many.quiet:
         _show(job, records, folder)
     if many.csv is not None:
-        from hiros_mcap.many.totals import as_csv
-
         write_text(many.csv, as_csv(records))
     raise Exit(exit_code(records))
 
@@ -249,7 +244,7 @@ def _show(job: Job, records: Sequence[LogRecord], folder: str) -> None:
     from rich.text import Text
 
     from hiros_cli.run_report import page, table
-    from hiros_mcap.many.totals import column_totals, columns_of, verdicts
+    from hiros_mcap.many.run_logs import column_totals, columns_of
     from hiros_mcap.summary import quantity
 
     columns = [name for name in columns_of(records) if name in shown_columns(job.command)]
@@ -261,13 +256,15 @@ def _show(job: Job, records: Sequence[LogRecord], folder: str) -> None:
         if len(records) <= _ALL_ROWS or r.verdict not in good
     ]
     shown, totals = len(rows), column_totals(records, job)
-    added = [totals[name].sum if name in totals else None for name in columns]
-    means = [totals[name].mean if name in totals else None for name in columns]
+    added = [totals[name]["sum"] if name in totals else None for name in columns]
+    means = [totals[name]["mean"] if name in totals else None for name in columns]
     if any(value is not None for value in added):
         rows.append(("sum", "", *map(_cell, added)))
     rows.append(("mean", "", *map(_cell, means)))
     titles = (f">{name.replace('_', ' ')}" for name in columns)
-    counts = ", ".join(f"{n} {verdict}" for verdict, n in verdicts(records).items())
+    counts = ", ".join(
+        f"{n} {verdict}" for verdict, n in Counter(r.verdict for r in records).items()
+    )
     lines: list[str | Text] = [Text(f"{quantity(len(records), 'log')}: {counts}", style="bold")]
     if shown < len(records):
         lines.append("the table has those that are not simply done; --csv and --json have all")

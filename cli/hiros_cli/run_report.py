@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from hiros_cli.printable import LINE_LIMIT, printable
+from hiros_cli.output import LINE_LIMIT, printable
 from hiros_mcap.summary import (
     CameraSummary,
     DelaySummary,

@@ -1,25 +1,30 @@
-"""A command on many logs: plan, run, and keep what came of each in the manifest.
+"""A command on many logs: plan, run, keep what came of each in the manifest, and add it up.
 
 ::
 
     logs = find_logs(["recordings/"])
-    for record, _ in run_logs(ProcessJob(Settings()), logs, Folder("results"), in_processes(2)):
+    for record, _ in run_logs(ProcessJob(Settings()), logs, "results", in_processes(2)):
         print(record.log, record.verdict)
 """
 
 from __future__ import annotations
 
+import csv
 import hashlib
+import io
 import json
+import math
 import os
 import re
 import socket
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from statistics import fmean, median
 from threading import Lock
 from typing import Any
 
@@ -30,10 +35,10 @@ from hiros_mcap.io import remote
 from hiros_mcap.io.digest import digest_of
 from hiros_mcap.io.places import Place, place_of
 from hiros_mcap.many.find import base_name, distinct_names
-from hiros_mcap.many.jobs import Finding, Job
+from hiros_mcap.many.jobs import Job
 from hiros_mcap.many.manifest import Identity, LogRecord, Manifest
 from hiros_mcap.outputs import remove_parts
-from hiros_mcap.summary import plain_value
+from hiros_mcap.summary import plain, plain_value
 from hiros_mcap.workers import run_tasks
 
 Runner = Callable[..., Iterator[tuple[int, LogRecord]]]
@@ -45,31 +50,25 @@ def in_processes(jobs: int) -> Runner:
     return partial(run_tasks, jobs=jobs)
 
 
-@dataclass(frozen=True, slots=True)
-class Folder:
-    """Where the results of many logs go."""
-
-    path: str
-    """Path or address; "" keeps nothing."""
-    force: bool = False
-    """Replace files that hiros did not write."""
-
-
 def run_logs(
-    job: Job, logs: Sequence[str], folder: Folder, runner: Runner
+    job: Job, logs: Sequence[str], folder: str, runner: Runner, *, force: bool = False
 ) -> Iterator[tuple[LogRecord, bool]]:
     """Yield what becomes of each log as it gets ready, and whether it was done now.
 
-    What a former run has done comes first.
+    What a former run has done comes first. Failures do not stop the others. The manifest of the
+    folder has every record.
 
-    Failures do not stop the others. The manifest of the folder has every record; ``logs`` are
-    absolute paths or addresses, see :func:`hiros_mcap.many.find.find_logs`.
+    Parameters
+    ----------
+    logs : absolute paths or addresses, see :func:`hiros_mcap.many.find.find_logs`.
+    folder : where the results go, a path or an address; "" keeps nothing.
+    force : replace files that hiros did not write.
 
     Raises LogError if the folder cannot be written, or a file in it must not be replaced;
     ConfigError if the manifest is damaged.
     """
     with ExitStack() as stack:
-        place = place_of(folder.path) if folder.path else None
+        place = place_of(folder) if folder else None
         if place is not None:
             place.create()
             stack.enter_context(place.locked())
@@ -88,7 +87,7 @@ def run_logs(
                 for file, size in sizes.items()
                 if _base(file, job.suffix) in names and ours.get(file) != size
             ]
-            place.check(there, job.kind, logs, folder.force)
+            place.check(there, job.kind, logs, force)
         for former in done.values():
             yield former, False
 
@@ -96,9 +95,9 @@ def run_logs(
             error = f"stopped its process more than once: {why}"
             return replace(todo[k], verdict="failed", error=error)
 
-        tasks = [(job, record, folder.path) for record in todo]
-        if folder.path and not remote.is_remote(folder.path):
-            stack.callback(remove_parts, Path(folder.path))
+        tasks = [(job, record, folder) for record in todo]
+        if folder and not remote.is_remote(folder):
+            stack.callback(remove_parts, Path(folder))
         stack.callback(manifest.save)
         for _, record in runner(run_one, tasks, lost=lost):
             manifest.add(record)
@@ -188,23 +187,24 @@ def _run(job: Job, record: LogRecord, place: Place | None) -> LogRecord:
         # Compared with what is there before: a log may change while it is read.
         identity = identity_of(record.log)
         log = stack.enter_context(remote.local_copy(record.log))
-        writes = place is not None and job.suffix
         with ExitStack() as output:
             target = Path()
-            if place is not None and writes:
+            if place is not None and job.suffix:
                 target = output.enter_context(place.writing()) / (record.name + job.suffix)
             try:
                 finding = job.run(log, target)
             except HirosError as error:
                 raise HirosError(str(error).replace(str(log), record.log)) from error
             files = {file.name: file.stat().st_size for file in finding.files}
-        sha256 = finding.sha256
+        sha256, verdict = finding.sha256, finding.verdict
+        if verdict == "done":
+            verdict = "recovered" if finding.losses else "doubtful" if finding.warnings else "done"
         if place is not None and not sha256:
             with digest_of(log) as digest:
                 sha256 = digest.result()
         return replace(
             record,
-            verdict=_verdict(finding),
+            verdict=verdict,
             error=finding.error,
             warnings=tuple(text.replace(str(log), record.log) for text in finding.warnings),
             losses=finding.losses,
@@ -214,12 +214,6 @@ def _run(job: Job, record: LogRecord, place: Place | None) -> LogRecord:
         )
 
 
-def _verdict(finding: Finding) -> Any:
-    if finding.verdict == "done" and finding.losses:
-        return "recovered"
-    return "doubtful" if finding.verdict == "done" and finding.warnings else finding.verdict
-
-
 def _in_one_line(error: Exception, log: str) -> str:
     """Return what is wrong, without the name of the log in front."""
     text = str(error)
@@ -227,3 +221,51 @@ def _in_one_line(error: Exception, log: str) -> str:
         names = [str(name) for name in (error.filename, error.filename2) if name is not None]
         text = ": ".join([*names, error.strerror or text])
     return text.removeprefix(f"{log}: ")
+
+
+def columns_of(records: Sequence[LogRecord]) -> list[str]:
+    """Return the names of all values that a log has, in their order."""
+    return list(dict.fromkeys(name for record in records for name in record.values))
+
+
+def column_totals(records: Sequence[LogRecord], job: Job) -> dict[str, dict[str, Any]]:
+    """Return the totals of every column of numbers, over the logs that have it.
+
+    The sum is None where adding makes no sense, as for errors.
+    """
+    totals = {}
+    for name in columns_of(records):
+        values = [record.values.get(name) for record in records]
+        numbers = [float(x) for x in values if isinstance(x, int | float) and math.isfinite(x)]
+        if numbers:
+            totals[name] = {
+                "logs": len(numbers),
+                "mean": fmean(numbers),
+                "median": median(numbers),
+                "least": min(numbers),
+                "most": max(numbers),
+                "sum": math.fsum(numbers) if name in job.counted else None,
+            }
+    return totals
+
+
+def as_csv(records: Sequence[LogRecord]) -> str:
+    """Return the table of all logs as CSV: log, verdict, what was measured, time, error."""
+    columns, text = columns_of(records), io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["log", "verdict", *columns, "seconds", "warnings", "error"])
+    for r in records:
+        values = [r.values.get(name, "") for name in columns]
+        last = f"{r.seconds:.3f}", "; ".join(r.warnings), r.error
+        writer.writerow([r.log, r.verdict, *values, *last])
+    return text.getvalue()
+
+
+def to_dict(records: Sequence[LogRecord], job: Job) -> Mapping[str, Any]:
+    """Plain data for JSON."""
+    return {
+        "command": job.command,
+        "verdicts": dict(Counter(record.verdict for record in records)),
+        "totals": plain_value(column_totals(records, job)),
+        "logs": [plain(record) for record in records],
+    }

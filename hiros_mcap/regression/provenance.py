@@ -10,9 +10,9 @@ from typing import Any
 
 from hiros_mcap.config import without_constants
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io.attachments import stored_parameters
 from hiros_mcap.io.channels import PROVENANCE
 from hiros_mcap.io.log import open_reader
+from hiros_mcap.io.result import stored_parameters
 from hiros_mcap.regression.differences import Difference
 
 _RUN = {

@@ -11,11 +11,15 @@
     golden = "golden/two_people_crossing.mcap"   # or .json: metrics alone
     require = ["mpjpe <= 25 mm", "id_switches = 0"]
 
-Paths are relative to the suite's file.
+Paths are relative to the suite's file. Golden files are small, because they are kept under version
+control.
 """
 
 from __future__ import annotations
 
+import json
+import math
+import os
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
@@ -23,22 +27,33 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from hiros_mcap.config import Settings
 from hiros_mcap.defaults import default_system
 from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.evaluate import load_truth
-from hiros_mcap.evaluate.logs import output_channels
-from hiros_mcap.outputs import check_outputs
-from hiros_mcap.outside import read_toml
+from hiros_mcap.evaluate.logs import output_channels, read_channel
+from hiros_mcap.evaluate.measures import MEASURES
+from hiros_mcap.io.channels import (
+    CONFIG_ATTACHMENT,
+    LIMBS_ATTACHMENT,
+    PROVENANCE,
+    add_skeleton_channel,
+)
+from hiros_mcap.io.codec import Encoder
+from hiros_mcap.io.container import McapWriter
+from hiros_mcap.io.log import open_reader
+from hiros_mcap.outputs import check_outputs, write_text
+from hiros_mcap.outside import parse, read_text, read_toml
 from hiros_mcap.params import Params, explain
 from hiros_mcap.regression.differences import Difference, Divergence, compare_logs
-from hiros_mcap.regression.golden import load_metrics, save_metrics, write_golden
 from hiros_mcap.regression.metrics import Threshold, metrics_of, worse
 from hiros_mcap.regression.provenance import Provenance, changes
 from hiros_mcap.regression.quantities import Tolerances, beside, validated
 from hiros_mcap.running.pipeline import ProcessOptions, Progress, Silent, process
+from hiros_mcap.skeletons import Floats, Frame
 from hiros_mcap.workers import run_tasks
 
 Status = Literal["equal", "different", "error"]
@@ -162,45 +177,37 @@ def _case(path: Path, number: int, defaults: dict[str, Any], row: Any) -> Case:
     return case
 
 
-@dataclass(frozen=True, slots=True)
-class SuiteOptions:
-    """How to run a suite."""
-
-    bless: bool = False
-    """Replace the golden files by what came out now; notes say what changed."""
-    only: Sequence[str] = ()
-    """Names of the cases to run; empty = all."""
-    jobs: int = 0
-    """Processes at once; 0 = one per core."""
-    keep: Path | None = None
-    """Folder to leave the outputs in, one ``NAME.mcap`` each."""
-    force: bool = False
-    """Replace files in there that hiros did not write."""
-
-
-_DEFAULTS = SuiteOptions()
-
-
 def run_suite(
-    suite: Suite, options: SuiteOptions = _DEFAULTS, progress: Progress | None = None
+    suite: Suite,
+    *,
+    bless: bool = False,
+    only: Sequence[str] = (),
+    jobs: int = 0,
+    keep: Path | None = None,
+    force: bool = False,
+    progress: Progress | None = None,
 ) -> list[CaseResult]:
     """Process and check every log, several at once; results in the order of the suite.
 
-    Raises ConfigError if ``options.only`` names a case that does not exist; LogError if a file in
-    ``options.keep`` must not be replaced.
+    Parameters
+    ----------
+    bless : replace the golden files by what came out now; notes say what changed.
+    only : names of the cases to run; empty = all. jobs : processes at once; 0 = one per core.
+    keep : folder to leave the outputs in, one ``NAME.mcap`` each.
+    force : replace files in there that hiros did not write.
+
+    Raises ConfigError if ``only`` names a case that does not exist; LogError if a file in ``keep``
+    must not be replaced.
     """
-    only, keep = options.only, options.keep
     titles = [case.title for case in suite.cases]
     if unknown := [name for name in only if name not in titles]:
         raise ConfigError(f"{suite.path}: no case {unknown[0]!r} (there are: {', '.join(titles)})")
     cases = [case for case in suite.cases if not only or case.title in only]
     if keep is not None:
-        check_outputs(
-            ((kept_path(keep, case), "log") for case in cases), suite.files, force=options.force
-        )
+        check_outputs(((kept_path(keep, case), "log") for case in cases), suite.files, force=force)
     progress, done = progress or Silent(), {}
-    tasks = [(suite.path.parent, case, options.bless, keep) for case in cases]
-    for k, result in run_tasks(run_case, tasks, options.jobs):
+    tasks = [(suite.path.parent, case, bless, keep) for case in cases]
+    for k, result in run_tasks(run_case, tasks, jobs):
         done[k] = result
         progress.update(len(done), len(cases))
     return [done[k] for k in range(len(cases))]
@@ -345,3 +352,89 @@ class Golden:
             save_metrics(self.path, topic, metrics, Provenance.of_log(output))
         else:
             write_golden(output, self.path, self.channels)
+
+
+VERSION = 1
+"""Of a file of metrics."""
+_GRID = np.repeat([2.0**-23, 2.0**-16, 2.0**-10, 2.0**-23], [7, 6, 6, 3])
+"""Of the columns of a Box: poses, velocities, accelerations, sizes. The numbers of a golden log are
+multiples of these, so that they compress: at most a sixth of the default tolerances, such as 0.12
+micrometres."""
+
+
+def write_golden(
+    output: str | os.PathLike[str], golden: str | os.PathLike[str], topics: Sequence[str] = ()
+) -> None:
+    """Write a compact copy of channels of an output.
+
+    Kept are all numbers of the skeletons, rounded, the limb lengths, and how the output came
+    about: version, configuration, hash of the input.
+
+    Parameters
+    ----------
+    output : what ``hiros process`` wrote. golden : the file to write.
+    topics : globs of output channels; empty = the last stage's.
+    """
+    chosen = output_channels(output, topics) if topics else output_channels(output)[-1:]
+    channels = {topic: read_channel(output, topic) for topic in chosen}
+    with McapWriter(Path(golden), inputs=[output]) as writer:
+        for topic, (frames, model, _) in channels.items():
+            encoder = Encoder(model)
+            channel = add_skeleton_channel(writer, topic)
+            for frame in frames:
+                writer.write(channel, frame.log_time, encoder.encode(compact(frame)))
+        with open_reader(output) as reader:
+            for name in (LIMBS_ATTACHMENT, CONFIG_ATTACHMENT):
+                if (content := reader.attachment(name)) is not None:
+                    writer.add_attachment(name, content, "application/toml")
+            for name, values in reader.contents.metadata:
+                if name == PROVENANCE:
+                    writer.add_metadata(name, values)
+        writer.commit()
+
+
+def compact(frame: Frame) -> Frame:
+    """Return a frame with rounded numbers."""
+    names = "confidences", "marker_confidences", "link_confidences"
+    rounded = {name: _rounded(getattr(frame, name), _GRID[0]) for name in names}
+    for name in ("markers", "links", "boxes"):
+        states = getattr(frame, name)
+        rounded[name] = _rounded(states, _GRID[: states.shape[-1]])
+    return frame.replace(**rounded)
+
+
+def _rounded(numbers: Floats, grid: Floats) -> Floats:
+    return np.asarray(np.rint(numbers / grid) * grid)
+
+
+def save_metrics(
+    path: Path, channel: str, metrics: Mapping[str, float], provenance: Provenance
+) -> None:
+    """Write golden metrics: JSON, one number a line, so that a change shows in a diff."""
+    rounded = {name: float(f"{value:.6g}") for name, value in metrics.items()}
+    data = {
+        "hiros_golden_metrics": VERSION,
+        "channel": channel,
+        "metrics": rounded,
+        "provenance": provenance.to_json(),
+    }
+    write_text(path, json.dumps(data, indent=1) + "\n")
+
+
+def load_metrics(path: Path) -> tuple[dict[str, float], Provenance]:
+    """Read golden metrics, and how they were made.
+
+    Raises ConfigError if the file is not what :func:`save_metrics` writes, or names a metric that
+    does not exist.
+    """
+    data = parse(read_text(path), "JSON", path)
+    values = data.get("metrics") if isinstance(data, dict) else None
+    if not isinstance(values, dict) or data.get("hiros_golden_metrics") != VERSION:
+        raise ConfigError(f"{path}: is not a file of golden metrics, version {VERSION}")
+    for name, value in values.items():
+        if name not in MEASURES:
+            raise ConfigError(f"{path}: no metric {name!r} (there are: {', '.join(MEASURES)})")
+        if not isinstance(value, int | float) or not math.isfinite(value):
+            raise ConfigError(f"{path}: {name} is not a number")
+    numbers = {name: float(value) for name, value in values.items()}
+    return numbers, Provenance.from_json(data.get("provenance"), path)

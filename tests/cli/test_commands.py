@@ -25,7 +25,7 @@ from hiros_cli.app import run
 from hiros_cli.commands import program
 from hiros_cli.commands.simulate import simulate_params
 from hiros_cli.compiling import importing, independent, prepare
-from hiros_cli.help_page import EXAMPLES
+from hiros_cli.options import EXAMPLES
 from hiros_mcap import __version__, kernels
 from hiros_mcap.config import load_config
 from hiros_mcap.defaults import SYSTEM_NAMES

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hiros_cli.printable import LIMIT, error_line, printable
+from hiros_cli.output import LIMIT, error_line, printable
 from hiros_mcap.errors import ConfigError, LogError
 
 

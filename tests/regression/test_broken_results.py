@@ -12,8 +12,7 @@ from stick_figures import MODEL, at, person, seen
 from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
-from hiros_mcap.regression.golden import write_golden
-from hiros_mcap.regression.suite import Golden, check_output
+from hiros_mcap.regression.suite import Golden, check_output, write_golden
 from hiros_mcap.skeletons import (
     ACCELERATION,
     ANGULAR_ACCELERATION,

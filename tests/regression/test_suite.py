@@ -28,17 +28,18 @@ from hiros_mcap.regression.differences import (
     Divergence,
     compare_logs,
 )
-from hiros_mcap.regression.golden import load_metrics, save_metrics, write_golden
 from hiros_mcap.regression.metrics import Threshold, metrics_of, worse
 from hiros_mcap.regression.provenance import Provenance
 from hiros_mcap.regression.quantities import LIMITS, Tolerances, beside
 from hiros_mcap.regression.suite import (
     CaseResult,
     Golden,
-    SuiteOptions,
     check_output,
+    load_metrics,
     load_suite,
     run_suite,
+    save_metrics,
+    write_golden,
 )
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Frame
@@ -64,7 +65,7 @@ def test_the_total_adds_what_every_log_took():
 
 
 def test_the_sample_logs_give_what_they_gave():
-    results = run_suite(load_suite(SAMPLES / "suite.toml"), SuiteOptions(jobs=1))
+    results = run_suite(load_suite(SAMPLES / "suite.toml"), jobs=1)
     assert {r.name: (r.error, r.differences) for r in results} == {
         r.name: ("", ()) for r in results
     }
@@ -114,7 +115,7 @@ def lifted(metres):
 )
 def test_a_broken_stage_is_caught_and_named(suite, monkeypatch, stage, equal):
     change_stage(monkeypatch, stage, lifted(0.001))
-    (result,) = run_suite(load_suite(suite), SuiteOptions(jobs=1))
+    (result,) = run_suite(load_suite(suite), jobs=1)
     assert result.status == "different"
     assert result.first[0][0] == f"/hiros/{stage}"
     assert "is off by 1 mm" in result.first[0][1].what
@@ -153,7 +154,7 @@ def renumbered(frames):
 )
 def test_a_harmless_change_is_not_reported(suite, monkeypatch, stage, wrap):
     change_stage(monkeypatch, stage, wrap)
-    (result,) = run_suite(load_suite(suite), SuiteOptions(jobs=1))
+    (result,) = run_suite(load_suite(suite), jobs=1)
     assert (result.status, result.differences) == ("equal", ())
 
 
@@ -161,37 +162,37 @@ def test_bless_accepts_and_says_what(suite):
     golden = suite.parent / "golden" / "walk.mcap"
     before = golden.read_bytes()
     text = suite.read_text() + 'set = ["filter.cutoff=8"]\n'
-    assert run_suite(load_suite(suite), SuiteOptions(bless=True, jobs=1))[0].notes == (
+    assert run_suite(load_suite(suite), bless=True, jobs=1)[0].notes == (
         "unchanged; the golden file is kept",
     )
     assert golden.read_bytes() == before
     suite.write_text(text)
-    assert run_suite(load_suite(suite), SuiteOptions(jobs=1))[0].status == "different"
-    (blessed,) = run_suite(load_suite(suite), SuiteOptions(bless=True, jobs=1))
+    assert run_suite(load_suite(suite), jobs=1)[0].status == "different"
+    (blessed,) = run_suite(load_suite(suite), bless=True, jobs=1)
     assert blessed.notes[0] == "accepted: configuration: filter.cutoff: was 4.5, is 8.0"
     assert any("accepted: /hiros/filtered: positions: was" in note for note in blessed.notes)
-    assert run_suite(load_suite(suite), SuiteOptions(jobs=1))[0].status == "equal"
+    assert run_suite(load_suite(suite), jobs=1)[0].status == "equal"
     assert golden.read_bytes() != before
 
 
 def test_golden_metrics_forgive_numbers_but_not_quality(suite):
     text = suite.read_text().replace("golden/walk.mcap", "golden/walk.json")
     suite.write_text(text)
-    missing = run_suite(load_suite(suite), SuiteOptions(jobs=1))[0]
+    missing = run_suite(load_suite(suite), jobs=1)[0]
     assert missing.status == "error"
     assert "there is no golden file yet" in missing.error
-    run_suite(load_suite(suite), SuiteOptions(bless=True, jobs=1))
+    run_suite(load_suite(suite), bless=True, jobs=1)
     suite.write_text(text + 'set = ["filter.cutoff=4.6"]\n')
-    assert run_suite(load_suite(suite), SuiteOptions(jobs=1))[0].status == "equal"
+    assert run_suite(load_suite(suite), jobs=1)[0].status == "equal"
     suite.write_text(text + 'set = ["filter.cutoff=12"]\n')
-    found = [str(d) for d in run_suite(load_suite(suite), SuiteOptions(jobs=1))[0].differences]
+    found = [str(d) for d in run_suite(load_suite(suite), jobs=1)[0].differences]
     assert found[0].startswith("configuration: filter.cutoff: was ")
     assert any(text.startswith("metrics: jitter: was ") for text in found)
 
 
 def test_thresholds_that_are_not_met(suite):
     suite.write_text(SUITE.replace("<= 25 mm", "<= 1 mm"))
-    (result,) = run_suite(load_suite(suite), SuiteOptions(jobs=1))
+    (result,) = run_suite(load_suite(suite), jobs=1)
     assert result.status == "different"
     (difference,) = result.differences
     assert (difference.what, difference.was) == ("mpjpe", "required <= 1 mm")
@@ -201,22 +202,22 @@ def test_thresholds_that_are_not_met(suite):
 def test_a_log_that_cannot_be_read_is_an_error_of_its_own(suite):
     (suite.parent / "bad.mcap").write_bytes(b"no log at all")
     suite.write_text(SUITE + '[[log]]\ninput = "bad.mcap"\nrequire = ["people = 1"]\n')
-    good, bad = run_suite(load_suite(suite), SuiteOptions(jobs=1))
+    good, bad = run_suite(load_suite(suite), jobs=1)
     assert (good.status, bad.status) == ("equal", "error")
     assert "bad.mcap" in bad.error
 
 
 def test_a_missing_input_fails_its_case_and_no_other(suite):
     suite.write_text(SUITE + '[[log]]\ninput = "none.mcap"\nrequire = ["people = 1"]\n')
-    walk, none = run_suite(load_suite(suite), SuiteOptions(bless=True))
+    walk, none = run_suite(load_suite(suite), bless=True)
     assert (walk.status, none.status) == ("equal", "error")
     assert "none.mcap: there is no such input" in none.error
-    (alone,) = run_suite(load_suite(suite), SuiteOptions(only=["walk"]))
+    (alone,) = run_suite(load_suite(suite), only=["walk"])
     assert alone.status == "equal"
 
 
 def test_a_golden_log_of_a_suite_equals_a_plain_run(suite, tmp_path):
-    run_suite(load_suite(suite), SuiteOptions(bless=True))
+    run_suite(load_suite(suite), bless=True)
     process(suite.with_name("walk.mcap"), tmp_path / "plain.mcap", system="hiros")
     golden = Golden(suite.parent / "golden" / "walk.mcap")
     result = check_output(tmp_path / "plain.mcap", golden)
@@ -227,14 +228,14 @@ def test_a_golden_log_of_a_suite_equals_a_plain_run(suite, tmp_path):
 def test_in_parallel_as_one_after_the_other():
     suite = load_suite(SAMPLES / "suite.toml")
     names = ["two people crossing", "one person walking"]
-    results = run_suite(suite, SuiteOptions(only=names, jobs=2))
+    results = run_suite(suite, only=names, jobs=2)
     assert [r.name for r in results] == ["one person walking", "two people crossing"]
     assert [r.status for r in results] == ["equal", "equal"]
 
 
 def test_a_case_runs_the_system_that_it_names(suite, tmp_path):
     suite.write_text('[[log]]\ninput = "walk.mcap"\nsystem = "raw"\nrequire = ["people = 1"]\n')
-    run_suite(load_suite(suite), SuiteOptions(jobs=1, keep=tmp_path / "golden"))
+    run_suite(load_suite(suite), jobs=1, keep=tmp_path / "golden")
     assert output_channels(tmp_path / "golden" / "walk.mcap") == ["/hiros/tracked"]
 
 
@@ -270,7 +271,7 @@ def test_faulty_suites(suite, text, fault):
 
 def test_a_name_that_is_not_in_the_suite(suite):
     with pytest.raises(ConfigError, match="no case 'run'"):
-        run_suite(load_suite(suite), SuiteOptions(only=["run"]))
+        run_suite(load_suite(suite), only=["run"])
 
 
 def test_a_golden_log_is_compact_and_equal_to_its_source(walking, tmp_path):

@@ -25,8 +25,7 @@ from hiros_cli.commands import (
     simulate,
     view,
 )
-from hiros_cli.help_page import HelpfulCommand
-from hiros_cli.options import flag, option
+from hiros_cli.options import HelpfulCommand, flag, option
 from hiros_mcap import __version__
 from hiros_mcap.errors import ConfigError
 

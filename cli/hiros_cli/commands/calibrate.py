@@ -9,8 +9,16 @@ from typing import TYPE_CHECKING, TypeVar
 import typer
 
 from hiros_cli.compiling import prepare
-from hiros_cli.help_page import HelpfulCommand
-from hiros_cli.options import FORCE, JSON, argument, flag, option, seconds_range, settings_of
+from hiros_cli.options import (
+    FORCE,
+    JSON,
+    HelpfulCommand,
+    argument,
+    flag,
+    option,
+    seconds_range,
+    settings_of,
+)
 from hiros_cli.output import check_outputs, print_json, warn
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.running.progress_bar import bar
@@ -105,13 +113,13 @@ def ball(
 
     log.stat()
     check_outputs((output, "camera file"), inputs=(log,), force=force)
-    from hiros_mcap.calibrate.ball import BallOptions, calibrate_ball
+    from hiros_mcap.calibrate.ball import calibrate_ball
     from hiros_mcap.calibrate.ball_image import ColorRange
     from hiros_mcap.calibrate.calibration_files import save_cameras
 
-    options = BallOptions(radius, ColorRange.parse(color), tuple(topic or ()))
+    colours = ColorRange.parse(color)
     with bar(f"calibrating on {log.name}", quiet=False):
-        report = calibrate_ball(log, options)
+        report = calibrate_ball(log, radius, colours, topic or ())
     if output is not None:
         save_cameras(output, report.calibration)
     _print("calibrate.ball", log, report, None if json else show_ball)

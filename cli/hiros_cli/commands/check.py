@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from shlex import quote
@@ -14,14 +15,13 @@ from hiros_cli.compiling import prepare
 from hiros_cli.completing import topics
 from hiros_cli.many_logs import ManyLogs, one_log, run
 from hiros_cli.options import GROUP, argument, flag, grouped, option
-from hiros_cli.output import check_outputs, print_json
-from hiros_cli.printable import error_line, printable
+from hiros_cli.output import check_outputs, error_line, print_json, printable
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.running.progress_bar import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.many.jobs import CheckJob
-    from hiros_mcap.regression.suite import CaseResult, SuiteOptions
+    from hiros_mcap.regression.suite import CaseResult
 
 EQUAL, DIFFERENT, CANNOT = 0, 1, 2
 
@@ -74,10 +74,7 @@ def check(
     target = Path() if is_many else one_log(context, targets[0])
     prepare(quiet=many.quiet or many.json)
     if is_suite:
-        from hiros_mcap.regression.suite import SuiteOptions
-
-        options = SuiteOptions(bless, tuple(only or ()), many.jobs or 0, keep, many.force)
-        results = _run_suite(target, options, junit, markdown, quiet=many.quiet)
+        results = _run_suite(target, many, junit, markdown, bless=bless, only=only or (), keep=keep)
         return _show(results, json=many.json, quiet=many.quiet)
     if is_many:
         run(_job(golden, tolerances, channel, bless=bless), targets, many)
@@ -104,22 +101,37 @@ def _job(
 
 
 def _run_suite(
-    path: Path, options: SuiteOptions, junit: Path | None, markdown: Path | None, *, quiet: bool
+    path: Path,
+    many: ManyLogs,
+    junit: Path | None,
+    markdown: Path | None,
+    *,
+    bless: bool,
+    only: Sequence[str],
+    keep: Path | None,
 ) -> list[CaseResult]:
     from hiros_mcap.outputs import write_text
     from hiros_mcap.regression import check_report
     from hiros_mcap.regression.suite import kept_path, load_suite, run_suite
 
-    suite, keep = load_suite(path), options.keep
+    suite = load_suite(path)
     kept = [] if keep is None else [kept_path(keep, case) for case in suite.cases]
     files = [*suite.files, *kept]
     check_outputs(
-        (junit, "JUnit report"), (markdown, "Markdown summary"), inputs=files, force=options.force
+        (junit, "JUnit report"), (markdown, "Markdown summary"), inputs=files, force=many.force
     )
     if keep is not None:
         keep.mkdir(parents=True, exist_ok=True)
-    with bar(f"{path.name}: {len(options.only) or len(suite.cases)} logs", quiet=quiet) as progress:
-        results = run_suite(suite, options, progress)
+    with bar(f"{path.name}: {len(only) or len(suite.cases)} logs", quiet=many.quiet) as progress:
+        results = run_suite(
+            suite,
+            bless=bless,
+            only=only,
+            jobs=many.jobs or 0,
+            keep=keep,
+            force=many.force,
+            progress=progress,
+        )
     if junit is not None:
         write_text(junit, check_report.junit(results, path.stem))
     if markdown is not None:

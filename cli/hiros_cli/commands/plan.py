@@ -84,8 +84,7 @@ def plan(
     if output is not None:
         save_rig(output, rig_plan.params)
     if picture is not None:
-        from hiros_viewer.floor_picture import floor_figure
-        from hiros_viewer.pictures import save_png
+        from hiros_viewer.pictures import floor_figure, save_png
 
         save_png(floor_figure(rig_plan), picture)
     if table is not None:

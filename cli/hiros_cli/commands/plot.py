@@ -44,8 +44,8 @@ def plot(
     check_outputs((target, kind), inputs=(log, truth), force=force)
     prepare(quiet=quiet)
     from hiros_mcap.evaluate.logs import find_truth, output_channels, read_channel
-    from hiros_mcap.io.attachments import stored_events
     from hiros_mcap.io.log import open_reader
+    from hiros_mcap.io.result import stored_events
     from hiros_viewer import curves
     from hiros_viewer.pictures import save_png
 
