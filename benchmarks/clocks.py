@@ -27,9 +27,9 @@ from hiros_mcap.evaluate.logs import evaluate_log
 from hiros_mcap.io.codec import Decoder, Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_log
+from hiros_mcap.running.observe import Stopwatch
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.preparation import prepare
-from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.write_log import write_log
 from hiros_mcap.skeletons import Frame

@@ -28,8 +28,7 @@ from hiros_mcap.running.pipeline import process
 from hiros_mcap.simulate import SimulateParams
 from hiros_viewer.columns import TIMELINE
 from hiros_viewer.destinations import running_viewer, save
-from hiros_viewer.floor_picture import floor_figure
-from hiros_viewer.pictures import save_png
+from hiros_viewer.pictures import floor_figure, save_png
 from hiros_viewer.replay import ViewOptions, replay
 
 HERE = Path(__file__).parent

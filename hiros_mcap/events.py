@@ -7,7 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 from pydantic import Field, TypeAdapter
 
@@ -102,22 +102,18 @@ class Event:
 _BEHIND = re.compile(r"(behind.*) for ([\d.]+)")
 
 
-class HiddenTime(NamedTuple):
-    """While somebody stands in front of a person, seen from one camera."""
+def hidden_times(
+    events: Iterable[Event], person: int, start: int
+) -> Iterator[tuple[float, float, str, str]]:
+    """Yield when somebody stood in front of a person, seen from one camera.
 
-    begin: float
-    end: float  # s
-    behind: str  # "behind person 1"
-    source: str  # the camera
-
-
-def hidden_times(events: Iterable[Event], person: int, start: int) -> Iterator[HiddenTime]:
-    """Yield when a person was hidden, in s from ``start``, ns."""
+    Begin and end in s from ``start``, ns; "behind person 1"; the camera.
+    """
     for event in events:
         found = _BEHIND.search(event.detail)
         if event.kind == "hidden" and event.person == person and found is not None:
             begin = (event.stamp - start) * 1e-9
-            yield HiddenTime(begin, begin + float(found[2]), found[1], event.source)
+            yield begin, begin + float(found[2]), found[1], event.source
 
 
 def camera_displaced(

@@ -13,7 +13,6 @@ from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.body.transforms import read_extrinsics
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import HirosError
-from hiros_mcap.io.attachments import stored_events, stored_report
 from hiros_mcap.io.channels import (
     CONFIG_ATTACHMENT,
     EVENTS_ATTACHMENT,
@@ -25,10 +24,10 @@ from hiros_mcap.io.export.marker_set import load_marker_set
 from hiros_mcap.io.foxglove import FoxgloveInput
 from hiros_mcap.io.joints.importing import import_joints
 from hiros_mcap.io.overview import overview_of
+from hiros_mcap.io.result import stored_events, stored_report
 from hiros_mcap.regression.differences import limbs_of
-from hiros_mcap.regression.golden import load_metrics
 from hiros_mcap.regression.quantities import load_tolerances
-from hiros_mcap.regression.suite import load_suite
+from hiros_mcap.regression.suite import load_metrics, load_suite
 from hiros_mcap.skeletons import SkeletonModel
 
 DEEP = 200_000

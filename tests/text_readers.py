@@ -13,13 +13,12 @@ from hiros_mcap.body.transforms import read_extrinsics
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate.truth_files import load_truth
 from hiros_mcap.events import events_from_json
-from hiros_mcap.io.attachments import StoredReport
 from hiros_mcap.io.export.marker_set import load_marker_set
 from hiros_mcap.io.foxglove import FoxgloveInput
 from hiros_mcap.io.joints.importing import import_joints
-from hiros_mcap.regression.golden import load_metrics
+from hiros_mcap.io.result import StoredReport
 from hiros_mcap.regression.quantities import load_tolerances
-from hiros_mcap.regression.suite import load_suite
+from hiros_mcap.regression.suite import load_metrics, load_suite
 from hiros_mcap.skeletons import SkeletonModel
 
 MODEL = SkeletonModel.of(["HEAD"], [])

@@ -193,17 +193,10 @@ class RestPoses:
         return len(self._poses) - 1
 
 
-class MessagePart(NamedTuple):
-    """The people of a message that one camera saw."""
-
-    source: str
-    """Their src_frame, or the header's frame_id if it is empty."""
-    frame_id: str
-    """The header's, or their src_frame if it is empty; the fixed frame if they were moved."""
-    begin: int
-    """Row of the first of them."""
-    end: int
-    """Row after the last."""
+MessagePart = tuple[str, str, int, int]
+"""The people of a message that one camera saw: their src_frame, or the header's frame_id if it is
+empty; the header's frame_id, or their src_frame if it is empty, or the fixed frame if they were
+moved; the row of the first of them, and the one after the last."""
 
 
 class Decoded(NamedTuple):
@@ -211,7 +204,7 @@ class Decoded(NamedTuple):
 
     people: People
     keys: Keys
-    """(N, 3) by which the messages are ordered (io.container.order)."""
+    """(N, 3) by which the messages are ordered (io.container.reader)."""
     channels: list[int]
     """Of each message."""
     stamps: list[int]
@@ -416,8 +409,8 @@ class Decoder:
                 continue
             fixed = self._poses.fixed if results.pose_of[i] >= 0 else ""
             yield [
-                MessagePart(name or frame_id, fixed or frame_id or name, *rows)
-                for name, *rows in _by_source(sources, people, begin, end)
+                (name or frame_id, fixed or frame_id or name, first_row, end_row)
+                for name, first_row, end_row in _by_source(sources, people, begin, end)
             ]
 
     def _sections(self, chunks: Sequence[Records], faults: dict[int, str]) -> Iterator[_Section]:

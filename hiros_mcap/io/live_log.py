@@ -38,9 +38,8 @@ from hiros_mcap.io.container.live_input import LiveInput
 from hiros_mcap.io.container.live_reader import LiveReader
 from hiros_mcap.io.detectors.conversion import is_of_other_detector
 from hiros_mcap.io.detectors.live_conversion import LiveConversion
-from hiros_mcap.io.log import skeletons_of
+from hiros_mcap.io.log import SeveralModelsError, skeletons_of
 from hiros_mcap.io.log_accounts import DAMAGED
-from hiros_mcap.io.log_model import SeveralModelsError
 from hiros_mcap.io.opened_log import Log, Reading
 from hiros_mcap.summary import quantity
 

@@ -14,24 +14,26 @@ import numpy as np
 
 import hiros_schemas
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.body.transforms import Mover, TimedPoses, TransformTree
+from hiros_mcap.body.transforms import Mover, PoseChange, TimedPoses, TransformTree, same_place
 from hiros_mcap.errors import LogError, naming
 from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.io.camera_clock import CameraTimes
-from hiros_mcap.io.channels import OUTPUT_PREFIX, CameraChannel, ChannelInfo, channels_of
+from hiros_mcap.io.channels import (
+    OUTPUT_PREFIX,
+    OUTPUT_TOPICS,
+    CameraChannel,
+    ChannelInfo,
+    channels_of,
+)
 from hiros_mcap.io.codec import Decoded, Decoder, RestPoses
 from hiros_mcap.io.container import LogOrder, McapReader, Recovery
-from hiros_mcap.io.container.recovery import RECOVERY_METADATA
+from hiros_mcap.io.container.salvage import RECOVERY_METADATA
+from hiros_mcap.io.detectors.body_size import unit_warning
 from hiros_mcap.io.layout import Layout
 from hiros_mcap.io.log_accounts import DAMAGED, LATEST, Account, CameraInput, Row
-from hiros_mcap.io.log_notes import (
-    channel_remarks,
-    input_remarks,
-    input_warnings,
-    pose_warnings,
-)
 from hiros_mcap.io.log_times import Spacing, times_in, times_of
 from hiros_mcap.skeletons import Frame, SkeletonModel, Stamps
+from hiros_mcap.summary import quantity
 
 Spans = Sequence[tuple[int, int]]
 """Log times, ns: first and last of each part of a log."""
@@ -256,20 +258,62 @@ class Log:
 
         Raises LogError if the cameras' frames are not all joined to the fixed frame.
         """
-        return (
-            *input_warnings(self.cameras),
-            *pose_warnings(self.cameras, self.transforms, self.fixed_frame, self.span[0]),
-        )
+        return tuple(self._warnings())
+
+    def _warnings(self) -> Iterator[str]:
+        fixed = self.fixed_frame
+        if self.cameras and not self._sent:
+            yield "the room is empty: the cameras sent no message; check the detectors"
+        frames = sorted({name for camera in self.cameras for name in camera.frames} - {fixed})
+        poses = {name: self.transforms.lookup(name, fixed, 0) for name in frames}
+        yield from filter(None, (unit_warning(c.channel.topic, c.size) for c in self.cameras))
+        changes: dict[str, list[PoseChange]] = {}
+        for change in self.transforms.changes_above([*frames, fixed]):
+            changes.setdefault(change.child, []).append(change)
+        for first, *later in changes.values():
+            seconds = (first.log_time - self.span[0]) * 1e-9
+            more = f" and then {quantity(len(later), 'time')} more" if later else ""
+            yield (
+                f"the pose of {first.child} in {first.parent} changes by {first.distance} at "
+                f"{seconds:.1f} s{more}; hiros uses the new pose from then on. If nobody moved or "
+                "calibrated it, pass the right poses with --extrinsics FILE"
+            )
+        for same in same_place(poses):
+            yield (
+                f"{', '.join(same[:-1])} and {same[-1]} stand at the same place with the same "
+                "orientation; unless they are one camera, pass the camera poses with "
+                "--extrinsics FILE"
+            )
+
+    @property
+    def _sent(self) -> int:
+        """Messages of all cameras."""
+        return sum(camera.channel.count for camera in self.cameras)
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """Notes about the log."""
-        people, transforms = self.model.n_markers > 0, len(self.transforms) > 0
-        return (
-            *self.reader.remarks,
-            *input_remarks(self.cameras, has_people=people, has_transforms=transforms),
-            *channel_remarks(self.channels, self.left_out),
-        )
+        return (*self.reader.remarks, *self._remarks())
+
+    def _remarks(self) -> Iterator[str]:
+        if self.model.n_markers == 0 and self._sent:
+            yield "the room is empty: no camera sees anybody"
+        if topics := [camera.channel.topic for camera in self.cameras if "" in camera.frames]:
+            unused = " and does not use the log's transforms" if len(self.transforms) else ""
+            yield (
+                f"channels without a coordinate frame: {', '.join(topics)}; hiros assumes that "
+                f"their skeletons share one frame{unused}"
+            )
+        if former := [info.topic for info in self.channels if info.topic in OUTPUT_TOPICS]:
+            yield (
+                f"the log holds results of hiros already ({', '.join(former)}); a run reads the "
+                "cameras again and its results replace them"
+            )
+        if self.left_out:
+            others = [
+                f"{topic} ({kind}, {n})" for topic, (kind, n) in sorted(self.left_out.items())
+            ]
+            yield f"not copied from the bag: {', '.join(others)}"
 
     @property
     def recovery(self) -> Recovery | None:

@@ -15,7 +15,6 @@ import numpy as np
 
 import hiros_schemas
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.io.attachments import stored_parameters, stored_report, values_of
 from hiros_mcap.io.bags import kind_of, open_bag, parts_of
 from hiros_mcap.io.camera_clock import clock_verdict, clocks_in_words
 from hiros_mcap.io.channels import (
@@ -28,10 +27,11 @@ from hiros_mcap.io.channels import (
     channels_of,
 )
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.container.chunks import Table
+from hiros_mcap.io.container.file import Table
 from hiros_mcap.io.container.records import Bytes
 from hiros_mcap.io.detectors.conversion import SkeletonChoice
 from hiros_mcap.io.log import Log, Reading, open_log, open_reader
+from hiros_mcap.io.result import stored_parameters, stored_report, values_of
 from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
 from hiros_mcap.summary import plain
 

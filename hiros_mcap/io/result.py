@@ -1,4 +1,4 @@
-"""What hiros wrote, as tables: one motion per person.
+"""What hiros wrote, as tables: one motion per person; and the parameters and events of its run.
 
 ::
 
@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -19,23 +20,32 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict
 
 import hiros_schemas
 from hiros_mcap.body.anatomy import ANGLE_NAMES, anatomical_angles
 from hiros_mcap.body.segments import LinkAxes, link_axes
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.events import Event
-from hiros_mcap.io.attachments import stored_events
+from hiros_mcap.events import Event, events_from_json
 from hiros_mcap.io.bags import kind_of
-from hiros_mcap.io.channels import OUTPUT_TOPICS, TRUTH_PREFIX, channels_of
+from hiros_mcap.io.channels import (
+    CONFIG_ATTACHMENT,
+    EVENTS_ATTACHMENT,
+    OUTPUT_TOPICS,
+    REPORT_ATTACHMENT,
+    TRUTH_PREFIX,
+    channels_of,
+)
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.log import open_log, open_reader, span_of
 from hiros_mcap.io.marker_uncertainty import UNCERTAIN_TOPIC, read_uncertainty
+from hiros_mcap.outside import parse
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
 if TYPE_CHECKING:
     import pandas as pd
+
 
 GAP_S = 0.25
 """Pauses longer than this stay pauses when a motion is resampled."""
@@ -409,3 +419,52 @@ def _stacked(rows: Sequence[Floats], columns: int) -> Floats:
 
 def _listed(names: Sequence[object]) -> str:
     return ", ".join(map(str, names)) or "none"
+
+
+def stored_parameters(reader: McapReader) -> dict[str, str]:
+    """Return ``section.parameter`` -> its value as JSON; nothing if the file holds none.
+
+    Raises ConfigError if they are not TOML.
+    """
+    text = (reader.attachment(CONFIG_ATTACHMENT) or b"").decode(errors="replace")
+    return values_of(text, f"{reader.path}: {CONFIG_ATTACHMENT}")
+
+
+def values_of(text: str, origin: str) -> dict[str, str]:
+    """Read a configuration in TOML like :func:`stored_parameters`; ``origin`` names it."""
+    return {
+        f"{section}.{name}": json.dumps(value, default=str)
+        for section, values in parse(text, "TOML", origin).items()
+        if isinstance(values, Mapping)
+        for name, value in values.items()
+    }
+
+
+def stored_events(reader: McapReader) -> tuple[Event, ...]:
+    """Return what the stages did; nothing if the file does not tell. Raises LogError."""
+    try:
+        return tuple(events_from_json((reader.attachment(EVENTS_ATTACHMENT) or b"[]").decode()))
+    except ValueError:
+        raise LogError(f"attachment {EVENTS_ATTACHMENT} is damaged", path=reader.path) from None
+
+
+class _CameraReport(BaseModel):
+    model_config = ConfigDict(extra="allow")
+    name: str
+    messages: int = 0
+    used: int = 0
+
+
+class StoredReport(BaseModel):
+    """What is read of the summary of a run, :class:`hiros_mcap.summary.Summary`."""
+
+    warnings: tuple[str, ...] = ()
+    cameras: list[_CameraReport] = []
+
+
+def stored_report(reader: McapReader) -> StoredReport:
+    """Return the summary of the run, empty if the file holds none. Raises LogError."""
+    try:
+        return StoredReport.model_validate_json(reader.attachment(REPORT_ATTACHMENT) or b"{}")
+    except ValueError:
+        raise LogError(f"attachment {REPORT_ATTACHMENT} is damaged", path=reader.path) from None

@@ -1,9 +1,11 @@
-"""Follows a run: what each camera sent, and who was in the output."""
+"""Follows a run: what each camera sent, who was in the output, and the CPU time of its steps."""
 
 from __future__ import annotations
 
+import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,6 +13,7 @@ import numpy as np
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.frames import Block
 from hiros_mcap.skeletons import UNTRACKED, Flags, Stamps
+from hiros_mcap.threads import cpu_time
 
 DETECTIONS = "detections"
 """Name of what goes into the first stage."""
@@ -130,23 +133,6 @@ class Presence:
         self.last = max(self.last, int(stamps.max()))
 
 
-@dataclass(slots=True)
-class ResultDelays:
-    """How long after their time results are logged."""
-
-    milliseconds: Counter[int] = field(default_factory=Counter)
-
-    def add(self, block: Block) -> None:
-        """Take note of results."""
-        self.milliseconds.update(((block.log_times - block.stamps) // 1_000_000).tolist())
-
-    def percentile(self, share: float) -> float:
-        """Return the delay, s, that a share of the results, %, have at most; there are some."""
-        values, counts = zip(*sorted(self.milliseconds.items()), strict=True)
-        below = np.cumsum(counts) >= share / 100 * sum(counts)
-        return 0.001 * float(values[int(np.argmax(below))])
-
-
 class Observer:
     """Counts what goes into the first stage and what comes out of every stage.
 
@@ -154,7 +140,7 @@ class Observer:
     ----------
     rates : by source. people : by id. seen_by : ids that the tracker gave, by source.
     written : frames by channel. sample : the first detections. pauses : of all cameras at once.
-    delays : of the results of the last stage.
+    delays : how long after their time results of the last stage are logged, in ms.
     """
 
     def __init__(self, chain: Sequence[str]) -> None:
@@ -165,7 +151,7 @@ class Observer:
         self.written: Counter[str] = Counter()
         self.sample = DetectionSample()
         self.pauses = CommonPauses()
-        self.delays = ResultDelays()
+        self.delays: Counter[int] = Counter()
 
     def see(self, channel: str, block: Block) -> None:
         """Take note of what goes into the first stage, or comes out of any."""
@@ -182,7 +168,8 @@ class Observer:
                 ids = block.people.ids[rows[block.sources[owners] == code]]
                 self.seen_by[block.names[code]].update(np.unique(ids).tolist())
         if channel == self.chain[-1]:
-            self.delays.add(block)
+            late = (block.log_times - block.stamps) // 1_000_000
+            self.delays.update(late.tolist())
             self._count(block)
 
     def _count(self, block: Block) -> None:
@@ -197,6 +184,59 @@ class Observer:
                 presence = self.people.setdefault(person, Presence(int(stamps[0]), int(stamps[0])))
                 presence.add(stamps, unseen[shown])
 
+    def delay(self, share: float) -> float:
+        """Return the delay, s, that a share of the results, %, have at most; there are some."""
+        values, counts = zip(*sorted(self.delays.items()), strict=True)
+        below = np.cumsum(counts) >= share / 100 * sum(counts)
+        return 0.001 * float(values[int(np.argmax(below))])
+
     def cameras_of(self, person: int) -> tuple[str, ...]:
         """Return the sorted names of the cameras that saw a person."""
         return tuple(source for source, ids in sorted(self.seen_by.items()) if person in ids)
+
+
+class Stopwatch:
+    """Adds up the CPU time of steps that pull from each other in one thread."""
+
+    def __init__(self) -> None:
+        self.cpu: defaultdict[str, float] = defaultdict(float)
+        """Of each step, s."""
+        self.started = time.perf_counter()
+        self._running = ""
+        self._since = cpu_time()
+
+    def charge(self, name: str, seconds: float) -> None:
+        """Add what another thread did for a step."""
+        self.cpu[name] += seconds
+
+    def _switch(self, name: str) -> str:
+        """Charge the time since the last switch to what was running; return its name."""
+        now = cpu_time()
+        before = self._running
+        self.cpu[before] += now - self._since
+        self._running, self._since = name, now
+        return before
+
+    @contextmanager
+    def timing(self, name: str) -> Iterator[None]:
+        """Charge a block of statements to ``name``."""
+        before = self._switch(name)
+        try:
+            yield
+        finally:
+            self._switch(before)
+
+    def timed(
+        self, name: str, blocks: Iterable[Block], sink: Callable[[Block], None]
+    ) -> Iterator[Block]:
+        """Yield ``blocks``, charging the making of each to ``name`` and its sink to "write"."""
+        switch = self._switch
+        before = switch(name)
+        for block in blocks:
+            switch("write")
+            sink(block)
+            switch(before)
+            yield block
+            del block  # else it would lie in memory until the next one is made
+            before = switch(name)
+        switch(before)

@@ -26,11 +26,11 @@ from typing import Any, Unpack
 from hiros_mcap.config import Config, load_config, settings_beside
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.frames import Block
+from hiros_mcap.io.bags import output_file, refuse_foreign_encodings
 from hiros_mcap.io.detectors.conversion import SkeletonChoice
 from hiros_mcap.io.log import DAMAGED, Log, Reading, Source, open_log
-from hiros_mcap.io.rosbag2 import output_file, refuse_foreign_encodings
 from hiros_mcap.outputs import check_outputs, target_kind
-from hiros_mcap.running.observe import DETECTIONS, Observer
+from hiros_mcap.running.observe import DETECTIONS, Observer, Stopwatch
 from hiros_mcap.running.preparation import Prepared, prepare, set_up, stages_of
 from hiros_mcap.running.process_options import (
     ProcessChoices,
@@ -40,7 +40,6 @@ from hiros_mcap.running.process_options import (
     Watcher,
 )
 from hiros_mcap.running.report import Report
-from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.running.write import LogOutput, NoOutput, kept_channels, open_output
 from hiros_mcap.summary import Summary
 from hiros_mcap.systems import LETTERS, Run, chain_of

@@ -19,10 +19,10 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.io.log import Log, Reading
 from hiros_mcap.running.clock_alignment import ClockAlignment
+from hiros_mcap.running.observe import Stopwatch
 from hiros_mcap.running.pose_alignment import PoseAlignment, align_cameras
 from hiros_mcap.running.pose_follower import PoseFollower
 from hiros_mcap.running.process_options import Calibration, ProcessOptions
-from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.skeletons import Floats
 from hiros_mcap.stages.lateness import Lateness
 from hiros_mcap.stages.merge.instants import by_instants

@@ -17,6 +17,7 @@ from pathlib import Path
 from hiros_mcap.config import Config, load_config
 from hiros_mcap.defaults import LIVE_SYSTEM
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.io.bags import needs_latching
 from hiros_mcap.io.channels import LATCHED_QOS, TF_TOPICS, ChannelInfo, channels_of
 from hiros_mcap.io.container import McapWriter, Message
 from hiros_mcap.io.container.live_input import LiveInput
@@ -24,11 +25,10 @@ from hiros_mcap.io.container.sinks import Pipe, Sink
 from hiros_mcap.io.container.writer import LiveWriter
 from hiros_mcap.io.detectors.conversion import HUMANS
 from hiros_mcap.io.live_log import LiveLog, may_be_read, open_live, takes
-from hiros_mcap.io.rosbag2 import needs_latching
+from hiros_mcap.running.observe import Stopwatch
 from hiros_mcap.running.pipeline import check_limbs, conclude, run_log
 from hiros_mcap.running.preparation import Prepared, prepare
 from hiros_mcap.running.process_options import ProcessOptions, Progress, Watcher
-from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.running.write import LogOutput, NoOutput, is_kept
 from hiros_mcap.summary import Summary
 from hiros_mcap.systems import Run

@@ -23,10 +23,10 @@ from hiros_mcap.config import Config
 from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.io.codec import Precision, rounded
 from hiros_mcap.io.log import Source
+from hiros_mcap.running.observe import Stopwatch
 from hiros_mcap.running.pipeline import open_input, stream
 from hiros_mcap.running.preparation import Prepared, prepare, set_up
 from hiros_mcap.running.process_options import ProcessOptions
-from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.systems import chain_of
 

@@ -132,10 +132,10 @@ class Report:
 
     def _delay(self) -> DelaySummary | None:
         """Return how late the results of a causal run were."""
-        delays = self.observer.delays
-        if not (delays.milliseconds and (self.prepared.clocks.causal or self.log.is_live)):
+        observer = self.observer
+        if not (observer.delays and (self.prepared.clocks.causal or self.log.is_live)):
             return None
-        return DelaySummary(delays.percentile(50), delays.percentile(95))
+        return DelaySummary(observer.delay(50), observer.delay(95))
 
     def _placement(self) -> PlacementSummary | None:
         """Return how uncertain the placement of the rig is."""

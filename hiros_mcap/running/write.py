@@ -15,6 +15,7 @@ from hiros_mcap._version import __version__
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.config import to_toml
 from hiros_mcap.frames import Block
+from hiros_mcap.io.bags import copy_latched, needs_latching
 from hiros_mcap.io.channels import (
     CONFIG_ATTACHMENT,
     EVENTS_ATTACHMENT,
@@ -32,11 +33,10 @@ from hiros_mcap.io.channels import (
 )
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import ChunkCopier, McapWriter
-from hiros_mcap.io.container.recovery import RECOVERY_METADATA
+from hiros_mcap.io.container.salvage import RECOVERY_METADATA
 from hiros_mcap.io.digest import digest_of
 from hiros_mcap.io.log import Log
 from hiros_mcap.io.marker_uncertainty import UNCERTAINTY_TOPIC, uncertainty_messages
-from hiros_mcap.io.rosbag2 import copy_latched, needs_latching
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.running.preparation import Prepared
 from hiros_mcap.running.process_options import ProcessOptions

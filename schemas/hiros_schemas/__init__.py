@@ -12,6 +12,7 @@ from functools import cache
 from pathlib import Path
 
 from hiros_schemas.definitions import (
+    STANDARD,
     DefinitionError,
     Definitions,
     Field,
@@ -20,7 +21,6 @@ from hiros_schemas.definitions import (
     parse_fields,
     short_name,
 )
-from hiros_schemas.standard import STANDARD
 
 __all__ = [
     "JOINT_STATE",

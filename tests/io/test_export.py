@@ -23,7 +23,7 @@ from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
 from hiros_mcap.io.export.files import FORMATS, export, files_of, steady
 from hiros_mcap.io.export.marker_set import load_marker_set
 from hiros_mcap.io.result import Motion, open_result
-from hiros_mcap.regression.golden import write_golden
+from hiros_mcap.regression.suite import write_golden
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.body_model import MODEL

@@ -25,13 +25,12 @@ from hiros_mcap.running.observe import (
     DetectionSample,
     MessageRate,
     Observer,
-    ResultDelays,
+    Stopwatch,
 )
 from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.running.preparation import Prepared
 from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.running.report import Report
-from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.summary import LimbSummary, duration, number, quantity
 from hiros_mcap.systems import Run
 
@@ -222,10 +221,11 @@ def test_frames_in_which_a_person_is_merely_predicted_are_counted():
 
 
 def test_delays_are_those_that_so_many_results_have_at_most():
-    delays = ResultDelays()
+    observer = Observer(["filtered"])
     for late in [*range(1, 100), 5000]:  # ms
         frame = seen([person()], at(3))
-        delays.add(Block.of(frame.replace(log_time=frame.stamp + late * 1_000_000)))
-    assert delays.percentile(50) == pytest.approx(0.050)
-    assert delays.percentile(95) == pytest.approx(0.095)
-    assert delays.percentile(100) == pytest.approx(5.0)
+        late_frame = frame.replace(log_time=frame.stamp + late * 1_000_000)
+        observer.see("filtered", Block.of(late_frame))
+    assert observer.delay(50) == pytest.approx(0.050)
+    assert observer.delay(95) == pytest.approx(0.095)
+    assert observer.delay(100) == pytest.approx(5.0)

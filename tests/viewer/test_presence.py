@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from hiros_viewer.columns import GONE_NS, PAUSE_NS
-from hiros_viewer.poses import Poses
-from hiros_viewer.presence import HIDDEN, Crowd, Visits
+from hiros_viewer.poses import HIDDEN, Crowd, Poses, Visits
 
 Frames = list[tuple[int, set[int]]]
 """Stamp and who is there."""

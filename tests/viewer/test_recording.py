@@ -27,13 +27,13 @@ from hiros_mcap.io.export.colours import PEOPLE, person_colour
 from hiros_mcap.io.log import open_log
 from hiros_mcap.io.marker_uncertainty import read_uncertainty
 from hiros_mcap.io.result import open_result
-from hiros_mcap.regression.golden import write_golden
+from hiros_mcap.regression.suite import write_golden
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Floats
 from hiros_viewer import poses as drawn_poses
 from hiros_viewer import replay as replaying
 from hiros_viewer.blueprint import LAYOUTS, Content, cameras, fitting
-from hiros_viewer.columns import LOGGED, TIMELINE, CurveRows, Line
+from hiros_viewer.columns import LOGGED, TIMELINE, ended
 from hiros_viewer.legend import legend
 from hiros_viewer.palette import SIDES, faint, shade
 from hiros_viewer.poses import Poses
@@ -528,14 +528,14 @@ def test_curves_are_angles_limbs_and_people(recording, processed):
 
 
 def test_a_curve_ends_before_a_pause_and_begins_anew():
-    curve = CurveRows([Line("left", (0, 0, 0)), Line("right", (0, 0, 0))])
     times = np.array([[0, 3], [100, 103], [5000, 5003]]) * 1_000_000
     values = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
     for parts in ([3], [2, 1], [1, 1, 1]):
-        curve = CurveRows(curve.lines)
         ends = np.cumsum(parts)[:-1]
-        pairs = zip(np.split(times, ends), np.split(values, ends), strict=True)
-        rows = [curve.ended(*pair) for pair in pairs]
+        rows, last = [], None
+        for when, some in zip(np.split(times, ends), np.split(values, ends), strict=True):
+            rows.append(ended(when, some, last))
+            last = when[-1]
         drawn, shown = (np.concatenate(column) for column in zip(*rows, strict=True))
         assert drawn.tolist() == [*times[:2].tolist(), (times[1] + 1).tolist(), times[2].tolist()]
         np.testing.assert_array_equal(shown, np.insert(values, 2, np.nan, axis=0))
@@ -984,7 +984,7 @@ def test_systems_are_overlaid_each_in_its_own_tree(tmp_path):
 
 def test_a_golden_log_is_overlaid_at_the_same_time(processed, tmp_path):
     """Golden logs hold no recording: their log times begin later than their stamps."""
-    from hiros_mcap.regression.golden import write_golden
+    from hiros_mcap.regression.suite import write_golden
 
     golden, target = tmp_path / "golden.mcap", tmp_path / "both.rrd"
     write_golden(processed, golden)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,44 +50,19 @@ class Line(NamedTuple):
     """Points on the screen."""
 
 
-@dataclass(slots=True)
-class CurveRows:
-    """CurveRows of one entity over time."""
+def ended(times: Stamps, values: Floats, last: Stamps | None) -> tuple[Stamps, Floats]:
+    """Return rows of curves, (T, 2) and (T, n), with NaN where a pause begins.
 
-    lines: Sequence[Line]
-    _last: Stamps | None = None
-    """(2,) times of the newest row."""
-
-    def ended(self, times: Stamps, values: Floats) -> tuple[Stamps, Floats]:
-        """Return rows (T, 2) and (T, len(lines)) with NaN where a pause begins.
-
-        They follow the rows of the call before.
-        """
-        places, before = after_pauses(times, self._last)
-        self._last = times[-1]
-        return np.insert(times, places, before + 1, axis=0), np.insert(
-            values.reshape(len(times), len(self.lines)), places, np.nan, axis=0
-        )
+    ``last`` (2,) are the times of the row before them; None if there is none.
+    """
+    places, before = after_pauses(times, last)
+    return np.insert(times, places, before + 1, axis=0), np.insert(
+        values.reshape(len(times), -1), places, np.nan, axis=0
+    )
 
 
-@dataclass(slots=True)
-class TextRows:
-    """Lines of a log, or states, that are still to be sent."""
-
-    times: list[Stamps] = field(default_factory=list)
-    """(2,) stamp and log time of each, ns."""
-    texts: list[str] = field(default_factory=list)
-    levels: list[str] = field(default_factory=list)
-
-    def add(self, time: Stamps, text: str, level: str = "INFO") -> None:
-        """Append a row."""
-        self.times.append(time)
-        self.texts.append(text)
-        self.levels.append(level)
-
-    def sent(self) -> None:
-        """Forget the rows."""
-        self.times, self.texts, self.levels = [], [], []
+TextRow = tuple[Stamps, str, str]
+"""A line of a log, or a state: (2,) stamp and log time, ns; the text; its level."""
 
 
 def time_columns(times: Stamps, start: int) -> list[Any]:

@@ -17,8 +17,8 @@ from hiros_mcap.evaluate.match import Matches, match
 from hiros_mcap.evaluate.smoothness import lengths_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.events import Event
-from hiros_mcap.io.attachments import stored_report
 from hiros_mcap.io.log import open_reader
+from hiros_mcap.io.result import stored_report
 from hiros_mcap.regression.provenance import Provenance
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 from hiros_mcap.summary import number, quantity

@@ -20,7 +20,7 @@ from hiros_mcap.io.export.colours import RGB, person_colour
 from hiros_mcap.kernels.drawing import Singles, draw_bones, draw_joints, tops
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
 from hiros_viewer.camera_moves import CameraMove, markdown, move_table
-from hiros_viewer.columns import Line, TextRows, columns, strips, time_columns
+from hiros_viewer.columns import Line, TextRow, columns, strips, time_columns
 from hiros_viewer.palette import (
     BEFORE,
     CAMERAS,
@@ -37,8 +37,7 @@ from hiros_viewer.palette import (
     pale,
     shade,
 )
-from hiros_viewer.poses import Poses
-from hiros_viewer.presence import HIDDEN, Visit
+from hiros_viewer.poses import HIDDEN, Poses, Visit
 
 _JOINT_M = 0.03
 _BONE_M = 0.018
@@ -413,26 +412,28 @@ class Entities:
         counts = np.full(len(times), len(lines))
         self.recording.send_columns(path, time_columns(times, self.start), parts.partition(counts))
 
-    def log_lines(self, path: str, rows: TextRows) -> None:
+    def log_lines(self, path: str, rows: Sequence[TextRow]) -> None:
         """Send lines of the log."""
-        parts = rr.TextLog.columns(text=rows.texts, level=rows.levels)
-        times = np.array(rows.times)
+        stamps, texts, levels = zip(*rows, strict=True)
+        parts = rr.TextLog.columns(text=texts, level=levels)
+        times = np.array(stamps)
         # The list of events has room for hundredths of a second.
         times[:, 0] = self.start + (times[:, 0] - self.start + 5_000_000) // 10**7 * 10**7
         self.recording.send_columns(path, time_columns(times, self.start), parts)
 
-    def lane(self, path: str, rows: TextRows, style: Line) -> None:
+    def lane(self, path: str, rows: Sequence[TextRow], style: Line) -> None:
         """Send a lane: filled in the first of its states, with a gap where that is gone."""
+        times, texts, _ = zip(*rows, strict=True)
         if self._is_new(path):
             states = rr.StateConfiguration(
-                values=[rows.texts[0], "gone"],
+                values=[texts[0], "gone"],
                 labels=[style.name, "gone"],
                 colors=[_packed(style.colour)] * 2,
                 visible=[True, False],
             )
             self.recording.log(path, states, static=True)
-        parts = rr.StateChange.columns(state=rows.texts)
-        self.recording.send_columns(path, time_columns(np.array(rows.times), self.start), parts)
+        parts = rr.StateChange.columns(state=texts)
+        self.recording.send_columns(path, time_columns(np.array(times), self.start), parts)
 
 
 def colour_number(person: int, layer: Layer) -> int:

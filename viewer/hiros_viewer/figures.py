@@ -44,8 +44,8 @@ class Mark(NamedTuple):
 
 def hidden_marks(events: Sequence[Event], person: int, start: int) -> Iterator[Mark]:
     """Yield when somebody was hidden from a camera, and behind whom; ``start`` in ns."""
-    for time in hidden_times(events, person, start):
-        yield Mark("hidden", time.begin, time.end, f"{time.behind} for {time.source}")
+    for begin, end, behind, source in hidden_times(events, person, start):
+        yield Mark("hidden", begin, end, f"{behind} for {source}")
 
 
 def marks_of(seconds: Floats, is_predicted: Flags) -> Iterator[Mark]:

@@ -1,8 +1,9 @@
-"""Pictures, drawn by matplotlib: PNG files, and SVG on pages."""
+"""Pictures, drawn by matplotlib: PNG files, SVG on pages, and the floor of a plan from above."""
 
 from __future__ import annotations
 
 import io
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,6 +17,10 @@ from hiros_viewer.figures import MARKED, SPREAD, TRUTH, CurveGrid, CurvePlot
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from hiros_mcap.plan.planning import PlannedCamera, RoomPlan
+    from hiros_mcap.simulate.settings import RigParams
+    from hiros_mcap.skeletons import Flags, Floats
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -116,3 +121,118 @@ def svg_of(figure: Figure, prefix: str) -> str:
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r'\bid="', f'id="{prefix}-', svg)
     return re.sub(r'(url\(#|xlink:href="#|href="#)(?!f\d+-)', rf"\1{prefix}-", svg)
+
+
+_CAMERA, _FURTHER, _WALL, _HATCH = "#111111", "#0a7d4b", "#444444", "#555555"
+_WIDTH = 8.0
+"""Inches."""
+_BESIDE = 0.6  # m, around the room
+_WEDGE = 0.45
+"""m; length of the sign that shows which way a camera looks."""
+_ENOUGH = 0.8
+"""Share of people that two cameras should see; below, the floor is hatched."""
+
+
+def floor_figure(plan: RoomPlan) -> Figure:
+    """Draw the plan."""
+    x0, y0, x1, y1 = plan.params.area
+    height = 1.5 + 0.78 * _WIDTH * (y1 - y0 + 2 * _BESIDE) / (x1 - x0 + 2 * _BESIDE)
+    figure = new_figure(_WIDTH, float(np.clip(height, 3.5, 16.0)))
+    axes = figure.subplots()
+    _draw_map(figure, axes, plan)
+    axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=_WALL, lw=2.5, zorder=4)
+    for camera in plan.cameras:
+        _draw_camera(axes, camera, plan, _CAMERA)
+    _draw_camera(axes, plan.further, plan, _FURTHER)
+    axes.set(xlabel="x, m", ylabel="y, m", aspect="equal")
+    axes.set(xlim=(x0 - _BESIDE, x1 + _BESIDE), ylim=(y0 - _BESIDE, y1 + _BESIDE))
+    axes.spines[:].set_visible(False)
+    axes.set_title(_title(plan), loc="left", fontsize=10)
+    _legend(figure)
+    return figure
+
+
+def _title(plan: RoomPlan) -> str:
+    x0, y0, x1, y1 = plan.params.area
+    count, people = len(plan.cameras), plan.params.people
+    who = f"{people} {'person' if people == 1 else 'people'}"
+    return (
+        f"{x1 - x0:g} m x {y1 - y0:g} m, {count} camera{'s' * (count > 1)}, {who}\n"
+        f"expected error {plan.expected.error_mm:.0f} mm; "
+        f"two cameras see {math.floor(100 * plan.expected.two + 1e-6)} %; "
+        f"with one more camera {plan.further.then.error_mm:.0f} mm"
+    )
+
+
+def _draw_map(figure: Figure, axes: Axes, plan: RoomPlan) -> None:
+    floor, errors = plan.map.floor, plan.map.errors_mm
+    x, y = _edges(floor.x), _edges(floor.y)
+    finite = errors[np.isfinite(errors)]
+    low, high = (finite.min(), np.percentile(finite, 98)) if len(finite) else (0.0, 1.0)
+    high = max(high, low + 1.0)
+    axes.set_facecolor("#ffffff")
+    mesh = axes.pcolormesh(x, y, errors, cmap="YlOrRd", vmin=low, vmax=high, zorder=1)
+    bar = figure.colorbar(mesh, ax=axes, extend="max", shrink=0.8, pad=0.02)
+    bar.set_label("expected error of a joint, mm")
+    _hatch(axes, x, y, plan.map.two < _ENOUGH)
+
+
+def _hatch(axes: Axes, x: Floats, y: Floats, few: Flags) -> None:
+    """Hatch the cells (rows, columns) that fewer than two cameras see."""
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path
+
+    unit = np.asarray(Path.unit_rectangle().vertices, float)
+    boxes = [unit * [x[k + 1] - x[k], y[j + 1] - y[j]] + [x[k], y[j]] for j, k in np.argwhere(few)]
+    if boxes:
+        cells = Path.make_compound_path(*(Path(box, closed=True) for box in boxes))
+        style: dict[str, Any] = {"fc": "none", "ec": _HATCH, "hatch": "///", "lw": 0}
+        axes.add_patch(PathPatch(cells, zorder=2, **style))
+
+
+def _edges(middles: Floats) -> Floats:
+    half = (middles[1] - middles[0]) / 2 if len(middles) > 1 else 0.5
+    return np.append(middles - half, middles[-1] + half)
+
+
+def _draw_camera(axes: Axes, camera: PlannedCamera, plan: RoomPlan, colour: str) -> None:
+    """Draw where a camera stands, what it sees within the room, and which way it looks."""
+    from matplotlib.patches import Rectangle
+
+    x0, y0, x1, y1 = plan.params.area
+    room = Rectangle((x0, y0), x1 - x0, y1 - y0, transform=axes.transData)
+    dashed = "--" if camera is plan.further else "-"
+    seen = axes.plot(*_sector(camera, plan.params.rig).T, dashed, color=colour, lw=1, alpha=0.55)
+    seen[0].set(clip_path=room, zorder=3)
+    near = _sector(camera, plan.params.rig, _WEDGE)
+    axes.fill(*near.T, color=colour, alpha=0.45, lw=0, zorder=5)
+    axes.plot(camera.x, camera.y, "o", color=colour, ms=9, mec="white", zorder=6, clip_on=False)
+    bearing = np.radians(camera.bearing_deg)
+    name = "+1" if camera is plan.further else camera.name.removeprefix("camera_")
+    behind = camera.x - 0.4 * np.cos(bearing), camera.y - 0.4 * np.sin(bearing)
+    axes.text(*behind, name, color=colour, ha="center", va="center", weight="bold", zorder=6)
+
+
+def _sector(camera: PlannedCamera, rig: RigParams, far: float = np.inf) -> Floats:
+    """(n, 2) the outline of what a camera sees from above, as far as its range or ``far``, m."""
+    half = np.radians(rig.fov[0]) / 2
+    aside = np.linspace(-half, half, 25)
+    # The range is a depth along the axis.
+    lengths = np.minimum(rig.range[1] / np.cos(aside), far)
+    angles = np.radians(camera.bearing_deg) + aside
+    middle = np.array([camera.x, camera.y])
+    ends = middle + lengths[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return np.concatenate([[middle], ends, [middle]])
+
+
+def _legend(figure: Figure) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    dot: dict[str, Any] = {"marker": "o", "ls": "", "ms": 8}
+    handles = [
+        Line2D([], [], color=_CAMERA, label="camera", **dot),
+        Line2D([], [], color=_FURTHER, label="one more camera", **dot),
+        Patch(fc="none", ec=_HATCH, hatch="///", lw=0, label="fewer than two cameras"),
+    ]
+    figure.legend(handles=handles, loc="outside lower left", ncols=3, frameon=False)

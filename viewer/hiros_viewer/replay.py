@@ -20,9 +20,9 @@ from hiros_mcap.evaluate.comparison import Entry
 from hiros_mcap.evaluate.logs import find_truth, has_cameras, has_outputs, start_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.events import Event
-from hiros_mcap.io.attachments import stored_events, stored_report
 from hiros_mcap.io.channels import OUTPUT_PREFIX, TRUTH_PREFIX
 from hiros_mcap.io.log import CameraChannel, Log, open_log
+from hiros_mcap.io.result import stored_events, stored_report
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.running.pipeline import ProcessOptions, process, skeletons_read
 from hiros_mcap.skeletons import SkeletonModel

@@ -45,7 +45,7 @@ from hiros_mcap.events import Event
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, SkeletonModel, Stamps
 from hiros_viewer.camera_moves import CameraMove
-from hiros_viewer.columns import GONE_NS, CurveRows, Line, TextRows, after_pauses
+from hiros_viewer.columns import GONE_NS, Line, TextRow, after_pauses, ended
 from hiros_viewer.entities import (
     LONGEST_M,
     MAGNIFIED,
@@ -58,8 +58,7 @@ from hiros_viewer.entities import (
 )
 from hiros_viewer.figures import limb_links
 from hiros_viewer.palette import DISTANCES, FAULTY, SIDES, SILENCE, curve_colour, shade
-from hiros_viewer.poses import Channel, Poses
-from hiros_viewer.presence import HIDDEN, Crowd, Visit, Visits
+from hiros_viewer.poses import HIDDEN, Channel, Crowd, Poses, Visit, Visits
 from hiros_viewer.uncertainties import HALF_SIZE, UNCERTAIN_STAGE, Uncertainties
 from hiros_viewer.view_check import (
     Compared,
@@ -133,9 +132,10 @@ class Scene:
         self._marks = defaultdict[Channel, Crowd](Crowd)
         """By camera and kind of fault: its detections that have it."""
         self._stages: dict[str, Visits] = {}
-        self._curves: dict[str, CurveRows] = {}
-        """By path."""
-        self._texts = defaultdict[str, TextRows](TextRows)
+        self._curves: dict[str, Stamps] = {}
+        """By path: (2,) times of the newest row."""
+        self._texts = defaultdict[str, list[TextRow]](list)
+        """By path: rows that are still to be sent."""
         self._lane_styles: dict[str, Line] = {}
         """By path."""
         self._earlier = defaultdict[tuple[str, int], EarlierPoses](EarlierPoses)
@@ -226,8 +226,7 @@ class Scene:
             if seconds < SILENCE_S:
                 continue
             self._lane("/no_data", Line("no data", SILENCE), NO_DATA)
-            self._texts["/no_data"].add(start, "no data")
-            self._texts["/no_data"].add(end, "gone")
+            self._texts["/no_data"] += [(start, "no data", "INFO"), (end, "gone", "INFO")]
             silence = Event(int(start[0]), "no data", UNTRACKED, "", f"for {seconds:.2f} s")
             self.event(silence, int(start[1]))
             if self.bounds:
@@ -267,14 +266,13 @@ class Scene:
 
     def _mark_faults(self, camera: str, spans: Iterable[FaultySpan]) -> None:
         """Show when a camera's view was wrong: a lane, and a line in the list of events."""
-        for span in spans:
-            path = f"/view_{path_part(camera)}_{fault_part(span.kind)}"
-            self._lane(path, Line(f"{camera} {span.kind}", FAULTY[span.kind]), span.kind)
-            self._texts[path].add(span.start, span.kind)
-            self._texts[path].add(span.end, "gone")
-            detail = f"for {span.seconds:.2f} s"
-            event = Event(int(span.start[0]), f"view {span.kind}", UNTRACKED, camera, detail)
-            self.event(event, int(span.start[1]))
+        for kind, start, end in spans:
+            path = f"/view_{path_part(camera)}_{fault_part(kind)}"
+            self._lane(path, Line(f"{camera} {kind}", FAULTY[kind]), kind)
+            self._texts[path] += [(start, kind, "INFO"), (end, "gone", "INFO")]
+            detail = f"for {(end[0] - start[0]) / 1e9:.2f} s"
+            event = Event(int(start[0]), f"view {kind}", UNTRACKED, camera, detail)
+            self.event(event, int(start[1]))
 
     def describe_cameras(self, report: Mapping[str, Mapping[str, Any]]) -> None:
         """Show the numbers of each camera: those of the run, by camera, and what was drawn."""
@@ -369,7 +367,8 @@ class Scene:
         path = f"{self.prefix}/{person_part(visit.person)}"
         self._lane(path, self._person_line(visit.person), PERSON)
         for row in np.flatnonzero(visit.begins | (visit.people == HIDDEN)).tolist():
-            self._texts[path].add(visit.times[row], "tracked" if visit.begins[row] else "gone")
+            state = "tracked" if visit.begins[row] else "gone"
+            self._texts[path].append((visit.times[row], state, "INFO"))
 
     def _lane(self, path: str, style: Line, kind: str) -> None:
         self._lane_styles[path], self.lanes[path] = style, kind
@@ -378,7 +377,7 @@ class Scene:
         """Write an event into the log; its time is also its log time unless that is known."""
         level = "WARN" if event.is_warning else "INFO"
         times = np.array([event.stamp, event.stamp if log_time is None else log_time])
-        self._texts[f"{self.prefix}/log"].add(times, self.layer.named(event.text), level)
+        self._texts[f"{self.prefix}/log"].append((times, self.layer.named(event.text), level))
 
     def distances(self, name: str, times: Stamps, millimetres: Floats) -> None:
         """Add to the curve of joint distances between two logs, mm; times (T, 2)."""
@@ -409,12 +408,12 @@ class Scene:
 
     def _send_texts(self) -> None:
         for path, rows in self._texts.items():
-            if rows.times:
+            if rows:
                 if path in self._lane_styles:
                     self._entities.lane(path, rows, self._lane_styles[path])
                 else:
                     self._entities.log_lines(path, rows)
-                rows.sent()
+                rows.clear()
 
     # -- what is derived of the last stage -------------------------------------------------------
 
@@ -514,8 +513,8 @@ class Scene:
     def _extend(self, path: str, lines: Sequence[Line], times: Stamps, values: Floats) -> None:
         """Add rows (T, 2) and (T,) or (T, len(lines)) to the curves of an entity."""
         if len(times):
-            curves = self._curves.setdefault(path, CurveRows(lines))
-            self._entities.curves(path, lines, *curves.ended(times, values))
+            self._entities.curves(path, lines, *ended(times, values, self._curves.get(path)))
+            self._curves[path] = times[-1]
         present = values[~np.isnan(values)]
         if present.size:
             parts = path.removeprefix(self.prefix).split("/")[1:]

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
@@ -108,18 +107,8 @@ def mean_distances(first: Floats, second: Floats) -> Floats:
     return np.asarray(np.where(counts, mean, np.nan))
 
 
-class FaultySpan(NamedTuple):
-    """When a camera's view was wrong."""
-
-    kind: str
-    start: Stamps
-    """(2,) stamp and log time, ns."""
-    end: Stamps
-
-    @property
-    def seconds(self) -> float:
-        """How long it was wrong."""
-        return float(self.end[0] - self.start[0]) / 1e9
+FaultySpan = tuple[str, Stamps, Stamps]
+"""When a camera's view was wrong: the kind of fault, (2,) first and last stamp and log time, ns."""
 
 
 @dataclass(slots=True)
@@ -197,9 +186,9 @@ class ViewCheck:
         """Yield spans (K, 2) that are no noise."""
         for times in spans:
             if len(times) and times[-1, 0] - times[0, 0] >= _SHORTEST_NS:
-                span = FaultySpan(kind, times[0], times[-1])
-                self.seconds[kind] = self.seconds.get(kind, 0.0) + span.seconds
-                yield span
+                seconds = float(times[-1, 0] - times[0, 0]) / 1e9
+                self.seconds[kind] = self.seconds.get(kind, 0.0) + seconds
+                yield kind, times[0], times[-1]
 
     def row(self) -> tuple[str, ...]:
         """Return coverage, median distance, and how long the view was wrong, as text."""

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Protocol
 
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.container.chunks import unpack_chunk
+from hiros_mcap.io.container.file import unpack_chunk
 from hiros_mcap.io.container.records import (
     MAX_CHUNK,
     Channel,

@@ -14,8 +14,7 @@ import numpy as np
 
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container.live_input import LiveInput
-from hiros_mcap.io.container.order import LogOrder
-from hiros_mcap.io.container.reader import Batch, McapReader, Records
+from hiros_mcap.io.container.reader import Batch, LogOrder, McapReader, Records
 from hiros_mcap.io.container.records import Channel, Message, Schema
 from hiros_mcap.io.container.walk import Contents
 from hiros_mcap.kernels.record_index import COLUMNS

@@ -20,7 +20,7 @@ from isal.isal_zlib import crc32
 from hiros_mcap._version import __version__
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import records as r
-from hiros_mcap.io.container.chunks import COMPRESSIONS, compress
+from hiros_mcap.io.container.file import COMPRESSIONS, compress
 from hiros_mcap.io.container.reader import McapReader
 from hiros_mcap.io.container.records import Opcode
 from hiros_mcap.io.container.sinks import OutputFile, Sink

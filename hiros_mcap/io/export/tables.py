@@ -65,8 +65,8 @@ def hidden_from(result: Result, person: int) -> Stamps:
     """(T,) Number of cameras from which somebody else hides a person: its joints are guesses."""
     times = result.motions[person].times
     count = np.zeros(len(times), np.int64)
-    for span in hidden_times(result.happened, person, result.start):
-        count += (times >= span.begin) & (times <= span.end)
+    for begin, end, *_ in hidden_times(result.happened, person, result.start):
+        count += (times >= begin) & (times <= end)
     return count
 
 
