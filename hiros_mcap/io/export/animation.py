@@ -24,7 +24,7 @@ Tree = dict[int, list[int]]
 """Marker slot -> slots of its children."""
 
 
-def write_bvh(result: Result, target: Path, choices: Choices) -> int:
+def write_bvh(result: Result, target: Path, choices: Choices) -> None:
     """Write one person as a hierarchy of joints with constant offsets, cm, y up.
 
     A joint's rotation brings the offsets of its children to where the markers are: exactly where
@@ -51,7 +51,7 @@ def write_bvh(result: Result, target: Path, choices: Choices) -> int:
         [points[:, root], *(_zxy_degrees(rotations[slot]) for slot in inner)], axis=1
     )
     lines += [" ".join(f"{value:.5f}" for value in row) for row in numbers.tolist()]
-    return write_lines(target, lines)
+    write_lines(target, lines)
 
 
 def tree_of(model: SkeletonModel) -> tuple[int, Tree]:

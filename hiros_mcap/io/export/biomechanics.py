@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hiros_mcap.body.rotations import Y_UP
-from hiros_mcap.errors import ConfigError
+from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.export.choices import Choices, pauses
 from hiros_mcap.io.export.rajagopal import NEEDS, PELVIS, bridged, coordinates
 from hiros_mcap.io.export.tables import write_lines
@@ -35,7 +36,7 @@ def only(result: Result) -> Motion:
     return motion
 
 
-def write_trc(result: Result, target: Path, choices: Choices) -> int:
+def write_trc(result: Result, target: Path, choices: Choices) -> None:
     """Write one person's markers, mm, y up; an empty cell is a gap."""
     motion = only(result)
     names = result.model.marker_names
@@ -56,14 +57,14 @@ def write_trc(result: Result, target: Path, choices: Choices) -> int:
         "\t".join([str(k), f"{time:.6f}", *(_cell(value) for value in row), ""])
         for k, (time, row) in enumerate(zip(motion.times.tolist(), points.tolist(), strict=True), 1)
     ]
-    return write_lines(target, [*head, *rows])
+    write_lines(target, [*head, *rows])
 
 
 def _cell(value: float) -> str:
     return "" if np.isnan(value) else f"{value:.4f}"
 
 
-def write_mot(result: Result, target: Path, choices: Choices) -> int:
+def write_mot(result: Result, target: Path, choices: Choices) -> None:
     """Write one person's pose as coordinates of OpenSim's Rajagopal model, degrees and m.
 
     OpenSim reads no gaps. They are bridged, or with ``keep_gaps`` their rows are left out.
@@ -108,7 +109,7 @@ def write_mot(result: Result, target: Path, choices: Choices) -> int:
         "\t".join(["time", *columns]),
     ]
     rows = ["\t".join(f"{value:.6f}" for value in row) for row in numbers.tolist()]
-    return write_lines(target, [*head, *rows])
+    write_lines(target, [*head, *rows])
 
 
 def _bent_otherwise(deviations: Mapping[str, Floats]) -> str:
@@ -142,7 +143,7 @@ def _bridges(times: Floats, columns: Mapping[str, Floats]) -> list[str]:
     return texts
 
 
-def write_c3d(result: Result, target: Path, choices: Choices) -> int:
+def write_c3d(result: Result, target: Path, choices: Choices) -> None:
     """Write everybody's markers, mm, and angles, degrees, z up; a gap has the residual -1.
 
     An angle is the x of a point that POINT:ANGLES names.
@@ -186,13 +187,11 @@ def write_c3d(result: Result, target: Path, choices: Choices) -> int:
     with TemporaryDirectory() as folder:
         written = Path(folder) / "written.c3d"
         file.write(str(written))
-        shutil.copyfile(written, target)
-    return n
-
-
-def frames_of_c3d(path: Path) -> int:
-    """Return the number of frames of a C3D file; raises ConfigError if it does not hold them."""
-    return int(open_c3d(path)["data"]["points"].shape[-1])
+        with suppress(ConfigError):
+            if open_c3d(written)["data"]["points"].shape[-1] == n:
+                shutil.copyfile(written, target)
+                return
+    raise LogError("cannot be written: the file was cut", path=result.path)
 
 
 def _placed(values: Floats, places: Floats, n: int) -> list[Floats]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hiros_mcap.defaults import LEAST_CONFIDENCE
-from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.export import animation, biomechanics, opensim_model, tables
 from hiros_mcap.io.export.choices import Choices, warn_in_python
 from hiros_mcap.io.result import safe_name
@@ -31,10 +31,8 @@ class ExportFormat:
 
     text: str
     """What it is, for a list."""
-    write: Callable[[Result, Path, Choices], int]
-    """Writes the parts "joints" and "angles" of a result, and returns how much."""
-    read: Callable[[Path], int] = tables.read_lines
-    """Returns how much of that a file holds."""
+    write: Callable[[Result, Path, Choices], None]
+    """Writes the parts "joints" and "angles" of a result."""
     parts: tuple[str, ...] = ("joints", "angles")
     """What it can hold; the first is the default."""
     one_person: bool = False
@@ -50,10 +48,9 @@ FORMATS: dict[str, ExportFormat] = {
     ".parquet": ExportFormat(
         "the same table for pandas, polars, R and DuckDB",
         tables.write_parquet,
-        tables.read_parquet,
     ),
     ".jsonl": ExportFormat("one JSON object per person and time", tables.write_jsonl),
-    ".npz": ExportFormat("numpy arrays", tables.write_npz, tables.read_npz),
+    ".npz": ExportFormat("numpy arrays", tables.write_npz),
     ".trc": _for_one("markers for OpenSim (mm, y up)", biomechanics.write_trc, steady=True),
     ".mot": _for_one(
         "coordinates of OpenSim's Rajagopal model (degrees, m)",
@@ -72,7 +69,6 @@ FORMATS: dict[str, ExportFormat] = {
     ".c3d": ExportFormat(
         "markers and angles for motion capture programs (mm, z up)",
         biomechanics.write_c3d,
-        biomechanics.frames_of_c3d,
         steady=True,
     ),
     ".bvh": _for_one(
@@ -127,7 +123,7 @@ def export(
     ConfigError
         The format does not exist or cannot hold this, or nobody is in the result.
     LogError
-        A file cannot be written, or does not hold what was written.
+        A file cannot be written.
     """
     target = Path(target)
     kind = format_of(target)
@@ -152,28 +148,8 @@ def export(
     with ExitStack() as together:  # the files get their names when all are written
         for one, path in zip(each, targets, strict=True):
             named = replace(one, path=path)  # a header names the file itself
-            temporary = together.enter_context(replacing(path))
-            _checked(path, kind.write(named, temporary, choices), temporary, kind.read)
+            kind.write(named, together.enter_context(replacing(path)), choices)
     return targets
-
-
-def write_checked(path: Path, write: Callable[[Path], int], read: Callable[[Path], int]) -> None:
-    """Write a file, whole or not at all, and read it back.
-
-    ``write`` and ``read`` return how much a file holds. Raises LogError if they differ.
-    """
-    with replacing(path) as temporary:
-        _checked(path, write(temporary), temporary, read)
-
-
-def _checked(path: Path, written: int, temporary: Path, read: Callable[[Path], int]) -> None:
-    """Raise LogError if a file does not hold as much as was written."""
-    try:
-        found = read(temporary)
-    except Exception:  # noqa: BLE001 - a reader of another project, on a file that may be cut
-        found = -1
-    if found != written:
-        raise LogError("cannot be written: the file was cut", path=path)
 
 
 def _prepared(result: Result, least_confidence: float) -> Result:

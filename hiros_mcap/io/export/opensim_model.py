@@ -144,7 +144,7 @@ class _OpenSimBody(NamedTuple):
     """Coordinates of the translations along x, y, z."""
 
 
-def write_osim(result: Result, target: Path, choices: Choices) -> int:
+def write_osim(result: Result, target: Path, choices: Choices) -> None:
     """Write one person's model, with the marker names of the result; or scale the user's.
 
     Raises ConfigError if the hips are never seen, or the user's model cannot be scaled.
@@ -155,7 +155,8 @@ def write_osim(result: Result, target: Path, choices: Choices) -> int:
         from hiros_mcap.io.export.opensim_scaling import scaled
 
         text = scaled(choices.model, lengths, marker_names(result.model), choices.mass)
-        return write_lines(target, text.splitlines())
+        write_lines(target, text.splitlines())
+        return
     bodies = _bodies(lengths, _shoulders(result.model, motion, lengths))
     markers = _markers(marker_names(result.model), {body.name: body.end for body in bodies})
     mass = choices.mass or 0.0
@@ -173,7 +174,7 @@ def write_osim(result: Result, target: Path, choices: Choices) -> int:
 {markers}</objects></MarkerSet>
 </Model>
 </OpenSimDocument>"""
-    return write_lines(target, text.splitlines())
+    write_lines(target, text.splitlines())
 
 
 def marker_names(model: SkeletonModel) -> dict[tuple[str, str], str]:
@@ -379,7 +380,7 @@ LOOSE = ("hip_rotation", "arm_rot", "ankle_angle")
 """Coordinates that joint centres of straight limbs do not show."""
 
 
-def write_ik_setup(result: Result, target: Path, choices: Choices) -> int:
+def write_ik_setup(result: Result, target: Path, choices: Choices) -> None:
     """Write the setup of OpenSim's inverse kinematics on the .osim and .trc of the same name."""
     name = quoteattr(result.path.stem)[1:-1]
     markers = "".join(
@@ -405,4 +406,4 @@ def write_ik_setup(result: Result, target: Path, choices: Choices) -> int:
 {markers}{loose}</objects></IKTaskSet>
 </InverseKinematicsTool>
 </OpenSimDocument>"""
-    return write_lines(target, text.splitlines())
+    write_lines(target, text.splitlines())

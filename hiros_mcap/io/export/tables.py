@@ -70,29 +70,19 @@ def hidden_from(result: Result, person: int) -> Stamps:
     return count
 
 
-def write_csv(result: Result, target: Path, choices: Choices) -> int:
+def write_csv(result: Result, target: Path, choices: Choices) -> None:
     """Write a table with a header line; an empty cell is a gap."""
-    rows = table(result, choices.parts).round(6)
-    rows.to_csv(target, lineterminator="\n")
-    return len(rows) + 1
+    table(result, choices.parts).round(6).to_csv(target, lineterminator="\n")
 
 
-def write_parquet(result: Result, target: Path, choices: Choices) -> int:
+def write_parquet(result: Result, target: Path, choices: Choices) -> None:
     """Write the table of :func:`write_csv` at full precision."""
     rows = table(result, choices.parts).reset_index()
     rows.attrs["hiros"] = EXPORT_MARK  # pandas stores them as metadata of the file
     rows.to_parquet(target, index=False)
-    return len(rows)
 
 
-def read_parquet(path: Path) -> int:
-    """Return the number of rows."""
-    import pyarrow.parquet
-
-    return int(pyarrow.parquet.read_table(path).num_rows)
-
-
-def write_jsonl(result: Result, target: Path, choices: Choices) -> int:
+def write_jsonl(result: Result, target: Path, choices: Choices) -> None:
     """Write one object per person and time; null is a gap."""
     names, lines = result.model.marker_names, []
     angles = result.angles(0)
@@ -110,10 +100,10 @@ def write_jsonl(result: Result, target: Path, choices: Choices) -> int:
                 row["angles"] = _named(angles.columns, degrees[k])
             row["hidden_from"] = hidden[k]
             lines.append(json.dumps(row))
-    return write_lines(target, lines)
+    write_lines(target, lines)
 
 
-def write_npz(result: Result, target: Path, choices: Choices) -> int:
+def write_npz(result: Result, target: Path, choices: Choices) -> None:
     """Write ``person_<id>_times``, ``..._positions`` and so on, with the names of the columns."""
     arrays: dict[str, Any] = {EXPORT_MARK: [], "markers": np.array(result.model.marker_names)}
     angles = result.angles(0) if "angles" in choices.parts else None
@@ -131,24 +121,11 @@ def write_npz(result: Result, target: Path, choices: Choices) -> int:
             arrays[f"person_{person}_angles"] = angles.loc[[person]].to_numpy()
     with target.open("wb") as file:  # a name would get the suffix .npz once more
         np.savez_compressed(file, **arrays)
-    return len(arrays)
 
 
-def read_npz(path: Path) -> int:
-    """Return the number of arrays, after reading each."""
-    with path.open("rb") as file, np.load(file) as arrays:
-        return len([arrays[name] for name in arrays.files])
-
-
-def write_lines(target: Path, lines: Sequence[str]) -> int:
-    """Write lines of text, and return how many."""
+def write_lines(target: Path, lines: Sequence[str]) -> None:
+    """Write lines of text."""
     target.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
-    return len(lines)
-
-
-def read_lines(path: Path) -> int:
-    """Return the number of whole lines of text."""
-    return path.read_text(encoding="utf-8").count("\n")
 
 
 def _named(names: Iterable[str], values: Floats) -> dict[str, float | None]:

@@ -17,10 +17,8 @@ from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.channels import channels_of
 from hiros_mcap.io.container import Channel, McapReader
 from hiros_mcap.io.export.choices import warn_in_python
-from hiros_mcap.io.export.files import write_checked
-from hiros_mcap.io.export.tables import read_lines, read_parquet
 from hiros_mcap.io.log import open_reader
-from hiros_mcap.outputs import EXPORT_MARK, LOG_TIME
+from hiros_mcap.outputs import EXPORT_MARK, LOG_TIME, replacing
 
 _MOST_COLUMNS = 16384
 """As many as a sheet of a spreadsheet has."""
@@ -72,20 +70,12 @@ def export_topic(
     }
     frame = pd.DataFrame(table)
 
-    def write_csv(temporary: Path) -> int:
-        text = frame.to_csv(index=False, lineterminator="\n")
-        temporary.write_text(text, encoding="utf-8", newline="\n")
-        return text.count("\n")
-
-    def write_parquet(temporary: Path) -> int:
-        frame.attrs["hiros"] = EXPORT_MARK
-        frame.to_parquet(temporary, index=False)
-        return len(frame)
-
-    if target.suffix.lower() == ".csv":
-        write_checked(target, write_csv, read_lines)
-    else:
-        write_checked(target, write_parquet, read_parquet)
+    with replacing(target) as temporary:
+        if target.suffix.lower() == ".csv":
+            frame.to_csv(temporary, index=False, lineterminator="\n")
+        else:
+            frame.attrs["hiros"] = EXPORT_MARK
+            frame.to_parquet(temporary, index=False)
     return len(frame)
 
 
