@@ -211,16 +211,20 @@ def excess_of(views: Sightings, offsets: Floats, limits: Floats) -> Floats:
     A second without a majority, as in the look-ahead, where offsets are NaN, is like the one
     before. ``limits`` (C,) are those of the cameras, m.
     """
-    keys = np.stack([views.people, views.stamps // SECOND])
-    keys, groups = np.unique(keys, axis=1, return_inverse=True)
-    groups, n = groups.ravel(), int(groups.max(initial=-1)) + 1
+    if not len(views.stamps):
+        return np.zeros(0)
+    seconds = views.stamps // SECOND - views.stamps.min() // SECOND
+    n_seconds = int(seconds.max()) + 1
+    # One number per person and second: sorting pairs takes longer than all that follows.
+    keys, groups = np.unique(views.people * n_seconds + seconds, return_inverse=True)
+    people, n = keys // n_seconds, len(keys)
     there = ~np.isnan(offsets[:, 0])
     sums, counts = np.zeros((n, len(limits), 3)), np.zeros((n, len(limits)))
     np.add.at(sums, (groups[there], views.cameras[there]), offsets[there])
     np.add.at(counts, (groups[there], views.cameras[there]), 1.0)
     excess = displaced(sums, counts, limits)
     for g in range(1, n):
-        if keys[0, g] == keys[0, g - 1] and (counts[g] > 0).sum() < MAJORITY:
+        if people[g] == people[g - 1] and (counts[g] > 0).sum() < MAJORITY:
             excess[g] = excess[g - 1]
     return np.asarray(excess[groups, views.cameras])
 
