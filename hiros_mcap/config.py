@@ -70,10 +70,10 @@ class InputParams(Params):
         "stamps are taken as they are.",
     )
     max_delay: Seconds = advanced(
-        0.25,
+        0.3,
         ge=0,
         description="Longest time, s, for which messages of a live system wait for others that are "
-        "late. They wait as long as 95 % of the messages of the slowest camera were late in the "
+        "late. They wait as long as 97 % of the messages of the slowest camera were late in the "
         "last 10 s, and not at all below 0.04 s.",
     )
     poses: Literal["refined", "given"] = advanced(

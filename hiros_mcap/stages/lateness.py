@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-SHARE = 95.0  # %
+SHARE = 97.0  # %
 _MEMORY = 10_000_000_000  # ns
 _EVERY = 10  # messages of a camera after which its lateness is found again
 _TOLERATED = 40_000_000
@@ -55,8 +55,8 @@ class Lateness:
         self._limit, self._least = round(limit * 1e9), round(least * 1e9)
         self._cameras: dict[str, _Camera] = {}
         self._latest = 0
-        self.wait = self._least
-        """ns that messages wait from now on."""
+        self.wait = max(self._limit, self._least)
+        """ns that messages wait from now on: as long as they may until their lateness is known."""
         self.needed: dict[str, float] = {}
         """Camera -> longest wait, s, that it would have needed, if that is over the limit."""
 

@@ -25,7 +25,7 @@ from hiros_mcap.stages.fuse.sightings import joined
 fuse = by_frame(fuse_blocks)
 
 BODY = SkeletonModel.of([f"m{k}" for k in range(8)], [])
-REALTIME = {"lookahead": 0.1, "max_lag": 0.1, "window": 0.0}
+REALTIME = {"lookahead": 0.02, "window": 0.0}
 SECOND = 1_000_000_000
 
 

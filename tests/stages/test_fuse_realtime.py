@@ -71,6 +71,16 @@ def test_no_result_is_later_than_a_tenth_of_a_second(cameras):
     assert np.percentile(late, 98) < 100 * MS
 
 
+def test_results_of_late_messages_look_as_far_ahead():
+    frames = walk().frames
+    late = [frame.replace(log_time=frame.log_time + 200 * MS) for frame in frames]
+    before, after = (
+        [f.replace(log_time=0) for f in result(walk(), some)] for some in (frames, late)
+    )
+    assert len(before) == len(after)
+    assert all(map(same, before, after))
+
+
 def test_it_is_nearer_to_the_truth_than_hiros_realtime():
     where = walk()
     ours, theirs = (

@@ -27,6 +27,11 @@ def test_cameras_that_are_in_time_make_nobody_wait():
     assert waits(lambda k: 0.03).wait == 0
 
 
+def test_messages_wait_as_long_as_they_may_until_it_is_known_how_late_they_are():
+    assert waits(lambda k: 0.0, seconds=0).wait == 0.25 * SECOND
+    assert waits(lambda k: 0.0, seconds=1).wait == 0
+
+
 def test_nobody_waits_for_a_single_message_that_hangs():
     assert waits(lambda k: 0.2 if k % 50 == 0 else 0.06).wait == pytest.approx(0.06 * SECOND)
 

@@ -23,7 +23,7 @@ fuse = by_frame(fuse_blocks)
 
 BODY = SkeletonModel.of([f"m{k}" for k in range(8)], [])
 CAMERAS = "abc"
-REALTIME = {"lookahead": 0.1, "max_lag": 0.1, "window": 0.0}
+REALTIME = {"lookahead": 0.02, "window": 0.0}
 
 
 def wander(rng, steps, shape):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import ClassVar
 
 from pydantic import Field
@@ -23,11 +22,6 @@ class FuseParams(Params):
         10.0,
         "Seconds that are smoothed at once. Results do not depend on it as long as the "
         "look-ahead is long; 0 = every instant as soon as it has its look-ahead.",
-    )
-    max_lag: float = fixed(
-        math.inf,
-        "Longest time, s, from the cameras' mean time to the result's log time. A result that "
-        "would be later if it waited for the cameras' next messages has less look-ahead.",
     )
     follow_noise: bool = fixed(False, "Learn on the way which cameras are noisier than others.")
     acceleration: Accelerations = advanced(

@@ -66,9 +66,8 @@ class WindowSmoother:
         self._taken = 0
         """Time, ns, before which the filters have taken over everything."""
         self._origin: int | None = None
-        self._last_log_time: int | None = None
-        self._interval, self._jitter = 1e9 / 30, 5e6
-        """ns from one instant to the next, and its mean deviation."""
+        self._log_time = 0
+        """Of the latest instant, ns."""
         m = model.n_markers
         self._bank: Bank[JointStates] = Bank(JointStates.unknown(0, m, 0), _FORGET)
 
@@ -85,34 +84,21 @@ class WindowSmoother:
         taken = 0
         for unknown, (stamp, log_time, end) in zip(range(len(block))[::-1], times, strict=True):
             self._origin = stamp if self._origin is None else self._origin
-            self._count_on(log_time)
+            self._log_time = log_time
             while known := len(self._ahead) - unknown:
                 first = int(self._ahead.stamps[0])
-                if stamp - first < patience and not self._is_due(first, log_time):
+                if stamp - first < patience:
                     break
                 self._views.append(chosen(views, slice(taken, end)))
                 taken = end
                 yield self._smooth(first + round(self._params.window * 1e9), log_time, known)
         self._views.append(chosen(views, slice(taken, None)))
 
-    def _count_on(self, log_time: int) -> None:
-        """Measure how regularly instants come."""
-        if self._last_log_time is not None:
-            off = min(log_time - self._last_log_time, 10**9) - self._interval
-            self._interval += _FOLLOW * off
-            self._jitter += _FOLLOW * (abs(off) - self._jitter)
-        self._last_log_time = log_time
-
-    def _is_due(self, stamp: int, log_time: int) -> bool:
-        """Whether the instant at ``stamp``, ns, would be too late if it waited for one more."""
-        next_time = log_time + self._interval + 2 * self._jitter
-        return next_time > stamp + self._params.max_lag * 1e9
-
     def rest(self) -> Iterator[Block]:
         """Yield what is left at the end of the log."""
         if known := len(self._ahead):
             last = int(self._ahead.stamps[-1])
-            yield self._smooth(last + 1, self._last_log_time or 0, known)
+            yield self._smooth(last + 1, self._log_time, known)
 
     def _make_room(self, names: tuple[str, ...]) -> None:
         """Add states for the offsets of new cameras; of these nothing is known yet."""
