@@ -15,8 +15,8 @@ from hiros_mcap.frames import Block, by_frame
 from hiros_mcap.stages.merge.merge import MergeParams, merge_blocks
 from hiros_mcap.stages.merge.unseen import Unseen
 from hiros_mcap.stages.track.limb_scatter import LimbScatter
-from hiros_mcap.stages.track.reidentify import Limbs, PersonCues, limb_cue, place_cue, reidentify
-from hiros_mcap.stages.track.track import track_blocks
+from hiros_mcap.stages.track.reidentify import Limbs, PersonCues, limb_cues, place_cue, reidentify
+from hiros_mcap.stages.track.track import _Tracker, track_blocks
 from hiros_mcap.stages.track.track_params import TrackParams
 
 track = by_frame(track_blocks)
@@ -307,6 +307,11 @@ def cues(person_id, seconds, x, size=1.0, n=30.0):
     return PersonCues(person_id, stamp, np.array([x, 0.0, 1.0]), lengths, np.full(5, n))
 
 
+def limb_cue(new, old, limbs):
+    """The cue of limbs if nobody else is absent."""
+    return limb_cues(new, [old], limbs)[0]
+
+
 # Thigh and shank of both legs, and the trunk.
 LEGS = Limbs.of(np.array([0, 3, 4, 1, 2]))
 
@@ -363,6 +368,32 @@ def test_two_people_of_almost_one_size_are_told_apart_by_each_other():
     verdicts = reidentify([cues(9, 5.0, 0.0, 1.04), cues(8, 5.1, 0.0)], old, missing=2, limbs=LEGS)
     assert {new: verdict.person for new, verdict in verdicts.items()} == {9: 1, 8: 0}
     assert all(verdict.accepted for verdict in verdicts.values())
+
+
+def test_strangers_are_no_likelier_beside_one_absent_person_than_beside_another():
+    """Two who are absent differ by their own densities alone, however people's sizes vary."""
+    old, new = [cues(0, 0.0, 0.0), cues(1, 0.0, 0.0, 1.06)], cues(9, 5.0, 0.0)
+    right, wrong = limb_cues(new, old, LEGS)
+    lengths = new.lengths * np.sqrt(1.06)
+    variance = (0.02**2 + 0.04**2 / 30.0) / lengths**2
+    squares = np.sum(np.log(1.06) ** 2 / variance)
+    assert right - wrong == pytest.approx(7.5 * math.log1p(squares / 8.0))  # t of 10 degrees
+
+
+def test_who_was_never_measured_is_as_good_as_a_stranger_and_silences_nobody():
+    old, new = [cues(0, 0.0, 0.0), cues(1, 0.0, 0.0, n=0.0)], cues(9, 5.0, 0.0)
+    old[1].lengths[:] = 0.0
+    known, unknown = limb_cues(new, old, LEGS)
+    assert known > 0.8 * limb_cue(new, old[0], LEGS) > 1.0
+    assert unknown == 0.0
+
+
+def test_limbs_are_learned_for_as_long_as_somebody_is_seen():
+    tracker, limbs = _Tracker(MODEL, TrackParams(), Events(), CAMERAS), set()
+    for frame in standing([person()], 0, 12):
+        list(tracker.take(Block.of(frame)))
+        limbs |= set(tracker._people.bank.past.length_counts[0].tolist())
+    assert max(limbs) == 720
 
 
 def test_a_noisy_measurement_of_the_size_does_not_rule_somebody_out():

@@ -41,7 +41,6 @@ from hiros_mcap.stages.track.association import (
     quaternion,
 )
 
-_MOST_LENGTHS = 600.0  # detections that a mean length remembers
 _RESTART = 4.0  # horizons without a detection after which a marker or link starts anew
 _JERK = 50.0  # m/s3/sqrt(Hz): how fast accelerations of markers may change
 _ANGULAR_JERK = 500.0  # rad/s3/sqrt(Hz): the same of links
@@ -252,8 +251,8 @@ def _learn_lengths(
             continue
         length = point_distance(markers[slots[a]], markers[slots[b]])
         if not math.isnan(length):
-            n = min(tracks.length_counts[row, k] + 1.0, _MOST_LENGTHS)
-            tracks.length_counts[row, k] = n
+            tracks.length_counts[row, k] += 1.0
+            n = tracks.length_counts[row, k]
             tracks.lengths[row, k] += (length - tracks.lengths[row, k]) / n
 
 

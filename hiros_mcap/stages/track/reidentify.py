@@ -2,11 +2,13 @@
 
 Each newcomer is one of the people who are absent, or a stranger. The model, with its numbers below:
 
-- Limb lengths: the logarithms of the ratios of all limbs that both have follow Student's t. Of one
-  person their covariance is that of the measurement, of two people also that of adults' stature and
-  proportions; the two sides of a body are alike. A detector misplaces markers for longer than a
-  moment, by another amount from each side. How far, and which limbs gain what others lose, shows
-  everybody who is tracked: their limbs change from second to second (:mod:`.limb_scatter`).
+- Limb lengths: their logarithms follow Student's t. Those of an absent person lie about what was
+  measured before, with the covariance of the measurement. Those of a stranger lie about the mean of
+  all absent people, with that of adults' stature and proportions as well; the two sides of a body
+  are alike. There is one density of strangers: with one about each absent person, what tells two
+  absent people apart would cancel. A detector misplaces markers for some seconds, by another
+  amount from each side. How far, and which limbs gain what others lose, shows everybody who is
+  tracked: their limbs change from second to second (:mod:`.limb_scatter`).
 - Place and time: a person who left is somewhere about the place where he was lost, on the floor,
   normal with an SD that grows with the time to that of a room. Or he stands there still, if he
   stood before or could not go. A stranger may be anywhere in the room.
@@ -28,7 +30,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.skeletons import Floats, Ints
+from hiros_mcap.skeletons import Flags, Floats, Ints
 from hiros_mcap.stages.track.limb_scatter import LimbScatter
 
 THRESHOLD = 0.9  # least probability with which somebody gets an old id
@@ -63,6 +65,11 @@ class PersonCues:
     counts: Floats  # (L,) detections that they are of
     stood: bool = False  # whether one who is absent had not moved in the last second or two
     watched: float = math.inf  # s of an absence in which cameras watched; they may pause
+
+    @property
+    def measured(self) -> Flags:
+        """(L,) Whether a limb is long enough, and was measured often enough, to be compared."""
+        return np.asarray((self.counts >= _FEWEST_LENGTHS) & (self.lengths > _SHORT))
 
 
 class Limbs(NamedTuple):
@@ -110,12 +117,12 @@ def reidentify(
     newcomers, absent = newcomers[:_MOST], absent[-_MOST:]
     cues = {
         (n, a): {
-            LIMBS: limb_cue(new, old, limbs),
+            LIMBS: limb_cue,
             PLACE: place_cue(new, old),
             NUMBER: number_cue(old, missing),
         }
         for n, new in enumerate(newcomers)
-        for a, old in enumerate(absent)
+        for a, (old, limb_cue) in enumerate(zip(absent, limb_cues(new, absent, limbs), strict=True))
     }
     ratios = {pair: sum(each.values()) for pair, each in cues.items()}
     chances = _marginals(ratios, len(newcomers), len(absent))
@@ -127,18 +134,37 @@ def reidentify(
     return verdicts
 
 
-def limb_cue(new: PersonCues, old: PersonCues, limbs: Limbs) -> float:
-    """Logarithm of the likelihood ratio of one person's limb lengths against two people's."""
-    enough = np.minimum(new.counts, old.counts) >= _FEWEST_LENGTHS
-    both = enough & (np.minimum(new.lengths, old.lengths) > _SHORT)
+def limb_cues(new: PersonCues, absent: Sequence[PersonCues], limbs: Limbs) -> list[float]:
+    """Logarithm of the likelihood ratio of each absent person's limb lengths to a stranger's.
+
+    A limb that was not measured of an absent person has a stranger's density.
+    """
+    known = np.array([old.measured for old in absent])
+    both = new.measured & known.any(axis=0)
     if not both.any():
-        return 0.0
-    ours, theirs, pairs = new.lengths[both], old.lengths[both], np.ix_(both, both)
-    of_one = _NOISE_OF_ONE**2 / np.minimum(new.counts, old.counts)[both]
-    noise = limbs.scatter.covariance(old.lengths)[pairs] + np.diag(of_one / theirs**2)
-    population = 2 * (_STATURE**2 + _PROPORTION**2 * limbs.alike[pairs])
-    ratios = np.log(ours / theirs)
-    return _log_student(ratios, noise) - _log_student(ratios, noise + population)
+        return [0.0] * len(absent)
+    known, pairs, counts = known[:, both], np.ix_(both, both), new.counts[both]
+    lengths = np.log([np.maximum(old.lengths[both], _SHORT) for old in absent])
+    mean = np.sum(lengths * known, axis=0) / known.sum(axis=0)
+    usual = new.lengths.copy()
+    usual[both] = np.exp(mean)
+    lasting = limbs.scatter.covariance(usual)[pairs]
+    spread = (_STATURE**2 + _PROPORTION**2 * limbs.alike[pairs]) * (1.0 + 1.0 / len(absent))
+
+    def log_density(about: Floats, counts: Floats, spread: Floats) -> float:
+        of_detections = np.diag(_NOISE_OF_ONE**2 / (counts * usual[both] ** 2))
+        return _log_student(np.log(new.lengths[both]) - about, lasting + of_detections + spread)
+
+    stranger = log_density(mean, counts, spread)
+    return [
+        log_density(
+            np.where(has, theirs, mean),
+            np.where(has, np.minimum(counts, old.counts[both]), counts),
+            np.outer(~has, ~has) * spread,
+        )
+        - stranger
+        for old, has, theirs in zip(absent, known, lengths, strict=True)
+    ]
 
 
 def is_near(way: float, seconds: float) -> bool:
