@@ -65,8 +65,6 @@ def main() -> None:
     variants = {
         "exact (default)": OptimizeParams(),
         "paper": paper,
-        "exact, Ceres": OptimizeParams(solver="ceres"),
-        "paper, Ceres": paper.model_copy(update={"solver": "ceres"}),
     }
     print(f"{'CPU ms per frame':24s}" + "".join(f"{n:3d} people" for n in (1, 4, 10)))
     made = {people: make(people, rng) for people in (1, 4, 10)}
@@ -75,7 +73,6 @@ def main() -> None:
         row = [
             cpu_per_frame(lambda p=params, n=n: run(made[n], p, tables[n]), 1 + 2 * (n < 10))
             for n in made
-            if n == 1 or params.solver == "lm"
         ]
         print(f"{name:24s}" + "".join(f"{ms:10.3f}" for ms in row))
     row = [cpu_per_frame(lambda n=n: run(made[n], OptimizeParams(), LimbTable())) for n in made]
