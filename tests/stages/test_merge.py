@@ -26,13 +26,22 @@ PLAIN = MergeParams(
 )
 
 
-BOTH_WAYS = person(), person()[MIRROR]
-"""A pose, and the same with its sides swapped."""
-
-
 def views(poses, k=0, *, turns=False):
     """One frame per camera, at the same time, of person 0."""
     return [seen([p], at(k), f"c{c}", ids=[0], turns=turns) for c, p in enumerate(poses)]
+
+
+def turn_round(frames):
+    """Turn the pelvis, with all links, the other way."""
+    for frame in frames:
+        frame.links[:, :, 3:7] = [0, 0, 1, 0]
+    return frames
+
+
+def both_ways():
+    """Two views of a pose that face opposite ways; the second has its sides swapped."""
+    one, other = views([person(), person()[MIRROR]], turns=True)
+    return [one, *turn_round([other])]
 
 
 def stream(poses, **changes):
@@ -115,50 +124,13 @@ def test_the_last_buffer_is_flushed():
 
 def test_flipped_views_are_dropped():
     frames = views([person()] * 3 + [person(0.05)[MIRROR]] * 2, turns=True)
-    for frame in frames[3:]:
-        frame.links[:, :, 3:7] = [0, 0, 1, 0]
+    turn_round(frames[3:])
     events = Events()
-    params = PLAIN.model_copy(update={"flips": "drop", "cameras": 5})
+    params = PLAIN.model_copy(update={"cameras": 5})
     (merged,) = merge(frames, MODEL, params, events)
     assert merged.positions[0] == pytest.approx(person())
     assert merged.orientations[0] == pytest.approx(np.tile([0, 0, 0, 1.0], (7, 1)))
     assert events.total("flip") == 2
-
-
-@pytest.mark.parametrize("flipped", [0, 1, 2])
-def test_a_view_with_swapped_sides_is_swapped_back_without_orientations(flipped):
-    poses = [person()] * 3
-    poses[flipped] = person()[MIRROR]
-    (merged,) = merge(views(poses), MODEL, PLAIN.model_copy(update={"cameras": 3}))
-    assert merged.positions[0] == pytest.approx(person())
-
-
-def test_one_camera_that_flips_for_a_second_is_held_against_the_past():
-    poses = [[person()[MIRROR] if 20 <= k < 50 else person()] for k in range(80)]
-    merged = stream(poses, past_votes=True)
-    assert all(f.positions[0] == pytest.approx(person()) for f in merged)
-
-
-def test_one_camera_that_stays_flipped_is_followed_in_the_end():
-    poses = [[person()[MIRROR] if k >= 20 else person()] for k in range(200)]
-    merged = stream(poses, past_votes=True)
-    assert merged[60].positions[0] == pytest.approx(person())
-    assert merged[-1].positions[0] == pytest.approx(person()[MIRROR])
-
-
-def test_a_pose_of_a_moment_does_not_outvote_what_follows_for_long():
-    """A detector that starts with swapped sides is followed soon after it has noticed."""
-    poses = [[person()[MIRROR] if k < 5 else person()] for k in range(60)]
-    merged = stream(poses, past_votes=True)
-    assert all(f.positions[0] == pytest.approx(person()) for f in merged[25:])
-
-
-def test_a_collapsed_pose_does_not_flip_what_follows():
-    """A hidden person shrinks to a blob, which may face anywhere."""
-    middle = person().mean(axis=0)
-    blob = middle + 0.2 * (person()[MIRROR] - middle)
-    merged = stream([[blob if k < 60 else person()] for k in range(90)], past_votes=True)
-    assert all(f.positions[0] == pytest.approx(person()) for f in merged[60:])
 
 
 def test_one_bad_marker_of_one_camera_is_left_out():
@@ -427,7 +399,7 @@ def test_links_without_confidences_weigh_as_their_skeletons_do():
 
 
 def test_of_two_views_that_face_opposite_ways_the_more_confident_skeleton_is_right():
-    frames = views(BOTH_WAYS)
+    frames = both_ways()
     for frame, confidence in zip(frames, (0.1, 0.9), strict=True):
         frame.confidences[:], frame.marker_confidences[:] = confidence, np.nan
     (merged,) = merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 2}))
@@ -444,10 +416,11 @@ def test_orientations_are_weighed_by_confidence():
     assert turned == pytest.approx(np.full(7, 0.025), abs=1e-4)
 
 
-def test_relabelled_views_are_no_outliers():
-    """Flips are corrected before outliers are sought."""
+def test_flipped_views_are_no_outliers():
+    """Flips are dropped before outliers are sought."""
     events = Events()
-    frames = views([person(), person(), person()[MIRROR]])
+    frames = views([person(), person(), person()[MIRROR]], turns=True)
+    turn_round(frames[2:])
     list(merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 3}), events))
     assert events.counts == {("flip", "c2"): 1}
 
@@ -459,8 +432,10 @@ def test_flips_lose_their_vote_before_outliers_do_and_both_before_the_mean():
     """
     wrong = person()
     wrong[6] = person()[7]
-    frames = views([person(), person(), wrong, person()[MIRROR], person()[MIRROR]])
-    params = PLAIN.model_copy(update={"flips": "drop", "cameras": 5})
+    poses = [person(), person(), wrong, person()[MIRROR], person()[MIRROR]]
+    frames = views(poses, turns=True)
+    turn_round(frames[3:])
+    params = PLAIN.model_copy(update={"cameras": 5, "max_orientation_delta": 0.0})
     events = Events()
     (merged,) = merge(frames, MODEL, params, events)
     assert merged.positions[0] == pytest.approx(person())
@@ -480,7 +455,8 @@ def test_flips_lose_their_vote_before_outliers_do_and_both_before_the_mean():
     ],
 )
 def test_a_threshold_of_zero_or_less_turns_a_vote_off(switch, kind):
-    frames = views([person(), person(0.5), person()[MIRROR]])
+    frames = views([person(), person(0.5), person()[MIRROR]], turns=True)
+    turn_round(frames[2:])
     on, off = Events(), Events()
     list(merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 3}), on))
     list(merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 3, **switch}), off))
@@ -496,18 +472,13 @@ def test_votes_of_links_can_be_turned_off(limit):
     assert 0.3 < Rotation.from_quat(merged.orientations[0, 3]).magnitude() < 0.7
 
 
-@pytest.mark.parametrize(
-    ("facing", "flips"),
-    [("auto", 1), ("pelvis", 1), ("sides", 0)],
-)
-def test_where_the_facing_comes_from(facing, flips):
-    """One view has the pelvis turned, and only it: "NECK" is the first link of the root."""
+def test_the_first_link_of_the_root_tells_the_facing():
+    """One view has the pelvis turned, and only it: "NECK" is that link."""
     frames = views([person()] * 3, turns=True)
     frames[0].links[0, MODEL.link_names.index("NECK"), 3:7] = [0, 0, 1, 0]
     events = Events()
-    params = PLAIN.model_copy(update={"cameras": 3, "facing": facing})
-    list(merge(frames, MODEL, params, events))
-    assert events.total("flip") == flips
+    list(merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 3}), events))
+    assert events.total("flip") == 1
 
 
 def test_the_past_votes_only_if_it_may():
@@ -515,15 +486,6 @@ def test_the_past_votes_only_if_it_may():
     assert stream(poses, cameras=2)[-1].positions[0, 0, 0] == pytest.approx(0.31)
     tie = [[person(), person()]] * 5 + [[person(0.05), person(0.5)]]
     assert stream(tie, cameras=2, past_votes=True)[-1].positions[0, 0, 0] == pytest.approx(0.05)
-
-
-def test_a_flip_beside_a_view_without_shoulders_and_hips_is_corrected():
-    """A camera that sees neither shoulders nor hips must not shield the flip of another."""
-    blind = person()
-    blind[2:6] = np.nan
-    poses = [[person(), blind]] * 20 + [[person()[MIRROR], blind]] * 20
-    merged = stream(poses, past_votes=True, cameras=2)
-    assert all(f.positions[0] == pytest.approx(person()) for f in merged)
 
 
 def test_bridging_carries_on_at_constant_velocity():
@@ -612,20 +574,10 @@ def test_messages_of_one_time_are_all_merged_even_before_every_camera_is_known()
 
 def test_of_two_views_that_face_opposite_ways_the_more_confident_is_right():
     for right in (0, 1):
-        frames = views(BOTH_WAYS)
+        frames = both_ways()
         frames[1 - right].marker_confidences[:] = 0.5
         (merged,) = merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 2}))
-        assert merged.positions[0] == pytest.approx(BOTH_WAYS[right])
-
-
-def test_a_relabelled_view_takes_its_confidences_along():
-    """The flipped view calls the right wrist, which it hardly sees, the left one."""
-    frames = views([person(), person(), person(0.1)[MIRROR]])
-    frames[2].marker_confidences[0, 6] = 0.0
-    params = PLAIN.model_copy(update={"cameras": 3, "max_position_delta": 0.0})
-    (merged,) = merge(frames, MODEL, params)
-    assert merged.positions[0, 6, 0] == pytest.approx(person()[6, 0] + 0.1 / 3)
-    assert merged.positions[0, 7, 0] == pytest.approx(person()[7, 0])
+        assert merged.positions[0] == pytest.approx(frames[right].positions[0])
 
 
 def test_views_on_both_sides_of_the_past_that_are_too_far_from_each_other_need_a_vote():

@@ -17,13 +17,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.array_types import F1, F2, F3, F4, I1, J1, arrays
+from hiros_mcap.kernels.array_types import B1, F1, F2, F3, F4, I1, J1, arrays
 from hiros_mcap.kernels.averaging import BEGIN, CAMERA, END, TIME, Buffers
 from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.kernels.distance import mean_position
 from hiros_mcap.kernels.points import norm3
 from hiros_mcap.skeletons import Floats, People
-from hiros_mcap.stages.merge.merging import EXCHANGED, LEFT_OUT
 
 POSITION, VELOCITY, OFFSETS = 0, 1, 2  # rows of the state of a joint
 REFERENCE = 2.0  # m; distance at which the white noise of a joint is stated
@@ -148,14 +147,13 @@ def _distance(positions: Floats, place: Floats) -> float:
 
 @entry
 def gather_sightings(
-    buffers: Buffers, people: People, ids: J1, sides: I1, mirror: J1, places: F2, out: Sightings
+    buffers: Buffers, people: People, ids: J1, flipped: B1, places: F2, out: Sightings
 ) -> int:
     """Write what the messages of buffers show of the people to be merged; return how many views.
 
     Parameters
     ----------
-    ids : (P,) whom the buffers merge. sides : per row of ``people``, whether its sides are to be
-        exchanged (``merging.EXCHANGED``) or it is to be left out (``merging.LEFT_OUT``).
+    ids : (P,) whom the buffers merge. flipped : rows of ``people`` that are left out.
     places : (C, 3) position of each camera, m; NaN = unknown. out : has room for all.
     """
     n = 0
@@ -165,19 +163,18 @@ def gather_sightings(
                 wanted = False
                 for p in range(buffers.people_ends[q], buffers.people_ends[q + 1]):
                     wanted = wanted or ids[p] == people.ids[i]
-                if not wanted or sides[i] == LEFT_OUT:
+                if not wanted or flipped[i]:
                     continue
                 out.instants[n] = q
                 out.people[n] = people.ids[i]
                 out.cameras[n] = buffers.messages[k, CAMERA]
                 out.stamps[n] = buffers.messages[k, TIME]
-                for m in range(len(mirror)):
-                    s = mirror[m] if sides[i] == EXCHANGED else m
-                    given = people.marker_confidences[i, s]
+                for m in range(people.markers.shape[1]):
+                    given = people.marker_confidences[i, m]
                     out.confidences[n, m] = people.confidences[i] if math.isnan(given) else given
-                    out.hidden[n, m] = buffers.hidden[i, s]
+                    out.hidden[n, m] = buffers.hidden[i, m]
                     for c in range(3):
-                        out.positions[n, m, c] = people.markers[i, s, c]
+                        out.positions[n, m, c] = people.markers[i, m, c]
                 out.distances[n] = _distance(out.positions[n], places[out.cameras[n]])
                 n += 1
     return n

@@ -1,4 +1,4 @@
-"""What every camera saw of every person, gathered to instants, with sides corrected.
+"""What every camera saw of every person, gathered to instants.
 
 Who is there at an instant, and how the links are oriented, is decided as in the merger.
 """
@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, places_of
 from hiros_mcap.kernels.array_types import chosen, joined
@@ -25,7 +24,7 @@ from hiros_mcap.stages.merge.unseen import Unseen
 
 
 class SightingGatherer:
-    """Instants, and what the cameras saw at them, with corrected sides."""
+    """Instants, and what the cameras saw at them."""
 
     def __init__(
         self, model: SkeletonModel, params: MergeParams, cameras: Mapping[str, Floats] | None = None
@@ -33,7 +32,6 @@ class SightingGatherer:
         self._model, self._params = model, params
         self._cameras = cameras or {}
         self._merge = ViewMerger(model, params, only_orientations=True)
-        self._mirror = symmetry_of(model).mirror
         self._gathered: list[Sightings] = []
         self._n_instants = 0
 
@@ -62,9 +60,7 @@ class SightingGatherer:
         n, m = int((buffers.messages[:, 1] - buffers.messages[:, 0]).sum()), self._model.n_markers
         some = Sightings.allocate(n, m)
         places = places_of(names, self._cameras)
-        n = fusing.gather_sightings(
-            buffers, people, out.ids, self._merge.sides_changed, self._mirror, places, some
-        )
+        n = fusing.gather_sightings(buffers, people, out.ids, self._merge.flipped, places, some)
         some = chosen(some, slice(n))
         self._gathered.append(some._replace(instants=some.instants + self._n_instants))
         self._n_instants += len(buffers.stamps)

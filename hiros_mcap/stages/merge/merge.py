@@ -3,16 +3,16 @@
 1. A buffer collects one message per camera; it is full when a camera comes again, when it spans
    too long a time, or when all cameras are there (:class:`.instants.Instants`).
 2. The views of a person are carried to the mean time of the messages.
-3. Views that face another way than the largest group are flipped (eq 10), unless stages.sides has
-   brought them to their right sides before.
+3. Views that face another way than the largest group are flipped (eq 10), and dropped, unless
+   stages.sides has brought all to their right sides before.
 4. Markers and links that are not in the largest group of views are outliers.
 5. The rest is averaged, weighted by confidence (eq 12): the marker's or link's own, that of the
    skeleton where the detector gives no other, 1 where it gives none.
 
 The kernel ``_merge_person`` of merging.py shows steps 3 to 5. Beyond the paper:
 views are carried by their velocities, since cameras are not synchronised; the previous merged pose
-votes; a flipped view is relabelled instead of dropped; slow offsets of the cameras are taken off;
-the mean is robust; a person between two sightings is bridged.
+votes; slow offsets of the cameras are taken off; the mean is robust; a person between two sightings
+is bridged.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 
-from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
 from hiros_mcap.kernels.array_types import settings_of
@@ -78,21 +77,16 @@ class ViewMerger:
     def __init__(
         self, model: SkeletonModel, params: MergeParams, *, only_orientations: bool = False
     ) -> None:
-        symmetry = symmetry_of(model)
         self._slots = model.n_markers, model.n_links
-        self._sides = merging.Sides(symmetry.mirror, symmetry.lateral)
         self._settings = settings_of(
             merging.MergerSettings, params,
-            pelvis_link=-1 if params.facing == "sides" else _pelvis_link(model),
-            facing_by_sides=params.facing != "pelvis",
-            relabel=params.flips == "relabel" and symmetry.has_sides,
-            only_orientations=only_orientations,
+            pelvis_link=_pelvis_link(model), only_orientations=only_orientations,
         )  # fmt: skip
         self.widths = (VELOCITY.stop, POSE) if only_orientations else (STATE, STATE)
         """Columns of merged markers and links."""
         self.bank = Bank(merging.MergerPast.empty(*self._slots, self.widths))
-        self.sides_changed = np.zeros(0, np.int64)
-        """What became of the views of the last call; see :func:`merging.merge_buffers`."""
+        self.flipped = np.zeros(0, np.bool_)
+        """Which views of the last call were dropped; see :func:`merging.merge_buffers`."""
         self._make_room(0)
 
     def _make_room(self, views: int) -> None:
@@ -110,10 +104,10 @@ class ViewMerger:
         while counts.shape[1] > offsets.shape[1]:
             offsets = np.concatenate([offsets, np.zeros_like(offsets)], axis=1)
         self.bank.past = self.bank.past._replace(camera_offsets=offsets)
-        self.sides_changed = np.zeros(len(people.ids), np.int64)
+        self.flipped = np.zeros(len(people.ids), np.bool_)
         merging.merge_buffers(
-            buffers, people, self._views, self.bank.past, self._settings, self._sides, out, counts,
-            self.sides_changed, self._work,
+            buffers, people, self._views, self.bank.past, self._settings, out, counts, self.flipped,
+            self._work,
         )  # fmt: skip
 
 

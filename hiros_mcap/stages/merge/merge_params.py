@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
 
 from pydantic import Field
 
@@ -13,12 +12,6 @@ from hiros_mcap.params import Params, Seconds, advanced, fixed
 class MergeParams(Params):
     """Parameters of the merger."""
 
-    flips: Literal["relabel", "drop"] = fixed(
-        "relabel",
-        "With sides.over_time = false: what happens to a view that faces the wrong way. "
-        "relabel: its left and right are swapped if this brings it near the others, otherwise "
-        "it is dropped. drop: it is dropped (paper).",
-    )
     max_delta_time: Seconds = Field(
         0.07,
         gt=0,
@@ -41,14 +34,8 @@ class MergeParams(Params):
     )
     max_facing_delta: float = fixed(
         math.pi / 2,
-        "With sides.over_time = false: views agree if their facing directions differ by less "
-        "than this, rad (section 3.2); <= 0 turns the search for flips off.",
-    )
-    facing: Literal["auto", "pelvis", "sides"] = fixed(
-        "auto",
-        "How the facing direction is measured. pelvis: orientation of the pelvis (paper). "
-        "sides: line from the left to the right shoulders and hips. auto: whichever of the two "
-        "differs more.",
+        "With sides.over_time = false: views agree if the orientations of the pelvis differ by "
+        "less than this, rad (section 3.2); <= 0 turns the search for flips off.",
     )
     past_votes: bool = fixed(
         True,

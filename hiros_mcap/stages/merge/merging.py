@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.array_types import B1, F1, F2, F3, F4, I1, I2, J1, J2, arrays
+from hiros_mcap.kernels.array_types import B1, F1, F2, F3, F4, I1, I2, arrays
 from hiros_mcap.kernels.averaging import (
     BEGIN,
     END,
@@ -19,31 +19,20 @@ from hiros_mcap.kernels.averaging import (
     blank,
     blank_person,
     copy_pose,
-    exchange,
     load_views,
     mean_person,
     mean_state,
 )
 from hiros_mcap.kernels.compile import entry, inlined, kernel
-from hiros_mcap.kernels.points import norm3, point_distance, step_between
+from hiros_mcap.kernels.points import norm3, step_between
 from hiros_mcap.kernels.quaternions import angle_of
-from hiros_mcap.skeletons import Flags, Floats, Ints, People, Stamps
+from hiros_mcap.skeletons import Flags, Floats, People, Stamps
 
 OUTLIERS, FLIPS = 0, 1
 """Rows of ``counts``: votes that a camera lost, and its views that faced the wrong way."""
 
-# What the views say of the way a person faces: as before, the other way, or nothing, since the
-# past outvoted them.
-_CONFIRMED, _CHANGED, _HELD = 0, 1, 2
-
-EXCHANGED, LEFT_OUT = 1, 2
-"""What became of a view that faced the wrong way: its sides were exchanged, or it was dropped."""
-
 _HORIZON = 0.2  # s for which a past pose is carried on at constant velocity
 _LIMBS = 0.05  # s; how long the limbs of somebody whom no view shows go on by themselves
-_MAX_HOLD = 4.0  # s for which the past outvotes views at most; flips of detectors last up to 3 s
-_HOLD_RATIO = 3.0  # the past outvotes views this many times as long as it was confirmed itself
-_CLEARLY = 0.75  # share of a view's distance to the past that exchanged sides must leave at most
 _ROUNDS = 3  # of reweighting
 _FAINT = 1 / 9
 """Share of the best view's weight below which a view has no vote: a third of its confidence.
@@ -62,8 +51,6 @@ class MergerSettings(NamedTuple):
     bridge: float
     carry: float
     pelvis_link: int  # slot; -1 = there is none
-    facing_by_sides: bool
-    relabel: bool
     past_votes: bool
     compensate_motion: bool
     only_orientations: bool
@@ -74,9 +61,6 @@ class MergerPast(NamedTuple):
     """What is remembered of S people, a row each."""
 
     seen: I1  # (S,) time of the last merged pose, ns; 0 = never
-    facing_seen: I1
-    facing_since: I1
-    """(S,) when views last confirmed the way the person faces, and when they first did, ns."""
     confidences: F1
     markers: F3
     marker_confidences: F2
@@ -88,21 +72,13 @@ class MergerPast(NamedTuple):
     def empty(cls, n_markers: int, n_links: int, widths: tuple[int, int]) -> MergerPast:
         """Return arrays with no rows; ``widths`` are the columns of markers and links."""
         m, n = (0, n_markers), (0, n_links)
-        return arrays(cls, 0, 0, 0, 0, (*m, widths[0]), m, (*n, widths[1]), n, (0, 4, n_markers, 3))
-
-
-class Sides(NamedTuple):
-    """Left and right, as in hiros_mcap.body.symmetry."""
-
-    mirror: J1  # (M,)
-    lateral: J2  # (K, 2)
+        return arrays(cls, 0, 0, (*m, widths[0]), m, (*n, widths[1]), n, (0, 4, n_markers, 3))
 
 
 class MergerWork(NamedTuple):
     """Scratch for up to K views of a person. A kernel that makes arrays is twice as slow."""
 
     values: F2  # (K + 1, 4) the positions or orientations of the views, then those of the past pose
-    sides: F2  # (K + 1, 3) directions from left to right, in the same order
     distances: F1  # ((K + 1)^2,) between them
     present: B1  # (K,) views that count
     weights: F1
@@ -110,16 +86,14 @@ class MergerWork(NamedTuple):
     marker_weights: F2
     link_weights: F2  # (K, M) and (K, L)
     past_positions: F2
-    past_orientations: F2
-    reference: F2  # (M, 3), (L, 4) and (M, 3)
-    sides_changed: I1  # (K,) EXCHANGED, LEFT_OUT or 0, by view
+    past_orientations: F2  # (M, 3) and (L, 4)
+    flipped: B1  # (K,) views that were dropped because they face the wrong way
 
     @classmethod
     def of(cls, views: int, n_markers: int, n_links: int) -> MergerWork:
         """Make room."""
         k, m, n = views, n_markers, n_links
-        poses = (k + 1, 4), (k + 1, 3), (k + 1) ** 2
-        return arrays(cls, *poses, k, k, k, (k, m), (k, n), (m, 3), (n, 4), (m, 3), k)
+        return arrays(cls, (k + 1, 4), (k + 1) ** 2, k, k, k, (k, m), (k, n), (m, 3), (n, 4), k)
 
 
 class _Slots(NamedTuple):
@@ -136,12 +110,12 @@ class _Slots(NamedTuple):
 
 @kernel
 def _merge_person(
-    stamp: int, views: Views, past: MergerPast, row: int, settings: MergerSettings, sides: Sides,
-    out: People, p: int, counts: Stamps, work: MergerWork,
+    stamp: int, views: Views, past: MergerPast, row: int, settings: MergerSettings, out: People,
+    p: int, counts: Stamps, work: MergerWork,
 ) -> None:  # fmt: skip
     """Merge the views of one person (section 3.2)."""
     has_past = _predict(stamp, past, row, settings, work)  # the past pose votes like a camera
-    _follow_facing(stamp, views, past, row, has_past, settings, sides, counts, work)  # flips
+    _drop_flipped(views, has_past, settings, counts, work)
     offsets = past.camera_offsets[row]
     blank_person(out, p)
     with_markers = not settings.only_orientations or _have_orientations(views.markers)
@@ -311,132 +285,39 @@ def largest_group(distances: F2, weights: F1, has_past: bool, limit: float) -> i
     return best
 
 
-@kernel
-def _votes(distances: Floats, k: int, limit: float) -> int:
-    """How many agree with ``k``, itself included."""
-    votes = 0
-    for j in range(distances.shape[0]):
-        votes += int(distances[k, j] < limit)
-    return votes
-
-
 # Flips.
 
 
 @kernel
-def _follow_facing(
-    stamp: int, views: Views, past: MergerPast, row: int, has_past: bool,
-    settings: MergerSettings, sides: Sides, counts: Stamps, work: MergerWork,
-) -> None:  # fmt: skip
-    """Correct flipped views, and remember since when the person faces this way."""
-    facing = _CONFIRMED
-    work.sides_changed[: len(views.stamps)] = 0
-    if settings.max_facing_delta > 0.0:
-        confirmed = (past.facing_seen[row] - past.facing_since[row]) * 1e-9
-        hold = min(_MAX_HOLD, _HOLD_RATIO * confirmed)
-        holds = (stamp - past.facing_seen[row]) * 1e-9 <= hold
-        facing = _correct_flips(views, has_past, holds, settings, sides, counts, work)
-    if facing == _CHANGED or past.seen[row] == 0:
-        past.facing_since[row] = stamp
-    if facing != _HELD:
-        past.facing_seen[row] = stamp
+def _drop_flipped(
+    views: Views, has_past: bool, settings: MergerSettings, counts: Stamps, work: MergerWork
+) -> None:
+    """Drop the views whose pelvis faces another way than that of the largest group (section 3.2).
 
-
-@kernel
-def _correct_flips(
-    views: Views, has_past: bool, holds: bool, settings: MergerSettings, sides: Sides,
-    counts: Stamps, work: MergerWork,
-) -> int:  # fmt: skip
-    """Relabel or drop the views that do not face as the largest group does (section 3.2).
-
-    While the past ``holds``, it wins over views that all face the other way, unless they are more.
+    Views without an orientation of the pelvis stay.
     """
-    n, limit = len(views.stamps), settings.max_facing_delta
+    n, limit, pelvis = len(views.stamps), settings.max_facing_delta, settings.pelvis_link
     size = n + 1 if has_past else n
-    distances = work.distances[: size * size].reshape((size, size))
-    if size == 1 or not _compare_facing(views, settings, sides, distances, work):
-        return _CONFIRMED
-    confidences, right = work.weights[:n], work.present[:n]
-    _sum_confidences(views, confidences)
-    best = largest_group(distances, confidences, has_past, limit)
-    contradicted = has_past and distances[best, n] >= limit
-    if contradicted and holds and _votes(distances, n, limit) >= _votes(distances, best, limit):
-        best = n
-    any_right = False
-    for k in range(n):
-        right[k] = not distances[best, k] >= limit
-        any_right = any_right or right[k]
-    if any_right:
-        _mean_positions(views.markers, right, work.reference)
-    reference = work.reference if any_right else work.past_positions
-    corrected = False
-    for k in range(n):
-        if not right[k]:
-            relabel = settings.relabel
-            change = _correct_view(views, k, sides.mirror, reference, relabel, any_right)
-            work.sides_changed[k] = change
-            counts[FLIPS, views.cameras[k]] += int(change > 0)
-            corrected = corrected or change > 0
-    if not any_right:
-        return _HELD if corrected else _CHANGED
-    if has_past:
+    work.flipped[:n] = False
+    if limit <= 0.0 or pelvis < 0:
+        return
+    for c in range(4):
         for k in range(n):
-            if right[k] and not distances[k, n] >= limit:
-                return _CONFIRMED
-        return _CHANGED
-    return _CONFIRMED
-
-
-@kernel
-def _compare_facing(
-    views: Views, settings: MergerSettings, sides: Sides, distances: Floats, work: MergerWork
-) -> bool:
-    """Write the angles between the ways the views face; whether two face opposite ways.
-
-    Where pelvis (eq 10) and sides are known, the larger angle counts: detectors flip either.
-    """
-    n, size, pelvis = len(views.stamps), len(distances), settings.pelvis_link
-    for k in range(size):
-        for c in range(4):
-            work.values[k, c] = np.nan
-            if pelvis >= 0:
-                past = work.past_orientations[pelvis, c]
-                work.values[k, c] = views.links[k, pelvis, ORIENTATION + c] if k < n else past
-        x = y = z = np.nan
-        if settings.facing_by_sides:
-            if k < n:
-                x, y, z = _left_to_right(views.markers[k], sides.lateral)
-            else:
-                x, y, z = _left_to_right(work.past_positions, sides.lateral)
-        work.sides[k, 0], work.sides[k, 1], work.sides[k, 2] = x, y, z
-    opposite = False
+            work.values[k, c] = views.links[k, pelvis, ORIENTATION + c]
+        work.values[n, c] = work.past_orientations[pelvis, c]
+    distances, confidences = work.distances[: size * size].reshape((size, size)), work.weights[:n]
     for a in range(size):
         for b in range(size):
-            angle = _distance(work.values, a, b, True)  # eq 10
-            dot = _dot(work.sides, a, work.sides, b)
-            if not math.isnan(dot):
-                by_sides = math.acos(min(1.0, max(-1.0, dot)))
-                angle = by_sides if math.isnan(angle) else max(angle, by_sides)
-            if a == b and not math.isnan(angle):
-                angle = 0.0
-            distances[a, b] = angle
-            opposite = opposite or angle >= settings.max_facing_delta
-    return opposite
-
-
-@kernel
-def _left_to_right(positions: Floats, pairs: Ints) -> tuple[float, float, float]:
-    """Direction from left to right, the mean over shoulders and hips; NaN if unknown."""
-    x = y = z = 0.0
-    for i in range(pairs.shape[0]):
-        dx, dy, dz = step_between(positions, pairs[i, 0], pairs[i, 1])
-        length = norm3(dx, dy, dz)
-        if length > 1e-6:  # false for NaN
-            x, y, z = x + dx / length, y + dy / length, z + dz / length
-    length = norm3(x, y, z)
-    if length < 1e-6:
-        length = np.nan
-    return x / length, y / length, z / length
+            distances[a, b] = _distance(work.values, a, b, True)  # eq 10
+    _sum_confidences(views, confidences)
+    best = largest_group(distances, confidences, has_past, limit)
+    for k in range(n if best >= 0 else 0):
+        if distances[best, k] >= limit:
+            work.flipped[k] = True
+            counts[FLIPS, views.cameras[k]] += 1
+            for m in range(views.markers.shape[1]):
+                views.markers[k, m, POSITION] = np.nan
+            blank(views.links[k], views.link_confidences[k])
 
 
 @inlined
@@ -455,62 +336,6 @@ def _sum_confidences(views: Views, out: Floats) -> None:
         out[k] = 0.0
         for m in range(confidences.shape[1]):
             out[k] += _confidence(confidences[k, m], views.confidences[k])
-
-
-@kernel
-def _mean_positions(markers: Floats, chosen: Flags, out: Floats) -> None:
-    """Mean marker positions of the chosen views; NaN where none has the marker."""
-    for m in range(len(out)):
-        out[m, 0] = np.nan
-        count = x = y = z = 0.0
-        for k in range(len(markers)):
-            if chosen[k] and not math.isnan(markers[k, m, 0]):
-                count += 1.0
-                x, y, z = x + markers[k, m, 0], y + markers[k, m, 1], z + markers[k, m, 2]
-        if count > 0.0:
-            out[m, 0], out[m, 1], out[m, 2] = x / count, y / count, z / count
-
-
-@kernel
-def _correct_view(
-    views: Views, k: int, mirror: Ints, reference: Floats, relabel: bool, drop: bool
-) -> int:
-    """Exchange the sides of a view if that brings it nearer to ``reference``, else drop it.
-
-    Without ``drop``, ``reference`` is only the past, which may be distorted: the sides are
-    exchanged if that brings the view clearly nearer, else it stays as it is. Returns EXCHANGED,
-    LEFT_OUT or 0.
-    """
-    markers = views.markers[k]
-    share = 1.0 if drop else _CLEARLY
-    change = EXCHANGED if relabel and _is_mirrored(markers, mirror, reference, share) else 0
-    if change == EXCHANGED:
-        for m in range(len(mirror)):
-            if mirror[m] > m:
-                exchange(markers, views.marker_confidences[k], m, mirror[m])
-    elif drop:
-        change = LEFT_OUT
-        for m in range(len(mirror)):
-            markers[m, POSITION] = np.nan
-    else:
-        return 0
-    # A detector that flips a person flips the links' frames by a convention of its own: they are
-    # unknown now.
-    blank(views.links[k], views.link_confidences[k])
-    return change
-
-
-@kernel
-def _is_mirrored(markers: Floats, mirror: Ints, reference: Floats, share: float) -> bool:
-    """Whether exchanged sides leave less than ``share`` of the distance to ``reference``."""
-    as_is = mirrored = 0.0
-    for m in range(len(mirror)):
-        o = mirror[m]
-        d, s = point_distance(markers[m], reference[m]), point_distance(markers[o], reference[m])
-        if not math.isnan(d) and not math.isnan(s):
-            as_is += d
-            mirrored += s
-    return mirrored < share * as_is
 
 
 # Outliers and the mean.
@@ -736,22 +561,22 @@ def _learn_offsets(
 
 
 @kernel
-def _note_sides(
-    buffers: Buffers, q: int, people: People, person: int, changed: Stamps, out: Stamps
+def _note_flipped(
+    buffers: Buffers, q: int, people: People, person: int, flipped: Flags, out: Flags
 ) -> None:
-    """Write what became of a person's views to their rows of ``people``."""
+    """Write which of a person's views were dropped to their rows of ``people``."""
     n = 0
     for k in range(buffers.message_ends[q], buffers.message_ends[q + 1]):
         for i in range(buffers.messages[k, BEGIN], buffers.messages[k, END]):
             if people.ids[i] == person:
-                out[i] = changed[n]
+                out[i] = flipped[n]
                 n += 1
 
 
 @entry
 def merge_buffers(
     buffers: Buffers, people: People, scratch: Views, past: MergerPast, settings: MergerSettings,
-    sides: Sides, out: People, counts: I2, changed: I1, work: MergerWork,
+    out: People, counts: I2, flipped: B1, work: MergerWork,
 ) -> None:  # fmt: skip
     """Merge buffer after buffer.
 
@@ -763,7 +588,7 @@ def merge_buffers(
     out : (P,) the merged people. ``ids`` say whom to merge; ``stamps`` hold the merged times. Who
         is in no message of a buffer is carried on from the past.
     counts : (2, C) outliers and flips by camera; added to.
-    changed : what became of each row of ``people``: EXCHANGED, LEFT_OUT or 0.
+    flipped : whether each row of ``people`` was dropped, since it faces the wrong way.
     """
     for q in range(len(buffers.stamps)):
         for p in range(buffers.people_ends[q], buffers.people_ends[q + 1]):
@@ -772,7 +597,5 @@ def merge_buffers(
             if len(views.stamps) == 0:
                 _bridge(buffers.stamps[q], past, row, settings, out, p)
                 continue
-            _merge_person(
-                buffers.stamps[q], views, past, row, settings, sides, out, p, counts, work
-            )
-            _note_sides(buffers, q, people, out.ids[p], work.sides_changed, changed)
+            _merge_person(buffers.stamps[q], views, past, row, settings, out, p, counts, work)
+            _note_flipped(buffers, q, people, out.ids[p], work.flipped, flipped)
