@@ -24,7 +24,6 @@ from hiros_mcap.events import Events
 from hiros_mcap.skeletons import Floats, Frame, People, SkeletonModel
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.lee.predict import predict
-from hiros_mcap.stages.malaguti import limb_lengths
 from hiros_mcap.stages.malaguti.associate import (
     AssociateParams,
     Centroids,
@@ -37,7 +36,12 @@ from hiros_mcap.stages.malaguti.associate import (
 )
 from hiros_mcap.stages.malaguti.kalman import FilteredPeople, KalmanParams, kalman, update
 from hiros_mcap.stages.malaguti.moving_average import MovingAverageParams, moving_average
-from hiros_mcap.stages.malaguti.straighten import StraightenParams, link_order, straighten
+from hiros_mcap.stages.malaguti.straighten import (
+    StraightenParams,
+    link_levels,
+    straighten,
+    straightened,
+)
 from hiros_mcap.systems import chain_of
 
 AT_ONCE = AssociateParams(confirm_detections=1)
@@ -547,18 +551,14 @@ def link_residuals(parent, theta, length):
 
 def test_the_closed_form_is_the_minimum_of_eq_12():
     """Levenberg-Marquardt, link by link from the root, ends where the closed form is."""
-    rng, order = np.random.default_rng(3), link_order(MODEL)
-    tree = limb_lengths.LinkTree(np.ascontiguousarray(MODEL.links), order)
+    rng, levels = np.random.default_rng(3), link_levels(MODEL)
     lengths = rng.uniform(0.2, 0.6, MODEL.n_links)
     for _ in range(5):
         noisy = POSE + rng.normal(scale=0.05, size=POSE.shape)
         frame = seen([noisy], START)
-        known, zero = lengths[None].copy(), np.zeros((1, MODEL.n_links))
-        past = limb_lengths.LimbLengths(known, zero, np.array([0]), np.array([True]))
-        arguments = np.array([0]), past, tree, limb_lengths.LimbSettings(1, 0.0)
-        limb_lengths.straighten(frame.markers, *arguments)
+        frame.positions[:] = straightened(frame.positions, lengths[None], MODEL.links, levels)
         closed, solved = frame.positions[0], noisy.copy()
-        for k in order:
+        for k in np.concatenate(levels):
             parent, child = MODEL.links[k]
             theta = noisy[child] - solved[parent]
             theta /= np.linalg.norm(theta)
@@ -580,15 +580,15 @@ TRUE = lengths_of(seen([POSE], START))
 
 
 def test_links_are_walked_from_the_root():
-    assert link_order(MODEL).tolist() == [0, 3, 4, 1, 2, 5, 6]
+    assert [level.tolist() for level in link_levels(MODEL)] == [[0, 3, 4], [1, 2], [5, 6]]
     loop = SkeletonModel.of(
         ["a", "b", "c"], [("ab", 0, 1), ("bc", 1, 2), ("ca", 2, 0), ("ac", 0, 2)]
     )
-    assert link_order(loop).tolist() == []  # nobody is a root in a ring
+    assert link_levels(loop) == []  # nobody is a root in a ring
     fork = SkeletonModel.of(["a", "b", "c"], [("ab", 0, 1), ("bc", 1, 2), ("ac", 0, 2)])
-    assert sorted(link_order(fork).tolist()) == [0, 2]
+    assert [level.tolist() for level in link_levels(fork)] == [[0, 2]]
     loose = SkeletonModel.of(["a", "b"], [("ab", 0, 1), ("none", -1, 1), ("of these", 0, -1)])
-    assert link_order(loose).tolist() == [0]
+    assert [level.tolist() for level in link_levels(loose)] == [[0]]
 
 
 def scaled(size, n=1, start=0):
@@ -701,8 +701,8 @@ def test_the_head_can_be_left_out_of_the_tree(name):
 
 def test_a_head_that_is_the_root_can_be_left_out():
     model = SkeletonModel.of(["head", "neck", "hip"], [("", 0, 1), ("", 1, 2)])
-    assert link_order(model).tolist() == [0, 1]
-    assert link_order(model, [0]).tolist() == [1]
+    assert [level.tolist() for level in link_levels(model)] == [[0], [1]]
+    assert [level.tolist() for level in link_levels(model, [0])] == [[1]]
 
 
 def test_given_lengths_hold_from_the_first_frame_and_are_kept():

@@ -2,7 +2,7 @@
 
 associate.py         people by their centroids
 kalman.py            joints
-straighten.py        constant lengths; limb_lengths.py
+straighten.py        constant lengths
 moving_average.py    the average that the paper compares with
 malaguti_params.py   the parameters
 """

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,11 +11,20 @@ from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
 from hiros_mcap.body.segments import HEAD
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.events import Events
-from hiros_mcap.kernels.array_types import settings_of
-from hiros_mcap.skeletons import POSITION, UNTRACKED, Frame, SkeletonModel, Stamps
+from hiros_mcap.skeletons import (
+    POSITION,
+    UNTRACKED,
+    Flags,
+    Floats,
+    Frame,
+    Ints,
+    SkeletonModel,
+    Stamps,
+)
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.malaguti import limb_lengths as kernels
 from hiros_mcap.stages.malaguti.malaguti_params import StraightenParams
+
+_SHORTEST = 1e-6  # m; a shorter link has no direction
 
 
 def straighten(
@@ -51,18 +61,26 @@ def straighten(
     consistency.save_all()
 
 
+class LimbLengths(NamedTuple):
+    """What is known of people's limbs: R rows, L links."""
+
+    lengths: Floats  # (R, L) m
+    squares: Floats  # (R, L) sum of the squared deviations of the first lengths, m2
+    frames: Stamps  # (R,) frames with the whole skeleton that were measured
+    given: Flags  # (R,) whether the lengths are known from before; NaN = a link has none
+
+
 class _LimbConsistency:
     """The limb lengths of everybody who was seen lately."""
 
     def __init__(self, model: SkeletonModel, params: StraightenParams, limbs: LimbTable) -> None:
         self._limbs, self._keys = limbs, link_keys(model)
         self._given = {person: limbs.lengths(person, model) for person in limbs.people}
-        self._settings = settings_of(kernels.LimbSettings, params)
+        self._params, self._links = params, model.links
         head = [k for k, name in enumerate(model.marker_names) if split_side(name)[0] in HEAD]
-        order = link_order(model, () if params.head else head)
-        self._tree = kernels.LinkTree(np.ascontiguousarray(model.links), order)
+        self._levels = link_levels(model, () if params.head else head)
         nobody, none = np.zeros(0, np.int64), np.zeros((0, model.n_links))
-        self._bank = Bank(kernels.LimbLengths(none, none, nobody, nobody > 0))
+        self._bank = Bank(LimbLengths(none, none, nobody, nobody > 0))
         self._calibrated: set[int] = set()
 
     def apply(self, out: Frame) -> list[int]:
@@ -71,19 +89,19 @@ class _LimbConsistency:
         for person in self._bank.expire(out.stamp):
             self._save(person, former_rows[person])
             self._calibrated.discard(person)
-        rows = [
-            -1 if person == UNTRACKED else self._row(person, out.stamp)
-            for person in out.ids.tolist()
-        ]
-        past = self._bank.past
-        kernels.straighten(out.markers, np.array(rows, np.int64), past, self._tree, self._settings)
+        tracked = np.flatnonzero(out.ids != UNTRACKED)
+        rows = np.array([self._row(p, out.stamp) for p in out.ids[tracked].tolist()], np.int64)
+        past, poses, enough = self._bank.past, out.positions[tracked], self._params.frames
+        new = ~past.given[rows]
+        learn_lengths(poses[new], rows[new], past, self._levels, self._links, self._params)
+        known = past.given[rows] | (past.frames[rows] >= enough)
+        straight = straightened(poses[known], past.lengths[rows[known]], self._links, self._levels)
+        out.markers[tracked[known], :, POSITION] = straight
         if len(self._calibrated) == len(self._bank.rows):
             return []
-        enough = self._settings.frames
         ready = {person for person, row in self._bank.rows.items() if past.frames[row] >= enough}
-        new = ready - self._calibrated
-        self._calibrated = ready
-        return sorted(new)
+        now_ready, self._calibrated = ready - self._calibrated, ready
+        return sorted(now_ready)
 
     def _row(self, person: int, stamp: int) -> int:
         is_new = person not in self._bank.rows
@@ -100,17 +118,64 @@ class _LimbConsistency:
 
     def _save(self, person: int, row: int) -> None:
         if person in self._calibrated:
-            past, n = self._bank.past, self._settings.frames
+            past, n = self._bank.past, self._params.frames
             deviations = np.sqrt(past.squares[row] / n).tolist()
             columns = zip(self._keys, past.lengths[row].tolist(), deviations, strict=True)
             limbs = {key: Limb(length, sd, n) for key, length, sd in columns if length > 0}
             self._limbs.people[person] = limbs
 
 
-def link_order(model: SkeletonModel, without: Collection[int] = ()) -> Stamps:
+def learn_lengths(
+    poses: Floats, rows: Stamps, past: LimbLengths, levels: Sequence[Stamps], links: Ints,
+    params: StraightenParams,
+) -> None:  # fmt: skip
+    """Average the first whole skeletons (P, M, 3); adapt the lengths slowly afterwards.
+
+    ``rows`` (P,) are those of the people in ``past``.
+    """
+    order = np.concatenate([*levels, np.zeros(0, np.int64)])
+    _, lengths = _steps(poses, links[order])
+    is_whole = ~np.isnan(lengths).any(axis=1)
+    error = lengths - past.lengths[rows[:, None], order]
+    n = past.frames[rows][:, None]
+    is_first: Flags = np.asarray(n < params.frames)
+    averaged = is_first & is_whole[:, None]
+    adapted = ~is_first & ~np.isnan(error)
+    change = np.where(averaged, error / (n + 1), params.rate * error)
+    past.lengths[rows[:, None], order] += np.where(averaged | adapted, change, 0.0)
+    past.squares[rows[:, None], order] += np.where(averaged, error * error * n / (n + 1), 0.0)
+    past.frames[rows] += is_first[:, 0] & is_whole
+
+
+def straightened(poses: Floats, lengths: Floats, links: Ints, levels: Sequence[Stamps]) -> Floats:
+    """(P, M, 3) Poses whose links have their lengths (P, L), m: children are moved, roots first.
+
+    The minimum of eq 12 has a closed form. Theta_kf points from the moved parent to the filter's
+    child (eq 13), so the point at the link's length in this direction makes both terms 0. A link
+    without a length is left alone.
+    """
+    out = poses.copy()
+    for level in levels:
+        parents, children = links[level].T
+        steps, measured = _steps(out, links[level])
+        known = ~np.isnan(measured + lengths[:, level]) & (measured >= _SHORTEST)
+        scale = np.divide(lengths[:, level], measured, out=np.ones_like(measured), where=known)
+        moved = out[:, parents] + scale[..., None] * steps  # eq 12
+        out[:, children] = np.where(known[..., None], moved, out[:, children])
+    return out
+
+
+def _steps(poses: Floats, links: Ints) -> tuple[Floats, Floats]:
+    """(P, K, 3) and (P, K) Vectors from parent to child of ``links`` (K, 2), and lengths, m."""
+    steps = poses[:, links[:, 1]] - poses[:, links[:, 0]]
+    return steps, np.sqrt((steps**2).sum(axis=-1))
+
+
+def link_levels(model: SkeletonModel, without: Collection[int] = ()) -> list[Stamps]:
     """Order the links, a parent's before its children's; loops and loose ends are left out.
 
-    A root is a marker that is no link's child. Links of the markers ``without`` are left out, too.
+    Those of a level have their parents in the levels before. A root is a marker that is no link's
+    child. Links of the markers ``without`` are left out, too.
     """
     ends = {
         k: (p, c)
@@ -119,17 +184,15 @@ def link_order(model: SkeletonModel, without: Collection[int] = ()) -> Stamps:
     }
     children = {c for _, c in ends.values()}
     placed = {p for p, _ in ends.values() if p >= 0 and p not in children}
-    order: list[int] = []
+    levels: list[Stamps] = []
     waiting = [k for k, (p, c) in ends.items() if p >= 0 and c >= 0]
     while True:
         ready = [k for k in waiting if ends[k][0] in placed and ends[k][1] not in placed]
         if not ready:
-            return np.array(order, np.int64)
-        for k in ready:
-            if ends[k][1] not in placed:
-                order.append(k)
-                placed.add(ends[k][1])
-        waiting = [k for k in waiting if k not in order]
+            return levels
+        nearest = {ends[k][1]: k for k in reversed(ready)}  # the first link to each child
+        levels.append(np.array(sorted(nearest.values()), np.int64))
+        placed |= nearest.keys()
 
 
 def _chest(model: SkeletonModel) -> tuple[int, list[int]] | None:
