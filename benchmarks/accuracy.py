@@ -16,7 +16,7 @@ from hiros_mcap.evaluate import Scores, Truth, load_truth
 from hiros_mcap.evaluate.logs import evaluate_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 
 COLUMNS = "mean  sd    p95   angle  angSD orient  limbCV  jitter  lag    miss false switch"
 

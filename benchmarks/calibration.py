@@ -38,7 +38,7 @@ from hiros_mcap.io.log import open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.process_options import Calibration
 from hiros_mcap.simulate import SimulateParams, simulate
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.skeletons import Frame
 from hiros_mcap.summary import Summary
 

@@ -31,7 +31,7 @@ from hiros_mcap.running.observe import Stopwatch
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.preparation import prepare
 from hiros_mcap.simulate import SimulateParams
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.skeletons import Frame
 from hiros_mcap.summary import Summary
 

@@ -25,7 +25,7 @@ from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.simulate import SimulateParams
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 
 FUSE: Mapping[str, Table] = {
     "all steps": {},

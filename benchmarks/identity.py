@@ -37,7 +37,7 @@ from hiros_mcap.frames import by_frame
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.preparation import camera_positions
 from hiros_mcap.simulate import SimulateParams, simulate
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, Stamps
 from hiros_mcap.systems import SYSTEMS, Run
 

@@ -27,7 +27,7 @@ from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.container.sinks import Pipe
 from hiros_mcap.io.container.writer import LiveWriter
 from hiros_mcap.simulate import SimulateParams
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 
 _WARM_UP = 3.0  # s: the program listens, and catches up
 

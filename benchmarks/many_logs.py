@@ -28,7 +28,7 @@ from hiros_mcap.many.jobs import ProcessJob
 from hiros_mcap.many.manifest import LogRecord
 from hiros_mcap.many.run_logs import in_processes, run_logs
 from hiros_mcap.simulate import SimulateParams
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 
 DIFFERENT = 4
 HOURS = 10_000

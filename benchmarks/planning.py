@@ -30,7 +30,7 @@ from hiros_mcap.plan.planning import RoomPlan, make_plan
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.cameras import aimed
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 
 HEIGHT = 2.2
 CHANNEL = "/hiros/filtered"

@@ -14,7 +14,7 @@ from hiros_mcap.io.channels import add_skeleton_channel, add_static_poses
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.simulate import SimulateParams, simulate
-from hiros_mcap.simulate.write_log import TRUTH_TOPIC
+from hiros_mcap.simulate.simulation import TRUTH_TOPIC
 from hiros_mcap.skeletons import Frame, SkeletonModel
 
 

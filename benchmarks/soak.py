@@ -32,7 +32,7 @@ from hiros_mcap.io.container.writer import LiveWriter
 from hiros_mcap.io.log import open_log
 from hiros_mcap.simulate import RigParams, SimulateParams
 from hiros_mcap.simulate.body_model import MODEL
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 
 SECOND = 10**9
 MINUTE = 60 * SECOND

@@ -30,7 +30,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from hiros_mcap.simulate import SimulateParams
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 
 Row = dict[str, float]
 SYSTEMS = ("hiros", "fuse")

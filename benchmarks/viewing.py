@@ -27,7 +27,7 @@ from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.simulate import SimulateParams
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 from hiros_viewer.destinations import new_recording
 from hiros_viewer.replay import replay
 

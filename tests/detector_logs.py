@@ -20,7 +20,7 @@ from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.detectors.body_models import body_model, joints_of
 from hiros_mcap.io.log import open_log
 from hiros_mcap.simulate.settings import SimulateParams
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.skeletons import Frame
 
 NANO = 1_000_000_000

@@ -35,7 +35,7 @@ from hiros_mcap.evaluate.logs import evaluate_log
 from hiros_mcap.evaluate.truth_files import load_truth
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.workers import run_tasks
 
 LEAST_GAIN = 0.20

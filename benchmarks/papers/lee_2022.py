@@ -38,7 +38,7 @@ from hiros_mcap.evaluate.comparison import (
 )
 from hiros_mcap.evaluate.statistics import PARTS, part_of
 from hiros_mcap.simulate import SimulateParams
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.summary import number
 
 ENTRIES = {

@@ -12,9 +12,8 @@ from hiros_cli.run_report import page
 from hiros_mcap.evaluate import Scores, Truth, score_tables
 from hiros_mcap.evaluate.leave_one_out import SelfScores
 from hiros_mcap.evaluate.logs import ChannelResult
-from hiros_mcap.evaluate.measures import text_of
+from hiros_mcap.evaluate.measures import text_of, write_table
 from hiros_mcap.evaluate.remarks import notes_of
-from hiros_mcap.evaluate.table_files import write_table
 from hiros_mcap.evaluate.truth import Alignment
 from hiros_mcap.summary import number, plain, plain_value
 

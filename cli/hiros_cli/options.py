@@ -85,7 +85,7 @@ HTML = option("FILE", "Also write an HTML page with plots.", panel=OUTPUT)
 def _table(path: Path | None) -> Path | None:
     """Refuse a table of another suffix before anything is run; raises ConfigError."""
     if path is not None:
-        from hiros_mcap.evaluate.table_files import check_table
+        from hiros_mcap.evaluate.measures import check_table
 
         check_table(path)
     return path

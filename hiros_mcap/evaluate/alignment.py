@@ -26,8 +26,7 @@ from hiros_mcap.body.rotations import Rigid, from_matrix, rotate
 from hiros_mcap.calibrate.registration import cauchy, rigid_fit, robust_kabsch
 from hiros_mcap.errors import ConfigError, RegistrationError
 from hiros_mcap.evaluate.logs import Channel
-from hiros_mcap.evaluate.match import Matches, Track, match, tracks_of
-from hiros_mcap.evaluate.pairing import skeleton_distances
+from hiros_mcap.evaluate.match import Matches, Track, match, skeleton_distances, tracks_of
 from hiros_mcap.evaluate.smoothness import lag
 from hiros_mcap.evaluate.truth import Alignment, Truth
 from hiros_mcap.skeletons import Floats

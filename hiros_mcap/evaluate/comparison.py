@@ -17,15 +17,16 @@ import numpy as np
 
 from hiros_mcap.config import Config, Settings
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.evaluate.leave_one_out import frames_of_cameras, leave_each_out
-from hiros_mcap.evaluate.logs import consistency, find_truth, fused_topics
-from hiros_mcap.evaluate.match import Matches, match
-from hiros_mcap.evaluate.same_detections import (
+from hiros_mcap.evaluate.leave_one_out import (
     Distances,
     MeanDifference,
     SameScores,
+    frames_of_cameras,
+    leave_each_out,
     on_same_detections,
 )
+from hiros_mcap.evaluate.logs import consistency, find_truth, fused_topics
+from hiros_mcap.evaluate.match import Matches, match
 from hiros_mcap.evaluate.scores import Scores, score_matches
 from hiros_mcap.evaluate.statistics import ErrorStats
 from hiros_mcap.evaluate.truth import Truth

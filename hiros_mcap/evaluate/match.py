@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from hiros_mcap.evaluate.mot import FrameSimilarity
-from hiros_mcap.evaluate.pairing import best_pairs, skeleton_distances
+from hiros_mcap.evaluate.mot import FrameSimilarity, best_pairs
+from hiros_mcap.evaluate.statistics import nan_mean
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, Ints, SkeletonModel, Stamps
 
@@ -273,3 +273,20 @@ def _walks(track: Track) -> bool:
     places = np.nanmean(track.poses, axis=1)
     away = places - np.nanmean(places, axis=0)
     return bool(np.nanmean((away * away).sum(axis=-1)) >= _WALKS_M**2)
+
+
+def skeleton_distances(a: Floats, b: Floats) -> Floats:
+    """Mean distance over the markers that both skeletons have.
+
+    Parameters
+    ----------
+    a, b : (A, M, 3) and (B, M, 3) marker positions, m; NaN where a marker is absent.
+
+    Returns
+    -------
+    (A, B) distances, m; infinite where two skeletons share no marker.
+    """
+    if not (len(a) and len(b)):
+        return np.zeros((len(a), len(b)))  # nobody was seen: b may have no markers at all
+    mean = nan_mean(np.linalg.norm(a[:, None] - b[None], axis=-1), -1)
+    return np.where(np.isnan(mean), np.inf, mean)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hiros_mcap.evaluate.pairing import best_pairs
 from hiros_mcap.skeletons import Floats, Stamps
 
 ALPHAS = np.arange(0.05, 0.99, 0.05)
@@ -125,3 +124,20 @@ def _alignment(placed: Sequence[tuple[Stamps, Stamps, Floats]], both: Floats) ->
         union = s.sum(axis=0, keepdims=True) + s.sum(axis=1, keepdims=True) - s
         shared[np.ix_(rows, columns)] += np.where(union > _TINY, s / np.maximum(union, _TINY), 0.0)
     return shared / (both - shared)
+
+
+def best_pairs(cost: Floats) -> list[tuple[int, int]]:
+    """Assign rows to columns: as many pairs as possible, of these the ones with the least sum.
+
+    ``cost`` is (R, C); pairs of infinite cost are not allowed. Returns pairs (row, column) by row.
+    """
+    allowed = np.isfinite(cost)
+    rows, columns = (each.tolist() for each in np.nonzero(allowed))
+    if len(set(rows)) == len(rows) == len(set(columns)):
+        return list(zip(rows, columns, strict=True))  # nobody has a choice
+    from scipy.optimize import linear_sum_assignment
+
+    # One forbidden pair costs more than all allowed ones together can save.
+    forbidden = (2 * np.abs(cost[allowed]).max() + 1) * (max(cost.shape) + 1)
+    best = np.transpose(linear_sum_assignment(np.where(allowed, cost, forbidden))).tolist()
+    return [(row, column) for row, column in best if allowed[row, column]]

@@ -25,7 +25,7 @@ from hiros_mcap.frames import Block
 from hiros_mcap.io.container import Batch, Keys, Records
 from hiros_mcap.io.layout import PUBLISHED, Bytes, Layout
 from hiros_mcap.kernels import batch as batch_kernels
-from hiros_mcap.kernels import cdr, cleaning, encode
+from hiros_mcap.kernels import cdr, encode
 from hiros_mcap.kernels.record_index import CHANNEL, COLUMNS, LOG_TIME, START, STOP
 from hiros_mcap.skeletons import (
     BOX,
@@ -228,7 +228,7 @@ class Decoder:
     layouts : of the messages, by channel; the published one if not given.
     poses : people whose message names one of these frames are moved to the fixed frame.
     exact : keep every bit. By default numbers that cannot be true are taken out
-        (see :func:`hiros_mcap.kernels.cleaning.clean`), and a person's time before 1970 becomes 0.
+        (see :func:`hiros_mcap.kernels.batch.clean`), and a person's time before 1970 becomes 0.
     slim : leave out the columns of velocities and accelerations until a message holds one.
     """
 
@@ -366,7 +366,7 @@ class Decoder:
             np.empty(n, np.int64),
             reports,
             np.array(poses, np.int64),
-            np.zeros((n, cleaning.COUNTS), np.int64),
+            np.zeros((n, batch_kernels.COUNTS), np.int64),
             np.empty((n_people, 2), np.int64),
         )
         for section in sections:
@@ -486,7 +486,7 @@ def _by_source(
 def _by_kind(counts: cdr.Table) -> dict[int, Mapping[str, int]]:
     """Name the numbers that were taken out of each message that has some."""
     return {
-        i: {kind: n for kind, n in zip(cleaning.KINDS, counts[i].tolist(), strict=True) if n}
+        i: {kind: n for kind, n in zip(batch_kernels.KINDS, counts[i].tolist(), strict=True) if n}
         for i in np.flatnonzero(counts.any(axis=1)).tolist()
     }
 

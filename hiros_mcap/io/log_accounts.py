@@ -30,7 +30,7 @@ class Account:
     stale: int = 0
     """Skeletons left out of used messages because the camera had sent exactly them before."""
     cleaned: Counter[str] = field(default_factory=Counter)
-    """Numbers taken out because they cannot be true, by kind (see kernels.cleaning)."""
+    """Numbers taken out because they cannot be true, by kind (see kernels.batch)."""
     untimed: int = 0
     """Frames without a time of their own, to which the log time was given."""
     first_error: str = ""

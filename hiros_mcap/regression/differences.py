@@ -13,7 +13,8 @@ import numpy as np
 from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.logs import has_outputs, output_channels, read_channel
-from hiros_mcap.evaluate.pairing import best_pairs, skeleton_distances
+from hiros_mcap.evaluate.match import skeleton_distances
+from hiros_mcap.evaluate.mot import best_pairs
 from hiros_mcap.io.channels import LIMBS_ATTACHMENT, OUTPUT_PREFIX
 from hiros_mcap.io.log import open_reader
 from hiros_mcap.regression.quantities import (

@@ -24,9 +24,8 @@ from hiros_mcap.running.pose_alignment import PoseAlignment, align_cameras
 from hiros_mcap.running.pose_follower import PoseFollower
 from hiros_mcap.running.process_options import Calibration, ProcessOptions
 from hiros_mcap.skeletons import Floats
-from hiros_mcap.stages.lateness import Lateness
 from hiros_mcap.stages.merge.instants import by_instants
-from hiros_mcap.stages.time_order import in_time_order
+from hiros_mcap.stages.time_order import Lateness, in_time_order
 from hiros_mcap.systems import LETTERS, Run, Stages, chain_of, sections_of, system
 
 if TYPE_CHECKING:

@@ -30,8 +30,7 @@ from hiros_mcap.running.observe import Observer, Presence
 from hiros_mcap.running.preparation import Prepared
 from hiros_mcap.running.write import unmatched_globs
 from hiros_mcap.skeletons import SkeletonModel
-from hiros_mcap.stages.fuse.log_histograms import medians
-from hiros_mcap.stages.fuse.residuals import FEWEST, ratios
+from hiros_mcap.stages.fuse.residuals import FEWEST, medians, ratios
 from hiros_mcap.stages.track.likeness import DISPLACED
 from hiros_mcap.summary import (
     CameraSummary,

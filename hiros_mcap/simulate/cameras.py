@@ -5,6 +5,7 @@ The file is that of ``--extrinsics``, with a table ``[room]``.
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,13 +14,11 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from hiros_mcap.body.rotations import Rigid, multiply, to_matrix
+from hiros_mcap.body.rotations import Rigid, from_matrix, from_vector, multiply, to_matrix
 from hiros_mcap.body.transforms import read_camera_entries, read_extrinsics, read_room
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.outputs import CAMERAS_MARK, write_text
-from hiros_mcap.simulate.randomness import stream
 from hiros_mcap.simulate.settings import Area, SimulateParams
-from hiros_mcap.simulate.spatial import from_vector, quaternions
 from hiros_mcap.skeletons import Flags, Floats, Stamps
 
 _SECOND = 1e9
@@ -58,6 +57,14 @@ class SimulatedCamera:
         return seen
 
 
+def stream(seed: int, effect: str, *keys: int) -> np.random.Generator:
+    """Return the generator that belongs to an effect (of a camera, of a person).
+
+    One independent stream per effect, so that switching one off leaves the rest.
+    """
+    return np.random.default_rng([seed, zlib.crc32(effect.encode()), *keys])
+
+
 def build_cameras(params: SimulateParams) -> list[SimulatedCamera]:
     """Build cameras at their poses, or on a circle, looking inwards; two at a right angle."""
     if params.rig.poses:
@@ -72,7 +79,7 @@ def _on_circle(params: SimulateParams, index: int, bearing: float) -> SimulatedC
     rig = params.rig
     place = np.array([rig.radius * np.cos(bearing), rig.radius * np.sin(bearing), rig.height])
     matrix = aimed(np.array([0.0, 0.0, rig.aim_height]) - place)
-    return _camera(params, index, Rigid(quaternions(matrix), place), matrix)
+    return _camera(params, index, Rigid(from_matrix(matrix), place), matrix)
 
 
 def aimed(forward: Floats) -> Floats:

@@ -11,16 +11,14 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from hiros_mcap.body.rotations import conjugate, multiply, rotate
+from hiros_mcap.body.rotations import conjugate, from_matrix, from_vector, multiply, rotate
 from hiros_mcap.simulate.body_model import LINK_SEGMENTS, MARKERS, MODEL, SLOT, SYMMETRY, BodyModel
-from hiros_mcap.simulate.cameras import SimulatedCamera, seconds_since
+from hiros_mcap.simulate.cameras import SimulatedCamera, seconds_since, stream
 from hiros_mcap.simulate.motion import Person, standing
 from hiros_mcap.simulate.occlusion import Mask, Sight, sight_of
 from hiros_mcap.simulate.paths import Spot
 from hiros_mcap.simulate.performer import Performer
-from hiros_mcap.simulate.randomness import coloured, episodes, stream
 from hiros_mcap.simulate.settings import DetectorParams, SimulateParams
-from hiros_mcap.simulate.spatial import from_vector, quaternions
 from hiros_mcap.skeletons import Floats
 
 _SHARE_INSIDE = 0.5  # a body of which less than this is in the picture is not detected
@@ -105,7 +103,7 @@ def observe(
     for slot, person in enumerate(people):
         markers, rotations = person.pose(t)
         detections.positions[:, slot] = camera.points(markers)
-        turned = multiply(to_camera, quaternions(rotations))
+        turned = multiply(to_camera, from_matrix(rotations))
         detections.orientations[:, slot] = turned[:, LINK_SEGMENTS]
     return detections
 
@@ -309,6 +307,32 @@ def _standing_phantom(
     phantom.confidences[:, 0, half] = params.detector.confidence_guessed
     jitter = params.noise * params.detector.coloured * rng.standard_normal(phantom.positions.shape)
     phantom.positions[:] = camera.points(markers)[:, None] + jitter
-    turned = multiply(conjugate(camera.pose.xyzw), quaternions(rotations))
+    turned = multiply(conjugate(camera.pose.xyzw), from_matrix(rotations))
     phantom.orientations[:] = turned[:, None, LINK_SEGMENTS]
     return phantom
+
+
+def coloured(rng: np.random.Generator, shape: tuple[int, ...], correlation: float) -> Floats:
+    """Stationary first-order autoregression over the first axis: SD 1, lag-1 ``correlation``."""
+    series = rng.standard_normal(shape)
+    innovation = np.sqrt(1 - correlation**2)
+    for k in range(1, shape[0]):
+        series[k] = correlation * series[k - 1] + innovation * series[k]
+    return series
+
+
+def episodes(
+    rng: np.random.Generator, n: int, per_frame: float, frames: tuple[float, float]
+) -> list[tuple[int, int]]:
+    """Half-open frame intervals of events that start at random.
+
+    They start in one of ``n`` frames with probability ``per_frame`` and last between the given
+    numbers of frames, log-uniformly: short ones are common, long ones happen.
+    """
+    starts = np.flatnonzero(rng.random(n) < per_frame)
+    low, high = np.log(frames)
+    lengths = np.maximum(1, np.round(np.exp(rng.uniform(low, high, len(starts))))).astype(int)
+    return [
+        (int(start), int(min(start + length, n)))
+        for start, length in zip(starts, lengths, strict=True)
+    ]

@@ -20,7 +20,6 @@ from hiros_mcap.simulate.body_model import (
     BodyModel,
 )
 from hiros_mcap.simulate.paths import TURN, Path, bump, smoothstep
-from hiros_mcap.simulate.spatial import from_euler
 from hiros_mcap.skeletons import Floats
 
 REACH = 0.996
@@ -310,3 +309,11 @@ def _swing_upper_body(posture: Posture, gait: Gait, angle: Floats) -> None:
         flexion = gait.arm_swing * sign * beat
         posture.add(f"upper_arm_{side}", arm(side, flexion - 0.25 * gait.elbow, 0.12, 0.2))
         posture.add(f"forearm_{side}", angles(gait.elbow + 0.4 * flexion))
+
+
+def from_euler(sequence: str, angles: Floats) -> Floats:
+    """(..., 3, 3) matrices of angles (..., 3), rad, about moving axes, such as "ZXY"."""
+    from scipy.spatial.transform import Rotation
+
+    flat = Rotation.from_euler(sequence, angles.reshape(-1, len(sequence))).as_matrix()
+    return flat.reshape(*angles.shape[:-1], 3, 3)

@@ -1,24 +1,28 @@
-"""The whole simulation: people, cameras, what the cameras report, and the truth."""
+"""The whole simulation: people, cameras, what the cameras report, the truth, and the log."""
 
 from __future__ import annotations
 
+import heapq
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiros_mcap.body.rotations import Rigid, conjugate, multiply
+from hiros_mcap.body.rotations import Rigid, conjugate, from_matrix, multiply, to_vector
+from hiros_mcap.io.channels import add_skeleton_channel, add_static_poses
+from hiros_mcap.io.codec import Encoder
+from hiros_mcap.io.container import McapWriter
 from hiros_mcap.simulate.actions import ACTIONS
 from hiros_mcap.simulate.body_model import LINK_SEGMENTS, MODEL, BodyModel
-from hiros_mcap.simulate.cameras import SimulatedCamera, build_cameras, seconds_since
+from hiros_mcap.simulate.cameras import SimulatedCamera, build_cameras, seconds_since, stream
 from hiros_mcap.simulate.detector import SimulatedDetections, detect
 from hiros_mcap.simulate.motion import Person
 from hiros_mcap.simulate.occlusion import Mask
 from hiros_mcap.simulate.performer import Performer, perform_files
-from hiros_mcap.simulate.randomness import stream
 from hiros_mcap.simulate.settings import SimulateParams
-from hiros_mcap.simulate.spatial import quaternions, vectors
 from hiros_mcap.skeletons import (
     ACCELERATION,
     ANGULAR_ACCELERATION,
@@ -34,7 +38,10 @@ from hiros_mcap.skeletons import (
     Stamps,
 )
 
-WORLD = "world"
+if TYPE_CHECKING:
+    from hiros_mcap.running.process_options import Progress
+
+WORLD, TRUTH_TOPIC = "world", "/truth/skeletons"
 _STEP = 1e-3  # s, of the central differences that give the truth's velocities
 _CHUNK = 256  # instants of truth evaluated at once
 
@@ -137,8 +144,8 @@ class Simulation:
             state[..., VELOCITY] = (after - before) / (2 * _STEP)
             state[..., ACCELERATION] = (after - 2 * now + before) / _STEP**2
             link_state[..., ORIENTATION] = q_now
-            coming = vectors(multiply(q_now, conjugate(q_before))) / _STEP
-            going = vectors(multiply(q_after, conjugate(q_now))) / _STEP
+            coming = to_vector(multiply(q_now, conjugate(q_before))) / _STEP
+            going = to_vector(multiply(q_after, conjugate(q_now))) / _STEP
             link_state[..., ANGULAR_VELOCITY] = (coming + going) / 2
             link_state[..., ANGULAR_ACCELERATION] = (going - coming) / _STEP
         return markers, links
@@ -154,7 +161,7 @@ def simulate(params: SimulateParams = _DEFAULT) -> Simulation:
 
 def _markers_and_links(person: Person | Performer, t: Floats) -> tuple[Floats, Floats]:
     markers, rotations = person.pose(t)
-    return markers, quaternions(rotations)[:, LINK_SEGMENTS]
+    return markers, from_matrix(rotations)[:, LINK_SEGMENTS]
 
 
 def _ids(present: Mask, params: SimulateParams) -> Ints:
@@ -189,3 +196,37 @@ def _frame(camera: SimulatedCamera, reported: SimulatedDetections, ids: Ints, k:
     frame.link_confidences[:] = np.minimum(confidences[:, 1:], confidences[:, MODEL.link_parents])
     frame.confidences[:] = confidences.mean(axis=-1)
     return frame
+
+
+def write_log(
+    path: str | os.PathLike[str], params: SimulateParams, progress: Progress | None = None
+) -> dict[str, int]:
+    """Write a simulated log and return its messages by topic.
+
+    Detections are on /<camera>/skeletons in the camera's coordinates, the cameras' published
+    poses on /tf_static, and the true skeletons on /truth/skeletons in the frame "world". The
+    same parameters give the same bytes. ``progress`` is told the time that is simulated, ns.
+
+    Raises LogError if ``path`` cannot be written; there is no file then.
+    """
+    simulation = simulate(params)
+    encoder = Encoder(simulation.model)
+    with McapWriter(path) as writer:
+        add_static_poses(writer, simulation.transforms, WORLD, params.start)
+        channels: dict[str, int] = {}
+        for topic, frame in _by_log_time(simulation.detections, simulation.truth):
+            if topic not in channels:
+                channels[topic] = add_skeleton_channel(writer, topic)
+            writer.write(channels[topic], frame.log_time, encoder.encode(frame))
+            if progress is not None:
+                progress.update(frame.stamp - params.start, round(params.seconds * 1e9))
+        writer.commit()
+        return {writer.channels[ident].topic: n for ident, n in sorted(writer.counts.items())}
+
+
+def _by_log_time(
+    detections: Iterator[Frame], truth: Iterator[Frame]
+) -> Iterator[tuple[str, Frame]]:
+    named = ((f"/{frame.source}/skeletons", frame) for frame in detections)
+    true = ((TRUTH_TOPIC, frame) for frame in truth)
+    return heapq.merge(named, true, key=lambda pair: pair[1].log_time)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from hiros_mcap.skeletons import UNTRACKED, Ints, Stamps
 
-P = TypeVar("P", bound=NamedTuple)
+P = TypeVar("P", bound=tuple[Any, ...])
 
 
 class Bank(Generic[P]):
-    """What a stage remembers of people: a NamedTuple of arrays with a row per person.
+    """What a stage remembers of people: a tuple of arrays, named or not, with a row per person.
 
     Kernels take ``past`` and rows. Rows are reused, and more are made when none is left; whoever
     was not seen for a while is forgotten.
@@ -80,5 +80,6 @@ class Bank(Generic[P]):
         for array in self.past:
             grown.append(np.zeros((size, *array.shape[1:]), array.dtype))
             grown[-1][:old] = array
-        self.past = self.past._make(grown)
+        kind = type(self.past)
+        self.past = kind(*grown) if hasattr(kind, "_fields") else kind(grown)
         self._free += range(size - 1, old - 1, -1)

@@ -315,7 +315,7 @@ def test_systems_are_listed_once_with_their_chains(capsys):
 
 
 def test_calibrate_noise_prints_what_config_reads(tmp_path, capsys):
-    from hiros_mcap.simulate.write_log import write_log
+    from hiros_mcap.simulate.simulation import write_log
 
     log, config = tmp_path / "still.mcap", tmp_path / "noise.toml"
     params = {"people": 1, "cameras": 2, "seconds": 4, "action": "free_static", "flips": 0.0}

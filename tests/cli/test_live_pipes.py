@@ -20,7 +20,7 @@ from mcap.reader import NonSeekingReader
 from hiros_cli.app import run as hiros
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.simulate import SimulateParams
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 
 HIROS = [sys.executable, "-m", "hiros_cli"]
 

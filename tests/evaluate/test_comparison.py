@@ -35,7 +35,7 @@ from hiros_mcap.evaluate.match import match
 from hiros_mcap.evaluate.measures import text_of
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.summary import plain
 from hiros_mcap.systems import SYSTEMS
 from hiros_mcap.systems.run import System

@@ -14,7 +14,7 @@ from hiros_mcap.evaluate.scores import coverage_of
 from hiros_mcap.io.marker_uncertainty import UNCERTAINTY_TOPIC, read_uncertainty
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.skeletons import SkeletonModel
 
 MODEL = SkeletonModel.of(["A", "B"], [])

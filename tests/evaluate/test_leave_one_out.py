@@ -12,7 +12,7 @@ from hiros_mcap.evaluate.leave_one_out import leave_one_out
 from hiros_mcap.evaluate.logs import consistency
 from hiros_mcap.running.pipeline import ProcessOptions
 from hiros_mcap.simulate import SimulateParams, simulate
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 
 
 def test_a_shifted_camera_is_the_one_that_disagrees(tmp_path):

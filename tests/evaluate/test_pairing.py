@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from stick_figures import person
 
-from hiros_mcap.evaluate.pairing import best_pairs, skeleton_distances
+from hiros_mcap.evaluate.match import skeleton_distances
+from hiros_mcap.evaluate.mot import best_pairs
 
 
 def test_the_mean_is_over_the_markers_that_both_have():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hiros_mcap.evaluate.same_detections import Distances, MeanDifference, on_same_detections
+from hiros_mcap.evaluate.leave_one_out import Distances, MeanDifference, on_same_detections
 
 SECOND = 1_000_000_000
 

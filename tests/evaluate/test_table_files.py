@@ -11,8 +11,7 @@ import pytest
 
 from hiros_cli.app import run
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.evaluate.measures import Measure, Sheet
-from hiros_mcap.evaluate.table_files import write_table
+from hiros_mcap.evaluate.measures import Measure, Sheet, write_table
 
 MEAN = Measure("mean", "Mean", "mm", "", interval=("low", "high"))
 MOTION = (

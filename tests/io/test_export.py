@@ -27,7 +27,7 @@ from hiros_mcap.regression.suite import write_golden
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.body_model import MODEL
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.skeletons import Frame, SkeletonModel
 
 

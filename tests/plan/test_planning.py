@@ -12,7 +12,7 @@ from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid, from_matrix, rotate
 from hiros_mcap.body.transforms import read_extrinsics
 from hiros_mcap.evaluate.logs import evaluate_log, find_truth
-from hiros_mcap.plan import placing
+from hiros_mcap.plan import planning
 from hiros_mcap.plan.expected_error import MEAN_OF_NORMAL, RIGID, ErrorModel, View
 from hiros_mcap.plan.planning import make_plan
 from hiros_mcap.plan.scenes import FloorGrid, Scenes, make_scenes
@@ -22,7 +22,7 @@ from hiros_mcap.simulate.body_model import MARKERS, SLOT
 from hiros_mcap.simulate.cameras import aimed, read_rig, save_rig
 from hiros_mcap.simulate.detector import REFERENCE_RANGE
 from hiros_mcap.simulate.settings import WALL
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.skeletons import Floats
 
 QUIET = {"coloured": 0.0, "white": 0.0, "bias": 0.0, "guess": 0.0}
@@ -108,9 +108,9 @@ def test_the_floor_is_divided_without_the_strip_along_its_walls():
 
 
 def test_a_plan_does_not_depend_on_where_the_room_is(monkeypatch):
-    monkeypatch.setattr(placing, "_CELLS", 4)  # which is quick
+    monkeypatch.setattr(planning, "_TRIED_CELLS", 4)  # which is quick
     (one,), (other,) = (
-        placing.Placing(SimulateParams(area=area), 2.2).place(1)
+        planning.Placing(SimulateParams(area=area), 2.2).place(1)
         for area in ((-2, -1.5, 2, 1.5), (8, 16, 12, 19))
     )
     np.testing.assert_allclose(other.translation - one.translation, [10, 17.5, 0], atol=1e-6)
@@ -118,8 +118,8 @@ def test_a_plan_does_not_depend_on_where_the_room_is(monkeypatch):
 
 
 def test_candidates_stand_along_all_walls_and_look_at_the_middle_or_beside_it(monkeypatch):
-    monkeypatch.setattr(placing, "_CELLS", 4)
-    stands = [*placing.Placing(SimulateParams(area=(0, 0, 8, 6)), 1.0)._stands()]
+    monkeypatch.setattr(planning, "_TRIED_CELLS", 4)
+    stands = [*planning.Placing(SimulateParams(area=(0, 0, 8, 6)), 1.0)._stands()]
     np.testing.assert_allclose([s.along for s in stands[::3]], np.arange(28))  # m, one in each
     corner = np.arctan2(3, 4)
     bearings = np.degrees(np.array([s.bearing for s in stands[:3]]) - corner)

@@ -24,7 +24,7 @@ from hiros_mcap.io.overview import overview_of
 from hiros_mcap.running.clock_alignment import ClockAlignment
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.skeletons import Frame
 from hiros_mcap.summary import PoseSummary
 

@@ -50,7 +50,7 @@ from hiros_mcap.io.result import open_result
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.process_live import process_live, subscription
 from hiros_mcap.simulate import SimulateParams
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 
 LIVE = ProcessOptions(system="hiros-realtime")
 AS_KNOWN = load_config(None, ["output.log_time=causal"], system="hiros-realtime")

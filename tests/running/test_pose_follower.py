@@ -20,7 +20,7 @@ from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.running.pose_follower import PoseFollower
 from hiros_mcap.simulate import RigParams, SimulateParams, simulate
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.summary import ClockFault
 
 

@@ -17,7 +17,7 @@ from hiros_mcap.evaluate.logs import evaluate_log, find_truth, read_channel
 from hiros_mcap.evaluate.smoothness import lengths_of
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
 ARM = ("WRIST_LEFT", "HAND_LEFT", "HANDTIP_LEFT", "THUMB_LEFT")

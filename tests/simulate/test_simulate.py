@@ -12,8 +12,8 @@ from hiros_mcap.io.log import open_log
 from hiros_mcap.simulate import DetectorParams, RigParams, SimulateParams, simulate
 from hiros_mcap.simulate.actions import ACTIONS
 from hiros_mcap.simulate.body_model import SLOT
-from hiros_mcap.simulate.randomness import coloured, episodes
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.detector import coloured, episodes
+from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.skeletons import (
     ACCELERATION,
     ANGULAR_ACCELERATION,

@@ -9,7 +9,7 @@ import pytest
 
 from hiros_mcap.events import CAMERA_BACK, CAMERA_DISPLACED, Events
 from hiros_mcap.frames import by_frame
-from hiros_mcap.kernels.array_types import chosen
+from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.stages.fuse.displaced_views import (
     LIMIT,
@@ -20,7 +20,6 @@ from hiros_mcap.stages.fuse.displaced_views import (
 )
 from hiros_mcap.stages.fuse.fuse import FuseParams, fuse_blocks, noise_of
 from hiros_mcap.stages.fuse.fusing import Sightings
-from hiros_mcap.stages.fuse.sightings import joined
 
 fuse = by_frame(fuse_blocks)
 

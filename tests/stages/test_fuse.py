@@ -15,7 +15,6 @@ from hiros_mcap.frames import Block, by_frame, frames_of, join
 from hiros_mcap.skeletons import VELOCITY, Frame, SkeletonModel
 from hiros_mcap.stages.fuse import fusing
 from hiros_mcap.stages.fuse.constrain import ConstrainParams, constrain_blocks
-from hiros_mcap.stages.fuse.estimating import EstimateWork, PoseSpace, estimate_poses
 from hiros_mcap.stages.fuse.fuse import FuseParams, fuse_blocks
 from hiros_mcap.stages.fuse.fusing import (
     POSE,
@@ -30,11 +29,13 @@ from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 from hiros_mcap.stages.fuse.pair_lengths import measured_lengths
 from hiros_mcap.stages.fuse.pose_prior import (
     body_frames,
+    estimate_poses,
+    estimate_scratch,
     has_heading,
     local_frames,
     shrink_noise,
 )
-from hiros_mcap.stages.fuse.stepping import FusionWindow, StepWork, smooth_people
+from hiros_mcap.stages.fuse.window_smoother import FusionWindow, StepWork, smooth_people
 from hiros_mcap.systems import Run, system
 
 fuse = by_frame(fuse_blocks)
@@ -336,8 +337,8 @@ def test_the_prior_estimates_as_wiener_does():
     measured = mean.reshape(4, 3) + rng.normal(0, 0.05, (2, 4, 3))
     measured[1, 2] = np.nan
     variances = rng.uniform(1e-6, 4e-4, (2, 4))
-    poses, space = measured.copy(), PoseSpace(mean, basis)
-    estimate_poses(poses, variances, space, np.inf, EstimateWork.of(space))
+    poses = measured.copy()
+    estimate_poses(poses, variances, mean, basis, np.inf, *estimate_scratch(basis))
     p = basis @ basis.T + 0.003**2 * np.eye(12)
     for pose, y, v in zip(poses, measured, variances, strict=True):
         absent = np.isnan(y.ravel())

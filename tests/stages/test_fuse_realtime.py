@@ -11,6 +11,7 @@ from builders import room, same
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import evaluate
 from hiros_mcap.frames import by_frame
+from hiros_mcap.kernels.array_types import chosen
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_mcap.stages.fuse import fusing
 from hiros_mcap.stages.fuse.constrain import ConstrainParams, constrain_blocks
@@ -26,7 +27,6 @@ from hiros_mcap.stages.fuse.fusing import (
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise, RunningNoise
 from hiros_mcap.stages.fuse.pair_lengths import RunningLengths, measured_lengths
 from hiros_mcap.stages.fuse.pose_prior import RecentMotion
-from hiros_mcap.stages.fuse.sightings import chosen
 from hiros_mcap.systems import Run, system
 
 MS = 1_000_000
@@ -148,7 +148,7 @@ def test_running_lengths_become_those_of_the_whole():
     pairs = np.array([[0, 1]], np.int32)
     running = RunningLengths(pairs, np.arange(2, dtype=np.int32))
     running.update(poses, variances)
-    lengths = running.result().lengths
+    lengths = running.result()[0]
     assert lengths == pytest.approx(measured_lengths(poses, variances, pairs), abs=0.002)
     assert lengths == pytest.approx(0.25, abs=0.003)
 

@@ -8,7 +8,7 @@ from builders import moved
 from scipy.spatial.transform import Rotation
 from stick_figures import MODEL, at, person, seen
 
-from hiros_mcap.body.limb_radii import capsules_of
+from hiros_mcap.body.segments import capsules_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of, join
 from hiros_mcap.stages.detections.detection_params import PlausibleParams

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hiros_mcap.stages.lateness import Lateness
+from hiros_mcap.stages.time_order import Lateness
 
 SECOND = 1_000_000_000
 

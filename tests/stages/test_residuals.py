@@ -13,11 +13,10 @@ from hiros_mcap.running.pipeline import process
 from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.running.report import scatter_by_camera, scatter_notes, scatter_of
 from hiros_mcap.simulate import SimulateParams
-from hiros_mcap.simulate.simulation import Simulation
-from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.simulate.simulation import Simulation, write_log
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.stages.fuse.fuse import FuseParams, fuse_blocks
-from hiros_mcap.stages.fuse.log_histograms import histograms, medians
+from hiros_mcap.stages.fuse.residuals import histograms, medians
 
 fuse = by_frame(fuse_blocks)
 

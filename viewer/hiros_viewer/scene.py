@@ -37,8 +37,8 @@ import rerun as rr
 from hiros_mcap.body.anatomy import ANGLE_NAMES, MAIN_ANGLES, MOST_RAD, anatomical_angles, continued
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side, symmetry_of
-from hiros_mcap.evaluate.match import MATCH_DISTANCE
-from hiros_mcap.evaluate.pairing import best_pairs, skeleton_distances
+from hiros_mcap.evaluate.match import MATCH_DISTANCE, skeleton_distances
+from hiros_mcap.evaluate.mot import best_pairs
 from hiros_mcap.evaluate.smoothness import lengths_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.events import Event

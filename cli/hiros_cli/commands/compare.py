@@ -103,7 +103,7 @@ def compare(
 
         comparison_page(outcomes, study).write(html)
     if table is not None:
-        from hiros_mcap.evaluate.table_files import write_table
+        from hiros_mcap.evaluate.measures import write_table
 
         write_table(table, _sheets(outcomes, study))
     if json:
@@ -132,7 +132,7 @@ def _check(paths: list[Path], study: str | None, truth: str | None, rrd: Path | 
 def _simulated(folder: Path) -> list[Path]:
     """Write one log for each number of people."""
     from hiros_mcap.simulate import SimulateParams
-    from hiros_mcap.simulate.write_log import write_log
+    from hiros_mcap.simulate.simulation import write_log
 
     paths = []
     for people in range(1, 5):

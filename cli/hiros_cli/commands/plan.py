@@ -88,7 +88,7 @@ def plan(
 
         save_png(floor_figure(rig_plan), picture)
     if table is not None:
-        from hiros_mcap.evaluate.table_files import write_table
+        from hiros_mcap.evaluate.measures import write_table
 
         write_table(table, [_sheet(rig_plan)])
     if json:

@@ -84,7 +84,7 @@ def simulate(
     check_outputs((output, "log"), inputs=(*(motion or ()), *(skeleton or ()), file), force=force)
     prepare(quiet=quiet)
     from hiros_mcap.simulate.cameras import read_rig
-    from hiros_mcap.simulate.write_log import write_log
+    from hiros_mcap.simulate.simulation import write_log
 
     if file is not None:
         given |= read_rig(file)[1]
@@ -131,7 +131,7 @@ def demo(
     prepare(quiet=quiet)
     from hiros_cli.commands.process import SUFFIX
     from hiros_mcap.simulate import SimulateParams
-    from hiros_mcap.simulate.write_log import write_log
+    from hiros_mcap.simulate.simulation import write_log
 
     params = SimulateParams(people=2, cameras=3, action="cross", seconds=SECONDS)
     with bar(f"simulating {output.name}", quiet=quiet) as progress:

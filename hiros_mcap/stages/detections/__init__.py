@@ -1,7 +1,7 @@
-"""What is mended in a single detection before it is tracked.
+"""What is mended in a single detection before views are merged.
 
-plausible.py          markers that no body can have; limb_deviations.py is its compiled loop
-sides.py              left and right (the page); facing_evidence.py, facing.py, body_axes.py,
-                      exchanging.py
+plausible.py          markers that contradict the person's limb lengths
+hidden.py             joints that a camera cannot see; hidden_joints.py, impossible_postures.py
+sides.py              left and right (the page); facing_evidence.py, facing.py, body_axes.py
 detection_params.py   the parameters
 """

@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.kernels.array_types import B1, F1, F2, F3, I1, arrays
-from hiros_mcap.kernels.averaging import copy_row
+from hiros_mcap.kernels.averaging import ACCELERATION, POSITION, VELOCITY, blank, copy_row, exchange
 from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.skeletons import Floats, People, Stamps
-from hiros_mcap.stages.detections.body_axes import learn_up, ramp
+from hiros_mcap.stages.detections.body_axes import component, learn_up, ramp
 from hiros_mcap.stages.detections.facing_evidence import (
     BINS,
     CELLS,
@@ -337,32 +337,98 @@ def _keep(past: FacingPast, row: int, first: int, n: int, until: int, work: Smoo
         past.next_cell[row] = (place + 1) % CELLS
 
 
-class FacingWindow(NamedTuple):
-    """Views of a stretch of time, for :func:`smooth`."""
-
-    order: I1  # (N,) the views, person by person, each person's by time
-    ends: I1  # (P + 1,) where each person's views begin in ``order``; the last number is N
-    evidence: F2  # (N, BINS) of the views, from facing_evidence.write_evidence
-
-
 @entry
 def smooth(
-    measured: MeasuredViews, window: FacingWindow, until: int, past: FacingPast,
+    measured: MeasuredViews, order: I1, ends: I1, evidence: F2, until: int, past: FacingPast,
     tables: FacingTables, work: SmoothWork, out: Facings,
 ) -> None:  # fmt: skip
     """Decide on the views of a window by past and future: the forward and the backward pass.
 
-    ``past`` is brought to the last cell before cell ``until``; later views come again.
+    Parameters
+    ----------
+    order : (N,) the views, person by person, each person's by time. ends : (P + 1,) where each
+        person's views begin in it; the last number is N.
+    evidence : (N, BINS) of the views, from facing_evidence.write_evidence.
+    past : brought to the last cell before cell ``until``; later views come again.
     """
-    for p in range(len(window.ends) - 1):
-        order = window.order[window.ends[p] : window.ends[p + 1]]
-        row = measured.rows[order[0]]
+    for p in range(len(ends) - 1):
+        theirs = order[ends[p] : ends[p + 1]]
+        row = measured.rows[theirs[0]]
         first = _past_way(past, row, work)
-        n = _lay_out(measured, order, window.evidence, past, first, work)
+        n = _lay_out(measured, theirs, evidence, past, first, work)
         _add_walking(first, n, until, tables, work)
         _go_forwards(past, row, first, n, tables, work)
         _go_backwards(first, n, tables, work)
         _keep(past, row, first, n, until, work)
-        for j in range(len(order)):
-            copy_row(out.facing, order[j], work.facing, work.places[j])
-            _decide(measured, order[j], past, tables, out)
+        for j in range(len(theirs)):
+            copy_row(out.facing, theirs[j], work.facing, work.places[j])
+            _decide(measured, theirs[j], past, tables, out)
+
+
+# What was decided is done.
+
+
+@kernel
+def _turn_toes(states: Floats, ankle: int, toes: int, facing: Floats, axes: Floats) -> None:
+    """Mirror the toes at the plane through the ankle that is normal to the facing."""
+    length = max(math.sqrt(facing[0] * facing[0] + facing[1] * facing[1]), 1e-12)
+    x = (facing[0] * axes[0, 0] + facing[1] * axes[1, 0]) / length
+    y = (facing[0] * axes[0, 1] + facing[1] * axes[1, 1]) / length
+    z = (facing[0] * axes[0, 2] + facing[1] * axes[1, 2]) / length
+    for first in (POSITION, VELOCITY):
+        along = x * (states[toes, first] - states[ankle, first])
+        along += y * (states[toes, first + 1] - states[ankle, first + 1])
+        along += z * (states[toes, first + 2] - states[ankle, first + 2])
+        states[toes, first] -= 2.0 * along * x
+        states[toes, first + 1] -= 2.0 * along * y
+        states[toes, first + 2] -= 2.0 * along * z
+
+
+@entry
+def exchange_sides(people: People, rows: I1, facing: F2, axes: F3, markers: FacingMarkers) -> None:
+    """Exchange left and right of the ``rows`` of ``people``, in place.
+
+    A detector that mirrors a person turns the links by a convention of its own, so they become
+    unknown. Where ``facing`` (N, 2) is known, the detector turns the toes, too: what of them points
+    along the facing is turned round. ``axes`` (N, 3, 3) are those of the views.
+    """
+    mirror = markers.mirror
+    for i in range(len(rows)):
+        states, confidences = people.markers[rows[i]], people.marker_confidences[rows[i]]
+        for m in range(len(mirror)):
+            if mirror[m] > m:
+                exchange(states, confidences, m, mirror[m])
+        blank(people.links[rows[i]], people.link_confidences[rows[i]])
+        if not math.isnan(facing[i, 0]):
+            for f in range(len(markers.feet)):
+                _turn_toes(states, markers.feet[f, 0], markers.feet[f, 1], facing[i], axes[i])
+
+
+@kernel
+def _turn_pair(a: Floats, b: Floats, turn: float, axes: Floats) -> None:
+    """Turn two markers about the line along the trunk through their middle."""
+    cosine, sine = math.cos(turn), math.sin(turn)
+    for first in (POSITION, VELOCITY, ACCELERATION):
+        x, y, z = b[first] - a[first], b[first + 1] - a[first + 1], b[first + 2] - a[first + 2]
+        p, q = component(x, y, z, axes, 0), component(x, y, z, axes, 1)
+        dp, dq = cosine * p - sine * q - p, sine * p + cosine * q - q
+        for c in range(3):
+            change = 0.5 * (dp * axes[0, c] + dq * axes[1, c])
+            a[first + c] -= change
+            b[first + c] += change
+
+
+@entry
+def turn_trunks(people: People, rows: I1, turns: F1, axes: F3, markers: FacingMarkers) -> None:
+    """Turn shoulders and hips of the ``rows`` of ``people`` by ``turns`` (N,), rad, in place.
+
+    They turn about the trunk; ``axes`` (N, 3, 3) are those of the views.
+    Arms and legs stay: cameras see them better than the line of the body. Links become unknown.
+    """
+    for i in range(len(rows)):
+        states = people.markers[rows[i]]
+        for k in range(len(markers.lateral)):
+            a, b = states[markers.lateral[k, 0]], states[markers.lateral[k, 1]]
+            if not math.isnan(a[POSITION] + b[POSITION]):
+                _turn_pair(a, b, turns[i], axes[i])
+        blank(people.links[rows[i]], people.link_confidences[rows[i]])

@@ -43,11 +43,11 @@ checked on three others with two people and on simulated logs. A person's own li
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from hiros_mcap.body.limb_radii import capsules_of
+from hiros_mcap.body.segments import capsules_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, CameraNumbers, places_of
 from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, SkeletonModel, Stamps
@@ -55,7 +55,7 @@ from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.detections import hidden_joints as kernels
 from hiros_mcap.stages.detections.detection_params import PlausibleParams
 from hiros_mcap.stages.detections.impossible_postures import limits_of
-from hiros_mcap.stages.detections.limb_deviations import ComparedMessages
+from hiros_mcap.stages.detections.plausible import ComparedMessages
 
 HIDDEN = "hidden"
 """Kind of the event "somebody stood behind somebody else", and of the count of such joints."""
@@ -96,15 +96,6 @@ def mend_hidden_blocks(
     people.finish()
 
 
-@dataclass(slots=True)
-class _Absence:
-    """While a camera cannot see somebody."""
-
-    first: int
-    last: int  # ns
-    hider: int  # who was in front at first
-
-
 class _HiddenPeople:
     """What is known of everybody's pose, and who is hidden."""
 
@@ -116,8 +107,8 @@ class _HiddenPeople:
         self._bank = Bank(kernels.HiddenPast.empty(model.n_markers))
         self._cameras = CameraNumbers()
         self._rates = np.zeros((0, 2))
-        self._absent: dict[tuple[int, str], _Absence] = {}
-        """Who is hidden from which camera."""
+        self._absent: dict[tuple[int, str], tuple[int, int, int]] = {}
+        """Who is hidden from which camera: first and last, ns, and who was in front at first."""
 
     def mend(self, block: Block) -> Block:
         """Return a block with what is known of hidden joints."""
@@ -152,20 +143,18 @@ class _HiddenPeople:
             row, owner = int(rows[k]), int(owners[k])
             source, stamp = block.source(owner), int(block.stamps[owner])
             key = int(block.people.ids[row]), source
-            absence = self._absent.get(key)
-            if absence is None or stamp - absence.last > _PAUSE:
+            first, last, hider = self._absent.get(key, (stamp, 0, 0))
+            if stamp - last > _PAUSE:
                 self._end(key)
-                self._absent[key] = _Absence(stamp, stamp, int(out.hiders[row]))
-            else:
-                absence.last = stamp
+                first, hider = stamp, int(out.hiders[row])
+            self._absent[key] = first, stamp, hider
 
     def _end(self, key: tuple[int, str]) -> None:
         """Note an absence that is over."""
-        absence = self._absent.pop(key, None)
-        if absence is not None and absence.last - absence.first >= _SHORTEST:
-            seconds = (absence.last - absence.first) * 1e-9
-            detail = f"behind person {absence.hider} for {seconds:.1f} s"
-            self._events.note(absence.first, HIDDEN, person=key[0], source=key[1], detail=detail)
+        first, last, hider = self._absent.pop(key, (0, 0, 0))
+        if last - first >= _SHORTEST:
+            detail = f"behind person {hider} for {(last - first) * 1e-9:.1f} s"
+            self._events.note(first, HIDDEN, person=key[0], source=key[1], detail=detail)
 
     def finish(self) -> None:
         """Note all absences that are left."""

@@ -15,7 +15,7 @@ from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.kernels.line_of_sight import OUTLINE, Capsules, hidden_by, outline
 from hiros_mcap.skeletons import UNTRACKED, Floats, People
 from hiros_mcap.stages.detections.impossible_postures import PostureLimits, doubt_posture
-from hiros_mcap.stages.detections.limb_deviations import ComparedMessages
+from hiros_mcap.stages.detections.plausible import ComparedMessages
 
 HONEST = 0.06  # m; deviation of a joint that is seen: a Kinect v2 at 3 to 4 m, hands included
 _WHOLE = 0.03  # m; of a whole body: slow offsets of joints are 1 to 2 cm, poses of cameras as well

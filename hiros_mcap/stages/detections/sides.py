@@ -38,7 +38,7 @@ from hiros_mcap.frames import Block, CameraNumbers, join
 from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.skeletons import UNTRACKED, Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.detections import exchanging, facing
+from hiros_mcap.stages.detections import facing
 from hiros_mcap.stages.detections.detection_params import SidesParams
 from hiros_mcap.stages.detections.facing_evidence import (
     BINS,
@@ -196,11 +196,11 @@ class _Sides:
         measured = joined([piece.measured for piece in held])
         out = facing.Facings.allocate(len(measured.cells))
         order = np.lexsort((measured.stamps, measured.rows))  # each person's views, by time
-        starts = np.flatnonzero(np.diff(measured.rows[order], prepend=-1))
+        ends = np.append(np.flatnonzero(np.diff(measured.rows[order], prepend=-1)), len(order))
         evidence = np.concatenate([piece.evidence for piece in held])
-        window = facing.FacingWindow(order, np.append(starts, len(order)), evidence)
-        work = facing.SmoothWork.of(int(np.diff(window.ends).max(initial=0)))
-        facing.smooth(measured, window, until, self._bank.past, self._tables, work, out)
+        work = facing.SmoothWork.of(int(np.diff(ends).max(initial=0)))
+        past, tables = self._bank.past, self._tables
+        facing.smooth(measured, order, ends, evidence, until, past, tables, work, out)
         out.toes[:] = self._tables.reliability(TOES)
         self._decided = until
         now = int(held[-1].block.log_times.max())
@@ -255,14 +255,14 @@ class _Sides:
         ends = np.cumsum([len(piece.block) for piece in pieces])
         parts = zip(pieces, np.split(shifts, ends[:-1]), strict=True)
         views = np.concatenate([piece.views + shift[piece.owners] for piece, shift in parts])
-        facing = facings.facing[swapped]
-        facing[facings.toes[swapped] >= _SLAVED] = np.nan
+        directions = facings.facing[swapped]
+        directions[facings.toes[swapped] >= _SLAVED] = np.nan
         axes = measured.axes
-        exchanging.exchange_sides(
-            block.people, views[swapped], facing, axes[swapped], self._markers
+        facing.exchange_sides(
+            block.people, views[swapped], directions, axes[swapped], self._markers
         )
         angles = facings.turns[turned]
-        exchanging.turn_trunks(block.people, views[turned], angles, axes[turned], self._markers)
+        facing.turn_trunks(block.people, views[turned], angles, axes[turned], self._markers)
         by_camera = np.bincount(measured.cameras[swapped], minlength=len(self._cameras))
         for source, n in zip(self._cameras, by_camera.tolist(), strict=True):
             self._events.count("flip", source, n)

@@ -17,14 +17,14 @@ import numpy as np
 
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, CameraNumbers
-from hiros_mcap.kernels.array_types import arrays, settings_of
+from hiros_mcap.kernels.array_types import F1, I1, I2, arrays, settings_of
+from hiros_mcap.kernels.compile import entry
 from hiros_mcap.skeletons import POSITION, STATE, UNTRACKED, Floats, Ints, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.filter import state_space
 from hiros_mcap.stages.filter.filter_params import FilterParams
 from hiros_mcap.stages.filter.filtering import FilterMethod, FilterPast, FilterSettings, FilterSteps
 from hiros_mcap.stages.filter.link_lengths import average_lengths, restore_lengths
-from hiros_mcap.stages.filter.numbering import PROGRESS, find_ends, number_steps
 from hiros_mcap.stages.look_ahead import LookAhead
 
 _JITTER = 0.001
@@ -36,6 +36,18 @@ _SHORTEST = 0.002  # least sample time in s to design for; nothing that sees peo
 _HIGHEST = 0.4  # highest cut-off over the sample rate; half of the rate cannot be filtered at all
 _BATCH = 16  # most frames that are filtered in one call: each takes a slot of the rings
 _SLOTS = 32  # slots of the rings at first: enough for a batch and the default look-ahead at 30 Hz
+
+# Columns of FilterPast.progress.
+STEPS = 0  # so far
+ESTIMATED = 1  # steps whose estimates are written
+KNOWN = 2  # steps up to the frame that is looked at
+FIRST_TIME = 3  # ns
+LAST_TIME = 4  # ns
+PROGRESS = 5
+
+# Columns of people in frames.
+ROW = 0  # in the bank
+STEP = 1
 
 
 def filter_blocks(
@@ -269,3 +281,69 @@ class _SampleTime:
             events.count("filter: cut-off lowered", self._source)
         ahead = int(np.ceil(max(params.lookahead - _JITTER, 0.0) / self.period))
         self.tuning = self._method.tune(params.order, cutoff, self.period, ahead)
+
+
+# Which step of whom is in a frame, and up to which step the look-ahead of a frame goes; compiled.
+
+
+@entry
+def number_steps(rows: I1, times: I1, progress: I2, steps: I1, seconds: F1) -> int:
+    """Give numbers to the steps of P people, in the order of their frames.
+
+    Parameters
+    ----------
+    rows : (P,) of the people in the bank; -1 = nobody.
+    times : (P,) their own times, ns.
+    progress : (B, PROGRESS), which goes on.
+    steps, seconds : (P,) get the number of each step, and the time since the person's first one.
+        There is no step (-1) where a person's times do not increase.
+
+    Returns
+    -------
+    Most steps of a person whose estimates are not written.
+    """
+    most = 0
+    for k in range(len(rows)):
+        steps[k] = -1
+        if rows[k] < 0:
+            continue
+        person = progress[rows[k]]
+        if person[STEPS] == 0:
+            person[FIRST_TIME] = times[k]
+        elif times[k] <= person[LAST_TIME]:
+            continue
+        steps[k] = person[STEPS]
+        seconds[k] = (times[k] - person[FIRST_TIME]) * 1e-9
+        person[STEPS] += 1
+        person[LAST_TIME] = times[k]
+        most = max(most, person[STEPS] - person[ESTIMATED])
+    return most
+
+
+@entry
+def find_ends(new: I2, frames: I1, leaving: I2, completing: I1, progress: I2, ends: I1) -> None:
+    """Find how many steps of each person are known when the look-ahead of a frame is complete.
+
+    Parameters
+    ----------
+    new, frames : (P, 3) the people of some new frames, and the frame of each.
+    leaving, completing : (Q, 3) the people of the oldest frames, and the new frame that completes
+        the look-ahead of each. ``new`` may be among them.
+    progress : (B, PROGRESS), which goes on.
+    ends : (Q,) gets the number of the first step that is not known yet.
+    """
+    for k in range(len(new)):
+        if new[k, STEP] >= 0:
+            progress[new[k, ROW], KNOWN] = progress[new[k, ROW], STEPS]
+    for j in range(len(leaving)):
+        if leaving[j, STEP] >= 0:
+            progress[leaving[j, ROW], KNOWN] = progress[leaving[j, ROW], STEPS]
+            progress[leaving[j, ROW], ESTIMATED] = leaving[j, STEP] + 1
+    k = len(new) - 1
+    for j in range(len(leaving) - 1, -1, -1):
+        while k >= 0 and frames[k] > completing[j]:
+            if new[k, STEP] >= 0:
+                progress[new[k, ROW], KNOWN] = new[k, STEP]
+            k -= 1
+        if leaving[j, STEP] >= 0:
+            ends[j] = progress[leaving[j, ROW], KNOWN]

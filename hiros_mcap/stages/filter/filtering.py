@@ -63,7 +63,7 @@ class FilterPast(NamedTuple):
     ring: F4  # (B, R, T, ...) the latest steps
     times: F2  # (B, R) their times since the person's first step, s
     lengths: F4  # (B, R, L, 2) mean length of each link at these steps, m, and the s that it covers
-    progress: I2  # (B, PROGRESS) how far their steps are; see numbering.py
+    progress: I2  # (B, PROGRESS) how far their steps are; see filter.py
 
 
 class FilterSettings(NamedTuple):

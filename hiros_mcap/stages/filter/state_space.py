@@ -71,12 +71,6 @@ DIFFUSE = 1e6  # variance of the prior over that of a measurement
 STARTS, UNSEEN, SEEN = 0, 1, 2
 
 
-class StateSpaceWork(NamedTuple):
-    """Scratch."""
-
-    adjoint: F2  # (3, 3) of position, velocity and acceleration, by component
-
-
 class CovarianceStep(NamedTuple):
     """One step of a covariance."""
 
@@ -169,8 +163,7 @@ def _correct(
 
 @entry
 def update(
-    people: People, steps: FilterSteps, past: FilterPast, settings: FilterSettings,
-    work: StateSpaceWork,
+    people: People, steps: FilterSteps, past: FilterPast, settings: FilterSettings, work: F2,
 ) -> None:  # fmt: skip
     """Predict every trajectory of every step; correct those that are measured; start new ones."""
     for j in range(len(steps.rows)):
@@ -275,10 +268,9 @@ def _smooth(
 
 @entry
 def estimate(
-    people: People, steps: FilterSteps, past: FilterPast, settings: FilterSettings,
-    work: StateSpaceWork,
+    people: People, steps: FilterSteps, past: FilterPast, settings: FilterSettings, work: F2,
 ) -> None:  # fmt: skip
-    """Write the estimates of steps, given the data until their ends."""
+    """Write the estimates of steps, given the data until their ends; ``work`` (3, 3) is scratch."""
     for j in range(len(steps.rows)):
         window, step = window_of(steps, past, j), step_of(steps, past, j)
         interval = step.interval if step.interval < np.inf else 0.0
@@ -292,8 +284,8 @@ def estimate(
                 if not is_shown(window, t, settings.bridge):
                     erase(group, k)
                     continue
-                _carry_back(window, t, work.adjoint)
-                _smooth(group, k, slot, work.adjoint, window, interval, settings.order)
+                _carry_back(window, t, work)
+                _smooth(group, k, slot, work, window, interval, settings.order)
                 fill_confidence(group, k, slot)
 
 
@@ -355,7 +347,7 @@ METHOD = FilterMethod(
     tune=tune,
     update=update,
     estimate=estimate,
-    work=lambda order, slots: StateSpaceWork(np.zeros((3, 3))),
+    work=lambda order, slots: np.zeros((3, 3)),
     state_columns=lambda order: STATE_COLUMNS,
     slot_columns=SLOT_COLUMNS,
 )

@@ -1,12 +1,11 @@
 """Our own system: one estimate from all views of a person in a window of time.
 
 fuse.py              the page
-sightings.py         the views of each instant
-window_smoother.py   the estimate; stepping.py, fusing.py, comparing.py are its compiled loops
+window_smoother.py   the estimate; fusing.py is its compiled loop
 pose_error.py        how well each camera's pose is known
-fusion_noise.py      how well each camera sees; residuals.py, log_histograms.py
+fusion_noise.py      how well each camera sees; residuals.py
 displaced_views.py   views of a camera that is not where its pose says
 constrain.py         constant lengths afterwards; pair_lengths.py, pose_prior.py
-align_links.py       orientations of the links; aligning.py is its compiled loop
+align_links.py       orientations of the links
 fuse_params.py       the parameters
 """

@@ -165,7 +165,7 @@ class _Bodies:
 
     def _lengths(self, person: int) -> Floats:
         """(K,) Lengths of a person as they are known, m."""
-        return self._limbs.given_or(person, self._result(self._people[person]).lengths)
+        return self._limbs.given_or(person, self._result(self._people[person])[0])
 
     def _meter(self) -> AllPoses | RunningLengths:
         if self._params.window > 0:
@@ -182,7 +182,7 @@ class _Bodies:
         """Put a person's lengths into the run's table."""
         measured = self._result(body)
         self._limbs.keep(person, measured)
-        detail = f"{measured.counts.max(initial=0)} frames"
+        detail = f"{measured[2].max(initial=0)} frames"
         self._events.note(body.last, "limbs calibrated", person=person, detail=detail)
 
     def end_of_log(self) -> None:

@@ -13,14 +13,14 @@ the offset; they count again from the second on in which they agree.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from hiros_mcap.events import Events, camera_displaced
+from hiros_mcap.kernels.array_types import F1, F2, F3, I1
+from hiros_mcap.kernels.compile import entry
 from hiros_mcap.skeletons import Flags, Floats, Stamps
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.fuse.comparing import add_offsets, find_displaced
 from hiros_mcap.stages.fuse.fusing import Sightings
 
 LIMIT, LIMIT_AHEAD = 0.035, 0.06
@@ -45,13 +45,6 @@ of two who touch one may be seen wrong."""
 _PART, _PAUSE = 250_000_000, 4  # ns, and so many of it in which people are in place end one
 
 
-class _Offsets(NamedTuple):
-    """Sums over the recent views of R people by C cameras."""
-
-    sums: Floats  # (R, C, 3) of the offsets, m
-    weights: Floats  # (R, C) of the views
-
-
 class DisplacedViews:
     """Which cameras show people elsewhere than the others, person by person.
 
@@ -63,7 +56,8 @@ class DisplacedViews:
     def __init__(self, pose_errors: Mapping[str, float] = EXACT) -> None:
         self._pose_errors = pose_errors
         self._names: tuple[str, ...] = ()
-        self._bank = Bank(_Offsets(np.zeros((0, 0, 3)), np.zeros((0, 0))))
+        self._bank = Bank((np.zeros((0, 0, 3)), np.zeros((0, 0))))
+        """(R, C, 3) sums over the recent views of people by cameras, m, and (R, C) their number."""
         self._stamp = 0
         self._spans: dict[int, _Span] = {}
         self._uncounted: list[tuple[Stamps, Stamps, Floats]] = []
@@ -73,10 +67,9 @@ class DisplacedViews:
         """Take the names of the cameras, by index."""
         new = len(names) - len(self._names)
         self._names = names
-        self._bank.past = _Offsets(
-            np.pad(self._bank.past.sums, ((0, 0), (0, new), (0, 0))),
-            np.pad(self._bank.past.weights, ((0, 0), (0, new))),
-        )
+        sums, weights = self._bank.past
+        sums = np.pad(sums, ((0, 0), (0, new), (0, 0)))
+        self._bank.past = sums, np.pad(weights, ((0, 0), (0, new)))
 
     def expected(self, views: Sightings) -> Floats:
         """(N,) Variance, m2, to be added to new views, by the offsets of the views before them."""
@@ -237,3 +230,52 @@ def displaced(sums: Floats, weights: Floats, limits: Floats) -> Floats:
     squares = np.zeros(weights.shape)
     find_displaced(sums, weights, limits, CLEARLY, MAJORITY, np.empty(len(limits)), squares)
     return SHARE * squares
+
+
+@entry
+def find_displaced(
+    sums: F3, weights: F2, limits: F1, clearly: float, majority: int, squares: F1, out: F2
+) -> None:
+    """Write the squared offset of the displaced cameras of each group, m2; 0 for the others.
+
+    Parameters
+    ----------
+    sums : (G, C, 3) of offsets, m. weights : (G, C) of views, 0 = none. limits : (C,) m.
+    clearly, majority : offset over the median of the cameras; how many cameras there must be.
+    squares : (C,) scratch.
+    """
+    for g in range(len(weights)):
+        count = 0
+        for c in range(len(limits)):
+            out[g, c] = 0.0
+            if weights[g, c] > 0.0:
+                for i in range(3):
+                    out[g, c] += (sums[g, c, i] / weights[g, c]) ** 2
+                k = count
+                while k > 0 and squares[k - 1] > out[g, c]:
+                    squares[k] = squares[k - 1]
+                    k -= 1
+                squares[k] = out[g, c]
+                count += 1
+        middle = clearly * clearly * squares[(count - 1) // 2] if count >= majority else np.inf
+        for c in range(len(limits)):
+            if not out[g, c] > max(limits[c] * limits[c], middle):
+                out[g, c] = 0.0
+
+
+@entry
+def add_offsets(offsets: F2, rows: I1, cameras: I1, keep: float, sums: F3, weights: F2) -> None:
+    """Add offsets (N, 3), m, to the sums (R, C, 3) of people and cameras, of which ``keep`` stays.
+
+    ``rows`` (N,) are those of the people; -1 = nothing to add.
+    """
+    for r in range(len(weights)):
+        for c in range(weights.shape[1]):
+            weights[r, c] *= keep
+            for i in range(3):
+                sums[r, c, i] *= keep
+    for n in range(len(rows)):
+        if rows[n] >= 0:
+            weights[rows[n], cameras[n]] += 1.0
+            for i in range(3):
+                sums[rows[n], cameras[n], i] += offsets[n, i]

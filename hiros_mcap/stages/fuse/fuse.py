@@ -13,18 +13,28 @@ A log of any length is smoothed in overlapping windows. Link orientations are th
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block
-from hiros_mcap.skeletons import Floats, SkeletonModel
+from hiros_mcap.frames import Block, places_of
+from hiros_mcap.kernels.array_types import B1, F2, J1, chosen, joined
+from hiros_mcap.kernels.averaging import BEGIN, CAMERA, END, TIME, Buffers
+from hiros_mcap.kernels.compile import entry, kernel
+from hiros_mcap.kernels.distance import mean_position, norm3
+from hiros_mcap.skeletons import Floats, People, SkeletonModel, Stamps
 from hiros_mcap.stages.fuse.fuse_params import FuseParams
+from hiros_mcap.stages.fuse.fusing import REFERENCE, Sightings
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise, RunningNoise
 from hiros_mcap.stages.fuse.pose_error import PoseError
 from hiros_mcap.stages.fuse.residuals import ResidualMeter
-from hiros_mcap.stages.fuse.sightings import SightingGatherer
 from hiros_mcap.stages.fuse.window_smoother import WindowSmoother
+from hiros_mcap.stages.merge.instants import InstantMerger
+from hiros_mcap.stages.merge.merge import ViewMerger
 from hiros_mcap.stages.merge.merge_params import MergeParams
+from hiros_mcap.stages.merge.unseen import Unseen
+
+_NEAREST = 0.3  # m; noise is not assumed to fall any further nearer to a camera
 
 
 def fuse_blocks(
@@ -76,3 +86,89 @@ def noise_of(
     return measured or FusionNoise.default(
         model, params.acceleration, params.offset, params.offset_time
     )
+
+
+class SightingGatherer:
+    """Instants, and what the cameras saw at them."""
+
+    def __init__(
+        self, model: SkeletonModel, params: MergeParams, cameras: Mapping[str, Floats] | None = None
+    ) -> None:
+        self._model, self._params = model, params
+        self._cameras = cameras or {}
+        self._merge = ViewMerger(model, params, only_orientations=True)
+        self._gathered: list[Sightings] = []
+        self._n_instants = 0
+
+    def run(
+        self, blocks: Iterable[Block], events: Events, fixed_frame: str = ""
+    ) -> Iterator[tuple[Block, Sightings, tuple[str, ...]]]:
+        """Yield merged people, the views of each instant (numbered in the block), the cameras."""
+
+        def gather(*given: Any) -> None:
+            self._gather(merger.cameras, *given)
+
+        merger = InstantMerger(
+            self._model, gather, self._merge.bank, events, fixed_frame, ("outlier", "flip"),
+            Unseen(self._params.bridge, self._params.carry, self._cameras), self._merge.widths,
+        )  # fmt: skip
+        for block in merger.run(blocks, self._params.cameras, self._params.max_delta_time):
+            gathered, self._gathered, self._n_instants = self._gathered, [], 0
+            yield block, joined(gathered), merger.cameras
+
+    def _gather(
+        self, names: Sequence[str], buffers: Buffers, people: People, views: int, out: People,
+        counts: Stamps,
+    ) -> None:  # fmt: skip
+        """Merge links; keep what each camera saw. A ``MergeKernel`` of instants."""
+        self._merge(buffers, people, views, out, counts)
+        n, m = int((buffers.messages[:, 1] - buffers.messages[:, 0]).sum()), self._model.n_markers
+        some = Sightings.allocate(n, m)
+        places = places_of(names, self._cameras)
+        n = gather_sightings(buffers, people, out.ids, self._merge.flipped, places, some)
+        some = chosen(some, slice(n))
+        self._gathered.append(some._replace(instants=some.instants + self._n_instants))
+        self._n_instants += len(buffers.stamps)
+
+
+@kernel
+def _distance(positions: Floats, place: Floats) -> float:
+    """Distance, m, of the mean of the positions (M, 3) that are known from a camera's place."""
+    x, y, z = mean_position(positions)
+    away = norm3(x - place[0], y - place[1], z - place[2])
+    return REFERENCE if math.isnan(away) else max(away, _NEAREST)
+
+
+@entry
+def gather_sightings(
+    buffers: Buffers, people: People, ids: J1, flipped: B1, places: F2, out: Sightings
+) -> int:
+    """Write what the messages of buffers show of the people to be merged; return how many views.
+
+    Parameters
+    ----------
+    ids : (P,) whom the buffers merge. flipped : rows of ``people`` that are left out.
+    places : (C, 3) position of each camera, m; NaN = unknown. out : has room for all.
+    """
+    n = 0
+    for q in range(len(buffers.stamps)):
+        for k in range(buffers.message_ends[q], buffers.message_ends[q + 1]):
+            for i in range(buffers.messages[k, BEGIN], buffers.messages[k, END]):
+                wanted = False
+                for p in range(buffers.people_ends[q], buffers.people_ends[q + 1]):
+                    wanted = wanted or ids[p] == people.ids[i]
+                if not wanted or flipped[i]:
+                    continue
+                out.instants[n] = q
+                out.people[n] = people.ids[i]
+                out.cameras[n] = buffers.messages[k, CAMERA]
+                out.stamps[n] = buffers.messages[k, TIME]
+                for m in range(people.markers.shape[1]):
+                    given = people.marker_confidences[i, m]
+                    out.confidences[n, m] = people.confidences[i] if math.isnan(given) else given
+                    out.hidden[n, m] = buffers.hidden[i, m]
+                    for c in range(3):
+                        out.positions[n, m, c] = people.markers[i, m, c]
+                out.distances[n] = _distance(out.positions[n], places[out.cameras[n]])
+                n += 1
+    return n

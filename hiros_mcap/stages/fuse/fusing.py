@@ -17,16 +17,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.array_types import B1, F1, F2, F3, F4, I1, J1, arrays
-from hiros_mcap.kernels.averaging import BEGIN, CAMERA, END, TIME, Buffers
+from hiros_mcap.kernels.array_types import F1, F2, F3, F4, I1, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel
-from hiros_mcap.kernels.distance import mean_position
-from hiros_mcap.kernels.points import norm3
-from hiros_mcap.skeletons import Floats, People
+from hiros_mcap.skeletons import Floats, Ints, Stamps
 
 POSITION, VELOCITY, OFFSETS = 0, 1, 2  # rows of the state of a joint
 REFERENCE = 2.0  # m; distance at which the white noise of a joint is stated
-_NEAREST = 0.3  # m; noise is not assumed to fall any further nearer to a camera
 POSE = -1  # the camera of a step at which a pose is wanted and nothing is measured
 
 _POSITION_VARIANCE, _VELOCITY_VARIANCE = 0.05, 1.0  # of a joint that is seen first, m2 and m2/s2
@@ -59,6 +55,22 @@ class Sightings(NamedTuple):
         """Return arrays whose numbers are still to be set."""
         joints = views, markers
         return arrays(cls, *4 * [views], (*joints, 3), joints, views, joints)
+
+
+def rows_of(views: Sightings, instants: Stamps, people: Ints) -> Stamps:
+    """(N,) Row of each view's person and instant among ``instants`` and ``people``; -1 = none."""
+    if not len(people):
+        return np.full(len(views.people), -1)
+    keys = _key(instants, people)
+    order = np.argsort(keys)
+    wanted = _key(views.instants, views.people)
+    rows = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)]
+    return np.where(keys[rows] == wanted, rows, -1)
+
+
+def _key(instants: Stamps, people: Stamps | Ints) -> Stamps:
+    """One number for an instant and a person, whose id has 32 bits."""
+    return instants * (1 << 32) + people
 
 
 class Steps(NamedTuple):
@@ -135,49 +147,6 @@ class FusionWork(NamedTuple):
         t, n = steps, size
         many, levels = ((t, n), (t, n), (t, 3), (t, 3)), ((t, LEVELS), t, t)
         return arrays(cls, t, t, t, *many, t, (n, 3), (n, n), n, *levels)
-
-
-@kernel
-def _distance(positions: Floats, place: Floats) -> float:
-    """Distance, m, of the mean of the positions (M, 3) that are known from a camera's place."""
-    x, y, z = mean_position(positions)
-    away = norm3(x - place[0], y - place[1], z - place[2])
-    return REFERENCE if math.isnan(away) else max(away, _NEAREST)
-
-
-@entry
-def gather_sightings(
-    buffers: Buffers, people: People, ids: J1, flipped: B1, places: F2, out: Sightings
-) -> int:
-    """Write what the messages of buffers show of the people to be merged; return how many views.
-
-    Parameters
-    ----------
-    ids : (P,) whom the buffers merge. flipped : rows of ``people`` that are left out.
-    places : (C, 3) position of each camera, m; NaN = unknown. out : has room for all.
-    """
-    n = 0
-    for q in range(len(buffers.stamps)):
-        for k in range(buffers.message_ends[q], buffers.message_ends[q + 1]):
-            for i in range(buffers.messages[k, BEGIN], buffers.messages[k, END]):
-                wanted = False
-                for p in range(buffers.people_ends[q], buffers.people_ends[q + 1]):
-                    wanted = wanted or ids[p] == people.ids[i]
-                if not wanted or flipped[i]:
-                    continue
-                out.instants[n] = q
-                out.people[n] = people.ids[i]
-                out.cameras[n] = buffers.messages[k, CAMERA]
-                out.stamps[n] = buffers.messages[k, TIME]
-                for m in range(people.markers.shape[1]):
-                    given = people.marker_confidences[i, m]
-                    out.confidences[n, m] = people.confidences[i] if math.isnan(given) else given
-                    out.hidden[n, m] = buffers.hidden[i, m]
-                    for c in range(3):
-                        out.positions[n, m, c] = people.markers[i, m, c]
-                out.distances[n] = _distance(out.positions[n], places[out.cameras[n]])
-                n += 1
-    return n
 
 
 @kernel

@@ -6,8 +6,6 @@ many poses at once (:class:`AllPoses`) or on the way (:class:`RunningLengths`).
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
@@ -17,13 +15,9 @@ _LENGTH_DEVIATION = 0.005  # m; added to the deviations that weight a length
 _OUTLIER = 4.0  # robust standard deviations
 _FEWEST = 30  # poses that give a length
 
-
-class MeasuredLengths(NamedTuple):
-    """The K distances of one person."""
-
-    lengths: Floats  # (K,) m; 0 = unknown
-    deviations: Floats  # (K,) Standard deviations of the distances as they were seen, m
-    counts: Ints  # (K,) poses with both ends
+MeasuredLengths = tuple[Floats, Floats, Ints]
+"""Of the K distances of one person: lengths, m, 0 = unknown; standard deviations of the distances
+as they were seen, m; poses with both ends."""
 
 
 def without_noise(squares: Floats, varied: Floats, stated: Floats) -> Floats:
@@ -84,7 +78,7 @@ class AllPoses:
         """Return what the poses so far show."""
         poses, variances = np.concatenate(self._poses), np.concatenate(self._variances)
         lengths = np.nan_to_num(measured_lengths(poses, variances, self._pairs))
-        return MeasuredLengths(lengths, *_deviations(poses, self._pairs))
+        return lengths, *_deviations(poses, self._pairs)
 
 
 class RunningLengths:
@@ -134,7 +128,7 @@ class RunningLengths:
         weight, other = self._weight, self._other
         both = np.maximum(weight + weight[other], 1e-12)
         lengths = np.sqrt((weight * squares + weight[other] * squares[other]) / both)
-        return MeasuredLengths(lengths, np.sqrt(varied), self._counts)
+        return lengths, np.sqrt(varied), self._counts
 
 
 class PairLimbs:

@@ -9,11 +9,15 @@ rolls and has none, the whole body's (:func:`body_frames`).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from hiros_mcap.body.rotations import nearest_rotation
+from hiros_mcap.kernels.array_types import F1, F2, F3
+from hiros_mcap.kernels.compile import entry, kernel
+from hiros_mcap.kernels.distance import norm3
 from hiros_mcap.skeletons import Flags, Floats, Ints
-from hiros_mcap.stages.fuse.estimating import EstimateWork, PoseSpace, estimate_poses
 
 WINDOW = 90  # poses, 3 s at 30 Hz
 FEWEST = 30  # poses that a prior needs
@@ -28,6 +32,8 @@ _LEFT = 1.0  # s unseen after which it is learned anew
 _LEVEL = 0.2  # least horizontal share of the line from left to right that tells a heading
 _TILTED = 0.02  # share of poses that may lack one: a pose of a detector may be wrong
 _SUREST = 0.01**2  # m2; the least variance that counts, so that no marker alone turns a pose
+_ABSENT = 1.0  # m2; variance of a marker that is missing
+_FREE = 0.003  # m; what each marker may do by itself
 _TURNS = 2  # times that poses are turned onto their mean
 
 
@@ -50,7 +56,7 @@ def shrink_noise(positions: Floats, variances: Floats) -> Floats:
         if n >= FEWEST and present.any():
             some = positions[part][:, present]
             noise = at_most_shown(some, variances[part][:, present])
-            estimate[:, present] = _estimated(motion_of(some, noise), some, noise)
+            estimate[:, present] = _estimated(*motion_of(some, noise), some, noise)
         out[part] += fade[:, None, None] * estimate
         weights[part] += fade
     return np.asarray(out / weights[:, None, None])
@@ -64,8 +70,8 @@ class RecentMotion:
         self._variances: list[Floats] = []
         self._next = self._pushed = self._seen = 0
         """When the prior is due, the last pose was kept, and the person was seen last, ns."""
-        self._motion: tuple[PoseSpace, Flags] | None = None
-        """With the markers that any pose had."""
+        self._motion: tuple[Floats, Floats, Flags] | None = None
+        """Of :func:`motion_of`, and the markers that any pose had."""
 
     def shrink(self, local: Floats, variances: Floats, stamp: int) -> Floats:
         """Return a local pose (M, 3), m, moved towards what the person has done; remember it.
@@ -84,9 +90,9 @@ class RecentMotion:
     def _estimate(self, local: Floats, variances: Floats) -> Floats:
         if self._motion is None:
             return local
-        motion, seen = self._motion
+        mean, basis, seen = self._motion
         estimate, some, noise = local.copy(), local[None, seen], variances[None, seen]
-        estimate[seen] = _estimated(motion, some, noise, _LARGEST_STEP)[0]
+        estimate[seen] = _estimated(mean, basis, some, noise, _LARGEST_STEP)[0]
         return estimate
 
     def _remember(self, local: Floats, variances: Floats, stamp: int) -> None:
@@ -103,7 +109,7 @@ class RecentMotion:
             poses = np.stack(self._poses)
             present: Flags = np.asarray(~np.isnan(poses).any(axis=2).all(axis=0))
             some, noise = poses[:, present], np.stack(self._variances)[:, present]
-            self._motion = (motion_of(some, noise), present) if present.any() else None
+            self._motion = (*motion_of(some, noise), present) if present.any() else None
 
 
 def at_most_shown(positions: Floats, variances: Floats) -> Floats:
@@ -178,8 +184,12 @@ def _mean(points: Floats, weights: Floats, axis: int) -> Floats:
     )
 
 
-def motion_of(positions: Floats, variances: Floats) -> PoseSpace:
-    """Find the motion in poses (T, M, 3), m, with variances (T, M): the excess over the noise."""
+def motion_of(positions: Floats, variances: Floats) -> tuple[Floats, Floats]:
+    """Find the motion in poses (T, M, 3), m, with variances (T, M): the excess over the noise.
+
+    Returns the mean pose (N,), m, where N = 3 M, and in which directions poses vary by more than
+    noise does: (N, R) times the standard deviation along each, m. P = B B' + free variance.
+    """
     y = positions.reshape(len(positions), -1)
     absent = np.isnan(y)
     mean = np.nanmean(y, axis=0)
@@ -192,13 +202,95 @@ def motion_of(positions: Floats, variances: Floats) -> PoseSpace:
     excess = squares / len(y) - _EXCESS
     used = excess > 0
     sizes = np.sqrt(excess[used] / squares[used])
-    return PoseSpace(mean, noise[:, None] * (white.T @ (poses[:, used] * sizes)))
+    return mean, noise[:, None] * (white.T @ (poses[:, used] * sizes))
 
 
 def _estimated(
-    motion: PoseSpace, positions: Floats, variances: Floats, largest: float = np.inf
+    mean: Floats, basis: Floats, positions: Floats, variances: Floats, largest: float = np.inf
 ) -> Floats:
     """Estimate poses (T, M, 3), m, with variances (T, M); see :func:`estimate_poses`."""
-    poses = np.array(positions, order="C")
-    estimate_poses(poses, np.ascontiguousarray(variances), motion, largest, EstimateWork.of(motion))
+    poses, noise = np.array(positions, order="C"), np.ascontiguousarray(variances)
+    estimate_poses(poses, noise, mean, basis, largest, *estimate_scratch(basis))
     return poses
+
+
+# The estimate, compiled.
+
+
+def estimate_scratch(basis: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Make room for one pose: what :func:`estimate_poses` takes last."""
+    n, rank = basis.shape
+    return np.empty(n), np.empty(n), np.empty((rank, rank)), np.empty(rank)
+
+
+@kernel
+def _compare(pose: Floats, variances: Floats, mean: Floats, off: Floats, spread: Floats) -> None:
+    """Measure the pose (M, 3) against the mean; nothing is known of absent markers."""
+    for i in range(len(mean)):
+        m, c = i // 3, i % 3
+        absent = math.isnan(pose[m, c])
+        off[i] = 0.0 if absent else pose[m, c] - mean[i]
+        spread[i] = _FREE**2 + (_ABSENT if absent else variances[m])
+
+
+@kernel
+def _solve(basis: Floats, off: Floats, spread: Floats, inner: Floats, share: Floats) -> None:
+    """Find the shares s of the directions, (B' D^-1 B + 1) s = B' D^-1 (y - mu)."""
+    n, rank = basis.shape
+    inner[:] = 0.0
+    share[:] = 0.0
+    for i in range(n):
+        for r in range(rank):
+            weighted = basis[i, r] / spread[i]
+            share[r] += weighted * off[i]
+            for q in range(r + 1):
+                inner[r, q] += weighted * basis[i, q]
+    for r in range(rank):
+        inner[r, r] += 1.0
+        for q in range(r + 1):
+            total = inner[r, q]
+            for k in range(q):
+                total -= inner[r, k] * inner[q, k]
+            inner[r, q] = math.sqrt(total) if q == r else total / inner[q, q]
+        for q in range(r):
+            share[r] -= inner[r, q] * share[q]
+        share[r] /= inner[r, r]
+    for r in range(rank - 1, -1, -1):
+        for k in range(r + 1, rank):
+            share[r] -= inner[k, r] * share[k]
+        share[r] /= inner[r, r]
+
+
+@entry
+def estimate_poses(
+    poses: F3, variances: F2, mean: F1, basis: F2, largest: float, off: F1, spread: F1, inner: F2,
+    share: F1,
+) -> None:  # fmt: skip
+    """Replace poses y by the estimates mu + P (P + V)^-1 (y - mu).
+
+    Parameters
+    ----------
+    poses : (T, M, 3) local poses, m; NaN = absent, and stays so. variances : (T, M) V, m2.
+    mean, basis : (N,) and (N, R) of :func:`motion_of`.
+    largest : no marker moves by more, in standard deviations.
+    off, spread, inner, share : scratch: (N,) the pose against the mean, m; (N,) its variances, with
+        the free one, m2; (R, R) B' D^-1 B + 1, then its Cholesky factor; (R,) of each direction.
+    """
+    for t in range(len(poses)):
+        pose = poses[t]
+        _compare(pose, variances[t], mean, off, spread)
+        # (B B' + D)^-1 by Woodbury's identity; then B B' (B B' + D)^-1 (y - mu) = B s.
+        _solve(basis, off, spread, inner, share)
+        for i in range(len(mean)):
+            along = 0.0
+            for r in range(len(share)):
+                along += basis[i, r] * share[r]
+            free = _FREE**2 * (off[i] - along) / spread[i]
+            off[i] = along + free - off[i]
+        for m in range(len(pose)):
+            step = off[3 * m : 3 * m + 3]
+            size = norm3(step[0], step[1], step[2])
+            most = largest * math.sqrt(3 * variances[t, m])
+            scale = most / size if size > most else 1.0
+            for c in range(3):
+                pose[m, c] += scale * step[c]

@@ -34,15 +34,16 @@ from hiros_mcap.frames import Block, together
 from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.skeletons import POSITION, VELOCITY, Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.fuse.displaced_views import SECOND, excess_of, limits_of
-from hiros_mcap.stages.fuse.fusing import Sightings
+from hiros_mcap.stages.fuse.fusing import Sightings, rows_of
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
-from hiros_mcap.stages.fuse.log_histograms import histograms, medians
-from hiros_mcap.stages.fuse.sightings import rows_of
 
 FEWEST = 50  # residuals that give a median
 _EVERY = 3  # instants; residuals of neighbours tell the same
 _BATCH = 48  # frames that are compared at once
 _MEMORY = 60.0  # s; time constant of the mean of a camera's residuals
+_LOWEST, _HIGHEST, _PER_OCTAVE = -14, 14, 8
+"""Of histograms: log2 of the limits, and bins per factor of 2."""
+_BINS = (_HIGHEST - _LOWEST) * _PER_OCTAVE
 _FEWEST_VIEWS, _FEWEST_JOINTS = 5, 5  # of a second, and of a body
 _USUAL, _USUAL_CAUSAL = 0.93, 1.15
 """Size of the means, over what is expected, with which the standard deviations are right. The first
@@ -261,3 +262,27 @@ def _common_share(residuals: Floats, squares: Floats) -> Floats:
     total = np.where(seen, squares, 0.0).sum(axis=1) / n
     share = (mean**2).sum(axis=1) / np.where(total > 0, total, np.nan)
     return np.where(n >= 5, share, np.nan)
+
+
+# Histograms over the logarithm of positive values: sums of them, and medians, of any number.
+
+
+def histograms(values: Floats) -> Stamps:
+    """(K, B) How many of the values (K, N) lie in each bin; NaN lie in none."""
+    counts = np.zeros((len(values), _BINS), np.int64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        places = (np.log2(values) - _LOWEST) * _PER_OCTAVE
+    k, n = np.nonzero(~np.isnan(places))
+    np.add.at(counts, (k, np.clip(places[k, n], 0, _BINS - 1).astype(np.int64)), 1)
+    return counts
+
+
+def medians(counts: NDArray[Any], fewest: int) -> Floats:
+    """(K,) Medians of histograms (K, B), within 1 %; NaN where there are fewer values."""
+    total = counts.sum(axis=1)
+    before = np.cumsum(counts, axis=1)
+    at = (2 * before >= total[:, None]).argmax(axis=1)
+    k = np.arange(len(counts))
+    inside = (total / 2 - (before[k, at] - counts[k, at])) / np.maximum(counts[k, at], 1)
+    middle = 2.0 ** (_LOWEST + (at + inside) / _PER_OCTAVE)
+    return np.where(total >= fewest, middle, np.nan)

@@ -2,32 +2,44 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from hiros_mcap.frames import Block
-from hiros_mcap.kernels.array_types import chosen, joined
+from hiros_mcap.kernels.array_types import B1, F1, F2, I1, I2, J1, arrays, chosen, joined
+from hiros_mcap.kernels.averaging import POSITION, VELOCITY
+from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.skeletons import (
+    People,
     SkeletonModel,
     Stamps,
     Uncertainty,
 )
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.fuse.comparing import compare_views, find_cameras, write_fused
 from hiros_mcap.stages.fuse.displaced_views import (
     DisplacedViews,
     excess_of,
     limits_of,
 )
 from hiros_mcap.stages.fuse.fuse_params import FuseParams
-from hiros_mcap.stages.fuse.fusing import FusedPoses, JointStates, Sightings
+from hiros_mcap.stages.fuse.fusing import (
+    POSE,
+    FusedPoses,
+    FusionWork,
+    JointNoise,
+    JointStates,
+    Sightings,
+    Steps,
+    rows_of,
+    smooth_joints,
+)
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 from hiros_mcap.stages.fuse.pose_error import PoseError
-from hiros_mcap.stages.fuse.sightings import rows_of
-from hiros_mcap.stages.fuse.stepping import FusionWindow, StepWork, smooth_people
 from hiros_mcap.stages.look_ahead import LookAhead
 from hiros_mcap.threads import run_each
 
@@ -197,3 +209,191 @@ def _steps_of(window: FusionWindow, person: int) -> int:
     """Return how many new views of a person and wanted poses there are."""
     views = window.new & (window.views.people == person)
     return int(views.sum() + (window.people == person).sum())
+
+
+# Views against the fused poses, and the results, compiled.
+
+
+@entry
+def compare_views(
+    views: Sightings, variances: F2, poses: FusedPoses, stamps: I1, rows: I1, offsets: F2
+) -> None:
+    """Write the mean residual of the joints of each view, weighted by 1 / variance.
+
+    Parameters
+    ----------
+    variances : (N, M) of the measurements, m2. poses, stamps : (K, M) results and (K,) times, ns.
+    rows : (N,) the result of each view; -1 = none.
+    offsets : (N, 3) m; NaN = nothing to compare.
+    """
+    for n in range(len(rows)):
+        k, total, x, y, z = rows[n], 0.0, 0.0, 0.0, 0.0
+        later = (views.stamps[n] - stamps[k]) * 1e-9 if k >= 0 else 0.0
+        for m in range(variances.shape[1] if k >= 0 else 0):
+            measured, pose = views.positions[n, m], poses.positions[k, m]
+            speed = poses.velocities[k, m]
+            if math.isnan(measured[0]) or math.isnan(pose[0]):
+                continue
+            weight = 1.0 / variances[n, m]
+            total += weight
+            x += weight * (measured[0] - pose[0] - later * speed[0])
+            y += weight * (measured[1] - pose[1] - later * speed[1])
+            z += weight * (measured[2] - pose[2] - later * speed[2])
+        offsets[n, 0], offsets[n, 1], offsets[n, 2] = x / total, y / total, z / total
+
+
+@entry
+def find_cameras(views: Sightings, rows: I1, hidden: float, seen: I2) -> None:
+    """Write which cameras saw each marker of a person at an instant, a bit each: (K, M).
+
+    ``rows`` (N,) is as in :func:`compare_views`. A camera does not see a marker from the variance
+    ``hidden`` on, m2, that was added since somebody stands in front.
+    """
+    for n in range(len(rows)):
+        if rows[n] < 0:
+            continue
+        for m in range(seen.shape[1]):
+            if not math.isnan(views.positions[n, m, 0]) and views.hidden[n, m] < hidden:
+                seen[rows[n], m] |= 1 << views.cameras[n]
+
+
+@entry
+def write_fused(
+    poses: FusedPoses, shared: F2, most: float, half: float, people: People, deviations: F2
+) -> None:
+    """Write positions, velocities, and confidences 1 / (1 + variance / half^2) of people.
+
+    Parameters
+    ----------
+    shared : (K, M) variance that is added, m2. deviations : (K, M) get the square root of the sum.
+    most : deviation, m, beyond which a marker is unknown. half : that of the confidence 0.5, m.
+    """
+    for k in range(len(shared)):
+        count, total = 0, 0.0
+        for m in range(shared.shape[1]):
+            variance = poses.variances[k, m] + shared[k, m]
+            known = variance <= most * most
+            for c in range(3):
+                place, speed = poses.positions[k, m, c], poses.velocities[k, m, c]
+                people.markers[k, m, POSITION + c] = place if known else np.nan
+                people.markers[k, m, VELOCITY + c] = speed if known else np.nan
+            confidence = 1.0 / (1.0 + variance / (half * half)) if known else np.nan
+            people.marker_confidences[k, m] = confidence
+            deviations[k, m] = math.sqrt(variance) if known else np.nan
+            if known:
+                count += 1
+                total += confidence
+        people.confidences[k] = total / count
+
+
+# Views of people become steps in the order of time, and steps become poses; compiled.
+
+
+class FusionWindow(NamedTuple):
+    """What is smoothed at once: N views of people, and the K poses that are wanted of them."""
+
+    views: Sightings
+    variances: F2  # (N, M) of the white noise of the views, m2
+    new: B1  # (N,) whether the filters have not taken a view yet
+    people: J1  # (K,) whose pose is wanted
+    stamps: I1  # (K,) at which time, ns, in order for each person
+    everybody: I1  # (E,) of ``people``, each once, sorted
+    rows: I1  # (E,) of their filters
+    origin: int  # time of second 0, ns
+    boundary: int  # time at which the filters stand afterwards, ns
+
+
+class StepWork(NamedTuple):
+    """Scratch for T steps of one person."""
+
+    order: I1  # (T,) views by their numbers, then wanted poses: from N on
+    times: F1  # (T,) of Steps
+    cameras: I1  # (T,)
+    joint: FusionWork
+
+    @classmethod
+    def of(cls, steps: int, size: int) -> StepWork:
+        """Make room for joints with states of length ``size``."""
+        return arrays(cls, steps, steps, steps, FusionWork.of(steps, size))
+
+
+@inlined
+def _time_of(window: FusionWindow, i: int) -> int:
+    """Time, ns, of a view, or of a wanted pose."""
+    n = len(window.views.stamps)
+    return int(window.views.stamps[i] if i < n else window.stamps[i - n])
+
+
+@inlined
+def _is_later(window: FusionWindow, i: int, j: int) -> bool:
+    """Whether ``i`` comes behind ``j``: at one time by camera, wanted poses last."""
+    n, a, b = len(window.views.stamps), _time_of(window, i), _time_of(window, j)
+    if a != b or j >= n:
+        return a > b
+    return bool(i >= n or window.views.cameras[i] > window.views.cameras[j])
+
+
+@kernel
+def _order_steps(window: FusionWindow, person: int, order: Stamps) -> int:
+    """Write a person's new views and wanted poses in the order of time; return how many."""
+    n, end, first_pose = 0, 0, len(window.views.people)
+    for i in range(first_pose):
+        if window.new[i] and window.views.people[i] == person:
+            at = n  # views are nearly in order
+            while at > 0 and _is_later(window, order[at - 1], i):
+                order[at] = order[at - 1]
+                at -= 1
+            order[at] = i
+            n += 1
+    for k in range(len(window.people)):
+        end += int(window.people[k] == person)
+    end += n
+    steps = end
+    for k in range(len(window.people) - 1, -1, -1):  # merged from behind, where room is
+        if window.people[k] == person:
+            while n > 0 and _is_later(window, order[n - 1], first_pose + k):
+                end, n = end - 1, n - 1
+                order[end] = order[n]
+            end -= 1
+            order[end] = first_pose + k
+    return steps
+
+
+@kernel
+def _write_steps(window: FusionWindow, person: int, work: StepWork) -> tuple[int, int]:
+    """Write a person's new views and wanted poses as steps.
+
+    Returns how many steps there are, and how many of them come before the boundary. Their order
+    becomes their rows.
+    """
+    first_pose, before = len(window.views.people), 0
+    n = _order_steps(window, person, work.order)
+    for t in range(n):
+        i, stamp = work.order[t], _time_of(window, work.order[t])
+        work.times[t] = (stamp - window.origin) * 1e-9
+        work.cameras[t] = window.views.cameras[i] if i < first_pose else POSE
+        work.order[t] = i if i < first_pose else i - first_pose
+        before += int(stamp < window.boundary)
+    return n, before
+
+
+@entry
+def smooth_people(
+    window: FusionWindow, first: int, last: int, noise: JointNoise, states: JointStates,
+    out: FusedPoses, work: StepWork,
+) -> None:  # fmt: skip
+    """Smooth some of the people of a window: ``everybody[first:last]``.
+
+    Parameters
+    ----------
+    states : where the filters stand; brought to the boundary of the window.
+    out : (K,) unknown; gets the poses that are wanted of these people.
+    work : has room for the steps of each.
+    """
+    for e in range(first, last):
+        n, before = _write_steps(window, window.everybody[e], work)
+        steps = Steps(
+            work.times[:n], work.cameras[:n], work.order[:n], window.views.positions,
+            window.variances,
+        )  # fmt: skip
+        smooth_joints(steps, before, noise, states, window.rows[e], out, work.joint)

@@ -20,7 +20,7 @@ from hiros_mcap.kernels.averaging import (
     mean_state,
 )
 from hiros_mcap.kernels.compile import entry, kernel
-from hiros_mcap.kernels.points import norm3, point_distance, step_between
+from hiros_mcap.kernels.distance import norm3, point_distance, step_between
 from hiros_mcap.skeletons import Flags, Floats, Ints, People, Stamps
 
 OUTLIERS, SWAPS = 0, 1
@@ -224,8 +224,6 @@ def _keep_largest_cluster(
 ) -> None:
     """Keep the candidates of the largest cluster only."""
     n = len(views.stamps)
-    if settings.min_neighbours <= 1 and _is_one_cluster(work.points, n, settings.radius):
-        return
     clusters = dbscan(work.points[: n + 2], settings.radius, settings.min_neighbours, work)
     confident = work.core  # free after the clustering
     for k in range(n):
@@ -236,21 +234,6 @@ def _keep_largest_cluster(
         if work.kept[k, m] and not work.chosen[k]:
             work.kept[k, m] = False
             counts[OUTLIERS, views.cameras[k]] += 1
-
-
-@kernel
-def _is_one_cluster(points: Floats, n: int, radius: float) -> bool:
-    """Whether the first ``n`` points all lie near one of them: no need to cluster if N_c = 1."""
-    first = -1
-    for k in range(n):
-        if math.isnan(points[k, 0]):
-            continue
-        if first < 0:
-            first = k
-        x, y, z = step_between(points, first, k)
-        if x * x + y * y + z * z > radius * radius:
-            return False
-    return True
 
 
 @entry

@@ -3,21 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import NamedTuple
 
 import numpy as np
 
 from hiros_mcap.events import Events
-from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Frame, SkeletonModel, Stamps
+from hiros_mcap.skeletons import POSITION, UNTRACKED, Frame, SkeletonModel
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.malaguti.malaguti_params import MovingAverageParams
-
-
-class RecentPoses(NamedTuple):
-    """The last W detections of R people, oldest first."""
-
-    stamps: Stamps  # (R, W) ns
-    positions: Floats  # (R, W, M, 3) m
 
 
 def moving_average(
@@ -39,7 +31,8 @@ def moving_average(
     params = params or MovingAverageParams()
     lifetime = round(params.lifetime * 1e9)
     none = np.zeros((0, params.window, model.n_markers, 3))
-    bank = Bank(RecentPoses(np.zeros((0, params.window), np.int64), none), params.lifetime)
+    # (R, W) times, ns, and (R, W, M, 3) places, m, of the last W detections of R people
+    bank = Bank((np.zeros((0, params.window), np.int64), none), params.lifetime)
     for frame in frames:
         bank.expire(frame.stamp)
         out = frame.select(frame.ids != UNTRACKED).replace(source=fixed_frame or frame.frame_id)
@@ -48,8 +41,8 @@ def moving_average(
             for array, newest in zip(bank.past, (frame.stamp, pose), strict=True):
                 array[row, :-1] = array[row, 1:]
                 array[row, -1] = newest
-        poses = bank.past.positions[rows]
-        counts = np.abs(frame.stamp - bank.past.stamps[rows]) <= lifetime
+        stamps, poses = (array[rows] for array in bank.past)
+        counts = np.abs(frame.stamp - stamps) <= lifetime
         recent = ~np.isnan(poses) & counts[:, :, np.newaxis, np.newaxis]
         total = np.where(recent, poses, 0.0).sum(axis=1)
         with np.errstate(invalid="ignore"):

@@ -17,7 +17,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
@@ -79,14 +78,6 @@ def _median(values: Floats) -> Floats:
     return np.where(count > 0, 0.5 * (lower + upper), np.nan)
 
 
-class _LengthsInUse(NamedTuple):
-    """Lengths (person, L) of the links, m; NaN where a link, or the person, has none."""
-
-    calibrated: Floats
-    target: Floats  # as refined since
-    current: Floats  # on the way from the calibrated to the target lengths
-
-
 @dataclass(slots=True)
 class _Measured:
     """Measurements of one person."""
@@ -115,8 +106,10 @@ class Calibration:
         self.limbs = limbs
         self._model, self._params, self._events = model, params, events
         self._links, self._keys = np.ascontiguousarray(model.links), link_keys(model)
-        none = [np.empty((0, model.n_links)) for _ in _LengthsInUse._fields]
-        self._bank = Bank(_LengthsInUse(*none), _FORGET)
+        none = np.empty((0, model.n_links))
+        self._bank = Bank((none, none, none), _FORGET)
+        """Lengths (person, L) of the links, m: calibrated, as refined since, and on the way there;
+        NaN where a link, or the person, has none."""
         self._people: dict[int, _Measured] = {}
         self._start: int | None = None
         self._checked = 0

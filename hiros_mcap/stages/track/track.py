@@ -30,7 +30,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from hiros_mcap.body.limb_radii import capsules_of
+from hiros_mcap.body.segments import capsules_of
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, join
