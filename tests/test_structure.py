@@ -41,7 +41,7 @@ UPWARDS = {
 CEILINGS = {
     "hiros_cli": 4500,
     "hiros_viewer": 5050,
-    "hiros_mcap": 57050,
+    "hiros_mcap": 56000,
     "hiros_schemas": 390,
 }
 """Most lines of each package: 5 % more than it has had, so that a feature fits."""
