@@ -39,6 +39,7 @@ from mcap.stream_reader import StreamReader
 
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.io import foxglove_server
 from hiros_mcap.io.channels import add_ros_channel
 from hiros_mcap.io.codec import Decoder, ModelBuilder
 from hiros_mcap.io.container import McapReader, Message
@@ -46,6 +47,7 @@ from hiros_mcap.io.container.live_input import McapInput
 from hiros_mcap.io.container.sinks import Pipe
 from hiros_mcap.io.container.writer import LiveWriter
 from hiros_mcap.io.foxglove import FoxgloveInput
+from hiros_mcap.io.foxglove_server import FoxgloveServer
 from hiros_mcap.io.result import open_result
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.process_live import process_live, subscription
@@ -667,6 +669,51 @@ def test_who_subscribes_too_early_asks_again():
         listening.shutdown()
         thread.join()
     assert got == [b"data"]
+
+
+@contextmanager
+def listening_to(server, busy=0.0):
+    """Yield what a client gets that listens to a FoxgloveServer; it is busy after a message."""
+    got, source = list[Message](), FoxgloveInput(server.url, lambda topic, kind: True)
+
+    def listen():
+        for record in source.records():
+            if isinstance(record, Message):
+                got.append(record)
+                time.sleep(busy if len(got) == 1 else 0)
+
+    thread = threading.Thread(target=listen)
+    thread.start()
+    time.sleep(0.5)
+    yield got
+    thread.join()
+    assert source.fault == ""
+
+
+def sent_at_once(server, count, size):
+    """Send messages of a channel that nobody knows yet, and end."""
+    with LiveWriter(server) as writer:
+        channel = writer.add_channel("/t", writer.add_schema("x/T", b""))
+        for k in range(count):
+            writer.write(channel, k, bytes(size))
+        writer.commit()
+
+
+def test_who_listens_before_a_channel_begins_gets_its_first_messages(monkeypatch):
+    pytest.importorskip("foxglove")
+    monkeypatch.setattr(foxglove_server, "_FAREWELL_S", 0.2)
+    server = FoxgloveServer("ws://:0")
+    with listening_to(server) as got:
+        sent_at_once(server, 20, 10)
+    assert len(got) == 20
+
+
+def test_who_is_busy_when_the_server_ends_gets_what_is_left():
+    pytest.importorskip("foxglove")
+    server = FoxgloveServer("ws://:0")
+    with listening_to(server, busy=1.5) as got:
+        sent_at_once(server, 40, 1_000_000)  # more than lies in the buffers of a connection
+    assert len(got) == 40
 
 
 def test_a_message_may_be_as_large_as_asked(crossing):
