@@ -135,10 +135,10 @@ def learn_lengths(
     """
     order = np.concatenate([*levels, np.zeros(0, np.int64)])
     _, lengths = _steps(poses, links[order])
-    is_whole = ~np.isnan(lengths).any(axis=1)
+    is_whole: Flags = np.asarray(~np.isnan(lengths).any(axis=1))
     error = lengths - past.lengths[rows[:, None], order]
     n = past.frames[rows][:, None]
-    is_first: Flags = np.asarray(n < params.frames)
+    is_first = n < params.frames
     averaged = is_first & is_whole[:, None]
     adapted = ~is_first & ~np.isnan(error)
     change = np.where(averaged, error / (n + 1), params.rate * error)
