@@ -19,8 +19,6 @@ joints as of the others. Geometry tells which these are. For every message, in t
    where v is the joint's own variance within the body so far (the structure function of a
    Gauss-Markov process: who stands keeps the pose, a walker's arm does not). A joint is also hidden
    where this place is, by h I^2 / (I^2 + s^2).
-   It is also hidden where the view leaps as a whole: the median displacement, beyond the person's
-   velocity, is tested as in 4, with H for h', (WANDERS dt)^2 for s^2 and WHOLE for HONEST.
 4. The joint was invented, N(0, I^2 + s^2) from the remembered place, a priori with 0.9 h'; or it is
    honest, N(0, HONEST^2 + s^2). p is the posterior probability that it was invented.
 5. An invented joint at the distance d is wrong by e^2 = g^2 d^2 / 3 + g s^2 along each axis, with

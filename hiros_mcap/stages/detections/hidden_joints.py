@@ -18,7 +18,6 @@ from hiros_mcap.stages.detections.impossible_postures import PostureLimits, doub
 from hiros_mcap.stages.detections.plausible import ComparedMessages
 
 HONEST = 0.06  # m; deviation of a joint that is seen: a Kinect v2 at 3 to 4 m, hands included
-_WHOLE = 0.03  # m; of a whole body: slow offsets of joints are 1 to 2 cm, poses of cameras as well
 INVENTED = 0.2  # m; of one that a detector invents: on a Kinect log, .2 to .8 m off (3 axes)
 _SURELY = 0.9  # of ten joints behind somebody, nine are invented at most: bodies are no capsules
 _LEAST = 0.01  # probability below which a joint counts as seen
@@ -29,11 +28,9 @@ _CORRELATED = 0.5  # s; how long a limb keeps its place within the body: half a 
 _MOVES = 0.1  # m; deviation of a joint within the body before it is measured
 _MEMORY = 3.0  # s; that the measured one is of: three strides
 _AGO = 0.15  # s unseen after which the remembered place counts; till then another camera sees it
-_ONE = 1.0  # joint that must be hidden, so that a view may be displaced as a whole
 _RECENT = 300_000_000  # ns; whom a camera's message lacks is where he was, for so long
 _LONGEST = 0.5  # s between two views that motion is carried over
 _FEWEST = 0.25  # share of joints that show how the person moved
-_WANDERS = 0.5  # m/s; deviation of a body from its last velocity
 _FOLLOWS = 0.3  # s; of a person of whom fewer are seen, and of the velocity that remains
 GUESSED_BELOW = 0.5  # confidence below which a detector guesses
 RATES = 0.03  # share of such joints from which on a detector is taken to rate joints
@@ -257,22 +254,6 @@ def _steps(
 
 
 @kernel
-def _doubt_leap(p: int, row: int, passed: float, scene: HiddenScene) -> int:
-    """Find out whether a view is displaced as a whole (4); return how many joints it has."""
-    view, shares, work = scene.people.markers[p], scene.out.shares[p], scene.work
-    n = _steps(view, shares, row, np.inf, scene.past, work.steps)
-    if n == 0 or scene.out.hidden[p] * n < _ONE:
-        return n
-    _geometric_median(work.steps, n, work.centre)
-    x, y, z = work.centre[0], work.centre[1], work.centre[2]
-    square = x * x + y * y + z * z
-    leap = _invented(scene.out.hidden[p], square, _WHOLE**2, (_WANDERS * passed) ** 2)
-    for m in range(len(view)):
-        shares[m] = 1.0 - (1.0 - shares[m]) * (1.0 - leap)
-    return n
-
-
-@kernel
 def _move(p: int, row: int, passed: float, scene: HiddenScene) -> None:
     """Move what is remembered of a person as the joints did that the view shows (3).
 
@@ -283,7 +264,7 @@ def _move(p: int, row: int, passed: float, scene: HiddenScene) -> None:
     for m in range(len(view)):
         for c in range(3):
             poses[m, c] += velocity[c] * passed
-    there = _doubt_leap(p, row, passed, scene)
+    there = _steps(view, scene.out.shares[p], row, np.inf, past, work.steps)
     n = _steps(view, scene.out.shares[p], row, _SEEN, past, work.steps)
     enough = n >= _FEWEST * there
     if not enough:
@@ -311,10 +292,10 @@ def _held_variance(age: float, within: float) -> float:
 
 
 @inlined
-def _invented(hidden: float, square: float, honest: float, held: float) -> float:
-    """Probability that a place was invented: by h, its squared distance, m2, HONEST^2 and s^2."""
+def _invented(hidden: float, square: float, held: float) -> float:
+    """Probability that a place was invented: by h, its squared distance, m2, and s^2."""
     h = _SURELY * hidden
-    wide, narrow = INVENTED**2 + held, honest + held
+    wide, narrow = INVENTED**2 + held, HONEST**2 + held
     a = h * math.exp(-0.5 * square / wide) / (wide * math.sqrt(wide))
     b = (1.0 - h) * math.exp(-0.5 * square / narrow) / (narrow * math.sqrt(narrow))
     return a / (a + b) if a + b > 0.0 else h
@@ -337,7 +318,7 @@ def _weigh(p: int, m: int, row: int, stamp: int, scene: HiddenScene) -> None:
         held = _held_variance(age, past.variances[row, m])
         expected = scene.work.expected[m] * INVENTED**2 / (INVENTED**2 + held)
         square = (z[0] - x[0]) ** 2 + (z[1] - x[1]) ** 2 + (z[2] - x[2]) ** 2
-        out.shares[p, m] = _invented(max(out.shares[p, m], expected), square, HONEST**2, held)
+        out.shares[p, m] = _invented(max(out.shares[p, m], expected), square, held)
         error = _error(square, held)
         # That a joint was there before does not make an impossible posture right.
         out.shares[p, m] = max(out.shares[p, m], _SURELY * out.postures[p, m])
