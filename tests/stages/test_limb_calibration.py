@@ -12,7 +12,6 @@ from hiros_mcap.frames import Block, by_frame
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.stages.optimize.limb_calibration import (
     Calibration,
-    CalibrationParams,
     calibrate_limbs,
     mean_lengths,
     moments_of,
@@ -81,7 +80,7 @@ def test_measurements_count_by_confidence():
 def test_a_link_counts_by_the_confidences_of_its_two_ends():
     frame = next(arm_frames(1))
     frame.marker_confidences[0] = [1.0, 0.25, np.nan, 0.0]
-    calibration = Calibration(ARM, CalibrationParams(), Events(), LimbTable())
+    calibration = Calibration(ARM, OptimizeParams(), Events(), LimbTable())
     _, weights = calibration.measure(Block.of(frame).people)
     assert weights[0] == pytest.approx([0.4, 0.4, 0.0])
 
@@ -96,7 +95,7 @@ def test_lengths_are_weighted_means():
 @settings(max_examples=20, deadline=None)
 def test_rigid_limbs_are_measured_exactly(seed, scale):
     frames = [f.replace(markers=scale * f.markers) for f in arm_frames(20, sd=0.0, seed=seed)]
-    limbs = calibrate_limbs(frames, ARM, CalibrationParams(calibration_frames=10)).people[0]
+    limbs = calibrate_limbs(frames, ARM, OptimizeParams(calibration_frames=10)).people[0]
     assert [limb.length for limb in limbs.values()] == pytest.approx(scale * LENGTHS)
 
 
@@ -109,13 +108,13 @@ def test_noise_of_a_joint_does_not_reject_a_short_link(short_link, calibrated):
             frame.markers[0, 3] - frame.markers[0, 2]
         )
         frame.markers[0, 3, 0] += 0.02 * (-1) ** (frame.stamp // 33_000_000)
-    params = CalibrationParams(short_link=short_link, max_free=0.0)
+    params = OptimizeParams(short_link=short_link, max_free=0.0)
     assert (0 in calibrate_limbs(frames, ARM, params).people) == calibrated
 
 
 @pytest.mark.parametrize(("max_free", "calibrated"), [(0.34, True), (0.32, False)])
 def test_a_share_of_the_links_may_fail_the_gate(max_free, calibrated):
-    params, events = CalibrationParams(max_free=max_free), Events()
+    params, events = OptimizeParams(max_free=max_free), Events()
     limbs = calibrate_limbs(arm_frames(100, forearm_sd=0.4), ARM, params, events).people
     assert (0 in limbs) == calibrated
     if calibrated:
@@ -311,7 +310,7 @@ def test_without_lookahead_frames_change_once_calibrated():
 def test_windows_choose_the_frames():
     frames = [*arm_frames(60, sd=0.0), *arm_frames(60, sd=0.0, start=2.0)]
     frames[60:] = [frame.replace(markers=frame.markers * 1.1) for frame in frames[60:]]
-    params = CalibrationParams(calibration_windows=((2.0, 5.0),))
+    params = OptimizeParams(calibration_windows=((2.0, 5.0),))
     assert calibrate_limbs(frames, ARM, params).people[0]["palm"].length == pytest.approx(0.22)
 
 
@@ -416,4 +415,4 @@ def test_renaming_onto_somebody_is_an_error():
 
 def test_window_must_not_end_before_it_starts():
     with pytest.raises(ValueError, match="start must precede end"):
-        CalibrationParams(calibration_windows=((3.0, 2.0),))
+        OptimizeParams(calibration_windows=((3.0, 2.0),))

@@ -43,7 +43,6 @@ from hiros_mcap.stages.fuse.pose_error import PoseError
 from hiros_mcap.stages.look_ahead import LookAhead
 from hiros_mcap.threads import run_each
 
-_FOLLOW = 0.05  # share of each interval in the mean of all
 _FORGET = 10.0  # s without a sighting after which a person's filter starts anew
 _MAX_DEVIATION = 0.3
 """Deviation, m, beyond which a marker is left out: it was not seen for about a second."""

@@ -25,7 +25,7 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
 from hiros_mcap.skeletons import Flags, Floats, Frame, People, SkeletonModel
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.optimize.optimize_params import CalibrationParams
+from hiros_mcap.stages.optimize.optimize_params import OptimizeParams
 from hiros_mcap.stages.optimize.optimizing import measure_lengths
 
 _SECOND = 1_000_000_000
@@ -101,7 +101,7 @@ class Calibration:
     """
 
     def __init__(
-        self, model: SkeletonModel, params: CalibrationParams, events: Events, limbs: LimbTable
+        self, model: SkeletonModel, params: OptimizeParams, events: Events, limbs: LimbTable
     ) -> None:
         self.limbs = limbs
         self._model, self._params, self._events = model, params, events
@@ -306,7 +306,7 @@ class Calibration:
 def calibrate_limbs(
     frames: Iterable[Frame],
     model: SkeletonModel,
-    params: CalibrationParams = CalibrationParams(),  # noqa: B008 - immutable
+    params: OptimizeParams = OptimizeParams(),  # noqa: B008 - immutable
     events: Events | None = None,
 ) -> LimbTable:
     """Measure the limbs of everybody in a whole log: the first of the two passes.

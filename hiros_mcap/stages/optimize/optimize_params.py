@@ -1,4 +1,4 @@
-"""Parameters of the limb calibration and of the optimizer."""
+"""Parameters of the optimizer; the first ones say how limb lengths are found."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from pydantic import Field, model_validator
 from hiros_mcap.params import Metres, Params, Seconds, advanced, fixed
 
 
-class CalibrationParams(Params):
-    """How limb lengths are found."""
+class OptimizeParams(Params):
+    """Parameters of calibration, outlier detection and optimization."""
 
     calibration: Literal["auto", "two-pass", "off"] = Field(
         "auto",
@@ -67,18 +67,6 @@ class CalibrationParams(Params):
     max_refinement: ClassVar[float] = 0.01
     """Largest relative change of a length by refinement. It is small because a person's lengths are
     constant."""
-
-    @model_validator(mode="after")
-    def _check_windows(self) -> CalibrationParams:
-        for start, end in self.calibration_windows:
-            if not 0.0 <= start < end:
-                raise ValueError(f"calibration window ({start}, {end}): start must precede end")
-        return self
-
-
-class OptimizeParams(CalibrationParams):
-    """Parameters of calibration, outlier detection and optimization."""
-
     lengths: Literal["exact", "paper"] = fixed(
         "exact",
         "exact: lengths are rigid, and markers move as little as possible. paper: the weights "
@@ -109,3 +97,10 @@ class OptimizeParams(CalibrationParams):
     )
     tolerance: ClassVar[float] = 1e-06
     """The solver has converged when no coordinate moves farther than this, m, in a step."""
+
+    @model_validator(mode="after")
+    def _check_windows(self) -> OptimizeParams:
+        for start, end in self.calibration_windows:
+            if not 0.0 <= start < end:
+                raise ValueError(f"calibration window ({start}, {end}): start must precede end")
+        return self
