@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from pathlib import Path
 
 import pytest
-from whole_commands import first_seconds
+
+from hiros_cli.app import SINGLE_THREADED
+
+for variable in SINGLE_THREADED:  # as the program does, before anything imports numpy
+    os.environ.setdefault(variable, "1")
 
 SAMPLES = Path(__file__).parent.parent / "sample_data"
 
@@ -41,18 +46,39 @@ def without_curves(monkeypatch):
 
 
 @pytest.fixture(scope="session")
-def crossing():
-    """Two people who cross, three cameras, 5 s."""
+def crossing(tmp_path_factory):
+    """Two people who cross, three cameras, 2 s."""
+    return beginning("two_people_crossing.mcap", 2.0, tmp_path_factory)
+
+
+@pytest.fixture(scope="session")
+def walking(tmp_path_factory):
+    """One person who walks, three cameras, 1.5 s."""
+    return beginning("one_person_walking.mcap", 1.5, tmp_path_factory)
+
+
+@pytest.fixture(scope="session")
+def whole_crossing():
+    """Two people who cross, three cameras, 5 s: for what needs a longer log."""
     return SAMPLES / "two_people_crossing.mcap"
 
 
 @pytest.fixture(scope="session")
-def walking():
-    """One person who walks, three cameras, 3 s."""
+def whole_walking():
+    """One person who walks, three cameras, 3 s: for what needs a longer log."""
     return SAMPLES / "one_person_walking.mcap"
+
+
+def beginning(name, seconds, tmp_path_factory):
+    """Write the first seconds of a sample log; return its path."""
+    from whole_commands import first_seconds
+
+    return first_seconds(SAMPLES / name, seconds, tmp_path_factory.mktemp("sample") / name)
 
 
 @pytest.fixture(scope="session")
 def short(walking, tmp_path_factory):
     """The first second of one person who walks."""
+    from whole_commands import first_seconds
+
     return first_seconds(walking, 1.0, tmp_path_factory.mktemp("short") / "walk.mcap")

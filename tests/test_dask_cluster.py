@@ -12,7 +12,6 @@ import time
 from pathlib import Path
 
 import pytest
-from distributed import Client
 
 from hiros_cli.app import run
 from hiros_mcap.many.cluster_runner import on_cluster
@@ -58,6 +57,8 @@ def cluster(tmp_path_factory):
 
 @pytest.fixture
 def client(cluster):
+    from distributed import Client
+
     wait_for(cluster.exists)
     with Client(scheduler_file=str(cluster), timeout=PATIENCE_S) as client:
         client.wait_for_workers(2, timeout=PATIENCE_S)

@@ -37,7 +37,7 @@ every_system = pytest.mark.parametrize("name", SYSTEMS)
 @cache
 def crossing():
     """Two people who cross, three cameras with every fault of real ones."""
-    return room(people=2, cameras=3, action="cross", seconds=3, seed=11)
+    return room(people=2, cameras=3, action="cross", seconds=2, seed=11)
 
 
 def table(name, where):
@@ -93,21 +93,14 @@ def test_people_have_one_id_each_and_no_id_comes_twice(name):
 
 
 @every_system
-def test_the_input_is_unchanged_and_the_output_reproducible(name):
-    given = copies(crossing().frames)
-    again = run_system(name, given, crossing())
-    assert all_same(given, crossing().frames)
-    assert all_same(again, result(name))
-
-
-@every_system
-def test_no_stage_changes_its_input(name):
+def test_no_stage_changes_its_input_and_the_output_is_reproducible(name):
     frames, stages = list(crossing().frames), table(name, crossing())
     for channel in chain_of(name):
         before = copies(frames)
         out = list(by_frame(stages[channel])(frames))
         assert all_same(frames, before)
         frames = out
+    assert all_same(frames, result(name))
 
 
 @every_system
@@ -156,9 +149,9 @@ def test_it_does_not_matter_how_frames_are_cut_into_blocks(name, seed):
     rng = np.random.default_rng(seed)
     frames = [frame for k, frame in enumerate(crossing().frames) if not 40 < k < 40 + 15 * seed]
     leap = 900_000_000 * seed
-    frames = frames[:150] + [
+    frames = frames[:100] + [
         f.replace(stamp=f.stamp + leap, stamps=f.stamps + leap, log_time=f.log_time + leap)
-        for f in frames[150:]
+        for f in frames[100:]
     ]
     frames = [f.select([]) if rng.random() < 0.05 else f for f in frames]
     expected = run_system(name, frames, crossing())
@@ -199,7 +192,7 @@ def test_nobody_and_nothing_pass(name):
 
 @every_system
 def test_people_who_left_are_forgotten(name, monkeypatch):
-    """Twelve people come one after the other, two minutes apart; every bank knows the last two."""
+    """Five people come one after the other, two minutes apart; every bank knows the last two."""
     banks: list[Bank[Any]] = []
     plain: Callable[..., None] = Bank.__init__
 
@@ -210,12 +203,12 @@ def test_people_who_left_are_forgotten(name, monkeypatch):
     monkeypatch.setattr(Bank, "__init__", recording)
     frames = [
         seen([person(i % 3)], START + 120 * i * SECOND + k * 50_000_000, "ab"[k % 2], turns=True)
-        for i in range(12)
+        for i in range(5)
         for k in range(40)
     ]
     where = Room([], MODEL, {c: np.array([0.0, 3.0, 2.0]) for c in "ab"}, crossing().truth)
     out = run_system(name, frames, where)
-    assert len({i for frame in out for i in frame.ids.tolist() if i != UNTRACKED}) == 12
+    assert len({i for frame in out for i in frame.ids.tolist() if i != UNTRACKED}) == 5
     assert all(len(bank.rows) <= 2 for bank in banks)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from threading import Thread
 from typing import Any
 from urllib.parse import urlsplit
@@ -32,10 +32,7 @@ _QUEUED = 2048
 """Messages that wait for a client: about five seconds of four channels and of five cameras."""
 _LATCHED = 1000
 """Messages with static transforms that a client gets that comes later; a camera has one or two."""
-_GREETING_S = 0.3  # for clients to subscribe to a new channel
-_FAREWELL_S = 3.0  # for clients to take what is left
-_STOPPING_S = 0.5
-_PAUSE_S = 0.01
+_FAREWELL_S = 0.5  # for clients to take what is left
 
 
 class FoxgloveServer(Sink):
@@ -85,8 +82,8 @@ class FoxgloveServer(Sink):
         self.url = f"ws://{host}:{self._server.port}"
 
     def commit(self) -> None:
-        """Give the clients a moment to take what is left; nobody tells when they have."""
-        _wait(lambda: not any(c.has_sinks() for c in self._channels.values()), _FAREWELL_S)
+        """Give the clients a moment to take what is left."""
+        time.sleep(_FAREWELL_S)
 
     def discard(self) -> None:
         """Close the server; a client that reads nothing is not waited for."""
@@ -94,7 +91,7 @@ class FoxgloveServer(Sink):
         if server is not None:
             stopping = Thread(target=server.stop, daemon=True)
             stopping.start()
-            stopping.join(_STOPPING_S)
+            stopping.join(_FAREWELL_S)
 
     def greet(self, channel: int) -> None:
         """Send the static transforms again if ``channel``, the library's number, has them."""
@@ -104,18 +101,14 @@ class FoxgloveServer(Sink):
                     ours.log(data, log_time=self._time)
 
     def _put(self, parts: Iterable[Bytes]) -> None:
-        """Send what is in whole records; clients may subscribe to new channels first."""
-        records, known = list(_records(b"".join(parts))), set(self._channels)
-        for opcode, content in records:
+        """Send what is in whole records."""
+        for opcode, content in _records(b"".join(parts)):
             if opcode == Opcode.SCHEMA:
                 schema = Schema.read(Cursor(content))
                 self._schemas[schema.id] = schema
             elif opcode == Opcode.CHANNEL:
                 self._advertise(Channel.read(Cursor(content)))
-        if new := [self._channels[ident] for ident in self._channels.keys() - known]:
-            _wait(lambda: all(channel.has_sinks() for channel in new), _GREETING_S)
-        for opcode, content in records:
-            if opcode == Opcode.MESSAGE:
+            elif opcode == Opcode.MESSAGE:
                 self._send(content)
 
     def _advertise(self, channel: Channel) -> None:
@@ -152,13 +145,6 @@ class _Greeter:
     def on_subscribe(self, _client: Any, channel: Any) -> None:
         """Send what a new client has to know."""
         self._server.greet(channel.id)
-
-
-def _wait(is_over: Callable[[], bool], most: float) -> None:
-    """Wait until something is over, ``most`` s at most."""
-    end = time.monotonic() + most
-    while not is_over() and time.monotonic() < end:
-        time.sleep(_PAUSE_S)
 
 
 def _address(url: str) -> tuple[str, int]:

@@ -330,8 +330,8 @@ def test_calibrate_noise_prints_what_config_reads(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("options", [[], ["--json"]], ids=["toml", "json"])
-def test_calibrate_noise_warns_beside_its_output_when_people_walk(options, walking, capsys):
-    assert run(["calibrate", "noise", str(walking), *options]) == 0
+def test_calibrate_noise_warns_beside_its_output_when_people_walk(options, whole_walking, capsys):
+    assert run(["calibrate", "noise", str(whole_walking), *options]) == 0
     captured = capsys.readouterr()
     assert "hiros: warning: joints scatter by 55 cm about their mean" in captured.err
     assert "hiros: warning" not in captured.out

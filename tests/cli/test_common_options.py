@@ -27,21 +27,29 @@ def lab(crossing, tmp_path):
     return Path(shutil.copy(crossing, tmp_path / "lab.mcap"))
 
 
-def test_a_warning_is_shown_once_whatever_is_logged(lab, capsys):
-    log_file = lab.with_name("run.log")
-    assert run(["process", str(lab), *LATE, "-q", "--verbose", "--log-file", str(log_file)]) == 0
+@pytest.fixture
+def long_lab(whole_crossing, tmp_path):
+    """A log in a folder of its own."""
+    return Path(shutil.copy(whole_crossing, tmp_path / "lab.mcap"))
+
+
+def test_a_warning_is_shown_once_whatever_is_logged(long_lab, capsys):
+    log_file = long_lab.with_name("run.log")
+    assert (
+        run(["process", str(long_lab), *LATE, "-q", "--verbose", "--log-file", str(log_file)]) == 0
+    )
     told = capsys.readouterr().err
     assert told.count("camera_1/skeletons: 79 % of 149 messages not used") == 1
     assert told.count("hiros: warning: /camera_1/") == 1
-    assert f"hiros: {lab}: system fuse: tracked, merged, optimized, filtered\n" in told
+    assert f"hiros: {long_lab}: system fuse: tracked, merged, optimized, filtered\n" in told
     logged = log_file.read_text()
     assert logged.startswith("# hiros log\n")
     assert logged.count("camera_1/skeletons: 79 % of 149 messages not used") == 1
-    assert f"{lab}: 0.073 s: track born person 0" in logged
+    assert f"{long_lab}: 0.073 s: track born person 0" in logged
 
 
-def test_without_the_options_nothing_more_is_told(lab, capsys):
-    assert run(["process", str(lab), *LATE, "-q"]) == 0
+def test_without_the_options_nothing_more_is_told(long_lab, capsys):
+    assert run(["process", str(long_lab), *LATE, "-q"]) == 0
     assert all(line.startswith("hiros: warning: ") for line in capsys.readouterr().err.splitlines())
     assert logging.getLogger("hiros_mcap").level == logging.NOTSET
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,9 +24,9 @@ from hiros_mcap.simulate.simulation import write_log
 
 
 @pytest.fixture(scope="module")
-def processed(tmp_path_factory):
+def processed(walking, tmp_path_factory):
     out = tmp_path_factory.mktemp("eval") / "out.mcap"
-    process(Path(__file__).parents[2] / "sample_data" / "one_person_walking.mcap", out)
+    process(walking, out)
     return out
 
 

@@ -104,20 +104,19 @@ def test_foreign_channels_beside_skeletons_do_no_harm(crossing, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def result(tmp_path_factory):
+def result(crossing, tmp_path_factory):
     """What a run with one changed parameter wrote of the crossing."""
     path = tmp_path_factory.mktemp("info") / "out.mcap"
-    source = Path(__file__).parents[2] / "sample_data/two_people_crossing.mcap"
     config = load_config(
         overrides=["merge.max_position_delta=0.4"], preset="realtime", system="hiros"
     )
-    process(source, path, config=config, options=ProcessOptions("hiros"))
+    process(crossing, path, config=config, options=ProcessOptions("hiros"))
     return path
 
 
 def assert_two_people(overview, topic):
     assert [(p.topic, p.id) for p in overview.people] == [(topic, 0), (topic, 1)]
-    assert all(4.5 < p.seconds < 5.5 and 140 <= p.frames <= 155 for p in overview.people)
+    assert all(1.8 < p.seconds < 2.1 and 57 <= p.frames <= 61 for p in overview.people)
 
 
 def test_a_result_tells_how_it_was_made(result, capsys):

@@ -102,10 +102,10 @@ def test_a_file_that_grows_is_read_to_its_end(walking, tmp_path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_the_input(number, crossing, tmp_path):
+def test_a_signal_ends_the_input(number, whole_crossing, tmp_path):
     growing, out = tmp_path / "growing.mcap", tmp_path / "out.mcap"
-    shutil.copy(crossing, growing)
-    os.truncate(growing, crossing.stat().st_size - 100)  # the end mark is still to come
+    shutil.copy(whole_crossing, growing)
+    os.truncate(growing, whole_crossing.stat().st_size - 100)  # the end mark is still to come
     run = subprocess.Popen(
         [*HIROS, "process", str(growing), "--follow", "-o", str(out)],
         stderr=subprocess.PIPE,
@@ -135,17 +135,15 @@ def test_a_signal_ends_the_input(number, crossing, tmp_path):
         (["-", "-o", "-", "--recover"], "are for files"),
     ],
 )
-def test_what_cannot_be_live(arguments, fault, crossing, tmp_path):
+def test_what_cannot_be_live(arguments, fault, crossing, tmp_path, monkeypatch, capfd):
     given = [str(crossing) if text == "LOG" else text for text in arguments]
-    done = subprocess.run(
-        [*HIROS, "process", *given],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        cwd=tmp_path,
-        check=False,
-    )
-    assert (done.returncode, done.stdout) == (2, b"")
-    assert fault in done.stderr.decode()
+    monkeypatch.chdir(tmp_path)
+    with Path(os.devnull).open() as nothing:
+        monkeypatch.setattr(sys, "stdin", nothing)
+        assert hiros(["process", *given]) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert fault in err
     assert not list(tmp_path.iterdir())
 
 
@@ -237,9 +235,9 @@ def serving(*options):
         run.stderr.close()
 
 
-def test_another_hiros_reads_what_is_served(crossing, tmp_path):
+def test_another_hiros_reads_what_is_served(whole_crossing, tmp_path):
     """It joins when the static transforms are long sent, and gets them again."""
-    data, out = crossing.read_bytes(), tmp_path / "out.mcap"
+    data, out = whole_crossing.read_bytes(), tmp_path / "out.mcap"
     with serving("--markers") as (run, address):
         assert address.startswith("ws://127.0.0.1:")  # nobody else on the network
         run.stdin.write(data[: len(data) // 3])
@@ -274,8 +272,8 @@ def test_another_hiros_reads_what_is_served(crossing, tmp_path):
     with McapReader(out) as log:
         counts = {log.channels[i].topic: n for i, n in log.counts.items()}
     assert counts["/tf_static"] > 0
-    assert counts["/hiros/markers"] > 50
-    assert counts["/hiros/filtered"] > 50
+    assert counts["/hiros/markers"] > 20
+    assert counts["/hiros/filtered"] > 20
 
 
 def test_a_client_that_does_not_read_loses_messages_and_does_not_stop_the_run(tmp_path):

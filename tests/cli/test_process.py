@@ -159,8 +159,9 @@ def test_malaguti_saves_the_limbs_that_it_finds_and_uses_those_of_a_file(crossin
         (["--system", "hiros", "--limb-window", "0:2"], ""),
     ],
 )
-def test_what_an_option_did_not_find_is_noted(options, said, walking, tmp_path, capsys):
-    assert run(["process", str(walking), "-o", str(tmp_path / "out.mcap"), "--json", *options]) == 0
+def test_what_an_option_did_not_find_is_noted(options, said, whole_walking, tmp_path, capsys):
+    command = ["process", str(whole_walking), "-o", str(tmp_path / "out.mcap"), "--json"]
+    assert run([*command, *options]) == 0
     notes = json.loads(capsys.readouterr().out)["notes"]
     asked = [note for note in notes if note.startswith(("keep", "limb lengths"))]
     assert asked == ([said] if said else [])
@@ -269,8 +270,8 @@ def test_no_transforms_is_one_line_that_names_the_way_out(walking, tmp_path, cap
         (["--config", "missing.toml"], "missing.toml"),
     ],
 )
-def test_a_wrong_option_is_one_line_and_no_output(options, said, walking, tmp_path, capsys):
-    assert said in refused(capsys, "process", walking, "-o", tmp_path / "out.mcap", *options)
+def test_a_wrong_option_is_one_line_and_no_output(options, said, whole_walking, tmp_path, capsys):
+    assert said in refused(capsys, "process", whole_walking, "-o", tmp_path / "out.mcap", *options)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -47,12 +47,12 @@ def pose(source, camera):
     return tuple(found.translation.tolist()), tuple(found.xyzw.tolist())
 
 
-def test_a_camera_calibrated_anew_in_the_middle_counts_from_then_on(crossing, tmp_path):
-    now, ((x, y, z), xyzw) = start(crossing) + 2 * SECOND, pose(crossing, "camera_1")
+def test_a_camera_calibrated_anew_in_the_middle_counts_from_then_on(whole_crossing, tmp_path):
+    now, ((x, y, z), xyzw) = start(whole_crossing) + 2 * SECOND, pose(whole_crossing, "camera_1")
     moved = with_poses(
-        crossing, tmp_path / "moved.mcap", [(now, "camera_1", (x + 0.5, y, z), xyzw)]
+        whole_crossing, tmp_path / "moved.mcap", [(now, "camera_1", (x + 0.5, y, z), xyzw)]
     )
-    with open_log(crossing) as before, open_log(moved) as after:
+    with open_log(whole_crossing) as before, open_log(moved) as after:
         for one, other in zip(before.detections(), after.detections(), strict=True):
             expected = 0.5 if one.source == "camera_1" and one.log_time >= now else 0.0
             shift = (other.positions - one.positions)[..., 0]

@@ -39,7 +39,7 @@ EXACT = {"skeleton groups", "stamped skeletons", "ros1 in mcap"}
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     path = tmp_path_factory.mktemp("scene") / "scene.mcap"
-    return made.scene(path, people=2, cameras=3, seconds=1.2, seed=11)
+    return made.scene(path, people=2, cameras=3, seconds=0.9, seed=11)
 
 
 @pytest.fixture(scope="module")

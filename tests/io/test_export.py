@@ -46,7 +46,7 @@ def result(log):
 def test_the_result_is_the_last_stage_of_everybody(result):
     assert (result.channel, result.people) == ("/hiros/filtered", (0, 1))
     assert repr(result) == (
-        "<Result crossing.hiros.mcap /hiros/filtered: 2 people, 5.0 s, 32 markers>"
+        "<Result crossing.hiros.mcap /hiros/filtered: 2 people, 1.9 s, 32 markers>"
     )
     joints = result.joints()
     assert joints.index.names == ["person", "time"]
@@ -133,13 +133,13 @@ def test_tables_say_from_how_many_cameras_somebody_is_hidden(result, tmp_path):
     """Person 1 from one camera, then from two, as the events say; person 0 never."""
     happened = [
         Event(result.start + round(begin * 1e9), "hidden", 1, camera, f"behind person 0 for {s} s")
-        for begin, camera, s in ((1.0, "a", 1.0), (1.5, "b", 0.5))
+        for begin, camera, s in ((0.5, "a", 1.0), (1.0, "b", 0.5))
     ]
     marked = replace(result, happened=(*happened, Event(result.start, "track born", 1, "a", "")))
     (path,) = export(marked, tmp_path / "out.csv")
     table = pd.read_csv(path).set_index(["person", "time (s)"])["hidden from (cameras)"]
     assert not table[0].any()
-    for time, expected in ((0.9, 0), (1.2, 1), (1.8, 2), (2.2, 0)):
+    for time, expected in ((0.4, 0), (0.7, 1), (1.3, 2), (1.7, 0)):
         nearest = abs(table[1].index - time).argmin()
         assert table[1].iloc[nearest] == expected
     (path,) = export(marked, tmp_path / "out.jsonl")

@@ -46,8 +46,8 @@ def clock_set_back(frame, sent):
 UNJUDGED = ["input.clocks=off"]
 
 
-def test_messages_that_come_too_late_are_skipped_ones_of_their_camera(crossing, tmp_path):
-    source = changed(crossing, tmp_path / "odd.mcap", clock_set_back)
+def test_messages_that_come_too_late_are_skipped_ones_of_their_camera(whole_crossing, tmp_path):
+    source = changed(whole_crossing, tmp_path / "odd.mcap", clock_set_back)
     summary = process(source, config=load_config(None, UNJUDGED))
     lost = {camera.topic: dict(camera.skipped) for camera in summary.cameras}
     assert lost["/camera_1/skeletons"] == {"too late to be merged": 79}
@@ -58,16 +58,16 @@ def test_messages_that_come_too_late_are_skipped_ones_of_their_camera(crossing, 
     assert "--set track.reorder=3" in summary.warnings[0]
 
 
-def test_a_clock_that_is_set_back_costs_nothing(crossing, tmp_path):
-    summary = run(crossing, tmp_path, clock_set_back)
+def test_a_clock_that_is_set_back_costs_nothing(whole_crossing, tmp_path):
+    summary = run(whole_crossing, tmp_path, clock_set_back)
     assert summary.skipped == 0
     (warning,) = summary.warnings
     assert warning.startswith("the clock of camera_1 was set back by 100.00 s, 2.")
 
 
 @pytest.mark.parametrize("system", ["hiros", "malaguti"])
-def test_a_strict_run_refuses_messages_that_come_too_late(system, crossing, tmp_path):
-    source = changed(crossing, tmp_path / "odd.mcap", clock_set_back)
+def test_a_strict_run_refuses_messages_that_come_too_late(system, whole_crossing, tmp_path):
+    source = changed(whole_crossing, tmp_path / "odd.mcap", clock_set_back)
     options = ProcessOptions(system=system, strict=True)
     config = load_config(None, UNJUDGED, system=system)
     with pytest.raises(LogError, match=r"/camera_1.*79 messages skipped: too late to be merged"):
@@ -87,11 +87,11 @@ def test_a_time_that_cannot_be_is_that_of_the_log(stamp, crossing, tmp_path):
     assert len(summary.people) == 2
     assert summary.skipped == 0
     assert noted(
-        summary, "/camera_0/skeletons: 145 messages without a time, or with one before 1970"
+        summary, "/camera_0/skeletons: 56 messages without a time, or with one before 1970"
     )
     (warning,) = warned(summary, "have no time, or one before 1970")
-    assert warning.startswith("/camera_0/skeletons, /camera_1/skeletons, /camera_2/skeletons: 443 ")
-    assert "of 443 messages" in warning
+    assert warning.startswith("/camera_0/skeletons, /camera_1/skeletons, /camera_2/skeletons: 172 ")
+    assert "of 172 messages" in warning
     assert "log times instead" in warning
 
 
@@ -100,7 +100,7 @@ def test_few_messages_without_a_time_are_a_note(crossing, tmp_path):
         return frame.replace(stamp=0, stamps=0 * frame.stamps) if sent % 29 == 0 else frame
 
     summary = run(crossing, tmp_path, sometimes)
-    assert noted(summary, "/camera_0/skeletons: 5 messages without a time")
+    assert noted(summary, "/camera_0/skeletons: 2 messages without a time")
     assert not warned(summary, "have no time")
 
 
@@ -157,8 +157,8 @@ def test_a_message_years_ahead_is_told(crossing, tmp_path):
 
 def test_a_latched_transform_of_time_0_makes_the_log_no_longer(crossing, tmp_path):
     source = changed(crossing, tmp_path / "odd.mcap", plain, latched=0)
-    assert process(source).log_s == pytest.approx(process(crossing).log_s) == pytest.approx(5, 0.1)
-    assert overview_of(source).seconds == pytest.approx(5, 0.1)
+    assert process(source).log_s == pytest.approx(process(crossing).log_s) == pytest.approx(2, 0.1)
+    assert overview_of(source).seconds == pytest.approx(2, 0.1)
 
 
 @pytest.mark.parametrize("schema", ["foxglove.Pose", "Example", "a/b/c/d", ""])
@@ -199,7 +199,7 @@ def test_an_empty_room_gives_an_empty_result(system, messages, walking, tmp_path
     with McapReader(out) as reader:
         copied = {channel.topic for channel in reader.channels.values()}
         assert copied >= {"/camera_0/skeletons", "/camera_1/skeletons", "/tf_static"}
-        assert sum(camera.messages for camera in summary.cameras) == (268 if messages else 0)
+        assert sum(camera.messages for camera in summary.cameras) == (132 if messages else 0)
 
 
 def test_the_largest_ids_times_and_numbers_are_read_and_copied(walking, tmp_path):
@@ -225,7 +225,7 @@ def test_the_largest_ids_times_and_numbers_are_read_and_copied(walking, tmp_path
         topics = {channel.topic: i for i, channel in reader.channels.items()}
         (m,) = reader.messages({topics["/nothing"]})
         assert (m.log_time, m.publish_time, m.sequence) == (2**64 - 1, 2**64 - 1, 2**32 - 1)
-        assert reader.counts[topics["/hiros/filtered"]] > 80
+        assert reader.counts[topics["/hiros/filtered"]] > 40
 
 
 def test_detections_logged_after_the_year_2262_are_skipped(walking, tmp_path):
@@ -238,8 +238,8 @@ def test_detections_logged_after_the_year_2262_are_skipped(walking, tmp_path):
             writer.write(m.channel_id, 2**64 - 1 if is_far else m.log_time, m.data)
         writer.commit()
     summary = process(source, tmp_path / "out.mcap")
-    assert [camera.used for camera in summary.cameras] == [0, 89, 89]
-    assert "90 log time after the year 2262" in summary.warnings[0]
+    assert [camera.used for camera in summary.cameras] == [0, 44, 43]
+    assert "45 log time after the year 2262" in summary.warnings[0]
     assert len(summary.people) == 1
     assert command(["info", str(source)]) == 0
 

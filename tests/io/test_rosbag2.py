@@ -42,7 +42,7 @@ def test_a_bag_is_an_mcap_file_and_its_metadata(bag):
     info = YAML(typ="safe").load(bag / "metadata.yaml")["rosbag2_bagfile_information"]
     assert (info["version"], info["storage_identifier"]) == (8, "mcap")
     assert info["files"][0]["message_count"] == info["message_count"] > 0
-    assert 2.5e9 < info["duration"]["nanoseconds"] < 4.5e9
+    assert 1.4e9 < info["duration"]["nanoseconds"] < 1.6e9
 
 
 def test_rosbags_reads_every_message_and_type(bag):
@@ -53,7 +53,7 @@ def test_rosbags_reads_every_message_and_type(bag):
             if found[connection.topic] == 1:
                 reader.deserialize(data, connection.msgtype)
     assert found == counts(bag / "lab_0.mcap")
-    assert found["/hiros/filtered"] > 80
+    assert found["/hiros/filtered"] > 40
 
 
 def test_metadata_says_what_the_file_holds(bag):

@@ -209,15 +209,15 @@ def test_a_log_that_cannot_be_read_is_an_error_of_its_own(suite):
 
 def test_a_missing_input_fails_its_case_and_no_other(suite):
     suite.write_text(SUITE + '[[log]]\ninput = "none.mcap"\nrequire = ["people = 1"]\n')
-    walk, none = run_suite(load_suite(suite), bless=True)
+    walk, none = run_suite(load_suite(suite), bless=True, jobs=1)
     assert (walk.status, none.status) == ("equal", "error")
     assert "none.mcap: there is no such input" in none.error
-    (alone,) = run_suite(load_suite(suite), only=["walk"])
+    (alone,) = run_suite(load_suite(suite), only=["walk"], jobs=1)
     assert alone.status == "equal"
 
 
 def test_a_golden_log_of_a_suite_equals_a_plain_run(suite, tmp_path):
-    run_suite(load_suite(suite), bless=True)
+    run_suite(load_suite(suite), bless=True, jobs=1)
     process(suite.with_name("walk.mcap"), tmp_path / "plain.mcap", system="hiros")
     golden = Golden(suite.parent / "golden" / "walk.mcap")
     result = check_output(tmp_path / "plain.mcap", golden)

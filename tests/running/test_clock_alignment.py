@@ -29,7 +29,7 @@ from hiros_mcap.skeletons import Frame
 from hiros_mcap.summary import PoseSummary
 
 S = 10**9
-HALF = 180  # messages of a camera before the middle
+HALF = 120  # messages of a camera before the middle
 FIRST_STAGE = ProcessOptions(stages="T")
 """Poses and clocks are found before it; the other stages would take most of the time."""
 
@@ -38,7 +38,8 @@ FIRST_STAGE = ProcessOptions(stages="T")
 def walk(tmp_path_factory):
     """Three cameras see somebody walk for 12 s."""
     path = tmp_path_factory.mktemp("clocks") / "walk.mcap"
-    write_log(path, SimulateParams(people=1, cameras=3, seconds=12.0, seed=4))
+    scene = {"people": 1, "cameras": 3, "seconds": 12.0, "seed": 4, "rig": {"rate": 20.0}}
+    write_log(path, SimulateParams.model_validate(scene))
     return path
 
 
@@ -303,7 +304,9 @@ def test_the_lag_of_a_camera_that_shares_no_view_is_named_with_the_reason():
 
 
 @pytest.mark.parametrize("poses", ["absent", "wrong"])
-def test_a_clock_that_is_found_with_poses_from_nothing_is_used(poses, walk, tmp_path):
+def test_a_clock_that_is_found_with_poses_from_nothing_is_used(poses, tmp_path):
+    walk = tmp_path / "walk.mcap"
+    write_log(walk, SimulateParams(people=1, cameras=3, seconds=12.0, seed=4))
     source = shifted_whole(walk, tmp_path / "w.mcap", {"camera_1": 0.09})
     with open_log(source) as log, McapWriter(tmp_path / "poses.mcap") as writer:
         kept = {i: c for i, c in log.reader.channels.items() if c.topic != "/tf_static"}
@@ -352,7 +355,7 @@ def test_late_messages_of_a_live_system_are_lost_and_told(walk, tmp_path):
     config = load_config(system="hiros-realtime")
     summary = process(source, config=config, options=ProcessOptions("hiros-realtime"))
     assert summary.cameras[0].skipped == summary.cameras[2].skipped == {}
-    assert summary.cameras[1].skipped["too late to be merged"] > 80
+    assert summary.cameras[1].skipped["too late to be merged"] > 50
     assert summary.warnings[0].startswith("/camera_1/skeletons: 2")
 
 

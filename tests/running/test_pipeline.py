@@ -33,7 +33,6 @@ from hiros_mcap.skeletons import ACCELERATION, ORIENTATION, POSITION, STATE, VEL
 from hiros_mcap.systems import LETTERS, SYSTEMS, chain_of
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
-CROSSING = SAMPLES / "two_people_crossing.mcap"
 WALKING = SAMPLES / "one_person_walking.mcap"
 PLAYED = ("/hiros/filtered", "/hiros/markers", "/hiros/joint_states")
 
@@ -50,9 +49,9 @@ def test_the_public_names_are_listed_before_their_first_use():
 
 
 @pytest.mark.parametrize("chain", SYSTEMS["hiros"].chains)
-def test_every_chain_of_the_paper_runs(chain, tmp_path):
+def test_every_chain_of_the_paper_runs(walking, chain, tmp_path):
     out = tmp_path / "out.mcap"
-    summary = process(WALKING, out, options=ProcessOptions("hiros", stages=chain, keep=()))
+    summary = process(walking, out, options=ProcessOptions("hiros", stages=chain, keep=()))
     with McapReader(out) as reader:
         topics = {channel.topic for channel in reader.channels.values()}
     assert topics == {f"/hiros/{LETTERS[letter]}" for letter in chain}
@@ -60,16 +59,16 @@ def test_every_chain_of_the_paper_runs(chain, tmp_path):
 
 
 @pytest.mark.parametrize("chain", ["M", "F", "MF", "FT", "TOM", "X"])
-def test_other_chains_are_refused(chain, tmp_path):
+def test_other_chains_are_refused(walking, chain, tmp_path):
     with pytest.raises(ConfigError, match="cannot run the stages"):
-        process(WALKING, tmp_path / "out.mcap", options=ProcessOptions("hiros", stages=chain))
+        process(walking, tmp_path / "out.mcap", options=ProcessOptions("hiros", stages=chain))
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("system", ["fuse", "hiros"])
-def test_the_error_falls_at_every_stage(system, tmp_path):
-    out, truth = tmp_path / "out.mcap", truth_of(CROSSING)
-    process(CROSSING, out, options=ProcessOptions(system))
+def test_the_error_falls_at_every_stage(crossing, system, tmp_path):
+    out, truth = tmp_path / "out.mcap", truth_of(crossing)
+    process(crossing, out, options=ProcessOptions(system))
     scores = []
     for channel in LETTERS.values():
         with open_log(out, topics=[f"/hiros/{channel}"], output_prefix="/truth") as log:
@@ -82,28 +81,28 @@ def test_the_error_falls_at_every_stage(system, tmp_path):
     assert (scores[3].missing, scores[3].false) == (0, 0)
 
 
-def test_same_input_same_bytes(tmp_path):
+def test_same_input_same_bytes(crossing, tmp_path):
     for name in ("a", "b"):
-        process(CROSSING, tmp_path / name)
+        process(crossing, tmp_path / name)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
 @pytest.mark.parametrize("system", ["fuse", "fuse-realtime", "hiros"])
-def test_limbs_of_a_first_session_serve_a_second(system, tmp_path):
+def test_limbs_of_a_first_session_serve_a_second(walking, system, tmp_path):
     limbs = tmp_path / "limbs.toml"
-    process(WALKING, None, options=ProcessOptions(system, limbs_out=limbs))
+    process(walking, None, options=ProcessOptions(system, limbs_out=limbs))
     assert len(LimbTable.load(limbs).people[0]) > 20
     for name in ("a", "b"):
-        process(WALKING, tmp_path / name, options=ProcessOptions(system, limbs_in=limbs))
+        process(walking, tmp_path / name, options=ProcessOptions(system, limbs_in=limbs))
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
-def test_what_the_paper_prints_runs_and_is_behind_the_defaults(tmp_path):
+def test_what_the_paper_prints_runs_and_is_behind_the_defaults(walking, tmp_path):
     """Presets paper and upstream: nobody is lost or renamed, and the error is larger."""
-    truth, channel, errors = truth_of(WALKING), "/hiros/filtered", {}
+    truth, channel, errors = truth_of(walking), "/hiros/filtered", {}
     for preset in ("default", "paper", "upstream"):
         config = load_config(preset=preset, system="hiros")
-        process(WALKING, tmp_path / preset, config=config, options=ProcessOptions("hiros"))
+        process(walking, tmp_path / preset, config=config, options=ProcessOptions("hiros"))
         scores = evaluate_log(tmp_path / preset, truth, [channel])[channel].scores
         assert (scores.switches, scores.missing) == (0, 0)
         errors[preset] = scores.mean
@@ -111,9 +110,9 @@ def test_what_the_paper_prints_runs_and_is_behind_the_defaults(tmp_path):
     assert max(errors.values()) < 60
 
 
-def test_two_passes_hold_lengths_strictly(tmp_path):
+def test_two_passes_hold_lengths_strictly(walking, tmp_path):
     config = load_config(None, ["optimize.calibration=two-pass"], system="hiros")
-    process(WALKING, tmp_path / "out.mcap", config=config, options=ProcessOptions("hiros"))
+    process(walking, tmp_path / "out.mcap", config=config, options=ProcessOptions("hiros"))
     with open_log(tmp_path / "out.mcap", topics=["/hiros/optimized"], output_prefix="/x") as log:
         poses = np.stack([frame.positions[0] for frame in log.frames()])
     lengths = np.linalg.norm(
@@ -122,8 +121,8 @@ def test_two_passes_hold_lengths_strictly(tmp_path):
     assert (lengths.std(axis=0) / lengths.mean(axis=0)).max() < 2e-3
 
 
-def test_every_message_is_accounted_for():
-    summary = process(CROSSING)
+def test_every_message_is_accounted_for(crossing):
+    summary = process(crossing)
     for camera in summary.cameras:
         assert camera.messages == camera.used + sum(camera.skipped.values())
     assert sum(camera.used for camera in summary.cameras) == summary.written["/hiros/tracked"]
@@ -132,28 +131,28 @@ def test_every_message_is_accounted_for():
     ] * 2
 
 
-def test_progress_is_told(tmp_path):
+def test_progress_is_told(walking, tmp_path):
     told: list[tuple[int, int]] = []
 
     class Watcher:
         def update(self, done, total):
             told.append((done, total))
 
-    process(WALKING, progress=Watcher())
+    process(walking, progress=Watcher())
     assert told[-1][0] == told[-1][1] > 0
     assert [done for done, _ in told] == sorted(done for done, _ in told)
 
 
-def test_the_output_is_not_the_input(tmp_path):
+def test_the_output_is_not_the_input(walking, tmp_path):
     copy = tmp_path / "log.mcap"
-    copy.write_bytes(WALKING.read_bytes())
+    copy.write_bytes(walking.read_bytes())
     with pytest.raises(LogError):
         process(copy, copy)
-    assert copy.read_bytes() == WALKING.read_bytes()
+    assert copy.read_bytes() == walking.read_bytes()
 
 
-def test_replay_of_the_output_is_causal_if_asked_for(tmp_path):
-    process(CROSSING, tmp_path / "out.mcap", config=load_config(None, ["output.log_time=causal"]))
+def test_replay_of_the_output_is_causal_if_asked_for(crossing, tmp_path):
+    process(crossing, tmp_path / "out.mcap", config=load_config(None, ["output.log_time=causal"]))
     for channel in LETTERS.values():
         topics = [f"/hiros/{channel}"]
         with open_log(tmp_path / "out.mcap", topics=topics, output_prefix="/truth") as log:
@@ -163,10 +162,10 @@ def test_replay_of_the_output_is_causal_if_asked_for(tmp_path):
         assert stamps == sorted(stamps)
 
 
-def test_an_output_of_a_file_is_logged_at_the_time_of_its_data(tmp_path):
+def test_an_output_of_a_file_is_logged_at_the_time_of_its_data(walking, tmp_path):
     live = load_config(None, ["output.log_time=causal"])
-    process(WALKING, tmp_path / "causal", config=live, markers=True)
-    process(WALKING, tmp_path / "stamp", markers=True)
+    process(walking, tmp_path / "causal", config=live, markers=True)
+    process(walking, tmp_path / "stamp", markers=True)
     for channel in LETTERS.values():
         causal, stamped = (
             read_channel(tmp_path / name, f"/hiros/{channel}")[0] for name in ("causal", "stamp")
@@ -188,7 +187,7 @@ def test_an_output_of_a_file_is_logged_at_the_time_of_its_data(tmp_path):
     assert all(m.log_time == d.stamp.sec * 10**9 + d.stamp.nanosec for _, c, m, d in decoded
                if c.topic == "/hiros/log")  # fmt: skip
     scores = [
-        evaluate_log(tmp_path / name, truth_of(WALKING))["/hiros/filtered"].scores.mean
+        evaluate_log(tmp_path / name, truth_of(walking))["/hiros/filtered"].scores.mean
         for name in ("causal", "stamp")
     ]
     assert scores[0] == scores[1]
@@ -201,9 +200,9 @@ def states(path, channel):
     return np.concatenate(rows)
 
 
-def run_to(path, stages="", system="hiros", *assignments):
+def run_to(log, path, stages="", system="hiros", *assignments):
     options = ProcessOptions(system=system, stages=stages, keep=())
-    process(WALKING, path, config=load_config(None, assignments, system=system), options=options)
+    process(log, path, config=load_config(None, assignments, system=system), options=options)
     return path
 
 
@@ -219,8 +218,10 @@ def run_to(path, stages="", system="hiros", *assignments):
         ("lee", "TMF", "filtered"),
     ],
 )
-def test_derivatives_are_in_the_last_channel_of_the_chain(system, stages, derived, tmp_path):
-    out = run_to(tmp_path / "out.mcap", stages, system)
+def test_derivatives_are_in_the_last_channel_of_the_chain(
+    walking, system, stages, derived, tmp_path
+):
+    out = run_to(walking, tmp_path / "out.mcap", stages, system)
     for letter in stages:
         numbers = states(out, LETTERS[letter])
         assert np.isfinite(numbers[:, VELOCITY]).any() == (LETTERS[letter] == derived)
@@ -229,16 +230,19 @@ def test_derivatives_are_in_the_last_channel_of_the_chain(system, stages, derive
         assert np.isfinite(numbers[:, ORIENTATION]).any()
 
 
-def test_derivatives_of_all_channels_can_be_written(tmp_path):
-    out = run_to(tmp_path / "out.mcap", "", "hiros", "output.derivatives=all")
+def test_derivatives_of_all_channels_can_be_written(walking, tmp_path):
+    out = run_to(walking, tmp_path / "out.mcap", "", "hiros", "output.derivatives=all")
     for channel in LETTERS.values():
         assert np.isfinite(states(out, channel)[:, VELOCITY]).any()
 
 
-def test_what_is_left_out_changes_nothing_that_is_written(tmp_path):
+def test_what_is_left_out_changes_nothing_that_is_written(walking, tmp_path):
     """Stages work on all numbers; only the file holds fewer and rounder ones."""
     options = "output.derivatives=all", "output.precision=full"
-    small, full = run_to(tmp_path / "small"), run_to(tmp_path / "full", "", "hiros", *options)
+    small, full = (
+        run_to(walking, tmp_path / "small"),
+        run_to(walking, tmp_path / "full", "", "hiros", *options),
+    )
     for channel in LETTERS.values():
         some, others = states(small, channel), states(full, channel)
         columns = slice(0, STATE if channel == "filtered" else ORIENTATION.stop)
@@ -252,8 +256,8 @@ def test_what_is_left_out_changes_nothing_that_is_written(tmp_path):
 
 
 @pytest.mark.parametrize("system", ["fuse", "hiros", "malaguti", "lee", "maf", "average", "raw"])
-def test_every_skeleton_has_the_box_of_its_markers(system, tmp_path):
-    process(CROSSING, tmp_path / "out", options=ProcessOptions(system=system))
+def test_every_skeleton_has_the_box_of_its_markers(crossing, system, tmp_path):
+    process(crossing, tmp_path / "out", options=ProcessOptions(system=system))
     for channel in chain_of(system):
         frames, *_ = read_channel(tmp_path / "out", f"/hiros/{channel}")
         boxes = np.concatenate([frame.boxes for frame in frames])
@@ -265,8 +269,8 @@ def test_every_skeleton_has_the_box_of_its_markers(system, tmp_path):
         assert (boxes[:, ORIENTATION] == [0, 0, 0, 1]).all()
 
 
-def test_provenance_and_configuration_are_in_the_output(tmp_path):
-    process(WALKING, tmp_path / "out.mcap")
+def test_provenance_and_configuration_are_in_the_output(walking, tmp_path):
+    process(walking, tmp_path / "out.mcap")
     with McapReader(tmp_path / "out.mcap") as reader:
         assert [name for name, _ in reader.contents.metadata] == ["hiros.provenance"]
         found = {a.name: reader.attachment(a.name) for a in reader.contents.attachments}
@@ -286,36 +290,36 @@ def test_provenance_and_configuration_are_in_the_output(tmp_path):
     ],
 )
 def test_provenance_tells_the_order_of_stages_and_of_the_merger(
-    tmp_path, system, stages, switch, merging
+    walking, tmp_path, system, stages, switch, merging
 ):
     config = load_config(None, switch, system=system)
     options = ProcessOptions(system=system, stages=stages, keep=())
-    process(WALKING, tmp_path / "out.mcap", config=config, options=options)
+    process(walking, tmp_path / "out.mcap", config=config, options=options)
     with McapReader(tmp_path / "out.mcap") as reader:
         ((_, provenance),) = reader.contents.metadata
     assert provenance["stages"] == ",".join(LETTERS[letter] for letter in stages)
     assert provenance.get("merging") == merging
 
 
-def test_a_system_or_a_chain_that_does_not_exist():
+def test_a_system_or_a_chain_that_does_not_exist(walking):
     with pytest.raises(ConfigError, match=r"no system 'hydra' \(there are: fuse"):
-        process(WALKING, None, options=ProcessOptions(system="hydra"))
+        process(walking, None, options=ProcessOptions(system="hydra"))
     with pytest.raises(ConfigError, match="system hiros cannot run the stages 'FT'"):
-        process(WALKING, None, options=ProcessOptions("hiros", stages="FT"))
+        process(walking, None, options=ProcessOptions("hiros", stages="FT"))
 
 
 @pytest.mark.parametrize("options", [{"system": "lee"}, {"stages": "TMF"}])
 @pytest.mark.parametrize("name", ["limbs_in", "limbs_out"])
-def test_limb_lengths_are_refused_where_no_stage_uses_them(options, name, tmp_path):
+def test_limb_lengths_are_refused_where_no_stage_uses_them(walking, options, name, tmp_path):
     more = {name: tmp_path / "limbs.toml"}
     with pytest.raises(ConfigError, match=r"limbs\.toml: .* has no optimizer"):
-        process(WALKING, None, options=ProcessOptions(**options, **more))
+        process(walking, None, options=ProcessOptions(**options, **more))
 
 
 @pytest.mark.parametrize("system", ["fuse", "fuse-realtime", "hiros"])
-def test_limb_lengths_that_are_given_are_not_measured_again(system, tmp_path):
+def test_limb_lengths_that_are_given_are_not_measured_again(walking, system, tmp_path):
     given, saved = tmp_path / "given.toml", tmp_path / "saved.toml"
-    process(WALKING, None, options=ProcessOptions(system, limbs_out=given))
+    process(walking, None, options=ProcessOptions(system, limbs_out=given))
     longer = LimbTable.load(given)
     for limbs in longer.people.values():
         limbs.update(
@@ -326,7 +330,7 @@ def test_limb_lengths_that_are_given_are_not_measured_again(system, tmp_path):
     settings = ["optimize.calibration=two-pass"] if system == "hiros" else []
     config = load_config(None, settings, system=system)
     out = tmp_path / "out.mcap"
-    process(WALKING, out, config=config, options=options)
+    process(walking, out, config=config, options=options)
     assert LimbTable.load(saved).people == LimbTable.load(given).people
     frames, model, _ = read_channel(out, "/hiros/optimized")
     poses = np.stack([frame.positions[0] for frame in frames if frame.n_people])[30:]
@@ -342,9 +346,9 @@ def topics_of(path):
         return sorted(channel.topic for channel in reader.channels.values())
 
 
-def test_an_output_holds_the_poses_of_the_file_instead_of_the_logs(tmp_path):
+def test_an_output_holds_the_poses_of_the_file_instead_of_the_logs(walking, tmp_path):
     extrinsics = camera_file(tmp_path / "cameras.toml", 2.0)
-    process(WALKING, tmp_path / "out", options=ProcessOptions(extrinsics=extrinsics))
+    process(walking, tmp_path / "out", options=ProcessOptions(extrinsics=extrinsics))
     with open_log(tmp_path / "out") as log:
         for camera in log.cameras:
             pose = log.pose_of(camera)
@@ -352,12 +356,12 @@ def test_an_output_holds_the_poses_of_the_file_instead_of_the_logs(tmp_path):
             assert pose.translation.tolist() == [0.0, 0.0, 2.0]
 
 
-def test_clocks_of_a_camera_file_correct_the_stamps(tmp_path):
+def test_clocks_of_a_camera_file_correct_the_stamps(walking, tmp_path):
     clock = '[clock]\n"camera_1" = 0.25\n"camera_7" = 3.0\n'
     extrinsics = camera_file(tmp_path / "cameras.toml", 2.0, clock)
     options = ProcessOptions(extrinsics=extrinsics, stages="T")
-    process(WALKING, tmp_path / "as_is", options=ProcessOptions(stages="T"))
-    process(WALKING, tmp_path / "out", options=options)
+    process(walking, tmp_path / "as_is", options=ProcessOptions(stages="T"))
+    process(walking, tmp_path / "out", options=options)
     shift = first_stamp(tmp_path / "out", "camera_1") - first_stamp(tmp_path / "as_is", "camera_1")
     assert shift == 250_000_000
 
@@ -376,14 +380,14 @@ def first_stamp(path, source):
     return min(frame.stamp for frame in frames if frame.source == source)
 
 
-def test_a_result_that_is_processed_again_has_new_results_only(tmp_path):
-    process(WALKING, tmp_path / "a")
+def test_a_result_that_is_processed_again_has_new_results_only(walking, tmp_path):
+    process(walking, tmp_path / "a")
     process(tmp_path / "a", tmp_path / "b", options=ProcessOptions(keep=("*",)))
     assert topics_of(tmp_path / "b") == topics_of(tmp_path / "a")
     assert states(tmp_path / "a", "filtered").shape == states(tmp_path / "b", "filtered").shape
 
 
-def test_a_watcher_sees_every_frame_as_the_stages_made_it(tmp_path):
+def test_a_watcher_sees_every_frame_as_the_stages_made_it(walking, tmp_path):
     calls: list[str] = []
 
     class Sees:
@@ -399,15 +403,15 @@ def test_a_watcher_sees_every_frame_as_the_stages_made_it(tmp_path):
 
     velocities: dict[str, list[np.ndarray]] = {}
     options = ProcessOptions(stages="TM")
-    summary = process(WALKING, tmp_path / "out", options=options, watcher=Sees())
+    summary = process(walking, tmp_path / "out", options=options, watcher=Sees())
     assert (calls[0], calls[-1]) == ("begin tracked,merged", "end")
     assert calls.count("merged") == summary.written["/hiros/merged"]
     assert calls.count("detections") >= calls.count("tracked") > 0
     assert np.isfinite(np.concatenate(velocities["tracked"])).any()
 
 
-def test_provenance_of_a_plain_mean_says_so(tmp_path):
-    run_to(tmp_path / "out", "TM", "average")
+def test_provenance_of_a_plain_mean_says_so(walking, tmp_path):
+    run_to(walking, tmp_path / "out", "TM", "average")
     with McapReader(tmp_path / "out") as reader:
         ((_, provenance),) = reader.contents.metadata
         sections = tomllib.loads(reader.attachment("hiros/config.toml").decode())
@@ -415,9 +419,9 @@ def test_provenance_of_a_plain_mean_says_so(tmp_path):
     assert [*sections] == ["input", "output", "merge", "associate"]
 
 
-def test_input_after_the_last_result_is_copied_too(tmp_path):
+def test_input_after_the_last_result_is_copied_too(walking, tmp_path):
     source, target = tmp_path / "in.mcap", tmp_path / "out.mcap"
-    with McapReader(WALKING) as reader, McapWriter(source) as writer:
+    with McapReader(walking) as reader, McapWriter(source) as writer:
         copier = ChunkCopier(reader, writer, reader.channels)
         copier.finish()
         late = max(chunk.end_time for chunk in reader.contents.chunks) + 10**10
@@ -438,42 +442,42 @@ def test_the_head_of_a_recording_has_the_messages_that_were_asked_for(walking):
         assert all(map(same, head, frames))
 
 
-def test_options_may_stand_by_themselves():
+def test_options_may_stand_by_themselves(walking):
     with pytest.raises(TypeError, match=r"no argument 'sytem'; did you mean 'system'\? \(of Proc"):
-        process(WALKING, sytem="hiros")
-    summary = process(WALKING, system="hiros-realtime", calibrate="off", progress=True)
+        process(walking, sytem="hiros")
+    summary = process(walking, system="hiros-realtime", calibrate="off", progress=True)
     assert (summary.system, summary.poses) == ("hiros-realtime", ())
 
 
-def test_options_take_what_people_write(tmp_path):
+def test_options_take_what_people_write(walking, tmp_path):
     options = ProcessOptions(topics="/camera_0/*", keep=[], extrinsics="cameras.toml")  # type: ignore[arg-type]
     assert (options.topics, options.keep) == (("/camera_0/*",), ())
     assert options.extrinsics == Path("cameras.toml")
     known = "'off', 'auto', 'accept', 'require'"
     with pytest.raises(ConfigError, match=f"^calibrate: 'on' is none of {known}$"):
-        process(WALKING, calibrate="on")
+        process(walking, calibrate="on")
 
 
-def test_warnings_of_a_run_are_logged_once(tmp_path, caplog):
+def test_warnings_of_a_run_are_logged_once(crossing, tmp_path, caplog):
     late = load_config(overrides=["clock.camera_0=100"])
     with caplog.at_level("DEBUG", "hiros_mcap"):
-        summary = process(CROSSING, tmp_path / "out.mcap", config=late, calibrate="off")
+        summary = process(crossing, tmp_path / "out.mcap", config=late, calibrate="off")
     warnings = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
     assert summary.warnings
-    assert warnings == [f"{CROSSING}: {text}" for text in summary.warnings]
+    assert warnings == [f"{crossing}: {text}" for text in summary.warnings]
     steps = [record.getMessage() for record in caplog.records if record.levelname == "INFO"]
-    assert f"{CROSSING}: camera_0, camera_1, camera_2; fixed frame world" in steps
-    assert f"{CROSSING}: wrote {tmp_path / 'out.mcap'}" in steps
+    assert f"{crossing}: camera_0, camera_1, camera_2; fixed frame world" in steps
+    assert f"{crossing}: wrote {tmp_path / 'out.mcap'}" in steps
 
 
-def test_a_notebook_shows_the_bar_and_a_pipe_does_not(monkeypatch, capsys):
+def test_a_notebook_shows_the_bar_and_a_pipe_does_not(walking, monkeypatch, capsys):
     monkeypatch.delitem(sys.modules, "ipykernel", raising=False)
-    process(WALKING, calibrate="off", progress=True)
+    process(walking, calibrate="off", progress=True)
     assert capsys.readouterr().err == ""
     monkeypatch.setitem(sys.modules, "ipykernel", sys)
-    process(WALKING, calibrate="off", progress=True)
+    process(walking, calibrate="off", progress=True)
     assert "100%" in capsys.readouterr().err
-    process(WALKING, calibrate="off")
+    process(walking, calibrate="off")
     assert capsys.readouterr().err == ""
 
 
@@ -496,7 +500,7 @@ def odd_walk(target):
     return target
 
 
-def test_a_pause_a_repeat_and_few_lost_messages_are_told(tmp_path):
+def test_a_pause_a_repeat_and_few_lost_messages_are_told(walking, tmp_path):
     summary = process(odd_walk(tmp_path / "odd.mcap"), calibrate="off")
     (few,) = (text for text in summary.warnings if "not used" in text)
     assert few == (
@@ -507,7 +511,7 @@ def test_a_pause_a_repeat_and_few_lost_messages_are_told(tmp_path):
     (camera,) = (one for one in summary.cameras if one.topic == "/camera_0/skeletons")
     assert camera.skipped[STALE] == 1
     assert re.search(r"all cameras pause from (0\.9|1\.0) to (2\.2|2\.3) s$", notes, re.MULTILINE)
-    assert "pause" not in "\n".join(process(WALKING, calibrate="off").notes)
+    assert "pause" not in "\n".join(process(walking, calibrate="off").notes)
 
 
 def test_process_shows_each_option_to_an_editor_and_in_help():
@@ -532,18 +536,18 @@ def test_process_shows_each_option_to_an_editor_and_in_help():
         ("progress", 5, "5 is no bool and has no method update()"),
     ],
 )
-def test_a_wrong_type_is_one_line(name, value, fault):
+def test_a_wrong_type_is_one_line(walking, name, value, fault):
     with pytest.raises(ConfigError, match=f"^{re.escape(f'{name}: {fault}')}$"):
-        process(WALKING, **{name: value})
+        process(walking, **{name: value})
 
 
-def test_the_limit_of_memory_is_in_gib():
+def test_the_limit_of_memory_is_in_gib(walking):
     with pytest.raises(LogError, match="--memory GIB raises the limit"):
-        process(WALKING, memory=10_000 / 2**30)
+        process(walking, memory=10_000 / 2**30)
 
 
-def test_a_text_is_one_glob(tmp_path):
-    summary = process(WALKING, tmp_path / "out.mcap", calibrate="off", keep="abc")
+def test_a_text_is_one_glob(walking, tmp_path):
+    summary = process(walking, tmp_path / "out.mcap", calibrate="off", keep="abc")
     assert "keep: the log has no channel abc" in summary.notes
 
 
@@ -553,10 +557,10 @@ def test_a_file_of_parameters_may_be_named(tmp_path):
         process("lab.mcap", config=tmp_path / "mine.toml")
 
 
-def test_a_note_says_which_cameras_detections_were_ignored():
+def test_a_note_says_which_cameras_detections_were_ignored(crossing):
     """Whose they are is asked first where something was left out."""
     config = load_config(None, ["track.min_skeleton_confidence=0.8"])
-    summary = process(CROSSING, calibrate="off", config=config)
+    summary = process(crossing, calibrate="off", config=config)
     (note,) = (text for text in summary.notes if "confidence below" in text)
     total = int(note.split()[0])
     cameras = re.findall(r"(\d+) of (camera_\d)", note)

@@ -33,7 +33,8 @@ FIRST_STAGE = ProcessOptions(stages="T")
 
 @pytest.fixture(scope="module")
 def scene():
-    return simulate(SimulateParams(people=1, cameras=3, seconds=12.0, seed=5))
+    params = {"people": 1, "cameras": 3, "seconds": 12.0, "seed": 5, "rig": {"rate": 20.0}}
+    return simulate(SimulateParams.model_validate(params))
 
 
 @pytest.fixture(scope="module")
@@ -211,7 +212,7 @@ def test_clocks_are_found_where_all_detections_are_in_the_room(scene, detections
     summary = process(write(tmp_path / "log.mcap", scene, seen, {"tripod": Rigid.identity()}))
     assert verdicts(summary) == ["good"] * 3
     (text,) = summary.warnings
-    assert "clock of camera_1 is 60 ms ahead" in text
+    assert re.search("clock of camera_1 is (59|60|61) ms ahead", text)
 
 
 @pytest.mark.parametrize("sharing", [NAMES[:2], NAMES])

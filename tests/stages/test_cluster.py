@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.cluster.hierarchy import fclusterdata
 from scipy.spatial.transform import Rotation
-from sklearn.cluster import DBSCAN
 from stick_figures import MIRROR, MODEL, SECOND, at, person, seen
 
 from hiros_mcap.events import Events
@@ -65,6 +64,8 @@ def labels_of(points, radius, min_points):
 @settings(deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 24), st.integers(1, 5))
 def test_dbscan_equals_scikit_learn(seed, n, min_points):
+    from sklearn.cluster import DBSCAN
+
     points = np.random.default_rng(seed).uniform(0, 0.4, (n, 3))
     expected = DBSCAN(eps=0.1, min_samples=min_points).fit(points).labels_
     assert (labels_of(points, 0.1, min_points) == expected).all()

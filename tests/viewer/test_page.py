@@ -6,7 +6,6 @@ import re
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from hiros_mcap.errors import LogError
 from hiros_viewer.figures import Curve, CurveGrid, CurvePlot
@@ -14,6 +13,8 @@ from hiros_viewer.page import Page
 
 
 def page():
+    from matplotlib.figure import Figure
+
     result = Page("A <title> & more")
     result.heading("Errors")
     result.text("per joint")

@@ -36,14 +36,11 @@ from hiros_viewer.blueprint import LAYOUTS, Content, blueprint
 from hiros_viewer.palette import curve_colour
 from hiros_viewer.poses import Poses
 
-SAMPLES = Path(__file__).parents[2] / "sample_data"
-CROSSING = SAMPLES / "two_people_crossing.mcap"
-
 
 @pytest.fixture(scope="module")
-def processed(tmp_path_factory):
+def processed(crossing, tmp_path_factory):
     out = tmp_path_factory.mktemp("viewer") / "crossing.hiros.mcap"
-    process(CROSSING, out)
+    process(crossing, out)
     return out
 
 
@@ -62,25 +59,25 @@ def test_every_layout_opens_without_a_complaint(processed, tmp_path, layout):
         with ViewerClient.connect(url) as client:
             client.open(str(target))
             wait_until_loaded(client)
-            client.set_time("stamp", timestamp=start_of(processed) + 2.0, play_state="paused")
+            client.set_time("stamp", timestamp=start_of(processed) + 1.0, play_state="paused")
             image = picture(settled_picture(client))
             views = client.get_state().views
             assert views
             assert [report for view in views for report in view.reports] == []
     for person in (0, 1):
-        assert pixels_like(image, person_colour(person)) > 300
+        assert pixels_like(image, person_colour(person)) > 100
 
 
-def test_a_raw_recording_has_bright_detections_and_no_empty_views(tmp_path):
+def test_a_raw_recording_has_bright_detections_and_no_empty_views(crossing, tmp_path):
     target = tmp_path / "raw.rrd"
     with headless() as (url, _):
         from rerun.experimental import ViewerClient
 
-        assert run(["view", str(CROSSING), "--save", str(target), "-q"]) == 0
+        assert run(["view", str(crossing), "--save", str(target), "-q"]) == 0
         with ViewerClient.connect(url) as client:
             client.open(str(target))
             wait_until_loaded(client)
-            client.set_time("stamp", timestamp=start_of(CROSSING) + 2.0, play_state="paused")
+            client.set_time("stamp", timestamp=start_of(crossing) + 1.0, play_state="paused")
             views = client.get_state().views
             (room,) = [view for view in views if view.view_class == "3D"]
             image = picture(settled_picture(client, room.view_id))
@@ -99,11 +96,13 @@ def wait_until_loaded(client, seconds=30.0):
     raise AssertionError("the recording does not load")
 
 
-def test_an_ended_track_is_not_shown(processed, tmp_path):
+def test_an_ended_track_is_not_shown(whole_crossing, tmp_path):
     """Person 1 leaves the log after 2 s: seen at 1 s, no pixel of them at 4 s."""
     from hiros_viewer import destinations, replay
 
     target = tmp_path / "left.rrd"
+    processed = tmp_path / "crossing.hiros.mcap"
+    process(whole_crossing, processed)
     cut = round((start_of(processed) + 2.0) * 1e9)
 
     def draw(recording):
@@ -132,8 +131,8 @@ def test_an_ended_track_is_not_shown(processed, tmp_path):
                 )
                 image = picture(settled_picture(client, room.view_id))
                 counts[second] = [pixels_like(image, person_colour(p)) for p in (0, 1)]
-    assert min(counts[1.0]) > 300
-    assert counts[4.0][0] > 300
+    assert min(counts[1.0]) > 100
+    assert counts[4.0][0] > 100
     assert counts[4.0][1] == 0
 
 
@@ -144,7 +143,7 @@ def test_the_viewer_listens_on_the_loopback_address_alone():
         assert set(addresses) <= LOOPBACK
 
 
-def test_live_view_shows_the_run_and_outlives_it(tmp_path):
+def test_live_view_shows_the_run_and_outlives_it(crossing, tmp_path):
     from hiros_viewer.destinations import new_recording
     from hiros_viewer.live import LiveView
 
@@ -154,15 +153,15 @@ def test_live_view_shows_the_run_and_outlives_it(tmp_path):
         recording = new_recording("live")
         recording.connect_grpc(url)
         view = LiveView(recording, lambda: viewer.poll() is None, lambda: None)
-        process(CROSSING, tmp_path / "out.mcap", watcher=view)
+        process(crossing, tmp_path / "out.mcap", watcher=view)
         recording.disconnect()
         with ViewerClient.connect(url) as client:
             wait_until_loaded(client)
-            client.set_time("stamp", timestamp=start_of(CROSSING) + 2.0, play_state="paused")
+            client.set_time("stamp", timestamp=start_of(crossing) + 1.0, play_state="paused")
             image = picture(settled_picture(client))
             reports = [report for view_ in client.get_state().views for report in view_.reports]
         assert reports == []
-    assert pixels_like(image, person_colour(0)) > 300
+    assert pixels_like(image, person_colour(0)) > 100
 
 
 @pytest.mark.parametrize(
@@ -181,7 +180,7 @@ def test_a_live_room_grows_with_its_people(people, far, is_new):
     assert view._outgrows(content(people, far)) == is_new
 
 
-def test_live_input_is_followed_as_it_comes(monkeypatch):
+def test_live_input_is_followed_as_it_comes(crossing, monkeypatch):
     """The cursor stays at what came last, and seconds count from the first message."""
     from hiros_viewer import live
     from hiros_viewer.destinations import new_recording
@@ -194,7 +193,7 @@ def test_live_input_is_followed_as_it_comes(monkeypatch):
         explained(recording, content, layout, note)
 
     monkeypatch.setattr(live, "explain", noting)
-    with headless() as (url, viewer), CROSSING.open("rb", buffering=0) as file:
+    with headless() as (url, viewer), crossing.open("rb", buffering=0) as file:
         from rerun.experimental import ViewerClient
 
         recording = new_recording("live")
@@ -209,12 +208,12 @@ def test_live_input_is_followed_as_it_comes(monkeypatch):
             shown = client.get_state().recordings[0]
     (line,) = (each for each in shown.timelines if each.name == "seconds from start")
     assert line.start == 0
-    assert 3e9 < line.end < 60e9
+    assert 1.5e9 < line.end < 60e9
     assert shown.current_time == line.end
     assert re.fullmatch(r"\*\*Delay\*\*: 0\.\d\d s\.", notes[-1])
 
 
-def test_the_viewers_death_does_not_stop_the_processing(tmp_path):
+def test_the_viewers_death_does_not_stop_the_processing(crossing, tmp_path):
     from hiros_viewer.destinations import new_recording
     from hiros_viewer.live import LiveView
 
@@ -229,7 +228,7 @@ def test_the_viewers_death_does_not_stop_the_processing(tmp_path):
 
             def frame(self, channel, frame):
                 Killer.count += 1
-                if Killer.count == 300:
+                if Killer.count == 100:
                     viewer.kill()
                     viewer.wait()
                 view.frame(channel, frame)
@@ -241,8 +240,8 @@ def test_the_viewers_death_does_not_stop_the_processing(tmp_path):
                 view.end(events)
 
         killer = Killer(recording, lambda: True, lambda: None)
-        process(CROSSING, tmp_path / "out.mcap", watcher=killer)
-    process(CROSSING, tmp_path / "alone.mcap")
+        process(crossing, tmp_path / "out.mcap", watcher=killer)
+    process(crossing, tmp_path / "alone.mcap")
     assert told == ["closed"]
     assert (tmp_path / "out.mcap").read_bytes() == (tmp_path / "alone.mcap").read_bytes()
 
@@ -321,15 +320,17 @@ def without_screen(monkeypatch):
         monkeypatch.delenv(name, raising=False)
 
 
-def test_a_run_without_a_screen_says_how_to_look_at_its_result(tmp_path, monkeypatch, capsys):
+def test_a_run_without_a_screen_says_how_to_look_at_its_result(
+    crossing, tmp_path, monkeypatch, capsys
+):
     without_screen(monkeypatch)
     out = tmp_path / "out.mcap"
-    assert run(["process", str(CROSSING), "-o", str(out), "--view", "-q"]) == 0
+    assert run(["process", str(crossing), "-o", str(out), "--view", "-q"]) == 0
     assert f"hiros view {out} --web" in capsys.readouterr().err
     assert out.exists()
 
 
-def test_a_run_without_a_screen_is_served_as_a_page(tmp_path):
+def test_a_run_without_a_screen_is_served_as_a_page(crossing, tmp_path):
     from hiros_viewer.live import live_page
 
     pages: list[str] = []
@@ -337,7 +338,7 @@ def test_a_run_without_a_screen_is_served_as_a_page(tmp_path):
         pytest.raises(KeyboardInterrupt),
         live_page("live", lambda: None, pages.append) as view,
     ):
-        process(CROSSING, tmp_path / "out.mcap", watcher=view)
+        process(crossing, tmp_path / "out.mcap", watcher=view)
         with urlopen(pages[0], timeout=10) as page:
             assert b"Rerun" in page.read()
         raise KeyboardInterrupt

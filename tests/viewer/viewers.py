@@ -18,7 +18,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
-from matplotlib.image import imread
 
 from hiros_mcap.errors import HirosError
 from hiros_viewer.destinations import running_viewer
@@ -28,6 +27,9 @@ REQUIRED = os.environ.get("HIROS_REQUIRE_VIEWER") == "1"
 
 PACKAGES = "libvulkan1 mesa-vulkan-drivers"
 """What draws without a graphics card."""
+
+SIZE = "1000x600"
+"""Of the window in pixels: all of them are drawn by the processor."""
 
 Picture = npt.NDArray[np.uint8]
 
@@ -73,7 +75,7 @@ def headless():
 
 @contextmanager
 def _viewer():
-    with running_viewer("--headless") as (url, process):
+    with running_viewer("--headless", "--window-size", SIZE) as (url, process):
         try:
             yield url, process
         finally:
@@ -83,17 +85,18 @@ def _viewer():
 
 def picture(png):
     """(H, W, 3) pixels of a PNG."""
+    from matplotlib.image import imread
+
     pixels = imread(io.BytesIO(png), format="png")
     return np.asarray(np.rint(pixels[..., :3] * 255), np.uint8)
 
 
 def pixels_like(image, colour, apart=60):
     """How many pixels have the hue of a colour: shading makes joints darker, not greyer."""
-    colours = image.reshape(-1, 3).astype(float)
-    brightness = np.maximum(colours.max(axis=1), 1)
-    scaled = colours / brightness[:, None] * max(colour)
-    close = np.abs(scaled - np.array(colour)).max(axis=1) < apart
-    return int((close & (brightness > 90)).sum())
+    colours = image.reshape(-1, 3)
+    colours = colours[colours.max(axis=1) > 90].astype(float)
+    scaled = colours / colours.max(axis=1, keepdims=True) * max(colour)
+    return int((np.abs(scaled - np.array(colour)).max(axis=1) < apart).sum())
 
 
 def settled_picture(client, view_id=None):
