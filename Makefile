@@ -41,7 +41,7 @@ format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix $(CODE)
 	$(BIN)/ruff format $(CODE)
 
-dist: $(VENV)/.installed-dev
+dist: $(VENV)/.installed-build
 	$(BIN)/python -m build
 
 $(BIN)/python:
@@ -63,6 +63,10 @@ $(VENV)/.installed-dev: $(BIN)/python pyproject.toml
 	@echo "installing hiros and the development tools into $(VENV): 2 GB, some minutes"
 	$(INSTALL) -e '.[dev]'
 	@touch $@ $(VENV)/.installed
+
+$(VENV)/.installed-build: $(BIN)/python
+	$(INSTALL) 'build>=1.2'
+	@touch $@
 
 $(VENV)/.installed-docs: $(BIN)/python pyproject.toml
 	@echo "installing hiros and the tools for the site into $(VENV)"
