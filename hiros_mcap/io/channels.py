@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
@@ -13,6 +13,7 @@ from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.layout import Layout
 from hiros_mcap.io.ros_cdr import CdrWriter
+from hiros_mcap.summary import quantity
 
 OUTPUT_PREFIX = "/hiros"
 OUTPUT_TOPICS = tuple(
@@ -122,8 +123,7 @@ def select_skeletons(
     Raises
     ------
     LogError
-        no channel is left, a glob fits none, or a channel is not in CDR; the message lists what
-        the log has.
+        no channel is left, a glob fits none, or none is in CDR; the message lists what the log has.
     """
     channels = tuple(channels)
     skeletons = [info for info in channels if info.has_type(hiros_schemas.SKELETON_GROUP)]
@@ -148,11 +148,28 @@ def select_skeletons(
                 )
             raise LogError(f"no skeleton channel matches {glob!r}; {_listing(channels)}")
         chosen = [i for i in others if any(fnmatchcase(i.topic, glob) for glob in topics)]
-    for info in chosen:
-        if info.encoding != "cdr":
-            raise not_cdr(info)
+    chosen = readable(chosen)
     # Without any message, the room was empty.
     return tuple(info for info in chosen if info.count) or tuple(chosen)
+
+
+def readable(
+    channels: Sequence[ChannelInfo], encodings: Collection[str] = ("cdr",)
+) -> list[ChannelInfo]:
+    """Return the channels of some encodings; raises LogError if there are only others."""
+    chosen = [info for info in channels if info.encoding in encodings]
+    if channels and not chosen:
+        raise not_cdr(channels[0])
+    return chosen
+
+
+def not_used(info: ChannelInfo) -> str:
+    """Return a warning that nothing of a channel is used, because of its encoding."""
+    count = f"{quantity(info.count, 'message')} " if info.count else ""
+    return (
+        f"{info.topic}: {count}not used, encoded as {info.encoding!r} and not as CDR; record it "
+        "anew, or choose the other channels with --topic"
+    )
 
 
 def not_cdr(info: ChannelInfo) -> LogError:

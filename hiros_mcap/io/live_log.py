@@ -30,6 +30,7 @@ from hiros_mcap.io.channels import (
     ChannelInfo,
     channels_of,
     is_selected,
+    not_used,
     select_skeletons,
 )
 from hiros_mcap.io.codec import RestPoses
@@ -115,7 +116,9 @@ class LiveReading(Reading):
         if takes(info, self.log.topics):
             self._join(info, message)
         else:
-            self._refused[ident] = ""
+            is_people = info.has_type(hiros_schemas.SKELETON_GROUP)
+            wanted = is_people and is_selected(topic, self.log.topics, OUTPUT_PREFIX)
+            self._refused[ident] = not_used(replace(info, count=0)) if wanted else ""
 
     def _join(self, info: ChannelInfo, message: Message) -> None:
         """Read a camera from its first message on that holds somebody in a known place."""

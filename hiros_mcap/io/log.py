@@ -39,7 +39,13 @@ from hiros_mcap.io.codec import Decoder, ModelBuilder, OtherSkeletonError
 from hiros_mcap.io.container import Batch, McapReader, Message, Records, RecoveringReader
 from hiros_mcap.io.container.reader import MEMORY
 from hiros_mcap.io.detectors.body_size import body_size
-from hiros_mcap.io.detectors.conversion import Selection, SkeletonChoice, converted
+from hiros_mcap.io.detectors.conversion import (
+    ENCODINGS,
+    Selection,
+    SkeletonChoice,
+    converted,
+    of_people,
+)
 from hiros_mcap.io.layout import Layout, check_schema
 from hiros_mcap.io.log_accounts import DAMAGED, FAR_FUTURE, LATEST, STALE, Account
 from hiros_mcap.io.opened_log import Log, Reading, span_of
@@ -199,10 +205,12 @@ def open_log(
             with naming(file.path):
                 reader = converted(file, selection._replace(several=True))
             contents = skeletons_of(reader, tree, topics, output_prefix)
+        encodings = ("cdr",) if reader is file else ENCODINGS
+        unread = [i for i in of_people(file, selects) if i.encoding not in encodings]
         owns_file = reader is not path
         if reader is file:
             stack.pop_all()
-        return Log(reader, *contents, fixed_frame, owns_file=owns_file)
+        return Log(reader, *contents, fixed_frame, unread, owns_file=owns_file)
 
 
 def skeletons_of(

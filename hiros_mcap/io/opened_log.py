@@ -24,6 +24,7 @@ from hiros_mcap.io.channels import (
     CameraChannel,
     ChannelInfo,
     channels_of,
+    not_used,
 )
 from hiros_mcap.io.codec import Decoded, Decoder, RestPoses
 from hiros_mcap.io.container import LogOrder, McapReader, Recovery
@@ -172,6 +173,8 @@ class Log:
     """Where the cameras stand."""
     wanted_frame: str | None = None
     """The frame that results are to be in, if the user named one."""
+    unread: Sequence[ChannelInfo] = ()
+    """Channels that show people in an encoding that cannot be read."""
     owns_file: bool = True
     """Whether :meth:`close` closes the file; otherwise it was open before."""
 
@@ -266,6 +269,7 @@ class Log:
             yield "the room is empty: the cameras sent no message; check the detectors"
         frames = sorted({name for camera in self.cameras for name in camera.frames} - {fixed})
         poses = {name: self.transforms.lookup(name, fixed, 0) for name in frames}
+        yield from map(not_used, self.unread)
         yield from filter(None, (unit_warning(c.channel.topic, c.size) for c in self.cameras))
         changes: dict[str, list[PoseChange]] = {}
         for change in self.transforms.changes_above([*frames, fixed]):

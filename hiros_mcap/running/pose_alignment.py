@@ -170,10 +170,14 @@ class PoseAlignment:
                 "found its pose for each part of the log. Calibrate it anew before you record "
                 "again: hiros calibrate people"
             )
+        if self.from_nothing:
+            yield (
+                "the cameras' poses come from the people, because the log has none that fit them; "
+                "the room's origin is arbitrary. `hiros calibrate people` saves them for other logs"
+            )
         for names in self.alike:
             yield (
-                f"the log has one pose for {' and '.join(names)}, so that nobody has measured it; "
-                "hiros used the poses that the people show"
+                f"the log has one pose for {' and '.join(names)}, so that nobody has measured it"
             )
         yield from self.contradictions
         if self.calibration is not None:
@@ -192,12 +196,7 @@ class PoseAlignment:
 
     def notes(self) -> Iterator[str]:
         """Yield what was done."""
-        if self.from_nothing:
-            yield (
-                "the cameras' poses come from the people, because the log has none that fit them; "
-                "`hiros calibrate people` saves them for other logs"
-            )
-        elif self.replaced:
+        if self.replaced and not self.from_nothing:
             yield (
                 "hiros moved the cameras to where they see the same people at the same place; "
                 "--calibrate off keeps the log's poses"
@@ -320,14 +319,13 @@ def _contradictions(log: Log, posed: PosedViews) -> tuple[str, ...]:
     for camera in log.cameras:
         for frame in camera.frames:
             owners.setdefault(frame, []).extend(camera.sources.values())
-    wrong = {one.name: one.reason for one in posed.rig if not one.fits}
+    wrong = {one.name for one in posed.rig if not one.fits}
     return tuple(
         f"{' and '.join(names)} publish in the same frame {frame!r}, but do not see the same "
-        f"people at the same place in it ({name}: {wrong[name]}); set header.frame_id to each "
-        "camera's own frame, or calibrate the poses that were applied before"
+        "people at the same place in it; set header.frame_id to each camera's own frame, or "
+        "calibrate the poses that were applied before"
         for frame, names in owners.items()
-        if len(names) > 1
-        for name in [name for name in names if name in wrong][:1]
+        if len(names) > 1 and wrong & set(names)
     )
 
 

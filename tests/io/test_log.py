@@ -527,16 +527,20 @@ def test_another_encoding_is_an_error(path, encoding, kind):
         open_log(path)
 
 
-def test_a_channel_of_another_encoding_is_left_out_by_choosing_the_others(path):
+def test_a_channel_of_another_encoding_is_left_out_with_a_warning(path):
     with Maker(path) as log:
         log.add(seen(0))
         text = hiros_schemas.text(hiros_schemas.SKELETON_GROUP).encode()
         schema = log.writer.add_schema(hiros_schemas.SKELETON_GROUP, text)
         log.writer.write(log.writer.add_channel("/s", schema, encoding="json"), 0, b"{}")
-    with pytest.raises(LogError, match="/s: is encoded as 'json'.* other channels with --topic"):
-        open_log(path)
+    with open_log(path) as log:
+        assert len(list(log.frames())) == 1
+        assert log.warnings[0].startswith("/s: 1 message not used, encoded as 'json'")
     with open_log(path, topics=["/camera_0/*"]) as log:
         assert len(list(log.frames())) == 1
+        assert not any("encoded" in text for text in log.warnings)
+    with pytest.raises(LogError, match="/s: is encoded as 'json'.* other channels with --topic"):
+        open_log(path, topics=["/s"])
 
 
 # -- transforms of a log -----------------------------------------------------------------------

@@ -405,6 +405,27 @@ def test_other_markers_are_copied_and_no_camera(crossing, by_file):
     assert {message.data for _, _, message in copied} == {data}
 
 
+def test_skeletons_in_another_encoding_are_left_out_with_a_warning(crossing, by_file):
+    def write(descriptor):
+        with (
+            LiveWriter(Pipe(descriptor, "pipe")) as writer,
+            McapReader(crossing) as reader,
+        ):
+            ids = {i: writer.adopt(c, reader.schema(c)) for i, c in reader.channels.items()}
+            schema = next(s for s in writer.schemas.values() if s.name.endswith("SkeletonGroup"))
+            odd = writer.add_channel("/odd", schema.id, encoding="json")
+            for message in reader.messages():
+                writer.write_message(ids[message.channel_id], message)
+                writer.write(odd, message.log_time, b"{}")
+                writer.flush()
+            writer.commit()
+
+    summary, out = run_live(write)
+    (warning,) = summary.warnings
+    assert warning.startswith("/odd: not used, encoded as 'json' and not as CDR")
+    assert results(out) == by_file
+
+
 def test_a_reader_that_goes_away_ends_the_run(crossing):
     end, begin = os.pipe()
     os.close(end)

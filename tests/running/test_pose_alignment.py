@@ -165,7 +165,7 @@ def test_a_log_that_nobody_calibrated_is_processed(given, scene, detections, tru
     log, out = write(tmp_path / "log.mcap", scene, detections, given), tmp_path / "out.mcap"
     summary = process(log, out, options=FIRST_STAGE)
     assert verdicts(summary) == ["good"] * 3
-    assert any("poses come from the people" in note for note in summary.notes)
+    assert any("poses come from the people" in text for text in summary.warnings)
     assert summary.placement is None  # nothing says where the rig is
     with open_log(out) as result:
         fixed = result.fixed_frame
@@ -224,6 +224,7 @@ def test_detectors_that_write_one_frame_id_are_named(sharing, scene, detections,
     summary = process(write(tmp_path / "log.mcap", scene, wrong, true), options=FIRST_STAGE)
     (warning,) = [text for text in summary.warnings if "same frame" in text]
     assert warning.startswith(f"{' and '.join(sharing)} publish in the same frame 'camera_0', but")
+    assert " cm" not in warning  # another warning says how far
 
 
 def test_one_pose_for_all_cameras_counts_as_none(tmp_path):

@@ -26,6 +26,7 @@ from hiros_mcap.io.channels import (
     add_skeleton_channel,
     channels_of,
     not_cdr,
+    readable,
 )
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapReader, McapWriter, Message, Schema
@@ -44,7 +45,8 @@ METRES: Mapping[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 SKELETONS = hiros_schemas.short_name(hiros_schemas.SKELETON_GROUP)
 TRANSFORMS = hiros_schemas.short_name(hiros_schemas.TF_MESSAGE)
 _OLD_TRANSFORMS = "tf/tfMessage"
-_ENCODINGS = "cdr", "ros1"
+ENCODINGS = "cdr", "ros1"
+"""Of messages that can be read, as they are or converted."""
 HUMANS = "hri_msgs/"
 _PROBED = 16 * 2**20
 """Bytes of a channel that are looked at to learn whether it shows people, and which joints."""
@@ -100,10 +102,14 @@ class InputChannel(NamedTuple):
         )
 
 
+def _types() -> set[str]:
+    """Return the types that readers take, ``pkg/Type``."""
+    return {name for kind in detector_readers() for name in kind.types}
+
+
 def is_of_other_detector(info: ChannelInfo) -> bool:
     """Whether a channel has a type that a reader converts; transforms do not count."""
-    types = {name for kind in detector_readers() for name in kind.types}
-    return type_of(info) in types - {SKELETONS, TRANSFORMS, _OLD_TRANSFORMS}
+    return type_of(info) in _types() - {SKELETONS, TRANSFORMS, _OLD_TRANSFORMS}
 
 
 def converted(reader: McapReader, selection: Selection) -> McapReader:
@@ -139,6 +145,13 @@ class ConvertedReader(BagReader):
         self.faults = {t: (n, conversion.first[t]) for t, n in conversion.faulty.items()}
 
 
+def of_people(reader: McapReader, selects: Callable[[str], bool]) -> list[ChannelInfo]:
+    """Return the wanted channels with messages of the types that readers take; no transforms."""
+    types = _types()
+    some = (i for i in channels_of(reader) if i.count and type_of(i) in types)
+    return [info for info in some if not is_transforms(info) and selects(info.topic)]
+
+
 def is_transforms(info: ChannelInfo) -> bool:
     """Whether a channel has transforms, of ROS 1 or 2."""
     return type_of(info) in (TRANSFORMS, _OLD_TRANSFORMS)
@@ -154,13 +167,14 @@ def type_of(info: ChannelInfo) -> str:
 
 def _sources(reader: McapReader, selection: Selection) -> list[InputChannel]:
     """Return the channels that may show people, and those that are copied as they are."""
-    types = {name for kind in detector_readers() for name in kind.types}
+    types = _types()
     infos = [i for i in channels_of(reader) if i.count and type_of(i) in types]
+    wanted = readable(of_people(reader, selection.selects), ENCODINGS)
     sources = []
     for info in infos:
         moves = is_transforms(info)
-        selected = not moves and selection.selects(info.topic)
-        copied = type_of(info) == SKELETONS and info.encoding in _ENCODINGS
+        selected = info in wanted
+        copied = type_of(info) == SKELETONS and info.encoding in ENCODINGS
         if selected or (moves and info.topic in TF_TOPICS) or copied:
             sources.append(source_of(reader, info, selected=selected))
     # Every log has transforms. Those of humans are looked for where something hints at them.
@@ -174,7 +188,7 @@ def source_of(reader: McapReader, info: ChannelInfo, *, selected: bool) -> Input
     """Prepare a channel; raises LogError for a definition that cannot be used."""
     schema = reader.schema(reader.channels[info.id])
     name = type_of(info)
-    if schema is None or info.encoding not in _ENCODINGS:
+    if schema is None or info.encoding not in ENCODINGS:
         raise not_cdr(info)
     kind = TRANSFORMS if is_transforms(info) else name
     if info.encoding == "cdr" and name in (SKELETONS, TRANSFORMS):
