@@ -396,6 +396,14 @@ def test_limbs_are_learned_for_as_long_as_somebody_is_seen():
     assert max(limbs) == 720
 
 
+def test_nobody_gets_the_id_of_who_may_as_well_be_somebody_else():
+    """Two absent people of almost one size: it is one of them with 93 %, the other with 6 %."""
+    old = [cues(0, 0.0, 0.0), cues(1, 0.1, 0.0, 1.046)]
+    verdict = reidentify([cues(9, 5.0, 0.0)], old, missing=2, limbs=LEGS)[9]
+    assert str(verdict) == "limb lengths, 93% person 0, 6% others"
+    assert not verdict.accepted
+
+
 def test_a_noisy_measurement_of_the_size_does_not_rule_somebody_out():
     assert reidentify([cues(9, 5.0, 0.0, 1.05)], [cues(0, 0.0, 0.0)], missing=1, limbs=LEGS)[
         9

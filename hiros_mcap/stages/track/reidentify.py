@@ -34,6 +34,7 @@ from hiros_mcap.skeletons import Flags, Floats, Ints
 from hiros_mcap.stages.track.limb_scatter import LimbScatter
 
 THRESHOLD = 0.9  # least probability with which somebody gets an old id
+_EXCHANGED = 0.05  # largest probability of being another absent person: worse than a new id
 
 _NOISE_OF_ONE = 0.04  # SD of a limb's length, m, in one detection; it falls with the root of their
 # number, besides the scatter from second to second
@@ -92,15 +93,17 @@ class Verdict:
 
     person: int
     probability: float
+    exchanged: float  # probability of being any of the other absent people
     cue: str  # what spoke most for this person, against the next best explanation
 
     def __str__(self) -> str:
-        return f"{self.cue}, {self.probability:.0%} person {self.person}"
+        others = f", {self.exchanged:.0%} others" if self.exchanged > _EXCHANGED else ""
+        return f"{self.cue}, {self.probability:.0%} person {self.person}{others}"
 
     @property
     def accepted(self) -> bool:
         """Whether the newcomer gets the id."""
-        return self.probability >= THRESHOLD
+        return self.probability >= THRESHOLD and self.exchanged <= _EXCHANGED
 
 
 def reidentify(
@@ -129,8 +132,9 @@ def reidentify(
     verdicts = {}
     for n, new in enumerate(newcomers):
         best = max(range(len(absent)), key=[chances[n, a] for a in range(len(absent))].__getitem__)
+        others = sum(chances[n, a] for a in range(len(absent)) if a != best)
         cue = _deciding_cue(n, best, cues, chances)
-        verdicts[new.person] = Verdict(absent[best].person, chances[n, best], cue)
+        verdicts[new.person] = Verdict(absent[best].person, chances[n, best], others, cue)
     return verdicts
 
 
