@@ -20,7 +20,7 @@ from hiros_cli.many_logs import exit_code
 from hiros_mcap.config import Settings
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.container import McapReader, McapWriter
-from hiros_mcap.io.places import place_of
+from hiros_mcap.io.remote import place_of
 from hiros_mcap.many.find import are_many, distinct_names, find_logs
 from hiros_mcap.many.jobs import Finding, Job, ProcessJob
 from hiros_mcap.many.manifest import Identity, LogRecord, Manifest

@@ -20,7 +20,7 @@ from hiros_mcap.io.channels import (
     REPORT_ATTACHMENT,
 )
 from hiros_mcap.io.container import McapReader, McapWriter
-from hiros_mcap.io.export.marker_set import load_marker_set
+from hiros_mcap.io.export.files import load_marker_set
 from hiros_mcap.io.foxglove import FoxgloveInput
 from hiros_mcap.io.joints.importing import import_joints
 from hiros_mcap.io.overview import overview_of

@@ -13,7 +13,7 @@ from hiros_mcap.body.transforms import read_extrinsics
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate.truth_files import load_truth
 from hiros_mcap.events import events_from_json
-from hiros_mcap.io.export.marker_set import load_marker_set
+from hiros_mcap.io.export.files import load_marker_set
 from hiros_mcap.io.foxglove import FoxgloveInput
 from hiros_mcap.io.joints.importing import import_joints
 from hiros_mcap.io.result import StoredReport

@@ -285,10 +285,10 @@ def board_frame(centres: Floats) -> Rigid:
     return Rigid(Rotation.from_matrix(matrix).as_quat(canonical=True), origin)
 
 
-def cauchy(errors: Floats, scale: float = 1.0) -> Floats:
-    """Return Cauchy weights of errors: 1 / (1 + (e / s)^2), s in median absolute errors."""
+def cauchy(errors: Floats) -> Floats:
+    """Return Cauchy weights of errors: 1 / (1 + (e / s)^2), s the median absolute error."""
     usual = float(np.median(np.abs(errors))) if errors.size else 0.0
-    return np.asarray(1.0 / (1.0 + (errors / (scale * usual + 1e-9)) ** 2))
+    return np.asarray(1.0 / (1.0 + (errors / (usual + 1e-9)) ** 2))
 
 
 def robust_kabsch(

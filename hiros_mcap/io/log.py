@@ -11,14 +11,17 @@ What a log is stands in :mod:`.opened_log`; here it is found out.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 
@@ -367,3 +370,34 @@ def _transforms(reader: McapReader, begin: int) -> TransformTree:
             for transform in transforms:
                 tree.add(transform, static=topic == "/tf_static", log_time=logged)
     return tree
+
+
+_BLOCK = 1 << 20  # bytes
+
+
+@contextmanager
+def digest_of(path: Path) -> Iterator[Future[str]]:
+    """Find the SHA-256 of an input in a thread, as ``sha256sum`` prints it: a result names it so.
+
+    It is "" for what cannot be read twice, such as a pipe. That of a folder is the hash of its
+    files' contents one after the other, in the order of names.
+    """
+    stopped = Event()
+    with ThreadPoolExecutor(1, thread_name_prefix="hiros-digest") as pool:
+        try:
+            yield pool.submit(_hash, path, stopped)
+        finally:
+            stopped.set()
+
+
+def _hash(path: Path, stopped: Event) -> str:
+    inside = sorted(path.rglob("*")) if path.is_dir() else [path]
+    files = [file for file in inside if not file.is_dir()]
+    if not all(file.is_file() for file in files):
+        return ""
+    digest = hashlib.sha256()
+    for file in files:
+        with file.open("rb", buffering=0) as stream:
+            while not stopped.is_set() and (block := stream.read(_BLOCK)):
+                digest.update(block)
+    return digest.hexdigest()

@@ -31,8 +31,16 @@ from hiros_mcap.io.container import LogOrder, McapReader, Recovery
 from hiros_mcap.io.container.salvage import RECOVERY_METADATA
 from hiros_mcap.io.detectors.body_size import unit_warning
 from hiros_mcap.io.layout import Layout
-from hiros_mcap.io.log_accounts import DAMAGED, LATEST, Account, CameraInput, Row
-from hiros_mcap.io.log_times import Spacing, times_in, times_of
+from hiros_mcap.io.log_accounts import (
+    DAMAGED,
+    LATEST,
+    Account,
+    CameraInput,
+    Row,
+    Spacing,
+    times_in,
+    times_of,
+)
 from hiros_mcap.skeletons import Frame, SkeletonModel, Stamps
 from hiros_mcap.summary import quantity
 

@@ -30,15 +30,14 @@ from hiros_mcap.evaluate.logs import (
 from hiros_mcap.evaluate.measures import CONSISTENCY, MEASURES
 from hiros_mcap.evaluate.remarks import warnings_of
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.export.files import export
-from hiros_mcap.io.export.marker_set import load_marker_set, renamed
+from hiros_mcap.io.export.files import export, load_marker_set, renamed
 from hiros_mcap.io.log import open_reader
 from hiros_mcap.io.overview import overview_of
 from hiros_mcap.io.result import is_result, is_truth, open_result
 from hiros_mcap.many.find import base_name
 from hiros_mcap.many.manifest import Verdict
 from hiros_mcap.outputs import Kind
-from hiros_mcap.regression.provenance import Provenance
+from hiros_mcap.regression.differences import Provenance
 from hiros_mcap.regression.quantities import Tolerances
 from hiros_mcap.regression.suite import GOLDEN_SUFFIXES, Golden, check_output
 from hiros_mcap.running.pipeline import ProcessOptions, process, skeletons_read

@@ -17,7 +17,7 @@ from pydantic import AfterValidator, TypeAdapter, ValidationError
 
 from hiros_mcap._version import __version__
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io.places import Place
+from hiros_mcap.io.remote import Place
 from hiros_mcap.summary import plain
 
 Verdict = Literal["done", "doubtful", "recovered", "equal", "different", "skipped", "failed"]

@@ -32,8 +32,8 @@ from pydantic import BaseModel
 
 from hiros_mcap.errors import HirosError, LogError
 from hiros_mcap.io import remote
-from hiros_mcap.io.digest import digest_of
-from hiros_mcap.io.places import Place, place_of
+from hiros_mcap.io.log import digest_of
+from hiros_mcap.io.remote import Place, place_of
 from hiros_mcap.many.find import base_name, distinct_names
 from hiros_mcap.many.jobs import Job
 from hiros_mcap.many.manifest import Identity, LogRecord, Manifest

@@ -23,7 +23,7 @@ import os
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -48,9 +48,14 @@ from hiros_mcap.io.log import open_reader
 from hiros_mcap.outputs import check_outputs, write_text
 from hiros_mcap.outside import parse, read_text, read_toml
 from hiros_mcap.params import Params, explain
-from hiros_mcap.regression.differences import Difference, Divergence, compare_logs
+from hiros_mcap.regression.differences import (
+    Difference,
+    Divergence,
+    Provenance,
+    changes,
+    compare_logs,
+)
 from hiros_mcap.regression.metrics import Threshold, metrics_of, worse
-from hiros_mcap.regression.provenance import Provenance, changes
 from hiros_mcap.regression.quantities import Tolerances, beside, validated
 from hiros_mcap.running.pipeline import ProcessOptions, Progress, Silent, process
 from hiros_mcap.skeletons import Floats, Frame
@@ -416,7 +421,7 @@ def save_metrics(
         "hiros_golden_metrics": VERSION,
         "channel": channel,
         "metrics": rounded,
-        "provenance": provenance.to_json(),
+        "provenance": asdict(provenance),
     }
     write_text(path, json.dumps(data, indent=1) + "\n")
 

@@ -34,8 +34,7 @@ from hiros_mcap.io.channels import (
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import ChunkCopier, McapWriter
 from hiros_mcap.io.container.salvage import RECOVERY_METADATA
-from hiros_mcap.io.digest import digest_of
-from hiros_mcap.io.log import Log
+from hiros_mcap.io.log import Log, digest_of
 from hiros_mcap.io.marker_uncertainty import UNCERTAINTY_TOPIC, uncertainty_messages
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.running.preparation import Prepared

@@ -24,7 +24,7 @@ import hiros_schemas
 from hiros_cli.app import run
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.export.topic_table import export_topic
+from hiros_mcap.io.export.tables import export_topic
 from hiros_mcap.io.log import open_log
 from hiros_mcap.io.overview import overview_of
 from hiros_mcap.running.pipeline import process

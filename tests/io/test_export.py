@@ -20,8 +20,7 @@ from hiros_mcap.events import Event
 from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
-from hiros_mcap.io.export.files import FORMATS, export, files_of, steady
-from hiros_mcap.io.export.marker_set import load_marker_set
+from hiros_mcap.io.export.files import FORMATS, export, files_of, load_marker_set, steady
 from hiros_mcap.io.result import Motion, open_result
 from hiros_mcap.regression.suite import write_golden
 from hiros_mcap.running.pipeline import ProcessOptions, process

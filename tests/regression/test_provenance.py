@@ -12,8 +12,8 @@ import pytest
 from hiros_cli.app import run
 from hiros_mcap.config import load_config
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.digest import digest_of
-from hiros_mcap.regression.provenance import Provenance, changes
+from hiros_mcap.io.log import digest_of
+from hiros_mcap.regression.differences import Provenance, changes
 from hiros_mcap.regression.suite import Golden, check_output, write_golden
 from hiros_mcap.running.pipeline import ProcessOptions, process
 

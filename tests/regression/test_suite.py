@@ -26,10 +26,10 @@ from hiros_mcap.regression.differences import (
     Comparison,
     Difference,
     Divergence,
+    Provenance,
     compare_logs,
 )
 from hiros_mcap.regression.metrics import Threshold, metrics_of, worse
-from hiros_mcap.regression.provenance import Provenance
 from hiros_mcap.regression.quantities import LIMITS, Tolerances, beside
 from hiros_mcap.regression.suite import (
     CaseResult,

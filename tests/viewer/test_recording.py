@@ -22,7 +22,7 @@ from hiros_mcap.evaluate.truth_files import load_truth
 from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
-from hiros_mcap.io.export.colours import PEOPLE, person_colour
+from hiros_mcap.io.export.markers import PEOPLE, person_colour
 from hiros_mcap.io.log import open_log
 from hiros_mcap.io.marker_uncertainty import read_uncertainty
 from hiros_mcap.io.result import open_result

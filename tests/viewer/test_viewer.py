@@ -28,7 +28,7 @@ from viewers import (
 
 from hiros_cli.app import run
 from hiros_mcap.io.container.live_input import McapInput
-from hiros_mcap.io.export.colours import person_colour
+from hiros_mcap.io.export.markers import person_colour
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.process_live import process_live

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from hiros_mcap.io.export.colours import RGB
+from hiros_mcap.io.export.markers import RGB
 from hiros_mcap.skeletons import Floats, Stamps
 
 TIMELINE = "seconds from start"

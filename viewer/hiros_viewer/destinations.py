@@ -16,12 +16,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hiros_mcap.errors import ConfigError, HirosError
+from hiros_mcap.outputs import replacing
 
 if TYPE_CHECKING:
     import rerun as rr
 
 APPLICATION = "hiros"
 LOOPBACK = "127.0.0.1"
+_PATIENCE_S = 20.0
 MEMORY_LIMIT = "50%"
 
 Draw = Callable[["rr.RecordingStream"], object]
@@ -45,24 +47,16 @@ def new_recording(name: str) -> rr.RecordingStream:
 def save(target: Path, name: str, draw: Draw) -> None:
     """Write a recording with its layout to a file; whole or not at all.
 
-    Raises OSError if the file cannot be written.
+    Raises LogError if the file cannot be written.
     """
     recording = new_recording(name)
-    handle, temporary = tempfile.mkstemp(".rrd", f".{target.name}.", target.parent)
-    os.close(handle)
-    path = Path(temporary)
-    try:
-        recording.save(path)
-        draw(recording)
-        recording.disconnect()
-        mask = os.umask(0)
-        os.umask(mask)
-        path.chmod(0o666 & ~mask)
-        path.replace(target)
-    except BaseException:
-        recording.disconnect()
-        path.unlink(missing_ok=True)
-        raise
+    with replacing(target) as temporary:
+        temporary.touch()  # rerun's own error would be none of the file system
+        try:
+            recording.save(temporary)
+            draw(recording)
+        finally:
+            recording.disconnect()
 
 
 def connect(url: str, name: str, draw: Draw) -> None:
@@ -241,10 +235,10 @@ def running_viewer(*arguments: str) -> Iterator[tuple[str, subprocess.Popen[byte
         yield f"rerun+http://{LOOPBACK}:{port}/proxy", process
 
 
-def _wait_for(port: int, process: subprocess.Popen[bytes], seconds: float = 20.0) -> None:
+def _wait_for(port: int, process: subprocess.Popen[bytes]) -> None:
     import time
 
-    end = time.monotonic() + seconds
+    end = time.monotonic() + _PATIENCE_S
     while time.monotonic() < end:
         if process.poll() is not None:
             raise HirosError(
@@ -257,4 +251,4 @@ def _wait_for(port: int, process: subprocess.Popen[bytes], seconds: float = 20.0
         except OSError:
             time.sleep(0.05)
     process.kill()
-    raise HirosError(f"the Rerun viewer did not start within {seconds:.0f} s")
+    raise HirosError(f"the Rerun viewer did not start within {_PATIENCE_S:.0f} s")

@@ -16,7 +16,7 @@ import rerun as rr
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side
-from hiros_mcap.io.export.colours import RGB, person_colour
+from hiros_mcap.io.export.markers import RGB, person_colour
 from hiros_mcap.kernels.drawing import Singles, draw_bones, draw_joints, tops
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
 from hiros_viewer.camera_moves import CameraMove, markdown, move_table

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import rerun as rr
 
-from hiros_mcap.io.export.colours import PEOPLE
+from hiros_mcap.io.export.markers import PEOPLE
 from hiros_viewer.blueprint import Content, blueprint, fitting
 from hiros_viewer.entities import KEY, LONGEST_M, MAGNIFIED
 

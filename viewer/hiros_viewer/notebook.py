@@ -129,7 +129,7 @@ def _draw_poses(
 
 def _colour(person: int) -> tuple[float, float, float]:
     """Return the person's colour, darker than on a dark ground."""
-    from hiros_mcap.io.export.colours import person_colour
+    from hiros_mcap.io.export.markers import person_colour
 
     red, green, blue = (0.8 * part / 255 for part in person_colour(person))
     return red, green, blue

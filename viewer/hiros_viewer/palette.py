@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hiros_mcap.body.symmetry import split_side
-from hiros_mcap.io.export.colours import RGB
+from hiros_mcap.io.export.markers import RGB
 
 CAMERAS: tuple[RGB, ...] = (
     (78, 88, 98),

@@ -86,9 +86,8 @@ def export(
     if topic:
         _topic(context, logs, topic, Path(output), many)
         return
+    from hiros_mcap.io.export.files import SUFFIXES, files_of, format_of, load_marker_set, renamed
     from hiros_mcap.io.export.files import export as write
-    from hiros_mcap.io.export.files import files_of, format_of
-    from hiros_mcap.io.export.marker_set import SUFFIXES, load_marker_set, renamed
 
     is_many, suffix = many.wanted(logs, output), f".{file_format.lstrip('.').lower()}"
     target = Path("log").with_suffix(suffix) if is_many else Path(output)
@@ -146,7 +145,7 @@ def _topic(
     many.wanted(logs, topic=topic)
     log = one_log(context, logs[0])
     check_outputs((target, "export"), inputs=(log,), force=many.force)
-    from hiros_mcap.io.export.topic_table import export_topic
+    from hiros_mcap.io.export.tables import export_topic
 
     warnings: list[str] = []
     with bar(f"exporting {log.name}", quiet=many.quiet):

@@ -344,7 +344,7 @@ class Conversion:
         for reader in self._readers:
             yield from self._groups(reader.rest())
 
-    def _channel(self, writer: McapWriter, topic: str, kind: str = SKELETONS) -> int:
+    def _channel(self, writer: McapWriter, topic: str, kind: str) -> int:
         """Return the channel of a topic, which is added when it is first needed."""
         if topic not in self._ids:
             if kind == SKELETONS:

@@ -15,9 +15,29 @@ from hiros_mcap.events import Event, Events
 from hiros_mcap.frames import Block
 from hiros_mcap.io.channels import OUTPUT_PREFIX, add_ros_channel
 from hiros_mcap.io.container import McapWriter
-from hiros_mcap.io.export.colours import person_colour
 from hiros_mcap.io.ros_cdr import CdrWriter
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+
+RGB = tuple[int, int, int]
+PEOPLE: tuple[RGB, ...] = (
+    (255, 140, 0),
+    (0, 174, 255),
+    (50, 220, 90),
+    (255, 80, 160),
+    (250, 220, 50),
+    (160, 110, 255),
+    (0, 220, 210),
+    (255, 90, 70),
+    (190, 230, 60),
+    (210, 160, 255),
+)
+"""Ten colours that stay apart on a dark ground and for colour-blind people."""
+
+
+def person_colour(person: int) -> RGB:
+    """Colour of an id, the same in every output."""
+    return PEOPLE[person % len(PEOPLE)]
+
 
 MARKERS, LABELS = f"{OUTPUT_PREFIX}/markers", f"{OUTPUT_PREFIX}/labels"
 JOINTS, LOG = f"{OUTPUT_PREFIX}/joint_states", f"{OUTPUT_PREFIX}/log"

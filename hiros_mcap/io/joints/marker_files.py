@@ -33,8 +33,6 @@ class Markers(NamedTuple):
     """(T, N, M, 3) m, in the file's axes; NaN where a marker was not seen."""
     people: tuple[str, ...] = ("0",)
     """Name of each of the N people."""
-    unnamed: int = 0
-    """Trajectories that are left out because they are of no marker."""
 
 
 def read_trc(path: Path) -> Markers:
@@ -127,9 +125,9 @@ def read_c3d(path: Path) -> Markers:
     if not rate > 0:
         raise ConfigError(f"{path}: POINT:RATE is {rate:g}, so its frames have no times")
     columns: dict[tuple[str, str], int] = {}
-    named = [(k, label) for k, label in enumerate(labels) if label and label not in others]
-    markers = [(k, label) for k, label in named if not label.startswith("*")]
-    for k, label in markers:
+    for k, label in enumerate(labels):
+        if not label or label in others or label.startswith("*"):
+            continue
         person, _, name = label.rpartition(":")
         if (person, name) in columns:
             raise ConfigError(f"{path}: POINT:LABELS names the marker {label} twice")
@@ -144,7 +142,7 @@ def read_c3d(path: Path) -> Markers:
         positions[:, people.index(person), names.index(name)] = metres[:, k].T
     times = np.arange(points.shape[-1]) / rate
     whose = tuple(person or "0" for person in people)
-    return Markers(names, times, positions, whose, len(named) - len(markers))
+    return Markers(names, times, positions, whose)
 
 
 def open_c3d(path: Path) -> Any:
