@@ -37,12 +37,12 @@ UPWARDS = {
 }
 """Imports that do not go down the list of CONTRIBUTING.md. This set only shrinks."""
 CEILINGS = {
-    "hiros_cli": 4500,
-    "hiros_viewer": 5050,
+    "hiros_cli": 4450,
+    "hiros_viewer": 4950,
     "hiros_mcap": 56000,
-    "hiros_schemas": 390,
+    "hiros_schemas": 385,
 }
-"""Most lines of each package: 5 % more than it has had, so that a feature fits."""
+"""Most lines of each package: a few % more than it has, so that a feature fits."""
 
 
 @cache

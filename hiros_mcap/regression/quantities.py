@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import floor, log10
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from pydantic import ConfigDict, Field, NonNegativeFloat, ValidationError, model_validator
@@ -31,6 +31,7 @@ from hiros_mcap.skeletons import (
     SkeletonModel,
 )
 
+P = TypeVar("P", bound=Params)
 Read = Callable[[Frame, int], Floats]
 """(frame, row of a person) -> (N, D) numbers of N named elements; NaN = absent."""
 Names = Callable[[SkeletonModel], Sequence[str]]
@@ -201,13 +202,13 @@ def load_tolerances(path: Path) -> Tolerances:
 
     Raises ConfigError if the file cannot be read, or holds something else.
     """
-    return validated(read_toml(path), str(path))
+    return validated(Tolerances, read_toml(path), str(path))
 
 
-def validated(table: dict[str, Any], origin: str) -> Tolerances:
-    """Return the tolerances of a table; ``origin`` names it in errors."""
+def validated(kind: type[P], table: dict[str, Any], origin: str) -> P:
+    """Return what a table holds; ``origin`` names it in errors."""
     try:
-        return Tolerances.model_validate(table)
+        return kind.model_validate(table)
     except ValidationError as error:
         where, message = explain(error)
         raise ConfigError(": ".join([origin, *filter(None, [".".join(where)]), message])) from None

@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from hiros_mcap.config import Settings
 from hiros_mcap.defaults import default_system
@@ -47,7 +47,7 @@ from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_reader
 from hiros_mcap.outputs import check_outputs, write_text
 from hiros_mcap.outside import parse, read_text, read_toml
-from hiros_mcap.params import Params, explain
+from hiros_mcap.params import Params
 from hiros_mcap.regression.differences import (
     Difference,
     Divergence,
@@ -171,14 +171,9 @@ def load_suite(path: Path) -> Suite:
 def _case(path: Path, number: int, defaults: dict[str, Any], row: Any) -> Case:
     if not isinstance(row, dict):
         raise ConfigError(f"{path}: log {number} is not a table")
-    try:
-        case = Case.model_validate({**defaults, **row})
-    except ValidationError as error:
-        where, message = explain(error)
-        label = row.get("name") or row.get("input") or number
-        key = f"{'.'.join(where)}: " if where else ""
-        raise ConfigError(f"{path}: log {label}: {key}{message}") from None
-    validated(case.tolerances, f"{path}: log {case.title}: tolerances")
+    label = row.get("name") or row.get("input") or number
+    case = validated(Case, {**defaults, **row}, f"{path}: log {label}")
+    validated(Tolerances, case.tolerances, f"{path}: log {case.title}: tolerances")
     return case
 
 
