@@ -24,7 +24,7 @@ from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.container.sinks import Pipe
+from hiros_mcap.io.container.file import Pipe
 from hiros_mcap.io.container.writer import LiveWriter
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.simulation import write_log

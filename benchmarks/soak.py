@@ -27,7 +27,7 @@ from mcap.stream_reader import StreamReader
 
 from hiros_mcap.io.channels import TF_TOPICS
 from hiros_mcap.io.codec import Decoder, Encoder
-from hiros_mcap.io.container.sinks import Pipe
+from hiros_mcap.io.container.file import Pipe
 from hiros_mcap.io.container.writer import LiveWriter
 from hiros_mcap.io.log import open_log
 from hiros_mcap.simulate import RigParams, SimulateParams

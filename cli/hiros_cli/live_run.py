@@ -17,8 +17,8 @@ from hiros_mcap.running.progress_bar import Bar, bar
 
 if TYPE_CHECKING:
     from hiros_mcap.config import Config
+    from hiros_mcap.io.container.file import Sink
     from hiros_mcap.io.container.live_input import LiveInput
-    from hiros_mcap.io.container.sinks import Sink
     from hiros_mcap.io.live_log import LiveLog
     from hiros_mcap.running.process_options import ProcessOptions, Watcher
     from hiros_mcap.summary import Summary

@@ -15,6 +15,7 @@ from urllib.parse import urlsplit
 
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.channels import TF_TOPICS
+from hiros_mcap.io.container.file import Sink
 from hiros_mcap.io.container.records import (
     HEAD,
     MAGIC,
@@ -25,7 +26,6 @@ from hiros_mcap.io.container.records import (
     Opcode,
     Schema,
 )
-from hiros_mcap.io.container.sinks import Sink
 
 _LOOPBACK, _PORT = "127.0.0.1", 8765
 _QUEUED = 2048

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 from hiros_mcap.config import Config, load_config
@@ -20,8 +20,8 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.bags import needs_latching
 from hiros_mcap.io.channels import LATCHED_QOS, TF_TOPICS, ChannelInfo, channels_of
 from hiros_mcap.io.container import McapWriter, Message
+from hiros_mcap.io.container.file import Pipe, Sink
 from hiros_mcap.io.container.live_input import LiveInput
-from hiros_mcap.io.container.sinks import Pipe, Sink
 from hiros_mcap.io.container.writer import LiveWriter
 from hiros_mcap.io.detectors.conversion import HUMANS
 from hiros_mcap.io.live_log import LiveLog, may_be_read, open_live, takes
@@ -136,42 +136,30 @@ def _open_output(
     ) as writer:
         if isinstance(writer, LiveWriter):
             source.before_waiting = writer.flush
-        copier = _LiveCopier(log, writer, prepared.options)
-        yield LogOutput(writer, copier, prepared, run, source.digest)
+        _copy_as_read(log, writer, prepared.options)
+        yield LogOutput(writer, None, prepared, run, source.digest)
 
 
-class _LiveCopier:
-    """Copies messages of the input as they are read."""
+def _copy_as_read(log: LiveLog, writer: McapWriter, options: ProcessOptions) -> None:
+    """Copy the messages of the input: those that were read, and the others when they are."""
 
-    def __init__(self, log: LiveLog, writer: McapWriter, options: ProcessOptions) -> None:
-        self._log, self._writer, self._options = log, writer, options
-        self._ids: dict[int, int | None] = {}
-        """Channel of the input -> that of the output, None = not copied."""
-        for message in log.reader.preface:
-            self._copy(message)
-        log.reader.listeners.append(self._copy)
-
-    def until(self, log_time: int) -> None:
-        """Do nothing: what was read is copied."""
-
-    def finish(self) -> None:
-        """Do nothing."""
-
-    def _copy(self, message: Message) -> None:
-        ident = message.channel_id
-        if ident not in self._ids:
-            self._ids[ident] = self._define(ident)
-        copy = self._ids[ident]
-        if copy is not None:
-            self._writer.write_message(copy, message)
-
-    def _define(self, ident: int) -> int | None:
-        reader = self._log.reader
-        info = next(info for info in channels_of(reader) if info.id == ident)
-        if not is_kept(info, self._options, is_read=takes(info, self._options.topics or None)):
+    @cache
+    def copied(ident: int) -> int | None:
+        """Return the output's channel for one of the input; None if it is not copied."""
+        info = next(info for info in channels_of(log.reader) if info.id == ident)
+        if not is_kept(info, options, is_read=takes(info, options.topics or None)):
             return None
-        channel = reader.channels[ident]
+        channel = log.reader.channels[ident]
         if needs_latching(info):
             metadata = {**channel.metadata, "offered_qos_profiles": LATCHED_QOS}
             channel = replace(channel, metadata=metadata)
-        return self._writer.adopt(channel, reader.schema(channel))
+        return writer.adopt(channel, log.reader.schema(channel))
+
+    def copy(message: Message) -> None:
+        ident = copied(message.channel_id)
+        if ident is not None:
+            writer.write_message(ident, message)
+
+    for message in log.reader.preface:
+        copy(message)
+    log.reader.listeners.append(copy)

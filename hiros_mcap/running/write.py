@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Protocol
 
 import hiros_schemas
 from hiros_mcap._version import __version__
@@ -79,29 +78,20 @@ def open_output(
         yield LogOutput(writer, copier, prepared, run, digest.result)
 
 
-class Copier(Protocol):
-    """Copies the input in step with what else is written."""
-
-    def until(self, log_time: int) -> None:
-        """Copy what was logged up to a time, ns."""
-
-    def finish(self) -> None:
-        """Copy the rest."""
-
-
 class LogOutput:
     """An MCAP file with the input and the results.
 
     Parameters
     ----------
-    writer, copier : of the file, and of the input into it.
+    writer : of the file. copier : copies the input into it in step with the results; None = it
+        is copied as it is read.
     prepared, run : of the run. digest : gives the SHA-256 of the input at the end.
     """
 
     def __init__(
         self,
         writer: McapWriter,
-        copier: Copier,
+        copier: ChunkCopier | None,
         prepared: Prepared,
         run: Run,
         digest: Callable[[], str],
@@ -148,7 +138,8 @@ class LogOutput:
         if channel == DETECTIONS:
             return
         times = block.stamps if self._by_stamp else block.log_times
-        self._copier.until(int(times[0]))
+        if self._copier is not None:
+            self._copier.until(int(times[0]))
         messages = self._encoders[channel].encode_block(block)
         self._writer.write_each(self._channels[channel], times.tolist(), messages)
         if block.uncertainty is not None and channel == self._chain[-1]:
@@ -165,7 +156,8 @@ class LogOutput:
 
     def commit(self, summary: Summary) -> None:
         """Copy the rest of the input, add the provenance, and let the file appear."""
-        self._copier.finish()
+        if self._copier is not None:
+            self._copier.finish()
         self._add_provenance(summary)
         self._writer.commit()
 

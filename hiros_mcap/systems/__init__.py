@@ -1,14 +1,214 @@
-"""Our own system and the published ones, each a table of stages."""
+"""Our own system and the published ones, each a table of stages.
+
+Ours follow Hi-ROS (Guidolin et al. 2023): tracker, merger, optimizer, filter. The published ones
+are Malaguti et al. (2019) with its baselines, and Lee et al. (2022). Malaguti and the baselines
+have its association by centroids (III-A). Lee follows one person with cameras that a wire
+synchronises. Here the tracker of Hi-ROS comes first, and every person is merged as the paper merges
+its one. The variants A1 to A5 of section 3.1 are the same stages with other parameters
+(``systems/presets``).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from hiros_mcap.body.limb_table import LimbTable
+from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.config import Config
+from hiros_mcap.defaults import DEFAULT_SYSTEM
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.systems.hiros import fuse, hiros
-from hiros_mcap.systems.hiros import merging_order as merging_order
-from hiros_mcap.systems.published import average, lee, maf, malaguti, openptrack, raw
-from hiros_mcap.systems.run import Run as Run
-from hiros_mcap.systems.run import Stages as Stages
-from hiros_mcap.systems.run import System
+from hiros_mcap.events import Events
+from hiros_mcap.frames import BlockStage, by_block
+from hiros_mcap.params import Params
+from hiros_mcap.skeletons import Floats, SkeletonModel
+from hiros_mcap.stages.merge.merge_params import MergeParams
+
+if TYPE_CHECKING:
+    from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
+
+Stages = Mapping[str, BlockStage]
+"""Output channel -> the stage that fills it, in order; ``frames.by_frame`` takes frames."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One run over one log."""
+
+    model: SkeletonModel
+    config: Config = field(default_factory=Config)
+    events: Events = field(default_factory=Events)
+    limbs: LimbTable = field(default_factory=LimbTable)
+    """Limb lengths known from before; filled on the way."""
+    cameras: Mapping[str, Floats] = field(default_factory=dict)
+    """Source -> (3,) position of the camera in the fixed frame, m."""
+    fixed_frame: str = ""
+    system: str = DEFAULT_SYSTEM
+    """Name of the system that is run."""
+    noise: FusionNoise | None = None
+    """What a first pass has shown of cameras and joints; None = there was none."""
+    to_given: Mapping[str, Rigid] = field(default_factory=dict)
+    """Source -> what takes its people back to the pose that was given, where it was refined."""
+    pose_errors: Mapping[str, float] = field(default_factory=dict)
+    """Source -> standard error, m, of a pose that the people gave; causal runs go on finding."""
+    clocks: Mapping[str, float] = field(default_factory=dict)
+    """Source -> s by which its clock was ahead of the middle one; causal runs do not say it."""
+
+    def stage(self, stage: Callable[..., Any], params: Params, **more: Any) -> partial[Any]:
+        """Return a stage with what every stage takes (model, parameters, events), and more."""
+        return partial(stage, model=self.model, params=params, events=self.events, **more)
+
+
+@dataclass(frozen=True, slots=True)
+class System:
+    """A way from detections to clean skeletons: a table of stages."""
+
+    text: str
+    """One line for a list of systems."""
+    stages: Callable[[Run], Stages]
+    """Sets up the stages of a run. It imports their modules: the kernels of a system that nobody
+    runs are neither compiled nor loaded."""
+    chains: tuple[str, ...]
+    """Legal selections of the stages by their letters (T M O F); the last one is all of them."""
+    sections: tuple[str, ...]
+    """Sections of the configuration that its stages read."""
+    of: str = ""
+    """Name of the system that this is with other parameters (``presets``), "" if there is none."""
+
+
+def hiros(run: Run) -> Stages:
+    """Output channel -> the stage that fills it, in the order of the paper (Fig. 2)."""
+    from hiros_mcap.stages.filter.filter import filter_blocks
+    from hiros_mcap.stages.merge.merge import merge_blocks
+    from hiros_mcap.stages.optimize.optimize import optimize_blocks
+    from hiros_mcap.stages.track.track import track_blocks
+
+    config = run.config
+    mended, merging = _mended_views(run, guesses=True)
+    merge = run.stage(merge_blocks, merging, fixed_frame=run.fixed_frame, cameras=run.cameras)
+    return {
+        "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),  # 3.1
+        "merged": lambda blocks: merge(mended(blocks)),  # 3.2
+        "optimized": run.stage(optimize_blocks, config.optimize, limbs=run.limbs),  # 3.3
+        "filtered": run.stage(filter_blocks, config.filter),  # 3.4
+    }
+
+
+def fuse(run: Run) -> Stages:
+    """All cameras fused by one smoother per joint: output channel -> the stage that fills it."""
+    from hiros_mcap.stages.filter.filter import filter_blocks
+    from hiros_mcap.stages.fuse.align_links import align_blocks
+    from hiros_mcap.stages.fuse.constrain import constrain_blocks
+    from hiros_mcap.stages.fuse.fuse import fuse_blocks, noise_of
+    from hiros_mcap.stages.track.track import track_blocks
+
+    config = run.config
+    mended, merging = _mended_views(run, guesses=False)
+    noise = noise_of(run.model, config.fuse, run.noise)
+    noise = replace(noise, to_given=run.to_given, pose_errors=run.pose_errors, clocks=run.clocks)
+    fusion = run.stage(
+        fuse_blocks, config.fuse, merging=merging, fixed_frame=run.fixed_frame,
+        cameras=run.cameras, noise=noise,
+    )  # fmt: skip
+    bodies = run.stage(constrain_blocks, config.constrain, limbs=run.limbs)
+    derivatives = run.stage(filter_blocks, config.filter, keep_positions=True)
+    return {
+        "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),
+        # smoothed positions
+        "merged": lambda blocks: fusion(mended(blocks)),
+        # lengths and prior; links along the bones
+        "optimized": lambda blocks: align_blocks(bodies(blocks), run.model),
+        # velocities and accelerations
+        "filtered": derivatives,
+    }
+
+
+def _mended_views(run: Run, *, guesses: bool) -> tuple[BlockStage, MergeParams]:
+    """Return what comes between tracker and merger, and the merger's parameters.
+
+    Detections that contradict the person's own body count less; then left and right are decided;
+    then joints that a camera does not see count less. With ``guesses``, so do those that its
+    detector guesses by its own word. Where left and right are decided, the merger does not vote
+    on them (section 3.2).
+    """
+    from hiros_mcap.stages.detections.hidden import mend_hidden_blocks
+    from hiros_mcap.stages.detections.plausible import drop_implausible_blocks
+    from hiros_mcap.stages.detections.sides import decide_sides, knows_sides
+
+    merging = run.config.merge
+    if run.config.sides.over_time and knows_sides(run.model):
+        merging = merging.model_copy(update={"max_facing_delta": 0.0})
+    bodies = run.stage(drop_implausible_blocks, run.config.plausible, cameras=run.cameras)
+    decide = run.stage(decide_sides, run.config.sides)
+    hidden = run.stage(
+        mend_hidden_blocks, run.config.plausible, cameras=run.cameras, guesses=guesses
+    )
+    return lambda blocks: hidden(decide(bodies(blocks))), merging
+
+
+def merging_order(params: MergeParams) -> tuple[str, ...]:
+    """Return what the merger does with the views of a person, in order (section 3.2)."""
+    votes = params.max_position_delta > 0 or params.max_orientation_delta > 0
+    steps = {"flips": params.max_facing_delta > 0, "outliers": votes, "mean": True}
+    return tuple(name for name, is_on in steps.items() if is_on)
+
+
+def raw(run: Run) -> Stages:
+    """Give detections as they are the ids of the association."""
+    from hiros_mcap.stages.malaguti.associate import associate
+
+    return {"tracked": by_block(run.stage(associate, run.config.associate))}
+
+
+def average(run: Run) -> Stages:
+    """Average what the cameras see at one time."""
+    from hiros_mcap.stages.merge.merge import merge_blocks
+
+    mean = run.stage(merge_blocks, run.config.merge, fixed_frame=run.fixed_frame)
+    return {**raw(run), "merged": mean}
+
+
+def maf(run: Run) -> Stages:
+    """Average each person's last detections (IV)."""
+    from hiros_mcap.stages.malaguti.moving_average import moving_average
+
+    params = run.config.moving_average
+    mean = run.stage(moving_average, params, fixed_frame=run.fixed_frame)
+    return {**raw(run), "merged": by_block(mean)}
+
+
+def openptrack(run: Run) -> Stages:
+    """Filter each joint (III-B to III-D), with the numbers of ``presets/openptrack.toml``."""
+    from hiros_mcap.stages.malaguti.kalman import kalman
+
+    fuse = run.stage(kalman, run.config.kalman, fixed_frame=run.fixed_frame, cameras=run.cameras)
+    return {**raw(run), "merged": by_block(fuse)}
+
+
+def malaguti(run: Run) -> Stages:
+    """Filter each person, and keep the lengths of the limbs (III-E, Fig. 1)."""
+    from hiros_mcap.stages.malaguti.straighten import straighten
+
+    lengths = run.stage(straighten, run.config.straighten, limbs=run.limbs)
+    return {**openptrack(run), "optimized": by_block(lengths)}
+
+
+def lee(run: Run) -> Stages:
+    """Output channel -> the stage that fills it, in the order of the paper (Fig. 4)."""
+    from hiros_mcap.stages.lee.cluster import cluster_blocks
+    from hiros_mcap.stages.lee.predict import predict
+    from hiros_mcap.stages.track.track import track_blocks
+
+    config = run.config
+    merge = run.stage(cluster_blocks, config.cluster, fixed_frame=run.fixed_frame)
+    return {
+        "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),
+        "merged": merge,  # 2.2.1, 2.2.2
+        "filtered": by_block(run.stage(predict, config.predict)),  # 2.2.3
+    }
+
 
 LETTERS = {"T": "tracked", "M": "merged", "O": "optimized", "F": "filtered"}
 """Letter of a chain -> output channel."""

@@ -10,7 +10,7 @@ import pytest
 from rooms import late, mirrored, simulated, write
 
 from hiros_cli.app import run
-from hiros_cli.calibration_report import _notes
+from hiros_cli.run_report import _notes
 from hiros_mcap.body.rotations import Rigid, angle, multiply
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import read_extrinsics

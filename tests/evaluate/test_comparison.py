@@ -37,8 +37,7 @@ from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.summary import plain
-from hiros_mcap.systems import SYSTEMS
-from hiros_mcap.systems.run import System
+from hiros_mcap.systems import SYSTEMS, System
 
 
 def test_entries_are_read_and_checked():

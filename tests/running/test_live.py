@@ -42,8 +42,8 @@ from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.channels import add_ros_channel
 from hiros_mcap.io.codec import Decoder, ModelBuilder
 from hiros_mcap.io.container import McapReader, Message
+from hiros_mcap.io.container.file import Pipe
 from hiros_mcap.io.container.live_input import McapInput
-from hiros_mcap.io.container.sinks import Pipe
 from hiros_mcap.io.container.writer import LiveWriter
 from hiros_mcap.io.foxglove import FoxgloveInput
 from hiros_mcap.io.result import open_result

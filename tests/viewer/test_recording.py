@@ -35,10 +35,9 @@ from hiros_viewer.blueprint import LAYOUTS, Content, cameras, fitting
 from hiros_viewer.columns import LOGGED, TIMELINE, ended
 from hiros_viewer.legend import legend
 from hiros_viewer.palette import SIDES, faint, shade
-from hiros_viewer.poses import Poses
+from hiros_viewer.poses import HALF_SIZE, Poses
 from hiros_viewer.replay import numbered_axis
 from hiros_viewer.scene import Scene, magnified
-from hiros_viewer.uncertainties import HALF_SIZE
 from hiros_viewer.view_check import EarlierPoses
 
 Rows = dict[int, Floats]

@@ -6,6 +6,8 @@ many at a time, in the order of their stamps.
 
 A viewer shows the newest row of an entity, so somebody who left has to be hidden: there are rows
 for the frames that people are in, and an empty one after each visit.
+
+:class:`Uncertainties` has how well the joints of a result are known.
 """
 
 from __future__ import annotations
@@ -13,15 +15,18 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from hiros_mcap.defaults import LEAST_CONFIDENCE
+from hiros_mcap.errors import ConfigError
 from hiros_mcap.frames import Block
+from hiros_mcap.io.marker_uncertainty import UNCERTAIN_TOPIC, Deviations, read_uncertainty
 from hiros_mcap.kernels.drawing import pick
-from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, Stamps
+from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, SkeletonModel, Stamps
 from hiros_viewer.columns import GONE_NS, after_pauses
 
 HORIZON_NS = 3_000_000_000
@@ -320,3 +325,49 @@ class Crowd:
             return np.zeros((0, 2), np.int64)
         self._shown = False
         return self._last[None] + GONE_NS
+
+
+UNCERTAIN_STAGE = UNCERTAIN_TOPIC.rsplit("/", 1)[-1]
+"""The stage whose joints are told of."""
+HALF_SIZE = 3.5059**0.5
+"""Half axis, in standard deviations, of an ellipsoid that holds the true joint with 68 %: quantile
+of chi square with three degrees of freedom."""
+
+
+class Uncertainties:
+    """Standard deviations of everybody's markers over time.
+
+    Parameters
+    ----------
+    deviations : what a result says. model : of its skeletons.
+    """
+
+    def __init__(self, deviations: Deviations, model: SkeletonModel) -> None:
+        stamps: dict[int, list[int]] = {}
+        for stamp, person in sorted(deviations):
+            stamps.setdefault(person, []).append(stamp)
+        self._stamps = {person: np.array(times, np.int64) for person, times in stamps.items()}
+        self._deviations = {
+            person: np.array(
+                [[deviations[t, person].get(i, np.nan) for i in model.marker_ids] for t in times]
+            )
+            for person, times in stamps.items()
+        }
+
+    @classmethod
+    def of_result(cls, path: Path, model: SkeletonModel) -> Self:
+        """Read what a result says; raises ConfigError if it says nothing, LogError if damaged."""
+        if not (deviations := read_uncertainty(path)):
+            raise ConfigError(
+                f"{path}: does not say how well its markers are known; results of `hiros process "
+                "--system fuse` do"
+            )
+        return cls(deviations, model)
+
+    def at(self, person: int, stamps: Stamps) -> Floats:
+        """(T, M) standard deviations along each axis, m, at some times; NaN = unknown."""
+        if person not in self._stamps:
+            return np.full((len(stamps), 1), np.nan)
+        times, deviations = self._stamps[person], self._deviations[person]
+        rows = np.minimum(np.searchsorted(times, stamps), len(times) - 1)
+        return np.where((times[rows] == stamps)[:, None], deviations[rows], np.nan)

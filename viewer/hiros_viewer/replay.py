@@ -32,9 +32,8 @@ from hiros_viewer.destinations import save
 from hiros_viewer.entities import Layer, path_part
 from hiros_viewer.legend import lay_out
 from hiros_viewer.overlay import draw_distances
-from hiros_viewer.poses import HORIZON_NS, Channel, Gatherer, Poses, Thinner
+from hiros_viewer.poses import HORIZON_NS, Channel, Gatherer, Poses, Thinner, Uncertainties
 from hiros_viewer.scene import SIDED, STAGES, Scene
-from hiros_viewer.uncertainties import Uncertainties
 
 LONG_S = 180.0
 """Of a longer log only the stages are drawn that the layout shows."""

@@ -58,8 +58,17 @@ from hiros_viewer.entities import (
 )
 from hiros_viewer.figures import limb_links
 from hiros_viewer.palette import DISTANCES, FAULTY, SIDES, SILENCE, curve_colour, shade
-from hiros_viewer.poses import HIDDEN, Channel, Crowd, Poses, Visit, Visits
-from hiros_viewer.uncertainties import HALF_SIZE, UNCERTAIN_STAGE, Uncertainties
+from hiros_viewer.poses import (
+    HALF_SIZE,
+    HIDDEN,
+    UNCERTAIN_STAGE,
+    Channel,
+    Crowd,
+    Poses,
+    Uncertainties,
+    Visit,
+    Visits,
+)
 from hiros_viewer.view_check import (
     Compared,
     EarlierPoses,

@@ -62,7 +62,7 @@ def people(
     log.stat()
     check_outputs((output, "camera file"), (write_log, "log"), inputs=(log,), force=force)
     prepare(quiet=json)
-    from hiros_cli.calibration_report import show_calibration
+    from hiros_cli.run_report import show_calibration
     from hiros_mcap.calibrate.calibration_files import save_cameras, write_corrected_log
     from hiros_mcap.calibrate.people import calibrate_people
     from hiros_mcap.running.pipeline import ProcessOptions, open_input
@@ -109,7 +109,7 @@ def ball(
     hiros finds it in their colour and depth images. The images may be missing if the log has the
     ball's centres as PointStamped channels.
     """
-    from hiros_cli.calibration_report import show_ball
+    from hiros_cli.run_report import show_ball
 
     log.stat()
     check_outputs((output, "camera file"), inputs=(log,), force=force)
@@ -139,7 +139,7 @@ def board(
 
     Marker 1 is the origin, x points to marker 2, y towards marker 0, and z is up.
     """
-    from hiros_cli.calibration_report import show_board
+    from hiros_cli.run_report import show_board
 
     log.stat()
     check_outputs((output, "camera file"), inputs=(log, extrinsics), force=force)

@@ -20,10 +20,9 @@ from isal.isal_zlib import crc32
 from hiros_mcap._version import __version__
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import records as r
-from hiros_mcap.io.container.file import COMPRESSIONS, compress
+from hiros_mcap.io.container.file import COMPRESSIONS, OutputFile, Sink, compress
 from hiros_mcap.io.container.reader import McapReader
 from hiros_mcap.io.container.records import Opcode
-from hiros_mcap.io.container.sinks import OutputFile, Sink
 
 CHUNK_SIZE = 2 << 20
 """A chunk is closed when its records reach this many bytes. 2 and 4 MiB take 5 % less than 1 MiB,

@@ -24,7 +24,7 @@ import numpy as np
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io.export import animation, biomechanics, opensim_model, tables
+from hiros_mcap.io.export import biomechanics, opensim_model, tables
 from hiros_mcap.io.export.choices import Choices, warn_in_python
 from hiros_mcap.io.result import safe_name
 from hiros_mcap.outputs import replacing
@@ -84,7 +84,7 @@ FORMATS: dict[str, ExportFormat] = {
         steady=True,
     ),
     ".bvh": _for_one(
-        "a moving skeleton for Blender and games (cm, y up)", animation.write_bvh, steady=True
+        "a moving skeleton for Blender and games (cm, y up)", biomechanics.write_bvh, steady=True
     ),
 }
 """Suffix -> kind of file."""
