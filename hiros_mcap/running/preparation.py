@@ -16,7 +16,7 @@ from hiros_mcap.body.transforms import read_clocks
 from hiros_mcap.config import ClockParams, Config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, frames_of
+from hiros_mcap.frames import Block
 from hiros_mcap.io.log import Log, Reading
 from hiros_mcap.running.clock_alignment import ClockAlignment
 from hiros_mcap.running.observe import Stopwatch
@@ -217,5 +217,5 @@ def _calibrate_first(run: Run, chain: Sequence[str], read: Callable[[], Iterable
     blocks = read()
     for stage in stages_of(first_pass, chain[: chain.index("optimized")]).values():
         blocks = stage(blocks)
-    table = calibrate_limbs(frames_of(blocks), run.model, run.config.optimize, run.events)
+    table = calibrate_limbs(blocks, run.model, run.config.optimize, run.events)
     run.limbs.people.update(table.people)

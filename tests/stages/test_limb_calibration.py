@@ -43,6 +43,10 @@ def arm_frames(count, sd=0.01, seed=0, ids=(0,), forearm_sd=0.0, rate=30.0, star
         yield frame
 
 
+def measured_limbs(frames, *args, **kwargs):
+    return calibrate_limbs(map(Block.of, frames), ARM, *args, **kwargs)
+
+
 def notes(events, kind):
     return [event for event in events.log if event.kind == kind]
 
@@ -53,7 +57,7 @@ def lengths(frames, row=0):
 
 
 def test_rigid_arm_is_measured_within_the_error_of_the_mean():
-    limbs = calibrate_limbs(arm_frames(100), ARM).people[0]
+    limbs = measured_limbs(arm_frames(100)).people[0]
     for name, truth in zip(ARM.link_names, LENGTHS, strict=True):
         limb = limbs[name]
         assert abs(limb.length - truth) < 2 * limb.deviation / np.sqrt(100)
@@ -74,7 +78,7 @@ def test_measurements_count_by_confidence():
     for frame in frames[60:]:
         frame.markers[0, 3, :3] += 0.01 * (frame.markers[0, 3, :3] - frame.markers[0, 2, :3])
         frame.marker_confidences[0, 3] = 0.0
-    assert calibrate_limbs(frames, ARM).people[0]["palm"].length == pytest.approx(0.2, abs=1e-9)
+    assert measured_limbs(frames).people[0]["palm"].length == pytest.approx(0.2, abs=1e-9)
 
 
 def test_a_link_counts_by_the_confidences_of_its_two_ends():
@@ -95,7 +99,7 @@ def test_lengths_are_weighted_means():
 @settings(max_examples=20, deadline=None)
 def test_rigid_limbs_are_measured_exactly(seed, scale):
     frames = [f.replace(markers=scale * f.markers) for f in arm_frames(20, sd=0.0, seed=seed)]
-    limbs = calibrate_limbs(frames, ARM, OptimizeParams(calibration_frames=10)).people[0]
+    limbs = measured_limbs(frames, OptimizeParams(calibration_frames=10)).people[0]
     assert [limb.length for limb in limbs.values()] == pytest.approx(scale * LENGTHS)
 
 
@@ -109,13 +113,13 @@ def test_noise_of_a_joint_does_not_reject_a_short_link(short_link, calibrated):
         )
         frame.markers[0, 3, 0] += 0.02 * (-1) ** (frame.stamp // 33_000_000)
     params = OptimizeParams(short_link=short_link, max_free=0.0)
-    assert (0 in calibrate_limbs(frames, ARM, params).people) == calibrated
+    assert (0 in measured_limbs(frames, params).people) == calibrated
 
 
 @pytest.mark.parametrize(("max_free", "calibrated"), [(0.34, True), (0.32, False)])
 def test_a_share_of_the_links_may_fail_the_gate(max_free, calibrated):
     params, events = OptimizeParams(max_free=max_free), Events()
-    limbs = calibrate_limbs(arm_frames(100, forearm_sd=0.4), ARM, params, events).people
+    limbs = measured_limbs(arm_frames(100, forearm_sd=0.4), params, events).people
     assert (0 in limbs) == calibrated
     if calibrated:
         assert list(limbs[0]) == ["upper arm", "palm"]
@@ -126,12 +130,12 @@ def test_a_few_wild_frames_do_not_matter():
     frames = list(arm_frames(100, sd=0.001))
     for frame in frames[::20]:
         frame.markers[0, 3, :3] += 1.0
-    assert calibrate_limbs(frames, ARM).people[0]["palm"].length == pytest.approx(0.2, abs=0.002)
+    assert measured_limbs(frames).people[0]["palm"].length == pytest.approx(0.2, abs=0.002)
 
 
 def test_noisy_forearm_is_rejected_by_name():
     events = Events()
-    assert not calibrate_limbs(arm_frames(100, forearm_sd=0.4), ARM, events=events).people
+    assert not measured_limbs(arm_frames(100, forearm_sd=0.4), events=events).people
     (note,) = notes(events, "calibration rejected")
     assert (note.person, note.detail) == (0, "measured lengths vary too much: forearm")
 
@@ -194,7 +198,7 @@ def test_somebody_who_comes_back_keeps_their_lengths():
 def test_two_passes_settle_those_who_left_long_ago():
     frames = [*arm_frames(40, sd=0.0), *arm_frames(150, ids=(1,), start=5.0, rate=2.0)]
     events = Events()
-    assert list(calibrate_limbs(frames, ARM, events=events).people) == [0, 1]
+    assert list(measured_limbs(frames, events=events).people) == [0, 1]
     assert notes(events, "limbs calibrated")[0].detail == "40 frames"
 
 
@@ -311,12 +315,13 @@ def test_windows_choose_the_frames():
     frames = [*arm_frames(60, sd=0.0), *arm_frames(60, sd=0.0, start=2.0)]
     frames[60:] = [frame.replace(markers=frame.markers * 1.1) for frame in frames[60:]]
     params = OptimizeParams(calibration_windows=((2.0, 5.0),))
-    assert calibrate_limbs(frames, ARM, params).people[0]["palm"].length == pytest.approx(0.22)
+    assert measured_limbs(frames, params).people[0]["palm"].length == pytest.approx(0.22)
 
 
 def test_two_passes_give_strictly_constant_lengths():
-    params = OptimizeParams(calibration="two-pass")
-    assert lengths(optimize(arm_frames(200), ARM, params)).std(axis=0).max() < 2e-4
+    params, limbs = OptimizeParams(calibration="two-pass"), measured_limbs(arm_frames(200))
+    result = optimize(arm_frames(200), ARM, params, limbs=limbs)
+    assert lengths(result).std(axis=0).max() < 2e-4
 
 
 def test_off_leaves_everybody_alone():
@@ -337,7 +342,7 @@ def test_second_session_loads_and_gives_identical_output(tmp_path):
 
 
 def test_loaded_limbs_follow_a_renamed_person():
-    limbs = calibrate_limbs(arm_frames(100), ARM).rename({0: 5})
+    limbs = measured_limbs(arm_frames(100)).rename({0: 5})
     assert list(limbs.people) == [5]
     result = list(optimize(arm_frames(3, ids=(5,)), ARM, limbs=limbs))
     assert lengths(result)[0] == pytest.approx(limbs.lengths(5, ARM), abs=1e-4)

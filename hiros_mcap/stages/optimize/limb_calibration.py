@@ -23,7 +23,7 @@ import numpy as np
 from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
-from hiros_mcap.skeletons import Flags, Floats, Frame, People, SkeletonModel
+from hiros_mcap.skeletons import Flags, Floats, People, SkeletonModel
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.optimize.optimize_params import OptimizeParams
 from hiros_mcap.stages.optimize.optimizing import measure_lengths
@@ -125,7 +125,7 @@ class Calibration:
         """Lengths (P, L), m, of everybody's links, NaN = not seen, and their weights."""
         lengths = np.empty((len(people.ids), self._model.n_links))
         weights = np.empty_like(lengths)
-        if self._params.calibration != "off":
+        if self._params.calibration == "auto":
             markers, confidences = people.markers, people.marker_confidences
             measure_lengths(markers, confidences, self._links, lengths, weights)
         return lengths, weights
@@ -199,7 +199,7 @@ class Calibration:
         given = self.limbs.lengths(identity, self._model)  # NaN if there are none
         for lengths in self._bank.past:
             lengths[row] = given
-        if identity not in self.limbs.people and self._params.calibration != "off":
+        if identity not in self.limbs.people and self._params.calibration == "auto":
             waiting = self._params.lookahead > 0.0
             self._people[identity] = _Measured(stamp, waiting, np.zeros((4, n)), np.zeros(n, bool))
 
@@ -304,7 +304,7 @@ class Calibration:
 
 
 def calibrate_limbs(
-    frames: Iterable[Frame],
+    blocks: Iterable[Block],
     model: SkeletonModel,
     params: OptimizeParams = OptimizeParams(),  # noqa: B008 - immutable
     events: Events | None = None,
@@ -316,8 +316,9 @@ def calibrate_limbs(
     """
     patient = params.model_copy(update={"lookahead": math.inf, "calibration": "auto"})
     calibration = Calibration(model, patient, events or Events(), LimbTable())
-    for frame in frames:
-        measured = calibration.measure(Block.of(frame).people)
-        calibration.observe(frame.stamp, frame.ids.tolist(), *measured)
+    for block in blocks:
+        ids, (lengths, weights) = block.people.ids.tolist(), calibration.measure(block.people)
+        for stamp, (begin, end) in zip(block.stamps.tolist(), block.rows.tolist(), strict=True):
+            calibration.observe(stamp, ids[begin:end], lengths[begin:end], weights[begin:end])
     calibration.finish()
     return calibration.limbs

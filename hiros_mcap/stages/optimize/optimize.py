@@ -33,7 +33,7 @@ import numpy as np
 
 from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, frames_of
+from hiros_mcap.frames import Block
 from hiros_mcap.skeletons import POSITION, Floats, Ints, People, SkeletonModel
 from hiros_mcap.stages.look_ahead import LookAhead
 from hiros_mcap.stages.optimize import optimizing as kernels
@@ -44,7 +44,7 @@ from hiros_mcap.stages.optimize.energy import (
     minimize,
     paper_weights,
 )
-from hiros_mcap.stages.optimize.limb_calibration import Calibration, calibrate_limbs
+from hiros_mcap.stages.optimize.limb_calibration import Calibration
 from hiros_mcap.stages.optimize.normal_equations import topology_of
 from hiros_mcap.stages.optimize.optimize_params import OptimizeParams
 
@@ -63,7 +63,9 @@ def optimize_blocks(
     Parameters
     ----------
     blocks : in time order, merged or tracked.
-    limbs : lengths known from before. Everybody who is calibrated on the way is added.
+    limbs : lengths known from before, for two passes by
+        :func:`~hiros_mcap.stages.optimize.limb_calibration.calibrate_limbs`. With ``auto``,
+        everybody who is calibrated on the way is added.
 
     Raises
     ------
@@ -72,11 +74,6 @@ def optimize_blocks(
     """
     events = events if events is not None else Events()
     limbs = limbs if limbs is not None else LimbTable()
-    if params.calibration == "two-pass":
-        if not limbs.people:
-            blocks = list(blocks)
-            limbs.people.update(calibrate_limbs(frames_of(blocks), model, params, events).people)
-        params = params.model_copy(update={"calibration": "off"})
     calibration = Calibration(model, params, events, limbs)
     optimizer = _Optimizer(model, params, events)
     for block, nominal in _await_calibration(blocks, calibration):  # section 3.3.1
