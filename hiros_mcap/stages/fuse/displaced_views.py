@@ -17,8 +17,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hiros_mcap.events import Events, camera_displaced
-from hiros_mcap.kernels.array_types import F1, F2, F3, I1
-from hiros_mcap.kernels.compile import entry
 from hiros_mcap.skeletons import Flags, Floats, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.fuse.fusing import Sightings
@@ -86,12 +84,16 @@ class DisplacedViews:
         if not these.any():
             return
         stamp = int(views.stamps[these].max())
-        people = {p: self._bank.row(p, stamp) for p in {*views.people[these].tolist()}}
-        rows = np.array([people.get(person, -1) for person in views.people.tolist()], np.int64)
-        rows[~these] = -1
+        ids, people = np.unique(views.people[these], return_inverse=True)
+        rows = np.array([self._bank.row(person, stamp) for person in ids.tolist()])
         keep = float(np.exp(-max(stamp - self._stamp, 0) * 1e-9 / _MEMORY))
         self._stamp = max(stamp, self._stamp)
-        add_offsets(offsets, rows, views.cameras, keep, *self._bank.past)
+        sums, weights = self._bank.past
+        sums *= keep
+        weights *= keep
+        places = rows[people], views.cameras[these]
+        np.add.at(sums, places, offsets[these])
+        np.add.at(weights, places, 1.0)
         self._bank.expire(stamp)
 
     def count(self, views: Sightings, excess: Floats, done: Flags) -> None:
@@ -227,55 +229,11 @@ def displaced(sums: Floats, weights: Floats, limits: Floats) -> Floats:
 
     ``sums`` (G, C, 3) of offsets, m, ``weights`` (G, C) of views, 0 = none, ``limits`` (C,), m.
     """
-    squares = np.zeros(weights.shape)
-    find_displaced(sums, weights, limits, CLEARLY, MAJORITY, np.empty(len(limits)), squares)
-    return SHARE * squares
-
-
-@entry
-def find_displaced(
-    sums: F3, weights: F2, limits: F1, clearly: float, majority: int, squares: F1, out: F2
-) -> None:
-    """Write the squared offset of the displaced cameras of each group, m2; 0 for the others.
-
-    Parameters
-    ----------
-    sums : (G, C, 3) of offsets, m. weights : (G, C) of views, 0 = none. limits : (C,) m.
-    clearly, majority : offset over the median of the cameras; how many cameras there must be.
-    squares : (C,) scratch.
-    """
-    for g in range(len(weights)):
-        count = 0
-        for c in range(len(limits)):
-            out[g, c] = 0.0
-            if weights[g, c] > 0.0:
-                for i in range(3):
-                    out[g, c] += (sums[g, c, i] / weights[g, c]) ** 2
-                k = count
-                while k > 0 and squares[k - 1] > out[g, c]:
-                    squares[k] = squares[k - 1]
-                    k -= 1
-                squares[k] = out[g, c]
-                count += 1
-        middle = clearly * clearly * squares[(count - 1) // 2] if count >= majority else np.inf
-        for c in range(len(limits)):
-            if not out[g, c] > max(limits[c] * limits[c], middle):
-                out[g, c] = 0.0
-
-
-@entry
-def add_offsets(offsets: F2, rows: I1, cameras: I1, keep: float, sums: F3, weights: F2) -> None:
-    """Add offsets (N, 3), m, to the sums (R, C, 3) of people and cameras, of which ``keep`` stays.
-
-    ``rows`` (N,) are those of the people; -1 = nothing to add.
-    """
-    for r in range(len(weights)):
-        for c in range(weights.shape[1]):
-            weights[r, c] *= keep
-            for i in range(3):
-                sums[r, c, i] *= keep
-    for n in range(len(rows)):
-        if rows[n] >= 0:
-            weights[rows[n], cameras[n]] += 1.0
-            for i in range(3):
-                sums[rows[n], cameras[n], i] += offsets[n, i]
+    seen = weights > 0.0
+    count = seen.sum(axis=1)
+    means = sums / np.where(seen, weights, 1.0)[:, :, None]
+    squares = np.where(seen, (means**2).sum(axis=2), np.inf)  # of the offsets, m2
+    middle = np.sort(squares, axis=1)[np.arange(len(count)), np.maximum(count - 1, 0) // 2]
+    middle = np.where(count >= MAJORITY, CLEARLY * CLEARLY * middle, np.inf)
+    largest = np.maximum(limits * limits, middle[:, None])
+    return np.asarray(SHARE * np.where(seen & (squares > largest), squares, 0.0))

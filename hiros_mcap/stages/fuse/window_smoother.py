@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.frames import Block
-from hiros_mcap.kernels.array_types import B1, F1, F2, I1, I2, J1, arrays, chosen, joined
+from hiros_mcap.kernels.array_types import B1, F1, F2, I1, J1, arrays, chosen, joined
 from hiros_mcap.kernels.averaging import POSITION, VELOCITY
 from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.skeletons import (
@@ -145,8 +145,7 @@ class WindowSmoother:
             self._origin or 0, boundary,
         )  # fmt: skip
         poses = self._without_displaced(window, of_views)
-        seen = np.zeros(poses.variances.shape, np.int64)
-        find_cameras(views, of_views, _UNSEEN**2, seen)
+        seen = cameras_seeing(views, of_views, poses.variances.shape)
         # The filters have taken over what is before the boundary.
         self._taken = boundary
         self._views = [chosen(views, (views.stamps >= boundary) | (views.instants >= first + n))]
@@ -204,6 +203,17 @@ class WindowSmoother:
         return replace(out, log_times=log_times, uncertainty=uncertainty)
 
 
+def cameras_seeing(views: Sightings, rows: Stamps, shape: tuple[int, ...]) -> Stamps:
+    """(K, M) which cameras saw each marker of a person at an instant, a bit each.
+
+    ``rows`` (N,) : the K results' row of each view; -1 = none.
+    """
+    sees = ~np.isnan(views.positions[:, :, 0]) & (views.hidden < _UNSEEN**2)
+    seen, these = np.zeros(shape, np.int64), rows >= 0
+    np.bitwise_or.at(seen, rows[these], (sees << views.cameras[:, None])[these])
+    return seen
+
+
 def _steps_of(window: FusionWindow, person: int) -> int:
     """Return how many new views of a person and wanted poses there are."""
     views = window.new & (window.views.people == person)
@@ -239,21 +249,6 @@ def compare_views(
             y += weight * (measured[1] - pose[1] - later * speed[1])
             z += weight * (measured[2] - pose[2] - later * speed[2])
         offsets[n, 0], offsets[n, 1], offsets[n, 2] = x / total, y / total, z / total
-
-
-@entry
-def find_cameras(views: Sightings, rows: I1, hidden: float, seen: I2) -> None:
-    """Write which cameras saw each marker of a person at an instant, a bit each: (K, M).
-
-    ``rows`` (N,) is as in :func:`compare_views`. A camera does not see a marker from the variance
-    ``hidden`` on, m2, that was added since somebody stands in front.
-    """
-    for n in range(len(rows)):
-        if rows[n] < 0:
-            continue
-        for m in range(seen.shape[1]):
-            if not math.isnan(views.positions[n, m, 0]) and views.hidden[n, m] < hidden:
-                seen[rows[n], m] |= 1 << views.cameras[n]
 
 
 @entry
