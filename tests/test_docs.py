@@ -100,7 +100,7 @@ def parse(arguments):
 
 
 @pytest.fixture(scope="module")
-def laboratory(tmp_path_factory):
+def laboratory(walking, tmp_path_factory):
     """Return a folder with every file that the pages' commands read."""
     folder = tmp_path_factory.mktemp("laboratory")
     shutil.copytree(ROOT / "sample_data", folder / "sample_data")
@@ -116,7 +116,7 @@ def laboratory(tmp_path_factory):
     rows.insert(2, "marker", "WRIST_LEFT")
     rows.columns = ["person", "time", "marker", "x", "y", "z"]
     rows.to_csv(folder / "mocap.csv", index=False)
-    write_suite(folder)
+    write_suite(folder, walking)
     for path in ("recordings/kitchen.mcap", "mocap/kitchen.truth.mcap"):
         (folder / path).parent.mkdir()
         shutil.copy(folder / "kitchen.mcap", folder / path)
@@ -124,14 +124,14 @@ def laboratory(tmp_path_factory):
     return folder
 
 
-def write_suite(folder):
+def write_suite(folder, walking):
     """Write the suite that docs/golden.md shows, with its recordings."""
     page = (DOCS / "golden.md").read_text(encoding="utf-8")
     suite = re.search(r"```toml\n(# suite\.toml.*?)```", page, re.DOTALL)
     assert suite is not None
     (folder / "suite.toml").write_text(suite[1], encoding="utf-8")
     shutil.copy(folder / "lab.mcap", folder / "crossing.mcap")
-    shutil.copy(folder / "sample_data" / "one_person_walking.mcap", folder / "kitchen.mcap")
+    shutil.copy(walking, folder / "kitchen.mcap")
 
 
 def write_import(folder):

@@ -317,7 +317,7 @@ def scores_of(chain, where):
     ids=lambda scene: f"{scene['people']}x{scene['cameras']}-{scene['action']}",
 )
 def test_people_keep_their_ids_and_nobody_is_false(scene):
-    scores = scores_of("TM", room(seconds=4, **scene))
+    scores = scores_of("TM", room(seconds=3, **scene))
     assert (scores.switches, scores.false) == (0, 0)
 
 

@@ -27,7 +27,7 @@ TURN, SHIFT = Rotation.from_euler("xyz", [0.3, -0.5, 1.2]), np.array([3.0, -1.0,
 @cache
 def pair():
     """Two people, four cameras with every fault of real ones."""
-    return room(people=2, cameras=4, action="free_dynamic", seconds=6, seed=5)
+    return room(people=2, cameras=4, action="free_dynamic", seconds=4, seed=5)
 
 
 @cache

@@ -11,7 +11,8 @@ from hiros_mcap.simulate import SimulateParams, simulate
 
 
 def simulated(**params):
-    return simulate(SimulateParams.model_validate({"people": 1, "seconds": 12.0, **params}))
+    usual = {"people": 1, "seconds": 12.0, "rig": {"rate": 20.0}}
+    return simulate(SimulateParams.model_validate({**usual, **params}))
 
 
 def late(frame, seconds):

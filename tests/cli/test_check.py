@@ -20,51 +20,50 @@ from hiros_mcap.skeletons import People
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 
 
-RECORDING = SAMPLES / "one_person_walking.mcap"
-
-
 @pytest.fixture(scope="module")
-def output(tmp_path_factory):
+def output(walking, tmp_path_factory):
     out = tmp_path_factory.mktemp("check") / "out.mcap"
     exact = load_config(overrides=["output.precision=full"])
-    process(SAMPLES / "one_person_walking.mcap", out, config=exact)
+    process(walking, out, config=exact)
     return out
 
 
 @pytest.fixture
-def suite(tmp_path):
-    shutil.copy(SAMPLES / "one_person_walking.mcap", tmp_path)
+def suite(walking, tmp_path):
+    shutil.copy(walking, tmp_path)
     path = tmp_path / "suite.toml"
     path.write_text('[[log]]\ninput = "one_person_walking.mcap"\nrequire = ["people = 1"]\n')
     return path
 
 
-def test_a_result_without_orientations_equals_its_golden_log(tmp_path):
+def test_a_result_without_orientations_equals_its_golden_log(walking, tmp_path):
     def position_only(frame, _):
         return frame.replace(links=np.full_like(frame.links, np.nan))
 
-    log = changed(SAMPLES / "one_person_walking.mcap", tmp_path / "log.mcap", position_only)
+    log = changed(walking, tmp_path / "log.mcap", position_only)
     out, golden = tmp_path / "out.mcap", tmp_path / "golden.mcap"
     process(log, out)
     assert run(["check", str(out), "--golden", str(golden), "--bless"]) == 0
     assert run(["check", str(out), "--golden", str(golden)]) == 0
 
 
-def test_a_result_in_the_folder_of_a_bag_is_a_result(output, tmp_path):
+def test_a_result_in_the_folder_of_a_bag_is_a_result(walking, output, tmp_path):
     folder, golden = tmp_path / "bag", tmp_path / "golden.mcap"
     exact = load_config(overrides=["output.precision=full"])
-    process(RECORDING, f"{folder}/", config=exact)
+    process(walking, f"{folder}/", config=exact)
     assert run(["check", str(folder), "--golden", str(output)]) == 0
     assert run(["check", str(folder), "--golden", str(golden), "--bless"]) == 0
     assert run(["check", str(output), "--golden", str(golden)]) == 0
 
 
 @pytest.mark.parametrize("keep", [True, False])
-def test_the_result_of_an_empty_room_is_checked_and_scored_against_a_truth(keep, tmp_path, capsys):
+def test_the_result_of_an_empty_room_is_checked_and_scored_against_a_truth(
+    walking, keep, tmp_path, capsys
+):
     def nobody(frame, _):
         return frame.replace(people=People(*(array[:0] for array in frame.people)))
 
-    log = changed(RECORDING, tmp_path / "log.mcap", nobody, keep=keep)
+    log = changed(walking, tmp_path / "log.mcap", nobody, keep=keep)
     out, golden = tmp_path / "out.mcap", str(tmp_path / "golden.mcap")
     process(log, out)
     assert run(["check", str(out), "--golden", golden, "--bless"]) == 0
@@ -150,12 +149,12 @@ def test_quiet_leaves_differences_and_errors(suite, tmp_path, capsys):
         (["/nowhere/suite.toml"], "/nowhere/suite.toml"),
     ],
 )
-def test_faults_are_one_line(output, suite, capsys, arguments, fault):
+def test_faults_are_one_line(walking, output, suite, capsys, arguments, fault):
     assert (
         run(
             [
                 "check",
-                *(a.format(output=output, suite=suite, recording=RECORDING) for a in arguments),
+                *(a.format(output=output, suite=suite, recording=walking) for a in arguments),
             ]
         )
         == 2

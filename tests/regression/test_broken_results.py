@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 import pytest
@@ -53,8 +54,13 @@ def write(path, frames):
     return path
 
 
-def frames():
+@cache
+def usual():
     return [full_frame(k) for k in range(FRAMES)]
+
+
+def frames():
+    return [frame.select([0, 1]) for frame in usual()]
 
 
 @pytest.fixture(scope="module")

@@ -34,7 +34,7 @@ MS = 1_000_000
 
 @cache
 def walk(cameras=4):
-    return room(people=2, cameras=cameras, seconds=4, seed=62, action="cross")
+    return room(people=2, cameras=cameras, seconds=3, seed=62, action="cross")
 
 
 def result(where, frames, name="fuse-realtime"):
@@ -66,7 +66,7 @@ def test_what_is_logged_later_changes_nothing(seconds):
 def test_no_result_is_later_than_a_tenth_of_a_second(cameras):
     frames = result(walk(cameras), walk(cameras).frames)
     late = np.array([f.log_time - f.stamp for f in frames])
-    assert len(frames) > 100
+    assert len(frames) > 80
     assert (late > 0).all()
     assert np.percentile(late, 98) < 100 * MS
 
