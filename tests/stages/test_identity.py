@@ -250,7 +250,7 @@ def test_what_was_nobody_is_not_missing(chair):
     assert found[-1].kind == "track born"
 
 
-@pytest.mark.parametrize(("absence", "expected"), [(2.5, 0), (4.5, 1)])
+@pytest.mark.parametrize(("absence", "expected"), [(3.9, 0), (4.5, 1)])
 def test_nobody_is_remembered_for_longer_than_the_parameter_says(absence, expected):
     frames = standing([person()], 0, 2) + standing([], 2, 2 + absence)
     frames += standing([person()], 2 + absence, 4 + absence)

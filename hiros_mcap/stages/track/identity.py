@@ -99,7 +99,7 @@ class Identities:
         if self._params.reidentify and stamp - self._looked >= SECOND:
             self._looked = stamp
             self._look()
-        longest = round(self._params.reidentify * 1e9)
+        longest = round(self._params.reidentify * 1e9) + self._patience
         if self._absent and stamp - self._absent[0].stamp > longest:
             latest = stamp - longest
             self._absent = [
