@@ -4,7 +4,7 @@ track.py            the page: predict, associate, correct, start, confirm, delet
 tracking.py         its compiled loops
 tracked_people.py   the tracks of a log
 support.py          who counts as a person
-identity.py         who is who: copies.py, displaced.py, likeness.py, reidentify.py
+identity.py         who is who: displaced.py, likeness.py, reidentify.py
 coverage.py         where each camera looks
 track_params.py     the parameters
 """

@@ -9,7 +9,7 @@ Beyond the paper:
 
 - A new track is tentative and has no id. Its support confirms it
   (support.py). A message that shows somebody tentative is held for a moment,
-  so that a confirmed person has the id from the first detection on (:class:`Delay`).
+  so that a confirmed person has the id from the first detection on.
 - Two tracks of one person are merged. Who comes back gets the old id if it is probable
   (:mod:`~hiros_mcap.stages.track.identity`).
 - A detection with left and right swapped is compared, and corrects its track, swapped back.
@@ -18,12 +18,13 @@ Beyond the paper:
 - A detection behind somebody else corrects its track little: what its camera cannot see, the
   detector invents.
 - A camera that shows people elsewhere than the others do brings nobody new
-  (:mod:`~hiros_mcap.stages.track.copies`).
+  (:mod:`~hiros_mcap.stages.track.displaced`).
 """
 
 from __future__ import annotations
 
 import itertools
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from operator import itemgetter
@@ -36,11 +37,10 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, join
 from hiros_mcap.kernels.array_types import settings_of
 from hiros_mcap.skeletons import POSITION, STATE, UNTRACKED, Floats, SkeletonModel, Stamps
-from hiros_mcap.stages.delay import Delay
 from hiros_mcap.stages.track import tracking as kernels
 from hiros_mcap.stages.track.association import SlotOrders, TrackSettings, TrackWork, predict
-from hiros_mcap.stages.track.copies import Copies
 from hiros_mcap.stages.track.correction import correct
+from hiros_mcap.stages.track.displaced import Copies
 from hiros_mcap.stages.track.identity import Identities
 from hiros_mcap.stages.track.likeness import DISPLACED
 from hiros_mcap.stages.track.support import Confirmation
@@ -116,7 +116,9 @@ class _Tracker:
             TrackWork.allocate, n_markers=model.n_markers, n_links=model.n_links
         )
         self._work = self._allocate(8, 8)
-        self._delay: Delay[DetectionGroup] = Delay(params.lookahead)
+        self._patience = round(params.lookahead * 1e9)
+        """ns that a message that stays undecided is held, in time of the data."""
+        self._held = deque[DetectionGroup]()
         self._people = TrackedPeople(model, cameras)
         link_mirror = symmetry.link_mirror[: len(ends)]
         self._identities = Identities(self._people, params, events, link_mirror)
@@ -157,19 +159,24 @@ class _Tracker:
         self._people.cameras.displaced[:] = [name in displaced for name in names]
         if block.source(place) in displaced:
             self._leave_out_copies(block, place)
-        return self._people.known(certain=not len(self._delay))
+        return self._people.known(certain=not self._held)
 
     def _decide(self, group: DetectionGroup) -> Iterator[DetectionGroup]:
         """Decide who is new, who counts, who is who; yield messages that are decided."""
         self._start(group)  # tentative tracks
         self._copies.withdraw(group)
         self._support.confirm(group)  # or withdraw the id
-        self._delay.push(group.stamp, group)
-        return self._delay.release(group.stamp, lambda held: held.decided)
+        self._held.append(group)
+        while self._held:
+            oldest = self._held[0]
+            if group.stamp - oldest.stamp < self._patience and not oldest.decided:
+                return
+            yield self._held.popleft()
 
     def finish(self) -> Iterator[_Messages]:
         """Yield the messages that are still held, now that nothing more comes."""
-        held = list(self._delay.rest())
+        held = [*self._held]
+        self._held.clear()
         for group in held:
             yield self._finish(group, int(held[-1].block.log_times[held[-1].place]))
 
