@@ -29,8 +29,7 @@ from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 from hiros_mcap.stages.fuse.pair_lengths import measured_lengths
 from hiros_mcap.stages.fuse.pose_prior import (
     body_frames,
-    estimate_poses,
-    estimate_scratch,
+    estimated,
     has_heading,
     local_frames,
     shrink_noise,
@@ -337,8 +336,7 @@ def test_the_prior_estimates_as_wiener_does():
     measured = mean.reshape(4, 3) + rng.normal(0, 0.05, (2, 4, 3))
     measured[1, 2] = np.nan
     variances = rng.uniform(1e-6, 4e-4, (2, 4))
-    poses = measured.copy()
-    estimate_poses(poses, variances, mean, basis, np.inf, *estimate_scratch(basis))
+    poses = estimated(mean, basis, measured, variances)
     p = basis @ basis.T + 0.003**2 * np.eye(12)
     for pose, y, v in zip(poses, measured, variances, strict=True):
         absent = np.isnan(y.ravel())

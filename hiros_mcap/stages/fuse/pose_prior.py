@@ -9,14 +9,9 @@ rolls and has none, the whole body's (:func:`body_frames`).
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from hiros_mcap.body.rotations import nearest_rotation
-from hiros_mcap.kernels.array_types import F1, F2, F3
-from hiros_mcap.kernels.compile import entry, kernel
-from hiros_mcap.kernels.distance import norm3
 from hiros_mcap.skeletons import Flags, Floats, Ints
 
 WINDOW = 90  # poses, 3 s at 30 Hz
@@ -56,7 +51,7 @@ def shrink_noise(positions: Floats, variances: Floats) -> Floats:
         if n >= FEWEST and present.any():
             some = positions[part][:, present]
             noise = at_most_shown(some, variances[part][:, present])
-            estimate[:, present] = _estimated(*motion_of(some, noise), some, noise)
+            estimate[:, present] = estimated(*motion_of(some, noise), some, noise)
         out[part] += fade[:, None, None] * estimate
         weights[part] += fade
     return np.asarray(out / weights[:, None, None])
@@ -91,8 +86,11 @@ class RecentMotion:
         if self._motion is None:
             return local
         mean, basis, seen = self._motion
-        estimate, some, noise = local.copy(), local[None, seen], variances[None, seen]
-        estimate[seen] = _estimated(mean, basis, some, noise, _LARGEST_STEP)[0]
+        estimate, some, noise = local.copy(), local[seen], variances[seen]
+        steps = estimated(mean, basis, some[None], noise[None])[0] - some
+        sizes, most = np.linalg.norm(steps, axis=1), _LARGEST_STEP * np.sqrt(3 * noise)
+        scales = np.divide(most, sizes, out=np.ones_like(sizes), where=sizes > most)
+        estimate[seen] = some + scales[:, None] * steps
         return estimate
 
     def _remember(self, local: Floats, variances: Floats, stamp: int) -> None:
@@ -205,92 +203,21 @@ def motion_of(positions: Floats, variances: Floats) -> tuple[Floats, Floats]:
     return mean, noise[:, None] * (white.T @ (poses[:, used] * sizes))
 
 
-def _estimated(
-    mean: Floats, basis: Floats, positions: Floats, variances: Floats, largest: float = np.inf
-) -> Floats:
-    """Estimate poses (T, M, 3), m, with variances (T, M); see :func:`estimate_poses`."""
-    poses, noise = np.array(positions, order="C"), np.ascontiguousarray(variances)
-    estimate_poses(poses, noise, mean, basis, largest, *estimate_scratch(basis))
-    return poses
-
-
-# The estimate, compiled.
-
-
-def estimate_scratch(basis: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Make room for one pose: what :func:`estimate_poses` takes last."""
-    n, rank = basis.shape
-    return np.empty(n), np.empty(n), np.empty((rank, rank)), np.empty(rank)
-
-
-@kernel
-def _compare(pose: Floats, variances: Floats, mean: Floats, off: Floats, spread: Floats) -> None:
-    """Measure the pose (M, 3) against the mean; nothing is known of absent markers."""
-    for i in range(len(mean)):
-        m, c = i // 3, i % 3
-        absent = math.isnan(pose[m, c])
-        off[i] = 0.0 if absent else pose[m, c] - mean[i]
-        spread[i] = _FREE**2 + (_ABSENT if absent else variances[m])
-
-
-@kernel
-def _solve(basis: Floats, off: Floats, spread: Floats, inner: Floats, share: Floats) -> None:
-    """Find the shares s of the directions, (B' D^-1 B + 1) s = B' D^-1 (y - mu)."""
-    n, rank = basis.shape
-    inner[:] = 0.0
-    share[:] = 0.0
-    for i in range(n):
-        for r in range(rank):
-            weighted = basis[i, r] / spread[i]
-            share[r] += weighted * off[i]
-            for q in range(r + 1):
-                inner[r, q] += weighted * basis[i, q]
-    for r in range(rank):
-        inner[r, r] += 1.0
-        for q in range(r + 1):
-            total = inner[r, q]
-            for k in range(q):
-                total -= inner[r, k] * inner[q, k]
-            inner[r, q] = math.sqrt(total) if q == r else total / inner[q, q]
-        for q in range(r):
-            share[r] -= inner[r, q] * share[q]
-        share[r] /= inner[r, r]
-    for r in range(rank - 1, -1, -1):
-        for k in range(r + 1, rank):
-            share[r] -= inner[k, r] * share[k]
-        share[r] /= inner[r, r]
-
-
-@entry
-def estimate_poses(
-    poses: F3, variances: F2, mean: F1, basis: F2, largest: float, off: F1, spread: F1, inner: F2,
-    share: F1,
-) -> None:  # fmt: skip
-    """Replace poses y by the estimates mu + P (P + V)^-1 (y - mu).
+def estimated(mean: Floats, basis: Floats, positions: Floats, variances: Floats) -> Floats:
+    """Return the estimates mu + P (P + V)^-1 (y - mu) of poses y.
 
     Parameters
     ----------
-    poses : (T, M, 3) local poses, m; NaN = absent, and stays so. variances : (T, M) V, m2.
     mean, basis : (N,) and (N, R) of :func:`motion_of`.
-    largest : no marker moves by more, in standard deviations.
-    off, spread, inner, share : scratch: (N,) the pose against the mean, m; (N,) its variances, with
-        the free one, m2; (R, R) B' D^-1 B + 1, then its Cholesky factor; (R,) of each direction.
+    positions : (T, M, 3) local poses, m; NaN = absent, and stays so. variances : (T, M) V, m2.
     """
-    for t in range(len(poses)):
-        pose = poses[t]
-        _compare(pose, variances[t], mean, off, spread)
-        # (B B' + D)^-1 by Woodbury's identity; then B B' (B B' + D)^-1 (y - mu) = B s.
-        _solve(basis, off, spread, inner, share)
-        for i in range(len(mean)):
-            along = 0.0
-            for r in range(len(share)):
-                along += basis[i, r] * share[r]
-            free = _FREE**2 * (off[i] - along) / spread[i]
-            off[i] = along + free - off[i]
-        for m in range(len(pose)):
-            step = off[3 * m : 3 * m + 3]
-            size = norm3(step[0], step[1], step[2])
-            most = largest * math.sqrt(3 * variances[t, m])
-            scale = most / size if size > most else 1.0
-            for c in range(3):
-                pose[m, c] += scale * step[c]
+    off = positions.reshape(len(positions), -1) - mean
+    absent = np.isnan(off)  # nothing is known there
+    off = np.where(absent, 0.0, off)
+    spread = _FREE**2 + np.where(absent, _ABSENT, np.repeat(variances, 3, axis=1))
+    # (B B' + D)^-1 by Woodbury's identity; then B B' (B B' + D)^-1 (y - mu) = B s.
+    weighted = basis.T / spread[:, None]
+    inner = weighted @ basis + np.eye(basis.shape[1])
+    along = (basis @ np.linalg.solve(inner, weighted @ off[:, :, None]))[:, :, 0]
+    free = _FREE**2 * (off - along) / spread
+    return np.asarray(positions + (along + free - off).reshape(positions.shape))
