@@ -16,8 +16,10 @@ import numpy as np
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel, Stamps
 
 REFERENCE_M = 2.0
-GUESSED_BELOW = 0.5
-"""Confidence below which a detector guesses."""
+GUESSED_BELOW, GUESSED_SHARE = 0.5, 0.75
+"""Confidence below which a detector guesses, at most, and as a share of its greatest confidences.
+Azure Kinect gives 0.66 to joints that it sees and 0.33 to those that it guesses. A detector that is
+never surer than 0.4 does not guess everything."""
 LONGEST_S = 0.1
 """Three frames in a row last at most this; motion would count as noise otherwise."""
 LEAST_SAMPLES = 30

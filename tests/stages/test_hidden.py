@@ -101,6 +101,15 @@ def test_a_guessed_joint_stays_where_it_was_seen_last():
     assert not events.counts
 
 
+@pytest.mark.parametrize("scale", [0.1, 0.6, 1.5])
+def test_a_detector_guesses_by_its_own_scale(scale):
+    """One that is never surer than 0.4 does not guess everything."""
+    frames, plain = rated(), run(rated())
+    for frame in frames:
+        frame.marker_confidences[:] *= scale
+    np.testing.assert_array_equal(run(frames).hidden, plain.hidden)
+
+
 def test_guesses_are_left_to_a_smoother():
     out = run(rated(), guesses=False)
     assert not out.hidden.any()

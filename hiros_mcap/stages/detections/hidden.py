@@ -104,7 +104,7 @@ class _HiddenPeople:
         self._events, self._places, self._guesses = events, places, guesses
         self._bank = Bank(kernels.HiddenPast.empty(model.n_markers))
         self._cameras = CameraNumbers()
-        self._rates = np.zeros((0, 2))
+        self._rates = np.zeros((0, 3))
         self._absent: dict[tuple[int, str], tuple[int, int, int]] = {}
         """Who is hidden from which camera: first and last, ns, and who was in front at first."""
 

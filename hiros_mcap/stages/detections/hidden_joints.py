@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hiros_mcap.calibrate.noise import GUESSED_BELOW, GUESSED_SHARE
 from hiros_mcap.kernels.array_types import B1, F1, F2, F3, I1, I2, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.kernels.line_of_sight import OUTLINE, Capsules, hidden_by, outline
@@ -32,7 +33,6 @@ _RECENT = 300_000_000  # ns; whom a camera's message lacks is where he was, for 
 _LONGEST = 0.5  # s between two views that motion is carried over
 _FEWEST = 0.25  # share of joints that show how the person moved
 _FOLLOWS = 0.3  # s; of a person of whom fewer are seen, and of the velocity that remains
-GUESSED_BELOW = 0.5  # confidence below which a detector guesses
 RATES = 0.03  # share of such joints from which on a detector is taken to rate joints
 _RATED = 1000.0  # views that this share is of: half a minute
 _ROUNDS, _SMALL = 8, 0.003  # of Weiszfeld's iteration; m
@@ -101,7 +101,7 @@ class HiddenScene(NamedTuple):
     messages: ComparedMessages
     people: People
     places: F2  # (C, 3) of the cameras, m; NaN = unknown
-    rates: F2  # (C, 2) views, and the share of joints that the camera's detector guesses
+    rates: F2  # (C, 3) how each camera's detector rates joints; see :func:`learn_rating`
     capsules: Capsules
     limits: PostureLimits
     guesses: bool  # whether joints are mended that a rating detector guesses
@@ -131,13 +131,28 @@ def _look(i: int, scene: HiddenScene) -> None:
 
 
 @inlined
+def guess_limit(best: float) -> float:
+    """Return the confidence below which a detector guesses, by the mean of its greatest ones."""
+    return min(GUESSED_BELOW, GUESSED_SHARE * best)
+
+
+@inlined
 def learn_rating(confidences: Floats, rate: Floats) -> None:
-    """Add the joints of a view to the share of those that its detector guesses."""
-    low = 0.0
+    """Learn from a view how a detector rates joints.
+
+    ``rate`` (3,) are its views, the share of joints that it guesses, and the mean over views of the
+    greatest confidence.
+    """
+    best = low = 0.0
     for m in range(len(confidences)):
-        low += 1.0 if confidences[m] < GUESSED_BELOW else 0.0
+        best = max(best, confidences[m])
     rate[0] += 1.0
-    rate[1] += (low / len(confidences) - rate[1]) / min(rate[0], _RATED)
+    share = 1.0 / min(rate[0], _RATED)
+    rate[2] += share * (best - rate[2])
+    limit = guess_limit(rate[2])
+    for m in range(len(confidences)):
+        low += 1.0 if confidences[m] < limit else 0.0
+    rate[1] += share * (low / len(confidences) - rate[1])
 
 
 @kernel
@@ -184,9 +199,9 @@ def _see(p: int, i: int, scene: HiddenScene) -> None:
     """
     markers, shares = scene.people.markers[p], scene.out.shares[p]
     if scene.work.rates[p]:
+        limit = guess_limit(scene.rates[scene.messages.cameras[i], 2])
         for m in range(len(markers)):
-            guesses = scene.people.marker_confidences[p, m] < GUESSED_BELOW
-            shares[m] = 1.0 if guesses else 0.0
+            shares[m] = 1.0 if scene.people.marker_confidences[p, m] < limit else 0.0
         return
     if not math.isnan(scene.places[scene.messages.cameras[i], 0]):
         scene.out.hiders[p] = _cover(markers, p, i, scene, shares)

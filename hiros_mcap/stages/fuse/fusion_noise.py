@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side
-from hiros_mcap.calibrate.noise import GUESSED_BELOW, USUAL_POWER
+from hiros_mcap.calibrate.noise import GUESSED_BELOW, GUESSED_SHARE, USUAL_POWER
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.skeletons import Floats, SkeletonModel
@@ -125,8 +125,15 @@ class FusionNoise:
         ``names`` are the cameras by index.
         """
         cameras = np.array([self.cameras.get(name, 1.0) for name in names])[views.cameras]
-        guessed = views.confidences < self.guessed_below
+        guessed = views.confidences < self._limits(views, len(names))[views.cameras, None]
         return self.white(views.distances, guessed, cameras) + views.hidden
+
+    def _limits(self, views: Sightings, n_cameras: int) -> Floats:
+        """(C,) Confidence below which each camera's detector guesses."""
+        best = np.nan_to_num(views.confidences).max(axis=1, initial=0.0)
+        counts = np.bincount(views.cameras, minlength=n_cameras)
+        means = np.bincount(views.cameras, best, n_cameras) / np.maximum(counts, 1)
+        return np.minimum(self.guessed_below, GUESSED_SHARE * means)
 
 
 @dataclass
@@ -168,7 +175,8 @@ class RunningNoise(FusionNoise):
     def _learn(self, views: Sightings, names: Sequence[str]) -> None:
         away = np.log(views.distances / REFERENCE)
         offsets_of: dict[str, list[float]] = {}
-        for camera, logs, distance, guesses in _binned(views, away, self.guessed_below):
+        limits = self._limits(views, len(names))
+        for camera, logs, distance, guesses in _binned(views, away, limits):
             expected = np.log(self.joints) + 2 * self.power * distance  # log of :meth:`white`
             off = np.where(guesses == 0, logs - expected, np.nan)
             if np.isfinite(off).any():
@@ -184,7 +192,7 @@ class RunningNoise(FusionNoise):
 
 
 def _binned(
-    views: Sightings, away: Floats, guessed_below: float
+    views: Sightings, away: Floats, limits: Floats
 ) -> Iterator[tuple[int, Floats, float, Floats]]:
     """Yield camera, (M,) log variances, log distance / 2 m and (M,) share of guesses of bins."""
     for person, camera in {*zip(views.people.tolist(), views.cameras.tolist(), strict=True)}:
@@ -197,7 +205,7 @@ def _binned(
         # Half of the norm has the mean of |D| along an axis, and does not depend on the axes.
         third = np.linalg.norm(np.diff(views.positions[rows], n=3, axis=0), axis=2) / 2
         third[~(even[:-2] & even[1:-1] & even[2:])] = np.nan
-        guesses = views.confidences[rows] < guessed_below
+        guesses = views.confidences[rows] < limits[camera]
         hidden = views.hidden[rows] > 0
         third[hidden[:-3] | hidden[1:-2] | hidden[2:-1] | hidden[3:]] = np.nan
         for start in range(0, len(third) - _BIN + 1, _BIN):

@@ -21,11 +21,11 @@ from hiros_mcap.skeletons import (
     People,
     Stamps,
 )
-from hiros_mcap.stages.detections.hidden_joints import GUESSED_BELOW
 
 _NOT_MIRRORED = 0.1  # m: a detection with swapped sides is farther than this from its track
 _WIDEST_GATE = 2.0  # times the gate: how far it grows while a track is unseen
 _FASTEST = 3.0  # m/s that a whole body may move besides its prediction
+MOSTLY_HIDDEN = 0.5  # share of a joint from which on it is taken for guessed
 _FEWEST_SEEN = 4  # markers that tell how far a detection is from its track
 _USUAL_INTERVAL = 0.033  # s between two detections; longer ones leave more time to move
 
@@ -114,7 +114,7 @@ class TrackPairs(NamedTuple):
     cost: F2  # (T, P) eq 6; infinite where a pair is not allowed
     match: I1  # (P,) index of the track of each detection, -1 = none
     broken: B1  # (P,) whether a detection is too far from the track that ``match`` gives it
-    hidden: F1  # (P,) share of a detection that others hide from its camera
+    hidden: F2  # (P, M) 0 to 1, how far a joint is hidden from its camera; 1 = guessed
 
 
 class TrackWork(NamedTuple):
@@ -135,7 +135,7 @@ class TrackWork(NamedTuple):
         t, p, m, n = n_tracks, n_people, n_markers, n_links
         predicted = arrays(PredictedTracks, (t, m, 3), (t, n, 4), t, t)
         weights = arrays(TrackWeights, (t, m), (t, n), (p, m), (p, n))
-        pairs = arrays(TrackPairs, p, (t, p), (t, p), (t, p), p, p, p)
+        pairs = arrays(TrackPairs, p, (t, p), (t, p), (t, p), p, p, (p, m))
         return arrays(
             cls,
             (p, 6),
@@ -433,8 +433,7 @@ def _distance_of_seen(i: int, j: int, people: People, slots: SlotOrders, work: T
     which = slots.mirror if work.pairs.mirrored[i, j] else slots.same
     for m in range(len(which)):
         distance = point_distance(work.predicted.positions[i, m], markers[which[m]])
-        guessed = work.weights.marker_confidences[j, which[m]] < GUESSED_BELOW
-        if not guessed and not math.isnan(distance):
+        if work.pairs.hidden[j, which[m]] < MOSTLY_HIDDEN and not math.isnan(distance):
             total, n = total + distance, n + 1
     return total / n if n >= _FEWEST_SEEN else work.pairs.distances[i, j]
 

@@ -32,8 +32,9 @@ from hiros_mcap.skeletons import (
     Ints,
     People,
 )
-from hiros_mcap.stages.detections.hidden_joints import GUESSED_BELOW, INVENTED
+from hiros_mcap.stages.detections.hidden_joints import INVENTED
 from hiros_mcap.stages.track.association import (
+    MOSTLY_HIDDEN,
     SlotOrders,
     TrackPairs,
     Tracks,
@@ -45,7 +46,6 @@ _RESTART = 4.0  # horizons without a detection after which a marker or link star
 _JERK = 50.0  # m/s3/sqrt(Hz): how fast accelerations of markers may change
 _ANGULAR_JERK = 500.0  # rad/s3/sqrt(Hz): the same of links
 _ORIENTATION_NOISE = 0.15  # rad; SD of a link that one camera reports
-_MOSTLY = 0.5  # share of a detection that is hidden while its limbs are guessed
 _LEAST_CONFIDENCE = 0.05  # a marker of less counts as one of this confidence
 # Variances of a new state: (m/s)2, (m/s2)2, (rad/s)2, (rad/s2)2.
 _SPEED, _ACCELERATION, _ANGULAR_SPEED, _ANGULAR_ACCELERATION = 1.0, 25.0, 4.0, 100.0
@@ -240,14 +240,15 @@ def _variance(confidence: float, settings: TrackSettings) -> float:
 
 @inlined
 def _learn_lengths(
-    row: int, tracks: Tracks, markers: Floats, confidences: Floats, slots: Ints, ends: Ints
+    row: int, tracks: Tracks, markers: Floats, hidden: Floats, slots: Ints, ends: Ints
 ) -> None:
-    """Average the limb lengths of a detection (M, 19), whose slots are ``slots``."""
+    """Average the limb lengths of a detection (M, 19), whose slots are ``slots``.
+
+    Limbs that the camera does not see (``hidden``) are guesses.
+    """
     for k in range(len(ends)):
         a, b = ends[k, 0], ends[k, 1]
-        if a < 0 or b < 0:
-            continue
-        if min(confidences[slots[a]], confidences[slots[b]]) < GUESSED_BELOW:
+        if a < 0 or b < 0 or max(hidden[slots[a]], hidden[slots[b]]) >= MOSTLY_HIDDEN:
             continue
         length = point_distance(markers[slots[a]], markers[slots[b]])
         if not math.isnan(length):
@@ -277,12 +278,10 @@ def correct(
         which = slots.mirror if swapped else slots.same
         for m in range(len(which)):
             if not math.isnan(markers[which[m], 0]):
-                confidence = confidences[which[m]]
-                share = 1.0 if confidence < GUESSED_BELOW else pairs.hidden[j]
-                noise = _variance(confidence, settings) + (INVENTED * share) ** 2
+                noise = _variance(confidences[which[m]], settings)
+                noise += (INVENTED * pairs.hidden[j, which[m]]) ** 2
                 _correct_marker(stamp, tracks, row, m, markers[which[m]], noise, settings)
-        if pairs.hidden[j] < _MOSTLY:
-            _learn_lengths(row, tracks, markers, confidences, which, slots.ends)
+        _learn_lengths(row, tracks, markers, pairs.hidden[j], which, slots.ends)
         for k in range(0 if swapped else len(people.links[j])):
             if not math.isnan(people.links[j, k, _TO_ORIENTATION]):
                 _correct_link(stamp, tracks, row, k, people.links[j, k], settings)

@@ -15,7 +15,7 @@ from hiros_mcap.kernels.array_types import B1, F2, I1, I2, J1, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel, rows_of
 from hiros_mcap.kernels.line_of_sight import hidden_by, outline
 from hiros_mcap.skeletons import Floats, People, Stamps
-from hiros_mcap.stages.detections.hidden_joints import RATES, learn_rating
+from hiros_mcap.stages.detections.hidden_joints import RATES, guess_limit, learn_rating
 from hiros_mcap.stages.track.association import (
     SlotOrders,
     Tracks,
@@ -52,13 +52,13 @@ class Cameras(NamedTuple):
     displaced: B1  # (C,) whether the camera is known to show people elsewhere
     faults: I2  # (C, FAULTS) detections that were left out since the last look
     places: F2  # (C, 3) positions, m; NaN = unknown
-    rates: F2  # (C, 2) views, and the share of joints that the camera's detector guesses
+    rates: F2  # (C, 3) how each camera's detector rates joints; see ``learn_rating``
 
     @classmethod
     def allocate(cls, n_cameras: int) -> Cameras:
         """Cameras that have sent nothing."""
         c = n_cameras
-        cameras = arrays(cls, c, c, c, (c, len(FAULTS)), (c, 3), (c, 2))
+        cameras = arrays(cls, c, c, c, (c, len(FAULTS)), (c, 3), (c, 3))
         cameras.heard.fill(NEVER)
         cameras.places.fill(np.nan)
         return cameras
@@ -100,32 +100,43 @@ def screen(people: People, min_marker: float, min_skeleton: float, faults: I1) -
 def _find_hidden(
     camera: int, people: People, cameras: Cameras, slots: SlotOrders, work: TrackWork
 ) -> None:
-    """Fill ``hidden``: how much of each detection the others in the message hide.
+    """Fill ``hidden``: the joints that a camera does not see.
 
-    A detector that rates its joints knows that itself (stages/detections/hidden.py).
+    These are the joints that its detector guesses. A detector that does not rate joints guesses
+    those, too, that others in the message hide: of each detection their mean share counts.
     """
-    n, place = len(people.ids), cameras.places[camera]
+    n, place, rate = len(people.ids), cameras.places[camera], cameras.rates[camera]
     work.pairs.hidden[:] = 0.0
     for j in range(n):
-        learn_rating(people.marker_confidences[j], cameras.rates[camera])
+        learn_rating(people.marker_confidences[j], rate)
         outline(people.markers[j], place, work.outlines[j])
-    if math.isnan(place[0]) or cameras.rates[camera, 1] > RATES:
-        return
     for j in range(n):
-        total, count = 0.0, 0
+        if rate[1] <= RATES and not math.isnan(place[0]):
+            work.pairs.hidden[j] = _share_behind_others(j, n, people, place, slots, work)
         for m in range(people.markers.shape[1]):
-            if math.isnan(people.markers[j, m, 0]):
-                continue
-            share, count = 0.0, count + 1
-            for k in range(n):
-                if k != j:
-                    h = hidden_by(
-                        people.markers[j, m], place, people.markers[k], work.outlines[k],
-                        slots.capsules,
-                    )  # fmt: skip
-                    share = max(share, h)
-            total += share
-        work.pairs.hidden[j] = total / max(count, 1)
+            if people.marker_confidences[j, m] < guess_limit(rate[2]):
+                work.pairs.hidden[j, m] = 1.0
+
+
+@inlined
+def _share_behind_others(
+    j: int, n: int, people: People, place: Floats, slots: SlotOrders, work: TrackWork
+) -> float:
+    """Return the share of detection ``j`` that the others of ``n`` hide from a camera."""
+    total, count = 0.0, 0
+    for m in range(people.markers.shape[1]):
+        if math.isnan(people.markers[j, m, 0]):
+            continue
+        share, count = 0.0, count + 1
+        for k in range(n):
+            if k != j:
+                h = hidden_by(
+                    people.markers[j, m], place, people.markers[k], work.outlines[k],
+                    slots.capsules,
+                )  # fmt: skip
+                share = max(share, h)
+        total += share
+    return total / max(count, 1)
 
 
 @inlined
