@@ -17,9 +17,7 @@ from hiros_mcap.stages.optimize.energy import (
     W_LENGTH,
     W_PROXIMAL,
     Energy,
-    SolverScratch,
     exact_weights,
-    minimize,
     paper_weights,
 )
 from hiros_mcap.stages.optimize.normal_equations import (
@@ -27,7 +25,7 @@ from hiros_mcap.stages.optimize.normal_equations import (
     solve_equations,
     topology_of,
 )
-from hiros_mcap.stages.optimize.optimize import OptimizeParams, optimize_blocks
+from hiros_mcap.stages.optimize.optimize import OptimizeParams, block_solver, optimize_blocks
 
 optimize = by_frame(optimize_blocks)
 
@@ -104,18 +102,13 @@ def test_length_weight_is_the_papers(ratio, expected):
 # Solver, eq. 14 to 19
 
 
-def solution(model, energy, tolerance):
-    topology, solved = topology_of(model), np.empty_like(energy.start)
-    return solved, minimize(energy, topology, tolerance, SolverScratch.of(topology), solved)
-
-
 @pytest.mark.parametrize("exact", [False, True])
 @pytest.mark.parametrize("loops", [0, 3])
 def test_solution_is_a_minimum(loops, exact):
     rng = np.random.default_rng(loops)
     model = random_model(rng, loops=loops)
     energy = energy_of(model, *random_poses(model, 10, rng, missing=0.0), exact)
-    solved, failed = solution(model, energy, 1e-9)
+    solved, failed = block_solver(model, 1e-9)(energy)
     lowest = energies(model, solved, energy)
     assert failed == 0
     assert (lowest <= energies(model, energy.start, energy)).all()
@@ -131,7 +124,7 @@ def test_two_markers_meet_where_the_hand_calculation_says():
     energy = energy_of(model, start, nominal)
     w_l, w_p = energy.weights[0, 0, :2]
     x = 0.04 * w_l / (4 * w_l + 2 * w_p)
-    solved, _ = solution(model, energy, 1e-12)
+    solved, _ = block_solver(model, 1e-12)(energy)
     np.testing.assert_allclose(solved[0], [[x, 0, 0], [0.12 - x, 0, 0]], atol=1e-12)
 
 
@@ -140,7 +133,7 @@ def test_marker_that_nothing_holds_stays():
     model = random_model(rng)
     start, nominal = random_poses(model, 1, rng, missing=0.0)
     nominal[:, model.links[:, 1] == 19] = np.nan
-    solved, _ = solution(model, energy_of(model, start, nominal), 1e-9)
+    solved, _ = block_solver(model, 1e-9)(energy_of(model, start, nominal))
     np.testing.assert_array_equal(solved[0, 19], start[0, 19])
 
 
@@ -330,12 +323,19 @@ def test_perfect_pose_stays(params):
     np.testing.assert_allclose(optimized(person(), params).positions[0], POSE, atol=1e-9)
 
 
-def test_lengths_become_exact():
+@pytest.mark.parametrize("solver", ["lm", "ceres"])
+def test_lengths_become_exact(solver):
     noisy = POSE + np.random.default_rng(2).normal(size=POSE.shape) * 0.015
-    result = optimized(person(noisy))
+    result = optimized(person(noisy), OptimizeParams(solver=solver))
     assert lengths_of(MODEL, result.positions[0]) == pytest.approx(
         lengths_of(MODEL, POSE), abs=1e-4
     )
+
+
+def test_solvers_differ_in_rounding_only():
+    frame = person(displaced(wrist=0.03))
+    ours, theirs = (optimized(frame, OptimizeParams(solver=name)) for name in ("lm", "ceres"))
+    assert 0.0 < np.abs(ours.positions - theirs.positions).max() < 1e-5
 
 
 def test_input_is_not_written_to():

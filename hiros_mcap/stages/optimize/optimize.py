@@ -27,7 +27,7 @@ exact   19.3, 20.0  0.0005, 0.0005  6.2, 7.0
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
@@ -114,6 +114,10 @@ def _await_calibration(
         yield ahead.release(len(nominal)).logged_at([now] * len(nominal)), np.concatenate(nominal)
 
 
+Solver = Callable[[Energy], tuple[Floats, int]]
+"""Energy of P skeletons -> poses of least energy (P, M, 3), how many did not converge."""
+
+
 class _Optimizer:
     """Outlier detection and optimization of some frames (sections 3.3.2 and 3.3.3)."""
 
@@ -121,6 +125,11 @@ class _Optimizer:
         self._names, self._params, self._events = model.marker_names, params, events
         self._topology = topology_of(model)
         self._scratch = SolverScratch.of(self._topology)
+        self._minimize = block_solver(model, params.tolerance)
+        if params.solver == "ceres":
+            from hiros_mcap.stages.optimize.ceres import CeresSolver
+
+            self._minimize = CeresSolver(model, params.tolerance)
 
     def optimize(self, people: People, nominal: Floats) -> None:
         """Optimize those people whose limb lengths (P, L), m, are known, in place."""
@@ -139,10 +148,7 @@ class _Optimizer:
         energy = Energy(points, nominal, np.empty((*nominal.shape, 4)))
         outlier = self._find_outliers(energy, people.marker_confidences)  # section 3.3.2
         self._write_weights(energy, outlier, people.marker_confidences)  # eq 18
-        solved, tolerance = np.empty_like(points), self._params.tolerance
-        failed = minimize(
-            energy, self._topology, tolerance, self._scratch, solved
-        )  # eq 14 to 17, 19
+        solved, failed = self._minimize(energy)  # eq 14 to 17, 19
         self._events.count("optimizer not converged", n=failed)
         remove, align = self._params.outliers == "remove", self._params.align_links
         kernels.write_poses(people, energy, solved, outlier, self._topology.links, remove, align)
@@ -166,3 +172,15 @@ class _Optimizer:
             paper_weights(energy, self._topology, outlier, self._params.max_length_error)
         elif self._params.outliers == "remove" or outlier.any():  # else the search has written them
             exact_weights(energy, self._topology, outlier, confidences)
+
+
+def block_solver(model: SkeletonModel, tolerance: float) -> Solver:
+    """Return the compiled solver for the links of ``model``; ``tolerance`` in m."""
+    topology = topology_of(model)
+    scratch = SolverScratch.of(topology)
+
+    def solve(energy: Energy) -> tuple[Floats, int]:
+        solved = np.empty_like(energy.start)
+        return solved, int(minimize(energy, topology, tolerance, scratch, solved))
+
+    return solve

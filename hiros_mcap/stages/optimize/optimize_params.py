@@ -95,6 +95,11 @@ class OptimizeParams(Params):
         "On logs made from real motion, this option raises the mean orientation error from 2.6 "
         "to 4.2 degrees.",
     )
+    solver: Literal["lm", "ceres"] = Field(
+        "lm",
+        description="lm: compiled block Levenberg-Marquardt. ceres: the same energy with Ceres "
+        "Solver, as in the paper; about 100 times slower, for comparison.",
+    )
     tolerance: ClassVar[float] = 1e-06
     """The solver has converged when no coordinate moves farther than this, m, in a step."""
 
