@@ -223,7 +223,7 @@ _TABLES = Path(__file__).parent / "systems" / "presets"
 
 _REMOVED: Table = {
     "track": {"min_links": 0},
-    "merge": {"ties": "nearest", "pelvis_link": ""},
+    "merge": {"ties": "nearest", "pelvis_link": "", "flips": "drop", "facing": "pelvis"},
     "optimize": {"symmetric": False},
 }
 """Parameters of former versions, and the value whose behaviour every run has now."""
