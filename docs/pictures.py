@@ -2,7 +2,7 @@
 
 ::
 
-    python docs/pictures.py          # writes crossing.gif, opensim.png, overview.png, ...
+    python docs/pictures.py          # writes crossing.gif, live.png, opensim.png, ...
 
 It needs OpenSim's package and a Vulkan driver; Debian's are libvulkan1 and mesa-vulkan-drivers.
 """
@@ -10,10 +10,14 @@ It needs OpenSim's package and a Vulkan driver; Debian's are libvulkan1 and mesa
 from __future__ import annotations
 
 import io
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -23,11 +27,17 @@ from PIL import Image
 from rerun.experimental import ViewerClient
 
 from hiros_cli.app import run
+from hiros_mcap.io.container import McapReader
+from hiros_mcap.io.container.file import Pipe
+from hiros_mcap.io.container.writer import LiveWriter
+from hiros_mcap.io.foxglove import FoxgloveInput
 from hiros_mcap.plan.planning import make_plan
-from hiros_mcap.running.pipeline import process
+from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.running.process_live import process_live, subscription
 from hiros_mcap.simulate import SimulateParams
 from hiros_viewer.columns import TIMELINE
-from hiros_viewer.destinations import running_viewer, save
+from hiros_viewer.destinations import connected, running_viewer, save
+from hiros_viewer.live import LiveView
 from hiros_viewer.pictures import floor_figure, save_png
 from hiros_viewer.replay import ViewOptions, replay
 
@@ -54,6 +64,46 @@ def main() -> None:
         moving = screenshots(Path(folder) / "overview.rrd", np.arange(0.6, 4.2, 0.1), "1120x660")
         save_gif(moving, HERE / "crossing.gif")
         imsave(HERE / "opensim.png", opensim_picture(result, Path(folder)))
+        live = Image.open(io.BytesIO(live_picture()))
+        few_colours = live.crop((0, MENU, *live.size)).quantize(64)
+        few_colours.save(HERE / "live.png", optimize=True)
+
+
+def live_picture() -> bytes:
+    """Return the window of a run that reads what another one serves, as PNG."""
+    command = [sys.executable, "-m", "hiros_cli", "process", "-", "-o", "ws://:0"]
+    options = ProcessOptions(system="fuse-realtime")
+    with (
+        subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as server,
+        running_viewer("--headless", "--window-size", "1120x660") as (url, viewer),
+        connected(url, viewer, "live") as recording,
+        McapReader(LOG) as log,
+        LiveWriter(Pipe(server.stdin.fileno(), "pipe")) as writer,
+    ):
+        address = next(line.split()[-1] for line in server.stderr if b"serving" in line).decode()
+        source = FoxgloveInput(address, subscription(options))
+        watcher = LiveView(recording, lambda: True, lambda: None)
+        watched = partial(process_live, source, None, options=options, watcher=watcher)
+        run = Thread(target=watched)
+        run.start()
+        ids = {i: writer.adopt(c, log.schema(c)) for i, c in log.channels.items()}
+        time.sleep(2)
+        begin, first = time.monotonic(), 0
+        for message in log.messages():
+            first = first or message.log_time
+            seconds = (message.log_time - first) / 1e9
+            if seconds > 4:
+                break
+            time.sleep(max(0.0, begin + seconds - time.monotonic()))
+            writer.write_message(ids[message.channel_id], message)
+            writer.flush()
+        with ViewerClient.connect(url) as client:
+            picture = bytes(client.take_screenshot())
+        source.stop()
+        run.join()
+        viewer.kill()
+        server.kill()
+    return picture
 
 
 def save_gif(pictures: Sequence[bytes], path: Path) -> None:
