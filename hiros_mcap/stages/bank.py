@@ -75,7 +75,7 @@ class Bank(Generic[P]):
 
     def _add_rows(self) -> None:
         old = len(self.past[0])
-        size = max(8, 2 * old)
+        size = max(2, 2 * old)
         grown = []
         for array in self.past:
             grown.append(np.zeros((size, *array.shape[1:]), array.dtype))

@@ -47,5 +47,12 @@ def test_who_is_gone_at_the_end_of_a_block_is_forgotten():
     assert set(bank.rows) == {2}
 
 
+def test_few_people_take_few_rows():
+    bank = Bank(Past(np.zeros(0)))
+    for person, size in enumerate([2, 2, 4, 4, 8, 8]):
+        bank.row(person, 0)
+        assert len(bank.past.numbers) == size
+
+
 def test_a_long_block_of_somebody_is_no_absence():
     assert seen(bank_of(1, 0.0), 1, 0.5, 1.3, 2.1) == 7.0

@@ -539,12 +539,21 @@ def test_first_lengths_are_the_plain_mean():
     assert lengths[39] == pytest.approx(0.31, abs=0.0007)
 
 
+def test_rings_of_many_people_hold_no_more_than_the_look_ahead_needs():
+    """Four steps of 10 Hz; for few people, more are filtered in one call."""
+    for people, slots in ((300, 8), (2, 16)):
+        skeletons = _SkeletonFilter(MODEL, FilterParams(), Events())
+        frames = [frame_at(k / 10, ids=range(people)) for k in range(40)]
+        list(skeletons.update(join(list(map(Block.of, frames)))))
+        assert skeletons._bank.past.ring.shape[1] == slots
+
+
 def test_people_who_left_are_forgotten():
     skeletons = _SkeletonFilter(MODEL, FilterParams(), Events())
     for k in range(600):
         list(skeletons.update(Block.of(frame_at(k / 5, ids=(k // 5,)))))
     assert len(skeletons._numbers) == len(skeletons._bank.rows) <= 3
-    assert len(skeletons._bank.past.ring) == 8
+    assert len(skeletons._bank.past.ring) <= 4
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,7 @@ from hiros_mcap.stages.detections.facing_evidence import (
 )
 
 _SLAVED = 0.3  # toes that point the same way less often than this follow the label
-_MOST = 2000  # views that become one block, about: 20 MB
+_MOST = 1000  # views that become one block, about: 10 MB
 
 
 def knows_sides(model: SkeletonModel) -> bool:

@@ -35,7 +35,8 @@ _REDESIGN = 0.1
 _SHORTEST = 0.002  # least sample time in s to design for; nothing that sees people is faster
 _HIGHEST = 0.4  # highest cut-off over the sample rate; half of the rate cannot be filtered at all
 _BATCH = 16  # most frames that are filtered in one call: each takes a slot of the rings
-_SLOTS = 32  # slots of the rings at first: enough for a batch and the default look-ahead at 30 Hz
+_CROWD = 512  # people from which on they are fewer: rings of many people take much memory
+_SLOTS = 8  # slots of the rings at first
 
 # Columns of FilterPast.progress.
 STEPS = 0  # so far
@@ -122,7 +123,8 @@ class _SkeletonFilter:
             if self._last and stamp - self._last[0] > self._max_gap:
                 yield from self.rest()  # no frame waits over a gap
             end = int(np.searchsorted(block.stamps, stamp + self._max_gap, "right"))
-            end = max(begin + 1, min(end, begin + _BATCH))  # nobody has a gap within a batch
+            batch = max(1, min(_BATCH, _CROWD // max(int(block.sizes[begin]), 1)))
+            end = max(begin + 1, min(end, begin + batch))  # nobody has a gap within a batch
             yield from self._update(block.select(slice(begin, end)))
             begin = end
 

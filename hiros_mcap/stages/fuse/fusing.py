@@ -57,6 +57,13 @@ class Sightings(NamedTuple):
         return arrays(cls, *4 * [views], (*joints, 3), joints, views, joints)
 
 
+def joined_out_of(parts: list[Sightings]) -> Sightings:
+    """Return all parts as one; the list is empty then. One array at a time lies in memory twice."""
+    columns = [list(arrays) for arrays in zip(*parts, strict=True)][::-1]
+    parts.clear()
+    return Sightings(*[np.concatenate(columns.pop()) for _ in Sightings._fields])
+
+
 def rows_of(views: Sightings, instants: Stamps, people: Ints) -> Stamps:
     """(N,) Row of each view's person and instant among ``instants`` and ``people``; -1 = none."""
     if not len(people):

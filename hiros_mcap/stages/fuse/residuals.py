@@ -31,10 +31,10 @@ from numpy.typing import NDArray
 from hiros_mcap.calibrate.gauge import CHI2_3_MEDIAN
 from hiros_mcap.events import COMMON, RESIDUAL, Events
 from hiros_mcap.frames import Block, together
-from hiros_mcap.kernels.array_types import chosen, joined
+from hiros_mcap.kernels.array_types import chosen
 from hiros_mcap.skeletons import POSITION, VELOCITY, Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.fuse.displaced_views import SECOND, excess_of, limits_of
-from hiros_mcap.stages.fuse.fusing import Sightings, rows_of
+from hiros_mcap.stages.fuse.fusing import Sightings, joined_out_of, rows_of
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 
 FEWEST = 50  # residuals that give a median
@@ -116,7 +116,7 @@ class ResidualMeter:
         if not self._waiting:
             return
         fused = together(self._fused)
-        views = joined(self._views)
+        views = joined_out_of(self._views)
         done = views.instants < self._first + len(fused)
         self._views, self._fused = [chosen(views, ~done)], []
         self._count(fused, chosen(views, done))

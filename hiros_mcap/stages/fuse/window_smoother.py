@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.frames import Block
-from hiros_mcap.kernels.array_types import B1, F1, F2, I1, J1, arrays, chosen, joined
+from hiros_mcap.kernels.array_types import B1, F1, F2, I1, J1, arrays, chosen
 from hiros_mcap.kernels.averaging import POSITION, VELOCITY
 from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.skeletons import (
@@ -35,6 +35,7 @@ from hiros_mcap.stages.fuse.fusing import (
     JointStates,
     Sightings,
     Steps,
+    joined_out_of,
     rows_of,
     smooth_joints,
 )
@@ -131,9 +132,8 @@ class WindowSmoother:
         stamps = self._ahead.stamps[:known]
         n = max(int(np.searchsorted(stamps, end)), 1)
         boundary = int(stamps[min(n, known - 1)])  # nothing older is merged any more
+        views = joined_out_of(self._views)
         first, out = self._ahead.first, self._ahead.release(n)
-        views = joined(self._views)
-        self._views = [views]
         owners = np.repeat(np.arange(n), out.sizes)
         of_views = rows_of(views, first + owners, out.people.ids)
         self._bank.expire(int(stamps[0]))

@@ -154,6 +154,7 @@ class InstantMerger:
             self._ahead.add(block)
             for number, message in enumerate(block.messages(), first):
                 ready += gathered.add(*message, number)
+            del block  # else it lies in memory until the next one is made
             yield from self._merge_all(ready, first)
         yield from self._merge_all(gathered.rest())
 
