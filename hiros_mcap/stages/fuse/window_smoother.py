@@ -42,7 +42,7 @@ from hiros_mcap.stages.fuse.fusing import (
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 from hiros_mcap.stages.fuse.pose_error import PoseError
 from hiros_mcap.stages.look_ahead import LookAhead
-from hiros_mcap.threads import run_each
+from hiros_mcap.threads import give_back, run_each
 
 _FORGET = 10.0  # s without a sighting after which a person's filter starts anew
 _MAX_DEVIATION = 0.3
@@ -132,8 +132,12 @@ class WindowSmoother:
         stamps = self._ahead.stamps[:known]
         n = max(int(np.searchsorted(stamps, end)), 1)
         boundary = int(stamps[min(n, known - 1)])  # nothing older is merged any more
+        if self._params.window > 0:
+            give_back()
         views = joined_out_of(self._views)
         first, out = self._ahead.first, self._ahead.release(n)
+        if self._params.window > 0:
+            give_back()
         owners = np.repeat(np.arange(n), out.sizes)
         of_views = rows_of(views, first + owners, out.people.ids)
         self._bank.expire(int(stamps[0]))
@@ -149,6 +153,7 @@ class WindowSmoother:
         # The filters have taken over what is before the boundary.
         self._taken = boundary
         self._views = [chosen(views, (views.stamps >= boundary) | (views.instants >= first + n))]
+        del views, window
         return self._finished(out, log_time, poses, seen)
 
     def _without_displaced(self, window: FusionWindow, of_views: Stamps) -> FusedPoses:
