@@ -33,6 +33,11 @@ TRC = (
     "2\t0.01\t110\t200\t300\t\t\t\n"
 )
 
+TINY = "time,marker,x,y,z\n" + "".join(
+    f"{time},{name},0,{y},0\n"
+    for time in (0, 0.1)
+    for name, y in (("A", 0), ("B", 0.001), ("C", 0.002))
+)
 LINKS = """time,person,marker,x,y,z,parent,child,qx,qy,qz,qw
 0.0,0,Pelvis,0,0,1,,,,,,
 0.0,0,Neck,0,0,1.5,,,,,,
@@ -131,6 +136,7 @@ def test_y_up_becomes_z_up(tmp_path):
         ("a.csv", CSV.replace("0.5,", "500,"), "500 s apart.* neither milliseconds nor numbers"),
         ("a.csv", CSV.replace("1.5", "1500").replace("0,1\n", "0,1000\n"), "look like millimetres"),
         ("a.csv", CSV.replace("1.5", "150").replace("0,1\n", "0,100\n"), "look like centimetres"),
+        ("a.csv", TINY, r"its people measure 0.002 m; is the unit right\?"),
         ("a.csv", LINKS.replace("qw", "w"), "line 1: no column qw"),
         ("a.csv", LINKS.replace("Neck,0,0,0,1", "Neck,0,0,0,2"), "line 4: .* length 2, not 1"),
         ("a.csv", LINKS.replace("Neck,0,0,0,1", "Nose,0,0,0,1"), "without positions: Nose"),

@@ -274,3 +274,11 @@ def test_a_fault_has_a_sign_and_a_unit():
 
     assert (size(STEP, 2.0), size(STEP, -0.105)) == ("+2.00 s", "-105 ms")
     assert (size(DRIFT, 0.0012), size(OFFSET, -7200)) == ("+1.2 ms per s", "-2.0 hours")
+
+
+@pytest.mark.parametrize("seed", [2, 5, 7])
+def test_the_stamps_of_a_regular_camera_tell_a_step_more_exactly_than_its_delays(seed):
+    """Over a radio, which delays messages by up to 150 ms."""
+    times = camera(seed, rate=5, seconds=60.0, delay=wifi, clock=lambda t: 0.5 * (t > 30.0))
+    fault = only(clock_verdict({"a": camera(1, seconds=60.0), "b": times}))
+    assert (fault.kind, fault.seconds) == (STEP, pytest.approx(0.5, abs=0.005))

@@ -81,6 +81,7 @@ def test_everybody_has_a_label_and_a_colour(messages):
         assert sorted(marker.text for marker in array.markers) == ["0", "1"]
         colours = {(m.color.r, m.color.g, m.color.b) for m in array.markers}
         assert len(colours) == 2
+        assert {m.color.a for m in array.markers} == {1.0}  # opaque
         assert all(m.pose.position.z > 1.4 for m in array.markers)
 
 

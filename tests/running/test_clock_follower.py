@@ -76,6 +76,7 @@ def test_a_clock_whose_messages_are_logged_before_their_time_is_ahead():
     stamps = [clocks.correct(block).stamps[0] for block in clocks.compared(blocks)]
     assert np.abs(np.subtract(stamps[1::2], stamps[::2])).max() < 1e6
     assert [(fault.camera, fault.kind) for fault in faults] == [("b", OFFSET)]
+    assert faults[0].seconds == pytest.approx(0.06)
 
 
 def message(stamp, source="a", delay=0.02):
