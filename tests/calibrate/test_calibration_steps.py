@@ -15,7 +15,7 @@ from hiros_mcap.calibrate.camera_views import CameraView, PeopleFollowed, Sighti
 from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
 from hiros_mcap.calibrate.evidence import shared_view
 from hiros_mcap.calibrate.gauge import find_floor, moved, on_transforms
-from hiros_mcap.calibrate.joint_refinement import free_unknowns, refine
+from hiros_mcap.calibrate.joint_refinement import Points, free_unknowns, refine, residuals_of
 from hiros_mcap.calibrate.pair_pose import PairFit, chained, coarse_clocks, ranked, spanning_tree
 from hiros_mcap.calibrate.people import _only_ambiguous
 from hiros_mcap.calibrate.registration import kabsch
@@ -302,3 +302,15 @@ def test_people_are_followed_while_they_come():
     np.testing.assert_array_equal(first.positions, other.positions)
     followed.forget(9.0)
     assert followed.tracklets() == []
+
+
+def test_points_move_with_their_velocities_where_a_clock_drifts():
+    """A joint at 1 m/s, whom a camera sees later by 1 % of the time."""
+    seconds = np.array([1.0, 4.0])
+    velocities = np.tile([1.0, 0.0, 0.0], (2, 2, 1))
+    positions = np.stack([seconds, 1.01 * seconds])[:, :, None] * [1.0, 0.0, 0.0]
+    points = Points(seconds, np.arange(2), np.zeros(2, int), positions, velocities, np.ones((2, 2)))
+    sampled = Rig.alone(2)
+    drifting = sampled._replace(drifts=np.array([0.0, 0.01]))
+    assert residuals_of(points, sampled).distances.max() == pytest.approx(0.02)
+    assert residuals_of(points, drifting, sampled).distances.max() == pytest.approx(0.0, abs=1e-9)
