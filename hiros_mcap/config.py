@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import math
 import os
 import textwrap
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -225,6 +226,7 @@ _REMOVED: Table = {
     "track": {"min_links": 0},
     "merge": {"ties": "nearest", "pelvis_link": "", "flips": "drop", "facing": "pelvis"},
     "optimize": {"symmetric": False},
+    "fuse": {"max_lag": math.inf},
 }
 """Parameters of former versions, and the value whose behaviour every run has now."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import tomllib
 from pathlib import Path
@@ -188,6 +189,7 @@ FORMER = [
     ("track.fade", 0.3, 0.5, "only the system and the preset set it, 0.3; leave it out"),
     ("track.horizon", 0.2, 0.5, "it is a constant now, 0.2; leave it out"),
     ("optimize.symmetric", False, True, "it is a constant now, false; leave it out"),
+    ("fuse.max_lag", math.inf, 0.1, "it is a constant now, inf; leave it out"),
 ]
 
 
