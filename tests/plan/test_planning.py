@@ -142,6 +142,15 @@ def test_others_hide_joints():
     assert guessed(4) > 1.03 * guessed(1)
 
 
+def test_without_occlusion_nobody_hides_anybody():
+    def seen(**settings):
+        params = SimulateParams.model_validate({"people": 4, "area": AREA, **settings})
+        scenes = make_scenes(params, FloorGrid.of(AREA, 30), 4)
+        return int(ErrorModel(params).view(scenes, camera(2.5, 0.0)).cameras.sum())
+
+    assert seen(occlusion=0) > seen(occlusion=1)
+
+
 @pytest.mark.parametrize("people", [1, 3])
 def test_scenes_hold_people_in_every_cell_at_a_distance(people):
     floor = FloorGrid.of((-3, -2, 3, 2), 40)
