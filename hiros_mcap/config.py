@@ -224,11 +224,12 @@ _TABLES = Path(__file__).parent / "systems" / "presets"
 
 _REMOVED: Table = {
     "track": {"min_links": 0},
-    "merge": {"ties": "nearest", "pelvis_link": "", "flips": "drop", "facing": "pelvis"},
+    "merge": {"ties": "nearest", "pelvis_link": "", "flips": "relabel", "facing": "auto"},
     "optimize": {"symmetric": False},
     "fuse": {"max_lag": math.inf},
 }
-"""Parameters of former versions, and the value whose behaviour every run has now."""
+"""Parameters of former versions, and the value whose behaviour every run has now: the last two of
+``merge`` changed nothing where sides are decided over time."""
 
 
 @cache
