@@ -8,7 +8,7 @@ import numpy as np
 
 from hiros_mcap.kernels.array_types import B1, B2, F1, F2, F3, I1, J1, arrays
 from hiros_mcap.kernels.compile import entry, kernel
-from hiros_mcap.kernels.distance import norm3
+from hiros_mcap.kernels.points import norm3
 from hiros_mcap.skeletons import Floats
 
 _SHARE = 0.75  # of two skeletons' joints, this share with the smallest distances is compared

@@ -15,7 +15,7 @@ import numpy as np
 
 from hiros_mcap.kernels.array_types import F2, J2
 from hiros_mcap.kernels.compile import inlined, kernel
-from hiros_mcap.kernels.distance import mean_position, norm3
+from hiros_mcap.kernels.points import mean_position, norm3
 from hiros_mcap.skeletons import Floats
 
 _BLUR = 0.05

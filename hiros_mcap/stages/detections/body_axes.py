@@ -14,7 +14,7 @@ import numpy as np
 
 from hiros_mcap.kernels.array_types import F1, F2, F3
 from hiros_mcap.kernels.compile import entry, inlined, kernel
-from hiros_mcap.kernels.distance import norm3, step_between
+from hiros_mcap.kernels.points import norm3, step_between
 from hiros_mcap.skeletons import Floats, Ints
 
 PATIENCE = 1.0  # s without sight of the trunk after which its direction is not known any more

@@ -16,7 +16,8 @@ import numpy as np
 from hiros_mcap.kernels.array_types import F1, F2, F3, I1, I2, J1, J2, arrays
 from hiros_mcap.kernels.averaging import copy_row
 from hiros_mcap.kernels.compile import entry, inlined, kernel
-from hiros_mcap.kernels.distance import centre, step_between
+from hiros_mcap.kernels.distance import centre
+from hiros_mcap.kernels.points import step_between
 from hiros_mcap.skeletons import Floats, Ints, People, Stamps
 from hiros_mcap.stages.detections.body_axes import (
     component,

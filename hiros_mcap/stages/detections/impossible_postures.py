@@ -22,7 +22,7 @@ from hiros_mcap.body.segments import HEAD, LOWER_SPINE, NECK, PELVIS, SIDES
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.kernels.array_types import B2, F1, F2, J2
 from hiros_mcap.kernels.compile import inlined, kernel
-from hiros_mcap.kernels.distance import norm3
+from hiros_mcap.kernels.points import norm3
 from hiros_mcap.kernels.quaternions import Vector
 from hiros_mcap.skeletons import Flags, Floats, Ints, SkeletonModel
 

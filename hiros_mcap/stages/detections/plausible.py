@@ -44,7 +44,8 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, CameraNumbers, places_of
 from hiros_mcap.kernels.array_types import B1, F1, F2, I1, I2, J2, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel
-from hiros_mcap.kernels.distance import centre, norm3, point_distance
+from hiros_mcap.kernels.distance import centre
+from hiros_mcap.kernels.points import norm3, point_distance
 from hiros_mcap.skeletons import UNTRACKED, Floats, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.detections.detection_params import PlausibleParams

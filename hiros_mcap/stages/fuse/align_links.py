@@ -20,7 +20,7 @@ import numpy as np
 from hiros_mcap.frames import Block
 from hiros_mcap.kernels.array_types import F2, F4, I1, J3
 from hiros_mcap.kernels.compile import entry, inlined, kernel
-from hiros_mcap.kernels.distance import norm3, step_between
+from hiros_mcap.kernels.points import norm3, step_between
 from hiros_mcap.kernels.quaternions import (
     Quaternion,
     Vector,

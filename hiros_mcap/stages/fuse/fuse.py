@@ -21,7 +21,7 @@ from hiros_mcap.frames import Block, places_of
 from hiros_mcap.kernels.array_types import B1, F2, J1, chosen, joined
 from hiros_mcap.kernels.averaging import BEGIN, CAMERA, END, TIME, Buffers
 from hiros_mcap.kernels.compile import entry, kernel
-from hiros_mcap.kernels.distance import mean_position, norm3
+from hiros_mcap.kernels.points import mean_position, norm3
 from hiros_mcap.skeletons import Floats, People, SkeletonModel, Stamps
 from hiros_mcap.stages.fuse.fuse_params import FuseParams
 from hiros_mcap.stages.fuse.fusing import REFERENCE, Sightings

@@ -20,7 +20,7 @@ from hiros_mcap.kernels.averaging import (
     mean_state,
 )
 from hiros_mcap.kernels.compile import entry, kernel
-from hiros_mcap.kernels.distance import norm3, point_distance, step_between
+from hiros_mcap.kernels.points import norm3, point_distance, step_between
 from hiros_mcap.skeletons import Flags, Floats, Ints, People, Stamps
 
 OUTLIERS, SWAPS = 0, 1

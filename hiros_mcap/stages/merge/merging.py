@@ -24,7 +24,7 @@ from hiros_mcap.kernels.averaging import (
     mean_state,
 )
 from hiros_mcap.kernels.compile import entry, inlined, kernel
-from hiros_mcap.kernels.distance import norm3, step_between
+from hiros_mcap.kernels.points import norm3, step_between
 from hiros_mcap.kernels.quaternions import angle_of
 from hiros_mcap.skeletons import Flags, Floats, People, Stamps
 

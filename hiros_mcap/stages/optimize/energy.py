@@ -13,7 +13,7 @@ import numpy as np
 
 from hiros_mcap.kernels.array_types import F1, F2, F3, J2, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel
-from hiros_mcap.kernels.distance import point_distance
+from hiros_mcap.kernels.points import point_distance
 from hiros_mcap.skeletons import Floats, Ints
 from hiros_mcap.stages.optimize.normal_equations import NormalEquations, Topology, solve_equations
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from hiros_mcap.kernels.array_types import F2, F3, J2
 from hiros_mcap.kernels.compile import entry, kernel
-from hiros_mcap.kernels.distance import point_distance
+from hiros_mcap.kernels.points import point_distance
 from hiros_mcap.skeletons import ORIENTATION, STATE, Floats, Ints, People
 from hiros_mcap.stages.optimize.energy import (
     W_LENGTH,

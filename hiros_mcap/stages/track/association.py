@@ -10,8 +10,9 @@ import numpy as np
 from hiros_mcap.kernels.array_types import B1, B2, F1, F2, F3, I1, I2, I3, J1, J2, arrays
 from hiros_mcap.kernels.assignment import AssignmentWork, solve
 from hiros_mcap.kernels.compile import entry, inlined
-from hiros_mcap.kernels.distance import norm3, point_distance, weighted_mean_distance
+from hiros_mcap.kernels.distance import weighted_mean_distance
 from hiros_mcap.kernels.line_of_sight import OUTLINE, Capsules
+from hiros_mcap.kernels.points import norm3, point_distance
 from hiros_mcap.kernels.quaternions import Quaternion, Vector, angle_of, dot, exponential, multiply
 from hiros_mcap.skeletons import (
     ANGULAR_VELOCITY,

@@ -12,8 +12,8 @@ from typing import NamedTuple
 from hiros_mcap.kernels import kalman_filter
 from hiros_mcap.kernels.array_types import F3, I1, I2
 from hiros_mcap.kernels.compile import entry, inlined
-from hiros_mcap.kernels.distance import point_distance
 from hiros_mcap.kernels.kalman_filter import Covariance
+from hiros_mcap.kernels.points import point_distance
 from hiros_mcap.kernels.quaternions import (
     Quaternion,
     Vector,
