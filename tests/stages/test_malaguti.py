@@ -814,7 +814,7 @@ def test_memory_does_not_grow_when_1000_people_come_and_go(stage, banks):
     assert len(list(stage(frames, MODEL))) == 3000
     (bank,) = banks
     assert len(bank.rows) == len(bank.last_seen) == 1
-    assert {len(array) for array in bank.past} == {8}
+    assert {len(array) for array in bank.past} == {2}
 
 
 def crossing():
