@@ -1,4 +1,4 @@
-"""Left and right: how often they are right, with the decision over time and with the old vote.
+"""Left and right: how often they are right, with the decision over time and without it.
 
     python benchmarks/sides.py                  simulated logs with a truth
     python benchmarks/sides.py LOG [LOG ...]    real logs, judged by the walking direction

@@ -21,8 +21,8 @@ class PlausibleParams(Params):
     behind_others: bool = fixed(
         True,
         "Joints that a camera cannot see because somebody stands in front count less, and stay "
-        "where they were seen last on the moving body. So do joints that the detector guesses "
-        "(confidence below 0.5), but in fuse, which averages guesses. false: off (paper).",
+        "where they were seen last on the moving body. So do joints that the detector guesses by "
+        "its own word, but not in fuse, which averages guesses. false: off (paper).",
     )
     max_deviation: ClassVar[float] = 3.0
     """Deviation of the links of a marker from the person's lengths, in standard deviations of

@@ -40,6 +40,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.body.symmetry import symmetry_of
+from hiros_mcap.calibrate.noise import GUESSED_BELOW
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, CameraNumbers, places_of
 from hiros_mcap.kernels.array_types import B1, F1, F2, I1, I2, J2, arrays
@@ -64,7 +65,6 @@ _SHARED = 2.0  # links that the view counts like where one of its markers is com
 # the views. Distorted views of people who cross have 1.6 to 3.
 _SURE, _PER_METRE = 4.0, 0.8
 _BESIDE = 0.5  # m
-_GUESSED = 0.5  # confidence below which a detector guesses
 _ALONE = 200_000_000  # ns without a good view of another camera: then a camera is alone
 _IN_FRONT = 0.35  # m: somebody this much nearer to the camera is in front
 
@@ -296,7 +296,7 @@ def _least_distance(p: int, begin: int, end: int, camera: Floats, centres: Float
 def _is_rated(p: int, people: People) -> bool:
     """Whether the detector itself says that it guesses some of a view's markers."""
     for m in range(people.marker_confidences.shape[1]):
-        if people.marker_confidences[p, m] < _GUESSED:
+        if people.marker_confidences[p, m] < GUESSED_BELOW:
             return True
     return False
 

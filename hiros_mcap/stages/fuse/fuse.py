@@ -69,7 +69,7 @@ def fuse_blocks(
     pose_error = PoseError(angle, params.pose_shift, cameras or {}, noise.to_given)
     smoother = WindowSmoother(model, params, noise, pose_error)
     causal = params.window == 0
-    residuals = ResidualMeter(model, noise, events, causal=causal)
+    residuals = ResidualMeter(noise, events, causal=causal)
 
     for block, sightings, names in views.run(blocks, events, fixed_frame):
         residuals.expect(len(block), sightings, names)

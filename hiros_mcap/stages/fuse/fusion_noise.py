@@ -43,7 +43,6 @@ class FusionNoise:
     """Source -> factor of the variances of this camera; 1 where it is missing."""
     power: float = USUAL_POWER  # the standard deviation grows with this power of the distance
     guessed: float = 5.5  # factor of the standard deviation where the detector guesses
-    guessed_below: float = GUESSED_BELOW  # confidence below which the detector guesses
     to_given: Mapping[str, Rigid] = field(default_factory=dict)
     """Source -> what takes its people back to the pose that was given, where it was refined."""
     pose_errors: Mapping[str, float] = field(default_factory=dict)
@@ -133,7 +132,7 @@ class FusionNoise:
         best = np.nan_to_num(views.confidences).max(axis=1, initial=0.0)
         counts = np.bincount(views.cameras, minlength=n_cameras)
         means = np.bincount(views.cameras, best, n_cameras) / np.maximum(counts, 1)
-        return np.minimum(self.guessed_below, GUESSED_SHARE * means)
+        return np.minimum(GUESSED_BELOW, GUESSED_SHARE * means)
 
 
 @dataclass

@@ -32,7 +32,7 @@ from hiros_mcap.calibrate.gauge import CHI2_3_MEDIAN
 from hiros_mcap.events import COMMON, RESIDUAL, Events
 from hiros_mcap.frames import Block, together
 from hiros_mcap.kernels.array_types import chosen
-from hiros_mcap.skeletons import POSITION, VELOCITY, Floats, SkeletonModel, Stamps
+from hiros_mcap.skeletons import POSITION, VELOCITY, Floats, Stamps
 from hiros_mcap.stages.fuse.displaced_views import SECOND, excess_of, limits_of
 from hiros_mcap.stages.fuse.fusing import Sightings, joined_out_of, rows_of
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
@@ -60,15 +60,12 @@ class ResidualMeter:
 
     Parameters
     ----------
-    model, noise : what the fuser assumes.
+    noise : what the fuser assumes.
     events : gets a histogram of every camera. causal : whether the poses are those of a filter.
     """
 
-    def __init__(
-        self, model: SkeletonModel, noise: FusionNoise, events: Events, *, causal: bool = False
-    ) -> None:
+    def __init__(self, noise: FusionNoise, events: Events, *, causal: bool = False) -> None:
         self._usual, self._is_causal = _USUAL_CAUSAL if causal else _USUAL, causal
-        self._n_markers = model.n_markers
         self._noise, self._events = noise, events
         self._names: tuple[str, ...] = ()
         self._views: list[Sightings] = []

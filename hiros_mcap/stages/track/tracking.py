@@ -109,12 +109,15 @@ def _find_hidden(
     work.pairs.hidden[:] = 0.0
     for j in range(n):
         learn_rating(people.marker_confidences[j], rate)
-        outline(people.markers[j], place, work.outlines[j])
-    for j in range(n):
-        if rate[1] <= RATES and not math.isnan(place[0]):
+    if rate[1] <= RATES and not math.isnan(place[0]):
+        for j in range(n):
+            outline(people.markers[j], place, work.outlines[j])
+        for j in range(n):
             work.pairs.hidden[j] = _share_behind_others(j, n, people, place, slots, work)
+    limit = guess_limit(rate[2])
+    for j in range(n):
         for m in range(people.markers.shape[1]):
-            if people.marker_confidences[j, m] < guess_limit(rate[2]):
+            if people.marker_confidences[j, m] < limit:
                 work.pairs.hidden[j, m] = 1.0
 
 
