@@ -305,7 +305,7 @@ class FusionWindow(NamedTuple):
 class StepWork(NamedTuple):
     """Scratch for T steps of one person."""
 
-    order: I1  # (T,) views by their numbers, then wanted poses: from N on
+    order: I1  # (T,) views by their rows, wanted poses by N + their rows; at last rows, of Steps
     times: F1  # (T,) of Steps
     cameras: I1  # (T,)
     joint: FusionWork
@@ -335,7 +335,7 @@ def _is_later(window: FusionWindow, i: int, j: int) -> bool:
 @kernel
 def _order_steps(window: FusionWindow, person: int, order: Stamps) -> int:
     """Write a person's new views and wanted poses in the order of time; return how many."""
-    n, end, first_pose = 0, 0, len(window.views.people)
+    n, poses, first_pose = 0, 0, len(window.views.people)
     for i in range(first_pose):
         if window.new[i] and window.views.people[i] == person:
             at = n  # views are nearly in order
@@ -345,16 +345,16 @@ def _order_steps(window: FusionWindow, person: int, order: Stamps) -> int:
             order[at] = i
             n += 1
     for k in range(len(window.people)):
-        end += int(window.people[k] == person)
-    end += n
-    steps = end
-    for k in range(len(window.people) - 1, -1, -1):  # merged from behind, where room is
+        poses += int(window.people[k] == person)
+    steps = free = n + poses
+    # Wanted poses are merged into the n views from behind: what lies between is free.
+    for k in range(len(window.people) - 1, -1, -1):
         if window.people[k] == person:
             while n > 0 and _is_later(window, order[n - 1], first_pose + k):
-                end, n = end - 1, n - 1
-                order[end] = order[n]
-            end -= 1
-            order[end] = first_pose + k
+                free, n = free - 1, n - 1
+                order[free] = order[n]
+            free -= 1
+            order[free] = first_pose + k
     return steps
 
 
@@ -362,8 +362,8 @@ def _order_steps(window: FusionWindow, person: int, order: Stamps) -> int:
 def _write_steps(window: FusionWindow, person: int, work: StepWork) -> tuple[int, int]:
     """Write a person's new views and wanted poses as steps.
 
-    Returns how many steps there are, and how many of them come before the boundary. Their order
-    becomes their rows.
+    Returns how many steps there are, and how many of them come before the boundary. ``work.order``
+    then has the row of each step: of its view, or of its wanted pose.
     """
     first_pose, before = len(window.views.people), 0
     n = _order_steps(window, person, work.order)
