@@ -352,6 +352,7 @@ def limits(paths: Sequence[Path]) -> None:
     )
     report("good", verdict.GOOD, rows)
     report("usable", usable, rows)
+    report("acceptable", verdict.ACCEPTABLE, rows)
     for name, values in CANDIDATES.items():
         for value in values:
             report(f"usable, {name} {value:g}", usable._replace(**{name: value}), rows)

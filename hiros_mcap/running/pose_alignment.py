@@ -9,7 +9,7 @@ has no poses, or poses that the people contradict, they are found from nothing
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -67,7 +67,7 @@ _NOWHERE = (
 )
 _DOUBTFUL = (
     "hiros calibrate people LOG -o cameras.toml writes what is known of doubtful poses, and "
-    "--extrinsics cameras.toml uses them; --calibrate accept uses those that are consistent"
+    "--extrinsics cameras.toml uses them"
 )
 _ALONE = "no other camera stands still in a frame of its own"
 
@@ -488,7 +488,8 @@ def _from_nothing(
         if camera.pose is not None and camera.name not in left:
             poses.setdefault(camera.frame, {})[camera.since] = camera.pose
     if len(poses) < 2 or (left and (error is None or mode == "require")):
-        raise LogError(_fault_of_both(error, f"{calibration.reason}. {_DOUBTFUL}"), path=log.path)
+        reason = f"{calibration.reason}. {_ways_to_use(calibration, left)}"
+        raise LogError(_fault_of_both(error, reason), path=log.path)
     return PoseAlignment(
         [summary_of(one, used=one.name not in left) for one in calibration.cameras],
         calibration=calibration,
@@ -505,12 +506,23 @@ def _is_used(camera: CalibratedCamera, mode: Calibration) -> bool:
     return camera.verdict in (CONFIRMED if mode == "require" else SURE)
 
 
+def _ways_to_use(rig: PeopleCalibration, left_out: Set[str]) -> str:
+    """Say how a user gets the poses of cameras that are left out."""
+    names = [camera.name for camera in rig.cameras if camera.acceptable]
+    if len(set(names)) < 2 or left_out.isdisjoint(names):
+        return _DOUBTFUL
+    return (
+        f"{_DOUBTFUL}; --calibrate accept uses {', '.join(dict.fromkeys(names))} now, with joints "
+        f"{rig.people_mm:.0f} mm off by the poses if these are right"
+    )
+
+
 def _weak_poses(rig: PeopleCalibration, left_out: frozenset[str]) -> Iterator[str]:
     """Yield what is wrong with poses that come from the people alone."""
     for camera in {one.name: one for one in rig.cameras if one.name in left_out}.values():
         yield (
             f"{camera.name} is left out, because the people do not tell its pose "
-            f"({camera.reason}): {camera.remedy}. {_DOUBTFUL}"
+            f"({camera.reason}): {camera.remedy}. {_ways_to_use(rig, {camera.name})}"
         )
     used = [camera for camera in rig.cameras if camera.name not in left_out]
     accepted = [camera for camera in used if camera.verdict not in SURE]

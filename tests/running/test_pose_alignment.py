@@ -288,7 +288,9 @@ def test_a_doubtful_rig_is_written_and_one_option_uses_it(tmp_path, capsys):
     _, log = in_place(tmp_path, action="squat", cameras=3, seconds=4.0)
     target, out = tmp_path / "cameras.toml", tmp_path / "out.mcap"
     assert run(["process", str(log), "-o", str(out)]) == 2
-    assert "-o cameras.toml writes what is known" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "-o cameras.toml writes what is known" in said
+    assert "--calibrate accept" not in said, "which would use none of them"
     assert run(["calibrate", "people", str(log), "-o", str(target)]) == 0
     assert 'verdict = "doubtful"' in target.read_text()
     assert "error_deg = " in target.read_text()
@@ -301,10 +303,12 @@ def test_a_doubtful_rig_that_is_consistent_is_used_if_the_user_accepts_it(tmp_pa
     room = simulate(params)
     frames = [grown(f, 1.038) if f.source == "camera_1" else f for f in room.detections]
     log, out = write(tmp_path / "log.mcap", room, frames, {}), tmp_path / "out.mcap"
-    with pytest.raises(LogError, match="--calibrate accept uses those"):
+    with pytest.raises(LogError, match="accept uses camera_0, camera_1, camera_2 now"):
         process(log, out, calibrate="require")
     before = process(log, out, options=FIRST_STAGE)
     assert "camera_1" not in [camera.name for camera in before.cameras]
+    (left,) = [text for text in before.warnings if "is left out" in text]
+    assert re.search(r"accept uses camera_0, camera_1, camera_2 now, with joints \d+ mm off", left)
     accepted = process(log, out, options=ProcessOptions(stages="T", calibrate="accept"))
     assert [camera.name for camera in accepted.cameras] == list(NAMES)
     (text,) = [text for text in accepted.warnings if "you accepted" in text]
