@@ -488,8 +488,8 @@ def _from_nothing(
         if camera.pose is not None and camera.name not in left:
             poses.setdefault(camera.frame, {})[camera.since] = camera.pose
     if len(poses) < 2 or (left and (error is None or mode == "require")):
-        reason = f"{calibration.reason}. {_ways_to_use(calibration, left)}"
-        raise LogError(_fault_of_both(error, reason), path=log.path)
+        fault = f"{calibration.reason}. {_ways_to_use(calibration, left)}"
+        raise LogError(_fault_of_both(error, fault), path=log.path)
     return PoseAlignment(
         [summary_of(one, used=one.name not in left) for one in calibration.cameras],
         calibration=calibration,
