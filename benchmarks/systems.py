@@ -8,9 +8,9 @@
 
 Prints Markdown rows of the last stage: mean, SD and 99th percentile of the joint error, mm; the
 mean at the best common shift of the stamps, mm (where the clocks are off, no stamp tells the common
-time base); jitter, mm; coefficient of variation of the limbs' lengths, %; share of the true joints
-within the 68 and 95 % ellipsoids; ids by true people; false and missing people and changes of id;
-CPU time of `hiros process`, s. Same seeds, same logs.
+time base); error of the links' orientations, deg; jitter, mm; coefficient of variation of the
+limbs' lengths, %; share of the true joints within the 68 and 95 % ellipsoids; ids by true people;
+false and missing people and changes of id; CPU time of `hiros process`, s. Same seeds, same logs.
 """
 
 from __future__ import annotations
@@ -39,8 +39,9 @@ from hiros_mcap.running.process_options import Calibration, ProcessOptions
 
 SYSTEMS = ("hiros", "fuse", "hiros-realtime", "fuse-realtime")
 DECIMALS = {
-    "mean": 1, "SD": 1, "99 %": 1, "at lag": 1, "jitter": 1, "limb CV %": 2, "in 68 %": 2,
-    "in 95 %": 2, "ids": 0, "people": 0, "false": 0, "missing": 0, "switches": 0, "CPU s": 2,
+    "mean": 1, "SD": 1, "99 %": 1, "at lag": 1, "links": 1, "jitter": 1, "limb CV %": 2,
+    "in 68 %": 2, "in 95 %": 2, "ids": 0, "people": 0, "false": 0, "missing": 0, "switches": 0,
+    "CPU s": 2,
 }  # fmt: skip
 """Column -> decimals."""
 Row = Mapping[str, float | None]
@@ -156,7 +157,8 @@ def scored(log: Path, truth: Truth, system: str, mode: Calibration) -> Row:
         (result,) = evaluate_log(out, truth, ["/hiros/filtered"]).values()
     s, held = result.scores, result.coverage
     values = (
-        *(s.mean, s.deviation, s.percentile_99, s.mean_at_lag, s.jitter, 100 * s.limb_variation),
+        *(s.mean, s.deviation, s.percentile_99, s.mean_at_lag, s.orientation_error, s.jitter),
+        100 * s.limb_variation,
         *((held.within_68, held.within_95) if held else (None, None)),
         *(len(result.matches.tracks), len(truth.people), s.false, s.missing, s.switches, seconds),
     )

@@ -691,6 +691,17 @@ def test_angular_velocities_of_a_steady_turn():
     assert last.orientations == pytest.approx(frames[-1].orientations)
 
 
+def test_links_that_shake_at_a_low_rate_do_not_spin():
+    """8 Hz, 23 degrees of noise: what is carried by such a speed must stay near the truth."""
+    shaken = np.random.default_rng(5).normal(0.0, 0.4, size=80)
+    frames = [seen([person()], at(4 * k), turns=True) for k in range(len(shaken))]
+    for frame, angle in zip(frames, shaken, strict=True):
+        frame.links[0, :, 3:7] = about_z(angle)
+    speeds = [abs(frame.links[0, 0, 12]) for frame in track(frames, MODEL, AT_ONCE)]
+    assert max(speeds) <= 25.0
+    assert np.median(speeds) < 6.0
+
+
 def test_a_link_that_was_not_seen_turns_on_for_the_horizon_only():
     frames = [seen([person()], at(k), turns=k < 45 or k == 59) for k in range(60)]
     for k, frame in enumerate(frames[:45]):

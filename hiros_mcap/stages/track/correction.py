@@ -44,7 +44,10 @@ from hiros_mcap.stages.track.association import (
 
 _RESTART = 4.0  # horizons without a detection after which a marker or link starts anew
 _JERK = 50.0  # m/s3/sqrt(Hz): how fast accelerations of markers may change
-_ANGULAR_JERK = 500.0  # rad/s3/sqrt(Hz): the same of links
+_ANGULAR_JERK = 100.0  # rad/s3/sqrt(Hz): the same of links, half a metre long
+_MOST_TURNING = 25.0
+"""rad/s. At 10 Hz, a state that turns faster predicts half a turn too much, and learns from the
+difference to turn faster still."""
 _ORIENTATION_NOISE = 0.15  # rad; SD of a link that one camera reports
 _LEAST_CONFIDENCE = 0.05  # a marker of less counts as one of this confidence
 # Variances of a new state: (m/s)2, (m/s2)2, (rad/s)2, (rad/s2)2.
@@ -125,18 +128,18 @@ def _write(values: Floats, state: Floats, first: int) -> None:
             state[first + c] = values[c]
 
 
-# Markers
-
-
 @inlined
-def _limit_speed(tracks: Tracks, row: int, m: int, max_speed: float) -> None:
-    velocity = tracks.velocities[row, m]
+def _limit_speed(motions: Motions, row: int, k: int, most: float) -> None:
+    velocity = motions.velocities[row, k]
     square = velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2
-    if square > max_speed * max_speed:
+    if square > most * most:
         speed = math.sqrt(square)
         for c in range(3):
-            velocity[c] *= max_speed / speed
-            tracks.accelerations[row, m, c] = 0.0
+            velocity[c] *= most / speed
+            motions.accelerations[row, k, c] = 0.0
+
+
+# Markers
 
 
 @inlined
@@ -171,7 +174,7 @@ def _correct_marker(
         e = state[0] - position[0], state[1] - position[1], state[2] - position[2]
         gain = _correct(motions, row, m, p, e, noise, settings.innovation_gate)
         _add(position, gain, e)
-        _limit_speed(tracks, row, m, settings.max_speed)
+        _limit_speed(motions, row, m, settings.max_speed)
     _write(tracks.velocities[row, m], state, _TO_VELOCITY)
     _write(tracks.accelerations[row, m], state, _TO_ACCELERATION)
 
@@ -224,6 +227,7 @@ def _correct_link(
         gain = _correct(motions, row, k, p, e, noise, settings.innovation_gate)
         step = exponential(gain * e[0], gain * e[1], gain * e[2])
         _set_orientation(tracks, row, k, normalize(multiply(step, q)))
+        _limit_speed(motions, row, k, _MOST_TURNING)
     _write(tracks.angular_velocities[row, k], state, _TO_ANGULAR_VELOCITY)
     _write(tracks.angular_accelerations[row, k], state, _TO_ANGULAR_ACCELERATION)
 
