@@ -28,7 +28,7 @@ from hiros_mcap.summary import (
 )
 
 if TYPE_CHECKING:
-    from hiros_mcap.calibrate.ball import BallReport
+    from hiros_mcap.calibrate.ball_poses import BallCalibration
     from hiros_mcap.calibrate.board import BoardReport
     from hiros_mcap.calibrate.people import PeopleCalibration
     from hiros_mcap.calibrate.verdict import CalibratedCamera
@@ -285,9 +285,9 @@ def _calibrated(cameras: Sequence[CalibratedCamera]) -> Table:
     )
 
 
-def show_ball(log: Path, report: BallReport) -> None:
+def show_ball(log: Path, balls: BallCalibration) -> None:
     """Print a line per camera, what the fixed frame is, and notes."""
-    balls, radius = report.calibration, report.radius
+    radius = balls.radius
     page(
         f"{log}: poses from the ball: {balls.verdict}",
         listing(
@@ -305,7 +305,7 @@ def show_ball(log: Path, report: BallReport) -> None:
         [f'Fixed frame "{balls.fixed_frame}": {_BALL_GAUGES[balls.gauge]}'],
         notes=[
             *([] if math.isnan(radius) else [f"the ball's radius as measured: {radius:.3f} m"]),
-            *_skipped(report.skipped),
+            *_skipped(balls.skipped),
         ],
     )
 

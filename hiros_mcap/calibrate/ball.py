@@ -2,7 +2,7 @@
 
 ::
 
-    report = calibrate_ball(Path("ball.mcap"), radius=0.12)
+    calibration = calibrate_ball(Path("ball.mcap"), radius=0.12)
 
 A camera is a colour image, a depth image and the CameraInfo of both. Where another program has
 found the ball already, a camera is a channel of PointStamped messages. Each step is a module:
@@ -11,14 +11,9 @@ found the ball already, a camera is a channel of PointStamped messages. Each ste
 
 from __future__ import annotations
 
-import math
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import numpy as np
 
 from hiros_mcap.body.transforms import TransformTree
 from hiros_mcap.calibrate.ball_image import BallFit, ColorRange, DepthCamera, find_ball
@@ -43,50 +38,12 @@ RED = ColorRange()
 WORLD = "world"
 
 
-class BallReport(NamedTuple):
-    """The poses, and what became of the images."""
-
-    calibration: BallCalibration
-    radius: float
-    """Median radius that was measured, m; NaN without images."""
-    skipped: dict[str, dict[str, int]]
-    """Depth images without a result, by camera and reason."""
-    warnings: tuple[str, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON; numbers that are not known are None."""
-        radius = {
-            "measured_radius": None if math.isnan(self.radius) else self.radius,
-            "skipped": self.skipped,
-        }
-        return {**self.calibration.to_dict(), **radius}
-
-
-class _BallViews:
-    """What one camera saw of the ball."""
-
-    def __init__(self, name: str, frame: str) -> None:
-        self.name, self.frame = name, frame
-        self.stamps: list[int] = []
-        self.centres: list[Any] = []
-        self.radii: list[float] = []
-        self.skipped: Counter[str] = Counter()
-
-    def add(self, stamp: int, centre: Any) -> None:
-        self.stamps.append(stamp)
-        self.centres.append(centre)
-
-    def track(self) -> BallTrack:
-        centres = np.array(self.centres, np.float64).reshape(-1, 3)
-        return BallTrack(self.name, self.frame, np.array(self.stamps, np.int64), centres)
-
-
 def calibrate_ball(
     path: Path,
     radius: float = RADIUS_M,
     color: ColorRange = RED,
     cameras: Sequence[str] = (),
-) -> BallReport:
+) -> BallCalibration:
     """Find the poses of a log's cameras from the ball that they see.
 
     Parameters
@@ -110,7 +67,7 @@ def calibrate_ball(
             chosen = {t: k for t, k in log.types.items() if is_chosen(t, cameras)}
             points = sorted(topic for topic, kind in chosen.items() if kind == POINT)
             if points:
-                seen = _ready_centres(log, points)
+                tracks = _ready_centres(log, points)
             else:
                 require_opencv()
 
@@ -118,64 +75,62 @@ def calibrate_ball(
                     return find_ball(colour, depth, camera, radius, color)
 
                 searches = search_images(log, pair_channels(log, chosen), tree, find)
-                seen = [_views_of(search) for search in searches]
+                tracks = [_track_of(search) for search in searches]
     except LogError as error:
         if error.path is None:
             raise LogError(error.fault, path=path, topic=error.topic) from None
         raise
     try:
-        return _report(seen, tree, radius)
+        return _calibrated(tracks, tree, radius)
     except RegistrationError as error:
         raise RegistrationError(f"{path}: {error}") from None
 
 
-def _ready_centres(log: RosMessages, topics: Sequence[str]) -> list[_BallViews]:
+def _ready_centres(log: RosMessages, topics: Sequence[str]) -> list[BallTrack]:
     """Read the centres that another program has found."""
-    seen: dict[str, _BallViews] = {}
+    frames: dict[str, str] = {}
+    points: dict[str, list[tuple[int, list[float]]]] = {}
     for message in log.read(topics):
-        point = log.decode(message)
+        topic, point = message.topic, log.decode(message)
         frame = point.header.frame_id.lstrip("/")
-        one = seen.setdefault(message.topic, _BallViews(message.topic, frame))
-        if frame != one.frame:
-            raise LogError(f"has points in {one.frame!r} and in {frame!r}", topic=message.topic)
-        one.add(stamp_of(point, message), [point.point.x, point.point.y, point.point.z])
-    return [seen[topic] for topic in topics if topic in seen]
+        if frame != frames.setdefault(topic, frame):
+            raise LogError(f"has points in {frames[topic]!r} and in {frame!r}", topic=topic)
+        centre = [point.point.x, point.point.y, point.point.z]
+        points.setdefault(topic, []).append((stamp_of(point, message), centre))
+    return [BallTrack.of(t, frames[t], points[t]) for t in topics if t in points]
 
 
-def _views_of(search: ImageSearch) -> _BallViews:
-    views = _BallViews(search.channels.name, search.channels.colour_frame)
-    views.skipped = search.skipped
-    views.skipped["no ball"] = views.skipped.pop("not seen", 0)
-    for stamp, ball in search.hits:
-        views.radii.append(ball.radius)
-        views.add(stamp, ball.centre)
-    return views
+def _track_of(search: ImageSearch) -> BallTrack:
+    """Return where a camera's images show the ball."""
+    points = [(stamp, ball.centre) for stamp, ball in search.hits]
+    skipped = dict(search.skipped)
+    skipped["no ball"] = skipped.pop("not seen", 0)
+    track = BallTrack.of(search.channels.name, search.channels.colour_frame, points)
+    return track._replace(radii=[ball.radius for _, ball in search.hits], skipped=skipped)
 
 
-def _report(seen: Sequence[_BallViews], tree: TransformTree, true_radius: float) -> BallReport:
+def _calibrated(
+    tracks: Sequence[BallTrack], tree: TransformTree, true_radius: float
+) -> BallCalibration:
     """Register the centres, and check the ball's radius."""
-    radii = [radius for one in seen for radius in one.radii]
-    radius = float(np.median(radii)) if radii else float("nan")
-    for one in seen:
-        if not one.stamps and one.skipped["no ball"]:
+    for track in tracks:
+        unseen = track.skipped.get("no ball", 0)
+        if not len(track.stamps) and unseen:
             raise RegistrationError(
-                f"{one.name} never saw a ball of radius {true_radius:g} m and this colour in "
-                f"{one.skipped['no ball']} images; pass its --radius and --color, or carry it "
-                "where the camera sees it"
+                f"{track.camera} never saw a ball of radius {true_radius:g} m and this colour in "
+                f"{unseen} images; pass its --radius and --color, or carry it where the camera "
+                "sees it"
             )
-    tracks = [one.track() for one in seen]
     roots = [tree.root(t.frame) for t in tracks if t.frame in tree.frames]
     root = max(sorted(set(roots)), key=roots.count) if roots else WORLD
     given = {t.frame: pose for t in tracks if roots and (pose := tree.at_rest(t.frame, root))}
     given = {frame: pose for frame, pose in given.items() if frame != root}
     calibration = calibrate_centres(tracks, fixed_frame=root if given else WORLD, given=given)
-    if abs(radius - true_radius) > OTHER_RADIUS * true_radius:
+    if abs(calibration.radius - true_radius) > OTHER_RADIUS * true_radius:
         other = (
-            f"the ball looks like one of radius {radius:.3f} m, not {true_radius:g} m; "
+            f"the ball looks like one of radius {calibration.radius:.3f} m, not {true_radius:g} m; "
             "measure it and pass --radius"
         )
         reason = "; ".join(filter(None, (other, calibration.reason)))
         calibration = replace(calibration, verdict="doubtful", reason=reason)
-    warnings = (f"the poses are doubtful: {calibration.reason}",) if calibration.reason else ()
-    skipped = {one.name: dict(one.skipped) for one in seen}
-    return BallReport(calibration, radius, skipped, warnings)
+    return calibration

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -53,6 +53,17 @@ class BallTrack(NamedTuple):
     """(N,) ns."""
     centres: Floats
     """(N, 3) m; NaN = not seen."""
+    radii: Sequence[float] = ()
+    """m, as images show them."""
+    skipped: Mapping[str, int] = {}
+    """Depth images without a ball, by reason."""
+
+    @classmethod
+    def of(cls, camera: str, frame: str, points: Sequence[tuple[int, Any]]) -> BallTrack:
+        """Return the track of stamps, ns, each with its centre."""
+        stamps = np.array([stamp for stamp, _ in points], np.int64)
+        centres = np.array([centre for _, centre in points], np.float64)
+        return cls(camera, frame, stamps, centres.reshape(-1, 3))
 
 
 class Placement(NamedTuple):
@@ -102,11 +113,21 @@ class BallCalibration:
     cameras: tuple[BallCamera, ...]
     gauge: str
     """What the fixed frame was taken from: transforms, or the first camera."""
+    radius: float = NAN
+    """Median radius that was measured, m; NaN without images."""
+    skipped: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    """Depth images without a result, by camera and reason."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What makes the poses doubtful."""
+        return (f"the poses are doubtful: {self.reason}",) if self.reason else ()
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON; numbers that are not known are None."""
+        data = plain(replace(self, cameras=()))
         cameras = [camera.to_dict(self.fixed_frame) for camera in self.cameras]
-        return {**plain(replace(self, cameras=())), "cameras": cameras}
+        return {**data, "cameras": cameras, "measured_radius": data.pop("radius")}
 
 
 def calibrate_centres(
@@ -143,7 +164,16 @@ def calibrate_centres(
         cameras.append(camera)
     reasons = [f"{c.name}: {c.reason}" for c in cameras if c.reason]
     verdict: Verdict = "doubtful" if reasons else "good"
-    return BallCalibration(fixed_frame, verdict, "; ".join(reasons), tuple(cameras), gauge)
+    radii = [radius for track in tracks for radius in track.radii]
+    return BallCalibration(
+        fixed_frame,
+        verdict,
+        "; ".join(reasons),
+        tuple(cameras),
+        gauge,
+        float(np.median(radii)) if radii else NAN,
+        {track.camera: dict(track.skipped) for track in tracks},
+    )
 
 
 def _check(tracks: Sequence[BallTrack]) -> None:

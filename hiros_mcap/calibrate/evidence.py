@@ -159,7 +159,7 @@ def evidence_of(refined: Refinement, mirror: Ints) -> list[Evidence]:
     )
     distances = camera_distances(refined.residuals)
     evidence = []
-    unknowns = refined.errors.unknowns
+    unknowns = refined.errors
     for c in range(len(refined.views)):
         others = np.arange(len(refined.views)) != c
         most = common[c, others].sum()

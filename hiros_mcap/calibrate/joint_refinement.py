@@ -266,18 +266,14 @@ def _solution(hessian: Floats, slopes: Floats) -> Floats:
     return np.asarray(scale * np.linalg.solve(scaled, scale * slopes))
 
 
-class RigErrors(NamedTuple):
-    """How sure the unknowns of C cameras are."""
+def standard_errors(
+    residuals: RigResiduals, points: Points, free: Flags, rig: Rig
+) -> tuple[Floats, float]:
+    """(C, 8) standard errors of the unknowns, and how far the poses' errors move people, m.
 
-    unknowns: Floats
-    """(C, 8) standard errors. Poses are against the camera to which the others are known best; its
-    own error is the least of them. Clocks are against the first camera; its own is the largest."""
-    people: float
-    """How far the poses' errors move the mean of the cameras' joints, m: root mean square."""
-
-
-def standard_errors(residuals: RigResiduals, points: Points, free: Flags, rig: Rig) -> RigErrors:
-    """Return standard errors of the unknowns.
+    Poses are against the camera to which the others are known best; its own error is the least of
+    them. Clocks are against the first camera; its own is the largest. People are the means of the
+    cameras' joints; it is the root mean square.
 
     A cluster jackknife (Bell and McCaffrey 2002, CR3): one Newton step gives the solution without
     each cluster in turn. The errors of a detector are not independent: those of a joint last for
@@ -300,7 +296,7 @@ def standard_errors(residuals: RigResiduals, points: Points, free: Flags, rig: R
     errors[reference, :CLOCK] = poses[reference, others[sizes[reference, others].argmin()]]
     shares = (_joint_steps(residuals, table, rig.shifts, reference) for table in tables)
     people = np.sqrt(sum(jackknife(each).sum(axis=1).mean() for each in shares))
-    return RigErrors(errors, float(people))
+    return errors, float(people)
 
 
 def _without_each(residuals: RigResiduals, points: Points, free: Flags, clusters: Stamps) -> Floats:

@@ -141,7 +141,7 @@ def calibrate_people(
         cameras[c] = camera
     cameras = with_times(cameras, moves, log.span)
     joints = _by_joint(fit.refined, log.model)
-    people_mm = 1000.0 * fit.refined.errors.people
+    people_mm = 1000.0 * fit.refined.people
     return PeopleCalibration(root, *_whole(cameras), tuple(cameras), joints, gauge, people_mm)
 
 

@@ -27,7 +27,6 @@ from hiros_mcap.calibrate.joint_refinement import (
     CAUCHY,
     GATES_M,
     Points,
-    RigErrors,
     RigResiduals,
     common_motion,
     common_points,
@@ -98,8 +97,11 @@ class Refinement(NamedTuple):
     residuals: RigResiduals
     free: Flags
     """(C, 8) which unknowns were refined."""
-    errors: RigErrors
-    """Infinite where too little is seen."""
+    errors: Floats
+    """(C, 8) standard errors of the unknowns, see :func:`.joint_refinement.standard_errors`;
+    infinite where too little is seen."""
+    people: float
+    """How far the poses' errors move the mean of the cameras' joints, m: root mean square."""
     timed: Flags
     """(C,) whether motion tells the camera's clock."""
 
@@ -147,10 +149,10 @@ def refine_together(
         if (timed == before).all():
             break
         shared, gates = None, effort.gates[1:]
-    errors = RigErrors(np.full(free.shape, np.inf), np.inf)
+    errors, people = np.full(free.shape, np.inf), np.inf
     if len(points.seconds) >= LEAST_POINTS:
-        errors = standard_errors(residuals, points, free, rig)
-    return Refinement(views, start, rig, instants, points, residuals, free, errors, timed)
+        errors, people = standard_errors(residuals, points, free, rig)
+    return Refinement(views, start, rig, instants, points, residuals, free, errors, people, timed)
 
 
 class FittingRig(NamedTuple):
@@ -224,7 +226,7 @@ def cameras_of(
                 drift_ppm=1e6 * float(drifts[k]),
                 error_deg=evidence.error_deg,
                 error_mm=1000.0 * evidence.error_m,
-                error_ms=1000.0 * float(refined.errors.unknowns[k, CLOCK]),
+                error_ms=1000.0 * float(refined.errors[k, CLOCK]),
                 residual_mm=1000.0 * evidence.residual,
                 seconds=evidence.seconds,
                 moved_deg=degrees,

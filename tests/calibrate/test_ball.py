@@ -69,7 +69,7 @@ def test_poses_from_images(log, tmp_path, capsys):
 
 def test_what_is_counted_and_measured(log):
     report = calibrate_ball(log, radius=0.12)
-    camera = report.calibration.cameras[1]
+    camera = report.cameras[1]
     assert camera.seen > 0.9 * FRAMES
     assert camera.seen + sum(report.skipped[camera.name].values()) == FRAMES
     assert camera.residual_mm < 5
@@ -80,13 +80,13 @@ def test_what_is_counted_and_measured(log):
 def test_another_radius_is_noticed(log):
     report = calibrate_ball(log, radius=0.13)
     assert "looks like one of radius 0.12" in report.warnings[0]
-    assert report.calibration.verdict == "doubtful"
+    assert report.verdict == "doubtful"
 
 
 def test_compressed_depth(tmp_path):
     path = ball_path(24)
     messages = [m for k in (0, 1) for m in images_of(k, CAMERAS[k], path, depth=as_png)]
-    found = calibrate_ball(write_messages(tmp_path / "a.mcap", messages), 0.12).calibration
+    found = calibrate_ball(write_messages(tmp_path / "a.mcap", messages), 0.12)
     assert_pose(found.cameras[1].pose, CAMERAS[0].inverse() @ CAMERAS[1], 0.6, 0.02)
 
 
@@ -96,7 +96,7 @@ def test_the_log_s_transforms_place_ready_centres(tmp_path):
     rows = [(0, "room", f"camera_{k}", c.translation, c.xyzw) for k, c in enumerate(CAMERAS)]
     messages = centres_of(CAMERAS, ball_path(100))
     path = write_messages(tmp_path / "a.mcap", messages, static=tf_bytes(*rows))
-    found = calibrate_ball(path).calibration
+    found = calibrate_ball(path)
     assert (found.fixed_frame, found.gauge) == ("room", "transforms")
     for camera, true in zip(found.cameras, CAMERAS, strict=True):
         assert_pose(camera.pose, true, 0.2, 0.005)
@@ -139,7 +139,7 @@ def test_without_opencv_the_line_names_the_extra(log, monkeypatch, capsys):
 def test_ready_centres_need_no_opencv(tmp_path, monkeypatch):
     path = write_messages(tmp_path / "a.mcap", centres_of(CAMERAS, ball_path(100)))
     monkeypatch.setitem(sys.modules, "cv2", None)
-    assert calibrate_ball(path).calibration.verdict == "good"
+    assert calibrate_ball(path).verdict == "good"
 
 
 @pytest.mark.parametrize("storage", ["sqlite", "ros1", "split"])
@@ -154,7 +154,7 @@ def test_other_kinds_of_logs(storage, tmp_path):
         (path / "metadata.yaml").write_text(f"rosbag2_bagfile_information:\n  {files}\n")
     else:
         write_bag(path, messages)
-    found = calibrate_ball(path).calibration
+    found = calibrate_ball(path)
     assert_pose(found.cameras[1].pose, CAMERAS[0].inverse() @ CAMERAS[1], 0.2, 0.005)
 
 

@@ -167,7 +167,7 @@ def test_standard_errors_hold_where_errors_last():
         residuals = residuals_of(points, rig)
         hessian, slopes = normal_equations(residuals, seconds, free)
         step = np.linalg.solve(hessian, slopes[0])
-        errors = standard_errors(residuals, points, free, rig).unknowns
+        errors = standard_errors(residuals, points, free, rig)[0]
         ratios.append(step / errors[free])
     assert 0.5 < np.sqrt(np.mean(np.square(ratios))) < 1.3
 

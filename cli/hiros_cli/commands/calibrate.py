@@ -24,10 +24,10 @@ from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.running.progress_bar import bar
 
 if TYPE_CHECKING:
-    from hiros_mcap.calibrate.ball import BallReport
+    from hiros_mcap.calibrate.ball_poses import BallCalibration
     from hiros_mcap.calibrate.board import BoardReport
 
-_Report = TypeVar("_Report", "BallReport", "BoardReport")
+_Report = TypeVar("_Report", "BallCalibration", "BoardReport")
 
 STILL_M = 0.1
 """Detections of somebody who stands still scatter by less."""
@@ -121,7 +121,7 @@ def ball(
     with bar(f"calibrating on {log.name}", quiet=False):
         report = calibrate_ball(log, radius, colours, topic or ())
     if output is not None:
-        save_cameras(output, report.calibration)
+        save_cameras(output, report)
     _print("calibrate.ball", log, report, None if json else show_ball)
 
 
