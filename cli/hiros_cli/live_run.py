@@ -6,14 +6,13 @@ import contextlib
 import signal
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.outputs import target_kind
-from hiros_mcap.running.progress_bar import Bar, bar
+from hiros_mcap.running.progress_bar import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.config import Config
@@ -92,7 +91,7 @@ def run_live(
     with (
         _output(wanted, quiet=quiet) as target,
         _input(source, options) as stream,
-        bar("live", quiet=quiet) as shown,
+        bar("live", quiet=quiet, live=True) as shown,
     ):
         return process_live(
             stream,
@@ -101,7 +100,7 @@ def run_live(
             options=options,
             watcher=watcher,
             started=None if quiet else started,
-            progress=_Clock(shown),
+            progress=shown,
         )
 
 
@@ -119,17 +118,6 @@ def _output(wanted: str, *, quiet: bool) -> Iterator[int | Path | Sink]:
         if not quiet:
             print(f"hiros: serving the results at {server.url}", file=sys.stderr, flush=True)
         yield server
-
-
-@dataclass(frozen=True, slots=True)
-class _Clock:
-    """Shows how much of a log has come that has no end yet."""
-
-    shown: Bar
-
-    def update(self, done: int, total: int) -> None:
-        """Show the time since the first message."""
-        self.shown.label(f"live, {done * 1e-9:.0f} s of log")
 
 
 def _name(source: str) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,8 @@ from hiros_mcap.evaluate.scores import Scores, score_matches
 from hiros_mcap.evaluate.statistics import ErrorStats
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.running.preparation import preparation_key
-from hiros_mcap.running.process_options import ProcessOptions, Progress, Silent
+from hiros_mcap.running.process_options import ProcessOptions, Progress
+from hiros_mcap.running.progress_bar import Bar
 from hiros_mcap.running.recording import Recording
 from hiros_mcap.skeletons import Frame
 from hiros_mcap.systems import chain_of
@@ -121,18 +122,10 @@ class Task:
     truth: str | None = None
 
 
-@dataclass(slots=True)
-class _Cache:
-    """What this process keeps: the recording that it has read last, and who is warmed up."""
-
-    key: tuple[object, ...] = ()
-    recording: Recording | None = None
-    truth: Truth | None = None
-    warm: set[tuple[str, str]] = field(default_factory=set)
-    """Systems and chains that have run in this process."""
-
-
-_CACHE = _Cache()
+_READ: dict[tuple[object, ...], tuple[Recording, Truth | None]] = {}
+"""The recording that this process has read last, and its truth."""
+_WARM: set[tuple[str, str]] = set()
+"""Systems and chains that have run in this process."""
 
 
 def comparison(
@@ -142,7 +135,7 @@ def comparison(
 
     Raises HirosError if a log cannot be read, or its truth.
     """
-    progress = progress or Silent()
+    progress = progress or Bar()
     done: dict[int, tuple[Outcome, list[Distances]]] = {}
     for k, scored in run_tasks(_run, [(task,) for task in tasks], jobs):
         done[k] = scored
@@ -180,10 +173,10 @@ def _run(task: Task) -> tuple[Outcome, list[Distances]]:
     config, options = _settings(task)
     chosen = task.sources or tuple(sorted(recording.sources))
     kind = task.entry.system, task.entry.stages
-    if kind not in _CACHE.warm:
+    if kind not in _WARM:
         # Some kernels are compiled or loaded when they are first called.
         recording.head(_WARM_UP).run(config, options, chosen)
-        _CACHE.warm.add(kind)
+        _WARM.add(kind)
     start = time.process_time()
     (frames,) = recording.run(config, options, chosen, last=True).values()
     seconds = time.process_time() - start
@@ -231,14 +224,13 @@ def _read(task: Task) -> tuple[Recording, Truth | None]:
     """Return the log as the task's system reads it, and its truth."""
     config, options = _settings(task)
     key = task.log, task.truth, preparation_key(config, options)
-    if _CACHE.key != key or _CACHE.recording is None:
-        _CACHE.key, _CACHE.recording = (), None  # two recordings may be too large
+    if key not in _READ:
+        _READ.clear()  # two recordings may be too large
         truth = find_truth(task.log, task.truth)
         recording = Recording.read(task.log, config, options)
         start = recording.prepared.log.span[0]
-        _CACHE.truth = None if truth is None else truth.moved(start=start)
-        _CACHE.key, _CACHE.recording = key, recording
-    return _CACHE.recording, _CACHE.truth
+        _READ[key] = recording, None if truth is None else truth.moved(start=start)
+    return _READ[key]
 
 
 def _without_truth(

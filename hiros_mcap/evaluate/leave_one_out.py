@@ -30,7 +30,8 @@ from hiros_mcap.evaluate.statistics import (
 )
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.io.log import Source
-from hiros_mcap.running.process_options import ProcessOptions, Progress, Silent
+from hiros_mcap.running.process_options import ProcessOptions, Progress
+from hiros_mcap.running.progress_bar import Bar
 from hiros_mcap.running.recording import Recording
 from hiros_mcap.skeletons import Flags, Floats, Frame, Ints, SkeletonModel, Stamps, nearest_stamps
 
@@ -126,7 +127,7 @@ def leave_each_out(
 
     ``frames_of`` : as :func:`frames_of_cameras` returns it.
     """
-    progress, model = progress or Silent(), recording.model
+    progress, model = progress or Bar(), recording.model
     cameras, distances = [], []
     for k, (topic, frames) in enumerate(frames_of.items(), start=1):
         progress.update(k, len(frames_of) + 1)

@@ -10,6 +10,7 @@ import logging
 import time
 from collections.abc import Iterable, Iterator
 from threading import Thread
+from types import SimpleNamespace
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -66,7 +67,8 @@ class FoxgloveServer(Sink):
         """Messages with static transforms, each once, in order."""
         self._time = 0
         """Log time of the latest message, ns."""
-        listener: Any = _Greeter(self)
+        greeter = SimpleNamespace(on_subscribe=lambda _, channel: self.greet(channel.id))
+        listener: Any = greeter
         try:
             self._server: Any = foxglove.start_server(
                 name="hiros",
@@ -134,17 +136,6 @@ class FoxgloveServer(Sink):
                 del self._static[next(iter(self._static))]
         self._time = max(self._time, log_time)
         channel.log(data, log_time=log_time)
-
-
-class _Greeter:
-    """Tells a server who subscribes."""
-
-    def __init__(self, server: FoxgloveServer) -> None:
-        self._server = server
-
-    def on_subscribe(self, _client: Any, channel: Any) -> None:
-        """Send what a new client has to know."""
-        self._server.greet(channel.id)
 
 
 def _address(url: str) -> tuple[str, int]:

@@ -21,7 +21,6 @@ import numpy as np
 import numpy.typing as npt
 
 from hiros_mcap.body.rotations import Rigid, to_matrix
-from hiros_mcap.plan.scenes import Scenes
 from hiros_mcap.simulate.body_model import MODEL
 from hiros_mcap.simulate.detector import EXTREMITY, REFERENCE_RANGE, is_detected
 from hiros_mcap.simulate.occlusion import sight_of
@@ -88,9 +87,9 @@ class ErrorModel:
         offset = 2 * noise.offsets[:, None] ** 2 * noise.time
         self._offsets = offset / (1 + (middles * noise.time) ** 2)
 
-    def view(self, scenes: Scenes, pose: Rigid) -> View:
-        """Return what a camera at ``pose`` contributes."""
-        points = (scenes.markers - pose.translation) @ to_matrix(pose.xyzw)
+    def view(self, markers: Floats, pose: Rigid) -> View:
+        """Return what a camera at ``pose`` contributes where people (n, P, M, 3), m, are seen."""
+        points = (markers - pose.translation) @ to_matrix(pose.xyzw)
         params = self._params
         sight = sight_of(points, params.rig, solid=params.occlusion > 0)
         detected = is_detected(sight, params.detector)

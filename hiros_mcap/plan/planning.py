@@ -22,7 +22,7 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid, from_matrix, to_matrix
 from hiros_mcap.evaluate.statistics import parts_of
 from hiros_mcap.plan.expected_error import ErrorModel, View
-from hiros_mcap.plan.scenes import FloorGrid, Scenes, make_scenes
+from hiros_mcap.plan.scenes import FloorGrid, make_scenes
 from hiros_mcap.simulate.body_model import MARKERS, MODEL, SLOT
 from hiros_mcap.simulate.cameras import aimed
 from hiros_mcap.simulate.settings import Area, SimulateParams
@@ -125,8 +125,8 @@ def make_plan(
     if poses is None:
         poses = {f"camera_{k}": pose for k, pose in enumerate(placing.place(params.cameras))}
     floor = FloorGrid.of(params.area, _CELLS)
-    scenes, model = make_scenes(params, floor, _FACINGS), ErrorModel(params)
-    views = [model.view(scenes, pose) for pose in poses.values()]
+    (markers, cells), model = make_scenes(params, floor, _FACINGS), ErrorModel(params)
+    views = [model.view(markers, pose) for pose in poses.values()]
     rig = reduce(View.plus, views)
     errors = 1000 * model.errors(rig)
 
@@ -139,7 +139,7 @@ def make_plan(
         for (name, pose), view in zip(poses.items(), views, strict=True)
     ]
     pose = placing.further(list(poses.values()))
-    further = _camera("one more", pose, outlook(rig.plus(model.view(scenes, pose))))
+    further = _camera("one more", pose, outlook(rig.plus(model.view(markers, pose))))
     of_joint = dict(zip(MARKERS, np.moveaxis(errors, -1, 0), strict=True))
     rows = tuple((*p.translation.tolist(), *p.xyzw.tolist()) for p in poses.values())
     placed = params.rig.model_copy(update={"poses": rows})
@@ -150,7 +150,7 @@ def make_plan(
         {name: _mean(each) for name, each in of_joint.items()},
         cameras,
         further,
-        _map(floor, scenes.cells, errors, rig),
+        _map(floor, cells, errors, rig),
     )
 
 
@@ -212,9 +212,8 @@ class Placing:
     def __init__(self, params: SimulateParams, height: float) -> None:
         """Take the room and the cameras' settings; ``height``, m, is that of all cameras."""
         self._area, self._height = params.area, height
-        self._scenes: Scenes = make_scenes(
-            params, FloorGrid.of(params.area, _TRIED_CELLS), _TRIED_FACINGS
-        )
+        floor = FloorGrid.of(params.area, _TRIED_CELLS)
+        self._markers, _ = make_scenes(params, floor, _TRIED_FACINGS)
         self._model = ErrorModel(params, [SLOT[name] for name in _JOINTS])
         self._candidates = [self._placed(stand) for stand in self._stands()]
 
@@ -236,7 +235,7 @@ class Placing:
 
     def further(self, poses: Sequence[Rigid]) -> Rigid:
         """Return where one more camera beside those at ``poses`` helps most."""
-        others = [Placed(None, pose, self._model.view(self._scenes, pose)) for pose in poses]
+        others = [Placed(None, pose, self._model.view(self._markers, pose)) for pose in poses]
         best = self._best(others, self._candidates)
         for steps in _STEPS:
             best = self._descend(others, best, steps)
@@ -244,7 +243,7 @@ class Placing:
 
     def _placed(self, stand: Stand) -> Placed:
         pose = self.pose(stand)
-        return Placed(stand, pose, self._model.view(self._scenes, pose))
+        return Placed(stand, pose, self._model.view(self._markers, pose))
 
     def pose(self, stand: Stand) -> Rigid:
         """Return the pose of a camera in the world."""

@@ -42,20 +42,13 @@ class FloorGrid:
         return np.stack(np.meshgrid(self.x, self.y), axis=-1).reshape(-1, 2)
 
 
-@dataclass(frozen=True, slots=True)
-class Scenes:
-    """n moments with P people each."""
-
-    markers: Floats
-    """(n, P, M, 3) in the world, m."""
-    cells: Stamps
-    """(n, P) cell of the floor that a person stands in."""
-
-
-def make_scenes(params: SimulateParams, floor: FloorGrid, facings: int) -> Scenes:
+def make_scenes(params: SimulateParams, floor: FloorGrid, facings: int) -> tuple[Floats, Stamps]:
     """Put somebody into each cell, once for each of several facings, with others at random.
 
     They walk; their strides differ. The same room gives the same scenes.
+
+    Returns the markers (n, P, M, 3) of the people in each of n moments, in the world, m; and (n, P)
+    the cell of the floor that each stands in.
     """
     centres, people = floor.centres, max(1, params.people)
     cells = np.repeat(np.arange(len(centres)), facings)
@@ -68,7 +61,7 @@ def make_scenes(params: SimulateParams, floor: FloorGrid, facings: int) -> Scene
     x, y = bodies[..., 0], bodies[..., 1]
     markers = np.stack([c * x - s * y, s * x + c * y, bodies[..., 2]], axis=-1)
     markers[..., :2] += centres[cells][:, None]
-    return Scenes(markers[mixed], cells[mixed])
+    return markers[mixed], cells[mixed]
 
 
 def _mixed(places: Floats, people: int) -> Stamps:

@@ -57,7 +57,8 @@ from hiros_mcap.regression.differences import (
 )
 from hiros_mcap.regression.metrics import Threshold, metrics_of, worse
 from hiros_mcap.regression.quantities import Tolerances, beside, validated
-from hiros_mcap.running.pipeline import ProcessOptions, Progress, Silent, process
+from hiros_mcap.running.pipeline import ProcessOptions, Progress, process
+from hiros_mcap.running.progress_bar import Bar
 from hiros_mcap.skeletons import Floats, Frame
 from hiros_mcap.workers import run_tasks
 
@@ -205,7 +206,7 @@ def run_suite(
     cases = [case for case in suite.cases if not only or case.title in only]
     if keep is not None:
         check_outputs(((kept_path(keep, case), "log") for case in cases), suite.files, force=force)
-    progress, done = progress or Silent(), {}
+    progress, done = progress or Bar(), {}
     tasks = [(suite.path.parent, case, bless, keep) for case in cases]
     for k, result in run_tasks(run_case, tasks, jobs):
         done[k] = result

@@ -36,15 +36,15 @@ from hiros_mcap.running.process_options import (
     ProcessChoices,
     ProcessOptions,
     Progress,
-    Silent,
     Watcher,
 )
+from hiros_mcap.running.progress_bar import Bar, bar
 from hiros_mcap.running.report import Report
 from hiros_mcap.running.write import LogOutput, NoOutput, kept_channels, open_output
 from hiros_mcap.summary import Summary
 from hiros_mcap.systems import LETTERS, Run, chain_of
 
-__all__ = ["ProcessOptions", "Progress", "Silent", "Watcher", "open_input", "process"]
+__all__ = ["ProcessOptions", "Progress", "Watcher", "open_input", "process"]
 
 _log = logging.getLogger(__name__)
 Sink = Callable[[str, Block], None]
@@ -177,8 +177,6 @@ process.__signature__ = _keywords_of(process)  # type: ignore[attr-defined]
 def _following(progress: Progress | bool) -> Iterator[Progress | None]:
     """Yield what follows the run: nothing, what was given, or a bar."""
     if isinstance(progress, bool):
-        from hiros_mcap.running.progress_bar import bar
-
         with bar("process", quiet=not progress, notebook=True) as shown:
             yield shown
     else:
@@ -231,7 +229,7 @@ def run_log(
     with output(prepared, run) as out:
         sinks = [observer.see, *_shown_to(watcher, log, chain), out.write]
         detections = prepared.detections(reading)
-        _consume(stream(detections, run, chain, sinks, watch), log, progress or Silent())
+        _consume(stream(detections, run, chain, sinks, watch), log, progress or Bar())
         watch.charge("read", log.reader.cpu_s)
         prepared.clocks.note_events(run.events)
         prepared.poses.note_events(run.events)

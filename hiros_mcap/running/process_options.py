@@ -112,13 +112,6 @@ class Progress(Protocol):
         """Take note that ``done`` of ``total`` ns of the log are done."""
 
 
-class Silent:
-    """A progress that nobody follows."""
-
-    def update(self, done: int, total: int) -> None:
-        """Do nothing."""
-
-
 class Watcher(Protocol):
     """Sees every frame while a run goes on, such as a live view."""
 

@@ -22,20 +22,21 @@ class Bar:
 
     progress: Progress | None = None
     task: TaskID | None = None
+    live: bool = False
+    """Whether a log has no end yet: then it shows how much of it has come."""
 
     def update(self, done: int, total: int) -> None:
-        """Say that ``done`` of ``total`` is done, in whatever unit."""
-        if self.progress is not None and self.task is not None:
+        """Say that ``done`` of ``total`` is done, in whatever unit; of a live log, ns."""
+        if self.progress is None or self.task is None:
+            return
+        if self.live:
+            self.progress.update(self.task, description=f"live, {done * 1e-9:.0f} s of log")
+        else:
             self.progress.update(self.task, completed=done, total=total)
-
-    def label(self, text: str) -> None:
-        """Show a text in place of the label."""
-        if self.progress is not None and self.task is not None:
-            self.progress.update(self.task, description=text)
 
 
 @contextmanager
-def bar(label: str, *, quiet: bool, notebook: bool = False) -> Iterator[Bar]:
+def bar(label: str, *, quiet: bool, notebook: bool = False, live: bool = False) -> Iterator[Bar]:
     """Show a bar with the time on stderr until the end.
 
     The time is what remains, or what has passed as long as nobody says how much there is to do.
@@ -69,7 +70,7 @@ def bar(label: str, *, quiet: bool, notebook: bool = False) -> Iterator[Bar]:
         transient=True,
         refresh_per_second=10 if shown_on.color_system else 2,  # a notebook keeps every state
     ) as progress:
-        yield Bar(progress, progress.add_task(label, total=None))
+        yield Bar(progress, progress.add_task(label, total=None), live)
 
 
 def _console(*, notebook: bool) -> Console | None:

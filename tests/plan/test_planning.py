@@ -15,7 +15,7 @@ from hiros_mcap.evaluate.logs import evaluate_log, find_truth
 from hiros_mcap.plan import planning
 from hiros_mcap.plan.expected_error import MEAN_OF_NORMAL, RIGID, ErrorModel, View
 from hiros_mcap.plan.planning import make_plan
-from hiros_mcap.plan.scenes import FloorGrid, Scenes, make_scenes
+from hiros_mcap.plan.scenes import FloorGrid, make_scenes
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.body_model import MARKERS, SLOT
@@ -39,8 +39,8 @@ def pelvis_error(cameras, **params):
     """Expected error, m, of the pelvis of a person in the middle of the room."""
     settings = SimulateParams.model_validate({"occlusion": 0, "area": (-1, -1, 1, 1), **params})
     model = ErrorModel(settings, [SLOT["PELVIS"]])
-    scenes = make_scenes(settings, FloorGrid.of(settings.area, 1), 4)
-    view, *others = (model.view(scenes, pose) for pose in cameras)
+    markers, _ = make_scenes(settings, FloorGrid.of(settings.area, 1), 4)
+    view, *others = (model.view(markers, pose) for pose in cameras)
     for other in others:
         view = view.plus(other)
     return float(model.errors(view).mean())
@@ -135,9 +135,9 @@ def test_nobody_is_seen_by_a_camera_that_looks_away():
 def test_others_hide_joints():
     def guessed(people):
         params = SimulateParams(people=people, area=AREA)
-        scenes = make_scenes(params, FloorGrid.of(AREA, 30), 4)
+        markers, _ = make_scenes(params, FloorGrid.of(AREA, 30), 4)
         model = ErrorModel(params)
-        return float(np.nanmean(model.errors(model.view(scenes, camera(2.0, 1.5, 2.2)))))
+        return float(np.nanmean(model.errors(model.view(markers, camera(2.0, 1.5, 2.2)))))
 
     assert guessed(4) > 1.03 * guessed(1)
 
@@ -145,8 +145,8 @@ def test_others_hide_joints():
 def test_without_occlusion_nobody_hides_anybody():
     def seen(**settings):
         params = SimulateParams.model_validate({"people": 4, "area": AREA, **settings})
-        scenes = make_scenes(params, FloorGrid.of(AREA, 30), 4)
-        return int(ErrorModel(params).view(scenes, camera(2.5, 0.0)).cameras.sum())
+        markers, _ = make_scenes(params, FloorGrid.of(AREA, 30), 4)
+        return int(ErrorModel(params).view(markers, camera(2.5, 0.0)).cameras.sum())
 
     assert seen(occlusion=0) > seen(occlusion=1)
 
@@ -154,10 +154,10 @@ def test_without_occlusion_nobody_hides_anybody():
 @pytest.mark.parametrize("people", [1, 3])
 def test_scenes_hold_people_in_every_cell_at_a_distance(people):
     floor = FloorGrid.of((-3, -2, 3, 2), 40)
-    scenes: Scenes = make_scenes(SimulateParams(people=people), floor, 4)
-    assert set(scenes.cells.ravel()) == set(range(len(floor.centres)))
-    places = scenes.markers[:, :, SLOT["PELVIS"], :2]
-    np.testing.assert_allclose(places, floor.centres[scenes.cells], atol=0.05)
+    markers, cells = make_scenes(SimulateParams(people=people), floor, 4)
+    assert set(cells.ravel()) == set(range(len(floor.centres)))
+    places = markers[:, :, SLOT["PELVIS"], :2]
+    np.testing.assert_allclose(places, floor.centres[cells], atol=0.05)
     if people > 1:
         gaps = np.linalg.norm(places[:, 0] - places[:, 1], axis=1)
         assert np.mean(gaps > 0.5) > 0.98
@@ -213,9 +213,9 @@ def test_the_same_room_gives_the_same_plan(plan):
 
 
 def test_views_add_up_and_take_away(plan):
-    scenes = make_scenes(plan.params, FloorGrid.of(AREA, 10), 2)
+    markers, _ = make_scenes(plan.params, FloorGrid.of(AREA, 10), 2)
     model = ErrorModel(plan.params)
-    first, second = (model.view(scenes, each) for each in FOUR[:2])
+    first, second = (model.view(markers, each) for each in FOUR[:2])
     back: View = first.plus(second).plus(second, -1)
     np.testing.assert_allclose(back.information, first.information, rtol=1e-9)
     assert (back.cameras == first.cameras).all()
