@@ -22,11 +22,12 @@ from hiros_mcap.calibrate.coarse_clock import (
     lag_candidates,
     signatures_of,
 )
-from hiros_mcap.calibrate.joint_refinement import Points, RigResiduals
+from hiros_mcap.calibrate.joint_refinement import Points
 from hiros_mcap.calibrate.pair_pose import FIT_M, PairFit, ambiguous, register_pair, usable
 from hiros_mcap.calibrate.sampling import CELL_S, Rig, group, instants_of, placed, sample
 from hiros_mcap.calibrate.verdict import CalibratedCamera
 from hiros_mcap.kernels.local_line import Tracklet
+from hiros_mcap.kernels.rig_equations import RigResiduals
 from hiros_mcap.skeletons import Floats, Ints, Stamps
 
 PAIR_INSTANTS = 100

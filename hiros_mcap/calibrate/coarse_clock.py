@@ -14,7 +14,7 @@ import numpy as np
 from hiros_mcap.body.symmetry import split_side, symmetry_of
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.sampling import lines_of
-from hiros_mcap.kernels.lagging import LagWork, correlate
+from hiros_mcap.kernels.lagging import correlate
 from hiros_mcap.skeletons import Floats, SkeletonModel, Stamps
 
 STEP_S = 0.05
@@ -117,11 +117,11 @@ def _scores(one: Signature, other: Signature, lags: Stamps) -> Floats:
     longest = STEP_S * min(features.shape[1], other_features.shape[1])
     if longest < LEAST_OVERLAP_S:
         return np.zeros(len(lags))
-    work = LagWork.allocate(len(lags))
     offset = int(lags[0]) + first - other_first
-    correlate(features, other_features, offset, np.zeros(5), work)
-    overlaps = STEP_S * work.overlaps
-    alike = (overlaps >= LEAST_OVERLAP_S) & (work.correlations > LEAST_CORRELATION)
-    similar = np.exp(-((work.differences / DIFFERENCE_M) ** 2))
-    scores = work.correlations * np.minimum(overlaps, ENOUGH_OVERLAP_S) * similar
+    correlations, differences, samples = np.zeros((3, len(lags)))
+    correlate(features, other_features, offset, correlations, differences, samples, np.zeros(5))
+    overlaps = STEP_S * samples
+    alike = (overlaps >= LEAST_OVERLAP_S) & (correlations > LEAST_CORRELATION)
+    similar = np.exp(-((differences / DIFFERENCE_M) ** 2))
+    scores = correlations * np.minimum(overlaps, ENOUGH_OVERLAP_S) * similar
     return np.where(alike, scores, 0.0)

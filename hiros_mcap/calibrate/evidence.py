@@ -20,7 +20,6 @@ from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.joint_refinement import (
     GATES_M,
     Points,
-    RigResiduals,
     common_motion,
     refine,
 )
@@ -28,6 +27,7 @@ from hiros_mcap.calibrate.pair_pose import FIT_M
 from hiros_mcap.calibrate.registration import robust_kabsch
 from hiros_mcap.calibrate.sampling import Rig, group, lines_of, placed, sample
 from hiros_mcap.calibrate.verdict import Evidence
+from hiros_mcap.kernels.rig_equations import RigResiduals
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
 if TYPE_CHECKING:

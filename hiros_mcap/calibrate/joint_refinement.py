@@ -9,7 +9,7 @@ mean of what the cameras see. Without it the normal equations are ``sum w J'J - 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,8 +23,7 @@ from hiros_mcap.kernels.rig_equations import (
     CLOCK,
     DRIFT,
     UNKNOWNS,
-    RigEquations,
-    SeenPoints,
+    RigResiduals,
     add_points,
 )
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
@@ -61,45 +60,6 @@ class Points(NamedTuple):
     """(C, P, 3) in the cameras' frames, m/s."""
     weights: Floats
     """(C, P) 0 where a camera does not see it."""
-
-
-class RigResiduals(NamedTuple):
-    """How far P points of C cameras are from the joints' means."""
-
-    means: Floats
-    """(P, 3) common frame, m."""
-    offsets: Floats
-    """(C, P, 3) m; any number where the weight is 0."""
-    weights: Floats
-    """(C, P) robust weights."""
-    turned: Floats
-    """(C, P, 3) R x, m."""
-    velocities: Floats
-    """(C, P, 3) common frame, m/s."""
-
-    @property
-    def distances(self) -> Floats:
-        """(C, P) m; NaN where the camera does not see the joint."""
-        lengths = np.sqrt(np.einsum("cpi,cpi->cp", self.offsets, self.offsets))
-        return np.where(self.weights > 0.0, lengths, np.nan)
-
-    @property
-    def mean_velocities(self) -> Floats:
-        """(P, 3) of all cameras, m/s."""
-        sums = np.einsum("cp,cpi->pi", self.weights, self.velocities)
-        return np.asarray(sums / self.weights.sum(axis=0)[:, None])
-
-    def against_others(self) -> Iterator[tuple[Stamps, Floats, Floats]]:
-        """Yield how each camera differs from the mean of the others.
-
-        (K,) which points others see, too; (K, 3) its distance from them, m; (K,) weights.
-        """
-        total = self.weights.sum(axis=0)
-        for weights, offsets in zip(self.weights, self.offsets, strict=True):
-            rest = total - weights
-            seen = np.flatnonzero((weights > 0.0) & (rest > 1e-12))
-            apart = offsets[seen] * (total[seen] / rest[seen])[:, None]
-            yield seen, apart, np.minimum(weights, rest)[seen]
 
 
 def refine(
@@ -145,9 +105,9 @@ def solve(points: Points, rig: Rig, free: Flags, sampled: Rig, steps: int) -> Ri
     """
     for _ in range(steps if len(points.seconds) else 0):
         residuals = residuals_of(points, rig, sampled)
-        hessian, slopes = normal_equations(residuals, points.seconds, free)
+        hessian, slope = normal_equations(residuals, points.seconds, free)
         step = np.zeros(free.shape)
-        step[free] = -_solution(hessian, slopes[0])
+        step[free] = -_solution(hessian, slope)
         rig = Rig(
             to_matrix(from_vector(step[:, :3])) @ rig.rotations,
             rig.shifts + step[:, 3:6],
@@ -233,37 +193,31 @@ def _about_mean(places: Floats, weights: Floats) -> tuple[Floats, Floats]:
 def normal_equations(
     residuals: RigResiduals, seconds: Floats, free: Flags
 ) -> tuple[Floats, Floats]:
-    """Return the Hessian (F, F) of the free unknowns, and the gradient (1, F).
+    """Return the Hessian (F, F) of the free unknowns, and the gradient (F,).
 
     The joints' means are eliminated. The first camera has no free unknowns.
     """
-    clusters = np.zeros(len(seconds), np.int64)
-    equations = RigEquations.zeros(len(free), 1)
+    n_cameras, n = len(free) - 1, UNKNOWNS * (len(free) - 1)
+    hessian, slope = np.zeros((n, n)), np.zeros(n)
     # A camera's own velocity errs together with its position, above all where somebody re-appears.
     # The mean of all cameras treats them alike; otherwise the first one's clock would be biased.
     velocities = np.broadcast_to(residuals.mean_velocities, residuals.velocities.shape)
-    seen = SeenPoints(
-        seconds,
-        residuals.offsets,
-        residuals.weights,
-        residuals.turned,
-        np.ascontiguousarray(velocities),
-    )
-    add_points(seen, clusters, equations)
-    upper = np.triu(equations.hessian)
+    points = residuals._replace(velocities=np.ascontiguousarray(velocities))
+    add_points(points, seconds, hessian, slope, np.zeros((n_cameras, 3, UNKNOWNS)))
+    upper = np.triu(hessian)
     chosen = free[1:].ravel()
-    hessian = (upper + upper.T - np.diag(np.diag(upper)))[np.ix_(chosen, chosen)]
-    return hessian, equations.slopes[:, chosen]
+    whole = upper + upper.T - np.diag(np.diag(upper))
+    return whole[np.ix_(chosen, chosen)], slope[chosen]
 
 
-def _solution(hessian: Floats, slopes: Floats) -> Floats:
+def _solution(hessian: Floats, slope: Floats) -> Floats:
     """Solve the normal equations; nothing changes that no data show.
 
     The small ridge stands for a pseudo-inverse, which takes 20 times as long with five cameras.
     """
     scale = 1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-12))  # ones on the diagonal
     scaled = hessian * np.outer(scale, scale) + RIDGE * np.eye(len(hessian))
-    return np.asarray(scale * np.linalg.solve(scaled, scale * slopes))
+    return np.asarray(scale * np.linalg.solve(scaled, scale * slope))
 
 
 def standard_errors(
@@ -307,7 +261,7 @@ def _without_each(residuals: RigResiduals, points: Points, free: Flags, clusters
     ]
     hessian = np.sum([part for part, _ in equations], axis=0)
     steps = np.zeros((len(equations), *free.shape))
-    steps[:, free] = [_solution(hessian - part, slopes[0]) for part, slopes in equations]
+    steps[:, free] = [_solution(hessian - part, slope) for part, slope in equations]
     return steps
 
 

@@ -27,7 +27,6 @@ from hiros_mcap.calibrate.joint_refinement import (
     CAUCHY,
     GATES_M,
     Points,
-    RigResiduals,
     common_motion,
     common_points,
     free_unknowns,
@@ -49,7 +48,7 @@ from hiros_mcap.calibrate.verdict import (
     verdict_of,
     weakness_of,
 )
-from hiros_mcap.kernels.rig_equations import CLOCK
+from hiros_mcap.kernels.rig_equations import CLOCK, RigResiduals
 from hiros_mcap.skeletons import Flags, Floats, Ints
 
 DRIFT_S = 120.0

@@ -5,42 +5,60 @@ The first camera defines the frame and the time. It has no unknowns.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
-from hiros_mcap.kernels.array_types import F1, F2, F3, I1, arrays
+import numpy as np
+
+from hiros_mcap.kernels.array_types import F1, F2, F3
 from hiros_mcap.kernels.compile import entry, kernel
-from hiros_mcap.skeletons import Floats
+from hiros_mcap.skeletons import Floats, Stamps
 
 UNKNOWNS = 8  # of a camera: rotation, shift, clock, drift
 CLOCK, DRIFT = 6, 7
 
 
-class SeenPoints(NamedTuple):
-    """P joints that at least two of C cameras see."""
+class RigResiduals(NamedTuple):
+    """How far P points of C cameras are from the joints' means."""
 
-    seconds: F1  # (P,) common time
-    offsets: F3  # (C, P, 3) from the joint's mean, m
-    weights: F2  # (C, P) 0 where the camera does not see it
-    turned: F3  # (C, P, 3) R x, m
-    velocities: F3  # (C, P, 3) common frame, m/s
+    means: F2
+    """(P, 3) common frame, m."""
+    offsets: F3
+    """(C, P, 3) m; any number where the weight is 0."""
+    weights: F2
+    """(C, P) robust weights."""
+    turned: F3
+    """(C, P, 3) R x, m."""
+    velocities: F3
+    """(C, P, 3) common frame, m/s."""
 
+    @property
+    def distances(self) -> Floats:
+        """(C, P) m; NaN where the camera does not see the joint."""
+        lengths = np.sqrt(np.einsum("cpi,cpi->cp", self.offsets, self.offsets))
+        return np.where(self.weights > 0.0, lengths, np.nan)
 
-class RigEquations(NamedTuple):
-    """What is summed over all points."""
+    @property
+    def mean_velocities(self) -> Floats:
+        """(P, 3) of all cameras, m/s."""
+        sums = np.einsum("cp,cpi->pi", self.weights, self.velocities)
+        return np.asarray(sums / self.weights.sum(axis=0)[:, None])
 
-    hessian: F2  # (8 (C - 1), 8 (C - 1)); the upper triangle of blocks is written
-    slopes: F2  # (K, 8 (C - 1)) gradient, summed over each of K clusters of points
-    jacobians: F3  # (C - 1, 3, 8) scratch: Jacobians of a point
+    def against_others(self) -> Iterator[tuple[Stamps, Floats, Floats]]:
+        """Yield how each camera differs from the mean of the others.
 
-    @classmethod
-    def zeros(cls, n_cameras: int, n_clusters: int) -> RigEquations:
-        """Allocate the sums."""
-        c, n = n_cameras - 1, UNKNOWNS * (n_cameras - 1)
-        return arrays(cls, (n, n), (n_clusters, n), (c, 3, UNKNOWNS))
+        (K,) which points others see, too; (K, 3) its distance from them, m; (K,) weights.
+        """
+        total = self.weights.sum(axis=0)
+        for weights, offsets in zip(self.weights, self.offsets, strict=True):
+            rest = total - weights
+            seen = np.flatnonzero((weights > 0.0) & (rest > 1e-12))
+            apart = offsets[seen] * (total[seen] / rest[seen])[:, None]
+            yield seen, apart, np.minimum(weights, rest)[seen]
 
 
 @kernel
-def _differentiate(points: SeenPoints, c: int, p: int, jacobian: Floats) -> None:
+def _differentiate(points: RigResiduals, c: int, p: int, seconds: float, jacobian: Floats) -> None:
     """Write the Jacobian (3, 8) of a point by its camera: ``[-[R x]x, I, -V, -V t]``."""
     x, y, z = points.turned[c, p, 0], points.turned[c, p, 1], points.turned[c, p, 2]
     jacobian[:] = 0.0
@@ -50,7 +68,7 @@ def _differentiate(points: SeenPoints, c: int, p: int, jacobian: Floats) -> None
     for i in range(3):
         jacobian[i, 3 + i] = 1.0
         jacobian[i, CLOCK] = -points.velocities[c, p, i]
-        jacobian[i, DRIFT] = -points.velocities[c, p, i] * points.seconds[p]
+        jacobian[i, DRIFT] = -points.velocities[c, p, i] * seconds
 
 
 @kernel
@@ -66,15 +84,17 @@ def _add_block(hessian: Floats, c: int, d: int, factor: float, jacobians: Floats
 
 
 @entry
-def add_points(points: SeenPoints, clusters: I1, equations: RigEquations) -> None:
+def add_points(points: RigResiduals, seconds: F1, hessian: F2, slope: F1, jacobians: F3) -> None:
     """Add all points to ``sum w J'J - (sum w J)' (sum w J) / sum w`` and to the gradient.
 
     Parameters
     ----------
-    clusters : (P,) row of ``equations.slopes`` that each point adds to.
+    seconds : (P,) common times.
+    hessian : (8 (C - 1), 8 (C - 1)); the upper triangle of blocks is written.
+    slope : (8 (C - 1),) the gradient.
+    jacobians : (C - 1, 3, 8) scratch: Jacobians of a point.
     """
-    hessian, slopes, jacobians = equations
-    for p in range(len(points.seconds)):
+    for p in range(len(seconds)):
         total = points.weights[0, p]
         for c in range(len(jacobians)):
             total += points.weights[c + 1, p]
@@ -82,11 +102,11 @@ def add_points(points: SeenPoints, clusters: I1, equations: RigEquations) -> Non
             w = points.weights[c + 1, p]
             if w <= 0.0:
                 continue
-            _differentiate(points, c + 1, p, jacobians[c])
+            _differentiate(points, c + 1, p, seconds[p], jacobians[c])
             for i in range(3):
                 pull = w * points.offsets[c + 1, p, i]
                 for a in range(UNKNOWNS):
-                    slopes[clusters[p], UNKNOWNS * c + a] += pull * jacobians[c, i, a]
+                    slope[UNKNOWNS * c + a] += pull * jacobians[c, i, a]
             _add_block(hessian, c, c, w - w * w / total, jacobians)
             for d in range(c):
                 v = points.weights[d + 1, p]

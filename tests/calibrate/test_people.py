@@ -165,8 +165,8 @@ def test_standard_errors_hold_where_errors_last():
         free = free_unknowns(2, clocks=False)
         rig = Rig.alone(2)
         residuals = residuals_of(points, rig)
-        hessian, slopes = normal_equations(residuals, seconds, free)
-        step = np.linalg.solve(hessian, slopes[0])
+        hessian, slope = normal_equations(residuals, seconds, free)
+        step = np.linalg.solve(hessian, slope)
         errors = standard_errors(residuals, points, free, rig)[0]
         ratios.append(step / errors[free])
     assert 0.5 < np.sqrt(np.mean(np.square(ratios))) < 1.3
