@@ -24,6 +24,7 @@ from hiros_mcap.body.rotations import Rigid, rotate
 from hiros_mcap.body.transforms import TransformTree, read_extrinsics
 from hiros_mcap.calibrate.ball_image import DepthCamera, points_of_labels
 from hiros_mcap.calibrate.image_search import (
+    Finder,
     ImageSearch,
     is_chosen,
     pair_channels,
@@ -110,12 +111,12 @@ def calibrate_board(
         The board does not tell the pose of a camera. The line says what to record.
     """
     require_opencv()
-    finder = BoardFinder(dictionary)
+    find = marker_finder(dictionary)
     try:
         with open_messages(path) as log:
             tree = static_transforms(log)
             chosen = {t: k for t, k in log.types.items() if is_chosen(t, topics)}
-            searches = search_images(log, pair_channels(log, chosen), tree, finder)
+            searches = search_images(log, pair_channels(log, chosen), tree, find)
     except LogError as error:
         if error.path is None:
             raise LogError(error.fault, path=path, topic=error.topic) from None
@@ -126,29 +127,25 @@ def calibrate_board(
         raise RegistrationError(f"{path}: {error}") from None
 
 
-class BoardFinder:
-    """Finds the centres of markers 0 to 3 in a colour and a depth image.
+def marker_finder(dictionary: str = DICTIONARY) -> Finder:
+    """Return what finds the centres of markers 0 to 3 in a colour and a depth image.
 
     Raises ConfigError if OpenCV has no such dictionary.
     """
+    import cv2
 
-    def __init__(self, dictionary: str = DICTIONARY) -> None:
-        import cv2
+    names = [name for name in dir(cv2.aruco) if name.startswith("DICT_")]
+    if dictionary not in names:
+        raise ConfigError(f"--dictionary: there is no {dictionary!r}, only {', '.join(names)}")
+    words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+    detector = cv2.aruco.ArucoDetector(words, cv2.aruco.DetectorParameters())
 
-        names = [name for name in dir(cv2.aruco) if name.startswith("DICT_")]
-        if dictionary not in names:
-            raise ConfigError(f"--dictionary: there is no {dictionary!r}, only {', '.join(names)}")
-        words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
-        self._detector = cv2.aruco.ArucoDetector(words, cv2.aruco.DetectorParameters())
-
-    def __call__(self, colour: Bytes, depth: Floats, camera: DepthCamera) -> Floats | None:
+    def find(colour: Bytes, depth: Floats, camera: DepthCamera) -> Floats | None:
         """(4, 3) centroids of the markers' depth pixels in the colour frame, m (Lee, 2.1.2).
 
         None unless each of the four is seen once.
         """
-        import cv2
-
-        corners, ids, _ = self._detector.detectMarkers(colour)
+        corners, ids, _ = detector.detectMarkers(colour)
         markers = [] if ids is None else [int(i) for i in ids.ravel()]
         if sorted(i for i in markers if i < MARKERS) != list(range(MARKERS)):
             return None
@@ -162,6 +159,8 @@ class BoardFinder:
             return None
         turn, shift = camera.to_colour
         return np.asarray(rotate(turn, centres) + shift)
+
+    return find
 
 
 def _centroid(points: Floats) -> Floats:

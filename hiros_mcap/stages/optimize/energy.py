@@ -46,23 +46,17 @@ class Energy(NamedTuple):
     weights: F3  # (P, L, 4) columns W_LENGTH to W_ORIENTATION
 
 
-class LinkGeometry(NamedTuple):
-    """Each link at the current positions."""
+class SolverScratch(NamedTuple):
+    """Scratch arrays of the solver for one skeleton; a kernel that makes arrays is slower."""
 
-    length: F1  # (L,) m
+    equations: NormalEquations
+    start_direction: F2  # (L, 3) direction of each link at the start
+    length: F1  # (L,) of each link at the current positions, m
     direction: F2  # (L, 3) unit vector from the proximal to the distal marker
     angle: F1  # (L,) phi of eq 16, rad
     tangent: F2
     """(L, 3) unit vector at a right angle to the direction, towards the direction at the start."""
     curvature: F1  # (L,) phi cot phi
-
-
-class SolverScratch(NamedTuple):
-    """Scratch arrays of the solver for one skeleton; a kernel that makes arrays is slower."""
-
-    equations: NormalEquations
-    geometry: LinkGeometry
-    start_direction: F2  # (L, 3) direction of each link at the start
     multiplier: F1  # (L,) predicted force of each length term
     current: F2  # (M, 3) positions that the solver tries
     solution: F2  # (M, 3) result of the search for outliers
@@ -72,9 +66,8 @@ class SolverScratch(NamedTuple):
     def of(cls, topology: Topology) -> SolverScratch:
         """Allocate the arrays."""
         m, n = len(topology.order), len(topology.links)
-        geometry = arrays(LinkGeometry, n, (n, 3), n, (n, 3), n)
-        others = (n, 3), n, (m, 3), (m, 3), (n, 4)
-        return arrays(cls, NormalEquations.of(topology), geometry, *others)
+        links = (n, 3), n, (n, 3), n, (n, 3), n, n
+        return arrays(cls, NormalEquations.of(topology), *links, (m, 3), (m, 3), (n, 4))
 
 
 @kernel
@@ -161,28 +154,27 @@ def _write_start_directions(energy: Energy, links: Ints, directions: Floats) -> 
 
 
 @inlined
-def _write_geometry(
-    x: Floats, p: int, d: int, k: int, start_direction: Floats, geometry: LinkGeometry
-) -> None:
+def _write_geometry(x: Floats, p: int, d: int, k: int, scratch: SolverScratch) -> None:
     """Write the geometry of link ``k`` between the markers ``p`` and ``d`` of ``x``."""
     dx, dy, dz = x[d, 0] - x[p, 0], x[d, 1] - x[p, 1], x[d, 2] - x[p, 2]
     length = max(sqrt(dx * dx + dy * dy + dz * dz), 1e-12)
     dx, dy, dz = dx / length, dy / length, dz / length
-    ax, ay, az = start_direction[k, 0], start_direction[k, 1], start_direction[k, 2]
+    start = scratch.start_direction
+    ax, ay, az = start[k, 0], start[k, 1], start[k, 2]
     cosine = dx * ax + dy * ay + dz * az
     ax, ay, az = ax - cosine * dx, ay - cosine * dy, az - cosine * dz
     sine = sqrt(ax * ax + ay * ay + az * az)
     share = 1.0 / sine if sine > 1e-14 else 0.0
-    direction, tangent = geometry.direction, geometry.tangent
-    geometry.length[k] = length
+    direction, tangent = scratch.direction, scratch.tangent
+    scratch.length[k] = length
     direction[k, 0], direction[k, 1], direction[k, 2] = dx, dy, dz
-    geometry.angle[k] = phi = atan2(sine, cosine)  # eq 16
+    scratch.angle[k] = phi = atan2(sine, cosine)  # eq 16
     tangent[k, 0], tangent[k, 1], tangent[k, 2] = ax * share, ay * share, az * share
     # phi cot phi: 1 at 0, cut off below 0.
     if phi < 0.01:
-        geometry.curvature[k] = 1.0 - phi * phi / 3.0
+        scratch.curvature[k] = 1.0 - phi * phi / 3.0
     else:
-        geometry.curvature[k] = phi * cosine * share if phi < 0.5 * pi else 0.0
+        scratch.curvature[k] = phi * cosine * share if phi < 0.5 * pi else 0.0
 
 
 @inlined
@@ -193,7 +185,7 @@ def _assemble(x: Floats, energy: Energy, topology: Topology, scratch: SolverScra
     phi cot phi across it. The length's is its multiplier over the length across it. With both,
     steps converge as Newton's do.
     """
-    start, weights, geometry = energy.start, energy.weights, scratch.geometry
+    start, weights = energy.start, energy.weights
     diagonal, _, blocks, _, gradient, _ = scratch.equations
     diagonal[:] = 0.0
     blocks[:] = 0.0
@@ -205,17 +197,17 @@ def _assemble(x: Floats, energy: Energy, topology: Topology, scratch: SolverScra
         if w_l + w_p + w_d + w_o == 0.0:
             continue
         p, d, s = topology.links[k, 0], topology.links[k, 1], topology.link_block[k]
-        _write_geometry(x, p, d, k, scratch.start_direction, geometry)
-        length, phi = geometry.length[k], geometry.angle[k]
+        _write_geometry(x, p, d, k, scratch)
+        length, phi = scratch.length[k], scratch.angle[k]
         error = length - energy.nominal[k]
         total += w_l * error * error + w_o * phi * phi  # eq 14 and 16, weighted and summed: 17, 19
         stiffness = w_o / (length * length)
         hold = 0.95 * w_p * w_d / (w_p + w_d) if w_p + w_d > 0.0 else 0.0
-        bending = stiffness * geometry.curvature[k]
+        bending = stiffness * scratch.curvature[k]
         across = max(scratch.multiplier[k] / length, -hold) + bending
         along, toward = w_l - across, stiffness - bending
         for i in range(3):
-            ui, ti = geometry.direction[k, i], geometry.tangent[k, i]
+            ui, ti = scratch.direction[k, i], scratch.tangent[k, i]
             force = w_l * error * ui - w_o * phi / length * ti
             moved_p, moved_d = x[p, i] - start[p, i], x[d, i] - start[d, i]
             total += w_p * moved_p * moved_p + w_d * moved_d * moved_d  # eq 15, weighted: 17, 19
@@ -225,7 +217,7 @@ def _assemble(x: Floats, energy: Energy, topology: Topology, scratch: SolverScra
             diagonal[d, i, i] += w_d + across
             blocks[s, i, i] -= across
             for j in range(3):
-                uj, tj = geometry.direction[k, j], geometry.tangent[k, j]
+                uj, tj = scratch.direction[k, j], scratch.tangent[k, j]
                 stiff = along * ui * uj + toward * ti * tj
                 diagonal[p, i, j] += stiff
                 diagonal[d, i, j] += stiff
@@ -240,15 +232,15 @@ def _predict_multipliers(energy: Energy, links: Ints, scratch: SolverScratch) ->
     It is the Lagrange multiplier of sequential quadratic programming. With stiff lengths the force
     measured after a step is mostly the curvature that the step left out, and useless.
     """
-    geometry, step, weights = scratch.geometry, scratch.equations.step, energy.weights
+    step, weights = scratch.equations.step, energy.weights
     for k in range(links.shape[0]):
         scratch.multiplier[k] = 0.0
         if weights[k, W_LENGTH] == 0.0:
             continue
         p, d = links[k, 0], links[k, 1]
-        error = geometry.length[k] - energy.nominal[k]
+        error = scratch.length[k] - energy.nominal[k]
         for j in range(3):
-            error += geometry.direction[k, j] * (step[d, j] - step[p, j])
+            error += scratch.direction[k, j] * (step[d, j] - step[p, j])
         scratch.multiplier[k] = weights[k, W_LENGTH] * error
 
 
