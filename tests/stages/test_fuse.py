@@ -26,7 +26,7 @@ from hiros_mcap.stages.fuse.fusing import (
     Steps,
 )
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
-from hiros_mcap.stages.fuse.pair_lengths import measured_lengths
+from hiros_mcap.stages.fuse.pair_lengths import AllPoses, RunningLengths, measured_lengths
 from hiros_mcap.stages.fuse.pose_prior import (
     body_frames,
     estimated,
@@ -242,6 +242,27 @@ def test_lengths_are_right_in_spite_of_noise_and_never_shortened_by_a_wrong_one(
     right = measured_lengths(noisy, np.full((4000, 2), 0.02**2), pairs)
     assert right == pytest.approx(0.1, abs=0.004)
     assert measured_lengths(ends, np.full((4000, 2), 0.02**2), pairs) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("meter", [AllPoses, RunningLengths])
+def test_the_sides_of_a_body_draw_each_other_half_of_the_way_together(meter):
+    poses = np.zeros((100, 5, 3))
+    poses[:, :, 0] = [0.0, 0.20, 0.24, 1.0, np.nan]  # a middle, left and right, a head, nothing
+    pairs = np.array([[0, 1], [0, 2], [0, 3], [0, 4]], np.int32)
+    limbs = meter(pairs, np.array([0, 2, 1, 3, 4], np.int32))
+    limbs.update(poses, np.full((100, 5), 1e-8))
+    lengths, _, counts = limbs.result()
+    assert lengths == pytest.approx([0.21, 0.23, 1.0, 0.0], abs=1e-5)
+    assert counts.tolist() == [100, 100, 100, 0]
+
+
+@pytest.mark.parametrize("meter", [AllPoses, RunningLengths])
+def test_a_limb_that_is_never_seen_is_as_long_as_that_of_the_other_side(meter):
+    poses = np.zeros((100, 3, 3))
+    poses[:, :, 0] = [0.0, 0.20, np.nan]
+    limbs = meter(np.array([[0, 1], [0, 2]], np.int32), np.array([0, 2, 1], np.int32))
+    limbs.update(poses, np.full((100, 3), 1e-8))
+    assert limbs.result()[0] == pytest.approx([0.20, 0.20], abs=1e-5)
 
 
 def test_an_exact_distance_weighs_more_than_an_uncertain_one():

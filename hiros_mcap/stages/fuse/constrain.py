@@ -169,7 +169,7 @@ class _Bodies:
 
     def _meter(self) -> AllPoses | RunningLengths:
         if self._params.window > 0:
-            return AllPoses(self._pairs)
+            return AllPoses(self._pairs, self._mirror)
         return RunningLengths(self._pairs, self._mirror)
 
     def _result(self, body: _Body) -> MeasuredLengths:

@@ -1,7 +1,8 @@
 """Distances of markers that a body keeps constant: of links, and within head, thorax and pelvis.
 
-Noise of variance v along each axis lengthens them: L^2 = mean |d|^2 - 3 v. They are measured from
-many poses at once (:class:`AllPoses`) or on the way (:class:`RunningLengths`).
+Noise of variance v along each axis lengthens them: L^2 = mean |d|^2 - 3 v. The other side of the
+body tells a part of each (:func:`drawn_together`). They are measured from many poses at once
+(:class:`AllPoses`) or on the way (:class:`RunningLengths`).
 """
 
 from __future__ import annotations
@@ -56,16 +57,34 @@ def measured_lengths(positions: Floats, variances: Floats, pairs: Ints) -> Float
     return lengths
 
 
+def other_sides(pairs: Ints, mirror: Ints) -> Ints:
+    """(K,) The same pair on the other side of the body."""
+    places = {(a, b): k for k, (a, b) in enumerate(pairs.tolist())}
+    others = np.sort(mirror[pairs], axis=1).tolist()
+    return np.array([places.get((a, b), k) for k, (a, b) in enumerate(others)], np.int64)
+
+
+def drawn_together(lengths: Floats, weights: Floats, other: Ints) -> Floats:
+    """Lengths, m, halfway between what was measured and the weighted mean of both sides.
+
+    The sides of a body differ by some millimetres, and what cameras show of them by as many.
+    """
+    weights = np.where(lengths > 0, weights, 0.0)
+    both = np.maximum(weights + weights[other], 1e-12)
+    means = (weights * lengths + weights[other] * lengths[other]) / both
+    return np.asarray(np.where(lengths > 0, (lengths + means) / 2, means))
+
+
 class AllPoses:
     """Measures distances from all poses of a person.
 
     Parameters
     ----------
-    pairs : (K, 2) slots.
+    pairs : (K, 2) slots. mirror : (M,) slot of the same joint on the other side.
     """
 
-    def __init__(self, pairs: Ints) -> None:
-        self._pairs = pairs
+    def __init__(self, pairs: Ints, mirror: Ints) -> None:
+        self._pairs, self._other = pairs, other_sides(pairs, mirror)
         self._poses: list[Floats] = []
         self._variances: list[Floats] = []
 
@@ -78,13 +97,12 @@ class AllPoses:
         """Return what the poses so far show."""
         poses, variances = np.concatenate(self._poses), np.concatenate(self._variances)
         lengths = np.nan_to_num(measured_lengths(poses, variances, self._pairs))
-        return lengths, *_deviations(poses, self._pairs)
+        deviations, counts = _deviations(poses, self._pairs)
+        return drawn_together(lengths, counts, self._other), deviations, counts
 
 
 class RunningLengths:
     """Measures distances by running means, so the first poses use what there is.
-
-    Both sides of a body have the same lengths.
 
     Parameters
     ----------
@@ -93,10 +111,7 @@ class RunningLengths:
 
     def __init__(self, pairs: Ints, mirror: Ints) -> None:
         self._a, self._b = pairs[:, 0], pairs[:, 1]
-        places = {(a, b): k for k, (a, b) in enumerate(pairs.tolist())}
-        others = np.sort(mirror[pairs], axis=1).tolist()
-        self._other = np.array([places.get((a, b), k) for k, (a, b) in enumerate(others)], np.int64)
-        """(K,) the same pair on the other side."""
+        self._other = other_sides(pairs, mirror)
         self._counts = np.zeros(len(pairs), np.int32)
         self._weight = np.zeros(len(pairs))
         self._means = np.zeros((4, len(pairs)))
@@ -124,10 +139,8 @@ class RunningLengths:
         """Return what the poses so far show."""
         square, _, distance, stated = self._means
         varied = np.maximum(square - distance**2, 0.0)
-        squares = without_noise(square, varied, stated) ** 2
-        weight, other = self._weight, self._other
-        both = np.maximum(weight + weight[other], 1e-12)
-        lengths = np.sqrt((weight * squares + weight[other] * squares[other]) / both)
+        lengths = without_noise(square, varied, stated)
+        lengths = drawn_together(lengths, self._weight, self._other)
         return lengths, np.sqrt(varied), self._counts
 
 
