@@ -445,9 +445,8 @@ def to_toml(
             title = f"# {Config.model_fields[section].description}\n"
             blocks.append(title + tomli_w.dumps({section: params.model_extra}))
         if names:
-            schema = params.model_json_schema()["properties"]
             blocks.append(f"# {Config.model_fields[section].description}\n[{section}]\n")
-            blocks += [_entry(params, name, schema[name]) for name in names]
+            blocks += [_entry(params, name) for name in names]
     if hidden:
         blocks.append(f"# {hidden} advanced parameters have their defaults; --all shows them.\n")
     return "\n".join(blocks)
@@ -466,22 +465,30 @@ def _is_shown(params: Params, name: str) -> bool:
     return not is_advanced(field) or getattr(params, name) != default
 
 
-def _entry(params: Params, name: str, schema: Mapping[str, Any]) -> str:
+def _entry(params: Params, name: str) -> str:
     """One parameter: what it is, what is allowed, what it is by default, its value."""
     field = type(params).model_fields[name]
     value, default = getattr(params, name), field.get_default(call_default_factory=True)
-    limits = allowed(schema)
-    remarks = [" ".join((field.description or "").split())]
-    if limits:
-        remarks.append(f"Allowed: {limits}.")
+    comment = _explanations(type(params))[name]
     if value != default:
-        remarks.append(f"Default: {toml_value(default)}.")
-    comment = "\n".join(
-        textwrap.fill(remark, WIDTH, initial_indent="# ", subsequent_indent="# ")
-        for remark in remarks
-    )
+        comment += _comment(f"Default: {toml_value(default)}.")
     line = f"# {name} is not set" if value is None else f"{name} = {toml_value(value)}"
-    return f"{comment}\n{line}\n"
+    return f"{comment}{line}\n"
+
+
+@cache
+def _explanations(kind: type[Params]) -> dict[str, str]:
+    """Return what each parameter is and what is allowed, as comments; every run writes them."""
+    found, schema = {}, kind.model_json_schema()["properties"]
+    for name, info in kind.model_fields.items():
+        limits = allowed(schema[name])
+        found[name] = _comment(" ".join((info.description or "").split()))
+        found[name] += _comment(f"Allowed: {limits}.") if limits else ""
+    return found
+
+
+def _comment(text: str) -> str:
+    return textwrap.fill(text, WIDTH, initial_indent="# ", subsequent_indent="# ") + "\n"
 
 
 def toml_value(value: Any) -> str:
