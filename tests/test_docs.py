@@ -27,9 +27,10 @@ PAGES = sorted([ROOT / "README.md", *DOCS.glob("*.md")])
 
 SLOW = {"compare"}
 SMALLER = {
-    "--seconds 10": "--seconds 2.5",
+    "--seconds 10": "--seconds 2.2",
+    "demo lab.mcap": "demo demo.mcap",
     "--jobs 4": "--jobs 1",
-    "--room 6x5 --cameras 4": "--room 4x3 --cameras 2",
+    "--room 6x5 --cameras 4": "--room 3x3 --cameras 2",
 }
 WINDOWS = {"--web", "--view", "--connect"}
 """Options that wait for somebody."""
@@ -104,7 +105,7 @@ def laboratory(walking, tmp_path_factory):
     """Return a folder with every file that the pages' commands read."""
     folder = tmp_path_factory.mktemp("laboratory")
     shutil.copytree(ROOT / "sample_data", folder / "sample_data")
-    scene = "--people 2 --cameras 3 --action cross --seconds 2.5 --quiet"
+    scene = "--people 2 --cameras 3 --action cross --seconds 2.2 --quiet"
     assert run(["simulate", str(folder / "lab.mcap"), *scene.split()]) == 0
     shutil.copy(folder / "lab.mcap", folder / "mocap.mcap")
     result = str(folder / "lab.hiros.mcap")

@@ -37,7 +37,7 @@ every_system = pytest.mark.parametrize("name", SYSTEMS)
 @cache
 def crossing():
     """Two people who cross, three cameras with every fault of real ones."""
-    return room(people=2, cameras=3, action="cross", seconds=2, seed=11)
+    return room(people=2, cameras=3, action="cross", seconds=1.5, seed=11)
 
 
 def table(name, where):
@@ -143,15 +143,14 @@ def _is_renamed(one, other, new):
 
 
 @every_system
-@pytest.mark.parametrize("seed", range(2))
-def test_it_does_not_matter_how_frames_are_cut_into_blocks(name, seed):
+def test_it_does_not_matter_how_frames_are_cut_into_blocks(name):
     """Also where cameras fall silent, people come and go, and time makes a leap."""
-    rng = np.random.default_rng(seed)
-    frames = [frame for k, frame in enumerate(crossing().frames) if not 40 < k < 40 + 15 * seed]
-    leap = 900_000_000 * seed
-    frames = frames[:100] + [
+    rng = np.random.default_rng(1)
+    frames = [frame for k, frame in enumerate(crossing().frames) if not 40 < k < 55]
+    leap = 900_000_000
+    frames = frames[:80] + [
         f.replace(stamp=f.stamp + leap, stamps=f.stamps + leap, log_time=f.log_time + leap)
-        for f in frames[100:]
+        for f in frames[80:]
     ]
     frames = [f.select([]) if rng.random() < 0.05 else f for f in frames]
     expected = run_system(name, frames, crossing())

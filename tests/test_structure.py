@@ -72,6 +72,12 @@ def imported(parent):
             yield from imported(node)
 
 
+@cache
+def imports_of(name):
+    """Modules of ours that a module imports."""
+    return {other for other in imported(tree(name)) if other in MODULES}
+
+
 def layer_of(name):
     """The row of the list of layers in which a module belongs."""
     package, *rest = name.split(".")
@@ -94,8 +100,8 @@ def test_imports_go_down_the_list_of_layers():
     upwards = {
         (name, other)
         for name in MODULES
-        for other in imported(tree(name))
-        if other in MODULES and order[layer_of(name)] > order[layer_of(other)]
+        for other in imports_of(name)
+        if order[layer_of(name)] > order[layer_of(other)]
     }
     assert upwards == UPWARDS
 
@@ -148,13 +154,12 @@ def test_the_top_of_the_library_is_short():
 
 
 def test_no_import_circles():
-    edges = {name: {i for i in imported(tree(name)) if i in MODULES} for name in MODULES}
     done: set[str] = set()
 
     def visit(name, path):
         assert name not in path, " -> ".join([*path[path.index(name) :], name])
         if name not in done:
-            for other in sorted(edges[name]):
+            for other in sorted(imports_of(name)):
                 visit(other, [*path, name])
             done.add(name)
 

@@ -115,7 +115,7 @@ def hold_second(folder, number):
 @pytest.mark.skipif(os.name != "posix", reason="needs process groups")
 @pytest.mark.parametrize(
     ("name", "seconds"),
-    [("SIGINT", 0.2), ("SIGTERM", 0.7), ("SIGHUP", 1.0), ("SIGINT", 1.3), ("SIGTERM", 1.8)],
+    [("SIGINT", 0.2), ("SIGTERM", 0.8), ("SIGHUP", 1.5)],
 )
 def test_a_signal_to_all_processes_ends_them_silently(name, seconds, tmp_path):
     suite = SAMPLES / "suite.toml"

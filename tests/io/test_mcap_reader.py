@@ -194,7 +194,7 @@ def test_chunks_that_touch_a_span_are_read_and_others_are_not(path):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_log_cut_anywhere_is_refused(path, kind):
-    whole = write_log(path, make_messages(6), **KINDS[kind]).read_bytes()
+    whole = write_log(path, make_messages(2), **KINDS[kind]).read_bytes()
     assert "is empty" in fault_of(write_bytes(path, b""))
     for n in range(1, len(whole)):
         assert "truncated" in fault_of(write_bytes(path, whole[:n])), n
@@ -209,7 +209,7 @@ def write_bytes(path, data):
 def test_no_flipped_bit_changes_a_message_in_silence(path, kind):
     whole = write_log(path, **KINDS[kind]).read_bytes()
     wanted, rng, refused = read(path), random.Random(kind), 0
-    for _ in range(300):
+    for _ in range(150):
         at = rng.randrange(8 * len(whole))
         damaged = bytearray(whole)
         damaged[at // 8] ^= 1 << at % 8
@@ -217,14 +217,14 @@ def test_no_flipped_bit_changes_a_message_in_silence(path, kind):
             assert read(write_bytes(path, damaged)) == wanted, at
         except LogError:
             refused += 1
-    assert refused > 200
+    assert refused > 100
 
 
 @pytest.mark.parametrize("kind", ["zstd", "lz4", "none"])
 def test_chunk_checksums_alone_protect_the_messages(path, kind):
     whole = write_log(path, **KINDS[kind], enable_data_crcs=False).read_bytes()
     wanted, rng = read(path), random.Random(kind)
-    for _ in range(300):
+    for _ in range(150):
         damaged = bytearray(whole)
         at = rng.randrange(8 * len(whole))
         damaged[at // 8] ^= 1 << at % 8

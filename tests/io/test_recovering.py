@@ -100,7 +100,7 @@ def test_no_flipped_bit_changes_a_recovered_message(path, kind, data_crc):
     wanted, rng, partial = by_library(path), random.Random(kind), 0
     # Without a summary, the first chunk alone defines the channels.
     start = boundaries(path)[2] if kind == "no-summary" else 0
-    for _ in range(120):
+    for _ in range(60):
         at = rng.randrange(8 * start, 8 * len(whole))
         damaged = bytearray(whole)
         damaged[at // 8] ^= 1 << at % 8
@@ -110,7 +110,7 @@ def test_no_flipped_bit_changes_a_recovered_message(path, kind, data_crc):
             assert len(rows) >= 20, at  # of 40; a chunk holds 8 at most
         assert recovery.lost in (None, 40 - len(rows)), (at, recovery)
         partial += len(rows) < 40
-    assert partial > 10
+    assert partial > 5
 
 
 @pytest.mark.parametrize("kind", CHUNKED)
@@ -122,7 +122,7 @@ def test_zeros_in_the_middle_cost_the_chunks_that_they_touch(path, kind, size):
         chunks = reader.contents.chunks
     begin = chunks[1].offset if kind == "no-summary" else 9
     end = chunks[-1].index_end - size
-    for start in range(begin, end, (end - begin) // 25):
+    for start in range(begin, end, (end - begin) // 12):
         rows, recovery = left_of(path, whole[:start] + bytes(size) + whole[start + size :])
         until = len(whole) if kind == "no-summary" else start + size
         hit = [c for c in chunks if c.offset < until and c.end > start]

@@ -25,7 +25,7 @@ from hiros_mcap.skeletons import (
     Frame,
 )
 
-FRAMES = 8
+FRAMES = 6
 Breaks = Callable[[list[Frame]], None]
 
 

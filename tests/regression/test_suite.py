@@ -72,12 +72,21 @@ def test_the_sample_logs_give_what_they_gave():
     assert len(results) == 6
 
 
+@pytest.fixture(scope="module")
+def golden(short):
+    """The golden outputs of all stages of a log of 1 s."""
+    out = short.with_name("out.mcap")
+    causal = load_config(overrides=["output.log_time=causal"], system="hiros")
+    process(short, out, config=causal, options=ProcessOptions("hiros", keep=()))
+    write_golden(out, short.with_name("golden.mcap"), ["/hiros/*"])
+    return short.with_name("golden.mcap")
+
+
 @pytest.fixture
-def suite(tmp_path):
+def suite(short, golden, tmp_path):
     """A suite of one log, with the golden outputs of all its stages."""
-    shutil.copy(SAMPLES / "one_person_walking.mcap", tmp_path / "walk.mcap")
+    shutil.copy(short, tmp_path / "walk.mcap")
     (tmp_path / "golden").mkdir()
-    golden = SAMPLES / "golden" / "one_person_walking.mcap"
     shutil.copy(golden, tmp_path / "golden" / "walk.mcap")
     path = tmp_path / "suite.toml"
     path.write_text(SUITE)

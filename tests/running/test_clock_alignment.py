@@ -29,16 +29,16 @@ from hiros_mcap.skeletons import Frame
 from hiros_mcap.summary import PoseSummary
 
 S = 10**9
-HALF = 120  # messages of a camera before the middle
+HALF = 75  # messages of a camera before the middle
 FIRST_STAGE = ProcessOptions(stages="T")
 """Poses and clocks are found before it; the other stages would take most of the time."""
 
 
 @pytest.fixture(scope="module")
 def walk(tmp_path_factory):
-    """Three cameras see somebody walk for 12 s."""
+    """Three cameras see somebody walk for 10 s."""
     path = tmp_path_factory.mktemp("clocks") / "walk.mcap"
-    scene = {"people": 1, "cameras": 3, "seconds": 12.0, "seed": 4, "rig": {"rate": 20.0}}
+    scene = {"people": 1, "cameras": 3, "seconds": 10.0, "seed": 4, "rig": {"rate": 15.0}}
     write_log(path, SimulateParams.model_validate(scene))
     return path
 
@@ -140,7 +140,7 @@ def test_the_correction_of_a_camera_that_sent_nothing_is_no_fault(walk, tmp_path
 def test_the_output_has_right_stamps_and_the_input_as_it_was(walk, tmp_path):
     run(walk, tmp_path, step(30.0))
     tracked, _, _ = read_channel(tmp_path / "out.mcap", "/hiros/tracked")
-    assert max(frame.stamp for frame in tracked) - min(frame.stamp for frame in tracked) < 13 * S
+    assert max(frame.stamp for frame in tracked) - min(frame.stamp for frame in tracked) < 11 * S
     assert max(int(frame.stamps.max(initial=0)) for frame in tracked) == tracked[-1].stamp
     with McapReader(tmp_path / "wrong.mcap") as given, McapReader(tmp_path / "out.mcap") as copy:
         topic = {c.topic: i for i, c in given.channels.items()}["/camera_1/skeletons"]
@@ -179,9 +179,16 @@ def shifted_whole(walk, target, seconds):
     return target
 
 
+@pytest.fixture(scope="module")
+def healthy(walk):
+    """Error, mm, of a run of the whole chain without a fault."""
+    process(walk, walk.with_name("healthy.mcap"))
+    return error(walk.with_name("healthy.mcap"), walk)
+
+
 @pytest.mark.parametrize("seconds", [-0.09, 0.03])
 def test_an_offset_that_log_times_hide_is_found_with_the_poses_and_corrected(
-    seconds, walk, tmp_path
+    seconds, walk, healthy, tmp_path
 ):
     source, out = shifted_whole(walk, tmp_path / "w.mcap", {"camera_1": seconds}), tmp_path / "out"
     summary = process(source, out)
@@ -191,13 +198,12 @@ def test_an_offset_that_log_times_hide_is_found_with_the_poses_and_corrected(
     assert summary.cameras[0].clock == summary.cameras[2].clock == ()
     told = summary.warnings if abs(seconds) > 0.05 else summary.notes
     assert any(line.startswith("the clock of camera_1 is ") for line in told)
-    process(walk, tmp_path / "healthy")
-    assert error(out, walk) == pytest.approx(error(tmp_path / "healthy", walk), rel=0.02)
+    assert error(out, walk) == pytest.approx(healthy, rel=0.02)
 
 
 def test_an_offset_of_most_of_a_second_is_found_in_a_crowd(tmp_path):
     """Six people walk at one pace: where each is fits others a moment later, and steps repeat."""
-    scene = {"people": 6, "cameras": 4, "seconds": 20.0, "seed": 8, "rig": {"rate": 15.0}}
+    scene = {"people": 6, "cameras": 4, "seconds": 14.0, "seed": 8, "rig": {"rate": 10.0}}
     write_log(tmp_path / "crowd.mcap", SimulateParams.model_validate(scene))
     source = shifted_whole(tmp_path / "crowd.mcap", tmp_path / "w.mcap", {"camera_1": 0.8})
     summary = process(source, options=FIRST_STAGE)
@@ -304,9 +310,7 @@ def test_the_lag_of_a_camera_that_shares_no_view_is_named_with_the_reason():
 
 
 @pytest.mark.parametrize("poses", ["absent", "wrong"])
-def test_a_clock_that_is_found_with_poses_from_nothing_is_used(poses, tmp_path):
-    walk = tmp_path / "walk.mcap"
-    write_log(walk, SimulateParams(people=1, cameras=3, seconds=12.0, seed=4))
+def test_a_clock_that_is_found_with_poses_from_nothing_is_used(poses, walk, tmp_path):
     source = shifted_whole(walk, tmp_path / "w.mcap", {"camera_1": 0.09})
     with open_log(source) as log, McapWriter(tmp_path / "poses.mcap") as writer:
         kept = {i: c for i, c in log.reader.channels.items() if c.topic != "/tf_static"}
@@ -323,7 +327,7 @@ def test_a_clock_that_is_found_with_poses_from_nothing_is_used(poses, tmp_path):
         frames, _, _ = read_channel(tmp_path / "out.mcap", topic)
         stamps[topic] = sorted(f.stamp for f in frames if f.source == "camera_1")
     given, used = (np.array(times, float) for times in stamps.values())
-    assert np.median(given[:300] - used[:300]) == pytest.approx(0.09 * S, abs=0.008 * S)
+    assert np.median(given[:100] - used[:100]) == pytest.approx(0.09 * S, abs=0.008 * S)
 
 
 def late_delivery(walk, target):
@@ -355,8 +359,8 @@ def test_late_messages_of_a_live_system_are_lost_and_told(walk, tmp_path):
     config = load_config(system="hiros-realtime")
     summary = process(source, config=config, options=ProcessOptions("hiros-realtime"))
     assert summary.cameras[0].skipped == summary.cameras[2].skipped == {}
-    assert summary.cameras[1].skipped["too late to be merged"] > 50
-    assert summary.warnings[0].startswith("/camera_1/skeletons: 2")
+    assert summary.cameras[1].skipped["too late to be merged"] > 35
+    assert summary.warnings[0].startswith("/camera_1/skeletons: 30 % of 149 messages")
 
 
 @pytest.mark.parametrize("seconds", [-5.0, 0.5])

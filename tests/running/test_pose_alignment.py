@@ -238,7 +238,8 @@ def test_a_camera_that_shows_somebody_else_keeps_its_pose_and_is_named(
     scene, detections, true, tmp_path
 ):
     """Only where all cameras are at one place are some left out without a word of the user."""
-    other = simulate(SimulateParams(people=1, cameras=3, seconds=12.0, seed=9))
+    params = {"people": 1, "cameras": 3, "seconds": 12.0, "seed": 9, "rig": {"rate": 15.0}}
+    other = simulate(SimulateParams.model_validate(params))
     frames = [f for f in detections if f.source != "camera_2"]
     frames += [f for f in other.detections if f.source == "camera_2"]
     log = write(tmp_path / "log.mcap", scene, frames, true)
@@ -250,7 +251,7 @@ def test_a_camera_that_shows_somebody_else_keeps_its_pose_and_is_named(
 
 def in_place(tmp_path, given=None, **params):
     """A log of somebody who stays in place; without poses unless some are given."""
-    settings = {"people": 1, "cameras": 3, "seconds": 20.0, "seed": 4, **params}
+    settings = {"people": 1, "cameras": 3, "seed": 4, "rig": {"rate": 15.0}, **params}
     scene = simulate(SimulateParams.model_validate(settings))
     return scene, write(tmp_path / "log.mcap", scene, list(scene.detections), given or {})
 

@@ -160,7 +160,7 @@ def test_nothing_is_expected_of_somebody_new():
 def detections(shift):
     """20 s of one who moves before four cameras, of which some are displaced from 10 s on."""
     rng = np.random.default_rng(5)
-    times = np.arange(600) / 30
+    times = np.arange(300) / 15
     place = 0.4 * np.sin(times[:, None, None] + np.arange(24.0).reshape(8, 3))
     frames = []
     for k, t in enumerate(times):

@@ -64,9 +64,9 @@ def turned(angles):
 @pytest.mark.parametrize(("method", "order"), METHODS)
 @pytest.mark.parametrize(("rate", "cutoff"), [(30, 4.5), (30, 8.0), (100, 6.0), (15, 3.0)])
 def test_minus_3_db_at_the_cutoff_by_sine_sweep(method, order, lookahead, rate, cutoff):
-    times = np.arange(int(6 * rate)) / rate
+    times = np.arange(int(4 * rate)) / rate
     p = params(method, order, lookahead=lookahead, cutoff=cutoff)
-    middle, frequencies = slice(2 * rate, 5 * rate), (0.98 * cutoff, 1.02 * cutoff)
+    middle, frequencies = slice(rate, 3 * rate), (0.98 * cutoff, 1.02 * cutoff)
     waves = [np.sin(2 * np.pi * f * times) for f in frequencies]
     frames = [frame_at(t, (x, y, 0)) for t, x, y in zip(times, *waves, strict=True)]
     out = np.array([f.markers[0, 0, :2] for f in filter_frames(frames, MODEL, p)])[middle]
@@ -252,9 +252,9 @@ def test_varying_sample_times_give_the_same_trajectory(method, order):
 @pytest.mark.parametrize(("method", "order"), METHODS)
 def test_stable_at_any_mixture_of_sample_times(method, order, lookahead):
     rng = np.random.default_rng(6)
-    times = np.cumsum(10 ** rng.uniform(-3, 0, 400))
+    times = np.cumsum(10 ** rng.uniform(-3, 0, 200))
     out = run(
-        along(times, np.where(rng.random(400) < 0.5, -1.0, 1.0)),
+        along(times, np.where(rng.random(200) < 0.5, -1.0, 1.0)),
         params(method, order, lookahead=lookahead, max_gap=1.5, cutoff=3.0),
     )
     assert np.abs(out).max() < 20
@@ -602,8 +602,8 @@ def test_constant_pose_stays(p, intervals, place, rotation):
 @few
 @given(CHOICES, COORDINATES, st.floats(0.02, 0.05))
 def test_straight_motion_has_its_velocity_and_no_acceleration(p, velocity, interval):
-    frames = [frame_at(k * interval, np.multiply(velocity, k * interval)) for k in range(200)]
-    middle = list(filter_frames(frames, MODEL, p))[150]
+    frames = [frame_at(k * interval, np.multiply(velocity, k * interval)) for k in range(100)]
+    middle = list(filter_frames(frames, MODEL, p))[75]
     np.testing.assert_allclose(middle.markers[0, 0, 7:10], velocity, atol=0.01)
     np.testing.assert_allclose(middle.markers[0, 0, 13:16], 0, atol=0.1)
 

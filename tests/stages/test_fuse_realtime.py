@@ -46,6 +46,11 @@ def result(where, frames, name="fuse-realtime"):
     return frames
 
 
+@cache
+def usual(name="fuse-realtime", cameras=4):
+    return result(walk(cameras), walk(cameras).frames, name)
+
+
 @pytest.mark.parametrize("seconds", [1.0, 2.7])
 def test_what_is_logged_later_changes_nothing(seconds):
     """Until a time, the cameras report the same; then everybody is elsewhere and half are gone."""
@@ -56,15 +61,15 @@ def test_what_is_logged_later_changes_nothing(seconds):
         if frame.log_time > now:
             frame.markers[:, :, :3] += 0.3
     before, after = (
-        [f for f in result(walk(), some) if f.log_time <= now] for some in (frames, altered)
+        [f for f in some if f.log_time <= now] for some in (usual(), result(walk(), altered))
     )
     assert len(before) == len(after) > 25 * (seconds - 0.1)
     assert all(map(same, before, after))
 
 
-@pytest.mark.parametrize("cameras", [1, 2, 5, 10])
+@pytest.mark.parametrize("cameras", [1, 2, 4, 8])
 def test_no_result_is_later_than_a_tenth_of_a_second(cameras):
-    frames = result(walk(cameras), walk(cameras).frames)
+    frames = usual(cameras=cameras)
     late = np.array([f.log_time - f.stamp for f in frames])
     assert len(frames) > 80
     assert (late > 0).all()
@@ -75,7 +80,7 @@ def test_results_of_late_messages_look_as_far_ahead():
     frames = walk().frames
     late = [frame.replace(log_time=frame.log_time + 200 * MS) for frame in frames]
     before, after = (
-        [f.replace(log_time=0) for f in result(walk(), some)] for some in (frames, late)
+        [f.replace(log_time=0) for f in some] for some in (usual(), result(walk(), late))
     )
     assert len(before) == len(after)
     assert all(map(same, before, after))
@@ -84,7 +89,7 @@ def test_results_of_late_messages_look_as_far_ahead():
 def test_it_is_nearer_to_the_truth_than_hiros_realtime():
     where = walk()
     ours, theirs = (
-        evaluate(result(where, where.frames, name), where.truth, where.model)
+        evaluate(usual(name), where.truth, where.model)
         for name in ("fuse-realtime", "hiros-realtime")
     )
     assert ours.mean < 0.9 * theirs.mean
@@ -92,7 +97,7 @@ def test_it_is_nearer_to_the_truth_than_hiros_realtime():
 
 
 def test_every_marker_says_how_well_it_is_known():
-    for frame in result(walk(), walk().frames):
+    for frame in usual():
         assert frame.uncertainty is not None
         known = ~np.isnan(frame.positions[:, :, 0])
         assert (frame.uncertainty.deviations[known] > 0.001).all()
@@ -183,7 +188,7 @@ def test_a_motion_that_was_never_seen_is_not_held_back():
 
 
 def test_lengths_stay_once_they_are_known():
-    frames = result(walk(), walk().frames, "hiros-realtime")
+    frames = usual("hiros-realtime")
     params = ConstrainParams(window=0.0, enough=1.5)
     out = list(by_frame(constrain_blocks)(frames, walk().model, params))
     assert [f.log_time for f in out] == [f.log_time for f in frames]

@@ -28,7 +28,7 @@ REQUIRED = os.environ.get("HIROS_REQUIRE_VIEWER") == "1"
 PACKAGES = "libvulkan1 mesa-vulkan-drivers"
 """What draws without a graphics card."""
 
-SIZE = "1000x600"
+SIZE = "640x420"
 """Of the window in pixels: all of them are drawn by the processor."""
 
 Picture = npt.NDArray[np.uint8]
@@ -143,7 +143,7 @@ class Browser:
         *("--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
         *("--ignore-gpu-blocklist", "--disable-quic", "--no-first-run", "--disable-sync"),
         *("--disable-background-networking", "--disable-component-update"),
-        *("--window-size=1200,700", "--remote-debugging-port=0"),
+        *("--window-size=800,500", "--remote-debugging-port=0"),
     )
 
     def __init__(self, chromium, profile, address):
