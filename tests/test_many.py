@@ -325,7 +325,7 @@ def test_ctrl_c_leaves_no_part_of_a_result(recordings, tmp_path):
     command = [sys.executable, "-m", "hiros_cli", "process", str(recordings), "-o", str(out)]
     with subprocess.Popen([*command, "--jobs", "2", "-q"], start_new_session=True) as hiros:
         while hiros.poll() is None and not list(out.glob(".hiros-*.tmp")):
-            time.sleep(0.001)
+            time.sleep(0.01)
         os.killpg(hiros.pid, signal.SIGINT)
     assert hiros.returncode == 128 + signal.SIGINT
     assert not list(out.glob(".*"))

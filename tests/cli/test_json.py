@@ -117,7 +117,7 @@ def test_calibrate_people(tmp_path, capsys):
 
 
 def test_plan(capsys):
-    command = ["plan", "--room", "4x3", "--cameras", "2"]
+    command = ["plan", "--room", "2x1.5", "--cameras", "2"]
     assert_as_documented([printed(command, capsys)])
 
 

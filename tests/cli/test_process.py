@@ -317,7 +317,7 @@ def test_a_signal_leaves_nothing_behind(name, crossing, tmp_path):
     command += ["-o", str(tmp_path / "out.mcap")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         while process.poll() is None and not list(tmp_path.glob(".hiros-*.tmp")):
-            time.sleep(0.001)
+            time.sleep(0.01)
         process.send_signal(getattr(signal, name))
         _, stderr = process.communicate()
     assert process.returncode == 128 + getattr(signal, name)

@@ -61,7 +61,7 @@ def faulty(tmp_path_factory):
     return path
 
 
-@pytest.mark.parametrize("name", ["fuse", "fuse-realtime", "malaguti"])
+@pytest.mark.parametrize("name", ["fuse", "fuse-realtime"])
 def test_process_eval_and_compare_give_one_score(faulty, tmp_path, name):
     """Clocks and poses are corrected alike in all of them."""
     out = tmp_path / "out.mcap"
@@ -133,7 +133,7 @@ def test_the_realtime_preset_takes_part_as_a_system(crossing, tmp_path):
     assert outcomes[0].error < outcomes[1].error
 
 
-@pytest.mark.parametrize("name", ["hiros", "malaguti", "lee-a4"])
+@pytest.mark.parametrize("name", ["hiros", "lee-a4"])
 def test_every_subset_of_the_cameras(walking, name):
     tasks = camera_subsets(Task(walking, Entry(name)))
     assert [len(task.sources or ()) for task in tasks] == [1, 1, 1, 2, 2, 2, 3]

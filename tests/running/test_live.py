@@ -454,7 +454,7 @@ def test_stopping_ends_the_input(crossing, tmp_path):
     assert summary.warnings == ()
 
 
-@pytest.mark.parametrize("kind", ["skeleton groups", "azure kinect", "zed 38", "ros4hri"])
+@pytest.mark.parametrize("kind", ["skeleton groups", "ros4hri"])
 def test_a_file_is_followed_to_its_end_mark(kind, shown, tmp_path):
     log, by_file = shown(kind)
     growing, out = tmp_path / "growing.mcap", tmp_path / "out.mcap"

@@ -26,7 +26,7 @@ from hiros_mcap.summary import ClockFault
 
 @pytest.fixture(scope="module")
 def scene():
-    params = {"people": 1, "cameras": 3, "seconds": 14.0, "seed": 5, "rig": {"rate": 20.0}}
+    params = {"people": 1, "cameras": 3, "seconds": 12.0, "seed": 5, "rig": {"rate": 15.0}}
     return simulate(SimulateParams.model_validate(params))
 
 
