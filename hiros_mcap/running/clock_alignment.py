@@ -65,7 +65,8 @@ class ClockAlignment:
     causal: bool = False
     """Whether each message is corrected by those before it."""
     offsets: dict[str, float] = field(default_factory=dict)
-    """Camera -> s that its clock is ahead, as far as found and corrected before the run."""
+    """Camera -> s that its clock is ahead, as far as found and corrected: before the run, or so far
+    in a causal one."""
     needed: Mapping[str, float] = field(default_factory=dict)
     """Camera -> wait, s, that its messages need, where that is over the longest one."""
 
@@ -80,9 +81,10 @@ class ClockAlignment:
         return in_time_order(blocks, self.wait or self.reorder, patient=self.wait > 0)
 
     def follower(self) -> ClockFollower:
-        """Return what corrects each message by those before it; the faults are those it finds."""
+        """Return what corrects each message by those before it; it notes here what it finds."""
         self.faults.clear()
-        return ClockFollower(self.given, self.faults, self.reorder)
+        self.offsets.clear()
+        return ClockFollower(self.given, self.faults, self.reorder, self.offsets)
 
     @property
     def lags(self) -> dict[str, float]:

@@ -122,12 +122,15 @@ class ClockFollower:
     ----------
     given : seconds that the user adds to the stamps of cameras. faults : what is found goes here.
     reorder : s; a camera that is so much ahead of the others makes their messages too late.
+    ahead : gets the seconds by which each clock is found to be ahead, by camera.
     """
 
     def __init__(
-        self, given: Mapping[str, float], faults: list[ClockFault], reorder: float
-    ) -> None:
+        self, given: Mapping[str, float], faults: list[ClockFault], reorder: float,
+        ahead: dict[str, float] | None = None,
+    ) -> None:  # fmt: skip
         self.given, self._reorder = given, max(reorder, _AHEAD / 2)
+        self._ahead = {} if ahead is None else ahead
         self._faults = faults
         self._clocks: dict[str, _FollowedClock] = {}
         self._checked = 0
@@ -192,6 +195,9 @@ class ClockFollower:
             return
         usual = max(others.values()) if len(others) == 1 else middle_of(others)
         foresees = lag < -_FORESIGHT and usual >= 0.0
+        if foresees and lag > -_AHEAD:
+            # The median of all clocks counts as right, as before a run of a file.
+            usual = max(middle_of({**others, source: lag}), 0.0)
         if foresees or lag < usual - self._reorder or lag > usual + LONGEST_DELAY:
             clock.offset += round((lag - usual) * 1e9)
             self._note(source, OFFSET, usual - lag, log_time - round(usual * 1e9))
@@ -268,4 +274,6 @@ class ClockFollower:
             if kind == OFFSET and (fault.camera, fault.kind) == (source, kind):
                 self._faults.remove(fault)
                 seconds, stamp = seconds + fault.seconds, fault.at_ns
+        if kind == OFFSET:
+            self._ahead[source] = seconds
         self._faults.append(ClockFault(source, kind, seconds, stamp, corrected=True))

@@ -54,7 +54,7 @@ class Run:
     pose_errors: Mapping[str, float] = field(default_factory=dict)
     """Source -> standard error, m, of a pose that the people gave; causal runs go on finding."""
     clocks: Mapping[str, float] = field(default_factory=dict)
-    """Source -> s by which its clock was ahead of the middle one; causal runs do not say it."""
+    """Source -> s by which its clock was ahead of the middle one; causal runs go on finding."""
 
     def stage(self, stage: Callable[..., Any], params: Params, **more: Any) -> partial[Any]:
         """Return a stage with what every stage takes (model, parameters, events), and more."""

@@ -79,6 +79,23 @@ def test_a_clock_whose_messages_are_logged_before_their_time_is_ahead():
     assert faults[0].seconds == pytest.approx(0.06)
 
 
+def test_clocks_that_are_ahead_are_set_to_the_median_of_all():
+    """Their own share in it, too: else two clocks that are behind would count as right."""
+    ahead: dict[str, float] = {}
+    clocks = ClockFollower({}, [], 0.3, ahead)
+    lags = {"a": -0.04, "b": -0.01, "c": 0.06, "d": 0.11}
+    blocks = []
+    for k in range(100):
+        at = START + k * 33_000_000
+        blocks += [message(at - round(1e9 * lag), name, lag) for name, lag in lags.items()]
+    for block in clocks.compared(blocks):
+        clocks.correct(block)
+    assert clocks.lags == pytest.approx({"a": 0.0, "b": 0.0, "c": 0.06, "d": 0.11}, abs=1e-3)
+    assert ahead == pytest.approx({"a": 0.04, "b": 0.01}, abs=1e-3)
+    clocks.prove("d", 0.05)
+    assert ahead["d"] == pytest.approx(-0.05)
+
+
 def message(stamp, source="a", delay=0.02):
     """One message with one person."""
     frame = Frame.empty(1, MODEL, stamp=stamp, source=source)

@@ -13,7 +13,7 @@ from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.calibrate.noise import GUESSED_BELOW, GUESSED_SHARE, USUAL_POWER
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.kernels.array_types import chosen, joined
-from hiros_mcap.skeletons import Floats, SkeletonModel
+from hiros_mcap.skeletons import Flags, Floats, SkeletonModel
 from hiros_mcap.stages.fuse.fusing import REFERENCE, JointNoise, Sightings
 
 FREEDOM = 4
@@ -42,7 +42,7 @@ class FusionNoise:
     cameras: dict[str, float] = field(default_factory=dict)
     """Source -> factor of the variances of this camera; 1 where it is missing."""
     power: float = USUAL_POWER  # the standard deviation grows with this power of the distance
-    guessed: float = 5.5  # factor of the standard deviation where the detector guesses
+    guessed: float = 8.0  # factor of the standard deviation where the detector guesses
     to_given: Mapping[str, Rigid] = field(default_factory=dict)
     """Source -> what takes its people back to the pose that was given, where it was refined."""
     pose_errors: Mapping[str, float] = field(default_factory=dict)
@@ -124,8 +124,17 @@ class FusionNoise:
         ``names`` are the cameras by index.
         """
         cameras = np.array([self.cameras.get(name, 1.0) for name in names])[views.cameras]
-        guessed = views.confidences < self._limits(views, len(names))[views.cameras, None]
+        guessed = self._guessed(views, len(names))
         return self.white(views.distances, guessed, cameras) + views.hidden
+
+    def sees(self, views: Sightings, names: Sequence[str]) -> Flags:
+        """(N, M) Whether a camera sees a joint: nobody hides it, and it is not guessed."""
+        there = ~np.isnan(views.positions[:, :, 0])
+        return np.asarray(there & ~self._guessed(views, len(names)) & (views.hidden == 0))
+
+    def _guessed(self, views: Sightings, n_cameras: int) -> Flags:
+        """(N, M) Whether the detector guesses a joint."""
+        return np.asarray(views.confidences < self._limits(views, n_cameras)[views.cameras, None])
 
     def _limits(self, views: Sightings, n_cameras: int) -> Floats:
         """(C,) Confidence below which each camera's detector guesses."""

@@ -5,9 +5,10 @@ are wrong, cameras see a person at different places. The variance that is assume
 
     (3 + n a) / (3 + n),   n = 3 (cameras - 1),
 
-is the estimate, where a is the variance that is observed over that assumed. So the assumption
-counts as much as the three coordinates of one more camera (scaled inverse chi square, Gelman et al.
-2013, section 2.6). Views of displaced cameras (displaced_views.py) have no
+is the estimate, where a is the variance that is observed over that assumed: the median over people
+and time, as a detector that finds somebody again, or a confused identity, is off for a moment. So
+the assumption counts as much as the three coordinates of one more camera (scaled inverse chi
+square, Gelman et al. 2013, section 2.6). Views of displaced cameras (displaced_views.py) have no
 weight in the result, so they are not compared.
 
 Cameras whose poses were refined agree. They share the placement of the rig
@@ -16,6 +17,7 @@ Cameras whose poses were refined agree. They share the placement of the rig
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -31,6 +33,7 @@ _AXES = 3
 _RENEWED = 500_000_000  # ns; poses stay as they are, so each instant need not be looked at
 _MOST = 25.0
 """Observed over assumed variance of a person in a window. A larger one is a confused identity."""
+_REMEMBERED = 1000  # persons in windows
 
 
 class PoseError:
@@ -53,7 +56,11 @@ class PoseError:
         self._right = angle <= 0 and shift <= 0
         usable = angle > 0 and shift > 0 and to_given
         self._placement = placement_error(places, to_given, angle, shift) if usable else None
-        self._observed, self._compared, self._most = 0.0, 0, 0
+        self._observed = deque[float](maxlen=_REMEMBERED)
+        """Observed over assumed variances."""
+        self._most = 0
+        self.ratio = 1.0
+        """Estimated over assumed variance."""
         self._learned: int | None = None
 
     def learn(self, views: Sightings, offsets: Floats, names: Sequence[str]) -> None:
@@ -84,9 +91,11 @@ class PoseError:
         free = _AXES * (len(scaled) - 1)
         if free > 0:
             square = float(((scaled - scaled.mean(axis=0)) ** 2).sum())
-            self._observed += min(square, _MOST * free)
-            self._compared += free
+            # Over the median of a chi-square distribution (Wilson and Hilferty 1931).
+            self._observed.append(min(square / (free * (1 - 2 / (9 * free)) ** 3), _MOST))
             self._most = max(self._most, free)
+            middle = float(np.median(self._observed))
+            self.ratio = (_AXES + self._most * middle) / (_AXES + self._most)
 
     def _assumed(self, positions: Floats, places: Floats) -> Floats:
         """(...) Assumed variance along each axis, m2, of positions from cameras (..., 3), m."""
@@ -94,12 +103,6 @@ class PoseError:
         # A rotation moves what it sees across two of three axes.
         away = np.where(np.isnan(square), _AWAY**2, square)
         return np.asarray(self._shift**2 + 2 / 3 * self._angle**2 * away)
-
-    @property
-    def ratio(self) -> float:
-        """Estimated over assumed variance."""
-        mean = self._observed / max(self._compared, 1)
-        return (_AXES + self._most * mean) / (_AXES + self._most)
 
     def variances(self, positions: Floats, seen: Stamps, names: Sequence[str]) -> Floats:
         """(K, M) Variance along each axis, m2, of results (K, M, 3), m, from the cameras ``seen``.

@@ -9,13 +9,17 @@ used (principle of orthogonality, Bar-Shalom et al. 2001, section 3.3.1). So
 holds for a smoother, and for a filter with any look-ahead. |z - x_s|^2 over this variance has a
 chi-square distribution with three degrees of freedom if the model is right.
 
-The mean over n views of a second tells what lasts. Of C cameras, x_s holds each b by about 1 / C:
+Its square root tells how much cameras scatter. The error of the result is measured by what lasts:
+x_s has the weighted mean of the errors of all cameras. If these are independent, and a camera has
+the share s of the weight, its residual varies by
 
-    var(mean) = (R + B / C - P_s) / n + B (1 - 1 / C)
+    P_s (1 / s - 1)
 
-What the means of a body's joints have in common is left out: it is the error of the camera's pose
-or clock, which the standard deviations hold already. How much larger or smaller the rest is than
-expected is the factor of the standard deviations.
+whatever the law of its errors, where both are means over so long a moment as the smoother averages.
+What the residuals of a body's joints have in common is left out: it is the error of the camera's
+pose or clock, which the standard deviations hold already. So are joints that a camera guesses: they
+hardly count in the result. How much larger or smaller the rest is than expected is the factor of
+the standard deviations.
 """
 
 from __future__ import annotations
@@ -33,24 +37,20 @@ from hiros_mcap.events import COMMON, RESIDUAL, Events
 from hiros_mcap.frames import Block, together
 from hiros_mcap.kernels.array_types import chosen
 from hiros_mcap.skeletons import POSITION, VELOCITY, Floats, Stamps
-from hiros_mcap.stages.fuse.displaced_views import SECOND, excess_of, limits_of
+from hiros_mcap.stages.fuse.displaced_views import excess_of, limits_of
 from hiros_mcap.stages.fuse.fusing import Sightings, joined_out_of, rows_of
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 from hiros_mcap.threads import give_back
 
 FEWEST = 50  # residuals that give a median
-_EVERY = 3  # instants; residuals of neighbours tell the same
 _BATCH = 48  # frames that are compared at once
 _MEMORY = 60.0  # s; time constant of the mean of a camera's residuals
 _LOWEST, _HIGHEST, _PER_OCTAVE = -14, 14, 8
 """Of histograms: log2 of the limits, and bins per factor of 2."""
 _BINS = (_HIGHEST - _LOWEST) * _PER_OCTAVE
-_FEWEST_VIEWS, _FEWEST_JOINTS = 5, 5  # of a second, and of a body
-_USUAL, _USUAL_CAUSAL = 0.93, 1.15
-"""Size of the means, over what is expected, with which the standard deviations are right. The first
-is that of simulated cameras that are as the model has them. Detectors err for longer than the model
-says, and have 1.15: a smoother, which averages over seconds, is less certain then; a filter hardly
-averages."""
+_FEWEST_JOINTS = 5  # of a body
+_MOMENT = 200_000_000  # ns; errors that last for less average out, in the smoother as here
+_ALONE = 0.9  # of the weight: the result follows such a camera, and shows nothing of its error
 _LEAST = 0.7
 """Least factor of the standard deviations: a detector that filters hides its noise."""
 
@@ -65,7 +65,7 @@ class ResidualMeter:
     """
 
     def __init__(self, noise: FusionNoise, events: Events, *, causal: bool = False) -> None:
-        self._usual, self._is_causal = _USUAL_CAUSAL if causal else _USUAL, causal
+        self._is_causal = causal
         self._noise, self._events = noise, events
         self._names: tuple[str, ...] = ()
         self._views: list[Sightings] = []
@@ -81,9 +81,8 @@ class ResidualMeter:
 
     def expect(self, n_instants: int, views: Sightings, names: tuple[str, ...]) -> None:
         """Take the views of some instants, which are to be fused."""
-        numbers, self._names = views.instants + self._seen, names
-        some = chosen(views._replace(instants=numbers), numbers % _EVERY == 0)
-        self._views.append(some)
+        self._names = names
+        self._views.append(views._replace(instants=views.instants + self._seen))
         self._seen += n_instants
 
     def compared(self, windows: Iterable[Block]) -> Iterator[Block]:
@@ -132,7 +131,7 @@ class ResidualMeter:
         if uncertainty is None or not self._ratios:
             return fused
         sizes = np.array([self._ratios.get(name, math.nan) for name in uncertainty.names])
-        factors = np.maximum(np.nan_to_num(sizes / self._usual, nan=1.0), _LEAST) ** 2
+        factors = np.maximum(np.nan_to_num(sizes, nan=1.0), _LEAST) ** 2
         count, total = sums_over_cameras(uncertainty.cameras, factors)
         factor = np.where(count > 0, total / np.maximum(count, 1), factors.mean())
         return restated(fused, factor * (uncertainty.deviations**2 - uncertainty.shared**2))
@@ -145,6 +144,7 @@ class ResidualMeter:
         uncertainty = fused.uncertainty
         if uncertainty is None or not len(rows):
             return
+        sees = self._noise.sees(views, self._names)  # before positions become residuals
         residuals = _residuals(views, fused, rows)
         posterior = uncertainty.deviations[rows] ** 2 - uncertainty.shared[rows] ** 2
         white = self._noise.variances(views, self._names)
@@ -163,34 +163,31 @@ class ResidualMeter:
             whole /= (~np.isnan(squares)).sum(axis=1)[:, None]
         # The result does not rest on displaced cameras.
         excess = excess_of(views, whole, limits_of(self._names, self._noise.pose_errors))
-        seeing, _ = sums_over_cameras(uncertainty.cameras[rows], np.ones(len(self._names)))
-        count, offsets = np.maximum(seeing, 1), self._noise.offsets**2
-        fast = np.maximum(white + offsets / count - posterior, 0.1 * white)
-        fast[seeing < 2] = np.nan  # of one camera nothing that lasts shows
-        fast[excess > 0] = np.nan
-        slow = offsets * (1 - 1 / count)
-        self._remember(views, residuals, fast, slow, int(fused.stamps[-1]))
+        weights = 1 / (white + self._noise.offsets**2 + excess[:, None])
+        there = ~np.isnan(views.positions[:, :, 0])
+        total = np.zeros((rows.max() + 1, weights.shape[1]))
+        np.add.at(total, rows, np.where(there, weights, 0.0))
+        shares = np.where(there, weights, np.nan) / np.where(total > 0, total, np.nan)[rows]
+        expected = posterior * (1 / shares - 1)
+        expected[~sees | (shares > _ALONE) | (excess > 0)[:, None]] = np.nan
+        self._remember(views, residuals, expected, int(fused.stamps[-1]))
 
-    def _remember(
-        self, views: Sightings, residuals: Floats, fast: Floats, slow: Floats, stamp: int
-    ) -> None:
-        """Add the means of residuals (N, M, 3) over a second to the cameras' histograms.
+    def _remember(self, views: Sightings, residuals: Floats, expected: Floats, stamp: int) -> None:
+        """Add the means of residuals (N, M, 3) over a moment to the cameras' histograms.
 
-        ``fast`` and ``slow`` (N, M), m2, are the two parts of the expected variance; where ``fast``
-        is NaN, a residual does not count.
+        ``expected`` (N, M), m2, are their variances; where it is NaN, a residual does not count.
         """
-        keys = np.stack([views.cameras, views.people, views.stamps // SECOND])
+        keys = np.stack([views.cameras, views.people, views.stamps // _MOMENT])
         keys, groups = np.unique(keys, axis=1, return_inverse=True)
         groups = groups.ravel()
-        there = ~np.isnan(residuals[:, :, 0] + fast)
+        there = ~np.isnan(residuals[:, :, 0] + expected)
         shape = (keys.shape[1], there.shape[1])
         count, variance, mean = np.zeros(shape), np.zeros(shape), np.zeros((*shape, 3))
         np.add.at(count, groups, there)
         np.add.at(mean, groups, np.where(there[:, :, None], residuals, 0.0))
-        expected = fast / np.maximum(count, 1)[groups] + slow
         np.add.at(variance, groups, np.where(there, expected, 0.0))
-        n = np.where(count >= _FEWEST_VIEWS, count, np.nan)
-        joints = np.count_nonzero(count >= _FEWEST_VIEWS, axis=1, keepdims=True)
+        n = np.where(count > 0, count, np.nan)
+        joints = np.count_nonzero(count, axis=1, keepdims=True)
         n[joints.ravel() < _FEWEST_JOINTS] = np.nan
         mean /= n[:, :, None]
         mean -= np.nansum(mean, axis=1, keepdims=True) / np.maximum(joints, 1)[:, :, None]
