@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from hiros_mcap.body.transforms import Transform, TransformTree, transform_to_fixed
 from hiros_mcap.evaluate import Truth
+from hiros_mcap.frames import Block, frames_of, join
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.skeletons import Floats, Frame, People, SkeletonModel
 
@@ -45,6 +46,19 @@ def room(**params):
         cameras={name: pose.translation for name, pose in simulation.transforms.items()},
         truth=Truth.of(simulation.truth),
     )
+
+
+def at_once(stage):
+    """Make a stage of frames of a stage of blocks, which gets all of them in one block.
+
+    ``frames.by_frame`` gives the same frame by frame, as a law says, in more time.
+    """
+
+    def run(frames, *args, **parameters):
+        blocks = [*map(Block.of, frames)]
+        yield from frames_of(stage([join(blocks)] if blocks else [], *args, **parameters))
+
+    return run
 
 
 def moved(frames, turn, shift):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from builders import FAULTLESS, Room, moved, room, same
+from builders import FAULTLESS, Room, at_once, moved, room, same
 from scipy.spatial.transform import Rotation
 from stick_figures import MODEL, SECOND, START, person, seen
 
@@ -24,8 +24,8 @@ from hiros_mcap.stages.time_order import in_time_order
 from hiros_mcap.stages.track.track import track_blocks
 from hiros_mcap.systems import SYSTEMS, Run, chain_of
 
-track = by_frame(track_blocks)
-merge = by_frame(merge_blocks)
+track = at_once(track_blocks)
+merge = at_once(merge_blocks)
 
 TURN, SHIFT = Rotation.from_euler("xyz", [0.3, -0.5, 1.2]), np.array([3.0, -1.0, 0.5])
 # Some systems tell people apart on the floor: for them, z stays vertical.
@@ -51,7 +51,7 @@ def run_system(name, frames, where, stages=""):
     """Run the stages of a system, or some of them, one after the other, each to its end."""
     result, ready = list(frames), table(name, where)
     for channel in chain_of(name, stages):
-        result = list(by_frame(ready[channel])(result))
+        result = list(at_once(ready[channel])(result))
     return result
 
 

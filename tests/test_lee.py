@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from builders import moved, room, same
+from builders import at_once, moved, room, same
 from scipy.spatial.transform import Rotation
 
 from hiros_mcap.config import load_config
@@ -33,7 +33,7 @@ def pair():
 @cache
 def tracked():
     stages = SYSTEMS["lee"].stages(Run(pair().model, cameras=pair().cameras, fixed_frame="world"))
-    return list(by_frame(stages["tracked"])(pair().frames))
+    return list(at_once(stages["tracked"])(pair().frames))
 
 
 def after_tracking(system, frames, *overrides):
@@ -41,7 +41,7 @@ def after_tracking(system, frames, *overrides):
     config = load_config(None, overrides, system=system)
     stages = SYSTEMS[system].stages(Run(pair().model, config, fixed_frame="world"))
     for name in chain_of(system)[1:]:
-        frames = list(by_frame(stages[name])(frames))
+        frames = list(at_once(stages[name])(frames))
     return frames
 
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from builders import room
+from builders import at_once, room
 
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.frames import by_frame
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_mcap.stages.merge.merge import MergeParams
 from hiros_mcap.systems import LETTERS, SYSTEMS, Run, chain_of, merging_order, system
@@ -58,7 +57,7 @@ def test_the_optimizer_of_the_published_presets_acts(preset):
     stages, spread = system("hiros").stages(run), {}
     frames = scene.frames
     for channel in ("tracked", "merged", "optimized"):
-        frames = list(by_frame(stages[channel])(frames))
+        frames = list(at_once(stages[channel])(frames))
         poses = np.stack([frame.positions[0] for frame in frames if frame.n_people][-60:])
         lengths = np.linalg.norm(np.diff(poses[:, scene.model.links], axis=2)[:, :, 0], axis=-1)
         spread[channel] = np.mean(lengths.std(axis=0) / lengths.mean(axis=0))

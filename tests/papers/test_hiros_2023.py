@@ -7,7 +7,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from builders import room
+from builders import at_once, room
 from hiros_2023 import check_claims, report, run_experiment
 from hiros_2023_tables import (
     STEPS,
@@ -24,7 +24,6 @@ from stick_figures import MODEL, at, person, seen
 from hiros_mcap.body.rotations import multiply
 from hiros_mcap.config import Config
 from hiros_mcap.evaluate import Truth, evaluate
-from hiros_mcap.frames import by_frame
 from hiros_mcap.simulate.body_model import SYMMETRY
 from hiros_mcap.simulate.settings import ActionName
 from hiros_mcap.skeletons import ORIENTATION
@@ -143,7 +142,7 @@ def test_a_flip_that_stays_hurts_the_tracker_and_not_the_merger():
         if action == "free_static":
             frames = [turned_round(f) if f.source == "camera_1" else f for f in frames]
         table = hiros(Run(where.model, cameras=where.cameras, fixed_frame="world"))
-        stages = {name: by_frame(stage) for name, stage in table.items()}
+        stages = {name: at_once(stage) for name, stage in table.items()}
         tracked = list(stages["tracked"](frames))
         filtered = stages["filtered"](stages["merged"](tracked))
         before, after = (evaluate(f, where.truth, where.model) for f in (tracked, filtered))

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from builders import moved
+from builders import at_once, moved
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.cluster.hierarchy import fclusterdata
@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 from stick_figures import MIRROR, MODEL, SECOND, at, person, seen
 
 from hiros_mcap.events import Events
-from hiros_mcap.frames import by_frame
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.stages.lee.cluster import (
     LEE_JOINTS,
@@ -25,7 +24,7 @@ from hiros_mcap.stages.lee.cluster import (
 )
 from hiros_mcap.stages.lee.clustering import ClusterWork, dbscan, reference_positions
 
-cluster = by_frame(cluster_blocks)
+cluster = at_once(cluster_blocks)
 
 WRIST, OTHER_WRIST = 6, 7
 NO_HELP = ClusterParams(reference_helps=False, previous_helps=False)

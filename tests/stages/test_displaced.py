@@ -7,17 +7,17 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from builders import at_once
 from stick_figures import MIRROR, MODEL, PERIOD, POSE, at, person, seen
 
 from hiros_mcap.body.rotations import from_vector, to_matrix
 from hiros_mcap.config import load_config
 from hiros_mcap.events import CAMERA_BACK, Events
-from hiros_mcap.frames import by_frame
 from hiros_mcap.skeletons import Floats
 from hiros_mcap.stages.track.likeness import Displacement, likeness
 from hiros_mcap.stages.track.track import track_blocks
 
-track = by_frame(track_blocks)
+track = at_once(track_blocks)
 
 SIDES = np.array(MIRROR, np.int32)
 TURN = to_matrix(from_vector(np.radians([8.0, 0.0, 25.0])))

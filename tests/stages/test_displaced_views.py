@@ -6,9 +6,9 @@ import re
 
 import numpy as np
 import pytest
+from builders import at_once
 
 from hiros_mcap.events import CAMERA_BACK, CAMERA_DISPLACED, Events
-from hiros_mcap.frames import by_frame
 from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.stages.fuse.displaced_views import (
@@ -21,7 +21,7 @@ from hiros_mcap.stages.fuse.displaced_views import (
 from hiros_mcap.stages.fuse.fuse import FuseParams, fuse_blocks, noise_of
 from hiros_mcap.stages.fuse.fusing import Sightings
 
-fuse = by_frame(fuse_blocks)
+fuse = at_once(fuse_blocks)
 
 BODY = SkeletonModel.of([f"m{k}" for k in range(8)], [])
 REALTIME = {"lookahead": 0.02, "window": 0.0}

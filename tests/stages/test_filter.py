@@ -3,6 +3,7 @@ import math
 
 import numpy as np
 import pytest
+from builders import at_once
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
@@ -14,7 +15,8 @@ from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.stages.filter.filter import FilterParams, _SkeletonFilter, filter_blocks
 from hiros_mcap.stages.filter.link_lengths import project
 
-filter_frames = by_frame(filter_blocks)
+filter_frames = at_once(filter_blocks)
+streamed = by_frame(filter_blocks)
 
 MODEL = SkeletonModel.of(["root", "hand"], [("arm", 0, 1)])
 METHODS = [("state_space", 2), ("state_space", 3)] + [("butterworth", n) for n in (1, 2, 3, 4, 8)]
@@ -127,7 +129,7 @@ def test_output_is_logged_when_its_lookahead_is_complete():
 def test_frames_come_out_as_soon_as_they_can():
     taken = []
     frames = (taken.append(f) or f for f in along(np.arange(9) / 10, np.zeros(9)))
-    stream = filter_frames(frames, MODEL, params(lookahead=0.3))
+    stream = streamed(frames, MODEL, params(lookahead=0.3))
     next(stream)
     assert len(taken) == 4
     next(stream)
@@ -367,7 +369,7 @@ def test_it_does_not_matter_how_frames_are_cut_even_if_an_id_comes_often(lookahe
         frames.append(frame)
     block = join([Block.of(frame) for frame in frames])
     found = frames_of(filter_blocks([block], MODEL, p))
-    for one, other in zip(filter_frames(frames, MODEL, p), found, strict=True):
+    for one, other in zip(streamed(frames, MODEL, p), found, strict=True):
         np.testing.assert_array_equal(one.markers, other.markers)
 
 

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from builders import room, same
+from builders import at_once, room, same
 
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import evaluate
@@ -37,8 +37,8 @@ from hiros_mcap.stages.fuse.pose_prior import (
 from hiros_mcap.stages.fuse.window_smoother import FusionWindow, StepWork, smooth_people
 from hiros_mcap.systems import Run, system
 
-fuse = by_frame(fuse_blocks)
-constrain = by_frame(constrain_blocks)
+fuse = at_once(fuse_blocks)
+constrain = at_once(constrain_blocks)
 
 START = 1_700_000_000_000_000_000  # ns
 POINT = SkeletonModel.of(["A"], [])
@@ -379,7 +379,7 @@ def test_results_wait_for_lengths_that_other_poses_show():
         frame.markers[0, :, :3] = [[0, 0, 1], [0.2 + 0.1 * min(k / 120, 1.0), 0, 1]]
         frames.append(frame)
     params = ConstrainParams(window=2.0, enough=12.0, prior=False)
-    out = list(constrain(frames, model, params))
+    out = list(by_frame(constrain_blocks)(frames, model, params))
     lengths = [np.linalg.norm(np.subtract(*frame.positions[0])) for frame in out]
     assert [frame.stamp for frame in out] == [frame.stamp for frame in frames]
     assert np.ptp(lengths) < 1e-4
@@ -401,12 +401,12 @@ def walk():
 
 def fused(where, **changes):
     stages = system("fuse").stages(run_of(where))
-    frames = list(by_frame(stages["tracked"])(where.frames))
+    frames = list(at_once(stages["tracked"])(where.frames))
     return list(fuse(frames, where.model, FuseParams(**changes), cameras=where.cameras))
 
 
 def tracked_of(where):
-    tracked = by_frame(system("fuse").stages(run_of(where))["tracked"])
+    tracked = at_once(system("fuse").stages(run_of(where))["tracked"])
     return [Block.of(frame) for frame in tracked(where.frames)]
 
 
@@ -418,7 +418,7 @@ def run_of(where, name="fuse"):
 def result(where, name):
     frames = where.frames
     for stage in system(name).stages(run_of(where, name)).values():
-        frames = list(by_frame(stage)(frames))
+        frames = list(at_once(stage)(frames))
     return frames
 
 

@@ -6,11 +6,10 @@ from functools import cache
 
 import numpy as np
 import pytest
-from builders import room, same
+from builders import at_once, room, same
 
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import evaluate
-from hiros_mcap.frames import by_frame
 from hiros_mcap.kernels.array_types import chosen
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_mcap.stages.fuse import fusing
@@ -42,7 +41,7 @@ def result(where, frames, name="fuse-realtime"):
     run = Run(where.model, config, cameras=where.cameras, fixed_frame="world", system=name)
     stages = system(name).stages(run)
     for channel in ("tracked", "merged", "optimized", "filtered"):
-        frames = list(by_frame(stages[channel])(frames)) if channel in stages else frames
+        frames = list(at_once(stages[channel])(frames)) if channel in stages else frames
     return frames
 
 
@@ -190,7 +189,7 @@ def test_a_motion_that_was_never_seen_is_not_held_back():
 def test_lengths_stay_once_they_are_known():
     frames = usual("hiros-realtime")
     params = ConstrainParams(window=0.0, enough=1.5)
-    out = list(by_frame(constrain_blocks)(frames, walk().model, params))
+    out = list(at_once(constrain_blocks)(frames, walk().model, params))
     assert [f.log_time for f in out] == [f.log_time for f in frames]
     links = walk().model.links
     poses = np.array([f.positions[f.ids == 0][0] for f in out[60:] if 0 in f.ids])

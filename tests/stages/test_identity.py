@@ -7,11 +7,12 @@ import math
 
 import numpy as np
 import pytest
+from builders import at_once
 from stick_figures import MODEL, POSE, SECOND, START, at, person, seen
 
 from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, by_frame
+from hiros_mcap.frames import Block
 from hiros_mcap.stages.merge.merge import MergeParams, merge_blocks
 from hiros_mcap.stages.merge.unseen import Unseen
 from hiros_mcap.stages.track.limb_scatter import LimbScatter
@@ -19,8 +20,8 @@ from hiros_mcap.stages.track.reidentify import Limbs, PersonCues, limb_cues, pla
 from hiros_mcap.stages.track.track import _Tracker, track_blocks
 from hiros_mcap.stages.track.track_params import TrackParams
 
-track = by_frame(track_blocks)
-merge = by_frame(merge_blocks)
+track = at_once(track_blocks)
+merge = at_once(merge_blocks)
 
 CAMERAS = {"a": np.array([-3.0, 0.0, 1.0]), "b": np.array([0.0, -3.0, 1.0])}
 TALL = 1.1

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from builders import at_once
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -18,7 +19,8 @@ from hiros_mcap.stages.optimize.limb_calibration import (
 )
 from hiros_mcap.stages.optimize.optimize import OptimizeParams, optimize_blocks
 
-optimize = by_frame(optimize_blocks)
+optimize = at_once(optimize_blocks)
+streamed = by_frame(optimize_blocks)
 
 ARM = SkeletonModel.of(
     ["shoulder", "elbow", "wrist", "hand"],
@@ -212,7 +214,7 @@ def test_no_frame_is_lost_or_overtaken(lookahead):
 def test_frames_are_held_back_no_longer_than_the_lookahead():
     pulled = []
     source = (pulled.append(frame.stamp) or frame for frame in arm_frames(300))
-    stage = optimize(source, ARM, OptimizeParams(lookahead=2.0))
+    stage = streamed(source, ARM, OptimizeParams(lookahead=2.0))
     first = next(stage)
     assert pulled[-1] - first.stamp == pytest.approx(2e9, abs=1e9 / 30)
 
@@ -245,7 +247,7 @@ def test_a_link_that_is_seen_later_gets_its_length_then():
 def test_somebody_who_left_is_not_waited_for():
     frames = [*arm_frames(60, ids=(7,)), *arm_frames(300, ids=(), start=2.0)]
     pulled = []
-    stage = optimize((pulled.append(f.stamp) or f for f in frames), ARM)
+    stage = streamed((pulled.append(f.stamp) or f for f in frames), ARM)
     next(stage)
     assert pulled[-1] < 5e9
 

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from builders import moved, same
+from builders import at_once, moved, same
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -19,7 +19,7 @@ from hiros_mcap.stages.merge import merging
 from hiros_mcap.stages.merge.instants import by_instants
 from hiros_mcap.stages.merge.merge import MergeParams, merge_blocks
 
-merge = by_frame(merge_blocks)
+merge = at_once(merge_blocks)
 
 PLAIN = MergeParams(
     robust_scale=0.0, confidence_power=1.0, past_votes=False, offset_time=0.0, bridge=0.0
@@ -95,7 +95,7 @@ def emitted_after(frames, params):
             fed = next(count)
             yield frame
 
-    return [fed for _ in merge(feed(), MODEL, params)]
+    return [fed for _ in by_frame(merge_blocks)(feed(), MODEL, params)]
 
 
 def test_the_same_camera_again_closes_the_buffer():
@@ -630,7 +630,7 @@ def test_a_long_block_gives_what_its_frames_give_one_by_one():
     block = join([Block.of(frame) for frame in frames])
     params = MergeParams(bridge=3.0)
     together = frames_of(merge_blocks([block], MODEL, params))
-    assert all(map(same, together, merge(frames, MODEL, params)))
+    assert all(map(same, together, by_frame(merge_blocks)(frames, MODEL, params)))
 
 
 def test_a_row_that_somebody_left_is_not_taken_before_it_is_done_with():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from builders import at_once
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -10,7 +11,6 @@ from skeleton_makers import energies, energy_of, lengths_of, random_model, rando
 from hiros_mcap.body.limb_table import Limb, LimbTable
 from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
-from hiros_mcap.frames import by_frame
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
 from hiros_mcap.stages.optimize.energy import (
     W_DISTAL,
@@ -27,7 +27,7 @@ from hiros_mcap.stages.optimize.normal_equations import (
 )
 from hiros_mcap.stages.optimize.optimize import OptimizeParams, block_solver, optimize_blocks
 
-optimize = by_frame(optimize_blocks)
+optimize = at_once(optimize_blocks)
 
 MODEL = SkeletonModel.of(
     ["pelvis", "chest", "shoulder", "elbow", "wrist", "hand", "hip", "knee"],

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from builders import same
+from builders import at_once, same
 
 from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
@@ -20,7 +20,7 @@ from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.stages.fuse.fuse import FuseParams, fuse_blocks
 from hiros_mcap.stages.fuse.residuals import histograms, medians
 
-fuse = by_frame(fuse_blocks)
+fuse = at_once(fuse_blocks)
 
 BODY = SkeletonModel.of([f"m{k}" for k in range(8)], [])
 CAMERAS = "abc"
@@ -108,7 +108,7 @@ def test_a_noisy_camera_counts_less_from_its_third_second_on():
 def test_blocks_change_no_histogram_and_no_result(params):
     frames, settings = detections({"b": 2.5})[:600], FuseParams(**params)
     one, other = Events(), Events()
-    results = list(fuse(frames, BODY, settings, one))
+    results = list(by_frame(fuse_blocks)(frames, BODY, settings, one))
     whole = join([Block.of(frame) for frame in frames])
     again = list(frames_of(fuse_blocks([whole], BODY, settings, other)))
     assert all(map(same, results, again))

@@ -8,13 +8,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-from builders import FAULTLESS, moved, same
+from builders import FAULTLESS, at_once, moved, same
 from scipy.spatial.transform import Rotation
 
 from hiros_mcap.body.forward_cues import CUES, ForwardCues
 from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, frames_of, join
+from hiros_mcap.frames import Block, by_frame, frames_of, join
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.simulate.body_model import MODEL, SLOT, SYMMETRY
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
@@ -84,7 +84,7 @@ def faces_away(frame, camera):
 
 
 def decided(frames, params=None, events=None):
-    return list(frames_of(decide_sides(map(Block.of, frames), MODEL, params, events)))
+    return list(at_once(decide_sides)(frames, MODEL, params, events))
 
 
 def same_markers(one, other):
@@ -277,7 +277,7 @@ def test_blocks_may_be_cut_anywhere(params):
     frames = views(5, lambda f, c, t: mirror(f) if c == 0 and t % 2 > 1 else f)
     whole = join([Block.of(frame) for frame in frames])
     together = frames_of(decide_sides([whole], MODEL, params))
-    assert all(map(same, together, decided(frames, params)))
+    assert all(map(same, together, by_frame(decide_sides)(frames, MODEL, params)))
 
 
 def test_a_live_decision_does_not_know_the_future():

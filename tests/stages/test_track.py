@@ -9,7 +9,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from builders import room
+from builders import at_once, room
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
@@ -38,7 +38,7 @@ from hiros_mcap.stages.track import association
 from hiros_mcap.stages.track.track import track_blocks
 from hiros_mcap.stages.track.track_params import TrackParams
 
-track = by_frame(track_blocks)
+track = at_once(track_blocks)
 ordered = by_frame(in_time_order)
 
 settings_of_hypothesis = hypothesis_settings(deadline=None, max_examples=25)
@@ -383,12 +383,13 @@ def test_frames_in_which_nothing_can_change_are_not_held():
             arrived = at(k)
             yield seen([person()], at(k), camera)
 
-    for frame in track(frames(), MODEL, params):
+    streamed = by_frame(track_blocks)
+    for frame in streamed(frames(), MODEL, params):
         assert frame.ids.tolist() == [0]
         waits.append(arrived - frame.stamp)
     assert max(waits[20:]) == 0
     alone = [seen([person()], at(k)) for k in range(90)]
-    assert len(list(itertools.takewhile(lambda f: f.stamp < at(30), track(alone, MODEL)))) == 30
+    assert len(list(itertools.takewhile(lambda f: f.stamp < at(30), streamed(alone, MODEL)))) == 30
 
 
 def test_equal_times_and_no_ids_keep_everybody():
