@@ -204,8 +204,7 @@ def test_healthy_cameras_are_not_displaced(scene, tmp_path):
     assert process(log, options=ProcessOptions(calibrate="off")).warnings == ()
 
 
-@pytest.mark.parametrize("cameras", [2, 3])
-@pytest.mark.parametrize("metres", [0.1, 0.2])
+@pytest.mark.parametrize(("cameras", "metres"), [(2, 0.2), (3, 0.1)])
 def test_a_move_before_the_last_fifth_is_told_in_verdict_and_warning(cameras, metres, tmp_path):
     """Too short a part for a pose, and people too near to be taken for others."""
 
