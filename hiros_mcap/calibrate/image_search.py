@@ -13,6 +13,7 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import TransformTree, parse_tf
 from hiros_mcap.calibrate.ball_image import DepthCamera
 from hiros_mcap.errors import LogError
+from hiros_mcap.io.ros_cdr import RosMessage
 from hiros_mcap.io.ros_messages import (
     CAMERA_INFO,
     COMPRESSED_IMAGE,
@@ -20,7 +21,6 @@ from hiros_mcap.io.ros_messages import (
     TRANSFORMS,
     Bytes,
     Intrinsics,
-    RosMessage,
     RosMessages,
     colour_image,
     depth_image,

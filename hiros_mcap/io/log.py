@@ -45,7 +45,6 @@ from hiros_mcap.io.detectors.body_size import body_size
 from hiros_mcap.io.detectors.conversion import (
     ENCODINGS,
     Selection,
-    SkeletonChoice,
     converted,
     of_people,
 )
@@ -166,7 +165,7 @@ def open_log(
     output_prefix: str = OUTPUT_PREFIX,
     recover: bool = False,
     memory: int = MEMORY,
-    skeletons: SkeletonChoice | None = None,
+    skeletons: Selection | None = None,
 ) -> Log:
     """Open a log and find out what is in it.
 
@@ -194,7 +193,7 @@ def open_log(
     """
     tree = None if extrinsics is None else read_extrinsics(Path(extrinsics))
     selects = partial(is_selected, topics=topics, output_prefix=output_prefix)
-    selection = Selection(selects, skeletons or SkeletonChoice())
+    selection = (skeletons or Selection())._replace(selects=selects)
     with ExitStack() as stack:
         if isinstance(path, McapReader):
             file = path
@@ -278,7 +277,7 @@ def open_groups(source: Source) -> Iterator[McapReader]:
     """Yield a log as SkeletonGroups, also one of other detectors; raises LogError."""
     selects = partial(is_selected, topics=None, output_prefix=OUTPUT_PREFIX)
     with reading(source) as file, naming(file.path):
-        groups = converted(file, Selection(selects))
+        groups = converted(file, Selection(selects=selects))
         try:
             yield groups
         finally:

@@ -29,7 +29,7 @@ from hiros_mcap.io.channels import (
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.container.file import Table
 from hiros_mcap.io.container.records import Bytes
-from hiros_mcap.io.detectors.conversion import SkeletonChoice
+from hiros_mcap.io.detectors.conversion import Selection
 from hiros_mcap.io.log import Log, Reading, open_log, open_reader
 from hiros_mcap.io.result import stored_parameters, stored_report, values_of
 from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
@@ -167,7 +167,7 @@ def overview_of(
     *,
     topics: Sequence[str] | None = None,
     extrinsics: str | os.PathLike[str] | None = None,
-    skeletons: SkeletonChoice | None = None,
+    skeletons: Selection | None = None,
 ) -> Overview:
     """Read a log from end to end and report what is in it.
 

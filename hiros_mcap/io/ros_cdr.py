@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,18 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 Bytes = bytes | memoryview
+
+
+class RosMessage(NamedTuple):
+    """A message that is not decoded."""
+
+    topic: str
+    type: str
+    log_time: int
+    """ns."""
+    data: Bytes
+    """CDR; valid as long as it is held."""
+
 
 _HEADER = "std_msgs/msg/Header"
 _HEADER_TEXT = "builtin_interfaces/Time stamp\nstring frame_id\n"

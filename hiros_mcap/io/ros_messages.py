@@ -17,7 +17,7 @@ import hiros_schemas
 from hiros_mcap.errors import ConfigError, LogError, naming
 from hiros_mcap.io.bags import kind_of, open_bag, parts_of
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.ros_cdr import decoder_of, ros2_types
+from hiros_mcap.io.ros_cdr import RosMessage, decoder_of, ros2_types
 from hiros_mcap.skeletons import Floats
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -27,18 +27,6 @@ POINT = "geometry_msgs/msg/PointStamped"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 KINDS = (IMAGE, COMPRESSED_IMAGE, CAMERA_INFO, POINT, TRANSFORMS, hiros_schemas.UNCERTAINTY)
 """The types that can be read; their definitions are the same in every release of ROS 2."""
-
-
-class RosMessage(NamedTuple):
-    """A message that is not decoded yet."""
-
-    topic: str
-    type: str
-    """``pkg/msg/Type``."""
-    log_time: int
-    """ns."""
-    data: bytes | memoryview
-    """CDR; valid as long as it is held."""
 
 
 class RosMessages:

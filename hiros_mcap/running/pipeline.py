@@ -27,7 +27,7 @@ from hiros_mcap.config import Config, load_config, settings_beside
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.frames import Block
 from hiros_mcap.io.bags import output_file, refuse_foreign_encodings
-from hiros_mcap.io.detectors.conversion import SkeletonChoice
+from hiros_mcap.io.detectors.conversion import Selection
 from hiros_mcap.io.log import DAMAGED, Log, Reading, Source, open_log
 from hiros_mcap.outputs import check_outputs, target_kind
 from hiros_mcap.running.observe import DETECTIONS, Observer, Stopwatch
@@ -196,9 +196,9 @@ def open_input(source: Source, config: Config, options: ProcessOptions) -> Log:
     )
 
 
-def skeletons_read(config: Config) -> SkeletonChoice:
+def skeletons_read(config: Config) -> Selection:
     """Return which skeleton a log is read as, and in which unit."""
-    return SkeletonChoice(config.input.model, config.input.unit)
+    return Selection(config.input.model, config.input.unit)
 
 
 def check_limbs(options: ProcessOptions) -> None:

@@ -24,7 +24,7 @@ from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.detectors import azure_kinect, registry
 from hiros_mcap.io.detectors.body_models import BODY_MODELS, body_model, joints_of, name_of
 from hiros_mcap.io.detectors.body_size import unit_of
-from hiros_mcap.io.detectors.conversion import SkeletonChoice
+from hiros_mcap.io.detectors.conversion import Selection
 from hiros_mcap.io.detectors.detector_reader import DetectorMessage
 from hiros_mcap.io.detectors.model_fitting import union_of
 from hiros_mcap.io.detectors.registry import detector_readers
@@ -267,13 +267,13 @@ def test_results_have_the_skeleton_that_was_chosen(mixed, tmp_path):
 
 
 def test_the_skeleton_of_a_camera_can_be_chosen(mixed):
-    with open_log(mixed, skeletons=SkeletonChoice("/camera_0/skeletons")) as log:
+    with open_log(mixed, skeletons=Selection("/camera_0/skeletons")) as log:
         assert set(log.model.marker_names) <= set(body_model("kinect-v2").marker_names)
 
 
 def test_an_unknown_skeleton_names_the_known_ones(mixed):
     with pytest.raises(ConfigError, match=r"no skeleton model 'kinect'.*kinect-v2.*/camera_0"):
-        open_log(mixed, skeletons=SkeletonChoice("kinect"))
+        open_log(mixed, skeletons=Selection("kinect"))
 
 
 def test_cameras_left_out_do_not_change_the_skeleton(mixed):
@@ -306,7 +306,7 @@ def test_a_wrong_unit_is_noticed_and_can_be_given(factor, unit, tmp_path, scene)
             f"the positions are in {unit}, not in m; read them with --unit {unit}"
             in (log.warnings[0])
         )
-    with open_log(path, skeletons=SkeletonChoice(unit=unit)) as log:  # type: ignore[arg-type]
+    with open_log(path, skeletons=Selection(unit=unit)) as log:  # type: ignore[arg-type]
         assert log.warnings == ()
         frame = next(frame for frame in log.frames() if frame.n_people)
     expected = next(f for _, f in scene.detections if f.n_people and f.source == frame.source)

@@ -35,7 +35,7 @@ from hiros_mcap.io.detectors.detector_reader import DetectorMessage, DetectorRea
 from hiros_mcap.io.detectors.model_fitting import UNION, Fit, chosen_model
 from hiros_mcap.io.detectors.registry import detector_readers
 from hiros_mcap.io.layout import Layout, check_schema
-from hiros_mcap.io.ros_cdr import cdr_of, decoder_of, types_of
+from hiros_mcap.io.ros_cdr import RosMessage, cdr_of, decoder_of, types_of
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_mcap.summary import quantity
 
@@ -53,28 +53,22 @@ _PROBED = 16 * 2**20
 _LISTED = 12
 
 
-class SkeletonChoice(NamedTuple):
-    """Which skeletons results are to have, and what the log's positions mean."""
+class Selection(NamedTuple):
+    """What is read of a log, and which skeletons the results are to have."""
 
     model: str = ""
     """As in :func:`hiros_mcap.io.detectors.model_fitting.chosen_model`."""
     unit: Unit = "m"
     """Of the positions in the log."""
-
-
-class Selection(NamedTuple):
-    """What is read of a log, and as what."""
-
-    selects: Callable[[str], bool]
+    selects: Callable[[str], bool] = lambda _: True
     """Says of a topic whether its skeletons are wanted."""
-    choice: SkeletonChoice = SkeletonChoice()
     several: bool = False
     """The log is known to have several models."""
 
     @property
     def is_usual(self) -> bool:
         """Whether SkeletonGroups can stay as they are."""
-        return not self.several and self.choice == SkeletonChoice()
+        return not self.several and (self.model, self.unit) == ("", "m")
 
 
 class InputChannel(NamedTuple):
@@ -262,16 +256,6 @@ def _models_of(reader: McapReader, group: Iterable[InputChannel]) -> dict[str, S
     return models
 
 
-class Rewritten(NamedTuple):
-    """A message as hiros reads it."""
-
-    topic: str
-    type: str
-    """``pkg/Type``."""
-    log_time: int
-    data: bytes
-
-
 class Conversion:
     """Turns the skeletons of a log into SkeletonGroups of one model, and copies its transforms.
 
@@ -290,12 +274,12 @@ class Conversion:
         layouts: Mapping[str, Mapping[str, SkeletonModel]],
     ) -> None:
         self._reader, self._layouts = reader, dict(layouts)
-        self._selects, self._choice, _ = selection
+        self._selection = selection
         self._sources = {source.info.id: source for source in sources}
         self._models = {t: m for models in layouts.values() for t, m in models.items()}
         self.target: SkeletonModel | None = None
         if layouts:
-            self.target = chosen_model(self._choice.model, self._models)
+            self.target = chosen_model(self._selection.model, self._models)
         self._readers = [kind() for kind in detector_readers()]
         self._fits: dict[tuple[SkeletonModel, SkeletonModel], tuple[Fit, Encoder]] = {}
         self._ids: dict[str, int] = {}
@@ -317,7 +301,7 @@ class Conversion:
             for topic, kind, log_time, data in some:
                 writer.write(self._channel(writer, topic, kind), log_time, data)
 
-    def rewritten(self, source: InputChannel, message: Message) -> Iterator[Rewritten]:
+    def rewritten(self, source: InputChannel, message: Message) -> Iterator[RosMessage]:
         """Yield what a message becomes; one that cannot be decoded is counted.
 
         Transforms are copied, and may show humans besides. Others either are copied, or become the
@@ -330,7 +314,7 @@ class Conversion:
             given = source.message(message)
             people = _read(self._readers, given) if reads else None
             if copies and not (moves and people is not None and _is_of_one_body(given.cdr)):
-                yield Rewritten(topic, source.type, message.log_time, bytes(given.cdr))
+                yield RosMessage(topic, source.type, message.log_time, bytes(given.cdr))
         except LogError as error:
             self.faulty[topic] += 1
             self.first.setdefault(topic, error.fault)
@@ -339,7 +323,7 @@ class Conversion:
             self._declined[topic] += 1
         yield from self._groups(people or ())
 
-    def rest(self) -> Iterator[Rewritten]:
+    def rest(self) -> Iterator[RosMessage]:
         """Yield what is held back until the end of the log."""
         for reader in self._readers:
             yield from self._groups(reader.rest())
@@ -357,22 +341,22 @@ class Conversion:
     def _fits_target(self, source: InputChannel) -> bool:
         """Whether a channel has SkeletonGroups of the model that results are to have, in m."""
         model = self._models.get(source.info.topic)
-        fits = self.target in (None, model) and self._choice.unit == "m"
+        fits = self.target in (None, model) and self._selection.unit == "m"
         return source.type == SKELETONS and fits
 
-    def _groups(self, people: Iterable[SeenPeople]) -> Iterator[Rewritten]:
+    def _groups(self, people: Iterable[SeenPeople]) -> Iterator[RosMessage]:
         """Yield people as SkeletonGroups."""
         for topic, model, frame in people:
-            if not self._selects(topic):
+            if not self._selection.selects(topic):
                 continue
             self._models.setdefault(topic, model)
             key = model, self.target or model
             if key not in self._fits:
-                self._fits[key] = Fit(*key, METRES[self._choice.unit]), Encoder(key[1])
+                self._fits[key] = Fit(*key, METRES[self._selection.unit]), Encoder(key[1])
             fit, encoder = self._fits[key]
             if names := fit.left_out(frame):
                 self._missing.setdefault(topic, Counter()).update(names)
-            yield Rewritten(topic, SKELETONS, frame.log_time, encoder.encode(fit(frame)))
+            yield RosMessage(topic, SKELETONS, frame.log_time, encoder.encode(fit(frame)))
 
     def remarks(self) -> Iterator[str]:
         """Say what was converted, and what was left out."""
@@ -404,7 +388,7 @@ class Conversion:
         if self.target is None or set(by_model) <= {self.target}:
             return
         models = "; ".join(f"{_named(m)}: {', '.join(t)}" for m, t in by_model.items())
-        which = "their union" if self._choice.model in ("", UNION) else _named(self.target)
+        which = "their union" if self._selection.model in ("", UNION) else _named(self.target)
         yield (
             f"skeletons are fused by the names of their joints ({models}); results have {which}, "
             f"{self.target.n_markers} markers. Orientations are left out, since every detector has "

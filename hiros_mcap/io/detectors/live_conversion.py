@@ -21,7 +21,6 @@ from hiros_mcap.io.detectors.conversion import (
     TRANSFORMS,
     Conversion,
     InputChannel,
-    Rewritten,
     Selection,
     is_of_other_detector,
     is_transforms,
@@ -30,6 +29,7 @@ from hiros_mcap.io.detectors.conversion import (
 )
 from hiros_mcap.io.detectors.model_fitting import chosen_model
 from hiros_mcap.io.detectors.skeleton_groups import SkeletonGroups
+from hiros_mcap.io.ros_cdr import RosMessage
 
 _PROBED = 100
 """Messages of a channel that show nobody, after which it is taken to be of another use."""
@@ -48,7 +48,7 @@ class LiveConversion(Conversion):
     """
 
     def __init__(self, reader: LiveReader, selects: Callable[[str], bool]) -> None:
-        super().__init__(reader, Selection(selects), (), {})
+        super().__init__(reader, Selection(selects=selects), (), {})
         self._live = reader
         self._read_as: dict[int, InputChannel | None] = {}
         """Channel -> how it is read, None = it stays as it is."""
@@ -109,7 +109,7 @@ class LiveConversion(Conversion):
         for one in self.rewritten(source, message):
             yield self._message(one, message, source)
 
-    def _message(self, one: Rewritten, message: Message, source: InputChannel | None) -> Message:
+    def _message(self, one: RosMessage, message: Message, source: InputChannel | None) -> Message:
         """Return a new message, on the old channel where that has the type."""
         keeps_channel = source is not None and source.is_native and one.type == source.type
         if source is not None and one.type == SKELETONS and source.type != SKELETONS:
@@ -120,9 +120,9 @@ class LiveConversion(Conversion):
             self._live.hidden.add(message.channel_id)
         if source is not None and not keeps_channel and source.type == TRANSFORMS:
             self._human.add(ident)
-        return replace(message, channel_id=ident, log_time=one.log_time, data=one.data)
+        return replace(message, channel_id=ident, log_time=one.log_time, data=bytes(one.data))
 
-    def _channel_of(self, one: Rewritten) -> int:
+    def _channel_of(self, one: RosMessage) -> int:
         key = one.topic, one.type
         if key not in self._added:
             ident = self._added[key] = _LAST_ID - len(self._added)
@@ -146,7 +146,7 @@ class LiveConversion(Conversion):
         return source
 
     def _found(self, info: ChannelInfo) -> InputChannel | None:
-        selected = self._selects(info.topic)
+        selected = self._selection.selects(info.topic)
         is_group = type_of(info) == SKELETONS
         if not (is_of_other_detector(info) or is_transforms(info) or is_group):
             return None
@@ -163,7 +163,7 @@ class LiveConversion(Conversion):
     def _group_source(self, ident: int) -> InputChannel | None:
         """Return how the SkeletonGroups of a channel are read; None for other channels."""
         info = self._info(ident)
-        if type_of(info) != SKELETONS or not self._selects(info.topic):
+        if type_of(info) != SKELETONS or not self._selection.selects(info.topic):
             return None
         source = source_of(self._live, info, selected=True)
         return source if source.is_native else None
@@ -177,7 +177,7 @@ class LiveConversion(Conversion):
             infos = channels_of(self._live)
             others = any(
                 type_of(info) == SKELETONS
-                and self._selects(info.topic)
+                and self._selection.selects(info.topic)
                 and info.id not in self._human
                 for info in infos
             )

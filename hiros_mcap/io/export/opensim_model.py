@@ -192,12 +192,13 @@ def _shoulders(
     model: SkeletonModel, motion: Motion, lengths: Mapping[str, float]
 ) -> dict[str, Floats]:
     """Side -> (3,) where the shoulder is in the torso: the median over the motion."""
-    trunk, at = rajagopal.trunk_of(model, motion), finder(model, motion.positions)
+    hips, pelvis, torso = rajagopal.trunk_of(model, motion)
+    at = finder(model, motion.positions)
     factor = lengths["trunk"] / OF_RAJAGOPAL["trunk"]
-    back = trunk.hips + trunk.pelvis @ (factor * rajagopal.BACK)
+    back = hips + pelvis @ (factor * rajagopal.BACK)
     places = {}
     for side in SIDES:
-        seen = rajagopal.into(trunk.torso, at("shoulder", side=side) - back)
+        seen = rajagopal.into(torso, at("shoulder", side=side) - back)
         seen = seen[np.isfinite(seen).all(axis=-1)]
         usual = _to(side, factor * rajagopal.SHOULDERS + lengths["shoulders"] / 2 * _Z)
         places[side] = np.median(seen, axis=0) if len(seen) else usual

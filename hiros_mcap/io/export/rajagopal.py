@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -162,24 +161,16 @@ def coordinates(
     return columns | dict(zip(PELVIS[3:], origin.T, strict=True)), deviations
 
 
-class Trunk(NamedTuple):
-    """Where the model's trunk is, in the fixed frame."""
+def trunk_of(model: SkeletonModel, motion: Motion) -> tuple[Floats, Floats, Floats]:
+    """Pose the model's pelvis and torso; NaN where joints are missing.
 
-    hips: Floats
-    """(T, 3) their middle, m."""
-    pelvis: Floats
-    """(T, 3, 3) its frames."""
-    torso: Floats
-    """(T, 3, 3) its frames."""
-
-
-def trunk_of(model: SkeletonModel, motion: Motion) -> Trunk:
-    """Pose the model's pelvis and torso; NaN where joints are missing."""
+    Returns, in the fixed frame, the middle of the hips (T, 3), m, and the frames (T, 3, 3) of both.
+    """
     at = finder(model, motion.positions)
     # Of the markers alone: the line between the hips then is the model's.
     pelvis = marker_segments(model, motion.positions)["pelvis"]
     middle = (at("hip", side="left") + at("hip", side="right")) / 2
-    return Trunk(middle, pelvis, pelvis @ _torso(at, pelvis, middle))
+    return middle, pelvis, pelvis @ _torso(at, pelvis, middle)
 
 
 def _torso(at: Finder, pelvis: Floats, hips: Floats) -> Floats:

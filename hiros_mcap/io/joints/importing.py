@@ -332,11 +332,9 @@ def import_joints(
     LogError
         ``target`` cannot be written.
     """
-    meaning = read_mapping(None if mapping is None else Path(mapping))
     paths = [Path(source) for source in sources]
-    if others := sorted(meaning.files.keys() - {path.name for path in paths}):
-        raise ConfigError(f"{mapping}: [files] names {', '.join(others)}, not among those imported")
-    names = [meaning.of(path).camera or path.stem for path in paths]
+    meanings = read_mapping(None if mapping is None else Path(mapping), paths)
+    names = [one.camera or path.stem for one, path in zip(meanings, paths, strict=True)]
     for path, name in zip(paths, names, strict=True):
         if not name.isprintable():
             raise ConfigError(f"{path}: name the camera in the mapping file; {name!r} is no name")
@@ -345,7 +343,7 @@ def import_joints(
             f"several files are of the camera {', '.join(twice)}; name it in the mapping file, "
             f'under [files."{paths[-1].name}"]'
         )
-    read = [_frames(path, name, meaning.of(path)) for path, name in zip(paths, names, strict=True)]
+    read = [_frames(*each) for each in zip(paths, names, meanings, strict=True)]
     for path in filter(_may_be_cut, paths):
         warn(f"{path}: its last line has no end; if a number in it is cut off, it is wrong")
     with McapWriter(target) as writer:

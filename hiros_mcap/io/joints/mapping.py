@@ -214,17 +214,6 @@ class FileMapping(BaseModel):
         return np.asarray(positions @ rotation_of(self.axes).T)
 
 
-class Mapping(BaseModel):
-    """A mapping file."""
-
-    default: FileMapping
-    files: dict[str, FileMapping]
-
-    def of(self, path: Path) -> FileMapping:
-        """Return what holds for a file, found by its name."""
-        return self.files.get(path.name, self.default)
-
-
 def rotation_of(axes: list[str]) -> Floats:
     """(3, 3) matrix whose rows pick the file's axes."""
     rows = np.zeros((3, 3))
@@ -256,13 +245,15 @@ def of_columns(mapping: FileMapping, columns: Sequence[str]) -> FileMapping:
     return mapping.model_copy(update={"time": time, "columns": joints})
 
 
-def read_mapping(path: Path | None) -> Mapping:
-    """Read a mapping file, or take that of a detector; without one everything is as by default.
+def read_mapping(path: Path | None, sources: Sequence[Path]) -> list[FileMapping]:
+    """Return what each source means, by a mapping file or by that of a detector.
+
+    Without either, everything is as by default.
 
     Raises ConfigError naming the file and the key.
     """
     if path is None:
-        return Mapping(default=FileMapping(), files={})
+        return [FileMapping() for _ in sources]
     is_named = path.name in DETECTOR_FILES
     table: dict[str, Any] = {"detector": path.name} if is_named else read_toml(path)
     detector = str(table.pop("detector", ""))
@@ -274,13 +265,14 @@ def read_mapping(path: Path | None) -> Mapping:
         files = table.pop("files", {})
         if not isinstance(files, dict):
             raise ConfigError(f'{path}: files: should be tables [files."NAME"]')
-        return Mapping(
-            default=FileMapping.model_validate(table),
-            files={n: FileMapping.model_validate(_merged(table, f)) for n, f in files.items()},
-        )
+        usual = FileMapping.model_validate(table)
+        by_name = {n: FileMapping.model_validate(_merged(table, f)) for n, f in files.items()}
     except ValidationError as error:
         where, message = explain(error)
         raise ConfigError(f"{path}: {'.'.join(where) or 'file'}: {message}") from None
+    if others := sorted(by_name.keys() - {source.name for source in sources}):
+        raise ConfigError(f"{path}: [files] names {', '.join(others)}, not among those imported")
+    return [by_name.get(source.name, usual) for source in sources]
 
 
 def _merged(table: dict[str, Any], entry: Any) -> dict[str, Any]:
