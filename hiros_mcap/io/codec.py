@@ -527,12 +527,12 @@ class Encoder:
         boxes: bool = False,
     ) -> None:
         self.model = model
-        self._hierarchy = encode.Hierarchy(
-            np.array([model.max_markers, model.max_links], np.int64), *model_tables(model)
-        )
+        self._tables = model_tables(model)
         columns = STATE if derivatives else POSE
         dropped = 0 if precision == "full" else _DROPPED
-        self._format = encode.Format(columns, dropped, int(boxes))
+        self._format = encode.Format(
+            columns, dropped, int(boxes), model.max_markers, model.max_links
+        )
         self._out = np.empty(1 << 21, np.uint8)
 
     def encode(self, frame: Frame, source: str | None = None) -> bytes:
@@ -552,9 +552,7 @@ class Encoder:
         while first < len(block):
             messages = _messages(block, first)
             ends = np.empty(len(messages.stamps), np.int64)
-            n = encode.encode(
-                self._out, messages, self._hierarchy, block.people, self._format, ends
-            )
+            n = encode.encode(self._out, messages, self._tables, block.people, self._format, ends)
             if n == -encode.SHAPE:
                 raise ValueError("the arrays of the frame do not fit each other or the model")
             if n == -encode.STAMP:

@@ -10,9 +10,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.array_types import C1, I1, I2, U1, W1
+from hiros_mcap.kernels.array_types import C1, I1, I2, U1
 from hiros_mcap.kernels.bytes import load64, store32, store64, to_word
-from hiros_mcap.kernels.cdr import BOX, MIN_PERSON, NANO, STATE, Bytes, Table, Words, align4, align8
+from hiros_mcap.kernels.cdr import (
+    BOX,
+    MIN_PERSON,
+    NANO,
+    STATE,
+    Bytes,
+    Table,
+    Tables,
+    Words,
+    align4,
+    align8,
+)
 from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.skeletons import ORIENTATION, POSE, Floats, People
 
@@ -28,15 +39,6 @@ _INFINITY = np.uint64(0x7FF0000000000000)  # every larger magnitude is a NaN
 _ONE = np.uint64(1)
 
 
-class Hierarchy(NamedTuple):
-    """What every message repeats of the skeleton model."""
-
-    most: I1  # (2,) max_markers and max_links
-    markers: I2
-    links: I2
-    words: W1
-
-
 class Messages(NamedTuple):
     """What N messages hold besides their people."""
 
@@ -48,13 +50,15 @@ class Messages(NamedTuple):
 
 
 class Format(NamedTuple):
-    """Which numbers are written, and how exactly."""
+    """Which numbers are written, how exactly, and what all messages say of the model."""
 
     columns: int
     """How many of the numbers of a KinematicState: all, or the pose only. The others are NaN."""
     dropped: int  # how many of the 52 bits of the mantissa are rounded away, the lowest ones
     boxed: int
     """Whether bounding boxes are those of the markers; else they are written as they are given."""
+    max_markers: int
+    max_links: int
 
 
 @kernel
@@ -222,12 +226,12 @@ def _size(n_people: int, texts: int, marker_table: Table, link_table: Table) -> 
 
 @kernel
 def _put_person(
-    out: Bytes, at: int, source: Bytes, person: int, model: Hierarchy, flat: People, form: Format
+    out: Bytes, at: int, source: Bytes, person: int, model: Tables, flat: People, form: Format
 ) -> int:
     """Write a person; ``flat`` are arrays of one dimension."""
     at = _put_stamp(out, _put(out, at, flat.ids[person]), flat.stamps[person])
     at = _put_string(out, at, source)
-    at = _pad8(out, _put(out, _put(out, at, model.most[0]), model.most[1]))
+    at = _pad8(out, _put(out, _put(out, at, form.max_markers), form.max_links))
     at = _put_numbers(out, at, flat.confidences, person, 1, form.dropped)
     at = _put_box(out, at, person, len(model.markers), flat, form)
     at = _put_elements(
@@ -240,7 +244,7 @@ def _put_person(
 
 @kernel
 def _put_message(
-    out: Bytes, messages: Messages, i: int, model: Hierarchy, flat: People, form: Format
+    out: Bytes, messages: Messages, i: int, model: Tables, flat: People, form: Format
 ) -> int:
     """Write message ``i``, which ``out`` has room for; return its length, or minus a fault."""
     begin, end = messages.rows[i, 0], messages.rows[i, 1]
@@ -259,7 +263,7 @@ def _put_message(
 
 
 @kernel
-def _fits(people: People, model: Hierarchy) -> bool:
+def _fits(people: People, model: Tables) -> bool:
     """Whether the arrays are for the same people, and for this model."""
     n, m, n_links = len(people.ids), len(model.markers), len(model.links)
     return (
@@ -273,7 +277,7 @@ def _fits(people: People, model: Hierarchy) -> bool:
 
 @entry
 def encode(
-    out: U1, messages: Messages, model: Hierarchy, people: People, form: Format, ends: I1
+    out: U1, messages: Messages, model: Tables, people: People, form: Format, ends: I1
 ) -> int:  # fmt: skip
     """Write messages, little-endian, one after the other into ``out``.
 
