@@ -86,7 +86,7 @@ class Block:
     def everybody(self) -> tuple[Stamps, Stamps]:
         """Rows of all people, (P,) in the order of the frames, and (P,) the frame of each."""
         owners = np.repeat(np.arange(len(self)), self.sizes)
-        return _rows_between(self.rows), owners
+        return rows_between(self.rows), owners
 
     def select(self, frames: slice | Sequence[int] | Stamps) -> Block:
         """Return some of the frames, of the same arrays."""
@@ -268,7 +268,7 @@ def _common_names(blocks: Sequence[Block]) -> tuple[tuple[str, ...], Stamps, Sta
     return tuple(numbers), sources, np.concatenate([table[b.frame_ids] for table, b in pairs])
 
 
-def _rows_between(rows: Stamps) -> Stamps:
+def rows_between(rows: Stamps) -> Stamps:
     """(P,) All rows of frames (N, 2), in their order."""
     sizes = rows[:, 1] - rows[:, 0]
     skipped = rows[:, 0] - (np.cumsum(sizes) - sizes)
@@ -312,7 +312,7 @@ def _used(of_block: Stamps, rows: Stamps, sizes: Sequence[int]) -> tuple[Stamps,
     np.maximum.at(ends, of_block, rows[:, 1])
     ends = np.maximum(begins, ends)  # of a block without frames: none
     shifts = np.cumsum(ends - begins) - ends
-    whole = _rows_between(rows + shifts[of_block, None])
+    whole = rows_between(rows + shifts[of_block, None])
     return whole, list(map(slice, begins.tolist(), ends.tolist()))
 
 

@@ -126,7 +126,7 @@ def slerp(a_xyzw: Floats, b_xyzw: Floats, share: float) -> Floats:
 
 
 class Rigid(NamedTuple):
-    """A rigid transform: ``point`` goes to ``rotate(xyzw, point) + translation``."""
+    """A rigid transform of points; see :meth:`moved`."""
 
     xyzw: Floats
     """(4,) unit quaternion."""
@@ -139,6 +139,10 @@ class Rigid(NamedTuple):
             multiply(self.xyzw, first.xyzw),
             rotate(self.xyzw, first.translation) + self.translation,
         )
+
+    def moved(self, points: Floats) -> Floats:
+        """Return where points (..., 3), m, go."""
+        return np.asarray(rotate(self.xyzw, points) + self.translation)
 
     def inverse(self) -> Rigid:
         """Return the transform that undoes this one."""

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hiros_mcap.body.rotations import Rigid, rotate
+from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.calibrate.registration import fit_sphere
 from hiros_mcap.errors import ConfigError, RegistrationError
 from hiros_mcap.io.ros_messages import Bytes, Intrinsics
@@ -98,8 +98,7 @@ def find_ball(
     ball = max(balls, key=lambda each: each.inliers)  # an arm may cut the ball in two
     if any(np.linalg.norm(ball.centre - each.centre) > 0.5 * radius for each in balls):
         return None
-    turn, shift = camera.to_colour
-    return ball._replace(centre=rotate(turn, ball.centre) + shift)
+    return ball._replace(centre=camera.to_colour.moved(ball.centre))
 
 
 def color_regions(image: Bytes, color: ColorRange) -> Labels:
@@ -155,7 +154,7 @@ def points_of_labels(labels: Labels, depth: Floats, camera: DepthCamera) -> tupl
 def _labels_of(points: Floats, labels: Labels, lens: Intrinsics, to_colour: Rigid) -> Labels:
     """Return the label of the colour pixel at which each point of the depth image appears."""
     values = np.zeros(len(points), np.int32)
-    moved = rotate(to_colour.xyzw, points) + to_colour.translation
+    moved = to_colour.moved(points)
     front = np.flatnonzero(moved[:, 2] > 0.0)
     columns, rows = np.rint(lens.project(moved[front])).T
     inside = (columns >= 0) & (columns < labels.shape[1]) & (rows >= 0) & (rows < labels.shape[0])

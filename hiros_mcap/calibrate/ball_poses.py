@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hiros_mcap.body.rotations import Rigid, rotate, to_matrix
+from hiros_mcap.body.rotations import Rigid, to_matrix
 from hiros_mcap.calibrate.gauge import moved, on_transforms
 from hiros_mcap.calibrate.pair_pose import links_from
 from hiros_mcap.calibrate.registration import common_frames, jackknife, rigid_fit
@@ -340,8 +340,7 @@ def robust_fit(source: Floats, target: Floats) -> tuple[Rigid, Flags]:
 
 
 def _distances(pose: Rigid, source: Floats, target: Floats) -> Floats:
-    moved_points = rotate(pose.xyzw, source) + pose.translation
-    return np.asarray(np.linalg.norm(moved_points - target, axis=1))
+    return np.asarray(np.linalg.norm(pose.moved(source) - target, axis=1))
 
 
 def _cost(pose: Rigid, source: Floats, target: Floats) -> float:

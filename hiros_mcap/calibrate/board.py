@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hiros_mcap.body.rotations import Rigid, rotate
+from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import TransformTree, read_extrinsics
 from hiros_mcap.calibrate.ball_image import DepthCamera, points_of_labels
 from hiros_mcap.calibrate.image_search import (
@@ -157,8 +157,7 @@ def marker_finder(dictionary: str = DICTIONARY) -> Finder:
         centres = np.stack([_centroid(points[numbers == k + 1]) for k in range(MARKERS)])
         if np.isnan(centres).any():
             return None
-        turn, shift = camera.to_colour
-        return np.asarray(rotate(turn, centres) + shift)
+        return camera.to_colour.moved(centres)
 
     return find
 
@@ -188,7 +187,7 @@ def _report(searches: Sequence[ImageSearch], tree: TransformTree) -> BoardReport
     given = _joined(searches, centres, tree)
     middles = {frame: np.median(each, axis=0) for frame, each in centres.items()}
     poses = _by_transforms(middles, given) if given else _by_board(searches, middles)
-    world = np.mean([_moved(poses[frame], each) for frame, each in middles.items()], axis=0)
+    world = np.mean([poses[frame].moved(each) for frame, each in middles.items()], axis=0)
     cameras = []
     for search in searches:
         frame = search.channels.colour_frame
@@ -218,7 +217,7 @@ def _joined(
 
 def _by_transforms(middles: Mapping[str, Floats], given: Mapping[str, Rigid]) -> dict[str, Rigid]:
     """Return the given poses, in the frame of the board as all cameras see it."""
-    board = board_frame(np.mean([_moved(given[f], each) for f, each in middles.items()], axis=0))
+    board = board_frame(np.mean([given[f].moved(each) for f, each in middles.items()], axis=0))
     return {frame: board.inverse() @ pose for frame, pose in given.items()}
 
 
@@ -232,13 +231,9 @@ def _by_board(searches: Sequence[ImageSearch], middles: Mapping[str, Floats]) ->
         )
     first = next(iter(middles))
     axes = board_frame(middles[first]).inverse()
-    world = _moved(axes, middles[first])
+    world = axes.moved(middles[first])
     others = {frame: rigid_fit(each, world) for frame, each in middles.items()}
     return {**others, first: axes}
-
-
-def _moved(pose: Rigid, points: Floats) -> Floats:
-    return np.asarray(rotate(pose.xyzw, points) + pose.translation)
 
 
 def _with_verdict(camera: BoardCamera, pose: Rigid, centres: Floats, world: Floats) -> BoardCamera:
@@ -246,7 +241,7 @@ def _with_verdict(camera: BoardCamera, pose: Rigid, centres: Floats, world: Floa
 
     Raises RegistrationError if they are far apart.
     """
-    places = _moved(pose, np.median(centres, axis=0))
+    places = pose.moved(np.median(centres, axis=0))
     residual = float(np.sqrt(np.mean(np.sum((places - world) ** 2, axis=1))))
     scatter = float(np.median(np.linalg.norm(centres - np.median(centres, axis=0), axis=2)))
     if residual > WRONG_M:

@@ -23,7 +23,7 @@ from hiros_mcap.calibrate.coarse_clock import (
     signatures_of,
 )
 from hiros_mcap.calibrate.joint_refinement import Points
-from hiros_mcap.calibrate.pair_pose import FIT_M, PairFit, ambiguous, register_pair, usable
+from hiros_mcap.calibrate.pair_pose import FIT_M, PairFit, alike, ambiguous, register_pair, usable
 from hiros_mcap.calibrate.sampling import CELL_S, Rig, group, instants_of, placed, sample
 from hiros_mcap.calibrate.verdict import CalibratedCamera
 from hiros_mcap.kernels.local_line import Tracklet
@@ -193,7 +193,7 @@ def _stretch_poses(
     rigs: list[Rig] = []
     for at in np.arange(begin, end - 0.75 * length, length / 2.0):
         fit = _pose(one, part_of(other, [(at, at + length)]), landmarks, mirror)
-        if fit is not None and not any(_same(fit.rig, rig) for rig in rigs):
+        if fit is not None and not any(alike(fit.rig, rig, LEAST_DEG, LEAST_M) for rig in rigs):
             rigs.append(fit.rig)
     return rigs
 
@@ -331,11 +331,6 @@ def _pose(
     instants = instants_of([other], PAIR_INSTANTS)
     fits = register_pair([one, other], candidates, instants, mirror)
     return fits[0] if usable(fits) and not ambiguous(fits) else None
-
-
-def _same(one: Rig, other: Rig) -> bool:
-    metres, degrees = one.pose(1).apart(other.pose(1))
-    return degrees < LEAST_DEG and metres < LEAST_M
 
 
 def _distances(pair: Sequence[CameraView], rig: Rig, instants: Floats, mirror: Ints) -> Floats:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hiros_mcap.frames import Block
+from hiros_mcap.frames import Block, rows_between
 from hiros_mcap.kernels.distance import mean_distances
 from hiros_mcap.kernels.local_line import Tracklet
 from hiros_mcap.skeletons import POSITION, Floats, Ints, Stamps
@@ -56,19 +56,13 @@ def half_width_of(times: Sequence[float]) -> float:
 def sightings_of(block: Block, frames: Sequence[int], middle: int) -> list[Sighting]:
     """Return whom some frames of a block show. Seconds count from ``middle``, ns."""
     chosen = np.array(frames, np.int64)
-    rows = rows_of(block, chosen)
+    rows = rows_between(block.rows[chosen])
     return sightings_from(
         block.people.markers[rows, :, POSITION],
         block.people.marker_confidences[rows],
         np.diff(block.rows[chosen], axis=1)[:, 0],
         (block.stamps[chosen] - middle) / 1e9,
     )
-
-
-def rows_of(block: Block, frames: Stamps) -> Stamps:
-    """Return the rows of the people of some frames."""
-    bounds = block.rows[frames].tolist()
-    return np.concatenate([np.zeros(0, np.int64), *(np.arange(*each) for each in bounds)])
 
 
 def sightings_from(

@@ -16,7 +16,6 @@ from hiros_mcap.body.rotations import (
     Rigid,
     from_matrix,
     from_vector,
-    rotate,
     to_matrix,
     to_vector,
 )
@@ -97,10 +96,7 @@ def placement_error(
     refined = [name for name in complete if name in to_given]
     if refined:
         turns = np.stack([to_vector(to_given[name].xyzw) for name in refined])
-        back = [
-            rotate(to_given[name].xyzw, places[name]) + to_given[name].translation - places[name]
-            for name in refined
-        ]
+        back = [to_given[name].moved(places[name]) - places[name] for name in refined]
         angle *= math.sqrt(_observed(turns / angle))
         shift *= math.sqrt(_observed(np.stack(back) / shift))
     at = np.stack([places[name] for name in complete])

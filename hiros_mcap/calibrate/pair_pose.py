@@ -131,7 +131,7 @@ def ranked(fits: Sequence[PairFit]) -> list[PairFit]:
     scale = float(np.clip(SHARP * nearest, SHARPEST_M, FIT_M))
     kept: list[PairFit] = []
     for fit in sorted((_scored(one, scale) for one in scored), key=lambda one: -one.quality):
-        near = next((k for k, one in enumerate(kept) if _alike(fit.rig, one.rig)), len(kept))
+        near = next((k for k, one in enumerate(kept) if alike(fit.rig, one.rig)), len(kept))
         if near == len(kept):
             kept.append(fit)
         elif _is_nearer(fit, kept[near]):
@@ -236,9 +236,10 @@ def _refined(pair: Sequence[CameraView], start: PairFit, instants: Floats, mirro
     return _fit(sample(pair, instants, rig), rig, mirror)._replace(motion=motion)
 
 
-def _alike(one: Rig, other: Rig) -> bool:
+def alike(one: Rig, other: Rig, most_deg: float = SAME_DEG, most_m: float = SAME_M) -> bool:
+    """Whether two poses of the second camera in the first are near to each other."""
     metres, degrees = one.pose(1).apart(other.pose(1))
-    return degrees < SAME_DEG and metres < SAME_M
+    return degrees < most_deg and metres < most_m
 
 
 Pair = tuple[int, int]

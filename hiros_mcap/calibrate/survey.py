@@ -18,8 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hiros_mcap.body.rotations import Rigid, to_matrix
-from hiros_mcap.calibrate.camera_views import CameraView, Sighting, rows_of, sightings_from, view_of
+from hiros_mcap.calibrate.camera_views import CameraView, Sighting, sightings_from, view_of
 from hiros_mcap.errors import LogError
+from hiros_mcap.frames import rows_between
 from hiros_mcap.io.camera_clock import CameraTimes, ClockCorrection
 from hiros_mcap.io.log import Log
 from hiros_mcap.skeletons import POSITION, Ints, Stamps
@@ -117,7 +118,7 @@ class Survey:
                 inside |= (begin <= block.log_times) & (block.log_times <= end)
             for code in dict.fromkeys(block.sources.tolist()):
                 frames, name = np.flatnonzero(inside & (block.sources == code)), block.names[code]
-                rows = rows_of(block, frames)
+                rows = rows_between(block.rows[frames])
                 some = Seen(
                     block.stamps[frames],
                     block.log_times[frames],

@@ -218,7 +218,7 @@ def _refined(found: Alignment, matches: Matches, *, scale: bool) -> Alignment:
     known = ~np.isnan(matches.true_poses + matches.poses).any(axis=-1)
     aligned, target = matches.true_poses[known], matches.poses[known]
     back = found.pose.inverse()
-    source = rotate(back.xyzw, aligned) + back.translation  # scale times the truth
+    source = back.moved(aligned)  # scale times the truth
     factor = 1.0
     rotation, shift = robust_kabsch(source, target, np.ones(len(source)))
     if scale:

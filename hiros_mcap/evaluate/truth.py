@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hiros_mcap.body.rotations import Rigid, multiply, rotate, to_vector
+from hiros_mcap.body.rotations import Rigid, multiply, to_vector
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.skeletons import Flags, Floats, Frame, SkeletonModel, Stamps
@@ -162,7 +162,7 @@ class Truth:
         return replace(
             self,
             stamps=self.stamps + round(seconds * 1e9),
-            positions=rotate(pose.xyzw, scale * self.positions) + pose.translation,
+            positions=pose.moved(scale * self.positions),
             orientations=multiply(pose.xyzw, self.orientations),
             alignment=alignment,
         )

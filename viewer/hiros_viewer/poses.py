@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.frames import Block
+from hiros_mcap.frames import Block, rows_between
 from hiros_mcap.io.marker_uncertainty import UNCERTAIN_TOPIC, Deviations, read_uncertainty
 from hiros_mcap.kernels.drawing import pick
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, SkeletonModel, Stamps
@@ -64,7 +64,7 @@ class Poses:
     def of_block(cls, block: Block, frames: Stamps) -> Poses:
         """Copy what is drawn of some frames of a block, by their numbers."""
         rows = block.rows[frames]
-        indices, people = ranges(rows), block.people
+        indices, people = rows_between(rows), block.people
         positions = np.empty((len(indices), people.markers.shape[1], 3))
         confidences = np.empty(positions.shape[:2])
         pick(people.markers, people.marker_confidences, indices, positions, confidences)
@@ -111,7 +111,7 @@ class Poses:
 
     def select(self, frames: Stamps) -> Self:
         """Return some frames by their numbers."""
-        people = ranges(self.rows[frames])
+        people = rows_between(self.rows[frames])
         rows = (column[people] for column in self._columns()[2:])
         return type(self)(self.times[frames], self.counts[frames], *rows)
 
@@ -132,13 +132,6 @@ class Poses:
 
     def _columns(self) -> tuple[Any, ...]:
         return self.times, self.counts, self.ids, self.positions, self.confidences
-
-
-def ranges(rows: Stamps) -> Stamps:
-    """Return the numbers from the first to before the second of each row (N, 2)."""
-    counts = rows[:, 1] - rows[:, 0]
-    starts = rows[:, 0] - (np.cumsum(counts) - counts)
-    return np.asarray(np.repeat(starts, counts) + np.arange(counts.sum()))
 
 
 class Gatherer:

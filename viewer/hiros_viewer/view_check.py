@@ -12,10 +12,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hiros_mcap.frames import rows_between
 from hiros_mcap.kernels.distance import nearest
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps, nearest_stamps
 from hiros_viewer.columns import GONE_NS
-from hiros_viewer.poses import Poses, ranges
+from hiros_viewer.poses import Poses
 
 MIRRORED, FAR_OFF = "mirrored", "far off"
 FAULTS = (MIRRORED, FAR_OFF)
@@ -150,7 +151,7 @@ class ViewCheck:
         expected = rows[:, 1] - rows[:, 0]
         metres = np.empty(int(expected.sum()))
         indices = np.repeat(detections.rows, expected, axis=0)
-        nearest(people[ranges(rows)], poses, indices, metres)
+        nearest(people[rows_between(rows)], poses, indices, metres)
         self.seen += int((metres < SAME_PERSON_M).sum())
         self.people += len(metres)
         same = plain < SAME_PERSON_M
