@@ -26,7 +26,7 @@ from hiros_mcap.calibrate.image_search import (
     stamp_of,
     static_transforms,
 )
-from hiros_mcap.errors import LogError, RegistrationError
+from hiros_mcap.errors import LogError, RegistrationError, naming
 from hiros_mcap.io.ros_messages import POINT, Bytes, RosMessages, open_messages, require_opencv
 from hiros_mcap.skeletons import Floats
 
@@ -61,25 +61,20 @@ def calibrate_ball(
     """
     if not 0.01 <= radius <= 2.0:
         raise RegistrationError(f"a ball of radius {radius:g} m? It is given in m")
-    try:
-        with open_messages(path) as log:
-            tree = static_transforms(log)
-            chosen = {t: k for t, k in log.types.items() if is_chosen(t, cameras)}
-            points = sorted(topic for topic, kind in chosen.items() if kind == POINT)
-            if points:
-                tracks = _ready_centres(log, points)
-            else:
-                require_opencv()
+    with naming(path), open_messages(path) as log:
+        tree = static_transforms(log)
+        chosen = {t: k for t, k in log.types.items() if is_chosen(t, cameras)}
+        points = sorted(topic for topic, kind in chosen.items() if kind == POINT)
+        if points:
+            tracks = _ready_centres(log, points)
+        else:
+            require_opencv()
 
-                def find(colour: Bytes, depth: Floats, camera: DepthCamera) -> BallFit | None:
-                    return find_ball(colour, depth, camera, radius, color)
+            def find(colour: Bytes, depth: Floats, camera: DepthCamera) -> BallFit | None:
+                return find_ball(colour, depth, camera, radius, color)
 
-                searches = search_images(log, pair_channels(log, chosen), tree, find)
-                tracks = [_track_of(search) for search in searches]
-    except LogError as error:
-        if error.path is None:
-            raise LogError(error.fault, path=path, topic=error.topic) from None
-        raise
+            searches = search_images(log, pair_channels(log, chosen), tree, find)
+            tracks = [_track_of(search) for search in searches]
     try:
         return _calibrated(tracks, tree, radius)
     except RegistrationError as error:

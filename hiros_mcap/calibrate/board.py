@@ -33,7 +33,7 @@ from hiros_mcap.calibrate.image_search import (
 )
 from hiros_mcap.calibrate.registration import board_frame, rigid_fit
 from hiros_mcap.calibrate.verdict import CameraResult, Verdict
-from hiros_mcap.errors import ConfigError, LogError, RegistrationError
+from hiros_mcap.errors import ConfigError, RegistrationError, naming
 from hiros_mcap.io.ros_messages import Bytes, open_messages, require_opencv
 from hiros_mcap.skeletons import Floats
 
@@ -112,15 +112,10 @@ def calibrate_board(
     """
     require_opencv()
     find = marker_finder(dictionary)
-    try:
-        with open_messages(path) as log:
-            tree = static_transforms(log)
-            chosen = {t: k for t, k in log.types.items() if is_chosen(t, topics)}
-            searches = search_images(log, pair_channels(log, chosen), tree, find)
-    except LogError as error:
-        if error.path is None:
-            raise LogError(error.fault, path=path, topic=error.topic) from None
-        raise
+    with naming(path), open_messages(path) as log:
+        tree = static_transforms(log)
+        chosen = {t: k for t, k in log.types.items() if is_chosen(t, topics)}
+        searches = search_images(log, pair_channels(log, chosen), tree, find)
     try:
         return _report(searches, tree if extrinsics is None else read_extrinsics(extrinsics))
     except RegistrationError as error:
