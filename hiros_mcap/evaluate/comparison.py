@@ -11,30 +11,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from hiros_mcap.config import Config, Settings
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.evaluate.leave_one_out import (
-    Distances,
-    MeanDifference,
-    SameScores,
-    frames_of_cameras,
-    leave_each_out,
-    on_same_detections,
-)
+from hiros_mcap.evaluate.leave_one_out import Distances, frames_of_cameras, leave_each_out
 from hiros_mcap.evaluate.logs import consistency, find_truth, fused_topics
 from hiros_mcap.evaluate.match import Matches, match
 from hiros_mcap.evaluate.scores import Scores, score_matches
-from hiros_mcap.evaluate.statistics import ErrorStats
+from hiros_mcap.evaluate.statistics import ErrorStats, block_interval, blocks_of, mean_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.running.preparation import preparation_key
 from hiros_mcap.running.process_options import ProcessOptions, Progress
 from hiros_mcap.running.progress_bar import Bar
 from hiros_mcap.running.recording import Recording
-from hiros_mcap.skeletons import Frame
+from hiros_mcap.skeletons import Flags, Frame, Stamps
 from hiros_mcap.systems import chain_of
 from hiros_mcap.workers import run_tasks
 
@@ -80,6 +73,40 @@ class Entry:
 
 
 @dataclass(frozen=True, slots=True)
+class MeanDifference:
+    """Mean distance of a system less that of another, on what both have, mm."""
+
+    against: str
+    """The other system."""
+    mm: float
+    """Negative: this system is nearer."""
+    low: float
+    """Lower end of the 95 % interval, mm; NaN if there are fewer than two seconds."""
+    high: float
+    seconds: int
+    """Blocks of a second that the interval is made of."""
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the interval does not hold 0."""
+        return self.low > 0 or self.high < 0
+
+    @property
+    def line(self) -> str:
+        """Return it with the other system and the time in common."""
+        if self.seconds < 2:
+            return f"not compared with {self.against}: less than two seconds in common"
+        return f"against {self.against}, mm: {self} in {self.seconds} s"
+
+    def __str__(self) -> str:
+        ends = sorted((abs(self.low), abs(self.high)))
+        if not self.is_sure:
+            return f"no difference ({self.low:+.1f} to {self.high:+.1f})"
+        word = "better" if self.mm < 0 else "worse"
+        return f"{word} by {abs(self.mm):.1f} (95 % {ends[0]:.1f} to {ends[1]:.1f})"
+
+
+@dataclass(frozen=True, slots=True)
 class Outcome:
     """What a system made of a log; with a truth, its scores, without one :data:`measures.SELF`."""
 
@@ -91,11 +118,15 @@ class Outcome:
     """Without compiling or loading the kernels."""
     scores: Scores | None = None
     distance: ErrorStats | None = None
-    """Neither the error nor a bound on it."""
+    """Of the detections where all systems have somebody; neither the error nor a bound on it."""
     disagreement: float = float("nan")
+    """Median of these distances, mm."""
     spread: float = float("nan")
+    """Mean of the varying distances, mm."""
     misses: int = 0
+    """Detections at which the system has nobody, but another one has."""
     detections: int = 0
+    """Detections at which some system has somebody."""
     difference: MeanDifference | None = None
     """From the first system; None for the first itself."""
     coverage: float = float("nan")
@@ -145,27 +176,62 @@ def comparison(
     for k, (task, outcome) in enumerate(zip(tasks, outcomes, strict=True)):
         groups.setdefault((task.log, outcome.cameras), []).append(k)
     for group in groups.values():
-        same = _on_the_same([done[k] for k in group])
+        same = on_same_detections([done[k] for k in group])
         for k, each in zip(group, same, strict=True):
             outcomes[k] = each
     return outcomes
 
 
-def _on_the_same(done: Sequence[tuple[Outcome, list[Distances]]]) -> list[Outcome]:
-    """Add what several systems do on the same detections of a log.
+def on_same_detections(done: Sequence[tuple[Outcome, list[Distances]]]) -> list[Outcome]:
+    """Score S systems on the joints that all of them have at the same detections of a log.
 
-    Raises ConfigError if their settings make other detections of it.
+    A system that has nobody anywhere does not count for what the others have. With a truth, only
+    the differences are added.
+
+    Parameters
+    ----------
+    done : of each system, and the cameras' distances, for all systems in the same order.
+
+    Raises ConfigError if the systems were given different detections.
     """
-    try:
-        same = on_same_detections([distances for _, distances in done], done[0][0].name)
-    except ValueError as error:
-        raise ConfigError(f"{done[0][0].log}: {error}") from None
+    (first, cameras), *_ = done
+    each = [np.concatenate([d.joints for d in distances]) for _, distances in done]
+    if len({joints.shape for joints in each}) > 1:
+        raise ConfigError(f"{first.log}: the systems were given different detections")
+    varying = (np.concatenate([d.varying for d in distances]) for _, distances in done)
+    stamps = np.concatenate([d.stamps for d in cameras])
+    present: Flags = ~np.isnan(np.stack(each))  # (S, D, M)
+    there = np.any(present, axis=2)
+    anybody = there.any(axis=0)
+    # Without any that has somebody, all is common: nothing is present.
+    common = present[there.any(axis=1)].all(axis=0)
     outcomes = []
-    for (outcome, _), scores in zip(done, same, strict=True):
-        names = ("difference",) if outcome.scores is not None else SameScores.__slots__
-        values: dict[str, Any] = {name: getattr(scores, name) for name in names}
-        outcomes.append(replace(outcome, **values))
+    for k, (joints, rest) in enumerate(zip(each, varying, strict=True)):
+        outcome, shown = done[k][0], common & present[k]
+        if k:
+            difference = _difference(joints, each[0], stamps, first.name)
+            outcome = replace(outcome, difference=difference)
+        if outcome.scores is None:
+            distances = joints[shown].astype(np.float64)
+            outcome = replace(
+                outcome,
+                distance=ErrorStats.of(distances),
+                disagreement=float(np.median(distances)) if distances.size else np.nan,
+                spread=mean_of(rest[shown].astype(np.float64)),
+                misses=int((anybody & ~there[k]).sum()),
+                detections=int(anybody.sum()),
+            )
+        outcomes.append(outcome)
     return outcomes
+
+
+def _difference(
+    mine: npt.NDArray[np.float32], other: npt.NDArray[np.float32], stamps: Stamps, name: str
+) -> MeanDifference:
+    """MeanDifference of two systems where both have a joint, with an interval over seconds."""
+    apart = mine.astype(np.float64) - other
+    rows, columns = np.nonzero(~np.isnan(apart))
+    return MeanDifference(name, *block_interval(apart[rows, columns], blocks_of(stamps[rows])))
 
 
 def _run(task: Task) -> tuple[Outcome, list[Distances]]:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hiros_mcap.evaluate.leave_one_out import Distances, MeanDifference, on_same_detections
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.evaluate.comparison import MeanDifference, Outcome, on_same_detections
+from hiros_mcap.evaluate.leave_one_out import Distances
 
 SECOND = 1_000_000_000
 
@@ -15,6 +17,12 @@ def camera(joints, rate=10):
     stamps = np.arange(len(joints), dtype=np.int64) * (SECOND // rate)
     values = joints.astype(np.float32)
     return Distances(stamps, values, values / 2)
+
+
+def scored(*systems):
+    """Score systems on the same detections, each given by its cameras."""
+    outcome = Outcome("log", "a", ("camera",), 1.0)
+    return on_same_detections([(outcome, list(cameras)) for cameras in systems])
 
 
 def random(mean, seed, seconds=20, joints=3):
@@ -27,7 +35,7 @@ def test_who_has_nobody_where_it_is_hard_gains_nothing():
     good[50:] = 300.0
     worse = good + 10
     worse[50:] = np.nan
-    first, second = on_same_detections([[camera(good)], [camera(worse)]], "a")
+    first, second = scored([camera(good)], [camera(worse)])
     assert (first.distance.mean, second.distance.mean) == pytest.approx((20, 30))
     assert (first.disagreement, second.disagreement) == pytest.approx((20, 30))
     assert (first.misses, second.misses) == (0, 50)
@@ -41,7 +49,7 @@ def test_a_joint_that_one_lacks_counts_for_nobody():
     one, other = random(20, 1), random(20, 2)
     other[:, 0] = np.nan
     one[:, 0] = 900.0
-    first, second = on_same_detections([[camera(one)], [camera(other)]], "a")
+    first, second = scored([camera(one)], [camera(other)])
     assert first.distance.mean == pytest.approx(20, abs=1)
     assert first.distance.count == second.distance.count == 400
     assert second.misses == 0
@@ -50,7 +58,7 @@ def test_a_joint_that_one_lacks_counts_for_nobody():
 
 def test_a_system_without_a_result_does_not_empty_the_table():
     nothing = np.full((200, 3), np.nan)
-    first, second = on_same_detections([[camera(random(20, 1))], [camera(nothing)]], "a")
+    first, second = scored([camera(random(20, 1))], [camera(nothing)])
     assert first.distance.mean == pytest.approx(20, abs=1)
     assert second.misses == 200
     assert np.isnan(second.distance.mean)
@@ -61,7 +69,7 @@ def test_a_system_without_a_result_does_not_empty_the_table():
 
 def test_all_cameras_count_together():
     near, far = camera(np.full((100, 2), 10.0)), camera(np.full((300, 2), 50.0))
-    (only,) = on_same_detections([[near, far]], "a")
+    (only,) = scored([near, far])
     assert only.distance.mean == pytest.approx(40)
     assert only.difference is None
 
@@ -73,7 +81,7 @@ def test_the_interval_is_of_seconds_not_of_frames():
         rng = np.random.default_rng(seed)
         lasting = rng.normal(0, 5, (20, 1)).repeat(10, axis=0)
         systems = [camera(np.full((200, 1), 30.0))], [camera(30 + lasting)]
-        found = on_same_detections(systems, "a")[1].difference
+        found = scored(*systems)[1].difference
         assert found is not None
         held += found.low <= 0 <= found.high
         wide.append(found.high - found.low)
@@ -83,7 +91,7 @@ def test_the_interval_is_of_seconds_not_of_frames():
 
 def test_the_same_numbers_every_time():
     systems = [camera(random(20, 1))], [camera(random(20.4, 2))]
-    assert on_same_detections(systems, "a") == on_same_detections(systems, "a")
+    assert scored(*systems) == scored(*systems)
 
 
 @pytest.mark.parametrize(
@@ -99,5 +107,5 @@ def test_a_difference_in_words(ends, text):
 
 
 def test_other_detections_cannot_be_compared():
-    with pytest.raises(ValueError, match="different detections"):
-        on_same_detections([[camera(random(1, 1))], [camera(random(1, 1, seconds=3))]], "a")
+    with pytest.raises(ConfigError, match="different detections"):
+        scored([camera(random(1, 1))], [camera(random(1, 1, seconds=3))])
