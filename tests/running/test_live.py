@@ -286,7 +286,7 @@ def two_detectors(tmp_path_factory):
 def shown(tmp_path_factory):
     """One scene; how its logs are made by detector; and what a file of each gives."""
     folder = tmp_path_factory.mktemp("detectors")
-    made = scene(folder / "scene.mcap", people=2, cameras=2, seconds=1.5, action="cross")
+    made = scene(folder / "scene.mcap", people=2, cameras=2, seconds=1.2, action="cross")
 
     def of(kind):
         out = folder / f"{kind}.out.mcap"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from mcap.reader import NonSeekingReader
@@ -361,17 +363,22 @@ def _numbers(simulation):
     return [(frame.stamp, frame.markers.tobytes()) for frame in simulation.detections]
 
 
+@cache
+def _with_flaw(flaw=""):
+    """Truth, detections and published cameras of two people for 12 s, with one flaw or none."""
+    scene = {"people": 2, "cameras": 3, "seconds": 12.0, "seed": 5, "action": "cross", **OFF}
+    found = simulate(SimulateParams.model_validate(scene | ({flaw: 3.0} if flaw else {})))
+    truth = np.stack([frame.markers for frame in found.truth_at(_instants())])
+    cameras = np.concatenate([pose.translation for pose in found.transforms.values()])
+    return truth, _numbers(found), cameras
+
+
 @pytest.mark.parametrize("flaw", OFF)
 def test_each_flaw_alone_is_seen_and_changes_nothing_else(flaw):
     """What one switch turns on differs from the faultless log; the people move as before."""
-    scene = {"people": 2, "cameras": 3, "seconds": 12.0, "seed": 5, "action": "cross"}
-    clean = simulate(SimulateParams.model_validate({**scene, **OFF}))
-    flawed = simulate(SimulateParams.model_validate({**scene, **OFF, flaw: 3.0}))
-    truths = [[frame.markers for frame in s.truth_at(_instants())] for s in (clean, flawed)]
-    assert np.array_equal(np.stack(truths[0]), np.stack(truths[1]), equal_nan=True)
-    same = _numbers(clean) == _numbers(flawed)
-    published = [np.concatenate([p.translation for p in s.transforms.values()]) for s in
-                 (clean, flawed)]  # fmt: skip
+    truths, seen, published = zip(_with_flaw(), _with_flaw(flaw), strict=True)
+    assert np.array_equal(*truths, equal_nan=True)
+    same = seen[0] == seen[1]
     if flaw == "calibration_error":
         # The cameras stay where they are; what they publish of it is off.
         assert same
