@@ -64,7 +64,7 @@ def other_sides(pairs: Ints, mirror: Ints) -> Ints:
     return np.array([places.get((a, b), k) for k, (a, b) in enumerate(others)], np.int64)
 
 
-def drawn_together(lengths: Floats, weights: Floats, other: Ints) -> Floats:
+def drawn_together(lengths: Floats, weights: Floats | Ints, other: Ints) -> Floats:
     """Lengths, m, halfway between what was measured and the weighted mean of both sides.
 
     The sides of a body differ by some millimetres, and what cameras show of them by as many.
