@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from builders import at_once, room, same
+from scipy.signal import lfilter
 
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import evaluate
@@ -26,7 +27,7 @@ from hiros_mcap.stages.fuse.fusing import (
     Steps,
 )
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
-from hiros_mcap.stages.fuse.pair_lengths import AllPoses, RunningLengths, measured_lengths
+from hiros_mcap.stages.fuse.pair_lengths import LastMinute, RunningLengths, measured_lengths
 from hiros_mcap.stages.fuse.pose_prior import (
     body_frames,
     estimated,
@@ -244,24 +245,30 @@ def test_lengths_are_right_in_spite_of_noise_and_never_shortened_by_a_wrong_one(
     assert measured_lengths(ends, np.full((4000, 2), 0.02**2), pairs) == pytest.approx(0.1)
 
 
-@pytest.mark.parametrize("meter", [AllPoses, RunningLengths])
+def told(limbs, poses):
+    """Give poses at 30 Hz that are known to 0.1 mm."""
+    stamps, variances = np.arange(len(poses)) * 33_333_333, np.full(poses.shape[:2], 1e-8)
+    limbs.update(*((stamps,) if isinstance(limbs, LastMinute) else ()), poses, variances)
+
+
+@pytest.mark.parametrize("meter", [LastMinute, RunningLengths])
 def test_the_sides_of_a_body_draw_each_other_half_of_the_way_together(meter):
     poses = np.zeros((100, 5, 3))
     poses[:, :, 0] = [0.0, 0.20, 0.24, 1.0, np.nan]  # a middle, left and right, a head, nothing
     pairs = np.array([[0, 1], [0, 2], [0, 3], [0, 4]], np.int32)
     limbs = meter(pairs, np.array([0, 2, 1, 3, 4], np.int32))
-    limbs.update(poses, np.full((100, 5), 1e-8))
+    told(limbs, poses)
     lengths, _, counts = limbs.result()
     assert lengths == pytest.approx([0.21, 0.23, 1.0, 0.0], abs=1e-5)
     assert counts.tolist() == [100, 100, 100, 0]
 
 
-@pytest.mark.parametrize("meter", [AllPoses, RunningLengths])
+@pytest.mark.parametrize("meter", [LastMinute, RunningLengths])
 def test_a_limb_that_is_never_seen_is_as_long_as_that_of_the_other_side(meter):
     poses = np.zeros((100, 3, 3))
     poses[:, :, 0] = [0.0, 0.20, np.nan]
     limbs = meter(np.array([[0, 1], [0, 2]], np.int32), np.array([0, 2, 1], np.int32))
-    limbs.update(poses, np.full((100, 3), 1e-8))
+    told(limbs, poses)
     assert limbs.result()[0] == pytest.approx([0.20, 0.20], abs=1e-5)
 
 
@@ -274,13 +281,47 @@ def test_an_exact_distance_weighs_more_than_an_uncertain_one():
     assert found == pytest.approx(np.sqrt((3 * 0.100**2 + 0.102**2) / 4), abs=1e-4)
 
 
+def shrunk(poses, minute=None):
+    """Move poses at 30 Hz, with 2 cm of noise, towards what they or a ``minute`` show."""
+    minute = poses if minute is None else minute
+    variances = np.full(minute.shape[:2], 0.02**2)
+    return shrink_noise(poses, variances[: len(poses)], (minute, variances), 30.0)
+
+
 def test_the_prior_takes_noise_off_and_keeps_motion():
     rng = np.random.default_rng(2)
     swing = np.sin(np.arange(90) / 8)[:, None, None] * rng.normal(0, 0.1, (1, 12, 3))
     pose = rng.normal(0, 0.5, (1, 12, 3)) + swing
     noisy = pose + rng.normal(0, 0.02, pose.shape)
-    found = shrink_noise(noisy, np.full((90, 12), 0.02**2))
+    found = shrunk(noisy)
     assert (found - pose).std() < 0.6 * (noisy - pose).std()
+
+
+def test_a_minute_tells_slow_errors_from_a_motion_and_some_seconds_do_not():
+    rng = np.random.default_rng(6)
+    phases = np.arange(1800)[:, None] / rng.uniform(5, 20, 6) + rng.uniform(0, 6, 6)
+    swings = 0.1 * np.sin(phases) @ rng.normal(0, 1, (6, 36))
+    pose = rng.normal(0, 0.5, (1, 12, 3)) + swings.reshape(-1, 12, 3)
+    stays = np.exp(-1 / (1.7 * 30))  # errors that change within 1.7 s, at 30 Hz
+    steps = np.sqrt(1 - stays**2) * rng.normal(0, 0.02, pose.shape)
+    noisy = pose + lfilter([1.0], [1.0, -stays], steps, axis=0)
+    soon, later = shrunk(noisy[600:690]), shrunk(noisy[600:690], noisy)
+    before, some, most = (
+        np.sqrt(np.mean((poses - pose[600:690]) ** 2)) for poses in (noisy[600:690], soon, later)
+    )
+    assert some > 0.8 * before
+    assert most < 0.7 * some
+
+
+def test_the_last_minute_forgets_what_was_before_and_thins_what_comes_fast():
+    pairs, mirror = np.array([[0, 1]], np.int32), np.arange(2, dtype=np.int32)
+    minute = LastMinute(pairs, mirror, 10.0)
+    for start in range(0, 40, 5):  # pieces of 5 s at 200 Hz
+        stamps = start * 10**9 + 5_000_000 * np.arange(1000)
+        minute.update(stamps, np.full((1000, 2, 3), float(start)), np.ones((1000, 2)))
+    poses, variances = minute.poses()
+    assert len(poses) == len(variances) == 2 * 200
+    assert np.unique(poses).tolist() == [30.0, 35.0]
 
 
 LATERAL = np.array([[0, 1], [2, 3]], np.int32)
@@ -322,7 +363,7 @@ def test_the_prior_takes_more_noise_off_who_rolls_in_the_frame_of_the_body():
     noisy = truth + np.random.default_rng(5).normal(0, 0.02, truth.shape)
     errors = []
     for frames, origins in (body_frames(noisy, variances), local_frames(noisy, LATERAL)):
-        found = shrink_noise((noisy - origins) @ frames, variances)
+        found = shrunk((noisy - origins) @ frames)
         errors.append((found @ np.swapaxes(frames, 1, 2) + origins - truth).std())
     assert errors[0] < 0.75 * errors[1]
 
@@ -331,7 +372,7 @@ def test_the_prior_leaves_small_movements_of_who_stands_to_them():
     rng = np.random.default_rng(3)
     sway = 0.004 * np.sin(np.arange(90) / 6)[:, None, None] * rng.normal(0, 1, (1, 12, 3))
     pose = rng.normal(0, 0.5, (1, 12, 3)) + sway
-    found = shrink_noise(pose, np.full((90, 12), 0.02**2))
+    found = shrunk(pose)
     assert (found - pose).std() < 0.2 * sway.std()
 
 
@@ -339,15 +380,15 @@ def test_the_prior_leaves_alone_a_marker_that_is_absent_for_a_window():
     pose = np.random.default_rng(4).normal(0, 0.5, (200, 12, 3))
     absent = pose.copy()
     absent[:150, 2] = np.nan
-    found = shrink_noise(absent, np.full((200, 12), 0.02**2))
+    found = shrunk(absent)
     assert (np.isnan(found) == np.isnan(absent)).all()
-    nobody = shrink_noise(np.full((90, 12, 3), np.nan), np.full((90, 12), 0.02**2))
+    nobody = shrunk(np.full((90, 12, 3), np.nan))
     assert np.isnan(nobody).all()
 
 
 def test_the_prior_takes_a_pose_that_never_changes():
     still = np.ones((90, 12, 3))
-    assert shrink_noise(still, np.full((90, 12), 0.02**2)) == pytest.approx(still)
+    assert shrunk(still) == pytest.approx(still)
 
 
 def test_the_prior_estimates_as_wiener_does():

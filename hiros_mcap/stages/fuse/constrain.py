@@ -3,12 +3,12 @@
 1. The lengths of limbs, and the distances within head, thorax and pelvis, are measured once per
    person (:mod:`hiros_mcap.stages.fuse.pair_lengths`).
 2. Each pose is projected onto them. Uncertain markers move most.
-3. The person's poses of some seconds are the prior of each of them
+3. The person's poses of a minute are the prior of each of them
    (:mod:`hiros_mcap.stages.fuse.pose_prior`); then lengths are restored.
 4. Known lengths take a part of the variance of each marker.
 
 With a window, a pose knows those after it. Without one, lengths run on and the prior is the motion
-of the last seconds.
+of the minute before.
 """
 
 from __future__ import annotations
@@ -27,7 +27,12 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, join
 from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Ints, SkeletonModel, Stamps
 from hiros_mcap.stages.fuse.fuse_params import ConstrainParams
-from hiros_mcap.stages.fuse.pair_lengths import AllPoses, MeasuredLengths, PairLimbs, RunningLengths
+from hiros_mcap.stages.fuse.pair_lengths import (
+    LastMinute,
+    MeasuredLengths,
+    PairLimbs,
+    RunningLengths,
+)
 from hiros_mcap.stages.fuse.pose_prior import (
     RecentMotion,
     body_frames,
@@ -40,6 +45,7 @@ from hiros_mcap.stages.look_ahead import LookAhead
 from hiros_mcap.threads import run_each
 
 UNKNOWN_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
+_MINUTE = 60.0  # s of somebody's poses that are the prior of each
 _FORGET = 600.0  # s; somebody who returns has the same body
 _PIECE = 256  # poses that are projected together
 _SWEEPS, _TOLERANCE = 20, 1e-3
@@ -112,7 +118,8 @@ class _WaitingWindow(NamedTuple):
 class _Body:
     """The body of one person."""
 
-    meter: AllPoses | RunningLengths
+    minute: LastMinute
+    running: RunningLengths  # in place of the minute, where each pose is corrected by those before
     recent: RecentMotion
     first: int
     last: int = 0  # when the person was first and last seen, ns
@@ -143,15 +150,16 @@ class _Bodies:
         for person, rows in people:
             body = self._body(person, int(stamps[rows[0]]))
             body.last = int(stamps[rows[-1]])
+            poses, enough = out.people.markers[rows, :, POSITION], self._params.enough * 1e9
+            if self._params.window > 0:
+                body.minute.update(stamps[rows], poses, variances[rows])  # 1
+            elif stamps[rows[0]] - body.first <= enough:
+                body.running.update(poses, variances[rows])
             if not body.is_fixed:
-                begun = (int(stamps[rows[0]]) - body.first) * 1e-9
-                if self._params.window > 0 or begun <= self._params.enough:
-                    poses = out.people.markers[rows, :, POSITION]
-                    body.meter.update(poses, variances[rows])  # 1
-                    body.measured = None
-                if body.last - body.first >= self._params.enough * 1e9:
+                body.measured = None
+                if body.last - body.first >= enough:
                     self._keep(person, body)
-                    body.is_fixed, body.meter = True, self._meter()
+                    body.is_fixed = True
             if self._params.window == 0:
                 lengths.append(self._lengths(person))
         return _WaitingWindow(out, variances, people, lengths)
@@ -160,22 +168,20 @@ class _Bodies:
         """Return what is known of somebody who is seen at ``stamp``, ns."""
         body = self._people.get(person)
         if body is None or stamp - body.last > _FORGET * 1e9:
-            body = self._people[person] = _Body(self._meter(), RecentMotion(), stamp)
+            minute = LastMinute(self._pairs, self._mirror, max(_MINUTE, self._params.enough))
+            running = RunningLengths(self._pairs, self._mirror)
+            body = self._people[person] = _Body(minute, running, RecentMotion(), stamp)
         return body
 
     def _lengths(self, person: int) -> Floats:
         """(K,) Lengths of a person as they are known, m."""
         return self._limbs.given_or(person, self._result(self._people[person])[0])
 
-    def _meter(self) -> AllPoses | RunningLengths:
-        if self._params.window > 0:
-            return AllPoses(self._pairs, self._mirror)
-        return RunningLengths(self._pairs, self._mirror)
-
     def _result(self, body: _Body) -> MeasuredLengths:
         """Return the lengths of a body, measured anew if there are new poses."""
         if body.measured is None:
-            body.measured = body.meter.result()
+            meter = body.minute if self._params.window > 0 else body.running
+            body.measured = meter.result()
         return body.measured
 
     def _keep(self, person: int, body: _Body) -> None:
@@ -226,21 +232,33 @@ class _Bodies:
     def _shrink(self, out: Block, people: list[tuple[int, Stamps]], variances: Floats) -> None:
         """Move everybody towards what the person does, in the person's own frame."""
         positions = out.people.markers[:, :, POSITION]
-        frames, origins = local_frames(positions, self._lateral)
+        stamps = np.repeat(out.stamps, out.sizes)
         if self._params.window > 0:
-            for _, rows in people:
-                if not has_heading(positions[rows], self._lateral):
-                    frames[rows], origins[rows] = body_frames(positions[rows], variances[rows])
+            for person, rows in people:
+                seconds = (stamps[rows[-1]] - stamps[rows[0]]) * 1e-9
+                rate = (len(rows) - 1) / seconds if seconds > 0 else 1.0
+                minute = self._people[person].minute.poses()
+                positions[rows] = self._moved(positions[rows], variances[rows], minute, rate)
+            return
+        frames, origins = local_frames(positions, self._lateral)
         poses = (positions - origins) @ frames
-        stamps = np.repeat(out.stamps, out.sizes).tolist()
-        for person, rows in people:
-            if self._params.window > 0:
-                poses[rows] = shrink_noise(poses[rows], variances[rows])
-                continue
-            row = int(rows[0])
+        for person, (row,) in people:
             recent = self._people[person].recent
-            poses[row] = recent.shrink(poses[row], variances[row], stamps[row])
+            poses[row] = recent.shrink(poses[row], variances[row], int(stamps[row]))
         positions[:] = poses @ np.swapaxes(frames, 1, 2) + origins
+
+    def _moved(
+        self, positions: Floats, variances: Floats, minute: tuple[Floats, Floats], rate: float
+    ) -> Floats:
+        """Move poses of a person (T, M, 3), m, in a frame that suits the whole minute."""
+        n, poses = len(positions), np.concatenate([positions, minute[0]])
+        if has_heading(minute[0], self._lateral):
+            frames, origins = local_frames(poses, self._lateral)
+        else:
+            frames, origins = body_frames(poses, np.concatenate([variances, minute[1]]))
+        local = (poses - origins) @ frames
+        shrunk = shrink_noise(local[:n], variances, (local[n:], minute[1]), rate)
+        return np.asarray(shrunk @ np.swapaxes(frames[:n], 1, 2) + origins[:n])
 
 
 def _tracked(block: Block) -> Iterator[tuple[int, Stamps]]:

@@ -2,19 +2,22 @@
 
 Noise of variance v along each axis lengthens them: L^2 = mean |d|^2 - 3 v. The other side of the
 body tells a part of each (:func:`drawn_together`). They are measured from many poses at once
-(:class:`AllPoses`) or on the way (:class:`RunningLengths`).
+(:class:`LastMinute`) or on the way (:class:`RunningLengths`).
 """
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 
 from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
-from hiros_mcap.skeletons import Floats, Ints, SkeletonModel
+from hiros_mcap.skeletons import Floats, Ints, SkeletonModel, Stamps
 
 _LENGTH_DEVIATION = 0.005  # m; added to the deviations that weight a length
 _OUTLIER = 4.0  # robust standard deviations
 _FEWEST = 30  # poses that give a length
+_APART = 25_000_000  # ns; poses that follow each other faster say the same
 
 MeasuredLengths = tuple[Floats, Floats, Ints]
 """Of the K distances of one person: lengths, m, 0 = unknown; standard deviations of the distances
@@ -75,27 +78,35 @@ def drawn_together(lengths: Floats, weights: Floats | Ints, other: Ints) -> Floa
     return np.asarray(np.where(lengths > 0, (lengths + means) / 2, means))
 
 
-class AllPoses:
-    """Measures distances from all poses of a person.
+class LastMinute:
+    """The poses of a person's last minute, and the distances that they show.
 
     Parameters
     ----------
     pairs : (K, 2) slots. mirror : (M,) slot of the same joint on the other side.
+    seconds : so long is the minute.
     """
 
-    def __init__(self, pairs: Ints, mirror: Ints) -> None:
+    def __init__(self, pairs: Ints, mirror: Ints, seconds: float = 60.0) -> None:
         self._pairs, self._other = pairs, other_sides(pairs, mirror)
-        self._poses: list[Floats] = []
-        self._variances: list[Floats] = []
+        self._length = round(seconds * 1e9)
+        self._parts = deque[tuple[Stamps, Floats, Floats]]()
 
-    def update(self, positions: Floats, variances: Floats) -> None:
-        """Take poses: (T, M, 3) m, (T, M) m2 along each axis."""
-        self._poses.append(positions)
-        self._variances.append(variances)
+    def update(self, stamps: Stamps, positions: Floats, variances: Floats) -> None:
+        """Take poses: (T,) ns, (T, M, 3) m, (T, M) m2 along each axis."""
+        kept = np.diff(stamps // _APART, prepend=-1) != 0
+        self._parts.append((stamps[kept], positions[kept], variances[kept]))
+        while self._parts[0][0][-1] < stamps[-1] - self._length:
+            self._parts.popleft()
+
+    def poses(self) -> tuple[Floats, Floats]:
+        """(S, M, 3) m, and (S, M) m2 along each axis."""
+        _, positions, variances = zip(*self._parts, strict=True)
+        return np.concatenate(positions), np.concatenate(variances)
 
     def result(self) -> MeasuredLengths:
         """Return what the poses so far show."""
-        poses, variances = np.concatenate(self._poses), np.concatenate(self._variances)
+        poses, variances = self.poses()
         lengths = np.nan_to_num(measured_lengths(poses, variances, self._pairs))
         deviations, counts = _deviations(poses, self._pairs)
         return drawn_together(lengths, counts, self._other), deviations, counts

@@ -1,28 +1,32 @@
 """A person's own motion as a prior: joints move together, noise does not.
 
-In a window of some seconds, poses vary in few directions. What exceeds the known variance of the
-markers there is motion; an estimate between the mean pose and the measured one follows (Wiener).
-The window lies about each pose (:func:`shrink_noise`), or before it (:class:`RecentMotion`). Poses
-are in the person's own frame: upright with the heading (:func:`local_frames`), or, of somebody who
-rolls and has none, the whole body's (:func:`body_frames`).
+Within a minute, poses vary in fewer directions than they have coordinates. What exceeds the known
+variance of the markers there is motion; an estimate between the mean pose and the measured one
+follows (Wiener). A few seconds are too short: an error that changes within some seconds looks like
+motion there. The minute lies about each pose (:func:`shrink_noise`), or before it
+(:class:`RecentMotion`). Poses are in the person's own frame: upright with the heading
+(:func:`local_frames`), or, of somebody who rolls and has none, the whole body's
+(:func:`body_frames`).
 """
 
 from __future__ import annotations
+
+from collections import deque
 
 import numpy as np
 
 from hiros_mcap.body.rotations import nearest_rotation
 from hiros_mcap.skeletons import Flags, Floats, Ints
 
-WINDOW = 90  # poses, 3 s at 30 Hz
 FEWEST = 30  # poses that a prior needs
 _EXCESS = 1.5  # eigenvalue, in units of the noise, that noise alone may have
-_SHOWN = 0.4  # share of its variance that a Gauss-Markov offset of 1.7 s shows within 3 s
+_PIECE = 3.0  # s
+_SHOWN = 0.4  # share of its variance that a Gauss-Markov offset of 1.7 s shows within such a piece
 _LEAST = 1e-9  # m; noise of a marker that does not move at all
 _RATE = 15.0  # Hz; a prior of the poses before needs no more poses
 _FIRST, _RENEWED = 2.0, 0.5  # s of a person before the first such prior, and between two
 _LARGEST_STEP = 0.5  # by it, in standard deviations: a new motion is believed
-_POSES = 45  # of 3 s
+_POSES = 900  # of a minute
 _LEFT = 1.0  # s unseen after which it is learned anew
 _LEVEL = 0.2  # least horizontal share of the line from left to right that tells a heading
 _TILTED = 0.02  # share of poses that may lack one: a pose of a detector may be wrong
@@ -32,37 +36,35 @@ _FREE = 0.003  # m; what each marker may do by itself
 _TURNS = 2  # times that poses are turned onto their mean
 
 
-def shrink_noise(positions: Floats, variances: Floats) -> Floats:
-    """Return local poses (T, M, 3), m, moved towards what the person does in the window.
+def shrink_noise(
+    positions: Floats, variances: Floats, minute: tuple[Floats, Floats], rate: float
+) -> Floats:
+    """Return local poses (T, M, 3), m, moved towards what the person does in the ``minute``.
 
-    ``variances`` : (T, M) m2 along each axis.
+    Parameters
+    ----------
+    variances : (T, M) m2 along each axis.
+    minute : local poses (S, M, 3) and variances (S, M), which lie about the others.
+    rate : poses per second, Hz.
     """
-    out, weights = np.zeros_like(positions), np.zeros(len(positions))
-    if len(positions) < FEWEST:
+    known, noises = minute
+    some = ~np.isnan(known[:, :, 0]).any(axis=0)
+    if len(known) < FEWEST or not some.any():
         return positions
-    starts = range(0, max(len(positions) - WINDOW // 2, 1), WINDOW // 2)
-    for start in starts:
-        part = slice(start, start + WINDOW)
-        n = len(positions[part])
-        # Neighbouring windows overlap by half and are faded into each other.
-        fade = np.minimum(np.arange(n), np.arange(n)[::-1]) + 1.0
-        estimate = positions[part].copy()
-        present = ~np.isnan(positions[part]).any(axis=2).all(axis=0)
-        if n >= FEWEST and present.any():
-            some = positions[part][:, present]
-            noise = at_most_shown(some, variances[part][:, present])
-            estimate[:, present] = estimated(*motion_of(some, noise), some, noise)
-        out[part] += fade[:, None, None] * estimate
-        weights[part] += fade
-    return np.asarray(out / weights[:, None, None])
+    size = max(round(_PIECE * rate), 2)
+    known, noises = known[:, some], at_most_shown(known[:, some], noises[:, some], size)
+    measured, estimate = positions[:, some], positions.copy()
+    noise = at_most_shown(measured, variances[:, some], size)
+    estimate[:, some] = estimated(*motion_of(known, noises), measured, noise)
+    return estimate
 
 
 class RecentMotion:
-    """The last seconds of a person, and the prior that they give."""
+    """The last minute of a person, and the prior that it gives."""
 
     def __init__(self) -> None:
-        self._poses: list[Floats] = []
-        self._variances: list[Floats] = []
+        self._poses = deque[Floats](maxlen=_POSES)
+        self._variances = deque[Floats](maxlen=_POSES)
         self._next = self._pushed = self._seen = 0
         """When the prior is due, the last pose was kept, and the person was seen last, ns."""
         self._motion: tuple[Floats, Floats, Flags] | None = None
@@ -74,7 +76,9 @@ class RecentMotion:
         After a second unseen the motion is learned anew.
         """
         if stamp - self._seen > _LEFT * 1e9:
-            self._poses, self._variances, self._motion = [], [], None
+            self._poses.clear()
+            self._variances.clear()
+            self._motion = None
             self._next = self._pushed = 0
         self._seen = stamp
         estimate = self._estimate(local, variances)
@@ -100,8 +104,8 @@ class RecentMotion:
         elif stamp - self._pushed < 0.9e9 / _RATE:
             return
         self._pushed = stamp
-        self._poses = [*self._poses[1 - _POSES :], local]
-        self._variances = [*self._variances[1 - _POSES :], variances]
+        self._poses.append(local)
+        self._variances.append(variances)
         if stamp >= self._next and len(self._poses) >= FEWEST:
             self._next = stamp + round(_RENEWED * 1e9)
             poses = np.stack(self._poses)
@@ -110,15 +114,22 @@ class RecentMotion:
             self._motion = (*motion_of(some, noise), present) if present.any() else None
 
 
-def at_most_shown(positions: Floats, variances: Floats) -> Floats:
-    """(T, M) Variances without what the window contradicts, m2: noise shows in poses (T, M, 3).
+def at_most_shown(positions: Floats, variances: Floats, size: int) -> Floats:
+    """(T, M) Variances without what the poses (T, M, 3) contradict, m2: noise shows in them.
 
     Errors of detectors depend on the pose: those of a person who stands hardly change. A prior that
-    expects noise there would take small movements for it.
+    expects noise there would take small movements for it. ``size`` poses each are 3 s.
     """
-    variance = np.nanvar if np.isnan(positions).any() else np.var  # the second is much faster
-    shown = variance(positions, axis=0).mean(axis=1) / _SHOWN
-    return np.asarray(variances * np.minimum(shown / variances.mean(axis=0), 1.0))
+    out = variances.copy()
+    for start in range(0, len(positions), size):
+        part = slice(max(min(start, len(positions) - size), 0), start + size)
+        seen: Flags = np.asarray(~np.isnan(positions[part]))
+        n = np.maximum(seen[:, :, 0].sum(axis=0), 1)
+        poses = np.where(seen, positions[part], 0.0)
+        off = np.where(seen, poses - poses.sum(axis=0) / n[:, None], 0.0)
+        shown = (off * off).sum(axis=(0, 2)) / (3 * n * _SHOWN)
+        out[part] = variances[part] * np.minimum(shown / variances[part].mean(axis=0), 1.0)
+    return out
 
 
 def local_frames(positions: Floats, lateral: Ints) -> tuple[Floats, Floats]:
@@ -196,11 +207,10 @@ def motion_of(positions: Floats, variances: Floats) -> tuple[Floats, Floats]:
     noise = np.maximum(np.sqrt(np.nanmean(stated, axis=0)), _LEAST)
     # P: directions in which the whitened poses vary by more than noise does.
     white = off / noise
-    squares, poses = np.linalg.eigh(white @ white.T)  # half the time of the singular values
+    squares, directions = np.linalg.eigh(white.T @ white)
     excess = squares / len(y) - _EXCESS
     used = excess > 0
-    sizes = np.sqrt(excess[used] / squares[used])
-    return mean, noise[:, None] * (white.T @ (poses[:, used] * sizes))
+    return mean, noise[:, None] * (directions[:, used] * np.sqrt(excess[used]))
 
 
 def estimated(mean: Floats, basis: Floats, positions: Floats, variances: Floats) -> Floats:
