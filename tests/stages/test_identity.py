@@ -219,6 +219,24 @@ def test_two_people_who_leave_and_change_places_are_told_apart_by_their_limbs():
     assert ids(frames)[-1] == [1, 0]
 
 
+def test_who_may_be_either_of_two_waits_for_the_other_one():
+    """Two people of almost one size left. The first comes back 2 s before the second."""
+    taller = 1.04
+    frames = standing([person(-0.5), person(0.5) * taller], 0, 2) + standing([], 2, 7)
+    first, second = person(0.0, -0.5), person(0.0, 0.5) * taller
+    frames += standing([first], 7, 9) + standing([first, second], 9, 11)
+    later = [each for each in ids(frames) if each][120:]
+    assert later == [[0]] * 120 + [[0, 1]] * 120
+
+
+def test_who_is_in_doubt_and_leaves_again_has_an_id():
+    """Either of two who are alike comes back for 1.5 s. One goes on for whom nobody waits."""
+    other = person(2.0)
+    frames = standing([person(-0.5), person(0.5), other], 0, 2) + standing([other], 2, 10)
+    frames += standing([person(0.0, -0.5), other], 10, 11.5) + standing([other], 11.5, 16)
+    assert ids(frames)[600:] == [[3, 2]] * 90 + [[2]] * 270
+
+
 def test_two_people_who_are_alike_get_new_ids_rather_than_each_others():
     frames = away(8.0, [person(-0.5), person(0.5)], [person(0.0, -0.5), person(0.0, 0.5)])
     assert ids(frames)[-1] == [2, 3]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +24,7 @@ from hiros_mcap.stages.track.tracked_people import (
 _PAUSE, _LONGEST_PAUSE = 1_000_000_000, 60_000_000_000  # ns: all cameras are silent for this long
 _AT_ONCE = 200_000_000  # ns from the first camera's last message to the last one's before a pause
 _STANDS = 0.3  # m from the place of a second or two before
+WAITS = 4  # times the look-ahead: so long the decision on a doubtful newcomer may take
 _PATIENCE = 0.8  # share of the look-ahead for which the evidence of a newcomer is gathered
 
 
@@ -53,18 +55,28 @@ class Identities:
         self._crowd: set[int] = set()
         """Numbers of the tracks of as many people as were there at once."""
 
-    def name(self, track: PersonTrack, group: DetectionGroup, scene: Present) -> None:
-        """Confirm a track: give it an old or a new id, once enough is known of the person."""
+    def name(
+        self, track: PersonTrack, group: DetectionGroup, scene: Present, *, at_once: bool = False
+    ) -> None:
+        """Confirm a track: give it an old or a new id, once enough is known of the person.
+
+        ``at_once`` : no more will be known.
+        """
         kind, remark = "track born", ""
         if track.former_id == UNTRACKED and self._somebody_absent(track):
-            if group.stamp - track.support.first < self._patience:
+            age = math.inf if at_once else group.stamp - track.support.first
+            if age < self._patience:
                 return
             verdict = self._reidentify(track, scene)
+            track.doubtful = verdict.doubtful and age < WAITS * self._patience
+            if track.doubtful:
+                return
             if verdict.accepted:
                 kind, remark = "person re-identified", f"; by {verdict}"
                 self._restore(track, verdict.person, scene)
             else:
                 track.stranger, remark = True, f"; not re-identified ({verdict})"
+        track.doubtful = False
         track.id = next(self._ids) if track.former_id == UNTRACKED else track.former_id
         scene.admit(track)
         there = self._there(scene, group.stamp)

@@ -105,6 +105,11 @@ class Verdict:
         """Whether the newcomer gets the id."""
         return self.probability >= THRESHOLD and self.exchanged <= _EXCHANGED
 
+    @property
+    def doubtful(self) -> bool:
+        """Whether the newcomer is one of the absent people, but nobody knows which one."""
+        return not self.accepted and self.probability + self.exchanged >= THRESHOLD
+
 
 def reidentify(
     newcomers: Sequence[PersonCues], absent: Sequence[PersonCues], missing: int, limbs: Limbs

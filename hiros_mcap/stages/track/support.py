@@ -66,6 +66,11 @@ class Confirmation:
             self._decide(track, group, scene)
             self._merge_into_person(track, group, scene)
 
+    def conclude(self, track: PersonTrack, group: DetectionGroup) -> None:
+        """Name a doubtful track of whom the last message is known."""
+        scene = Present(set(), frozenset(), self._people.confirmed())
+        self._identities.name(track, group, scene, at_once=True)
+
     def _add_report(self, track: PersonTrack, group: DetectionGroup, scene: Present) -> None:
         """Add the support, or the contradiction, of a camera's message."""
         support, source = track.support, group.source

@@ -10,8 +10,8 @@ Beyond the paper:
 - A new track is tentative and has no id. Its support confirms it
   (support.py). A message that shows somebody tentative is held for a moment,
   so that a confirmed person has the id from the first detection on.
-- Two tracks of one person are merged. Who comes back gets the old id if it is probable
-  (:mod:`~hiros_mcap.stages.track.identity`).
+- Two tracks of one person are merged. Who comes back gets the old id if it is probable. Where it
+  is not clear who came, messages are held for longer (:mod:`~hiros_mcap.stages.track.identity`).
 - A detection with left and right swapped is compared, and corrects its track, swapped back.
 - A detection that leaps away from its track is left out: a detector distorts people who are about
   to be hidden. The gate of an unseen track grows.
@@ -41,7 +41,7 @@ from hiros_mcap.stages.track import tracking as kernels
 from hiros_mcap.stages.track.association import SlotOrders, TrackSettings, TrackWork, predict
 from hiros_mcap.stages.track.correction import correct
 from hiros_mcap.stages.track.displaced import Copies
-from hiros_mcap.stages.track.identity import Identities
+from hiros_mcap.stages.track.identity import WAITS, Identities
 from hiros_mcap.stages.track.likeness import DISPLACED
 from hiros_mcap.stages.track.support import Confirmation
 from hiros_mcap.stages.track.track_params import TrackParams
@@ -169,12 +169,15 @@ class _Tracker:
         self._held.append(group)
         while self._held:
             oldest = self._held[0]
-            if group.stamp - oldest.stamp < self._patience and not oldest.decided:
+            patience = WAITS * self._patience if oldest.doubtful else self._patience
+            if group.stamp - oldest.stamp < patience and not oldest.decided:
                 return
             yield self._held.popleft()
 
     def finish(self) -> Iterator[_Messages]:
         """Yield the messages that are still held, now that nothing more comes."""
+        for track in [track for track in self._people.tracks if track.doubtful]:
+            self._support.conclude(track, self._held[-1])
         held = [*self._held]
         self._held.clear()
         for group in held:
@@ -207,8 +210,10 @@ class _Tracker:
         """Delete tracks that nobody saw for t_m; tentative ones sooner."""
         self._identities.advance(stamp)
         for track in list(self._people.tracks):
-            gap = self._params.max_gap if track.confirmed else _TENTATIVE_GAP
-            if (stamp - track.seen) * 1e-9 > gap:
+            unseen = (stamp - track.seen) * 1e-9
+            if track.doubtful and unseen > _TENTATIVE_GAP:
+                self._support.conclude(track, self._held[-1])
+            if unseen > (self._params.max_gap if track.confirmed else _TENTATIVE_GAP):
                 if track.confirmed:
                     self._events.note(track.seen, "track lost", person=track.id)
                     self._identities.leave(track)

@@ -38,15 +38,17 @@ class TrackParams(Params):
     lookahead: Seconds = Field(
         1.0,
         ge=0,
-        description="Time, s, that a message with a tentative track is held. The person then has "
-        "the id from the first detection on. 0 = a live system without delay.",
+        description="Time, s, that a message with a tentative track is held, or up to four times "
+        "as long while it is not clear which absent person came back. The person then has the id "
+        "from the first detection on. 0 = a live system without delay.",
     )
     reidentify: Seconds = Field(
         30.0,
         ge=0,
         description="Longest absence, s, after which a person may get the old id back. Limb "
         "lengths, place, time and the number of people must make it probable (90 %). The "
-        "decision waits for 0.8 of track.lookahead. 0 = whoever comes back has a new id.",
+        "decision waits for 0.8 of track.lookahead, and up to four times as long while it is not "
+        "clear which absent person came. 0 = whoever comes back has a new id.",
     )
     max_jump: float = advanced(
         0.3,

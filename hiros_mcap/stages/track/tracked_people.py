@@ -79,6 +79,7 @@ class PersonTrack:
     """Numbers of the persons whom a message showed beside it, before it was certain."""
     stranger: bool = False
     """Whether it has a new id although somebody was absent: it may yet be one of them."""
+    doubtful: bool = False  # whether the id waits until it is clear which absent person this is
     is_copy: bool = False  # whether it was left out as a displaced camera's view of somebody else
 
     @property
@@ -121,6 +122,11 @@ class DetectionGroup:
     def unmatched(self) -> list[int]:
         """Detections that still need a track."""
         return [j for j, track in enumerate(self.tracks) if track is None and not self.reasons[j]]
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether somebody's id waits for more evidence."""
+        return any(track is not None and track.doubtful for track in self.tracks)
 
     @property
     def decided(self) -> bool:
