@@ -43,6 +43,7 @@ from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 from hiros_mcap.threads import give_back
 
 FEWEST = 50  # residuals that give a median
+_EVERY = 3  # moments; neighbours tell much the same, and views take much memory
 _BATCH = 48  # frames that are compared at once
 _MEMORY = 60.0  # s; time constant of the mean of a camera's residuals
 _LOWEST, _HIGHEST, _PER_OCTAVE = -14, 14, 8
@@ -82,7 +83,8 @@ class ResidualMeter:
     def expect(self, n_instants: int, views: Sightings, names: tuple[str, ...]) -> None:
         """Take the views of some instants, which are to be fused."""
         self._names = names
-        self._views.append(views._replace(instants=views.instants + self._seen))
+        views = views._replace(instants=views.instants + self._seen)
+        self._views.append(chosen(views, views.stamps // _MOMENT % _EVERY == 0))
         self._seen += n_instants
 
     def compared(self, windows: Iterable[Block]) -> Iterator[Block]:
