@@ -101,6 +101,15 @@ def test_one_bad_camera_does_not_count_as_all():
     assert stated(one_bad, 0b111) < 1.5 * stated(usual, 0b111)
 
 
+def test_refined_poses_add_their_standard_errors():
+    moved = {name: Rigid.identity() for name in NAMES}
+    exact = PoseError(0.005, 0.006, PLACES, moved)
+    error = PoseError(0.005, 0.006, PLACES, moved, {"a": 0.03, "b": 0.03, "c": 0.03})
+    more = stated(error, 0b111) - stated(exact, 0b111)
+    assert more == pytest.approx(0.03**2 / 3 / 3)  # an axis of three, and the mean of three cameras
+    assert stated(error, 0b1) - stated(exact, 0b1) == pytest.approx(0.03**2 / 3)
+
+
 def test_a_camera_whose_pose_was_not_refined_adds_its_own_error():
     moved = {name: Rigid.identity() for name in NAMES[:2]}
     error = PoseError(0.005, 0.006, PLACES, moved)

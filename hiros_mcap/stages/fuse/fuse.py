@@ -66,7 +66,9 @@ def fuse_blocks(
         noise = RunningNoise.of(noise)
     # variances, filters, smoother, confidences
     angle = math.radians(params.pose_angle)
-    pose_error = PoseError(angle, params.pose_shift, cameras or {}, noise.to_given)
+    pose_error = PoseError(
+        angle, params.pose_shift, cameras or {}, noise.to_given, noise.pose_errors
+    )
     smoother = WindowSmoother(model, params, noise, pose_error)
     causal = params.window == 0
     residuals = ResidualMeter(noise, events, causal=causal)

@@ -11,14 +11,15 @@ the assumption counts as much as the three coordinates of one more camera (scale
 square, Gelman et al. 2013, section 2.6). Views of displaced cameras (displaced_views.py) have no
 weight in the result, so they are not compared.
 
-Cameras whose poses were refined agree. They share the placement of the rig
-(:func:`hiros_mcap.calibrate.gauge.placement_error`), which nobody sees.
+Cameras whose poses were refined agree, as far as the standard errors of these poses say. They share
+the placement of the rig (:func:`hiros_mcap.calibrate.gauge.placement_error`), which nobody sees.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
@@ -41,7 +42,7 @@ class PoseError:
 
     def __init__(
         self, angle: float, shift: float, places: Mapping[str, Floats],
-        to_given: Mapping[str, Rigid],
+        to_given: Mapping[str, Rigid], errors: Mapping[str, float] = MappingProxyType({}),
     ) -> None:  # fmt: skip
         """Take what is assumed.
 
@@ -51,7 +52,9 @@ class PoseError:
         places : camera -> position, m, as far as known.
         to_given : camera -> what takes its people back to the pose that was given, for cameras
             whose poses were refined.
+        errors : camera -> standard error of such a pose, m, over all three axes.
         """
+        self._errors = errors
         self._angle, self._shift, self._places, self._refined = angle, shift, places, to_given
         self._right = angle <= 0 and shift <= 0
         usable = angle > 0 and shift > 0 and to_given
@@ -110,15 +113,17 @@ class PoseError:
         ``seen`` (K, M) has a bit for each camera.
         """
         refined, count = np.zeros(seen.shape, np.int64), np.zeros(seen.shape, np.int64)
-        alone, shared = np.zeros(seen.shape), np.zeros(seen.shape)
+        alone, own, shared = (np.zeros(seen.shape) for _ in range(3))
         places = places_of(names, self._places)
         for k, name in enumerate(names):  # all at once would take much memory
             sees = (seen >> k) & 1
             count += sees
             if self._placement is not None and name in self._refined:
                 refined += sees
+                own += sees * self._errors.get(name, 0.0) ** 2 / _AXES
             else:
                 alone += sees * self._assumed(positions, places[k])
         if self._placement is not None:
             shared = self._placement.variances(positions)
-        return np.asarray((self.ratio * alone + refined**2 * shared) / np.maximum(count, 1) ** 2)
+        total = self.ratio * alone + own + refined**2 * shared
+        return np.asarray(total / np.maximum(count, 1) ** 2)
