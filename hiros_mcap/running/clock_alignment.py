@@ -64,9 +64,9 @@ class ClockAlignment:
     """Camera -> the times of its messages, as logged; empty unless clocks are to be found."""
     causal: bool = False
     """Whether each message is corrected by those before it."""
-    offsets: dict[str, float] = field(default_factory=dict)
-    """Camera -> s that its clock is ahead, as far as found and corrected: before the run, or so far
-    in a causal one."""
+    offsets: list[tuple[int, str, float]] = field(default_factory=list)
+    """From which stamp on, ns, which camera's clock is ahead by how many s, as far as found and
+    corrected; 0 ns if before the run."""
     needed: Mapping[str, float] = field(default_factory=dict)
     """Camera -> wait, s, that its messages need, where that is over the longest one."""
 
@@ -131,7 +131,8 @@ class ClockAlignment:
             self.corrections[name] = before.plus(-seconds)
             same = [f for f in self.faults if (f.camera, f.kind) == (name, OFFSET)]
             self.faults = [fault for fault in self.faults if fault not in same]
-            total = self.offsets[name] = seconds + sum(fault.seconds for fault in same)
+            total = seconds + sum(fault.seconds for fault in same)
+            self.offsets.append((0, name, total))
             at = int(self.corrected_times(name).stamps[0])
             self.faults.append(ClockFault(name, OFFSET, total, at, corrected=True))
         if offsets:

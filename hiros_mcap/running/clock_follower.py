@@ -122,15 +122,15 @@ class ClockFollower:
     ----------
     given : seconds that the user adds to the stamps of cameras. faults : what is found goes here.
     reorder : s; a camera that is so much ahead of the others makes their messages too late.
-    ahead : gets the seconds by which each clock is found to be ahead, by camera.
+    ahead : gets from which stamp on, ns, which camera's clock is found to be ahead by how many s.
     """
 
     def __init__(
         self, given: Mapping[str, float], faults: list[ClockFault], reorder: float,
-        ahead: dict[str, float] | None = None,
+        ahead: list[tuple[int, str, float]] | None = None,
     ) -> None:  # fmt: skip
         self.given, self._reorder = given, max(reorder, _AHEAD / 2)
-        self._ahead = {} if ahead is None else ahead
+        self._ahead = [] if ahead is None else ahead
         self._faults = faults
         self._clocks: dict[str, _FollowedClock] = {}
         self._checked = 0
@@ -270,10 +270,11 @@ class ClockFollower:
 
     def _note(self, source: str, kind: str, seconds: float, stamp: int) -> None:
         """Note a fault; offsets of a camera are one."""
+        now = stamp
         for fault in list(self._faults):
             if kind == OFFSET and (fault.camera, fault.kind) == (source, kind):
                 self._faults.remove(fault)
                 seconds, stamp = seconds + fault.seconds, fault.at_ns
         if kind == OFFSET:
-            self._ahead[source] = seconds
+            self._ahead.append((now, source, seconds))
         self._faults.append(ClockFault(source, kind, seconds, stamp, corrected=True))

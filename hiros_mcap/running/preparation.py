@@ -121,7 +121,7 @@ def set_up(
         noise=_given_noise(log, config, options),
         to_given=prepared.poses.to_given,
         pose_errors=prepared.poses.pose_errors,
-        clocks={} if prepared.clocks.given else prepared.clocks.offsets,
+        clocks=() if prepared.clocks.given else prepared.clocks.offsets,
     )
     _calibrate_first(run, chain_of(options.system, options.stages), read)
     return run

@@ -10,7 +10,7 @@ its one. The variants A1 to A5 of section 3.1 are the same stages with other par
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -53,8 +53,9 @@ class Run:
     """Source -> what takes its people back to the pose that was given, where it was refined."""
     pose_errors: Mapping[str, float] = field(default_factory=dict)
     """Source -> standard error, m, of a pose that the people gave; causal runs go on finding."""
-    clocks: Mapping[str, float] = field(default_factory=dict)
-    """Source -> s by which its clock was ahead of the middle one; causal runs go on finding."""
+    clocks: Sequence[tuple[int, str, float]] = ()
+    """From which stamp on, ns, which camera's clock was ahead of the middle one by how many s;
+    causal runs go on finding."""
 
     def stage(self, stage: Callable[..., Any], params: Params, **more: Any) -> partial[Any]:
         """Return a stage with what every stage takes (model, parameters, events), and more."""

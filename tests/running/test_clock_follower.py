@@ -81,8 +81,8 @@ def test_a_clock_whose_messages_are_logged_before_their_time_is_ahead():
 
 def test_clocks_that_are_ahead_are_set_to_the_median_of_all():
     """Their own share in it, too: else two clocks that are behind would count as right."""
-    ahead: dict[str, float] = {}
-    clocks = ClockFollower({}, [], 0.3, ahead)
+    found: list[tuple[int, str, float]] = []
+    clocks = ClockFollower({}, [], 0.3, found)
     lags = {"a": -0.04, "b": -0.01, "c": 0.06, "d": 0.11}
     blocks = []
     for k in range(100):
@@ -91,9 +91,12 @@ def test_clocks_that_are_ahead_are_set_to_the_median_of_all():
     for block in clocks.compared(blocks):
         clocks.correct(block)
     assert clocks.lags == pytest.approx({"a": 0.0, "b": 0.0, "c": 0.06, "d": 0.11}, abs=1e-3)
+    ahead = {name: seconds for _, name, seconds in found}
     assert ahead == pytest.approx({"a": 0.04, "b": 0.01}, abs=1e-3)
     clocks.prove("d", 0.05)
-    assert ahead["d"] == pytest.approx(-0.05)
+    since, *proved = found[-1]
+    assert proved == ["d", pytest.approx(-0.05)]
+    assert since >= blocks[-1].stamps[0], "what is proved now changes nothing before"
 
 
 def message(stamp, source="a", delay=0.02):

@@ -492,11 +492,12 @@ def test_more_cameras_give_more_confidence_and_smaller_deviations():
 def test_clocks_that_were_corrected_make_whoever_moves_less_certain():
     """No stamp tells the common time base; it takes a marker along with its speed."""
     where = walk()
-    clocks = dict(zip(sorted(where.cameras), (0.0, 0.04, -0.05, 0.07), strict=True))
+    ahead = zip(sorted(where.cameras), (0.0, 0.04, -0.05, 0.07), strict=True)
+    clocks = [(0, name, seconds) for name, seconds in ahead]
     run = run_of(where)
     plain, corrected = (
         frames_of(system("fuse").stages(replace(run, clocks=c))["merged"](tracked_of(where)))
-        for c in ({}, clocks)
+        for c in ([], clocks)
     )
     one, other = list(plain)[60], list(corrected)[60]
     more = other.uncertainty.deviations**2 - one.uncertainty.deviations**2
@@ -513,8 +514,10 @@ def test_the_common_time_is_within_a_standard_deviation_as_often_as_it_says():
     for _ in range(1000):
         ahead = rng.normal(0, 0.05, 4)
         middle = np.median(ahead)
-        clocks = replace(noise, clocks=dict(zip(names, ahead - middle, strict=True)))
-        within.append(abs(middle) < np.sqrt(clocks.time_variance(names)))
+        off = zip(names, ahead - middle, strict=True)
+        clocks = replace(noise, clocks=[(1, name, seconds) for name, seconds in off])
+        assert clocks.time_variance(names, 0) == 0.0, "not known yet"
+        within.append(abs(middle) < np.sqrt(clocks.time_variance(names, 1)))
     assert 0.6 < np.mean(within) < 0.75
 
 

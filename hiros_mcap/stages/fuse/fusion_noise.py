@@ -47,8 +47,9 @@ class FusionNoise:
     """Source -> what takes its people back to the pose that was given, where it was refined."""
     pose_errors: Mapping[str, float] = field(default_factory=dict)
     """Source -> standard error, m, of a pose that the people gave."""
-    clocks: Mapping[str, float] = field(default_factory=dict)
-    """Source -> s by which its clock was ahead of the middle one, which counts as right."""
+    clocks: Sequence[tuple[int, str, float]] = ()
+    """From which stamp on, ns, which camera's clock was ahead of the middle one by how many s. The
+    middle one counts as right."""
 
     @classmethod
     def default(
@@ -103,8 +104,8 @@ class FusionNoise:
         factors = np.where(guessed, self.guessed**2, 1.0)
         return np.asarray(self.joints * factors * scale[..., None])
 
-    def time_variance(self, names: Sequence[str]) -> float:
-        """Return the variance, s2, of the common time of the cameras ``names``.
+    def time_variance(self, names: Sequence[str], stamp: int) -> float:
+        """Return the variance, s2, of the common time of the cameras ``names`` at ``stamp``, ns.
 
         No stamp tells the right time of clocks that differ. The middle one is as wrong as the
         median of a normal sample, whose variance is pi / 2 of that of the mean. How much clocks
@@ -114,7 +115,8 @@ class FusionNoise:
             return 0.0
         from scipy.special import stdtrit
 
-        ahead, n = [self.clocks.get(name, 0.0) for name in names], len(names)
+        found = {name: seconds for since, name, seconds in self.clocks if since <= stamp}
+        ahead, n = [found.get(name, 0.0) for name in names], len(names)
         quantile = stdtrit(n - 1, _WITHIN_ONE_SD)
         return float(quantile**2 * np.pi / 2 * np.var(ahead, ddof=1) / n)
 

@@ -199,7 +199,7 @@ class WindowSmoother:
     def _finished(self, out: Block, log_time: int, poses: FusedPoses, seen: Stamps) -> Block:
         """Write poses, confidences and uncertainty."""
         shared = self._pose_error.variances(poses.positions, seen, self._names)
-        if late := self._noise.time_variance(self._names):
+        if late := self._noise.time_variance(self._names, int(out.stamps[-1])):
             shared = shared + late / 3 * (poses.velocities**2).sum(axis=-1)
         deviations = np.empty_like(shared)
         write_fused(poses, shared, _MAX_DEVIATION, HALF_CONFIDENCE, out.people, deviations)
