@@ -85,7 +85,7 @@ def test_every_detector_says_what_skeleton_groups_say(kind, logs, scene):
         np.testing.assert_allclose(frame.positions[:, here], other.positions[:, there], atol=off)
 
 
-@pytest.mark.parametrize("kind", sorted(made.KINDS.keys() - {"zed 18", "zed 34", "zed 70"}))
+@pytest.mark.parametrize("kind", sorted(made.KINDS.keys() - {"zed 34", "zed 70"}))
 def test_every_detector_can_be_processed(kind, logs, tmp_path):
     out = tmp_path / "out.mcap"
     summary = process(logs[kind], out)
