@@ -260,8 +260,9 @@ class _Bodies:
             frames, origins = local_frames(poses, self._lateral)
         else:
             frames, origins = body_frames(poses, np.concatenate([variances, minute[1]]))
-        local = (poses - origins) @ frames
-        shrunk = shrink_noise(local[:n], variances, (local[n:], minute[1]), rate)
+        poses -= origins
+        poses = poses @ frames
+        shrunk = shrink_noise(poses[:n], variances, (poses[n:], minute[1]), rate)
         return np.asarray(shrunk @ np.swapaxes(frames[:n], 1, 2) + origins[:n])
 
 

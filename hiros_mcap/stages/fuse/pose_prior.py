@@ -19,6 +19,7 @@ from hiros_mcap.body.rotations import nearest_rotation
 from hiros_mcap.skeletons import Flags, Floats, Ints
 
 FEWEST = 30  # poses that a prior needs
+_AT_ONCE = 256  # poses that are estimated together: a matrix each
 _EXCESS = 1.5  # eigenvalue, in units of the noise, that noise alone may have
 _PIECE = 3.0  # s
 _SHOWN = 0.4  # share of its variance that a Gauss-Markov offset of 1.7 s shows within such a piece
@@ -53,10 +54,12 @@ def shrink_noise(
         return positions
     size = max(round(_PIECE * rate), 2)
     known, noises = known[:, some], at_most_shown(known[:, some], noises[:, some], size)
-    measured, estimate = positions[:, some], positions.copy()
-    noise = at_most_shown(measured, variances[:, some], size)
-    estimate[:, some] = estimated(*motion_of(known, noises), measured, noise)
-    return estimate
+    noise = at_most_shown(positions[:, some], variances[:, some], size)
+    motion, out = motion_of(known, noises), positions.copy()
+    for start in range(0, len(positions), _AT_ONCE):
+        part = slice(start, start + _AT_ONCE)
+        out[part, some] = estimated(*motion, out[part, some], noise[part])
+    return out
 
 
 class RecentMotion:
