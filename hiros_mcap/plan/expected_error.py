@@ -31,8 +31,9 @@ from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 
 _BANDS = 14
 _SLOWEST = 0.02  # rad/s; what is slower counts as constant
-RIGID = 0.64
-"""Error after limbs have got constant lengths, to that before: see benchmarks/planning.py."""
+RIGID = 0.49
+"""Error after limbs have got constant lengths and poses their prior, to that before: see
+benchmarks/planning.py."""
 _LIVELY = 1.0
 """Power of ten by which hands and feet are livelier than the trunk: one level of ``fuse``."""
 _HIDDEN = 0.5
