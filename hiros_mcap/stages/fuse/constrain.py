@@ -28,6 +28,7 @@ from hiros_mcap.frames import Block, join
 from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Ints, SkeletonModel, Stamps
 from hiros_mcap.stages.fuse.fuse_params import ConstrainParams
 from hiros_mcap.stages.fuse.pair_lengths import (
+    MINUTE,
     LastMinute,
     MeasuredLengths,
     PairLimbs,
@@ -45,10 +46,9 @@ from hiros_mcap.stages.look_ahead import LookAhead
 from hiros_mcap.threads import run_each
 
 UNKNOWN_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
-_MINUTE = 60.0  # s of somebody's poses that are the prior of each
 _FORGET = 600.0  # s; somebody who returns has the same body
 _PIECE = 256  # poses that are projected together
-_LEFT = {True: 0.55, False: 0.9}
+_LEFT_BY_PRIOR, _LEFT_BY_RECENT = 0.55, 0.9
 """Share of the variance that the prior leaves, with a window and without. Simulated logs have 0.47
 to 0.67, and 0.67 to 0.84. The second counts for less: somebody may do something new."""
 _SWEEPS, _TOLERANCE = 20, 1e-3
@@ -148,16 +148,16 @@ class _Bodies:
     def measure(self, out: Block) -> _WaitingWindow:
         """Measure everybody in a window, as long as the lengths are not well known."""
         variances, stamps = unshared_variances(out), np.repeat(out.stamps, out.sizes)
+        positions, enough = out.people.markers[:, :, POSITION], self._params.enough * 1e9
         people = list(_tracked(out) if self._params.window > 0 else _tracked_rows(out))
         lengths = list[Floats]()
         for person, rows in people:
             body = self._body(person, int(stamps[rows[0]]))
             body.last = int(stamps[rows[-1]])
-            poses, enough = out.people.markers[rows, :, POSITION], self._params.enough * 1e9
             if self._params.window > 0:
-                body.minute.update(stamps[rows], poses, variances[rows])  # 1
+                body.minute.update(stamps[rows], positions[rows], variances[rows])  # 1
             elif stamps[rows[0]] - body.first <= enough:
-                body.running.update(poses, variances[rows])
+                body.running.update(positions[rows], variances[rows])
             if not body.is_fixed:
                 body.measured = None
                 if body.last - body.first >= enough:
@@ -171,7 +171,7 @@ class _Bodies:
         """Return what is known of somebody who is seen at ``stamp``, ns."""
         body = self._people.get(person)
         if body is None or stamp - body.last > _FORGET * 1e9:
-            minute = LastMinute(self._pairs, self._mirror, max(_MINUTE, self._params.enough))
+            minute = LastMinute(self._pairs, self._mirror, max(MINUTE, self._params.enough))
             running = RunningLengths(self._pairs, self._mirror)
             body = self._people[person] = _Body(minute, running, RecentMotion(), stamp)
         return body
@@ -220,8 +220,9 @@ class _Bodies:
             self._project(out, which, lengths, variances)
         now = int(out.stamps[-1])
         self._people = {p: b for p, b in self._people.items() if now - b.last <= _FORGET * 1e9}
-        left = _LEFT[self._params.window > 0] if self._params.prior else 1.0
-        return surer(out, left * variances, self._links)  # 4
+        if self._params.prior:
+            variances = variances * (_LEFT_BY_PRIOR if self._params.window > 0 else _LEFT_BY_RECENT)
+        return surer(out, variances, self._links)  # 4
 
     def _project(self, out: Block, which: Stamps, lengths: Floats, variances: Floats) -> None:
         from hiros_mcap.stages.filter.link_lengths import project_all

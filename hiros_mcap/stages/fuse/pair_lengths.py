@@ -14,6 +14,7 @@ import numpy as np
 from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
 from hiros_mcap.skeletons import Floats, Ints, SkeletonModel, Stamps
 
+MINUTE = 60.0  # s
 _LENGTH_DEVIATION = 0.005  # m; added to the deviations that weight a length
 _OUTLIER = 4.0  # robust standard deviations
 _FEWEST = 30  # poses that give a length
@@ -84,10 +85,10 @@ class LastMinute:
     Parameters
     ----------
     pairs : (K, 2) slots. mirror : (M,) slot of the same joint on the other side.
-    seconds : so long is the minute.
+    seconds : so long is the minute; longer, if lengths are measured for longer.
     """
 
-    def __init__(self, pairs: Ints, mirror: Ints, seconds: float = 60.0) -> None:
+    def __init__(self, pairs: Ints, mirror: Ints, seconds: float = MINUTE) -> None:
         self._pairs, self._other = pairs, other_sides(pairs, mirror)
         self._length = round(seconds * 1e9)
         self._parts = deque[tuple[Stamps, Floats, Floats]]()
