@@ -195,9 +195,6 @@ class ClockFollower:
             return
         usual = max(others.values()) if len(others) == 1 else middle_of(others)
         foresees = lag < -_FORESIGHT and usual >= 0.0
-        if foresees and lag > -_AHEAD:
-            # The median of all clocks counts as right, as before a run of a file.
-            usual = max(middle_of({**others, source: lag}), 0.0)
         if foresees or lag < usual - self._reorder or lag > usual + LONGEST_DELAY:
             clock.offset += round((lag - usual) * 1e9)
             self._note(source, OFFSET, usual - lag, log_time - round(usual * 1e9))
