@@ -29,6 +29,7 @@ from hiros_mcap.stages.fuse.fusing import (
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 from hiros_mcap.stages.fuse.pair_lengths import LastMinute, RunningLengths, measured_lengths
 from hiros_mcap.stages.fuse.pose_prior import (
+    MotionPrior,
     body_frames,
     estimated,
     has_heading,
@@ -398,7 +399,7 @@ def test_the_prior_estimates_as_wiener_does():
     measured = mean.reshape(4, 3) + rng.normal(0, 0.05, (2, 4, 3))
     measured[1, 2] = np.nan
     variances = rng.uniform(1e-6, 4e-4, (2, 4))
-    poses = estimated(mean, basis, measured, variances)
+    poses = estimated(MotionPrior(mean, basis), measured, variances)
     p = basis @ basis.T + 0.003**2 * np.eye(12)
     for pose, y, v in zip(poses, measured, variances, strict=True):
         absent = np.isnan(y.ravel())

@@ -11,15 +11,17 @@ motion there. The minute lies about each pose (:func:`shrink_noise`), or before 
 
 from __future__ import annotations
 
-from collections import deque
+import math
+from typing import NamedTuple
 
 import numpy as np
 
 from hiros_mcap.body.rotations import nearest_rotation
+from hiros_mcap.kernels.array_types import F1, F2, F3, arrays
+from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.skeletons import Flags, Floats, Ints
 
 FEWEST = 30  # poses that a prior needs
-_AT_ONCE = 256  # poses that are estimated together: a matrix each
 _EXCESS = 1.5  # eigenvalue, in units of the noise, that noise alone may have
 _PIECE = 3.0  # s
 _SHOWN = 0.4  # share of its variance that a Gauss-Markov offset of 1.7 s shows within such a piece
@@ -55,10 +57,8 @@ def shrink_noise(
     size = max(round(_PIECE * rate), 2)
     known, noises = known[:, some], at_most_shown(known[:, some], noises[:, some], size)
     noise = at_most_shown(positions[:, some], variances[:, some], size)
-    motion, out = motion_of(known, noises), positions.copy()
-    for start in range(0, len(positions), _AT_ONCE):
-        part = slice(start, start + _AT_ONCE)
-        out[part, some] = estimated(*motion, out[part, some], noise[part])
+    out = positions.copy()
+    out[:, some] = estimated(motion_of(known, noises), positions[:, some], noise)
     return out
 
 
@@ -66,12 +66,12 @@ class RecentMotion:
     """The last minute of a person, and the prior that it gives."""
 
     def __init__(self) -> None:
-        self._poses = deque[Floats](maxlen=_POSES)
-        self._variances = deque[Floats](maxlen=_POSES)
-        self._next = self._pushed = self._seen = 0
-        """When the prior is due, the last pose was kept, and the person was seen last, ns."""
-        self._motion: tuple[Floats, Floats, Flags] | None = None
-        """Of :func:`motion_of`, and the markers that any pose had."""
+        self._poses, self._variances = np.empty((0, 0, 3)), np.empty((0, 0))
+        """Rings of _POSES poses and their variances."""
+        self._kept = self._next = self._pushed = self._seen = 0
+        """Poses so far; when the prior is due, the last pose was kept, and the person was seen
+        last, ns."""
+        self._motion: MotionPrior | None = None
 
     def shrink(self, local: Floats, variances: Floats, stamp: int) -> Floats:
         """Return a local pose (M, 3), m, moved towards what the person has done; remember it.
@@ -79,42 +79,31 @@ class RecentMotion:
         After a second unseen the motion is learned anew.
         """
         if stamp - self._seen > _LEFT * 1e9:
-            self._poses.clear()
-            self._variances.clear()
             self._motion = None
-            self._next = self._pushed = 0
+            self._kept = self._next = self._pushed = 0
         self._seen = stamp
-        estimate = self._estimate(local, variances)
+        estimate = local
+        if self._motion is not None:
+            estimate = estimated(self._motion, local[None], variances[None], _LARGEST_STEP)[0]
         # Not the pose as measured: from what has less noise, a better prior is learned.
         self._remember(estimate, variances, stamp)
         return estimate
 
-    def _estimate(self, local: Floats, variances: Floats) -> Floats:
-        if self._motion is None:
-            return local
-        mean, basis, seen = self._motion
-        estimate, some, noise = local.copy(), local[seen], variances[seen]
-        steps = estimated(mean, basis, some[None], noise[None])[0] - some
-        sizes, most = np.linalg.norm(steps, axis=1), _LARGEST_STEP * np.sqrt(3 * noise)
-        scales = np.divide(most, sizes, out=np.ones_like(sizes), where=sizes > most)
-        estimate[seen] = some + scales[:, None] * steps
-        return estimate
-
     def _remember(self, local: Floats, variances: Floats, stamp: int) -> None:
         """Keep a pose; renew the prior if it is due."""
-        if not self._poses:
+        if not self._kept:
             self._next = stamp + round(_FIRST * 1e9)
+            self._poses = np.empty((_POSES, *local.shape))
+            self._variances = np.empty((_POSES, *variances.shape))
         elif stamp - self._pushed < 0.9e9 / _RATE:
             return
         self._pushed = stamp
-        self._poses.append(local)
-        self._variances.append(variances)
-        if stamp >= self._next and len(self._poses) >= FEWEST:
+        self._poses[self._kept % _POSES] = local
+        self._variances[self._kept % _POSES] = variances
+        self._kept += 1
+        if stamp >= self._next and self._kept >= FEWEST:
             self._next = stamp + round(_RENEWED * 1e9)
-            poses = np.stack(self._poses)
-            present: Flags = np.asarray(~np.isnan(poses).any(axis=2).all(axis=0))
-            some, noise = poses[:, present], np.stack(self._variances)[:, present]
-            self._motion = (*motion_of(some, noise), present) if present.any() else None
+            self._motion = motion_of(self._poses[: self._kept], self._variances[: self._kept])
 
 
 def at_most_shown(positions: Floats, variances: Floats, size: int) -> Floats:
@@ -196,41 +185,122 @@ def _mean(points: Floats, weights: Floats, axis: int) -> Floats:
     )
 
 
-def motion_of(positions: Floats, variances: Floats) -> tuple[Floats, Floats]:
-    """Find the motion in poses (T, M, 3), m, with variances (T, M): the excess over the noise.
+class MotionPrior(NamedTuple):
+    """How a person moves: P = B B' + free variance about the mean pose; N = 3 M."""
 
-    Returns the mean pose (N,), m, where N = 3 M, and in which directions poses vary by more than
-    noise does: (N, R) times the standard deviation along each, m. P = B B' + free variance.
-    """
+    mean: F1  # (N,) m; NaN = never seen
+    basis: F2  # (N, R) B: in which directions poses vary, times the standard deviation, m
+
+
+def motion_of(positions: Floats, variances: Floats) -> MotionPrior:
+    """Find the motion in poses (T, M, 3), m, with variances (T, M): the excess over the noise."""
     y = positions.reshape(len(positions), -1)
     absent = np.isnan(y)
-    mean = np.nanmean(y, axis=0)
-    off = np.where(absent, 0.0, y - mean)
-    stated = np.where(absent, np.nan, np.repeat(variances, 3, axis=1))
-    noise = np.maximum(np.sqrt(np.nanmean(stated, axis=0)), _LEAST)
+    seen = ~absent[:, ::3]
+    white = np.where(absent, 0.0, y)
+    with np.errstate(invalid="ignore"):  # of what was never seen
+        mean = white.sum(axis=0) / (~absent).sum(axis=0)
+        noise = np.where(seen, variances, 0.0).sum(axis=0) / seen.sum(axis=0)
+    noise = np.repeat(np.fmax(np.sqrt(noise), _LEAST), 3)
     # P: directions in which the whitened poses vary by more than noise does.
-    white = off / noise
+    white -= mean
+    white /= noise
+    white[absent] = 0.0
     squares, directions = np.linalg.eigh(white.T @ white)
     excess = squares / len(y) - _EXCESS
     used = excess > 0
-    return mean, noise[:, None] * (directions[:, used] * np.sqrt(excess[used]))
+    basis = noise[:, None] * (directions[:, used] * np.sqrt(excess[used]))
+    return MotionPrior(mean, np.ascontiguousarray(basis))
 
 
-def estimated(mean: Floats, basis: Floats, positions: Floats, variances: Floats) -> Floats:
+def estimated(
+    motion: MotionPrior, positions: Floats, variances: Floats, most: float = math.inf
+) -> Floats:
     """Return the estimates mu + P (P + V)^-1 (y - mu) of poses y.
 
     Parameters
     ----------
-    mean, basis : (N,) and (N, R) of :func:`motion_of`.
     positions : (T, M, 3) local poses, m; NaN = absent, and stays so. variances : (T, M) V, m2.
+    most : standard deviations of a measurement, in space, by which a marker moves at most.
     """
-    off = positions.reshape(len(positions), -1) - mean
-    absent = np.isnan(off)  # nothing is known there
-    off = np.where(absent, 0.0, off)
-    spread = _FREE**2 + np.where(absent, _ABSENT, np.repeat(variances, 3, axis=1))
-    # (B B' + D)^-1 by Woodbury's identity; then B B' (B B' + D)^-1 (y - mu) = B s.
-    weighted = basis.T / spread[:, None]
-    inner = weighted @ basis + np.eye(basis.shape[1])
-    along = (basis @ np.linalg.solve(inner, weighted @ off[:, :, None]))[:, :, 0]
-    free = _FREE**2 * (off - along) / spread
-    return np.asarray(positions + (along + free - off).reshape(positions.shape))
+    out, r = np.empty(positions.shape), motion.basis.shape[1]
+    poses, noise = np.ascontiguousarray(positions), np.ascontiguousarray(variances)
+    estimate_poses(motion, poses, noise, most, out, arrays(PriorWork, (r, r), r))
+    return out
+
+
+class PriorWork(NamedTuple):
+    """Scratch for one pose."""
+
+    inner: F2  # (R, R) I + B' D^-1 B, below the diagonal; then its Cholesky factor
+    along: F1  # (R,) B' D^-1 (y - mu); then s
+
+
+@kernel
+def _weigh(motion: MotionPrior, pose: Floats, variances: Floats, work: PriorWork) -> None:
+    """Write I + B' D^-1 B and B' D^-1 (y - mu) of a pose (M, 3)."""
+    inner, along = work.inner, work.along
+    inner[:] = 0.0
+    along[:] = 0.0
+    for k in range(len(along)):
+        inner[k, k] = 1.0
+    for i in range(len(motion.mean)):
+        off = pose[i // 3, i % 3] - motion.mean[i]
+        if math.isnan(motion.mean[i]):
+            continue
+        spread = _FREE**2 + (_ABSENT if math.isnan(off) else variances[i // 3])
+        off = 0.0 if math.isnan(off) else off
+        for k in range(len(along)):
+            weighted = motion.basis[i, k] / spread
+            along[k] += weighted * off
+            for j in range(k + 1):
+                inner[k, j] += weighted * motion.basis[i, j]
+
+
+@kernel
+def _solve_in_place(a: Floats, b: Floats) -> None:
+    """Solve A x = b by Cholesky's factor of A (R, R), below its diagonal; ``b`` becomes x."""
+    n = len(b)
+    for k in range(n):
+        for j in range(k + 1):
+            total = a[k, j]
+            for i in range(j):
+                total -= a[k, i] * a[j, i]
+            a[k, j] = math.sqrt(total) if j == k else total / a[j, j]
+    for k in range(n):
+        for i in range(k):
+            b[k] -= a[k, i] * b[i]
+        b[k] /= a[k, k]
+    for k in range(n - 1, -1, -1):
+        for i in range(k + 1, n):
+            b[k] -= a[i, k] * b[i]
+        b[k] /= a[k, k]
+
+
+@entry
+def estimate_poses(
+    motion: MotionPrior, positions: F3, variances: F2, most: float, out: F3, work: PriorWork
+) -> None:
+    """Write what :func:`estimated` returns.
+
+    With D = V + free variance and Woodbury's identity, B B' (B B' + D)^-1 (y - mu) = B s, where
+    (I + B' D^-1 B) s = B' D^-1 (y - mu).
+    """
+    for t in range(len(positions)):
+        _weigh(motion, positions[t], variances[t], work)
+        _solve_in_place(work.inner, work.along)
+        for m in range(positions.shape[1]):
+            square = 0.0
+            for c in range(3):
+                off = positions[t, m, c] - motion.mean[3 * m + c]
+                along = 0.0
+                for k in range(len(work.along)):
+                    along += motion.basis[3 * m + c, k] * work.along[k]
+                free = _FREE**2 * (off - along) / (_FREE**2 + variances[t, m])
+                step = along + free - off
+                out[t, m, c] = 0.0 if math.isnan(motion.mean[3 * m + c]) else step
+                square += step * step
+            largest = most * math.sqrt(3.0 * variances[t, m])
+            scale = largest / math.sqrt(square) if square > largest * largest else 1.0
+            for c in range(3):
+                out[t, m, c] = positions[t, m, c] + scale * out[t, m, c]
