@@ -39,6 +39,7 @@ LEAST_AFTER = 5  # messages that confirm a step
 _LASTING = 10.0  # s: a lag that has not lasted so long may be a late delivery
 IRREGULAR = 0.025  # s: an interval between stamps that differs so much from the usual one is odd
 _LEAST_STEP = 0.03  # s
+_AT_ONCE = 0.02  # s: so far the lag after a step is from that of the next message, at most
 _PAUSE = 1.0  # s: whoever pauses longer may do so for any time
 _LATENESS = 0.5  # s
 _REMARKABLE = 0.05  # s
@@ -291,8 +292,9 @@ def _recorder(others: Sequence[CameraTimes], log_times: Stamps) -> Floats:
 def _smooth(values: Floats) -> Floats:
     """(N,) median of each value and its neighbours."""
     padded = np.pad(values, 1, mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 3)
-    return np.asarray(np.median(windows, axis=1))
+    before, after = padded[:-2], padded[2:]
+    low, high = np.minimum(before, after), np.maximum(before, after)
+    return np.asarray(np.maximum(low, np.minimum(high, values)))
 
 
 def _largest_step(stamps: Floats, logged: Floats) -> Step | None:
@@ -302,14 +304,16 @@ def _largest_step(stamps: Floats, logged: Floats) -> Step | None:
     noise = 1.48 * float(np.median(np.abs(intervals - period)))
     jumps = -np.diff(lags)
     jitter = 1.48 * float(np.median(np.abs(jumps)))
-    odd = np.flatnonzero(np.abs(intervals - period) > IRREGULAR) + 1
+    least = _LEAST_STEP + _LARGEST_DRIFT * np.maximum(intervals, 0.0)
+    # Most that is odd are lost messages, whose lag stays; a step changes it at once.
+    changes = np.abs(jumps) > 0.999 * least - np.maximum(0.3 * least, max(4 * jitter, _AT_ONCE))
+    odd = np.flatnonzero((np.abs(intervals - period) > IRREGULAR) & changes) + 1
     steps: list[tuple[float, Step]] = []
     for k in odd[(odd >= LEAST_AFTER) & (odd <= len(lags) - LEAST_AFTER)].tolist():
         before, after = lags[max(0, k - _STEP_SIDE) : k], lags[k : k + _STEP_SIDE]
         shift = float(np.median(before) - np.median(after))
-        least = _LEAST_STEP + _LARGEST_DRIFT * max(0.0, float(intervals[k - 1]))
-        at_once = abs(jumps[k - 1] - shift) <= max(0.3 * abs(shift), 4 * jitter, 0.02)
-        if abs(shift) >= least and at_once and _parts(lags, k, shift):
+        at_once = abs(jumps[k - 1] - shift) <= max(0.3 * abs(shift), 4 * jitter, _AT_ONCE)
+        if abs(shift) >= least[k - 1] and at_once and _parts(lags, k, shift):
             error = float(np.hypot(_error(before), _error(after)))
             seconds = _explained(float(intervals[k - 1]), shift, (period, noise, error))
             if seconds:
