@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Concatenate, ParamSpec
+from typing import Concatenate, NamedTuple, ParamSpec
 
 import numpy as np
 
+from hiros_mcap.kernels.array_types import I1, I2
 from hiros_mcap.kernels.gathering import gather
 from hiros_mcap.skeletons import Floats, Frame, People, Stage, Stamps, Uncertainty
 
@@ -131,6 +132,14 @@ BlockStage = Callable[[Iterable[Block]], Iterator[Block]]
 """A step of a system: a generator over blocks, whose frames are those of a Stage."""
 
 
+class CameraMessages(NamedTuple):
+    """K messages in order of time, as kernels take them."""
+
+    stamps: I1  # (K,) ns
+    cameras: I1  # (K,) number of each camera
+    spans: I2  # (K, 2) first row of each message's people, and the row after the last
+
+
 class CameraNumbers(dict[str, int]):
     """Numbers the cameras of some blocks in the order in which their first frames come."""
 
@@ -145,6 +154,10 @@ class CameraNumbers(dict[str, int]):
         if names != block.names or (table[block.sources] < 0).any():
             self._number(block)
         return np.asarray(self._table[1][block.sources])
+
+    def messages(self, block: Block) -> CameraMessages:
+        """Return the frames of a block with the numbers of their cameras."""
+        return CameraMessages(block.stamps, self.of(block), block.rows)
 
     def _number(self, block: Block) -> None:
         """Give numbers to the cameras of a block; keep those of all its names."""

@@ -7,13 +7,14 @@ the sides of a person cannot confuse these.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from hiros_mcap.body.segments import HEAD, NECK, SIDES, TOE
-from hiros_mcap.body.symmetry import split_side
-from hiros_mcap.skeletons import Ints, SkeletonModel
+from hiros_mcap.body.symmetry import split_side, symmetry_of
+from hiros_mcap.kernels.array_types import J1, J2
+from hiros_mcap.skeletons import SkeletonModel
 
 CUES = ("head", "elbow", "knee", "toe")
 """Vectors that point forwards: from the neck to the head, from the elbow to the line between
@@ -25,20 +26,19 @@ _SHOULDER, _ELBOW, _WRIST = ("shoulder", "upperarm"), ("elbow", "forearm"), ("wr
 _HIP, _KNEE, _ANKLE = ("hip", "upleg"), ("knee", "leg"), ("ankle",)
 
 
-@dataclass(frozen=True)
-class ForwardCues:
-    """Slots of the markers that the cues need."""
+class FacingMarkers(NamedTuple):
+    """Slots of the markers that show the facing; the first two as in :mod:`.symmetry`."""
 
-    vectors: Ints
+    mirror: J1  # (M,)
+    lateral: J2  # (K, 2)
+    vectors: J2
     """(V, 4): cue, slot where the vector begins, slot where it ends, -1. Or: cue, ends of a line,
     slot of the joint that leaves the line forwards (knee) or backwards (elbow)."""
-    feet: Ints
-    """(F, 2) ankle and toes."""
-    trunk: Ints
-    """(T, 2) a hip and the shoulder above it: the way of the trunk."""
+    feet: J2  # (F, 2) ankle and toes
+    trunk: J2  # (T, 2) a hip and the shoulder above it: the way of the trunk
 
     @classmethod
-    def of(cls, model: SkeletonModel) -> ForwardCues:
+    def of(cls, model: SkeletonModel) -> FacingMarkers:
         """Find the markers by their names; a cue whose markers are missing is left out."""
         slots = {split_side(name): slot for slot, name in enumerate(model.marker_names)}
 
@@ -59,10 +59,13 @@ class ForwardCues:
                 if foot := find(_ANKLE, TOE, side=side):
                     yield (_TO_TOES, *foot, _NONE)
 
+        symmetry = symmetry_of(model)
         vectors = np.array(list(rows()), np.int32).reshape(-1, 4)
         trunk = [find(_HIP, _SHOULDER, side=side) for side in SIDES]
         return cls(
-            vectors=vectors,
-            feet=np.ascontiguousarray(vectors[vectors[:, 0] == _TO_TOES, 1:3]),
-            trunk=np.array([pair for pair in trunk if pair], np.int32).reshape(-1, 2),
+            symmetry.mirror,
+            symmetry.lateral,
+            vectors,
+            np.ascontiguousarray(vectors[vectors[:, 0] == _TO_TOES, 1:3]),
+            np.array([pair for pair in trunk if pair], np.int32).reshape(-1, 2),
         )

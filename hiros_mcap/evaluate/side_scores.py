@@ -7,14 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hiros_mcap.body.forward_cues import CUES, ForwardCues
-from hiros_mcap.body.symmetry import symmetry_of
+from hiros_mcap.body.forward_cues import CUES, FacingMarkers
 from hiros_mcap.frames import Block, join
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.detections.body_axes import find_upright
 from hiros_mcap.stages.detections.facing_evidence import (
-    FacingMarkers,
     FacingPast,
     FacingTables,
     MeasuredViews,
@@ -96,12 +94,8 @@ def facing_tracks(frames: Iterable[Frame], model: SkeletonModel) -> list[FacingT
 
 def _measured(people: People, stamps: Stamps, model: SkeletonModel) -> MeasuredViews:
     """Measure everybody in axes of his own."""
-    symmetry, cues = symmetry_of(model), ForwardCues.of(model)
-    markers = FacingMarkers(symmetry.mirror, symmetry.lateral, cues.vectors, cues.feet, cues.trunk)
-    bodies, bank = (
-        MeasuredViews.allocate(len(stamps)),
-        Bank(FacingPast.empty()),
-    )
+    markers, bodies = FacingMarkers.of(model), MeasuredViews.allocate(len(stamps))
+    bank = Bank(FacingPast.empty())
     bodies.stamps[:] = stamps
     bodies.rows[:] = [bank.row(person, 0) for person in people.ids.tolist()]
     tables = FacingTables.make()

@@ -16,7 +16,7 @@ from hiros_mcap.frames import Block
 from hiros_mcap.stages.merge.merge import MergeParams, merge_blocks
 from hiros_mcap.stages.merge.unseen import Unseen
 from hiros_mcap.stages.track.limb_scatter import LimbScatter
-from hiros_mcap.stages.track.reidentify import Limbs, PersonCues, limb_cues, place_cue, reidentify
+from hiros_mcap.stages.track.reidentify import PersonCues, limb_cues, place_cue, reidentify
 from hiros_mcap.stages.track.track import _Tracker, track_blocks
 from hiros_mcap.stages.track.track_params import TrackParams
 
@@ -332,7 +332,7 @@ def limb_cue(new, old, limbs):
 
 
 # Thigh and shank of both legs, and the trunk.
-LEGS = Limbs.of(np.array([0, 3, 4, 1, 2]))
+LEGS = LimbScatter(np.array([0, 3, 4, 1, 2]))
 
 
 def test_each_cue_speaks_for_whom_it_fits():
@@ -348,11 +348,11 @@ def test_each_cue_speaks_for_whom_it_fits():
 
 def test_what_one_limb_gains_and_the_next_one_loses_is_learned():
     """A knee wanders along the leg from second to second: that makes no other leg."""
-    old, new, taller, limbs = *(cues(k, 0.0, 0.0) for k in range(3)), Limbs.of(np.arange(5))
+    old, new, taller, limbs = *(cues(k, 0.0, 0.0) for k in range(3)), LimbScatter(np.arange(5))
     knee, counts = np.array([0.0, 0.05, -0.05, 0.05, -0.05]), np.full(5, 30.0)
     means = np.cumsum([old.lengths + knee * (-1) ** k for k in range(40)], axis=0)
     for k, lengths in enumerate(means):
-        limbs.scatter.learn(7, lengths / (k + 1), counts * (k + 1))
+        limbs.learn(7, lengths / (k + 1), counts * (k + 1))
     new.lengths[:] += knee
     taller.lengths[:] += np.abs(knee)
     assert limb_cue(new, old, limbs) > 0 > limb_cue(taller, old, limbs)
@@ -360,7 +360,7 @@ def test_what_one_limb_gains_and_the_next_one_loses_is_learned():
 
 
 def test_the_scatter_of_limbs_is_pooled_over_people_and_starts_with_a_usual_detector():
-    scatter, lengths = LimbScatter(2), np.array([0.4, 0.25])
+    scatter, lengths = LimbScatter(np.arange(2)), np.array([0.4, 0.25])
     np.testing.assert_allclose(scatter.covariance(lengths), np.diag([0.05, 0.08]) ** 2)
     rng, sums, n = np.random.default_rng(1), np.zeros((2, 2)), 10.0
     for k in range(1, 2001):

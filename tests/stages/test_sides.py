@@ -11,7 +11,7 @@ import pytest
 from builders import FAULTLESS, at_once, moved, same
 from scipy.spatial.transform import Rotation
 
-from hiros_mcap.body.forward_cues import CUES, ForwardCues
+from hiros_mcap.body.forward_cues import CUES, FacingMarkers
 from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, by_frame, frames_of, join
@@ -455,7 +455,7 @@ def test_a_message_that_is_very_late_passes():
 
 def test_cues_are_found_by_their_names():
     kinect = ["Head", "Neck", "ElbowLeft", "ShoulderLeft", "WristLeft", "AnkleRight", "FootRight"]
-    cues = ForwardCues.of(SkeletonModel.of(kinect, []))
+    cues = FacingMarkers.of(SkeletonModel.of(kinect, []))
     found = [(CUES[cue], *(kinect[k] for k in rest if k >= 0)) for cue, *rest in cues.vectors]
     arm = ("elbow", "ShoulderLeft", "WristLeft", "ElbowLeft")
     assert found == [("head", "Neck", "Head"), arm, ("toe", "AnkleRight", "FootRight")]

@@ -78,20 +78,20 @@ def compared(tracks, markers, links, confidence=1.0, **changes):  # fmt: skip
         np.arange(len(tracks.seen)),
         association.TrackWork.allocate(len(tracks.seen), p, m, n),
     )
-    work.pairs.wanted.fill(True)
+    work.wanted.fill(True)
     same = np.arange(m, dtype=np.int32)
-    association.predict(SECOND, rows, tracks, used, work.predicted)
+    association.predict(SECOND, rows, tracks, used, work)
     slots = association.SlotOrders(same, same, np.empty((0, 2), np.int32), capsules_of(MODEL))
     association.association_cost(rows, people, tracks, slots, used, work)
-    return work.pairs
+    return work
 
 
 def predicted_at(stamp, tracks, **changes):
     """Eq 7 of the first track."""
     m, n = tracks.seen.shape[1], tracks.links_seen.shape[1]
-    predicted = association.TrackWork.allocate(1, 1, m, n).predicted
-    association.predict(stamp, np.zeros(1, np.int64), tracks, settings(**changes), predicted)
-    return predicted
+    work = association.TrackWork.allocate(1, 1, m, n)
+    association.predict(stamp, np.zeros(1, np.int64), tracks, settings(**changes), work)
+    return work
 
 
 def tracks_at(positions, orientations):

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hiros_mcap.body.forward_cues import FacingMarkers
 from hiros_mcap.kernels.array_types import B1, F1, F2, F3, I1, arrays
 from hiros_mcap.kernels.averaging import ACCELERATION, POSITION, VELOCITY, blank, copy_row, exchange
 from hiros_mcap.kernels.compile import entry, inlined, kernel
@@ -25,7 +26,6 @@ from hiros_mcap.stages.detections.facing_evidence import (
     LONGEST_GAP,
     TELEPORT,
     TOES,
-    FacingMarkers,
     FacingPast,
     FacingTables,
     MeasuredViews,

@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.array_types import F1, F2, F3, I1, I2, J1, J2, arrays
+from hiros_mcap.body.forward_cues import FacingMarkers
+from hiros_mcap.kernels.array_types import F1, F2, F3, I1, I2, arrays
 from hiros_mcap.kernels.averaging import copy_row
 from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.kernels.distance import centre
@@ -59,16 +60,6 @@ _PRIOR_SAMPLES, _SAMPLE = 7.5, 0.125
 
 PRIOR_AGREEMENT = (0.8, 0.8, 0.8, 0.5)
 """Share of contradicting labels in which a cue points the same way in both views, by cue."""
-
-
-class FacingMarkers(NamedTuple):
-    """Slots of markers, as in body.symmetry and body.forward_cues."""
-
-    mirror: J1  # (M,)
-    lateral: J2  # (K, 2)
-    vectors: J2  # (V, 4)
-    feet: J2  # (F, 2)
-    trunk: J2  # (T, 2)
 
 
 class MeasuredViews(NamedTuple):

@@ -53,7 +53,6 @@ from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.detections import hidden_joints as kernels
 from hiros_mcap.stages.detections.detection_params import PlausibleParams
 from hiros_mcap.stages.detections.impossible_postures import limits_of
-from hiros_mcap.stages.detections.plausible import ComparedMessages
 
 HIDDEN = "hidden"
 """Kind of the event "somebody stood behind somebody else", and of the count of such joints."""
@@ -113,38 +112,38 @@ class _HiddenPeople:
         people, (rows, owners) = block.people, block.everybody()
         known = np.full(len(people.ids), UNTRACKED, np.int64)
         known[rows] = self._bank.rows_of(people.ids[rows], block.stamps[owners])
-        cameras, shape = self._cameras.of(block), people.markers.shape[:2]
+        messages = self._cameras.messages(block)
         self._rates = np.pad(self._rates, ((0, len(self._cameras) - len(self._rates)), (0, 0)))
-        out = kernels.MendedViews.of(*shape)
-        work = kernels.HiddenWork.of(shape[0], len(self._bank.past.ids), shape[1])
+        work = kernels.HiddenWork.of(
+            len(people.ids), len(self._bank.past.ids), people.markers.shape[1]
+        )
         kernels.mend_hidden(kernels.HiddenScene(
-            ComparedMessages(block.stamps, cameras, block.rows, known), people,
-            places_of(self._cameras, self._places), self._rates, self._capsules, self._limits,
-            self._guesses, self._bank.past, out, work,
+            messages, people, known, places_of(self._cameras, self._places), self._rates,
+            self._capsules, self._limits, self._guesses, self._bank.past, work,
         ))  # fmt: skip
         unrated = ~work.rates[rows]  # what a detector guesses is hidden by nobody
-        self._note(block, rows[unrated], owners[unrated], out)
-        if not out.variances.any():
-            return replace(block, hidden=out.variances)
-        markers, moved = people.markers.copy(), ~np.isnan(out.places[:, :, 0])
-        markers[moved, POSITION] = out.places[moved]
-        return replace(block, people=people._replace(markers=markers), hidden=out.variances)
+        self._note(block, rows[unrated], owners[unrated], work)
+        if not work.variances.any():
+            return replace(block, hidden=work.variances)
+        markers, moved = people.markers.copy(), ~np.isnan(work.places[:, :, 0])
+        markers[moved, POSITION] = work.places[moved]
+        return replace(block, people=people._replace(markers=markers), hidden=work.variances)
 
-    def _note(self, block: Block, rows: Stamps, owners: Stamps, out: kernels.MendedViews) -> None:
+    def _note(self, block: Block, rows: Stamps, owners: Stamps, work: kernels.HiddenWork) -> None:
         """Count hidden joints, and note who is hidden from whom."""
-        invented, bent = out.shares[rows] > 0.5, out.postures[rows] > 0.5
+        invented, bent = work.shares[rows] > 0.5, work.postures[rows] > 0.5
         for kind, markers in ((HIDDEN, invented & ~bent), (POSTURE, invented & bent)):
             counts = markers.sum(axis=1)
             for k in np.flatnonzero(counts).tolist():
                 self._events.count(kind, block.source(int(owners[k])), int(counts[k]))
-        for k in np.flatnonzero(out.hidden[rows] > _MOSTLY).tolist():
+        for k in np.flatnonzero(work.hidden[rows] > _MOSTLY).tolist():
             row, owner = int(rows[k]), int(owners[k])
             source, stamp = block.source(owner), int(block.stamps[owner])
             key = int(block.people.ids[row]), source
             first, last, hider = self._absent.get(key, (stamp, 0, 0))
             if stamp - last > _PAUSE:
                 self._end(key)
-                first, hider = stamp, int(out.hiders[row])
+                first, hider = stamp, int(work.hiders[row])
             self._absent[key] = first, stamp, hider
 
     def _end(self, key: tuple[int, str]) -> None:

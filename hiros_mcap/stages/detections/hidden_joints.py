@@ -11,12 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.calibrate.noise import GUESSED_BELOW, GUESSED_SHARE
+from hiros_mcap.frames import CameraMessages
 from hiros_mcap.kernels.array_types import B1, F1, F2, F3, I1, I2, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.kernels.line_of_sight import OUTLINE, Capsules, hidden_by, outline
 from hiros_mcap.skeletons import UNTRACKED, Floats, People
 from hiros_mcap.stages.detections.impossible_postures import PostureLimits, doubt_posture
-from hiros_mcap.stages.detections.plausible import ComparedMessages
 
 HONEST = 0.06  # m; deviation of a joint that is seen: a Kinect v2 at 3 to 4 m, hands included
 INVENTED = 0.2  # m; of one that a detector invents: on a Kinect log, .2 to .8 m off (3 axes)
@@ -57,8 +57,8 @@ class HiddenPast(NamedTuple):
         return arrays(cls, 0, 0, (0, m, 3), (0, m), (0, m, 3), (0, m), (0, 3))
 
 
-class MendedViews(NamedTuple):
-    """What becomes of P views with M markers."""
+class HiddenWork(NamedTuple):
+    """What becomes of P views with M markers; and scratch for these, and for R people."""
 
     places: F3  # (P, M, 3) m, of hidden joints; NaN = as measured
     variances: F2  # (P, M) m2, to be added to that of the measurement
@@ -66,20 +66,6 @@ class MendedViews(NamedTuple):
     postures: F2  # (P, M) the probability that it is wrong by how the body bends
     hidden: F1  # (P,) mean of h over the joints
     hiders: I1  # (P,) who hides most of them; UNTRACKED = nobody
-
-    @classmethod
-    def of(cls, n_people: int, n_markers: int) -> MendedViews:
-        """Return views that nobody hides."""
-        p, m = n_people, n_markers
-        views = arrays(cls, (p, m, 3), (p, m), (p, m), (p, m), p, p)
-        views.places.fill(np.nan)
-        views.hiders.fill(UNTRACKED)
-        return views
-
-
-class HiddenWork(NamedTuple):
-    """Scratch for P views, R people and M markers."""
-
     outlines: F2  # (P, OUTLINE) of the bodies of a message, seen from its camera
     remembered: F2  # (R, OUTLINE) of what is remembered of people
     shown: B1  # (R,) whether a message shows them
@@ -90,23 +76,27 @@ class HiddenWork(NamedTuple):
 
     @classmethod
     def of(cls, n_people: int, n_known: int, n_markers: int) -> HiddenWork:
-        """Make room."""
+        """Make room; nobody hides anybody yet."""
         p, r, m = n_people, n_known, n_markers
-        return arrays(cls, (p, OUTLINE), (r, OUTLINE), r, p, m, (m, 3), 3)
+        views = (p, m, 3), (p, m), (p, m), (p, m), p, p
+        work = arrays(cls, *views, (p, OUTLINE), (r, OUTLINE), r, p, m, (m, 3), 3)
+        work.places.fill(np.nan)
+        work.hiders.fill(UNTRACKED)
+        return work
 
 
 class HiddenScene(NamedTuple):
     """What the kernels share."""
 
-    messages: ComparedMessages
+    messages: CameraMessages
     people: People
+    rows: I1  # (P,) row of each person in what is remembered; -1 = nobody's
     places: F2  # (C, 3) of the cameras, m; NaN = unknown
     rates: F2  # (C, 3) how each camera's detector rates joints; see :func:`learn_rating`
     capsules: Capsules
     limits: PostureLimits
     guesses: bool  # whether joints are mended that a rating detector guesses
     past: HiddenPast
-    out: MendedViews
     work: HiddenWork
 
 
@@ -117,7 +107,7 @@ def _look(i: int, scene: HiddenScene) -> None:
     begin, end = scene.messages.spans[i, 0], scene.messages.spans[i, 1]
     scene.work.shown[:] = False
     for p in range(begin, end):
-        row = scene.messages.rows[p]
+        row = scene.rows[p]
         if row >= 0:
             scene.work.shown[row] = True
             outline(scene.people.markers[p], camera, scene.work.outlines[p])
@@ -177,7 +167,7 @@ def _cover(points: Floats, p: int, i: int, scene: HiddenScene, shares: Floats) -
     shares[:] = 0.0
     most, hider = 0.0, UNTRACKED
     for q in range(messages.spans[i, 0], messages.spans[i, 1]):
-        if q != p and messages.rows[q] >= 0:
+        if q != p and scene.rows[q] >= 0:
             total = _cover_by(
                 points, scene.people.markers[q], work.outlines[q], camera, capsules, shares
             )
@@ -197,23 +187,23 @@ def _see(p: int, i: int, scene: HiddenScene) -> None:
 
     A detector that rates its joints tells itself which ones it does not see.
     """
-    markers, shares = scene.people.markers[p], scene.out.shares[p]
+    markers, shares = scene.people.markers[p], scene.work.shares[p]
     if scene.work.rates[p]:
         limit = guess_limit(scene.rates[scene.messages.cameras[i], 2])
         for m in range(len(markers)):
             shares[m] = 1.0 if scene.people.marker_confidences[p, m] < limit else 0.0
         return
     if not math.isnan(scene.places[scene.messages.cameras[i], 0]):
-        scene.out.hiders[p] = _cover(markers, p, i, scene, shares)
+        scene.work.hiders[p] = _cover(markers, p, i, scene, shares)
     total, n = 0.0, 0
     for m in range(len(markers)):
         if not math.isnan(markers[m, 0]):
             total += shares[m]
             n += 1
-    whole = scene.out.hidden[p] = total / max(n, 1)
-    doubt_posture(markers, scene.limits, scene.out.postures[p])
+    whole = scene.work.hidden[p] = total / max(n, 1)
+    doubt_posture(markers, scene.limits, scene.work.postures[p])
     for m in range(len(markers)):
-        seen = (1.0 - shares[m]) * (1.0 - whole * whole) * (1.0 - scene.out.postures[p, m])
+        seen = (1.0 - shares[m]) * (1.0 - whole * whole) * (1.0 - scene.work.postures[p, m])
         shares[m] = 1.0 - seen
 
 
@@ -279,11 +269,11 @@ def _move(p: int, row: int, passed: float, scene: HiddenScene) -> None:
     for m in range(len(view)):
         for c in range(3):
             poses[m, c] += velocity[c] * passed
-    there = _steps(view, scene.out.shares[p], row, np.inf, past, work.steps)
-    n = _steps(view, scene.out.shares[p], row, _SEEN, past, work.steps)
+    there = _steps(view, scene.work.shares[p], row, np.inf, past, work.steps)
+    n = _steps(view, scene.work.shares[p], row, _SEEN, past, work.steps)
     enough = n >= _FEWEST * there
     if not enough:
-        n = _steps(view, scene.out.shares[p], row, np.inf, past, work.steps)
+        n = _steps(view, scene.work.shares[p], row, np.inf, past, work.steps)
     if n == 0:
         return
     change = 1.0 - math.exp(-passed / _FOLLOWS)
@@ -326,7 +316,7 @@ def _error(square: float, held: float) -> float:
 @kernel
 def _weigh(p: int, m: int, row: int, stamp: int, scene: HiddenScene) -> None:
     """Find out whether a joint was invented; put it where it must be (4, 5)."""
-    past, out, z = scene.past, scene.out, scene.people.markers[p, m]
+    past, out, z = scene.past, scene.work, scene.people.markers[p, m]
     x, held, error = past.poses[row, m], _UNKNOWN, INVENTED**2
     if past.seen[row, m] > 0:
         age = max(stamp - past.seen[row, m], 0) * 1e-9
@@ -351,7 +341,7 @@ def _weigh(p: int, m: int, row: int, stamp: int, scene: HiddenScene) -> None:
 @kernel
 def _mend(p: int, i: int, scene: HiddenScene) -> None:
     """Do what a view needs once all are seen (3 to 5)."""
-    row, camera = scene.messages.rows[p], scene.messages.cameras[i]
+    row, camera = scene.rows[p], scene.messages.cameras[i]
     stamp, markers = scene.messages.stamps[i], scene.people.markers[p]
     _move(p, row, _passed(stamp, scene.past.stamps[row]), scene)
     if scene.work.rates[p] and not scene.guesses:
@@ -367,8 +357,8 @@ def _mend(p: int, i: int, scene: HiddenScene) -> None:
 @kernel
 def _remember(p: int, stamp: int, scene: HiddenScene) -> None:
     """Remember the joints that the view shows (6)."""
-    past, shares, view = scene.past, scene.out.shares[p], scene.people.markers[p]
-    row = scene.messages.rows[p]
+    past, shares, view = scene.past, scene.work.shares[p], scene.people.markers[p]
+    row = scene.rows[p]
     for m in range(len(view)):
         first = past.seen[row, m] == 0
         if math.isnan(view[m, 0]) or (shares[m] >= _SEEN and not first):
@@ -387,11 +377,11 @@ def _remember(p: int, stamp: int, scene: HiddenScene) -> None:
 @kernel
 def _measure_motion(p: int, passed: float, scene: HiddenScene) -> None:
     """Measure how joints move within the body: running means and variances over _MEMORY."""
-    past, row, centre = scene.past, scene.messages.rows[p], scene.work.centre
+    past, row, centre = scene.past, scene.rows[p], scene.work.centre
     _body_centre(past.poses[row], past.seen[row], centre)
     share = 1.0 - math.exp(-passed / _MEMORY)
     for m in range(scene.people.markers.shape[1]):
-        if math.isnan(scene.people.markers[p, m, 0]) or scene.out.shares[p, m] >= _SEEN:
+        if math.isnan(scene.people.markers[p, m, 0]) or scene.work.shares[p, m] >= _SEEN:
             continue
         first, square = math.isnan(past.means[row, m, 0]), 0.0
         for c in range(3):
@@ -422,18 +412,18 @@ def _body_centre(pose: Floats, seen: Floats, out: Floats) -> None:
 def mend_hidden(scene: HiddenScene) -> None:
     """Find the joints that cameras do not see, in messages in the order of time.
 
-    ``scene.out`` is written; ``scene.past`` and ``scene.rates`` are brought to the last message.
+    ``scene.work`` is written; ``scene.past`` and ``scene.rates`` are brought to the last message.
     """
     messages = scene.messages
     for i in range(len(messages.stamps)):
         _look(i, scene)
         # Three rounds: nothing depends on the order of the people in a message.
         for p in range(messages.spans[i, 0], messages.spans[i, 1]):
-            if messages.rows[p] >= 0:
+            if scene.rows[p] >= 0:
                 _see(p, i, scene)
         for p in range(messages.spans[i, 0], messages.spans[i, 1]):
-            if messages.rows[p] >= 0:
+            if scene.rows[p] >= 0:
                 _mend(p, i, scene)
         for p in range(messages.spans[i, 0], messages.spans[i, 1]):
-            if messages.rows[p] >= 0:
+            if scene.rows[p] >= 0:
                 _remember(p, messages.stamps[i], scene)

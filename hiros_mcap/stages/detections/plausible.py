@@ -42,7 +42,7 @@ import numpy as np
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.calibrate.noise import GUESSED_BELOW
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, CameraNumbers, places_of
+from hiros_mcap.frames import Block, CameraMessages, CameraNumbers, places_of
 from hiros_mcap.kernels.array_types import B1, F1, F2, I1, I2, J2, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.kernels.distance import centre
@@ -116,23 +116,23 @@ class _LimbHistories:
         people, (rows, owners) = block.people, block.everybody()
         past_rows = np.full(len(people.ids), -1, np.int64)
         past_rows[rows] = self._bank.rows_of(people.ids[rows], block.stamps[owners])
-        messages = ComparedMessages(block.stamps, self._cameras.of(block), block.rows, past_rows)
-        work = PlausibleWork.of(*people.markers.shape[:2])
+        messages = self._cameras.messages(block)
         places = places_of(self._cameras, self._places)
+        work = PlausibleWork.of(len(people.ids), len(places), people.markers.shape[1])
         seen = self._bank.past.seen
         if len(places) > seen.shape[1]:
             seen = np.pad(seen, ((0, 0), (0, len(places))))
             self._bank.past = self._bank.past._replace(seen=seen)
-        counts = np.zeros((2, len(places)), np.int64)
         # What is not written is shared: the tracker may still write into others of the arrays.
         people = people._replace(marker_confidences=people.marker_confidences.copy())
         find_implausible(
-            messages, people, places, self._links, self._bank.past, self._params.max_deviation,
-            self._params.enough, self._params.patience, counts, work,
+            messages, people, past_rows, places, self._links, self._bank.past,
+            self._params.max_deviation, self._params.enough, self._params.patience, work,
         )  # fmt: skip
-        if not counts.any():
+        if not work.counts.any():
             return block
-        for kind, by_camera in zip((DISTORTED, CONTRADICTORY), counts.tolist(), strict=True):
+        kinds = DISTORTED, CONTRADICTORY
+        for kind, by_camera in zip(kinds, work.counts.tolist(), strict=True):
             for source, n in zip(self._cameras, by_camera, strict=True):
                 self._events.count(kind, source, n)
         if work.left_out.any():
@@ -176,28 +176,22 @@ class LimbPast(NamedTuple):
         return arrays(cls, *3 * [(0, n_links)], 0, 0, (0, 4))
 
 
-class ComparedMessages(NamedTuple):
-    """N messages, in order."""
-
-    stamps: I1  # (N,) ns
-    cameras: I1  # (N,) index of the camera
-    spans: I2  # (N, 2) first row of its people, and the row after the last
-    rows: I1  # (P,) row of each person in what is remembered; -1 = nobody's
-
-
 class PlausibleWork(NamedTuple):
-    """Scratch for a view, and for the people of a message."""
+    """What is found out about P people, and scratch for a view."""
+
+    left_out: B1  # (P,) whether a view is distorted
+    counts: I2  # (2, C) views left out and markers that are trusted less, by camera
 
     largest: F1
     second: F1  # (M,) z^2 of the links of each marker; -1 = there is none
     centres: F2  # (P, 3) mean marker position, m
     limit: F1  # (1,) deviation that is still likely of an honest view
-    left_out: B1  # (P,) whether a view is distorted
 
     @classmethod
-    def of(cls, n_people: int, n_markers: int) -> PlausibleWork:
+    def of(cls, n_people: int, n_cameras: int, n_markers: int) -> PlausibleWork:
         """Make room; nobody is left out yet."""
-        return arrays(cls, n_markers, n_markers, (n_people, 3), 1, n_people)
+        p, m = n_people, n_markers
+        return arrays(cls, p, (2, n_cameras), m, m, (p, 3), 1)
 
 
 @inlined
@@ -328,18 +322,18 @@ def _is_left_out(
 
 @entry
 def find_implausible(
-    messages: ComparedMessages, people: People, places: F2, links: LimbLinks, past: LimbPast,
-    max_deviation: float, enough: float, patience: float, counts: I2, work: PlausibleWork,
+    messages: CameraMessages, people: People, rows: I1, places: F2, links: LimbLinks,
+    past: LimbPast, max_deviation: float, enough: float, patience: float, work: PlausibleWork,
 ) -> None:  # fmt: skip
     """Find distorted views, and lower the confidences of contradictory markers.
 
     Parameters
     ----------
     people : confidences of markers are written. work : tells which views are to be left out.
+    rows : (P,) row of each person in what is remembered; -1 = nobody's.
     places : (C, 3) positions of the cameras, m; NaN = unknown.
     past : brought to the last message.
     max_deviation, enough, patience : of PlausibleParams.
-    counts : (2, C) views left out and markers trusted less, by camera; added to.
     """
     for i in range(len(messages.stamps)):
         stamp, camera = messages.stamps[i], messages.cameras[i]
@@ -349,7 +343,7 @@ def find_implausible(
             if people.ids[p] != UNTRACKED:
                 centre(people.markers[p], work.centres[p])
         for p in range(begin, end):
-            row = messages.rows[p]
+            row = rows[p]
             if row < 0:
                 continue
             if past.first[row] == 0:
@@ -364,6 +358,6 @@ def find_implausible(
             is_distorted = beside < _BESIDE and deviation > limit and not _is_rated(p, people)
             if _is_left_out(stamp, row, camera, is_distorted, past, patience):
                 work.left_out[p] = True
-                counts[OUT, camera] += 1
+                work.counts[OUT, camera] += 1
             else:
-                counts[MARKERS, camera] += _lower(people, p, deviation, max_deviation, work)
+                work.counts[MARKERS, camera] += _lower(people, p, deviation, max_deviation, work)

@@ -31,8 +31,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hiros_mcap.body.forward_cues import ForwardCues
-from hiros_mcap.body.symmetry import symmetry_of
+from hiros_mcap.body.forward_cues import FacingMarkers
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, CameraNumbers, join
 from hiros_mcap.kernels.array_types import chosen, joined
@@ -44,7 +43,6 @@ from hiros_mcap.stages.detections.facing_evidence import (
     BINS,
     CELL,
     TOES,
-    FacingMarkers,
     FacingPast,
     FacingTables,
     MeasuredViews,
@@ -58,7 +56,8 @@ _MOST = 1000  # views that become one block, about: 10 MB
 
 def knows_sides(model: SkeletonModel) -> bool:
     """Whether the names of the markers tell left from right, and where shoulders and hips are."""
-    return bool(len(symmetry_of(model).lateral) and len(ForwardCues.of(model).trunk))
+    markers = FacingMarkers.of(model)
+    return bool(len(markers.lateral) and len(markers.trunk))
 
 
 def decide_sides(
@@ -130,10 +129,7 @@ class _Sides:
     """What is known of the people, and the frames that are not decided yet."""
 
     def __init__(self, model: SkeletonModel, params: SidesParams, events: Events) -> None:
-        symmetry, cues = symmetry_of(model), ForwardCues.of(model)
-        self._markers = FacingMarkers(
-            symmetry.mirror, symmetry.lateral, cues.vectors, cues.feet, cues.trunk
-        )
+        self._markers = FacingMarkers.of(model)
         self._ahead = round(params.lookahead * 1e9 / CELL)
         self._events = events
         self._bank = Bank(FacingPast.empty(), forget_after=10 + 2 * params.lookahead)

@@ -87,27 +87,20 @@ class TrackSettings(NamedTuple):
     flip_aware: bool
 
 
-class PredictedTracks(NamedTuple):
-    """Poses of T tracks at the time of a message (eq 7); NaN = never seen."""
+class TrackWork(NamedTuple):
+    """Scratch for at most T tracks and P detections; its arrays are larger than what counts."""
 
+    # The tracks at the time of a message (eq 7); NaN = never seen.
     positions: F3  # (T, M, 3) m
     orientations: F3  # (T, L, 4) x y z w
     unseen: F1  # (T,) time since the last detection, s
     gates: F1  # (T,) largest distance of a detection, m
-
-
-class TrackWeights(NamedTuple):
-    """The two factors of eq 11, of T tracks and P detections."""
-
+    # The two factors of eq 11.
     marker_velocities: F2  # (T, M) w_v
     link_velocities: F2  # (T, L)
     marker_confidences: F2  # (P, M) kappa
     link_confidences: F2  # (P, L)
-
-
-class TrackPairs(NamedTuple):
-    """T tracks compared with P detections."""
-
+    # The tracks compared with the detections.
     wanted: B1  # (P,) whether a detection needs a track
     distances: F2
     """(T, P) weighted mean distance of the markers, m; right up to both distance parameters."""
@@ -115,39 +108,24 @@ class TrackPairs(NamedTuple):
     cost: F2  # (T, P) eq 6; infinite where a pair is not allowed
     match: I1  # (P,) index of the track of each detection, -1 = none
     broken: B1  # (P,) whether a detection is too far from the track that ``match`` gives it
+    # The detections.
     hidden: F2  # (P, M) 0 to 1, how far a joint is hidden from its camera; 1 = guessed
-
-
-class TrackWork(NamedTuple):
-    """Scratch for at most T tracks and P detections; its arrays are larger than what counts."""
-
     bounds: F2  # (P, 6) least and greatest x y z of each detection's markers, m
     outlines: F2  # (P, OUTLINE) of the detections, seen from their camera
-    predicted: PredictedTracks
-    weights: TrackWeights
-    pairs: TrackPairs
-    assignment: AssignmentWork
     faults: I1  # (P,) why a detection is left out, 0 = it is not; see tracking.py
     track_rows: I1  # (P,) row of each detection's track, -1 = none
+    assignment: AssignmentWork
 
     @classmethod
     def allocate(cls, n_tracks: int, n_people: int, n_markers: int, n_links: int) -> TrackWork:
         """Arrays for at most that many tracks and detections."""
         t, p, m, n = n_tracks, n_people, n_markers, n_links
-        predicted = arrays(PredictedTracks, (t, m, 3), (t, n, 4), t, t)
-        weights = arrays(TrackWeights, (t, m), (t, n), (p, m), (p, n))
-        pairs = arrays(TrackPairs, p, (t, p), (t, p), (t, p), p, p, (p, m))
-        return arrays(
-            cls,
-            (p, 6),
-            (p, OUTLINE),
-            predicted,
-            weights,
-            pairs,
-            AssignmentWork.allocate(max(t, p)),
-            p,
-            p,
-        )
+        tracks = (t, m, 3), (t, n, 4), t, t
+        weights = (t, m), (t, n), (p, m), (p, n)
+        pairs = p, (t, p), (t, p), (t, p), p, p
+        detections = (p, m), (p, 6), (p, OUTLINE), p, p
+        assignment = AssignmentWork.allocate(max(t, p))
+        return arrays(cls, *tracks, *weights, *pairs, *detections, assignment)
 
 
 class SlotOrders(NamedTuple):
@@ -185,7 +163,7 @@ def _mean_velocity(velocities: Floats) -> Vector:
 
 @inlined
 def _predict_positions(
-    stamp: int, rows: Stamps, tracks: Tracks, settings: TrackSettings, out: PredictedTracks
+    stamp: int, rows: Stamps, tracks: Tracks, settings: TrackSettings, out: TrackWork
 ) -> None:
     for i in range(len(rows)):
         row, unseen = rows[i], np.inf
@@ -215,16 +193,14 @@ def quaternion(values: Floats) -> Quaternion:
 
 
 @entry
-def predict(
-    stamp: int, rows: I1, tracks: Tracks, settings: TrackSettings, predicted: PredictedTracks
-) -> None:
+def predict(stamp: int, rows: I1, tracks: Tracks, settings: TrackSettings, work: TrackWork) -> None:
     """Predict the pose of each track in ``rows`` at ``stamp`` by constant velocity (eq 7).
 
     Velocities carry on for ``horizon`` seconds and then fade. From then on the gate grows, up to
     twice its size: nobody knows where an unseen person goes.
     """
-    _predict_positions(stamp, rows, tracks, settings, predicted)
-    out = predicted.orientations
+    _predict_positions(stamp, rows, tracks, settings, work)
+    out = work.orientations
     for i in range(len(rows)):
         row = rows[i]
         for k in range(out.shape[1]):
@@ -278,15 +254,15 @@ def _compare(
     Where all markers of a detection are beyond the reach of all markers of the track, so is any
     mean of their distances. Among many people most pairs need no more than that.
     """
-    weights, pairs, bounds = work.weights, work.pairs, work.bounds
-    _confidence_weights(people.marker_confidences, weights.marker_confidences)
+    bounds = work.bounds
+    _confidence_weights(people.marker_confidences, work.marker_confidences)
     for j in range(len(people.ids)):
         low_high = _bound(people.markers[j])
         for c in range(6):
             bounds[j, c] = low_high[c]
     for i in range(len(rows)):
-        pose, weight = work.predicted.positions[i], weights.marker_velocities[i]
-        reach = max(work.predicted.gates[i], settings.min_distance)
+        pose, weight = work.positions[i], work.marker_velocities[i]
+        reach = max(work.gates[i], settings.min_distance)
         margin = 1.001 * reach  # rounding must not leave out a pair on the edge
         x0, y0, z0, x1, y1, z1 = _bound(pose)
         x0, y0, z0, x1, y1, z1 = (
@@ -294,7 +270,7 @@ def _compare(
         )  # fmt: skip
         weighed = False
         for j in range(len(people.ids)):
-            pairs.mirrored[i, j], pairs.distances[i, j] = False, np.inf
+            work.mirrored[i, j], work.distances[i, j] = False, np.inf
             low_high = bounds[j]
             if not (
                 low_high[0] <= x1 and low_high[3] >= x0
@@ -305,7 +281,7 @@ def _compare(
             if not weighed:
                 _velocity_weights(tracks.velocities[rows[i]], settings, weight)
                 weighed = True
-            seen, confidence = people.markers[j], weights.marker_confidences[j]
+            seen, confidence = people.markers[j], work.marker_confidences[j]
             # Beyond twice the reach a detection is mirrored if that brings it within the reach.
             distance = weighted_mean_distance(
                 pose, seen, slots.same, weight, confidence, 2.0 * reach
@@ -315,8 +291,8 @@ def _compare(
                 swapped = weighted_mean_distance(
                     pose, seen, slots.mirror, weight, confidence, reach
                 )
-            pairs.mirrored[i, j] = swapped < 0.5 * distance
-            pairs.distances[i, j] = swapped if pairs.mirrored[i, j] else distance
+            work.mirrored[i, j] = swapped < 0.5 * distance
+            work.distances[i, j] = swapped if work.mirrored[i, j] else distance
     _leave_to_nearest(len(rows), len(people.ids), settings, work)
 
 
@@ -325,7 +301,7 @@ def _leave_to_nearest(
     n_tracks: int, n_people: int, settings: TrackSettings, work: TrackWork
 ) -> None:
     """Keep a gate that has grown from taking a second view of somebody else."""
-    distances, gates = work.pairs.distances, work.predicted.gates
+    distances, gates = work.distances, work.gates
     for i in range(n_tracks):
         if gates[i] <= settings.max_distance:
             continue
@@ -343,9 +319,9 @@ def _linear_distance(
 ) -> float:
     """Eq 8; ``velocities`` (M, 3) of the track."""
     total, common, markers = 0.0, 0, people.markers[j]
-    weights, confidences = work.weights.marker_velocities[i], work.weights.marker_confidences[j]
+    weights, confidences = work.marker_velocities[i], work.marker_confidences[j]
     for m in range(len(markers)):
-        d = point_distance(work.predicted.positions[i, m], markers[m])
+        d = point_distance(work.positions[i, m], markers[m])
         if math.isnan(d):
             continue
         common += 1
@@ -361,11 +337,9 @@ def _angular_distance(
 ) -> float:
     """Eq 9, 0 where no link is in common; ``velocities`` (L, 3) of the track."""
     total, common, links = 0.0, 0, people.links[j]
-    weights, confidences = work.weights.link_velocities[i], work.weights.link_confidences[j]
+    weights, confidences = work.link_velocities[i], work.link_confidences[j]
     for k in range(len(links)):
-        product = dot(
-            quaternion(work.predicted.orientations[i, k]), quaternion(links[k, _TO_ORIENTATION:])
-        )
+        product = dot(quaternion(work.orientations[i, k]), quaternion(links[k, _TO_ORIENTATION:]))
         if math.isnan(product):
             continue
         common += 1
@@ -385,24 +359,23 @@ def _fill_cost(
     rows: Stamps, people: People, tracks: Tracks, settings: TrackSettings, work: TrackWork
 ) -> None:
     """Fill ``cost`` of the pairs within the gate (eq 6), where a detection wants a track."""
-    weights, pairs = work.weights, work.pairs
-    _confidence_weights(people.link_confidences, weights.link_confidences)
+    _confidence_weights(people.link_confidences, work.link_confidences)
     for i in range(len(rows)):
         velocities = tracks.velocities[rows[i]]
         angular_velocities = tracks.angular_velocities[rows[i]]
         weighed = False
         for j in range(len(people.ids)):
-            if not pairs.wanted[j] or pairs.distances[i, j] > work.predicted.gates[i]:
-                pairs.cost[i, j] = np.inf
-            elif pairs.mirrored[i, j]:
-                pairs.cost[i, j] = pairs.distances[i, j]
+            if not work.wanted[j] or work.distances[i, j] > work.gates[i]:
+                work.cost[i, j] = np.inf
+            elif work.mirrored[i, j]:
+                work.cost[i, j] = work.distances[i, j]
             else:
                 if not weighed:
-                    _velocity_weights(angular_velocities, settings, weights.link_velocities[i])
+                    _velocity_weights(angular_velocities, settings, work.link_velocities[i])
                     weighed = True
                 linear = _linear_distance(i, j, people, velocities, settings, work)
                 angular = _angular_distance(i, j, people, angular_velocities, settings, work)
-                pairs.cost[i, j] = linear + settings.orientation_weight * angular  # eq 6
+                work.cost[i, j] = linear + settings.orientation_weight * angular  # eq 6
 
 
 @entry
@@ -413,7 +386,7 @@ def association_cost(
     """Compare every predicted track with every detection (eq 6 and 8 to 11).
 
     Eq 8 and 9 are means (alpha = 1, as in the published code). Fills the ``distances`` of
-    ``work.pairs``, which the gate is for, since they depend on no velocities; ``mirrored``; and
+    ``work``, which the gate is for, since they depend on no velocities; ``mirrored``; and
     ``cost``, for the ``wanted`` detections. The orientations of a mirrored detection are wrong, so
     its cost is its distance.
     """
@@ -431,12 +404,12 @@ def _distance_of_seen(i: int, j: int, people: People, slots: SlotOrders, work: T
     Those that it guesses may be half a metre off.
     """
     total, n, markers = 0.0, 0, people.markers[j]
-    which = slots.mirror if work.pairs.mirrored[i, j] else slots.same
+    which = slots.mirror if work.mirrored[i, j] else slots.same
     for m in range(len(which)):
-        distance = point_distance(work.predicted.positions[i, m], markers[which[m]])
-        if work.pairs.hidden[j, which[m]] < MOSTLY_HIDDEN and not math.isnan(distance):
+        distance = point_distance(work.positions[i, m], markers[which[m]])
+        if work.hidden[j, which[m]] < MOSTLY_HIDDEN and not math.isnan(distance):
             total, n = total + distance, n + 1
-    return total / n if n >= _FEWEST_SEEN else work.pairs.distances[i, j]
+    return total / n if n >= _FEWEST_SEEN else work.distances[i, j]
 
 
 @inlined
@@ -444,7 +417,7 @@ def _breaks(
     i: int, j: int, people: People, slots: SlotOrders, work: TrackWork, settings: TrackSettings
 ) -> bool:
     """Whether a detection is farther from a track that was just seen than a person can move."""
-    unseen = work.predicted.unseen[i]
+    unseen = work.unseen[i]
     if unseen > settings.horizon:
         return False
     distance = _distance_of_seen(i, j, people, slots, work)
@@ -460,10 +433,10 @@ def associate(
 
     Fills ``match``, and ``broken``: a detector distorts a person who is about to be hidden.
     """
-    pairs, n_people = work.pairs, len(people.ids)
-    predict(stamp, rows, tracks, settings, work.predicted)  # eq 7
+    n_people = len(people.ids)
+    predict(stamp, rows, tracks, settings, work)  # eq 7
     association_cost(rows, people, tracks, slots, settings, work)  # eq 6 and 8 to 11
-    solve(pairs.cost, len(rows), n_people, work.assignment, pairs.match)  # Munkres
+    solve(work.cost, len(rows), n_people, work.assignment, work.match)  # Munkres
     for j in range(n_people):
-        i = pairs.match[j]
-        pairs.broken[j] = i >= 0 and _breaks(i, j, people, slots, work, settings)
+        i = work.match[j]
+        work.broken[j] = i >= 0 and _breaks(i, j, people, slots, work, settings)

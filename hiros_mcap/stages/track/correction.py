@@ -36,9 +36,9 @@ from hiros_mcap.stages.detections.hidden_joints import INVENTED
 from hiros_mcap.stages.track.association import (
     MOSTLY_HIDDEN,
     SlotOrders,
-    TrackPairs,
     Tracks,
     TrackSettings,
+    TrackWork,
     quaternion,
 )
 
@@ -263,7 +263,7 @@ def _learn_lengths(
 
 @entry
 def correct(
-    stamp: int, rows: I1, pairs: TrackPairs, people: People, tracks: Tracks, slots: SlotOrders,
+    stamp: int, rows: I1, work: TrackWork, people: People, tracks: Tracks, slots: SlotOrders,
     settings: TrackSettings,
 ) -> None:  # fmt: skip
     """Bring the tracks in ``rows`` to ``stamp`` with the detections that ``match`` gives them.
@@ -274,18 +274,18 @@ def correct(
     its variance is larger, so that it does not pull the track away from what cameras see.
     """
     for j in range(len(people.ids)):
-        i = pairs.match[j]
+        i = work.match[j]
         if i < 0:
             continue
-        row, swapped = rows[i], pairs.mirrored[i, j]
+        row, swapped = rows[i], work.mirrored[i, j]
         markers, confidences = people.markers[j], people.marker_confidences[j]
         which = slots.mirror if swapped else slots.same
         for m in range(len(which)):
             if not math.isnan(markers[which[m], 0]):
                 noise = _variance(confidences[which[m]], settings)
-                noise += (INVENTED * pairs.hidden[j, which[m]]) ** 2
+                noise += (INVENTED * work.hidden[j, which[m]]) ** 2
                 _correct_marker(stamp, tracks, row, m, markers[which[m]], noise, settings)
-        _learn_lengths(row, tracks, markers, pairs.hidden[j], which, slots.ends)
+        _learn_lengths(row, tracks, markers, work.hidden[j], which, slots.ends)
         for k in range(0 if swapped else len(people.links[j])):
             if not math.isnan(people.links[j, k, _TO_ORIENTATION]):
                 _correct_link(stamp, tracks, row, k, people.links[j, k], settings)

@@ -57,23 +57,17 @@ _FORGET = 60_000_000_000  # ns since the last copy
 _SAMPLES, _REFIT = 90, 10  # samples that make a displacement more precise; new ones for a new fit
 
 
-class Others(NamedTuple):
-    """The P people whom other cameras know, at the time of a message."""
-
-    numbers: Sequence[int]  # of their tracks
-    places: Floats  # (P, M, 3) their markers, m
-    since: Ints  # (P,) time of the first detection, ns; 0 if two cameras agree on the person
-    shown: Flags  # (P,) whether the message shows the person in place
-
-
 class LoneTracks(NamedTuple):
-    """One message of a camera: what it alone shows, beside whom."""
+    """One message of a camera: what it alone shows, beside the P people whom others know."""
 
     source: str
     stamp: int  # ns
     tracks: Sequence[int]  # numbers of tracks that no other camera reports
     poses: Floats  # (N, M, 3) their detections, m
-    others: Others
+    persons: Sequence[int]  # numbers of the tracks of the people
+    places: Floats  # (P, M, 3) their markers, m
+    since: Ints  # (P,) time of the first detection, ns; 0 if two cameras agree on the person
+    shown: Flags  # (P,) whether the message shows the person in place
     heard: Sequence[str]  # the other cameras that send messages at this time
 
 
@@ -92,32 +86,37 @@ class _History:
 
     first: int  # time of the first sample, ns
     due: int  # time of the next comparison, ns
-    samples: deque[tuple[int, Floats, Others]] = field(default_factory=deque)
-    """Time, ns; (M, 3) markers, m; the others."""
+    samples: deque[tuple[Floats, LoneTracks]] = field(default_factory=deque)
+    """(M, 3) markers, m; the message."""
 
-    def add(self, stamp: int, pose: Floats, others: Others) -> None:
+    @property
+    def last(self) -> int:
+        """Time of the last sample, ns."""
+        return self.samples[-1][1].stamp
+
+    def add(self, pose: Floats, lone: LoneTracks) -> None:
         """Add a sample, if the last one is old enough; forget old ones."""
-        if self.samples and stamp - self.samples[-1][0] < _INTERVAL:
+        if self.samples and lone.stamp - self.last < _INTERVAL:
             return
-        self.samples.append((stamp, pose, others))
-        while stamp - self.samples[0][0] > _LONGEST:
+        self.samples.append((pose, lone))
+        while lone.stamp - self.samples[0][1].stamp > _LONGEST:
             self.samples.popleft()
 
     def pairs(self) -> Iterator[_Pairs]:
         """Yield the track beside each person who was known before it, or is beyond question."""
-        last = self.samples[-1][2]
-        for number, since in zip(last.numbers, last.since.tolist(), strict=True):
+        last = self.samples[-1][1]
+        for number, since in zip(last.persons, last.since.tolist(), strict=True):
             rows = [
-                (stamp, pose, others, others.numbers.index(number))
-                for stamp, pose, others in self.samples
-                if number in others.numbers
+                (pose, lone, lone.persons.index(number))
+                for pose, lone in self.samples
+                if number in lone.persons
             ]
-            long_enough = rows[-1][0] - rows[0][0] >= _SHORTEST and len(rows) >= FEWEST
+            long_enough = last.stamp - rows[0][1].stamp >= _SHORTEST and len(rows) >= FEWEST
             if long_enough and since <= self.first:
                 yield _Pairs(
-                    np.stack([pose for _, pose, _, _ in rows]),
-                    np.stack([others.places[i] for _, _, others, i in rows]),
-                    1.0 - float(np.mean([others.shown[i] for _, _, others, i in rows])),
+                    np.stack([pose for pose, _, _ in rows]),
+                    np.stack([lone.places[i] for _, lone, i in rows]),
+                    1.0 - float(np.mean([lone.shown[i] for _, lone, i in rows])),
                     since == 0,
                 )
 
@@ -250,11 +249,11 @@ class DisplacedCameras:
         Numbers of the tracks that are copies, of this camera, also of some not in the message.
         """
         histories = self._remembered(lone)
-        if not len(lone.others.numbers):
+        if not lone.persons:
             return []
         copies = []
         for number, history in histories.items():
-            if lone.stamp < history.due or history.samples[-1][0] != lone.stamp:
+            if lone.stamp < history.due or history.last != lone.stamp:
                 continue
             age = lone.stamp - history.first
             history.due = lone.stamp + min(max(_PATIENCE, age // _SHARE), _LATER)
@@ -278,14 +277,14 @@ class DisplacedCameras:
         recent = {
             number: history
             for number, history in old.items()
-            if lone.stamp - history.samples[-1][0] < _SHORTEST
+            if lone.stamp - history.last < _SHORTEST
         }
         histories = self._histories[lone.source] = recent
-        if len(lone.tracks) * len(lone.others.numbers) > _CROWD:
+        if len(lone.tracks) * len(lone.persons) > _CROWD:
             return histories
         for number, pose in zip(lone.tracks, lone.poses, strict=True):
             new = _History(lone.stamp, lone.stamp + _SHORTEST)
-            histories.setdefault(number, new).add(lone.stamp, pose, lone.others)
+            histories.setdefault(number, new).add(pose, lone)
         return histories
 
     def _is_copy(self, history: _History, lone: LoneTracks) -> bool:
@@ -389,16 +388,18 @@ class Copies:
             return
         rows, tracks = zip(*lone, strict=True)
         persons = self._others(group)
-        others = Others(
+        message = LoneTracks(
+            group.source,
+            group.stamp,
+            [track.number for track in tracks],
+            group.people.markers[list(rows), :, POSITION],
             [person.number for person in persons],
             self._places(persons, group),
-            np.array([0 if p.certain else p.support.first for p in persons], np.int64),
+            np.array([0 if p.certain else p.first for p in persons], np.int64),
             np.array([person in group.tracks for person in persons], np.bool_),
+            heard,
         )
-        poses = group.people.markers[list(rows), :, POSITION]
-        numbers = [track.number for track in tracks]
-        shown = LoneTracks(group.source, group.stamp, numbers, poses, others, heard)
-        for number in self.displaced.compare(shown):
+        for number in self.displaced.compare(message):
             for track in [each for each in self._people.tracks if each.number == number]:
                 if track.is_lone(group.source):
                     self._withdraw(track, group)

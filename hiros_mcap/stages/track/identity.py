@@ -11,8 +11,8 @@ import numpy as np
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
 from hiros_mcap.skeletons import UNTRACKED, Floats, Ints
-from hiros_mcap.stages.track.limb_scatter import SECOND
-from hiros_mcap.stages.track.reidentify import OVERLAP, Limbs, PersonCues, Verdict, reidentify
+from hiros_mcap.stages.track.limb_scatter import SECOND, LimbScatter
+from hiros_mcap.stages.track.reidentify import OVERLAP, PersonCues, Verdict, reidentify
 from hiros_mcap.stages.track.track_params import TrackParams
 from hiros_mcap.stages.track.tracked_people import (
     DetectionGroup,
@@ -40,7 +40,7 @@ class Identities:
         self, people: TrackedPeople, params: TrackParams, events: Events, mirror: Ints
     ) -> None:
         self._people, self._params, self._events = people, params, events
-        self._limbs = Limbs.of(mirror)
+        self._limbs = LimbScatter(mirror)
         self._ids = itertools.count()
         self._absent: list[PersonCues] = []
         self._heard: dict[str, int] = {}
@@ -64,7 +64,7 @@ class Identities:
         """
         kind, remark = "track born", ""
         if track.former_id == UNTRACKED and self._somebody_absent(track):
-            age = math.inf if at_once else group.stamp - track.support.first
+            age = math.inf if at_once else group.stamp - track.first
             if age < self._patience:
                 return
             verdict = self._reidentify(track, scene)
@@ -83,7 +83,7 @@ class Identities:
         self._crowd = max(self._crowd, there, key=len)
         self._events.note(
             group.stamp, kind, person=track.id, source=group.source,
-            detail=f"seen by {', '.join(sorted(track.support.reports))}{remark}",
+            detail=f"seen by {', '.join(sorted(track.reports))}{remark}",
         )  # fmt: skip
 
     def _there(self, scene: Present, stamp: int) -> set[int]:
@@ -141,7 +141,7 @@ class Identities:
 
     def _look(self) -> None:
         """Learn how much everybody's measured limbs vary, and where everybody is."""
-        past, scatter, places = self._people.bank.past, self._limbs.scatter, self._places
+        past, scatter, places = self._people.bank.past, self._limbs, self._places
         for track in self._people.confirmed():
             scatter.learn(track.number, past.lengths[track.row], past.length_counts[track.row])
             if track.is_there(self._looked):
@@ -157,20 +157,20 @@ class Identities:
         No camera then shows both.
         """
         disagree = self._params.merge_tracks and person.number not in track.beside
-        latest = track.support.first + (OVERLAP if disagree else 0)
+        latest = track.first + (OVERLAP if disagree else 0)
         return person.seen < latest and not person.is_there(track.seen)
 
     def _somebody_absent(self, track: PersonTrack) -> bool:
         """Whether a newcomer may be anybody known."""
         if not self._params.reidentify:
             return False
-        return any(old.stamp < track.support.first for old in self._absent) or any(
+        return any(old.stamp < track.first for old in self._absent) or any(
             each.confirmed and self._is_unseen_since(each, track) for each in self._people.tracks
         )
 
     def _absent_before(self, track: PersonTrack, scene: Present) -> list[PersonCues]:
         """Whoever left, or is unseen, since before a track began, oldest first."""
-        left = [old for old in self._absent if old.stamp < track.support.first]
+        left = [old for old in self._absent if old.stamp < track.first]
         unseen = [each for each in scene.persons if self._is_unseen_since(each, track)]
         return sorted([*left, *map(self._cues_of, unseen)], key=lambda old: old.stamp)
 
@@ -181,20 +181,20 @@ class Identities:
         best is less probably this one.
         """
         others = [each for each in self._people.tentative() if each is not track]
-        rivals = [each for each in others if each.support.confirms(each.seen, self._params)]
+        rivals = [each for each in others if each.is_supported(self._params)]
         rivals += [person for person in scene.persons if person.stranger]
         newcomers = [
             replace(
                 self._cues_of(each),
                 person=each.number,
-                stamp=each.support.first,
-                place=each.support.origin,
+                stamp=each.first,
+                place=each.origin,
             )
             for each in [track, *rivals]
         ]
         missing = len(self._crowd) - len(self._there(scene, track.seen))
         absent = [
-            replace(old, watched=self._watched(old.stamp, track.support.first) * 1e-9)
+            replace(old, watched=self._watched(old.stamp, track.first) * 1e-9)
             for old in self._absent_before(track, scene)
         ]
         return reidentify(newcomers, absent, missing, self._limbs)[track.number]

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hiros_mcap.skeletons import Floats
+from hiros_mcap.skeletons import Floats, Ints
 
 SECOND = 1_000_000_000  # ns from one look at a person to the next
 _FEWEST = 8.0  # detections that make the mean of a second
@@ -38,10 +38,14 @@ class LimbScatter:
 
     Parameters
     ----------
-    n_limbs : whose lengths are learned.
+    mirror : (L,) the limb on the other side of each whose length is learned.
     """
 
-    def __init__(self, n_limbs: int) -> None:
+    def __init__(self, mirror: Ints) -> None:
+        n_limbs = len(mirror)
+        self.alike = np.eye(n_limbs)
+        """(L, L) 1 for a limb with itself and with the one on the other side, else 0."""
+        self.alike[np.arange(n_limbs), mirror] = 1.0
         self._people: dict[int, _Seconds] = {}
         self._squares = np.zeros((n_limbs, n_limbs))
         self._freedom = np.zeros(n_limbs)

@@ -26,11 +26,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.skeletons import Flags, Floats, Ints
+from hiros_mcap.skeletons import Flags, Floats
 from hiros_mcap.stages.track.limb_scatter import LimbScatter
 
 THRESHOLD = 0.9  # least probability with which somebody gets an old id
@@ -73,20 +72,6 @@ class PersonCues:
         return np.asarray((self.counts >= _FEWEST_LENGTHS) & (self.lengths > _SHORT))
 
 
-class Limbs(NamedTuple):
-    """How the lengths of limbs vary, and go together."""
-
-    scatter: LimbScatter  # of one person's lengths
-    alike: Floats  # (L, L) 1 for a limb with itself and with the one on the other side, else 0
-
-    @classmethod
-    def of(cls, mirror: Ints) -> Limbs:
-        """Return those of a skeleton with the link on the other side of each (L,)."""
-        alike = np.eye(len(mirror))
-        alike[np.arange(len(mirror)), mirror] = 1.0
-        return cls(LimbScatter(len(mirror)), alike)
-
-
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """The most probable absent person for a newcomer."""
@@ -112,7 +97,7 @@ class Verdict:
 
 
 def reidentify(
-    newcomers: Sequence[PersonCues], absent: Sequence[PersonCues], missing: int, limbs: Limbs
+    newcomers: Sequence[PersonCues], absent: Sequence[PersonCues], missing: int, limbs: LimbScatter
 ) -> dict[int, Verdict]:
     """Return the verdict on each newcomer; there is somebody absent.
 
@@ -120,7 +105,7 @@ def reidentify(
     ----------
     newcomers : the most important first. absent : the last to leave last.
     missing : how many people are missing, of as many as were there at once.
-    limbs : of their skeleton.
+    limbs : how the lengths of their limbs vary, and go together.
     """
     newcomers, absent = newcomers[:_MOST], absent[-_MOST:]
     cues = {
@@ -143,7 +128,7 @@ def reidentify(
     return verdicts
 
 
-def limb_cues(new: PersonCues, absent: Sequence[PersonCues], limbs: Limbs) -> list[float]:
+def limb_cues(new: PersonCues, absent: Sequence[PersonCues], limbs: LimbScatter) -> list[float]:
     """Logarithm of the likelihood ratio of each absent person's limb lengths to a stranger's.
 
     A limb that was not measured of an absent person has a stranger's density.
@@ -157,7 +142,7 @@ def limb_cues(new: PersonCues, absent: Sequence[PersonCues], limbs: Limbs) -> li
     mean = np.sum(lengths * known, axis=0) / known.sum(axis=0)
     usual = new.lengths.copy()
     usual[both] = np.exp(mean)
-    lasting = limbs.scatter.covariance(usual)[pairs]
+    lasting = limbs.covariance(usual)[pairs]
     spread = (_STATURE**2 + _PROPORTION**2 * limbs.alike[pairs]) * (1.0 + 1.0 / len(absent))
 
     def log_density(about: Floats, counts: Floats, spread: Floats) -> float:

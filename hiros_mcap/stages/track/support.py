@@ -73,28 +73,27 @@ class Confirmation:
 
     def _add_report(self, track: PersonTrack, group: DetectionGroup, scene: Present) -> None:
         """Add the support, or the contradiction, of a camera's message."""
-        support, source = track.support, group.source
+        source = group.source
         if track in scene.shown:
-            support.reports[source] = support.reports.get(source, 0) + 1
-            moved = float(np.linalg.norm(self._people.centre(track) - support.origin))
-            support.travelled = max(support.travelled, moved)
-            support.lone = support.misses == 0 and bool(self._people.heard_besides(group))
-            if group.stamp - support.first < _MERGEABLE:
+            track.reports[source] = track.reports.get(source, 0) + 1
+            moved = float(np.linalg.norm(self._people.centre(track) - track.origin))
+            track.travelled = max(track.travelled, moved)
+            track.unwatched = track.misses == 0 and bool(self._people.heard_besides(group))
+            if group.stamp - track.first < _MERGEABLE:
                 track.beside |= scene.numbers
-        elif source not in support.reports and self._ought_to_see(source, track, scene):
-            support.misses += 1
+        elif source not in track.reports and self._ought_to_see(source, track, scene):
+            track.misses += 1
 
     def _decide(self, track: PersonTrack, group: DetectionGroup, scene: Present) -> None:
         """Confirm a track, or withdraw its id."""
-        support = track.support
-        if track.confirmed and support.refuted(self._params):
+        if track.confirmed and track.is_refuted(self._params):
             self._events.note(group.stamp, "track withdrawn", person=track.id)
             track.former_id, track.id = track.id, UNTRACKED
             self._identities.leave_crowd(track)
             scene.dismiss(track)
         elif (
             not track.confirmed
-            and support.confirms(track.seen, self._params)
+            and track.is_supported(self._params)
             and not self._is_duplicate(track, group.stamp, scene)
         ):
             self._identities.name(track, group, scene)
@@ -108,7 +107,7 @@ class Confirmation:
         distances = self._people.distances(track, scene.persons)
         if (distances < self._params.min_distance).any():
             return True
-        if not self._params.merge_tracks or stamp - track.support.first >= _SECOND_VIEW:
+        if not self._params.merge_tracks or stamp - track.first >= _SECOND_VIEW:
             return False
         near = np.flatnonzero(distances < _DOUBTFUL * self._params.max_distance)
         return any(self._hides(scene.persons[i], track, stamp) for i in near.tolist())
@@ -122,14 +121,14 @@ class Confirmation:
 
         Cameras that disagreed now agree, and no camera ever showed both.
         """
-        counts = track.confirmed or track.support.confirms(track.seen, self._params)
+        counts = track.confirmed or track.is_supported(self._params)
         if not (self._params.merge_tracks and counts):
             return
-        if group.stamp - track.support.first >= _MERGEABLE or track.is_there(group.stamp):
+        if group.stamp - track.first >= _MERGEABLE or track.is_there(group.stamp):
             return
         distances = self._people.distances(track, scene.persons)
         for person, distance in zip(scene.persons, distances, strict=True):
-            is_older = person.support.first < track.support.first
+            is_older = person.first < track.first
             is_near = distance < _DOUBTFUL * self._params.max_distance
             if is_older and is_near and self._hides(person, track, group.stamp):
                 if track.confirmed:

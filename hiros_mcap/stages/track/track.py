@@ -45,12 +45,7 @@ from hiros_mcap.stages.track.identity import WAITS, Identities
 from hiros_mcap.stages.track.likeness import DISPLACED
 from hiros_mcap.stages.track.support import Confirmation
 from hiros_mcap.stages.track.track_params import TrackParams
-from hiros_mcap.stages.track.tracked_people import (
-    DetectionGroup,
-    PersonTrack,
-    Support,
-    TrackedPeople,
-)
+from hiros_mcap.stages.track.tracked_people import DetectionGroup, PersonTrack, TrackedPeople
 from hiros_mcap.stages.track.tracking import KnownTracks
 
 _TENTATIVE_GAP = 0.5  # s; a tentative track that no camera has seen for longer is deleted
@@ -230,11 +225,11 @@ class _Tracker:
 
     def _start(self, group: DetectionGroup) -> None:
         """Start a tentative track for each detection that is of nobody known."""
-        unmatched, pairs = group.unmatched, self._work.pairs
+        unmatched, work = group.unmatched, self._work
         if not unmatched:
             return
         new: list[PersonTrack] = []
-        pairs.match.fill(UNTRACKED)
+        work.match.fill(UNTRACKED)
         here = group.people.markers[unmatched, :, POSITION]
         enough = np.count_nonzero(~np.isnan(here[..., 0]), axis=1) >= self._params.min_markers
         origins = np.nanmean(here, axis=1)
@@ -242,28 +237,26 @@ class _Tracker:
             if not is_whole:
                 group.reasons[j] = "too few markers"
                 continue
-            support = Support(group.stamp, origin)
-            pairs.match[j] = len(new)
-            new.append(self._people.start(group.stamp, support))
+            work.match[j] = len(new)
+            new.append(self._people.start(group.stamp, origin))
             group.tracks[j] = new[-1]
         if new:
-            pairs.mirrored.fill(False)
+            work.mirrored.fill(False)
             correct(
-                group.stamp, _rows(new), pairs, group.people, self._people.bank.past, self._slots,
+                group.stamp, _rows(new), work, group.people, self._people.bank.past, self._slots,
                 self._settings,
             )  # fmt: skip
 
     def _places(self, tracks: list[PersonTrack], group: DetectionGroup) -> Floats:
         """(N, M, 3) where tracks are at the time of a message, m."""
-        predicted = self._work.predicted
         if tracks:
             past = self._people.bank.past
-            predict(group.stamp, _rows(tracks), past, self._settings, predicted)
-        return predicted.positions[: len(tracks)].copy()
+            predict(group.stamp, _rows(tracks), past, self._settings, self._work)
+        return self._work.positions[: len(tracks)].copy()
 
     def _make_room(self, n_people: int) -> None:
         """Enlarge the scratch arrays: so many detections may start as many tracks."""
-        size, n_tracks = self._work.pairs.cost.shape, len(self._people.tracks) + n_people
+        size, n_tracks = self._work.cost.shape, len(self._people.tracks) + n_people
         if n_tracks > size[0] or n_people > size[1]:
             self._work = self._allocate(2 * n_tracks, 2 * n_people)
 

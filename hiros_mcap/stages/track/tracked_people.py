@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hiros_mcap.frames import Block, CameraNumbers, places_of
+from hiros_mcap.frames import Block, CameraMessages, CameraNumbers, places_of
 from hiros_mcap.kernels.array_types import joined
 from hiros_mcap.kernels.distance import centre, mean_distances
 from hiros_mcap.skeletons import UNTRACKED, Floats, People, SkeletonModel, Stamps
@@ -19,7 +19,6 @@ from hiros_mcap.stages.track.tracking import (
     FAULTS,
     INSISTENCE,
     NEVER,
-    CameraMessages,
     Cameras,
     KnownTracks,
 )
@@ -31,47 +30,23 @@ _centre = centre.raw
 
 
 @dataclass(slots=True, eq=False)
-class Support:
-    """What speaks for and against a track.
+class PersonTrack:
+    """A person, or what may become one.
 
     Every report of a camera supports it. A message of another camera that looks at the place, with
     nobody in between, and reports nobody there contradicts it.
     """
 
+    number: int  # its name in the bank
+    row: int  # its row in the bank
+    bank: Bank[Tracks]
     first: int  # time of the first report, ns
     origin: Floats  # (3,) mean marker position of the first report, m
     reports: dict[str, int] = field(default_factory=dict)  # camera to number of reports
     misses: int = 0
     travelled: float = 0.0  # greatest distance from the origin so far, m
-    lone: bool = False  # whether there are other cameras, none of which has looked at the place
-
-    def confirms(self, stamp: int, params: TrackParams) -> bool:
-        """Whether a track that was last seen at ``stamp``, ns, has enough support."""
-        total = sum(self.reports.values())
-        if total < params.confirm_detections:
-            return False
-        by_others = total - max(self.reports.values())  # than the camera that reports most
-        if by_others >= min(2, params.confirm_detections - 1) > 0:
-            return True
-        still = self.lone and self.travelled <= _STANDS
-        needed = params.confirm_alone if still else params.confirm_seconds
-        return (stamp - self.first) * 1e-9 >= needed and not self.refuted(params)
-
-    def refuted(self, params: TrackParams) -> bool:
-        """Whether a single camera reports the track, others miss it, and it does not move."""
-        total = sum(self.reports.values())
-        contradicted = len(self.reports) < 2 and self.misses > params.contradiction * total
-        return contradicted and self.travelled <= _STANDS
-
-
-@dataclass(slots=True, eq=False)
-class PersonTrack:
-    """A person, or what may become one."""
-
-    number: int  # its name in the bank
-    row: int  # its row in the bank
-    bank: Bank[Tracks]
-    support: Support
+    unwatched: bool = False
+    """Whether there are other cameras, none of which has looked at the place."""
     id: int = UNTRACKED  # UNTRACKED while the track is tentative
     former_id: int = UNTRACKED
     """The id before it was withdrawn, which the track gets back if it is confirmed again."""
@@ -95,7 +70,7 @@ class PersonTrack:
     @property
     def certain(self) -> bool:
         """Whether nothing can contradict it any more: two cameras have reported the person."""
-        return self.id != UNTRACKED and len(self.support.reports) > 1
+        return self.id != UNTRACKED and len(self.reports) > 1
 
     def is_there(self, stamp: int) -> bool:
         """Whether a camera has just shown it, at ``stamp``, ns."""
@@ -103,7 +78,25 @@ class PersonTrack:
 
     def is_lone(self, source: str) -> bool:
         """Whether no camera but one reports it."""
-        return self.support.reports.keys() <= {source}
+        return self.reports.keys() <= {source}
+
+    def is_supported(self, params: TrackParams) -> bool:
+        """Whether it has enough support to count."""
+        total = sum(self.reports.values())
+        if total < params.confirm_detections:
+            return False
+        by_others = total - max(self.reports.values())  # than the camera that reports most
+        if by_others >= min(2, params.confirm_detections - 1) > 0:
+            return True
+        still = self.unwatched and self.travelled <= _STANDS
+        needed = params.confirm_alone if still else params.confirm_seconds
+        return (self.seen - self.first) * 1e-9 >= needed and not self.is_refuted(params)
+
+    def is_refuted(self, params: TrackParams) -> bool:
+        """Whether a single camera reports it, others miss it, and it does not move."""
+        total = sum(self.reports.values())
+        contradicted = len(self.reports) < 2 and self.misses > params.contradiction * total
+        return contradicted and self.travelled <= _STANDS
 
 
 @dataclass(slots=True, eq=False)
@@ -169,7 +162,7 @@ class TrackedPeople:
 
     def messages_of(self, block: Block) -> CameraMessages:
         """Return the messages of a block; make room for new cameras."""
-        messages = CameraMessages(block.stamps, self.names.of(block), block.rows)
+        messages = self.names.messages(block)
         if new := len(self.names) - len(self.cameras.heard):
             self.cameras = joined([self.cameras, Cameras.allocate(new)])
             self.cameras.places[:] = places_of(self.names, self._places)
@@ -209,13 +202,13 @@ class TrackedPeople:
         """Those who do not count yet."""
         return [track for track in self.tracks if track.id == UNTRACKED]
 
-    def start(self, stamp: int, support: Support) -> PersonTrack:
-        """Add a tentative track."""
+    def start(self, stamp: int, origin: Floats) -> PersonTrack:
+        """Add a tentative track, first reported at ``stamp``, ns, at ``origin`` (3,), m."""
         number = next(self._numbers)
         row, past = self.bank.row(number, stamp), self.bank.past
         past.positions[row] = past.orientations[row] = np.nan
         past.last_seen[row], past.leaps[row] = stamp, NEVER
-        self.tracks.append(PersonTrack(number, row, self.bank, support))
+        self.tracks.append(PersonTrack(number, row, self.bank, stamp, origin))
         return self.tracks[-1]
 
     def remove(self, track: PersonTrack) -> None:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hiros_mcap.frames import CameraMessages
 from hiros_mcap.kernels.array_types import B1, F2, I1, I2, J1, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel, rows_of
 from hiros_mcap.kernels.line_of_sight import hidden_by, outline
@@ -34,14 +35,6 @@ INSISTENCE = 500_000_000
 """ns for which a camera's leaps are left out, and for which a silent camera still counts."""
 NEVER, LAST = -(1 << 61), 1 << 61
 """Times, ns, before and after those of all messages."""
-
-
-class CameraMessages(NamedTuple):
-    """K messages in order of time."""
-
-    stamps: I1  # (K,) ns
-    cameras: I1  # (K,) number of each camera
-    spans: I2  # (K, 2) first row of each message's people, and the row after the last
 
 
 class Cameras(NamedTuple):
@@ -106,19 +99,19 @@ def _find_hidden(
     those, too, that others in the message hide: of each detection their mean share counts.
     """
     n, place, rate = len(people.ids), cameras.places[camera], cameras.rates[camera]
-    work.pairs.hidden[:] = 0.0
+    work.hidden[:] = 0.0
     for j in range(n):
         learn_rating(people.marker_confidences[j], rate)
     if rate[1] <= RATES and not math.isnan(place[0]):
         for j in range(n):
             outline(people.markers[j], place, work.outlines[j])
         for j in range(n):
-            work.pairs.hidden[j] = _share_behind_others(j, n, people, place, slots, work)
+            work.hidden[j] = _share_behind_others(j, n, people, place, slots, work)
     limit = guess_limit(rate[2])
     for j in range(n):
         for m in range(people.markers.shape[1]):
             if people.marker_confidences[j, m] < limit:
-                work.pairs.hidden[j, m] = 1.0
+                work.hidden[j, m] = 1.0
 
 
 @inlined
@@ -157,33 +150,33 @@ def _match(
     slots: SlotOrders, settings: TrackSettings, work: TrackWork,
 ) -> None:  # fmt: skip
     """Match the detections that are left with tracks; leave out those that are ``leaping``."""
-    pairs, some = work.pairs, False
+    some = False
     for j in range(len(people.ids)):
-        pairs.wanted[j] = work.track_rows[j] < 0 and work.faults[j] == USABLE
-        some = some or pairs.wanted[j]
+        work.wanted[j] = work.track_rows[j] < 0 and work.faults[j] == USABLE
+        some = some or work.wanted[j]
     if not some or not len(rows):
         return
     associate(stamp, rows, people, tracks, slots, settings, work)  # eq 6 to 11, Munkres
     for j in range(len(people.ids)):
-        i = pairs.match[j]
+        i = work.match[j]
         if i < 0:
             continue
-        if leaping and pairs.broken[j] and _is_sudden(stamp, tracks.leaps[rows[i], camera]):
-            pairs.match[j], work.faults[j] = -1, LEAP
+        if leaping and work.broken[j] and _is_sudden(stamp, tracks.leaps[rows[i], camera]):
+            work.match[j], work.faults[j] = -1, LEAP
         else:
             work.track_rows[j] = rows[i]
             tracks.last_seen[rows[i]] = max(tracks.last_seen[rows[i]], stamp)
-    correct(stamp, rows, pairs, people, tracks, slots, settings)  # Kalman filter
+    correct(stamp, rows, work, people, tracks, slots, settings)  # Kalman filter
 
 
 @inlined
 def _drop_duplicates(persons: Stamps, n_people: int, least: float, work: TrackWork) -> None:
     """Leave out detections on top of a person whom this message already shows."""
     for j in range(n_people):
-        if not work.pairs.wanted[j] or work.track_rows[j] >= 0 or work.faults[j] != USABLE:
+        if not work.wanted[j] or work.track_rows[j] >= 0 or work.faults[j] != USABLE:
             continue
         for i in range(len(persons)):
-            if work.pairs.distances[i, j] < least:
+            if work.distances[i, j] < least:
                 for k in range(n_people):
                     if work.track_rows[k] == persons[i]:
                         work.faults[j] = DUPLICATE
