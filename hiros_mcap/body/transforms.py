@@ -569,22 +569,17 @@ def transform_to_fixed(
     """
     mover = Mover(tree, fixed_frame)
     for frame in frames:
-        yield mover(frame)
+        is_there = frame.frame_id == fixed_frame
+        yield frame if is_there else mover.move_block(Block.of(frame)).frame(0)
 
 
 class Mover:
-    """Expresses one frame after the other in the fixed frame; see :func:`transform_to_fixed`."""
+    """Expresses blocks in the fixed frame; see :func:`transform_to_fixed`."""
 
     def __init__(self, tree: TransformTree, fixed_frame: str) -> None:
         self._tree = tree
         self._fixed = fixed_frame
         self._prepared: dict[str, tuple[Rigid, PoseArrays]] = {}
-
-    def __call__(self, frame: Frame) -> Frame:
-        """Return the frame in the fixed frame, itself if it already is."""
-        if frame.frame_id == self._fixed:
-            return frame
-        return self.move_block(Block.of(frame)).frame(0)
 
     def move_block(self, block: Block) -> Block:
         """Return a block in the fixed frame, itself if it already is."""

@@ -62,7 +62,7 @@ _DROPPED = 32  # of the 52 bits of a mantissa: 20 are left
 
 
 class OtherSkeletonError(LogError):
-    """A message whose markers or links have other names than the log's."""
+    """A message, or a channel, whose markers or links have other names than the log's."""
 
 
 class ModelBuilder:

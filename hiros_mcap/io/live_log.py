@@ -33,13 +33,13 @@ from hiros_mcap.io.channels import (
     not_used,
     select_skeletons,
 )
-from hiros_mcap.io.codec import RestPoses
+from hiros_mcap.io.codec import OtherSkeletonError, RestPoses
 from hiros_mcap.io.container import Message
 from hiros_mcap.io.container.live_input import LiveInput
 from hiros_mcap.io.container.live_reader import LiveReader
 from hiros_mcap.io.detectors.conversion import is_of_other_detector
 from hiros_mcap.io.detectors.live_conversion import LiveConversion
-from hiros_mcap.io.log import SeveralModelsError, skeletons_of
+from hiros_mcap.io.log import skeletons_of
 from hiros_mcap.io.log_accounts import DAMAGED
 from hiros_mcap.io.opened_log import Log, Reading
 from hiros_mcap.summary import quantity
@@ -225,7 +225,7 @@ def open_live(
     def attempt() -> LiveLog:
         try:
             parts = skeletons_of(reader, tree, topics)
-        except SeveralModelsError:
+        except OtherSkeletonError:
             reader.preface = conversion.unite(reader.preface)
             parts = skeletons_of(reader, tree, topics)
         return LiveLog(

@@ -55,10 +55,6 @@ from hiros_mcap.kernels.record_index import CHANNEL, START
 from hiros_mcap.skeletons import Frame, SkeletonModel
 
 
-class SeveralModelsError(LogError):
-    """The channels of a log have different skeletons, which are converted then."""
-
-
 def learn_model(
     reader: McapReader, layouts: Mapping[int, Layout]
 ) -> tuple[SkeletonModel, dict[int, Message]]:
@@ -66,7 +62,7 @@ def learn_model(
 
     The first messages are enough when they hold every marker and link that the detectors claim to
     know; at worst the whole log is read. A message that is damaged, or contradicts the former
-    ones, teaches nothing; whoever decodes it will say so. Raises SeveralModelsError if the first
+    ones, teaches nothing; whoever decodes it will say so. Raises OtherSkeletonError if the first
     skeletons of a channel contradict another channel.
     """
     learner = _Learner(layouts)
@@ -122,7 +118,7 @@ class _Learner:
                 self._decoder = Decoder(self.builder.build(), layouts=self._layouts)
             except LogError as error:
                 if isinstance(error, OtherSkeletonError) and ident not in self._taught:
-                    raise SeveralModelsError("the cameras have different skeletons") from None
+                    raise OtherSkeletonError("the cameras have different skeletons") from None
                 self.fault = self.fault or f"{topic}: {error.fault}"
         self.first.setdefault(ident, message)
 
@@ -203,7 +199,7 @@ def open_log(
             reader = converted(file, selection)
         try:
             contents = skeletons_of(reader, tree, topics, output_prefix)
-        except SeveralModelsError:
+        except OtherSkeletonError:
             with naming(file.path):
                 reader = converted(file, selection._replace(several=True))
             contents = skeletons_of(reader, tree, topics, output_prefix)

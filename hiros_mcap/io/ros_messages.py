@@ -5,7 +5,7 @@ A log of skeletons is read by :mod:`hiros_mcap.io.log`, which is much faster.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,19 +29,20 @@ KINDS = (IMAGE, COMPRESSED_IMAGE, CAMERA_INFO, POINT, TRANSFORMS, hiros_schemas.
 """The types that can be read; their definitions are the same in every release of ROS 2."""
 
 
+Reader = Callable[[Collection[str]], Iterator[RosMessage]]
+"""Yields the messages of some topics in the order of their log times."""
+
+
 class RosMessages:
     """The messages of an open log; made by :func:`open_messages`.
 
     Attributes
     ----------
-    types : topic -> type of its messages, of those in ``KINDS``.
+    types : topic -> type of its messages, of those in ``KINDS``. read : see :data:`Reader`.
     """
 
-    types: Mapping[str, str]
-
-    def __init__(self) -> None:
-        ours = hiros_schemas.UNCERTAINTY
-        self._store = ros2_types({ours: hiros_schemas.text(ours)})
+    def __init__(self, types: Mapping[str, str], read: Reader, store: Any) -> None:
+        self.types, self.read, self._store = types, read, store
 
     def decode(self, message: RosMessage) -> Any:
         """Return a message's fields as attributes, arrays as numpy arrays.
@@ -51,53 +52,41 @@ class RosMessages:
         with naming(None, message.topic):
             return decoder_of(self._store, message.type)(message.data)
 
-    def read(self, topics: Collection[str]) -> Iterator[RosMessage]:
-        """Yield the messages of some topics in the order of their log times."""
-        raise NotImplementedError
 
-
-class _McapMessages(RosMessages):
-    """Those of one MCAP file, or of the files of a split recording."""
-
-    def __init__(self, parts: list[McapReader]) -> None:
-        super().__init__()
-        self._parts = parts
-        self.types = {topic: kind for part in parts for topic, kind in self._types_of(part).items()}
-
-    @staticmethod
-    def _types_of(part: McapReader) -> dict[str, str]:
-        kinds = {name: kind for kind in KINDS for name in (kind, kind.replace("/msg/", "/"))}
-        types = {}
+def _of_files(parts: Sequence[McapReader], store: Any) -> RosMessages:
+    """Return those of one MCAP file, or of the files of a split recording."""
+    kinds = {name: kind for kind in KINDS for name in (kind, kind.replace("/msg/", "/"))}
+    types = {}
+    for part in parts:
         for channel in part.channels.values():
             schema = part.schema(channel)
             if schema and schema.name in kinds and channel.message_encoding == "cdr":
                 types[channel.topic] = kinds[schema.name]
-        return types
 
-    def read(self, topics: Collection[str]) -> Iterator[RosMessage]:
-        for part in self._parts:
+    def read(topics: Collection[str]) -> Iterator[RosMessage]:
+        for part in parts:
             wanted = {c.id: c.topic for c in part.channels.values() if c.topic in topics}
             for message in part.messages(wanted):
                 topic = wanted[message.channel_id]
-                yield RosMessage(topic, self.types[topic], message.log_time, message.data)
+                yield RosMessage(topic, types[topic], message.log_time, message.data)
+
+    return RosMessages(types, read, store)
 
 
-class _BagMessages(RosMessages):
-    """Those of a ROS 1 bag or a SQLite bag."""
+def _of_bag(bag: Any, store: Any) -> RosMessages:
+    """Return those of a ROS 1 bag or a SQLite bag."""
 
-    def __init__(self, bag: Any) -> None:
-        super().__init__()
-        self._bag = bag
-        self.types = {c.topic: c.msgtype for c in bag.connections if c.msgtype in KINDS}
-
-    def read(self, topics: Collection[str]) -> Iterator[RosMessage]:
-        taken = [c for c in self._bag.connections if c.topic in topics]
+    def read(topics: Collection[str]) -> Iterator[RosMessage]:
+        taken = [c for c in bag.connections if c.topic in topics]
         if not taken:  # rosbags takes an empty list for all
             return
-        for connection, time, data in self._bag.messages(taken):
+        for connection, time, data in bag.messages(taken):
             kind = connection.msgtype
-            cdr = data if self._bag.is2 else self._store.ros1_to_cdr(data, kind)
+            cdr = data if bag.is2 else store.ros1_to_cdr(data, kind)
             yield RosMessage(connection.topic, kind, time, cdr)
+
+    types = {c.topic: c.msgtype for c in bag.connections if c.msgtype in KINDS}
+    return RosMessages(types, read, store)
 
 
 @contextmanager
@@ -106,15 +95,16 @@ def open_messages(path: Path | McapReader) -> Iterator[RosMessages]:
 
     Raises LogError if it cannot be read.
     """
+    ours = hiros_schemas.UNCERTAINTY
+    store = ros2_types({ours: hiros_schemas.text(ours)})
     with ExitStack() as stack:
         if isinstance(path, McapReader):
-            yield _McapMessages([path])
-            return
-        parts = parts_of(path)
-        if parts:
-            yield _McapMessages([stack.enter_context(McapReader(part)) for part in parts])
+            yield _of_files([path], store)
+        elif parts := parts_of(path):
+            readers = [stack.enter_context(McapReader(part)) for part in parts]
+            yield _of_files(readers, store)
         else:
-            yield _BagMessages(stack.enter_context(open_bag(path, kind_of(path))))
+            yield _of_bag(stack.enter_context(open_bag(path, kind_of(path))), store)
 
 
 Bytes = npt.NDArray[np.uint8]

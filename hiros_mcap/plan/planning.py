@@ -77,17 +77,6 @@ class PlannedCamera:
 
 
 @dataclass(frozen=True, slots=True)
-class ErrorMap:
-    """The floor in cells: means over people who face all ways, (rows, columns) each."""
-
-    floor: FloorGrid
-    errors_mm: Floats
-    """NaN where no camera sees anybody."""
-    two: Floats
-    """Share in which at least two cameras detect the person."""
-
-
-@dataclass(frozen=True, slots=True)
 class RoomPlan:
     """Cameras in a room and what is expected of them."""
 
@@ -100,7 +89,12 @@ class RoomPlan:
     cameras: Sequence[PlannedCamera]
     further: PlannedCamera
     """Where one more camera helps most."""
-    map: ErrorMap
+    floor: FloorGrid
+    errors_mm: Floats
+    """(rows, columns) of each cell of the floor: mean over people who face all ways; NaN where no
+    camera sees anybody."""
+    two: Floats
+    """(rows, columns) share in which at least two cameras detect the person."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON, without the picture's numbers."""
@@ -150,7 +144,8 @@ def make_plan(
         {name: _mean(each) for name, each in of_joint.items()},
         cameras,
         further,
-        _map(floor, cells, errors, rig),
+        floor,
+        *_maps(floor, cells, errors, rig),
     )
 
 
@@ -167,8 +162,8 @@ def _camera(name: str, pose: Rigid, then: Outlook) -> PlannedCamera:
     return PlannedCamera(name, x, y, z, bearing, tilt, then)
 
 
-def _map(floor: FloorGrid, cells: Stamps, errors: Floats, view: View) -> ErrorMap:
-    """Average what happens in each cell."""
+def _maps(floor: FloorGrid, cells: Stamps, errors: Floats, view: View) -> tuple[Floats, Floats]:
+    """Average in each cell the errors, and how often two cameras detect the person."""
     shape = len(floor.y), len(floor.x)
     seen = np.isfinite(errors[..., 0])
 
@@ -179,31 +174,21 @@ def _map(floor: FloorGrid, cells: Stamps, errors: Floats, view: View) -> ErrorMa
         )
         return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan).reshape(shape)
 
-    return ErrorMap(
-        floor,
-        mean(errors.mean(axis=-1), seen),
-        mean((view.cameras >= 2).astype(float), np.ones_like(seen)),
-    )
-
-
-class Stand(NamedTuple):
-    """A camera on a wall."""
-
-    along: float
-    """m along the walls, anticlockwise from the corner of least x and y."""
-    bearing: float
-    """Direction of its axis over the floor, rad from x to y."""
-    tilt: float
-    """rad below the horizon."""
+    twice = (view.cameras >= 2).astype(float)
+    return mean(errors.mean(axis=-1), seen), mean(twice, np.ones_like(seen))
 
 
 class Placed(NamedTuple):
-    """A camera and what it contributes."""
+    """A camera and what it contributes; on a wall, where that is."""
 
-    stand: Stand | None
-    """None where nobody asks to move it."""
     pose: Rigid
     view: View
+    along: float = np.nan
+    """m along the walls, anticlockwise from the corner of least x and y."""
+    bearing: float = np.nan
+    """Direction of its axis over the floor, rad from x to y."""
+    tilt: float = np.nan
+    """rad below the horizon."""
 
 
 class Placing:
@@ -215,7 +200,7 @@ class Placing:
         floor = FloorGrid.of(params.area, _TRIED_CELLS)
         self._markers, _ = make_scenes(params, floor, _TRIED_FACINGS)
         self._model = ErrorModel(params, [SLOT[name] for name in _JOINTS])
-        self._candidates = [self._placed(stand) for stand in self._stands()]
+        self._candidates = [self._placed(*stand) for stand in self._stands()]
 
     def place(self, count: int) -> list[Rigid]:
         """Return the poses of ``count`` cameras, in the order of their places along the walls."""
@@ -223,38 +208,35 @@ class Placing:
         for _ in range(count):
             chosen.append(self._best(chosen, self._candidates))
         for _ in range(_EXCHANGES):
-            before = [each.stand for each in chosen]
+            before = [each[2:] for each in chosen]
             for k in range(count):
                 chosen[k] = self._best(_without(chosen, k), [chosen[k], *self._candidates])
-            if [each.stand for each in chosen] == before:
+            if [each[2:] for each in chosen] == before:
                 break
         for steps in _STEPS:
             for k in range(count):
                 chosen[k] = self._descend(_without(chosen, k), chosen[k], steps)
-        return [each.pose for each in sorted(chosen, key=lambda each: each[0] or ())]
+        return [each.pose for each in sorted(chosen, key=lambda each: each[2:])]
 
     def further(self, poses: Sequence[Rigid]) -> Rigid:
         """Return where one more camera beside those at ``poses`` helps most."""
-        others = [Placed(None, pose, self._model.view(self._markers, pose)) for pose in poses]
+        others = [Placed(pose, self._model.view(self._markers, pose)) for pose in poses]
         best = self._best(others, self._candidates)
         for steps in _STEPS:
             best = self._descend(others, best, steps)
         return best.pose
 
-    def _placed(self, stand: Stand) -> Placed:
-        pose = self.pose(stand)
-        return Placed(stand, pose, self._model.view(self._markers, pose))
+    def _placed(self, along: float, bearing: float, tilt: float) -> Placed:
+        """Return a camera on a wall."""
+        x, y = _on_wall(self._area, along)
+        level = np.cos(tilt)
+        forward = [level * np.cos(bearing), level * np.sin(bearing), -np.sin(tilt)]
+        matrix = aimed(np.array(forward))
+        pose = Rigid(from_matrix(matrix), np.array([x, y, self._height]))
+        return Placed(pose, self._model.view(self._markers, pose), along, bearing, tilt)
 
-    def pose(self, stand: Stand) -> Rigid:
-        """Return the pose of a camera in the world."""
-        x, y = _on_wall(self._area, stand.along)
-        level = np.cos(stand.tilt)
-        forward = [level * np.cos(stand.bearing), level * np.sin(stand.bearing)]
-        matrix = aimed(np.array([*forward, -np.sin(stand.tilt)]))
-        return Rigid(from_matrix(matrix), np.array([x, y, self._height]))
-
-    def _stands(self) -> Iterator[Stand]:
-        """Yield the candidates."""
+    def _stands(self) -> Iterator[tuple[float, float, float]]:
+        """Yield where candidates stand and look: along, bearing and tilt, see :class:`Placed`."""
         x0, y0, x1, y1 = self._area
         sides = np.array([x1 - x0, y1 - y0, x1 - x0, y1 - y0])
         start = 0.0
@@ -266,7 +248,7 @@ class Placing:
                 tilt = float(np.arctan2(self._height - _AIM_HEIGHT, far))
                 for aside in _DIRECTIONS:
                     bearing = float(np.arctan2(to_middle[1], to_middle[0]) + aside)
-                    yield Stand(float(along), bearing, tilt)
+                    yield float(along), bearing, tilt
             start += side
 
     def _best(self, others: list[Placed], candidates: list[Placed]) -> Placed:
@@ -281,9 +263,9 @@ class Placing:
         cost = cost_of(best)
         for axis, step in enumerate((steps[0], *np.radians(steps[1:]))):
             for change in (step, -step):
-                moved = list(best.stand or ())
+                moved = [best.along, best.bearing, best.tilt]
                 moved[axis] += change
-                tried = self._placed(Stand(*moved))
+                tried = self._placed(*moved)
                 if (new := cost_of(tried)) < cost * (1 - _ENOUGH):
                     best, cost = tried, new
                     break

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -32,18 +31,6 @@ def hold(x: Floats, start: float, full: float, falling: float, end: float) -> Fl
     return up - smoothstep((x - falling) / (end - falling))
 
 
-class Path(Protocol):
-    """Where somebody is on the ground at any time, and which way he faces."""
-
-    def position(self, t: Floats) -> Floats:
-        """(..., 2) position, m, at times ``t``, s."""
-        ...
-
-    def heading(self, t: Floats) -> Floats:
-        """(...) direction of facing, rad, continuous over time (it does not wrap)."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class Spot:
     """Standing at a place."""
@@ -53,11 +40,11 @@ class Spot:
     facing: float
 
     def position(self, t: Floats) -> Floats:
-        """See :class:`Path`."""
+        """See :data:`Path`."""
         return np.broadcast_to(np.array([self.x, self.y]), (*t.shape, 2))
 
     def heading(self, t: Floats) -> Floats:
-        """See :class:`Path`."""
+        """See :data:`Path`."""
         return np.full(t.shape, self.facing)
 
 
@@ -78,14 +65,14 @@ class Ellipse:
         return TURN * (t / self.period + self.phase)
 
     def position(self, t: Floats) -> Floats:
-        """See :class:`Path`."""
+        """See :data:`Path`."""
         u = self._angle(t)
         x, y = self.semi[0] * np.cos(u), self.semi[1] * np.sin(u)
         c, s = np.cos(self.tilt), np.sin(self.tilt)
         return np.stack([c * x - s * y + self.centre[0], s * x + c * y + self.centre[1]], axis=-1)
 
     def heading(self, t: Floats) -> Floats:
-        """See :class:`Path`."""
+        """See :data:`Path`."""
         u = self._angle(t)
         tangent = np.arctan2(self.semi[1] * np.cos(u), -self.semi[0] * np.sin(u))
         return unwrapped(tangent, near=u + np.pi / 2) + self.tilt
@@ -100,12 +87,12 @@ class Eight:
     semi: tuple[float, float]
 
     def position(self, t: Floats) -> Floats:
-        """See :class:`Path`."""
+        """See :data:`Path`."""
         u = TURN * (t / self.period + self.phase)
         return np.stack([self.semi[0] * np.sin(u), self.semi[1] * np.sin(2 * u)], axis=-1)
 
     def heading(self, t: Floats) -> Floats:
-        """See :class:`Path`."""
+        """See :data:`Path`."""
         u = TURN * (t / self.period + self.phase)
         tangent = np.arctan2(2 * self.semi[1] * np.cos(2 * u), self.semi[0] * np.cos(u))
         return unwrapped(tangent, near=np.full(u.shape, -np.pi / 2))
@@ -143,17 +130,25 @@ class Rounds:
         return u, size * corner, growth * corner + size * bend
 
     def position(self, t: Floats) -> Floats:
-        """See :class:`Path`."""
+        """See :data:`Path`."""
         u, radius, _ = self._polar(t)
         x, y = self.semi[0] * radius * np.cos(u), self.semi[1] * radius * np.sin(u)
         return np.stack([x + self.centre[0], y + self.centre[1]], axis=-1)
 
     def heading(self, t: Floats) -> Floats:
-        """See :class:`Path`."""
+        """See :data:`Path`."""
         u, radius, change = self._polar(t)
         east = self.semi[0] * (change * np.cos(u) - radius * np.sin(u))
         north = self.semi[1] * (change * np.sin(u) + radius * np.cos(u))
         return unwrapped(np.arctan2(north, east), near=u + np.pi / 2)
+
+
+Path = Spot | Ellipse | Eight | Rounds
+"""Where somebody is on the ground at any time, and which way he faces.
+
+``position(t)`` gives (..., 2) places, m, at times ``t``, s; ``heading(t)`` the (...) direction of
+facing, rad, continuous over time (it does not wrap).
+"""
 
 
 def unwrapped(angle: Floats, near: Floats) -> Floats:

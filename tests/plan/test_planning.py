@@ -119,7 +119,7 @@ def test_a_plan_does_not_depend_on_where_the_room_is(monkeypatch):
 
 def test_candidates_stand_along_all_walls_and_look_at_the_middle_or_beside_it(monkeypatch):
     monkeypatch.setattr(planning, "_TRIED_CELLS", 4)
-    stands = [*planning.Placing(SimulateParams(area=(0, 0, 8, 6)), 1.0)._stands()]
+    stands = planning.Placing(SimulateParams(area=(0, 0, 8, 6)), 1.0)._candidates
     np.testing.assert_allclose([s.along for s in stands[::3]], np.arange(28))  # m, one in each
     corner = np.arctan2(3, 4)
     bearings = np.degrees(np.array([s.bearing for s in stands[:3]]) - corner)
@@ -201,8 +201,8 @@ def test_means_of_joints_parts_and_cells_agree(plan):
     assert np.mean(list(plan.joints_mm.values())) == pytest.approx(plan.expected.error_mm)
     parts = plan.parts_mm
     assert parts["torso"] < plan.expected.error_mm < parts["lower limbs"]
-    cells: Floats = plan.map.errors_mm
-    assert cells.shape == (len(plan.map.floor.y), len(plan.map.floor.x))
+    cells: Floats = plan.errors_mm
+    assert cells.shape == (len(plan.floor.y), len(plan.floor.x))
     assert np.nanmean(cells) == pytest.approx(plan.expected.error_mm, rel=0.02)
 
 

@@ -24,6 +24,7 @@ from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_log
+from hiros_mcap.kernels.array_types import settings_of
 from hiros_mcap.kernels.assignment import assign
 from hiros_mcap.kernels.quaternions import angle_of
 from hiros_mcap.skeletons import (
@@ -63,14 +64,16 @@ def settings(**changes):
     """Settings of eq 6 to 11 in their plainest form."""
     plain = {"max_distance": 10.0, "orientation_weight": 1.0, "velocity_weight": 0.0}
     plain |= {"velocity_decay": 0.0, "horizon": 1.0, "flip_aware": False}
-    usual = {name: getattr(TrackParams(), name) for name in association.TrackSettings._fields}
-    return association.TrackSettings(**usual | plain | changes)
+    plain |= {"ends": np.empty((0, 2), np.int32), "capsules": capsules_of(MODEL)}
+    plain |= {"same": np.zeros(0, np.int32), "mirror": np.zeros(0, np.int32)}
+    return settings_of(association.TrackSettings, TrackParams(), **plain | changes)
 
 
 def compared(tracks, markers, links, confidence=1.0, **changes):  # fmt: skip
     """Compare tracks at 1 s with detections at rest, markers (P, M, 3) and links (P, L, 4)."""
     (p, m), n = markers.shape[:2], links.shape[1]
-    people, used = People.allocate(p, m, n), settings(**changes)
+    people, same = People.allocate(p, m, n), np.arange(m, dtype=np.int32)
+    used = settings(same=same, mirror=same, **changes)
     people.markers[..., POSITION], people.markers[..., VELOCITY] = markers, 0.0
     people.links[..., ORIENTATION], people.links[..., ANGULAR_VELOCITY] = links, 0.0
     people.marker_confidences[:] = people.link_confidences[:] = confidence
@@ -79,10 +82,8 @@ def compared(tracks, markers, links, confidence=1.0, **changes):  # fmt: skip
         association.TrackWork.allocate(len(tracks.seen), p, m, n),
     )
     work.wanted.fill(True)
-    same = np.arange(m, dtype=np.int32)
     association.predict(SECOND, rows, tracks, used, work)
-    slots = association.SlotOrders(same, same, np.empty((0, 2), np.int32), capsules_of(MODEL))
-    association.association_cost(rows, people, tracks, slots, used, work)
+    association.association_cost(rows, people, tracks, used, work)
     return work
 
 

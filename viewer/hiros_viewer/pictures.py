@@ -165,7 +165,7 @@ def _title(plan: RoomPlan) -> str:
 
 
 def _draw_map(figure: Figure, axes: Axes, plan: RoomPlan) -> None:
-    floor, errors = plan.map.floor, plan.map.errors_mm
+    floor, errors = plan.floor, plan.errors_mm
     x, y = _edges(floor.x), _edges(floor.y)
     finite = errors[np.isfinite(errors)]
     low, high = (finite.min(), np.percentile(finite, 98)) if len(finite) else (0.0, 1.0)
@@ -174,7 +174,7 @@ def _draw_map(figure: Figure, axes: Axes, plan: RoomPlan) -> None:
     mesh = axes.pcolormesh(x, y, errors, cmap="YlOrRd", vmin=low, vmax=high, zorder=1)
     bar = figure.colorbar(mesh, ax=axes, extend="max", shrink=0.8, pad=0.02)
     bar.set_label("expected error of a joint, mm")
-    _hatch(axes, x, y, plan.map.two < _ENOUGH)
+    _hatch(axes, x, y, plan.two < _ENOUGH)
 
 
 def _hatch(axes: Axes, x: Floats, y: Floats, few: Flags) -> None:

@@ -32,7 +32,6 @@ from hiros_mcap.stages.filter.filtering import (
     SLOT_VELOCITY,
     FilterMethod,
     FilterPast,
-    FilterSettings,
     FilterSteps,
     Group,
     Step,
@@ -201,7 +200,7 @@ def _derive(u: Vector, t: int, step: Step, work: ButterworthWork) -> None:
 
 @entry
 def update(
-    people: People, steps: FilterSteps, past: FilterPast, settings: FilterSettings,
+    people: People, steps: FilterSteps, past: FilterPast,
     work: ButterworthWork,
 ) -> None:  # fmt: skip
     """Run the trajectories that are measured at each step; hold the others; start new ones."""
@@ -214,7 +213,7 @@ def update(
                 slot, before = step.slot[t], step.before[t]
                 z, seen = measure(group, k)
                 age = before[SLOT_AGE] + step.interval
-                active = age <= settings.max_gap
+                active = age <= steps.max_gap
                 if not seen:
                     if active:
                         _hold(before, age, slot)
@@ -286,7 +285,7 @@ def _run_back(group: Group, k: int, window: Window, weights: Floats, motion: Flo
 
 @entry
 def estimate(
-    people: People, steps: FilterSteps, past: FilterPast, settings: FilterSettings,
+    people: People, steps: FilterSteps, past: FilterPast,
     work: ButterworthWork,
 ) -> None:  # fmt: skip
     """Write the estimates of steps, given the data until their ends."""
@@ -300,7 +299,7 @@ def estimate(
                 slot = window.ring[window.first & window.mask, t]
                 if not slot[SLOT_AGE] < np.inf:
                     continue
-                if not is_shown(window, t, settings.bridge):
+                if not is_shown(window, t, steps.bridge):
                     erase(group, k)
                     continue
                 _run_back(group, k, window, work.weights, work.motion)

@@ -17,13 +17,13 @@ import numpy as np
 
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, CameraNumbers
-from hiros_mcap.kernels.array_types import F1, I1, I2, arrays, settings_of
+from hiros_mcap.kernels.array_types import F1, I1, I2, arrays
 from hiros_mcap.kernels.compile import entry
 from hiros_mcap.skeletons import POSITION, STATE, UNTRACKED, Floats, Ints, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.filter import state_space
 from hiros_mcap.stages.filter.filter_params import FilterParams
-from hiros_mcap.stages.filter.filtering import FilterMethod, FilterPast, FilterSettings, FilterSteps
+from hiros_mcap.stages.filter.filtering import FilterMethod, FilterPast, FilterSteps
 from hiros_mcap.stages.filter.link_lengths import average_lengths, restore_lengths
 from hiros_mcap.stages.look_ahead import LookAhead
 
@@ -96,9 +96,8 @@ class _SkeletonFilter:
     ) -> None:  # fmt: skip
         self._params, self._events, self._method = params, events, _method(params)
         self._keep_positions = keep_positions
-        self._settings = settings_of(FilterSettings, params)
-        if keep_positions:  # what the earlier stage leaves out, it does not know
-            self._settings = self._settings._replace(bridge=0.0)
+        # What the earlier stage leaves out, it does not know.
+        self._bridge = 0.0 if keep_positions else params.bridge
         self._links = np.ascontiguousarray(model.links)
         self._max_gap = round(params.max_gap * 1e9)
         nobody = _nobody(model, params.order, self._method)
@@ -153,9 +152,9 @@ class _SkeletonFilter:
         new, past = np.flatnonzero(steps >= 0), self._bank.past
         past.times[people[new], steps[new] & (past.times.shape[1] - 1)] = seconds[new]
         design = designs[owners[new], sources[new]].T.copy()
-        todo = FilterSteps(rows[new], people[new], steps[new], steps[new] + 1, *design)
+        todo = self._steps(rows[new], people[new], steps[new], steps[new] + 1, design)
         # 3.4: low-pass of marker positions and link orientations, by the chosen method
-        self._method.update(block.people, todo, past, self._settings, self._work)
+        self._method.update(block.people, todo, past, self._work)
         if self._params.keep_lengths:
             average_lengths(block.people, todo, past, self._links, self._params.length_time)
         known = np.stack([people, steps, sources], axis=1)
@@ -185,16 +184,25 @@ class _SkeletonFilter:
         rows = np.flatnonzero(leaving[:, 1] >= 0)
         people, steps, sources = leaving[rows].T.copy()
         design = designs[at[rows], sources].T.copy()
-        todo = FilterSteps(rows, people, steps, ends[rows], *design)
+        todo = self._steps(rows, people, steps, ends[rows], design)
         positions = out.people.markers[:, :, POSITION]
         unfiltered = positions.copy() if self._keep_positions else positions
         # Beyond 3.4: the look-ahead, which removes the lag (fixed-lag smoothing)
-        self._method.estimate(out.people, todo, past, self._settings, self._work)
+        self._method.estimate(out.people, todo, past, self._work)
         if self._keep_positions:
             positions[:] = unfiltered
         elif self._params.keep_lengths:
             restore_lengths(out.people, todo, past, self._links)
         return out.logged_at(log_times[completing])
+
+    def _steps(
+        self, rows: Stamps, people: Stamps, steps: Stamps, ends: Stamps, design: Floats
+    ) -> FilterSteps:
+        """Return what to do; ``design`` (2, N) are the tunings and the sample times."""
+        order, max_gap, (tunings, periods) = self._params.order, self._params.max_gap, design
+        return FilterSteps(
+            rows, people, steps, ends, tunings, periods, order, max_gap, self._bridge
+        )
 
     def _designs(self, block: Block, sources: Stamps) -> Floats:
         """(N, S, 2) Tuning and sample time, s, of the filter of each source at each frame."""

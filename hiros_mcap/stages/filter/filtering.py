@@ -54,6 +54,10 @@ class FilterSteps(NamedTuple):
     ends: I1  # number of the first step that is not known yet
     tunings: F1  # what ``FilterMethod.tune`` returned
     periods: F1  # sample time of the person's source, s
+    # Parameters of the stage.
+    order: int
+    max_gap: float  # s
+    bridge: float  # s
 
 
 class FilterPast(NamedTuple):
@@ -66,21 +70,13 @@ class FilterPast(NamedTuple):
     progress: I2  # (B, PROGRESS) how far their steps are; see filter.py
 
 
-class FilterSettings(NamedTuple):
-    """Parameters of the stage, s."""
-
-    order: int
-    max_gap: float
-    bridge: float
-
-
 class FilterMethod(NamedTuple):
     """One kind of filter. ``update`` fills the ring; ``estimate`` reads it and writes poses."""
 
     tune: Callable[[int, float, float, int], float]
     """order, cutoff (Hz), sample time (s), look-ahead (samples) -> tuning."""
-    update: Callable[[People, FilterSteps, FilterPast, FilterSettings, Any], None]
-    estimate: Callable[[People, FilterSteps, FilterPast, FilterSettings, Any], None]
+    update: Callable[[People, FilterSteps, FilterPast, Any], None]
+    estimate: Callable[[People, FilterSteps, FilterPast, Any], None]
     work: Callable[[int, int], Any]  # order, R -> constants and scratch of the kernels
     state_columns: Callable[[int], int]  # order -> columns of ``FilterPast.states``
     slot_columns: int

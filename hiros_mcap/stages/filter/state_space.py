@@ -31,7 +31,6 @@ from hiros_mcap.stages.filter.filtering import (
     SLOT_VELOCITY,
     FilterMethod,
     FilterPast,
-    FilterSettings,
     FilterSteps,
     Group,
     Window,
@@ -163,7 +162,7 @@ def _correct(
 
 @entry
 def update(
-    people: People, steps: FilterSteps, past: FilterPast, settings: FilterSettings, work: F2,
+    people: People, steps: FilterSteps, past: FilterPast, work: F2,
 ) -> None:  # fmt: skip
     """Predict every trajectory of every step; correct those that are measured; start new ones."""
     for j in range(len(steps.rows)):
@@ -177,7 +176,7 @@ def update(
                 state, slot, before = step.states[t], step.slot[t], step.before[t]
                 z, seen = measure(group, k)
                 age = before[SLOT_AGE] + step.interval
-                active = age <= settings.max_gap
+                active = age <= steps.max_gap
                 if not active and not seen:
                     clear(slot)
                     continue
@@ -186,7 +185,7 @@ def update(
                 covariance = _covariance_at(state, COVARIANCE)
                 if case != shared.case or (case != STARTS and covariance != shared.before):
                     shared = _covariance_step(
-                        case, covariance, step.interval, step.tuning, settings.order
+                        case, covariance, step.interval, step.tuning, steps.order
                     )
                 if active:
                     _predict(state, step.interval, group.angular, slot)
@@ -268,7 +267,7 @@ def _smooth(
 
 @entry
 def estimate(
-    people: People, steps: FilterSteps, past: FilterPast, settings: FilterSettings, work: F2,
+    people: People, steps: FilterSteps, past: FilterPast, work: F2,
 ) -> None:  # fmt: skip
     """Write the estimates of steps, given the data until their ends; ``work`` (3, 3) is scratch."""
     for j in range(len(steps.rows)):
@@ -281,11 +280,11 @@ def estimate(
                 slot = step.slot[t]
                 if not slot[SLOT_AGE] < np.inf:
                     continue
-                if not is_shown(window, t, settings.bridge):
+                if not is_shown(window, t, steps.bridge):
                     erase(group, k)
                     continue
                 _carry_back(window, t, work)
-                _smooth(group, k, slot, work, window, interval, settings.order)
+                _smooth(group, k, slot, work, window, interval, steps.order)
                 fill_confidence(group, k, slot)
 
 

@@ -13,8 +13,7 @@ A log of any length is smoothed in overlapping windows. Link orientations are th
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping
 
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, places_of
@@ -59,7 +58,6 @@ def fuse_blocks(
     when its window was complete.
     """
     events = Events() if events is None else events
-    views = SightingGatherer(model, merging or MergeParams(), cameras)  # instants and sides
     params = params or FuseParams()
     noise = noise or noise_of(model, params)
     if params.follow_noise:
@@ -73,7 +71,9 @@ def fuse_blocks(
     causal = params.window == 0
     residuals = ResidualMeter(noise, events, causal=causal)
 
-    for block, sightings, names in views.run(blocks, events, fixed_frame):
+    merging = merging or MergeParams()
+    gathered = merged_sightings(blocks, model, merging, events, cameras or {}, fixed_frame)
+    for block, sightings, names in gathered:  # instants and sides
         residuals.expect(len(block), sightings, names)
         yield from residuals.compared(smoother.update(block, sightings, names))
     yield from residuals.compared(smoother.rest())
@@ -90,47 +90,38 @@ def noise_of(
     )
 
 
-class SightingGatherer:
-    """Instants, and what the cameras saw at them."""
+def merged_sightings(
+    blocks: Iterable[Block], model: SkeletonModel, params: MergeParams, events: Events,
+    cameras: Mapping[str, Floats], fixed_frame: str,
+) -> Iterator[tuple[Block, Sightings, tuple[str, ...]]]:  # fmt: skip
+    """Yield merged people, the views of each instant (numbered in the block), the cameras.
 
-    def __init__(
-        self, model: SkeletonModel, params: MergeParams, cameras: Mapping[str, Floats] | None = None
-    ) -> None:
-        self._model, self._params = model, params
-        self._cameras = cameras or {}
-        self._merge = ViewMerger(model, params, only_orientations=True)
-        self._gathered: list[Sightings] = []
-        self._n_instants = 0
+    The parameters are those of :func:`fuse_blocks`.
+    """
+    merge_links = ViewMerger(model, params, only_orientations=True)
+    parts: list[Sightings] = []
+    instants = 0
 
-    def run(
-        self, blocks: Iterable[Block], events: Events, fixed_frame: str = ""
-    ) -> Iterator[tuple[Block, Sightings, tuple[str, ...]]]:
-        """Yield merged people, the views of each instant (numbered in the block), the cameras."""
-
-        def gather(*given: Any) -> None:
-            self._gather(merger.cameras, *given)
-
-        merger = InstantMerger(
-            self._model, gather, self._merge.bank, events, fixed_frame, ("outlier", "flip"),
-            Unseen(self._params.bridge, self._params.carry, self._cameras), self._merge.widths,
-        )  # fmt: skip
-        for block in merger.run(blocks, self._params.cameras, self._params.max_delta_time):
-            gathered, self._gathered, self._n_instants = self._gathered, [], 0
-            yield block, joined(gathered), merger.cameras
-
-    def _gather(
-        self, names: Sequence[str], buffers: Buffers, people: People, views: int, out: People,
-        counts: Stamps,
-    ) -> None:  # fmt: skip
+    def merge(buffers: Buffers, people: People, views: int, out: People, counts: Stamps) -> None:
         """Merge links; keep what each camera saw. A ``MergeKernel`` of instants."""
-        self._merge(buffers, people, views, out, counts)
-        n, m = int((buffers.messages[:, 1] - buffers.messages[:, 0]).sum()), self._model.n_markers
-        some = Sightings.allocate(n, m)
-        places = places_of(names, self._cameras)
-        n = gather_sightings(buffers, people, out.ids, self._merge.flipped, places, some)
-        some = chosen(some, slice(n))
-        self._gathered.append(some._replace(instants=some.instants + self._n_instants))
-        self._n_instants += len(buffers.stamps)
+        nonlocal instants
+        merge_links(buffers, people, views, out, counts)
+        most = int((buffers.messages[:, 1] - buffers.messages[:, 0]).sum())
+        part = Sightings.allocate(most, model.n_markers)
+        places = places_of(merger.cameras, cameras)
+        n = gather_sightings(buffers, people, out.ids, merge_links.flipped, places, part)
+        part = chosen(part, slice(n))
+        parts.append(part._replace(instants=part.instants + instants))
+        instants += len(buffers.stamps)
+
+    merger = InstantMerger(
+        model, merge, merge_links.bank, events, fixed_frame, ("outlier", "flip"),
+        Unseen(params.bridge, params.carry, cameras), merge_links.widths,
+    )  # fmt: skip
+    for block in merger.run(blocks, params.cameras, params.max_delta_time):
+        sightings, instants = joined(parts), 0
+        parts.clear()
+        yield block, sightings, merger.cameras
 
 
 @kernel

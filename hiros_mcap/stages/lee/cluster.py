@@ -97,12 +97,12 @@ class _ClusterKernel:
         self._slots = model.n_markers, model.n_links
         every = np.ones(model.n_markers, np.bool_)
         used = lee_joints(model) if params.joints == "lee16" else every
-        self._joints = clustering.Joints(pairs_of(model), np.ascontiguousarray(model.links), used)
         self._settings = settings_of(
             clustering.ClusterSettings, params, medium_confidence=_MEDIUM, low_confidence=_LOW,
             radius=params.radius if params.method == "dbscan" else 0.0,
             memory=round(params.memory * 1e9) if params.previous_helps else -1,
             rearrange=params.rearrange != "off", both_sides=params.rearrange == "both",
+            pairs=pairs_of(model), links=np.ascontiguousarray(model.links), used=used,
         )  # fmt: skip
         nobody = clustering.ClusterPast(np.zeros(0, np.int64), np.zeros((0, model.n_markers, 3)))
         self.bank = Bank(nobody)
@@ -119,6 +119,5 @@ class _ClusterKernel:
         if views > len(self._views.stamps):
             self._make_room(2 * views)
         clustering.cluster_buffers(
-            buffers, people, self._views, self.bank.past, self._settings, self._joints, out, counts,
-            self._work,
+            buffers, people, self._views, self.bank.past, self._settings, out, counts, self._work,
         )  # fmt: skip

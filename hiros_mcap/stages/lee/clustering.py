@@ -30,7 +30,7 @@ _EQUAL = 1e-9  # m: distances that differ by less are equal
 
 
 class ClusterSettings(NamedTuple):
-    """Parameters of cluster.py; m and ns."""
+    """Parameters of cluster.py, m and ns; and what the names of markers and links say."""
 
     medium_confidence: float
     low_confidence: float
@@ -41,6 +41,9 @@ class ClusterSettings(NamedTuple):
     both_sides: bool
     reference_helps: bool
     compensate_motion: bool
+    pairs: J2  # (K, 2) left and right slots that may be re-arranged
+    links: J2  # (L, 2) parent and child of each link
+    used: B1  # (M,) markers that are merged; the others stay absent
 
 
 class ClusterPast(NamedTuple):
@@ -48,14 +51,6 @@ class ClusterPast(NamedTuple):
 
     seen: I1  # (S,) time of the last merged position, ns; 0 = never
     positions: F3  # (S, M, 3) that position, m
-
-
-class Joints(NamedTuple):
-    """What the names of the markers and links say."""
-
-    pairs: J2  # (K, 2) left and right slots that may be re-arranged
-    links: J2  # (L, 2) parent and child of each link
-    used: B1  # (M,) markers that are merged; the others stay absent
 
 
 class ClusterWork(NamedTuple):
@@ -82,22 +77,22 @@ class ClusterWork(NamedTuple):
 @kernel
 def _merge_person(
     stamp: int, views: Views, past: ClusterPast, row: int, settings: ClusterSettings,
-    joints: Joints, out: People, p: int, counts: Stamps, work: ClusterWork,
+    out: People, p: int, counts: Stamps, work: ClusterWork,
 ) -> None:  # fmt: skip
     """Merge the views of one person (sections 2.2.1 and 2.2.2)."""
     reference_positions(  # 2.2.1: the mean of the candidates of medium, else of low confidence
         views.markers, views.marker_confidences, settings.medium_confidence,
         settings.low_confidence, work.reference,
     )  # fmt: skip
-    if settings.rearrange and _rearrange_all(views, joints, settings, counts, work):  # 2.2.1
+    if settings.rearrange and _rearrange_all(views, settings, counts, work):  # 2.2.1
         reference_positions(
             views.markers, views.marker_confidences, settings.medium_confidence,
             settings.low_confidence, work.reference,
         )  # fmt: skip
     has_previous = past.seen[row] > 0 and 0 <= stamp - past.seen[row] <= settings.memory
     blank_person(out, p)
-    for m in range(len(joints.used)):
-        _load_candidates(views, m, joints.used[m], work)
+    for m in range(len(settings.used)):
+        _load_candidates(views, m, settings.used[m], work)
         if settings.radius > 0.0:
             n = len(views.stamps)
             for c in range(3):  # 2.2.2: the reference and the previous position join
@@ -106,11 +101,11 @@ def _merge_person(
                 work.points[n + 1, c] = past.positions[row, m, c] if has_previous else np.nan
             _keep_largest_cluster(views, m, settings, counts, work)  # algorithms 1 and 2
         _average_marker(views, m, out, p, work)  # the centroid, without the helpers
-    for m in range(len(joints.links)):
-        _average_link(views, m, joints, out, p, work)
+    for m in range(len(settings.links)):
+        _average_link(views, m, settings, out, p, work)
     mean_person(stamp, views, settings.compensate_motion, out, p)
     past.seen[row] = stamp
-    for m in range(len(joints.used)):
+    for m in range(len(settings.used)):
         for c in range(3):
             past.positions[row, m, c] = out.markers[p, m, POSITION + c]
 
@@ -153,31 +148,31 @@ def reference_positions(
 
 @kernel
 def _rearrange_all(
-    views: Views, joints: Joints, settings: ClusterSettings, counts: Stamps, work: ClusterWork
+    views: Views, settings: ClusterSettings, counts: Stamps, work: ClusterWork
 ) -> bool:
     """Re-arrange every view; whether any pair was exchanged."""
     changed = False
     for k in range(len(views.stamps)):
-        swaps = _rearrange(views, k, joints, settings.both_sides, work)
+        swaps = _rearrange(views, k, settings, work)
         counts[SWAPS, views.cameras[k]] += swaps
         changed = changed or swaps > 0
     return changed
 
 
 @kernel
-def _rearrange(views: Views, k: int, joints: Joints, both: bool, work: ClusterWork) -> int:
+def _rearrange(views: Views, k: int, settings: ClusterSettings, work: ClusterWork) -> int:
     """Exchange the pairs of a view that lie nearer to the other side's reference; how many.
 
-    The right reference decides, as printed, or with ``both`` the sums over left and right.
+    The right reference decides, as printed, or with ``both_sides`` the sums over left and right.
     """
     markers, reference, swapped = views.markers[k], work.reference, work.swapped
     count = compared = 0
     swapped[:] = False
-    for i in range(len(joints.pairs)):
-        left, right = joints.pairs[i, 0], joints.pairs[i, 1]
+    for i in range(len(settings.pairs)):
+        left, right = settings.pairs[i, 0], settings.pairs[i, 1]
         correct = point_distance(markers[right], reference[right])  # D_correct
         wrong = point_distance(markers[left], reference[right])  # D_wrong
-        if both:
+        if settings.both_sides:
             correct += point_distance(markers[left], reference[left])
             wrong += point_distance(markers[right], reference[left])
         if math.isnan(correct) or math.isnan(wrong) or math.isnan(reference[left, 0]):
@@ -188,7 +183,7 @@ def _rearrange(views: Views, k: int, joints: Joints, both: bool, work: ClusterWo
             swapped[left] = swapped[right] = True
             count += 1
     if count > 0:
-        _blank_links(views, k, joints.links, swapped, 2 * count > compared)
+        _blank_links(views, k, settings.links, swapped, 2 * count > compared)
     return count
 
 
@@ -345,11 +340,11 @@ def _average_marker(views: Views, m: int, out: People, p: int, work: ClusterWork
 
 @kernel
 def _average_link(
-    views: Views, m: int, joints: Joints, out: People, p: int, work: ClusterWork
+    views: Views, m: int, settings: ClusterSettings, out: People, p: int, work: ClusterWork
 ) -> None:
     """Average a link over the views whose both ends are kept; over all views if there is none."""
-    parent, child = joints.links[m, 0], joints.links[m, 1]
-    if (parent >= 0 and not joints.used[parent]) or (child >= 0 and not joints.used[child]):
+    parent, child = settings.links[m, 0], settings.links[m, 1]
+    if (parent >= 0 and not settings.used[parent]) or (child >= 0 and not settings.used[child]):
         return
     some = False
     for k in range(len(views.stamps)):
@@ -383,7 +378,7 @@ def _average(
 @entry
 def cluster_buffers(
     buffers: Buffers, people: People, scratch: Views, past: ClusterPast, settings: ClusterSettings,
-    joints: Joints, out: People, counts: I2, work: ClusterWork,
+    out: People, counts: I2, work: ClusterWork,
 ) -> None:  # fmt: skip
     """Merge buffer after buffer.
 
@@ -399,6 +394,6 @@ def cluster_buffers(
         for p in range(buffers.people_ends[q], buffers.people_ends[q + 1]):
             views = load_views(buffers, q, people, out.ids[p], settings.compensate_motion, scratch)
             _merge_person(
-                buffers.stamps[q], views, past, buffers.past_rows[p], settings, joints, out, p,
+                buffers.stamps[q], views, past, buffers.past_rows[p], settings, out, p,
                 counts, work,
             )  # fmt: skip

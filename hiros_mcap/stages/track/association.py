@@ -52,7 +52,7 @@ class Tracks(NamedTuple):
     link_covariances: F3  # (T, L, 6)
     links_seen: I2  # (T, L) time of each link's state, ns
     lengths: F2
-    """(T, L) mean distance of each link's markers, m; learned if SlotOrders names the markers."""
+    """(T, L) mean distance of each link's markers, m; learned if TrackSettings names their ends."""
     length_counts: F2  # (T, L) detections that the mean length is of
     last_seen: I1  # (T,) time of the last detection, ns
     leaps: I3  # (T, C, 2) times, ns, of the first and last of each camera's latest leaps
@@ -66,7 +66,7 @@ class Tracks(NamedTuple):
 
 
 class TrackSettings(NamedTuple):
-    """Parameters of the tracker that its kernels use; see TrackParams."""
+    """Parameters of the tracker that its kernels use, see TrackParams; and its skeleton."""
 
     max_distance: float
     min_distance: float
@@ -85,6 +85,13 @@ class TrackSettings(NamedTuple):
     min_skeleton_confidence: float
     min_marker_confidence: float
     flip_aware: bool
+    # Which marker of a detection belongs to which of a track.
+    same: J1  # (M,) 0, 1, 2, ..
+    mirror: J1  # (M,) where the detector swapped left and right
+    ends: J2
+    """(L, 2) the track's markers at the ends of each link whose length is learned; of no link if
+    nobody asks for lengths."""
+    capsules: Capsules  # how thick limbs are
 
 
 class TrackWork(NamedTuple):
@@ -126,17 +133,6 @@ class TrackWork(NamedTuple):
         detections = (p, m), (p, 6), (p, OUTLINE), p, p
         assignment = AssignmentWork.allocate(max(t, p))
         return arrays(cls, *tracks, *weights, *pairs, *detections, assignment)
-
-
-class SlotOrders(NamedTuple):
-    """Which marker of a detection belongs to which of a track."""
-
-    same: J1  # (M,) 0, 1, 2, ..
-    mirror: J1  # (M,) where the detector swapped left and right
-    ends: J2
-    """(L, 2) the track's markers at the ends of each link whose length is learned; of no link if
-    nobody asks for lengths."""
-    capsules: Capsules  # how thick limbs are
 
 
 # Prediction, eq 7
@@ -246,8 +242,7 @@ def _bound(states: Floats) -> tuple[float, float, float, float, float, float]:
 
 @inlined
 def _compare(
-    rows: Stamps, people: People, tracks: Tracks, slots: SlotOrders, settings: TrackSettings,
-    work: TrackWork,
+    rows: Stamps, people: People, tracks: Tracks, settings: TrackSettings, work: TrackWork,
 ) -> None:  # fmt: skip
     """Fill ``distances`` and ``mirrored``: a detection is mirrored if that halves its distance.
 
@@ -284,12 +279,12 @@ def _compare(
             seen, confidence = people.markers[j], work.marker_confidences[j]
             # Beyond twice the reach a detection is mirrored if that brings it within the reach.
             distance = weighted_mean_distance(
-                pose, seen, slots.same, weight, confidence, 2.0 * reach
+                pose, seen, settings.same, weight, confidence, 2.0 * reach
             )
             swapped = np.inf
             if settings.flip_aware and distance > _NOT_MIRRORED:
                 swapped = weighted_mean_distance(
-                    pose, seen, slots.mirror, weight, confidence, reach
+                    pose, seen, settings.mirror, weight, confidence, reach
                 )
             work.mirrored[i, j] = swapped < 0.5 * distance
             work.distances[i, j] = swapped if work.mirrored[i, j] else distance
@@ -380,8 +375,7 @@ def _fill_cost(
 
 @entry
 def association_cost(
-    rows: I1, people: People, tracks: Tracks, slots: SlotOrders, settings: TrackSettings,
-    work: TrackWork,
+    rows: I1, people: People, tracks: Tracks, settings: TrackSettings, work: TrackWork,
 ) -> None:  # fmt: skip
     """Compare every predicted track with every detection (eq 6 and 8 to 11).
 
@@ -390,7 +384,7 @@ def association_cost(
     ``cost``, for the ``wanted`` detections. The orientations of a mirrored detection are wrong, so
     its cost is its distance.
     """
-    _compare(rows, people, tracks, slots, settings, work)
+    _compare(rows, people, tracks, settings, work)
     _fill_cost(rows, people, tracks, settings, work)
 
 
@@ -398,13 +392,15 @@ def association_cost(
 
 
 @inlined
-def _distance_of_seen(i: int, j: int, people: People, slots: SlotOrders, work: TrackWork) -> float:
+def _distance_of_seen(
+    i: int, j: int, people: People, settings: TrackSettings, work: TrackWork
+) -> float:
     """Mean distance, m, of the markers that the detector sees; of all if it sees few.
 
     Those that it guesses may be half a metre off.
     """
     total, n, markers = 0.0, 0, people.markers[j]
-    which = slots.mirror if work.mirrored[i, j] else slots.same
+    which = settings.mirror if work.mirrored[i, j] else settings.same
     for m in range(len(which)):
         distance = point_distance(work.positions[i, m], markers[which[m]])
         if work.hidden[j, which[m]] < MOSTLY_HIDDEN and not math.isnan(distance):
@@ -413,21 +409,19 @@ def _distance_of_seen(i: int, j: int, people: People, slots: SlotOrders, work: T
 
 
 @inlined
-def _breaks(
-    i: int, j: int, people: People, slots: SlotOrders, work: TrackWork, settings: TrackSettings
-) -> bool:
+def _breaks(i: int, j: int, people: People, settings: TrackSettings, work: TrackWork) -> bool:
     """Whether a detection is farther from a track that was just seen than a person can move."""
     unseen = work.unseen[i]
     if unseen > settings.horizon:
         return False
-    distance = _distance_of_seen(i, j, people, slots, work)
+    distance = _distance_of_seen(i, j, people, settings, work)
     return distance > settings.max_jump + _FASTEST * max(unseen - _USUAL_INTERVAL, 0.0)
 
 
 @inlined
 def associate(
-    stamp: int, rows: Stamps, people: People, tracks: Tracks, slots: SlotOrders,
-    settings: TrackSettings, work: TrackWork,
+    stamp: int, rows: Stamps, people: People, tracks: Tracks, settings: TrackSettings,
+    work: TrackWork,
 ) -> None:  # fmt: skip
     """Give the ``wanted`` detections of a message to the tracks in ``rows``.
 
@@ -435,8 +429,8 @@ def associate(
     """
     n_people = len(people.ids)
     predict(stamp, rows, tracks, settings, work)  # eq 7
-    association_cost(rows, people, tracks, slots, settings, work)  # eq 6 and 8 to 11
+    association_cost(rows, people, tracks, settings, work)  # eq 6 and 8 to 11
     solve(work.cost, len(rows), n_people, work.assignment, work.match)  # Munkres
     for j in range(n_people):
         i = work.match[j]
-        work.broken[j] = i >= 0 and _breaks(i, j, people, slots, work, settings)
+        work.broken[j] = i >= 0 and _breaks(i, j, people, settings, work)

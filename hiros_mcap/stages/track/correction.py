@@ -35,7 +35,6 @@ from hiros_mcap.skeletons import (
 from hiros_mcap.stages.detections.hidden_joints import INVENTED
 from hiros_mcap.stages.track.association import (
     MOSTLY_HIDDEN,
-    SlotOrders,
     Tracks,
     TrackSettings,
     TrackWork,
@@ -263,7 +262,7 @@ def _learn_lengths(
 
 @entry
 def correct(
-    stamp: int, rows: I1, work: TrackWork, people: People, tracks: Tracks, slots: SlotOrders,
+    stamp: int, rows: I1, work: TrackWork, people: People, tracks: Tracks,
     settings: TrackSettings,
 ) -> None:  # fmt: skip
     """Bring the tracks in ``rows`` to ``stamp`` with the detections that ``match`` gives them.
@@ -279,13 +278,13 @@ def correct(
             continue
         row, swapped = rows[i], work.mirrored[i, j]
         markers, confidences = people.markers[j], people.marker_confidences[j]
-        which = slots.mirror if swapped else slots.same
+        which = settings.mirror if swapped else settings.same
         for m in range(len(which)):
             if not math.isnan(markers[which[m], 0]):
                 noise = _variance(confidences[which[m]], settings)
                 noise += (INVENTED * work.hidden[j, which[m]]) ** 2
                 _correct_marker(stamp, tracks, row, m, markers[which[m]], noise, settings)
-        _learn_lengths(row, tracks, markers, work.hidden[j], which, slots.ends)
+        _learn_lengths(row, tracks, markers, work.hidden[j], which, settings.ends)
         for k in range(0 if swapped else len(people.links[j])):
             if not math.isnan(people.links[j, k, _TO_ORIENTATION]):
                 _correct_link(stamp, tracks, row, k, people.links[j, k], settings)

@@ -38,7 +38,7 @@ from hiros_mcap.frames import Block, join
 from hiros_mcap.kernels.array_types import settings_of
 from hiros_mcap.skeletons import POSITION, STATE, UNTRACKED, Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.track import tracking as kernels
-from hiros_mcap.stages.track.association import SlotOrders, TrackSettings, TrackWork, predict
+from hiros_mcap.stages.track.association import TrackSettings, TrackWork, predict
 from hiros_mcap.stages.track.correction import correct
 from hiros_mcap.stages.track.displaced import Copies
 from hiros_mcap.stages.track.identity import WAITS, Identities
@@ -102,11 +102,11 @@ class _Tracker:
         symmetry = symmetry_of(model)
         same = np.arange(model.n_markers, dtype=np.int32)
         ends = model.links if params.reidentify > 0 else np.empty((0, 2), np.int32)
-        self._slots = SlotOrders(
-            same, symmetry.mirror, np.ascontiguousarray(ends), capsules_of(model)
-        )
         flip_aware = params.flip_aware and symmetry.has_sides
-        self._settings = settings_of(TrackSettings, params, flip_aware=flip_aware)
+        self._settings = settings_of(
+            TrackSettings, params, flip_aware=flip_aware, same=same, mirror=symmetry.mirror,
+            ends=np.ascontiguousarray(ends), capsules=capsules_of(model),
+        )  # fmt: skip
         self._allocate = partial(
             TrackWork.allocate, n_markers=model.n_markers, n_links=model.n_links
         )
@@ -133,7 +133,7 @@ class _Tracker:
             known = self._prepare(block, place, most)  # delete, leave out copies
             done, is_open = kernels.update.raw(  # predict, compare, assign, correct
                 messages, place, block.people, known, self._people.bank.past, self._people.cameras,
-                self._slots, self._settings, self._work,
+                self._settings, self._work,
             )  # fmt: skip
             if done > place:
                 yield block, range(place, done), log_times[place:done]
@@ -243,7 +243,7 @@ class _Tracker:
         if new:
             work.mirrored.fill(False)
             correct(
-                group.stamp, _rows(new), work, group.people, self._people.bank.past, self._slots,
+                group.stamp, _rows(new), work, group.people, self._people.bank.past,
                 self._settings,
             )  # fmt: skip
 

@@ -18,7 +18,6 @@ from hiros_mcap.kernels.line_of_sight import hidden_by, outline
 from hiros_mcap.skeletons import Floats, People, Stamps
 from hiros_mcap.stages.detections.hidden_joints import RATES, guess_limit, learn_rating
 from hiros_mcap.stages.track.association import (
-    SlotOrders,
     Tracks,
     TrackSettings,
     TrackWork,
@@ -91,7 +90,7 @@ def screen(people: People, min_marker: float, min_skeleton: float, faults: I1) -
 
 @kernel
 def _find_hidden(
-    camera: int, people: People, cameras: Cameras, slots: SlotOrders, work: TrackWork
+    camera: int, people: People, cameras: Cameras, settings: TrackSettings, work: TrackWork
 ) -> None:
     """Fill ``hidden``: the joints that a camera does not see.
 
@@ -106,7 +105,7 @@ def _find_hidden(
         for j in range(n):
             outline(people.markers[j], place, work.outlines[j])
         for j in range(n):
-            work.hidden[j] = _share_behind_others(j, n, people, place, slots, work)
+            work.hidden[j] = _share_behind_others(j, n, people, place, settings, work)
     limit = guess_limit(rate[2])
     for j in range(n):
         for m in range(people.markers.shape[1]):
@@ -116,7 +115,7 @@ def _find_hidden(
 
 @inlined
 def _share_behind_others(
-    j: int, n: int, people: People, place: Floats, slots: SlotOrders, work: TrackWork
+    j: int, n: int, people: People, place: Floats, settings: TrackSettings, work: TrackWork
 ) -> float:
     """Return the share of detection ``j`` that the others of ``n`` hide from a camera."""
     total, count = 0.0, 0
@@ -128,7 +127,7 @@ def _share_behind_others(
             if k != j:
                 h = hidden_by(
                     people.markers[j, m], place, people.markers[k], work.outlines[k],
-                    slots.capsules,
+                    settings.capsules,
                 )  # fmt: skip
                 share = max(share, h)
         total += share
@@ -147,7 +146,7 @@ def _is_sudden(stamp: int, leaps: Stamps) -> bool:
 @inlined
 def _match(
     stamp: int, camera: int, rows: Stamps, leaping: bool, people: People, tracks: Tracks,
-    slots: SlotOrders, settings: TrackSettings, work: TrackWork,
+    settings: TrackSettings, work: TrackWork,
 ) -> None:  # fmt: skip
     """Match the detections that are left with tracks; leave out those that are ``leaping``."""
     some = False
@@ -156,7 +155,7 @@ def _match(
         some = some or work.wanted[j]
     if not some or not len(rows):
         return
-    associate(stamp, rows, people, tracks, slots, settings, work)  # eq 6 to 11, Munkres
+    associate(stamp, rows, people, tracks, settings, work)  # eq 6 to 11, Munkres
     for j in range(len(people.ids)):
         i = work.match[j]
         if i < 0:
@@ -166,7 +165,7 @@ def _match(
         else:
             work.track_rows[j] = rows[i]
             tracks.last_seen[rows[i]] = max(tracks.last_seen[rows[i]], stamp)
-    correct(stamp, rows, work, people, tracks, slots, settings)  # Kalman filter
+    correct(stamp, rows, work, people, tracks, settings)  # Kalman filter
 
 
 @inlined
@@ -203,7 +202,7 @@ def _is_open(n_people: int, is_due: bool, work: TrackWork) -> bool:
 @entry
 def update(
     messages: CameraMessages, begin: int, people: People, known: KnownTracks, tracks: Tracks,
-    cameras: Cameras, slots: SlotOrders, settings: TrackSettings, work: TrackWork,
+    cameras: Cameras, settings: TrackSettings, work: TrackWork,
 ) -> tuple[int, int]:  # fmt: skip
     """Track messages from ``begin`` on, until one leaves something to decide.
 
@@ -228,10 +227,10 @@ def update(
             least = settings.min_marker_confidence, settings.min_skeleton_confidence
             screen(group, least[0], least[1], work.faults)
         work.track_rows[:n] = -1
-        _find_hidden(camera, group, cameras, slots, work)
-        _match(stamp, camera, known.persons, True, group, tracks, slots, settings, work)
+        _find_hidden(camera, group, cameras, settings, work)
+        _match(stamp, camera, known.persons, True, group, tracks, settings, work)
         _drop_duplicates(known.persons, n, settings.min_distance, work)
-        _match(stamp, camera, known.tentative, False, group, tracks, slots, settings, work)
+        _match(stamp, camera, known.tentative, False, group, tracks, settings, work)
         if not known.certain or _is_open(n, stamp >= cameras.due[camera], work):
             return k, 1
         for j in range(n):
