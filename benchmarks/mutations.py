@@ -207,7 +207,7 @@ class Copy(NamedTuple):
         }  # fmt: skip
         left_out = [f"--deselect={name}" for name in sorted(self.broken)]
         process = subprocess.Popen(
-            [sys.executable, "-m", "pytest", "-xqp", "mutations", "-p", "no:cacheprovider",
+            [sys.executable, "-m", "pytest", "-xq", "-p", "mutations", "-p", "no:cacheprovider",
              "-p", "no:xdist", *left_out, *tests], cwd=self.root,
             env=environment, start_new_session=True,
             stdout=(self.scratch / "pytest.log").open("w"), stderr=subprocess.STDOUT,

@@ -64,6 +64,16 @@ def test_the_soles_are_on_the_floor_while_the_person_stands(result, tmp_path):
     assert 0.9 < float(pelvis.text) < 1.1
 
 
+def test_the_torso_alone_carries_the_head(result, tmp_path):
+    (path,) = export(stick(result, **STANDING), tmp_path / "out.osim", warn=len)
+    shapes = {
+        body.get("name"): [frame.get("name") for frame in body.iter("PhysicalOffsetFrame")]
+        for body in model_of(path).iter("Body")
+    }
+    assert shapes.pop("torso") == ["torso_shape", "head_shape"]
+    assert all(names == [f"{name}_shape"] for name, names in shapes.items())
+
+
 def test_the_mass_is_shared(result, tmp_path):
     for mass, total in ((MASS, MASS), (None, 0.0)):
         (path,) = export(result, tmp_path / "out.osim", mass=mass, warn=len)

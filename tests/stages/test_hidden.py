@@ -11,6 +11,8 @@ from stick_figures import MODEL, at, person, seen
 from hiros_mcap.body.segments import capsules_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of, join
+from hiros_mcap.kernels import line_of_sight
+from hiros_mcap.kernels.compile import Kernel
 from hiros_mcap.stages.detections.detection_params import PlausibleParams
 from hiros_mcap.stages.detections.hidden import mend_hidden_blocks
 from hiros_mcap.stages.merge.merge import weighted_by_sight
@@ -206,3 +208,33 @@ def test_the_merger_weighs_hidden_joints_less_and_no_others():
     np.testing.assert_array_equal(lowered, whole.hidden > 0)
     assert people.marker_confidences[-2, WRIST] < 0.75
     np.testing.assert_array_equal(whole.people.marker_confidences, 1.0)
+
+
+@pytest.fixture
+def sight(monkeypatch):
+    """The module with its kernels as Python runs them, which is quick for a few hundred lines."""
+    for name, each in list(vars(line_of_sight).items()):
+        if isinstance(each, Kernel):
+            monkeypatch.setattr(line_of_sight, name, each.function)
+    return line_of_sight
+
+
+@pytest.mark.parametrize("camera", [(-3.0, 0.5, 1.2), (-0.7, 0.1, 1.5), (0.3, -0.4, 3.5)])
+def test_no_place_outside_of_an_outline_is_hidden(sight, camera):
+    """A body is looked at from afar, from near, and from above; the outline only saves work."""
+    rng, camera, body = np.random.default_rng(1), np.array(camera), person()
+    box, unbounded = np.empty(sight.OUTLINE), np.zeros(sight.OUTLINE)
+    sight.outline(body, camera, box)
+    axes = box[:9].reshape(3, 3)
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
+    unbounded[9] = -np.inf
+    markers = body[rng.integers(len(body), size=300)] + rng.normal(scale=0.15, size=(300, 3))
+    places = camera + (markers - camera) * rng.uniform(0.5, 3.0, (300, 1))
+    hidden = np.array(
+        [
+            [sight.hidden_by(place, camera, body, each, capsules_of(MODEL)) for place in places]
+            for each in (box, unbounded)
+        ]
+    )
+    assert 100 < (hidden[1] > 0.5).sum() < 280
+    np.testing.assert_allclose(hidden[0], hidden[1], atol=1e-3)
