@@ -39,7 +39,7 @@ LEAST_AFTER = 5  # messages that confirm a step
 _LASTING = 10.0  # s: a lag that has not lasted so long may be a late delivery
 IRREGULAR = 0.025  # s: an interval between stamps that differs so much from the usual one is odd
 _LEAST_STEP = 0.03  # s
-_AT_ONCE = 0.02  # s: so far the lag after a step is from that of the next message, at most
+_PARTED = 0.3  # share of a step by which all lags next to it lie on their side
 _PAUSE = 1.0  # s: whoever pauses longer may do so for any time
 _LATENESS = 0.5  # s
 _REMARKABLE = 0.05  # s
@@ -304,16 +304,20 @@ def _largest_step(stamps: Floats, logged: Floats) -> Step | None:
     noise = 1.48 * float(np.median(np.abs(intervals - period)))
     jumps = -np.diff(lags)
     jitter = 1.48 * float(np.median(np.abs(jumps)))
-    least = _LEAST_STEP + _LARGEST_DRIFT * np.maximum(intervals, 0.0)
-    # Most that is odd are lost messages, whose lag stays; a step changes it at once.
-    changes = np.abs(jumps) > 0.999 * least - np.maximum(0.3 * least, max(4 * jitter, _AT_ONCE))
-    odd = np.flatnonzero((np.abs(intervals - period) > IRREGULAR) & changes) + 1
+    odd = np.flatnonzero(np.abs(intervals - period) > IRREGULAR) + 1
+    odd = odd[(odd >= LEAST_AFTER) & (odd <= len(lags) - LEAST_AFTER)]
+    least = _LEAST_STEP + _LARGEST_DRIFT * np.maximum(intervals[odd - 1], 0.0)
+    falls, rises = _gaps(lags, odd)
+    # Most that is odd are lost messages, beside which the lags are mixed.
+    parts = np.maximum(falls, rises) > _PARTED * least
     steps: list[tuple[float, Step]] = []
-    for k in odd[(odd >= LEAST_AFTER) & (odd <= len(lags) - LEAST_AFTER)].tolist():
+    columns = (array[parts].tolist() for array in (odd, least, falls, rises))
+    for k, smallest, falls_by, rises_by in zip(*columns, strict=True):
         before, after = lags[max(0, k - _STEP_SIDE) : k], lags[k : k + _STEP_SIDE]
         shift = float(np.median(before) - np.median(after))
-        at_once = abs(jumps[k - 1] - shift) <= max(0.3 * abs(shift), 4 * jitter, _AT_ONCE)
-        if abs(shift) >= least[k - 1] and at_once and _parts(lags, k, shift):
+        at_once = abs(jumps[k - 1] - shift) <= max(0.3 * abs(shift), 4 * jitter, 0.02)
+        is_apart = (falls_by if shift > 0 else rises_by) > _PARTED * abs(shift)
+        if abs(shift) >= smallest and at_once and is_apart:
             error = float(np.hypot(_error(before), _error(after)))
             seconds = _explained(float(intervals[k - 1]), shift, (period, noise, error))
             if seconds:
@@ -324,11 +328,11 @@ def _largest_step(stamps: Floats, logged: Floats) -> Step | None:
     return None
 
 
-def _parts(lags: Floats, k: int, shift: float) -> bool:
-    """Whether all lags next to message ``k`` lie on their side, unlike those of mixed messages."""
-    before, after = lags[k - LEAST_AFTER : k], lags[k : k + LEAST_AFTER]
-    gap = before.min() - after.max() if shift > 0 else after.min() - before.max()
-    return bool(gap > 0.3 * abs(shift))
+def _gaps(lags: Floats, places: Stamps) -> tuple[Floats, Floats]:
+    """(K,) By how much all lags before some messages exceed those behind, and the reverse, s."""
+    near = lags[places[:, None] + np.arange(-LEAST_AFTER, LEAST_AFTER)]
+    before, after = near[:, :LEAST_AFTER], near[:, LEAST_AFTER:]
+    return before.min(axis=1) - after.max(axis=1), after.min(axis=1) - before.max(axis=1)
 
 
 def _period(stamps: Floats) -> float:
