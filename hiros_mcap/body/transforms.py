@@ -27,7 +27,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from hiros_mcap.body.rotations import Rigid, angle, from_vector, to_matrix
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.frames import Block
-from hiros_mcap.kernels.transforming import PoseArrays, move
+from hiros_mcap.kernels.array_types import joined
+from hiros_mcap.kernels.transforming import PoseArrays, move_messages
 from hiros_mcap.outside import parse, read_text
 from hiros_mcap.params import explain
 from hiros_mcap.skeletons import Frame
@@ -586,11 +587,11 @@ class Mover:
         is_moving = np.array([name != self._fixed for name in block.names])[block.frame_ids]
         if not is_moving.any():
             return block
-        people = block.people.copy()
-        for i in np.flatnonzero(is_moving).tolist():
+        people, poses, frames = block.people.copy(), list[PoseArrays](), np.flatnonzero(is_moving)
+        for i in frames.tolist():
             stamp, log_time = int(block.stamps[i]), int(block.log_times[i])
-            pose = self._pose(block.names[block.frame_ids[i]], stamp, log_time)
-            move(pose, 0, people.at(slice(*block.rows[i].tolist())))
+            poses.append(self._pose(block.names[block.frame_ids[i]], stamp, log_time))
+        move_messages(joined(poses), np.arange(len(poses)), block.rows[frames], people)
         names, fixed = (*block.names, self._fixed), np.full(len(block), len(block.names))
         return replace(block, people=people, names=names, frame_ids=fixed)
 

@@ -182,10 +182,9 @@ def _continue(poses: Floats, last: list[Floats], mirror: Ints) -> tuple[list[int
     n = len(poses)
     if not n or not last:
         return [-1] * n, [False] * n
-    others = np.stack(last)
-    straight, swapped = np.empty((n, len(last))), np.empty((n, len(last)))
-    mean_distances(np.ascontiguousarray(poses), others, straight)
-    mean_distances(np.ascontiguousarray(poses[:, mirror]), others, swapped)
+    apart = np.empty((2 * n, len(last)))
+    mean_distances(np.concatenate([poses, poses[:, mirror]]), np.array(last), apart)
+    straight, swapped = apart[:n], apart[n:]
     swap = swapped < SWAP * straight
     distances = np.where(swap, swapped, straight)
     nearest, nearest_of = distances.argmin(axis=1), distances.argmin(axis=0)

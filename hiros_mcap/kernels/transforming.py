@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.array_types import F2, F3
-from hiros_mcap.kernels.compile import entry, kernel
+from hiros_mcap.kernels.array_types import F2, F3, I1, I2
+from hiros_mcap.kernels.compile import entry, kernel, rows_of
 from hiros_mcap.skeletons import Floats, People
 
 
@@ -49,7 +49,7 @@ def _move_state(poses: PoseArrays, k: int, states: Floats, p: int, n: int) -> No
     states[p, n, 6] = aw * bw - ax * bx - ay * by - az * bz
 
 
-@entry
+@kernel
 def move(poses: PoseArrays, k: int, people: People) -> None:
     """Express people in another frame by pose ``k`` (Hi-ROS 2023, eq 5), in place.
 
@@ -64,3 +64,10 @@ def move(poses: PoseArrays, k: int, people: People) -> None:
         for n in range(people.links.shape[1]):
             _move_state(poses, k, people.links, p, n)
         _move_state(poses, k, boxes, p, np.int64(0))
+
+
+@entry
+def move_messages(poses: PoseArrays, which: I1, rows: I2, people: People) -> None:
+    """Move the people of N messages, whose ``rows`` (N, 2) are given, by the poses ``which``."""
+    for n in range(len(which)):
+        move(poses, which[n], rows_of(people, rows[n, 0], rows[n, 1]))

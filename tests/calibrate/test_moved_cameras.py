@@ -13,7 +13,7 @@ from hiros_mcap.calibrate import survey
 from hiros_mcap.events import events_from_json
 from hiros_mcap.io.channels import EVENTS_ATTACHMENT
 from hiros_mcap.io.log import open_log
-from hiros_mcap.kernels.transforming import move
+from hiros_mcap.kernels.transforming import move_messages
 from hiros_mcap.running.pipeline import ProcessOptions, process
 
 STEP = Rigid(from_vector(np.radians([3.0, -4.0, 0.0])), np.array([0.16, 0.0, 0.12]))
@@ -38,7 +38,9 @@ def moved(frame, start):
     if frame.source != "camera_2" or frame.stamp < start + AT_S * 1e9:
         return frame
     people = frame.people.copy()
-    move(pose_arrays([STEP.inverse()]), 0, people)
+    move_messages(
+        pose_arrays([STEP.inverse()]), np.array([0]), np.array([[0, len(people.ids)]]), people
+    )
     return frame.replace(people=people)
 
 

@@ -18,7 +18,7 @@ from hiros_mcap.io.channels import EVENTS_ATTACHMENT, add_skeleton_channel, add_
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_log
-from hiros_mcap.kernels.transforming import move
+from hiros_mcap.kernels.transforming import move_messages
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.simulate import SimulateParams, simulate
@@ -62,13 +62,20 @@ def moved_late(frame):
     if frame.stamp < SimulateParams().start + AT_S * 1e9:
         return frame
     people = frame.people.copy()
-    move(pose_arrays([STEP.inverse()]), 0, people)
+    move_messages(
+        pose_arrays([STEP.inverse()]), np.array([0]), np.array([[0, len(people.ids)]]), people
+    )
     return frame.replace(people=people)
 
 
 def upside_down(frame):
     people = frame.people.copy()
-    move(pose_arrays([Rigid(from_vector(np.array([0.0, 0.0, np.pi])), np.zeros(3))]), 0, people)
+    move_messages(
+        pose_arrays([Rigid(from_vector(np.array([0.0, 0.0, np.pi])), np.zeros(3))]),
+        np.array([0]),
+        np.array([[0, len(people.ids)]]),
+        people,
+    )
     return frame.replace(people=people)
 
 
