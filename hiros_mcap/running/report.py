@@ -16,6 +16,7 @@ from hiros_mcap.events import (
     CAMERA_BACK,
     CAMERA_DISPLACED,
     COMMON,
+    COUNTED,
     MIRROR_SEEN,
     RESIDUAL,
     TOO_LATE,
@@ -221,11 +222,12 @@ class Report:
         yield from self._untimed()
         yield from self._distortions(cameras)
         yield from clock_warnings(self.prepared.clocks.faults, self.log.span[0])
-        yield from self.prepared.poses.warnings()
-        yield from self._displaced()
-        yield from self.reading.warnings
-        if not self.observer.people:
+        if self.observer.people:
+            yield from self.prepared.poses.warnings()
+            yield from self._displaced()
+        else:
             yield from self._nobody()
+        yield from self.reading.warnings
 
     def _untimed(self) -> Iterator[str]:
         """Yield that log times are used, if many messages have no time of their own."""
@@ -289,9 +291,16 @@ class Report:
         """Yield why nobody was found in detections of somebody."""
         reasons = list(self.observer.sample.reasons())
         if not reasons and self.observer.sample.frames:
+            left_out = {
+                kind: self.run.events.total(kind)
+                for kind, (noun, _) in COUNTED.items()
+                if noun == "detection"
+            }
+            most = max(left_out, key=left_out.__getitem__)
+            why = f": {counted(most, left_out[most])}" if left_out[most] else ""
             reasons = [
-                "nobody was found, though the cameras report people; `hiros info` shows whether "
-                "the cameras' poses and the skeletons make sense"
+                f"nobody was found, though the cameras report people{why}; `hiros info` shows "
+                "whether the cameras' poses and the skeletons make sense"
             ]
         yield from reasons
 

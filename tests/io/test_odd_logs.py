@@ -7,6 +7,7 @@ import tracemalloc
 import warnings
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from mcap.writer import Writer
 from odd_logs import believed, changed, later, scaled
@@ -144,6 +145,18 @@ def test_nobody_is_found_because_of_the_unit(crossing, tmp_path):
     assert summary.people == ()
     assert warned(summary, "looks like millimetres")
     assert not noted(summary, "confidence 0")
+
+
+def test_nobody_is_found_because_of_too_few_joints(crossing, tmp_path):
+    def three(frame, _):
+        markers = frame.markers.copy()
+        markers[:, 3:] = np.nan
+        return frame.replace(markers=markers)
+
+    summary = run(crossing, tmp_path, three)
+    assert summary.people == ()
+    (warning,) = summary.warnings
+    assert re.search(r"nobody was found, .*: \d+ detections .* fewer markers than", warning)
 
 
 def test_a_message_years_ahead_is_told(crossing, tmp_path):

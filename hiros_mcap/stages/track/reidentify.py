@@ -33,7 +33,7 @@ from hiros_mcap.skeletons import Flags, Floats
 from hiros_mcap.stages.track.limb_scatter import LimbScatter
 
 THRESHOLD = 0.9  # least probability with which somebody gets an old id
-_EXCHANGED = 0.05  # largest probability of being another absent person: worse than a new id
+_EXCHANGED = 0.02  # largest probability of being another absent person: worse than a new id
 
 _NOISE_OF_ONE = 0.04  # SD of a limb's length, m, in one detection; it falls with the root of their
 # number, besides the scatter from second to second
