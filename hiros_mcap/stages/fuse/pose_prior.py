@@ -27,7 +27,8 @@ _PIECE = 3.0  # s
 _SHOWN = 0.4  # share of its variance that a Gauss-Markov offset of 1.7 s shows within such a piece
 _LEAST = 1e-9  # m; noise of a marker that does not move at all
 _RATE = 15.0  # Hz; a prior of the poses before needs no more poses
-_FIRST, _RENEWED = 2.0, 0.5  # s of a person before the first such prior, and between two
+_FIRST, _RENEWED = 2.0, 0.5  # s of a person before the first such prior, and least between two
+_NEW = 1 / 30  # share of the poses that are new when it is renewed: of a minute, 2 s
 _LARGEST_STEP = 0.5  # by it, in standard deviations: a new motion is believed
 _POSES = 900  # of a minute
 _LEFT = 1.0  # s unseen after which it is learned anew
@@ -102,8 +103,9 @@ class RecentMotion:
         self._variances[self._kept % _POSES] = variances
         self._kept += 1
         if stamp >= self._next and self._kept >= FEWEST:
-            self._next = stamp + round(_RENEWED * 1e9)
-            self._motion = motion_of(self._poses[: self._kept], self._variances[: self._kept])
+            poses, variances = self._poses[: self._kept], self._variances[: self._kept]
+            self._next = stamp + round(max(_RENEWED, _NEW * len(poses) / _RATE) * 1e9)
+            self._motion = motion_of(poses, variances)
 
 
 def at_most_shown(positions: Floats, variances: Floats, size: int) -> Floats:
