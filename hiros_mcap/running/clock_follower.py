@@ -8,8 +8,10 @@ prove (:mod:`hiros_mcap.running.pose_follower`) comes in slowly, so that nobody 
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import chain
 
 import numpy as np
@@ -59,9 +61,9 @@ class _FollowedClock:
     """ns that are to be added to the stamps."""
     added: int = 0
     """ns of it that are in ``offset`` already."""
-    stamps: list[int] = field(default_factory=list)
+    stamps: array[int] = field(default_factory=partial(array, "q"))
     """Corrected stamps of the last messages, ns."""
-    log_times: list[int] = field(default_factory=list)
+    log_times: array[int] = field(default_factory=partial(array, "q"))
     period: int = 0
     """Usual interval between messages, ns."""
     least: int = 0
@@ -83,7 +85,7 @@ class _FollowedClock:
             self.added += step
             self.offset += step
             self.least -= step
-            self.stamps = [other + step for other in self.stamps]
+            self.stamps = array("q", (self.times.stamps + step).tobytes())
 
     @property
     def times(self) -> CameraTimes:
@@ -250,7 +252,7 @@ class ClockFollower:
         if total:
             clock.offset += total
             clock.suspected = 0
-            clock.stamps = times.stamps.tolist()
+            clock.stamps = array("q", times.stamps.tobytes())
         return total
 
     def _find_drifts(self) -> None:
@@ -259,7 +261,8 @@ class ClockFollower:
         for name, slope in find_drifts(camera_times).items():
             clock, times = self._clocks[name], camera_times[name]
             passed = times.stamps - times.stamps[0]
-            clock.stamps = (times.stamps + np.round(passed * slope).astype(np.int64)).tolist()
+            followed = times.stamps + np.round(passed * slope).astype(np.int64)
+            clock.stamps = array("q", followed.tobytes())
             clock.offset, clock.origin = clock.stamps[-1] - clock.latest, clock.latest
             clock.drift += slope
             if not any(f.kind == DRIFT and f.camera == name for f in self._faults):

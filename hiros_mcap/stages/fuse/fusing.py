@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.kernels.array_types import B1, F1, F2, F3, F4, I1, I2, J1, arrays
-from hiros_mcap.kernels.compile import entry, inlined, kernel
+from hiros_mcap.kernels.compile import inlined, kernel
 from hiros_mcap.skeletons import Floats, Ints, Stamps
 
 POSITION, VELOCITY, OFFSETS = 0, 1, 2  # rows of the state of a joint
@@ -548,7 +548,7 @@ def _backward(steps: Steps, m: int, out: FusedPoses, work: FusionWork) -> None:
             _unpredict(t, work)
 
 
-@entry
+@kernel
 def smooth_joints(
     steps: Steps, keep: int, noise: JointNoise, states: JointStates, row: int, out: FusedPoses,
     work: FusionWork,

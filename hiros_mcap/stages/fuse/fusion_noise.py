@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -192,15 +193,13 @@ class RunningNoise(FusionNoise):
             self.held = []
 
     def _learn(self, views: Sightings, names: Sequence[str]) -> None:
-        away = np.log(views.distances / REFERENCE)
-        offsets_of: dict[str, list[float]] = {}
-        limits = self._limits(views, views.cameras)
-        for camera, logs, distance, guesses in _binned(views, away, limits):
-            expected = np.log(self.joints) + 2 * self.power * distance  # log of :meth:`white`
-            off = np.where(guesses == 0, logs - expected, np.nan)
-            if np.isfinite(off).any():
-                offsets_of.setdefault(names[camera], []).append(float(np.nanmedian(off)))
-        factors = {name: float(np.mean(logs)) for name, logs in offsets_of.items()}
+        cameras, logs, distances, guesses = _binned(views, self._limits(views, views.cameras))
+        # The logarithm of :meth:`white`.
+        expected = np.log(self.joints) + 2 * self.power * distances[:, None]
+        off = np.where(guesses == 0, logs - expected, np.nan)
+        known = np.isfinite(off).any(axis=1)
+        cameras, middles = cameras[known], np.nanmedian(off[known], axis=1)
+        factors = {names[k]: float(middles[cameras == k].mean()) for k in np.unique(cameras)}
         usual = float(np.median(list(factors.values()))) if factors else 0.0
         for name, log in factors.items():
             self.logs[name] = self.logs.get(name, 0.0) + log - usual
@@ -210,30 +209,33 @@ class RunningNoise(FusionNoise):
             self.cameras[name] = float(np.exp(mean))
 
 
-def _binned(
-    views: Sightings, away: Floats, limits: Floats
-) -> Iterator[tuple[int, Floats, float, Floats]]:
-    """Yield camera, (M,) log variances, log distance / 2 m and (M,) share of guesses of bins."""
-    for person, camera in {*zip(views.people.tolist(), views.cameras.tolist(), strict=True)}:
-        rows = np.flatnonzero((views.people == person) & (views.cameras == camera))
-        rows = rows[np.argsort(views.stamps[rows], kind="stable")]
-        gaps = np.diff(views.stamps[rows])
-        if len(rows) < _BIN + 3:
-            continue
-        even = np.abs(gaps / np.median(gaps) - 1) < 0.3
-        # Half of the norm has the mean of |D| along an axis, and does not depend on the axes.
-        third = np.linalg.norm(np.diff(views.positions[rows], n=3, axis=0), axis=2) / 2
-        third[~(even[:-2] & even[1:-1] & even[2:])] = np.nan
-        guesses = views.confidences[rows] < limits[camera]
-        hidden = views.hidden[rows] > 0
-        third[hidden[:-3] | hidden[1:-2] | hidden[2:-1] | hidden[3:]] = np.nan
-        for start in range(0, len(third) - _BIN + 1, _BIN):
-            part = third[start : start + _BIN]
-            finite = np.isfinite(part)
-            enough = (finite.sum(axis=0) >= _BIN // 2) & (np.nan_to_num(part).sum(axis=0) > 0)
-            mean = np.nan_to_num(part).sum(axis=0) / np.maximum(finite.sum(axis=0), 1)
-            logs = np.full(len(mean), np.nan)
-            # The mean of |D| of a normal D with variance 20 R is sqrt(40 R / pi).
-            logs[enough] = np.log(mean[enough] ** 2 * np.pi / 40) + _BIAS
-            share = guesses[start : start + _BIN + 3].mean(axis=0)
-            yield camera, logs, float(away[rows[start : start + _BIN]].mean()), share
+def _binned(views: Sightings, limits: Floats) -> tuple[Stamps, Floats, Floats, Floats]:
+    """Return what B bins of _BIN views of a person by a camera tell.
+
+    (B,) cameras, (B, M) log variances, (B,) log distances / 2 m and (B, M) shares of guesses.
+    """
+    order = np.lexsort((views.stamps, views.cameras, views.people))
+    views = chosen(views, order)
+    changes = (np.diff(views.people) != 0) | (np.diff(views.cameras) != 0)
+    gaps, even = np.diff(views.stamps), np.zeros(len(changes), np.bool_)
+    starts = list[int]()
+    for begin, end in pairwise([0, *(np.flatnonzero(changes) + 1).tolist(), len(order)]):
+        if end - begin >= _BIN + 3:
+            own = gaps[begin : end - 1]
+            even[begin : end - 1] = np.abs(own / np.median(own) - 1) < 0.3
+            starts += range(begin, end - _BIN - 2, _BIN)
+    # Half of the norm has the mean of |D| along an axis, and does not depend on the axes.
+    third = np.linalg.norm(np.diff(views.positions, n=3, axis=0), axis=2) / 2
+    third[~(even[:-2] & even[1:-1] & even[2:])] = np.nan
+    hidden = views.hidden > 0
+    third[hidden[:-3] | hidden[1:-2] | hidden[2:-1] | hidden[3:]] = np.nan
+    guesses = views.confidences < limits[views.cameras, None]
+    rows = np.array(starts, np.int64)[:, None] + np.arange(_BIN + 3)
+    parts = third[rows[:, :_BIN]]
+    counts, sums = np.isfinite(parts).sum(axis=1), np.nansum(parts, axis=1)
+    enough = (counts >= _BIN // 2) & (sums > 0)
+    means = np.where(enough, sums, np.nan) / np.maximum(counts, 1)
+    # The mean of |D| of a normal D with variance 20 R is sqrt(40 R / pi).
+    logs = np.log(means**2 * np.pi / 40) + _BIAS
+    away = np.log(views.distances / REFERENCE)[rows[:, :_BIN]].mean(axis=1)
+    return views.cameras[rows[:, 0]], logs, away, guesses[rows].mean(axis=1)
