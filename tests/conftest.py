@@ -45,6 +45,15 @@ def without_curves(monkeypatch):
     monkeypatch.setattr("hiros_viewer.page.curves_json", lambda figure, target: "{}")
 
 
+@pytest.fixture(scope="module")
+def coarse_plans():
+    """Plans of a few places on the floor: for tests of all else about a plan."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("hiros_mcap.plan.planning._CELLS", 80)
+        patch.setattr("hiros_mcap.plan.planning._TRIED_CELLS", 24)
+        yield
+
+
 @pytest.fixture(scope="session")
 def crossing(tmp_path_factory):
     """Two people who cross, three cameras, 2 s."""

@@ -33,6 +33,8 @@ def cluster(tmp_path_factory):
         **os.environ,
         "PYTHONPATH": path,
         "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1",
+        # A worker that replaces a killed one need not import all anew.
+        "DASK_DISTRIBUTED__WORKER__MULTIPROCESSING_METHOD": "forkserver",
     }
     common = ["--scheduler-file", str(file), "--no-dashboard", "--host", "127.0.0.1"]
     scheduler = ["-m", "distributed.cli.dask_scheduler", *common, "--port", "0"]

@@ -27,7 +27,9 @@ PAGES = sorted([ROOT / "README.md", *DOCS.glob("*.md")])
 
 SLOW = {"compare"}
 SMALLER = {
-    "--seconds 10": "--seconds 2.2",
+    "--seconds 10": "--seconds 1.2",
+    "--start 2 --end 8": "--start 0.2 --end 0.8",
+    "--shift 1.5": "--shift 0.3",
     "demo lab.mcap": "demo demo.mcap",
     "--jobs 4": "--jobs 1",
     "--room 6x5 --cameras 4": "--room 3x3 --cameras 2",
@@ -105,7 +107,7 @@ def laboratory(walking, tmp_path_factory):
     """Return a folder with every file that the pages' commands read."""
     folder = tmp_path_factory.mktemp("laboratory")
     shutil.copytree(ROOT / "sample_data", folder / "sample_data")
-    scene = "--people 2 --cameras 3 --action cross --seconds 2.2 --quiet"
+    scene = "--people 2 --cameras 3 --action cross --seconds 1.2 --quiet"
     assert run(["simulate", str(folder / "lab.mcap"), *scene.split()]) == 0
     shutil.copy(folder / "lab.mcap", folder / "mocap.mcap")
     result = str(folder / "lab.hiros.mcap")
@@ -165,7 +167,7 @@ def done():
     return set()
 
 
-@pytest.mark.usefixtures("without_curves")
+@pytest.mark.usefixtures("without_curves", "coarse_plans")
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_commands_run(page, laboratory, done, monkeypatch):
     monkeypatch.chdir(laboratory)

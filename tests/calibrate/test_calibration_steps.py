@@ -21,7 +21,6 @@ from hiros_mcap.calibrate.people import _only_ambiguous
 from hiros_mcap.calibrate.registration import kabsch
 from hiros_mcap.calibrate.sampling import Rig, instants_of, lines_of
 from hiros_mcap.calibrate.verdict import Evidence, verdict_of
-from hiros_mcap.kernels.lagging import correlate
 from hiros_mcap.kernels.local_line import Tracklet
 
 SIDES = symmetry_of(MODEL).mirror
@@ -315,12 +314,3 @@ def test_points_move_with_their_velocities_where_a_clock_drifts():
     drifting = sampled._replace(drifts=np.array([0.0, 0.01]))
     assert residuals_of(points, sampled).distances.max() == pytest.approx(0.02)
     assert residuals_of(points, drifting, sampled).distances.max() == pytest.approx(0.0, abs=1e-9)
-
-
-def test_one_common_sample_tells_how_far_signatures_differ_and_nothing_of_how_they_move():
-    one, other = np.array([[1.0, np.nan]]), np.array([[3.0, 5.0]])
-    correlations, differences, overlaps = np.empty((3, 2))
-    correlate(one, other, 0, correlations, differences, overlaps, np.empty(5))
-    assert overlaps.tolist() == [1, 1]
-    assert differences.tolist() == [2, 4]
-    assert np.isnan(correlations).all()

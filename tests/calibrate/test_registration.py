@@ -9,7 +9,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from hiros_mcap.body.rotations import rotate, to_matrix
-from hiros_mcap.calibrate.registration import board_frame, common_frames, fit_sphere, rigid_fit
+from hiros_mcap.calibrate.registration import (
+    _spheres_through,
+    board_frame,
+    common_frames,
+    fit_sphere,
+    rigid_fit,
+)
 from hiros_mcap.errors import HirosError, RegistrationError
 from hiros_mcap.skeletons import Floats
 
@@ -91,6 +97,14 @@ def test_the_same_seed_gives_the_same_centre():
     first, again, other = (fit_sphere(points, RADIUS, seed=seed) for seed in (1, 1, 2))
     assert (first.centre == again.centre).all()
     assert other.centre == pytest.approx(first.centre, abs=1e-4)
+
+
+def test_two_spheres_pass_through_three_points():
+    points = np.array([[0.1, -0.2, 0.5], [0.3, 0.1, 0.6], [-0.1, 0.2, 0.4]])
+    centres = _spheres_through(points[None], 0.5)
+    distances = np.linalg.norm(centres[:, None] - points, axis=2)
+    np.testing.assert_allclose(distances, np.full((2, 3), 0.5), atol=1e-12)
+    assert np.linalg.norm(centres[0] - centres[1]) > 0.1
 
 
 def test_the_sphere_moves_with_the_points():

@@ -116,6 +116,7 @@ def test_calibrate_people(tmp_path, capsys):
     assert_as_documented([printed(["calibrate", "people", log], capsys)])
 
 
+@pytest.mark.usefixtures("coarse_plans")
 def test_plan(capsys):
     command = ["plan", "--room", "2x1.5", "--cameras", "2"]
     assert_as_documented([printed(command, capsys)])

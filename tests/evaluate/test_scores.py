@@ -52,6 +52,13 @@ def test_a_late_result_has_that_lag():
     assert evaluate(late, truth, MODEL).lag == pytest.approx(50, abs=2)
 
 
+def test_the_error_at_its_lag_is_that_of_the_places_alone():
+    aside = np.array([0.0, 0.03, 0.04])
+    late = [seen([moving(k - 1.5) + aside], at(k), ids=[0]) for k in range(60)]
+    truth = Truth.of(seen([moving(k)], at(k), ids=[0]) for k in range(60))
+    assert evaluate(late, truth, MODEL).mean_at_lag == pytest.approx(50, abs=1)
+
+
 @pytest.mark.parametrize("late_ms", [-146.5, -31.5, -3.5, 1.5, 3.5, 51.5, 58.5, 165.0])
 def test_a_lag_between_those_that_are_tried(late_ms):
     """Lags are tried every 5 ms; the truth at 200 Hz."""

@@ -122,6 +122,7 @@ def test_eval_and_compare_write_what_json_has(tmp_path, walking, capsys):
         assert (float(column) if column else None) == (low and pytest.approx(low, rel=1e-5))
 
 
+@pytest.mark.usefixtures("coarse_plans")
 def test_plan_writes_its_rigs(tmp_path, capsys):
     target = tmp_path / "x.csv"
     assert run(["plan", "--room", "4x4", "--cameras", "1", "--json", "--table", str(target)]) == 0

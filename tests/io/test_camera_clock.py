@@ -16,6 +16,7 @@ from hiros_mcap.io.camera_clock import (
     STEP,
     WRONG,
     CameraTimes,
+    _judged,
     clock_verdict,
     clocks_in_words,
     find_drifts,
@@ -230,6 +231,12 @@ def test_healthy_clocks_are_left_alone(name):
     verdicts = clock_verdict(cameras)
     assert verdicts.faults == ()
     assert not any(verdicts.corrections[c].changes(cameras[c]) for c in cameras)
+
+
+def test_every_message_of_a_healthy_camera_has_a_right_time():
+    right, wrong = _judged(camera(1))
+    assert right.all()
+    assert not wrong.any()
 
 
 def test_a_camera_may_pause():

@@ -65,6 +65,8 @@ def test_bones_lie_where_the_joints_are(output, messages):
         for marker in array.markers:
             assert (marker.type, marker.action) == (4, 0)
             assert marker.header.frame_id == "world"
+            turn = marker.pose.orientation
+            assert (turn.x, turn.y, turn.z, turn.w) == (0, 0, 0, 1)
             stamp = marker.header.stamp
             assert stamp.sec * 1_000_000_000 + stamp.nanosec == frame.stamp
             by_person[marker.ns].append(marker)

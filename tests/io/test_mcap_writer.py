@@ -4,6 +4,7 @@ import resource
 import stat
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -335,6 +336,16 @@ def test_new_ids_lie_above_those_of_channels_left_out(tmp_path, out):
         ChunkCopier(reader, writer, {1})
         assert writer.add_channel("/new", 0) == 3
         assert writer.add_schema("pkg/msg/New", b"int32 y") == 2
+
+
+def test_the_new_id_of_a_schema_lies_above_those_of_channels_left_out(tmp_path, out):
+    source = write_log(tmp_path / "in.mcap")  # two channels with one schema
+    with McapReader(source) as reader, McapWriter(out) as writer:
+        writer.copy_definitions(reader, {1})
+        (schema,) = reader.contents.schemas.values()
+        channel = replace(reader.contents.channels[2], topic="/other")
+        new = writer.adopt(channel, replace(schema, data=b"int32 z"))
+        assert writer.channels[new].schema_id == 2
 
 
 def test_wrong_calls_are_errors(out):

@@ -25,6 +25,8 @@ from hiros_mcap.simulate.settings import WALL
 from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.skeletons import Floats
 
+pytestmark = pytest.mark.usefixtures("coarse_plans")
+
 QUIET = {"coloured": 0.0, "white": 0.0, "bias": 0.0, "guess": 0.0}
 AREA = (-2.0, -1.5, 2.0, 1.5)
 
@@ -100,6 +102,14 @@ def test_an_error_that_changes_as_slowly_as_a_lasting_one_weighs_as_much():
     assert one == pytest.approx(other, rel=1e-6)
 
 
+def test_hands_move_ten_times_as_much_as_the_trunk_beyond_what_is_assumed_of_them():
+    slots = [SLOT["PELVIS"], SLOT["HAND_LEFT"]]
+    model = ErrorModel(SimulateParams(), slots)
+    trunk, hand = 1 / model._stiffness
+    assumed = model._noise.accelerations
+    assert hand / trunk == pytest.approx(np.full(len(hand), 10 * assumed[1] / assumed[0]))
+
+
 def test_the_floor_is_divided_without_the_strip_along_its_walls():
     floor = FloorGrid.of((1 - WALL, 2 - WALL, 7 + WALL, 5 + WALL), 8)  # 6 m x 3 m in 1.5 m cells
     np.testing.assert_allclose(floor.x, [1.75, 3.25, 4.75, 6.25])
@@ -164,7 +174,7 @@ def test_scenes_hold_people_in_every_cell_at_a_distance(people):
 
 
 @pytest.fixture(scope="module")
-def plan():
+def plan(coarse_plans):
     return make_plan(SimulateParams(cameras=3, area=AREA), 2.2)
 
 

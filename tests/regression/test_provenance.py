@@ -11,6 +11,7 @@ import pytest
 
 from hiros_cli.app import run
 from hiros_mcap.config import load_config
+from hiros_mcap.io.channels import PROVENANCE
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.log import digest_of
 from hiros_mcap.regression.differences import Provenance, changes
@@ -53,6 +54,15 @@ def test_a_golden_log_carries_version_configuration_and_input(output, tmp_path):
     assert kept.parameters["track.max_gap"] == "1.5"
     with McapReader(tmp_path / "golden.mcap") as reader:
         assert reader.attachment("hiros/config.toml")
+
+
+def test_a_result_says_how_cameras_were_calibrated_if_not_as_usual(output, tmp_path):
+    process(SAMPLE, tmp_path / "off.mcap", options=ProcessOptions(stages="T", calibrate="off"))
+    told = []
+    for path in (output, tmp_path / "off.mcap"):
+        with McapReader(path) as reader:
+            told.append(dict(reader.contents.metadata)[PROVENANCE].get("calibrate"))
+    assert told == [None, "off"]
 
 
 def test_version_input_and_parameters_that_changed():

@@ -117,6 +117,18 @@ def test_a_few_messages_of_a_second_are_compared_and_spread_over_it(folder, monk
         assert np.median(gaps) < SPACING_NS + 55e6  # the next message comes after 50 ms
 
 
+def test_a_block_is_cut_where_the_result_of_a_comparison_comes_in(folder):
+    with open_log(folder / "true.mcap") as log:
+        whole = join(list(log.blocks()))
+        clocks = ClockFollower({}, [], 0.0)
+        follower = PoseFollower(log.read(), PoseAlignment(), clocks, movable=True)
+        follower._start = start = int(whole.log_times[0])
+        begins = [int(part.log_times[0]) - start for part in follower._parts(whole)]
+    times = whole.log_times - start
+    ready = [round((seconds + 0.3) * 1e9) for seconds in (3, 4, 6, 8, 10)]
+    assert begins[-5:] == [times[times >= each].min() for each in ready]
+
+
 def test_only_the_people_of_the_last_seconds_are_compared(folder, monkeypatch):
     compared: list[float] = []
 

@@ -181,7 +181,7 @@ def test_a_live_room_grows_with_its_people(people, far, is_new):
     assert view._outgrows(content(people, far)) == is_new
 
 
-def test_live_input_is_followed_as_it_comes(whole_crossing, monkeypatch):
+def test_live_input_is_followed_as_it_comes(whole_crossing, tmp_path, monkeypatch):
     """The cursor stays at what came last, and seconds count from the first message."""
     from hiros_viewer import live
     from hiros_viewer.destinations import new_recording
@@ -194,7 +194,9 @@ def test_live_input_is_followed_as_it_comes(whole_crossing, monkeypatch):
         explained(recording, content, layout, note)
 
     monkeypatch.setattr(live, "explain", noting)
-    with headless() as (url, viewer), whole_crossing.open("rb", buffering=0) as file:
+    log = tmp_path / "log.mcap"
+    first_seconds(whole_crossing, 3.2, log)
+    with headless() as (url, viewer), log.open("rb", buffering=0) as file:
         from rerun.experimental import ViewerClient
 
         recording = new_recording("live")
