@@ -100,14 +100,13 @@ def printable(text: object, limit: int = LIMIT) -> str:
     """``str(text)`` with everything unsafe written as an escape, at most ``limit`` characters."""
     raw = str(text)
     cut = raw[:limit]
-    safe = "".join(_escape(char) if unicodedata.category(char) in UNSAFE else char for char in cut)
+    safe = "".join(
+        char.encode("unicode_escape").decode() if unicodedata.category(char) in UNSAFE else char
+        for char in cut
+    )
     if len(raw) <= limit and len(safe) <= limit:
         return safe
     return safe[: limit - 1] + "…"
-
-
-def _escape(char: str) -> str:
-    return char.encode("unicode_escape").decode("ascii")
 
 
 def error_line(error: BaseException, *, bug: bool = False) -> str:

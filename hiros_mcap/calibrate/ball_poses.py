@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hiros_mcap.body.rotations import Rigid, to_matrix
+from hiros_mcap.body.rotations import Rigid, conjugate, multiply, to_matrix, to_vector
 from hiros_mcap.calibrate.gauge import moved, on_transforms
 from hiros_mcap.calibrate.pair_pose import links_from
 from hiros_mcap.calibrate.registration import common_frames, jackknife, rigid_fit
@@ -156,9 +156,8 @@ def calibrate_centres(
     rig, gauge = _in_fixed_frame(tracks, placements, given or {})
     cameras = []
     for c, track in enumerate(tracks):
-        turn = _quaternion(rig.rotations[c])
         seen = int(np.isfinite(track.centres).all(axis=1).sum())
-        camera = BallCamera(track.camera, track.frame, pose=Rigid(turn, rig.shifts[c]), seen=seen)
+        camera = BallCamera(track.camera, track.frame, pose=rig.pose(c), seen=seen)
         if c:
             camera = _described(camera, tracks[placements[c][0]].camera, placements[c][1])
         cameras.append(camera)
@@ -364,13 +363,11 @@ def _standard_errors(source: Floats, target: Floats, pose: Rigid) -> tuple[float
 
     The errors of successive frames are alike, so whole parts of the log are left out in turn.
     """
-    from scipy.spatial.transform import Rotation
-
     steps = []
     for block in np.array_split(np.arange(len(source)), BLOCKS):
         part = rigid_fit(np.delete(source, block, axis=0), np.delete(target, block, axis=0))
-        turn = Rotation.from_quat(part.xyzw) * Rotation.from_quat(pose.xyzw).inv()
-        steps.append([*turn.as_rotvec(), *(part.translation - pose.translation)])
+        turn = to_vector(multiply(part.xyzw, conjugate(pose.xyzw)))
+        steps.append([*turn, *(part.translation - pose.translation)])
     variances = jackknife(np.array(steps) - np.mean(steps, axis=0))
     turn_error, shift_error = np.sqrt(variances[:3].sum()), np.sqrt(variances[3:].sum())
     return float(np.degrees(turn_error)), float(shift_error)
@@ -390,9 +387,3 @@ def _in_fixed_frame(
     if not fixed:
         return rig, "first camera"
     return moved(rig, on_transforms(rig, fixed)), "transforms"
-
-
-def _quaternion(matrix: Floats) -> Floats:
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(matrix).as_quat(canonical=True))

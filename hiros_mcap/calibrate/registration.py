@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.body.rotations import Rigid, nearest_rotation
+from hiros_mcap.body.rotations import Rigid, from_matrix, nearest_rotation
 from hiros_mcap.errors import RegistrationError
 from hiros_mcap.skeletons import Flags, Floats, Stamps, nearest_stamps
 
@@ -213,8 +213,6 @@ def rigid_fit(source: Floats, target: Floats) -> Rigid:
     RegistrationError
         The shapes differ, fewer than three pairs are known, or all lie on a line.
     """
-    from scipy.spatial.transform import Rotation
-
     source, target = np.asarray(source, np.float64), np.asarray(target, np.float64)
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3:
         raise RegistrationError(
@@ -232,7 +230,7 @@ def rigid_fit(source: Floats, target: Floats) -> Rigid:
                 "the points lie on a line: they do not determine the rotation about it"
             )
     matrix, shift = kabsch(source, target)
-    return Rigid(Rotation.from_matrix(matrix).as_quat(canonical=True), shift)
+    return Rigid(from_matrix(matrix), shift)
 
 
 def kabsch(
@@ -270,8 +268,6 @@ def board_frame(centres: Floats) -> Rigid:
     RegistrationError
         A centre is missing, or the three lie on a line.
     """
-    from scipy.spatial.transform import Rotation
-
     centres = np.asarray(centres, np.float64)
     if centres.ndim != 2 or centres.shape[0] < 3 or not np.isfinite(centres[:3]).all():
         raise RegistrationError("the centres of markers 0, 1 and 2 are needed")
@@ -282,7 +278,7 @@ def board_frame(centres: Floats) -> Rigid:
         raise RegistrationError("the markers lie on a line: they do not define a plane")
     axes = [x, np.cross(z, x), z]
     matrix = np.stack([axis / np.linalg.norm(axis) for axis in axes], axis=1)
-    return Rigid(Rotation.from_matrix(matrix).as_quat(canonical=True), origin)
+    return Rigid(from_matrix(matrix), origin)
 
 
 def cauchy(errors: Floats) -> Floats:

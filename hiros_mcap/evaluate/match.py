@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from hiros_mcap.evaluate.mot import FrameSimilarity, best_pairs
-from hiros_mcap.evaluate.statistics import nan_mean
 from hiros_mcap.evaluate.truth import Truth
+from hiros_mcap.kernels.distance import mean_distances
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, Ints, SkeletonModel, Stamps
 
 MATCH_DISTANCE = 1.0
@@ -286,7 +286,6 @@ def skeleton_distances(a: Floats, b: Floats) -> Floats:
     -------
     (A, B) distances, m; infinite where two skeletons share no marker.
     """
-    if not (len(a) and len(b)):
-        return np.zeros((len(a), len(b)))  # nobody was seen: b may have no markers at all
-    mean = nan_mean(np.linalg.norm(a[:, None] - b[None], axis=-1), -1)
-    return np.where(np.isnan(mean), np.inf, mean)
+    distances = np.empty((len(a), len(b)))
+    mean_distances(np.ascontiguousarray(a), np.ascontiguousarray(b), distances)
+    return distances

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hiros_mcap.kernels.assignment import assign
 from hiros_mcap.skeletons import Floats, Stamps
 
 ALPHAS = np.arange(0.05, 0.99, 0.05)
@@ -127,17 +128,6 @@ def _alignment(placed: Sequence[tuple[Stamps, Stamps, Floats]], both: Floats) ->
 
 
 def best_pairs(cost: Floats) -> list[tuple[int, int]]:
-    """Assign rows to columns: as many pairs as possible, of these the ones with the least sum.
-
-    ``cost`` is (R, C); pairs of infinite cost are not allowed. Returns pairs (row, column) by row.
-    """
-    allowed = np.isfinite(cost)
-    rows, columns = (each.tolist() for each in np.nonzero(allowed))
-    if len(set(rows)) == len(rows) == len(set(columns)):
-        return list(zip(rows, columns, strict=True))  # nobody has a choice
-    from scipy.optimize import linear_sum_assignment
-
-    # One forbidden pair costs more than all allowed ones together can save.
-    forbidden = (2 * np.abs(cost[allowed]).max() + 1) * (max(cost.shape) + 1)
-    best = np.transpose(linear_sum_assignment(np.where(allowed, cost, forbidden))).tolist()
-    return [(row, column) for row, column in best if allowed[row, column]]
+    """Return the pairs (row, column) of :func:`~.assignment.assign`, by row; ``cost`` is (R, C)."""
+    rows = assign(np.ascontiguousarray(cost)).tolist()
+    return sorted((row, column) for column, row in enumerate(rows) if row >= 0)

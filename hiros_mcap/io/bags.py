@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -117,80 +117,95 @@ def _listed(metadata: Path) -> list[str] | None:
     return names if plain else None
 
 
-class BagReader(McapReader):
-    """Reads the skeletons and transforms of a bag, or the named topic, as an MCAP in memory.
+class MemoryReader(McapReader):
+    """Reads an MCAP in memory that was made of another recording.
 
-    Raises LogError if the bag is damaged, or holds no skeletons and no topic was named.
+    Parameters
+    ----------
+    path : of the recording. write : writes the MCAP. memory : bytes that reading may take.
+
+    Attributes
+    ----------
+    checked : whether checksums cover every message of the recording; rosbags compares none.
     """
 
-    _checksums = False
+    checked = False
 
-    def __init__(self, path: Path, kind: str, *, memory: int = MEMORY, topic: str = "") -> None:
-        self._topic = topic
-
-        def convert(writer: McapWriter) -> None:
-            with open_bag(path, kind) as bag:
-                self._convert(bag, writer)
-
-        self._open_converted(path, convert, memory)
-
-    def _open_converted(
-        self, path: Path, convert: Callable[[McapWriter], None], memory: int
-    ) -> None:
-        """Let ``convert`` write an MCAP into memory and open it."""
-        self.path = path
-        self.left_out: dict[str, tuple[str, int]] = {}
+    def __init__(self, path: Path, write: Callable[[McapWriter], object], memory: int) -> None:
         sink = MemorySink(path)
         with McapWriter(sink) as writer:
-            convert(writer)
+            write(writer)
             writer.commit()
         super().__init__(sink.file, memory=memory)
 
     @property
     def has_checksums(self) -> bool:
-        """Whether checksums cover every message of every file; rosbags compares none."""
-        return self._checksums
-
-    def _takes(self, topic: str, name: str) -> bool:
-        """Whether the messages of a topic, of the type ``name``, are taken over."""
-        if self._topic:
-            return topic == self._topic
-        return hiros_schemas.short_name(name) in _wanted()
-
-    def _convert(self, bag: Any, writer: McapWriter) -> None:
-        taken = [c for c in bag.connections if self._takes(c.topic, c.msgtype)]
-        for connection in bag.connections:
-            if connection not in taken:
-                _, n = self.left_out.get(connection.topic, ("", 0))
-                self.left_out[connection.topic] = (connection.msgtype, n + connection.msgcount)
-        if not self._topic and not any(_shows_people(c.msgtype) for c in bag.connections):
-            topics = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in bag.connections}))
-            fault = f"has no SkeletonGroup topic; {OTHER_FILES}; it has {topics or 'none'}"
-            raise LogError(fault, path=self.path)
-        if not taken:
-            return  # rosbags would yield all messages
-        texts = {connection.msgtype: connection.msgdef.data for connection in taken}
-        store = bag.typestore if bag.is2 else types_of(texts)
-        channels: dict[tuple[str, str], int] = {}
-        schemas: dict[str, int] = {}
-        for connection in taken:
-            name = connection.msgtype
-            if name not in schemas:
-                text = store.generate_msgdef(name, ros_version=2)[0]
-                schemas[name] = writer.add_schema(name, text.encode())
-            key = connection.topic, name
-            if key not in channels:
-                channels[key] = writer.add_channel(
-                    connection.topic, schemas[name], metadata=_metadata(connection)
-                )
-        for connection, time, data in bag.messages(taken):
-            channel = channels[connection.topic, connection.msgtype]
-            cdr = data if bag.is2 else store.ros1_to_cdr(data, connection.msgtype)
-            writer.write(channel, time, bytes(cdr))
+        """Whether a damaged message of the recording is noticed."""
+        return self.checked
 
 
-class SplitReader(BagReader):
-    """Reads the skeletons and transforms of several MCAP files that are one recording.
+def _takes(wanted: str, topic: str, name: str) -> bool:
+    """Whether messages of a topic and a type are taken over: of people, or the wanted topic."""
+    return topic == wanted if wanted else hiros_schemas.short_name(name) in _wanted()
+
+
+def read_bag(path: Path, kind: str, *, memory: int = MEMORY, topic: str = "") -> McapReader:
+    """Read the skeletons and transforms of a bag, or the named topic, as an MCAP in memory.
+
+    Raises LogError if the bag is damaged, or holds no skeletons and no topic was named.
+    """
+    left_out: dict[str, tuple[str, int]] = {}
+
+    def write(writer: McapWriter) -> None:
+        with open_bag(path, kind) as bag:
+            taken = [c for c in bag.connections if _takes(topic, c.topic, c.msgtype)]
+            for connection in bag.connections:
+                if connection not in taken:
+                    _, n = left_out.get(connection.topic, ("", 0))
+                    left_out[connection.topic] = (connection.msgtype, n + connection.msgcount)
+            if not topic and not any(_shows_people(c.msgtype) for c in bag.connections):
+                topics = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in bag.connections}))
+                fault = f"has no SkeletonGroup topic; {OTHER_FILES}; it has {topics or 'none'}"
+                raise LogError(fault, path=path)
+            if taken:  # else rosbags would yield all messages
+                _convert(bag, taken, writer)
+
+    reader = MemoryReader(path, write, memory)
+    reader.left_out = left_out
+    return reader
+
+
+def _convert(bag: Any, taken: Sequence[Connection], writer: McapWriter) -> None:
+    """Write the messages of some connections of a bag."""
+    texts = {connection.msgtype: connection.msgdef.data for connection in taken}
+    store = bag.typestore if bag.is2 else types_of(texts)
+    channels: dict[tuple[str, str], int] = {}
+    schemas: dict[str, int] = {}
+    for connection in taken:
+        name = connection.msgtype
+        if name not in schemas:
+            text = store.generate_msgdef(name, ros_version=2)[0]
+            schemas[name] = writer.add_schema(name, text.encode())
+        key = connection.topic, name
+        if key not in channels:
+            channels[key] = writer.add_channel(
+                connection.topic, schemas[name], metadata=_metadata(connection)
+            )
+    for connection, time, data in bag.messages(taken):
+        channel = channels[connection.topic, connection.msgtype]
+        cdr = data if bag.is2 else store.ros1_to_cdr(data, connection.msgtype)
+        writer.write(channel, time, bytes(cdr))
+
+
+def read_parts(
+    path: Path,
+    parts: list[Path],
+    *,
+    recover: bool = False,
+    memory: int = MEMORY,
+    topic: str = "",
+) -> McapReader:
+    """Read the skeletons and transforms of several MCAP files that are one recording.
 
     Parameters
     ----------
@@ -199,38 +214,32 @@ class SplitReader(BagReader):
     recover : take what can be read of damaged files; ``recovery`` says what is lost.
     memory : bytes that reading may take. topic : what to take instead of skeletons.
     """
+    left_out: dict[str, tuple[str, int]] = {}
+    checked, recovery = True, Recovery()
 
-    def __init__(
-        self,
-        path: Path,
-        parts: list[Path],
-        *,
-        recover: bool = False,
-        memory: int = MEMORY,
-        topic: str = "",
-    ) -> None:
-        self._topic = topic
-        self._checksums = True
-
-        def convert(writer: McapWriter) -> None:
-            recovery = join(parts, writer, recover=recover, wanted=self._wanted)
-            self.recovery = recovery if recover else None
-
-        self._open_converted(path, convert, memory)
-
-    def _wanted(self, part: McapReader) -> Collection[int]:
+    def wanted(part: McapReader) -> Collection[int]:
         """Return the channels of a part that are taken over; note the others."""
-        self._checksums &= part.has_checksums
-        wanted = set()
+        nonlocal checked
+        checked &= part.has_checksums
+        taken = set()
         for channel in part.channels.values():
             schema = part.schema(channel)
             name, n = schema.name if schema else "no type", part.counts.get(channel.id, 0)
-            if schema and self._takes(channel.topic, name):
-                wanted.add(channel.id)
+            if schema and _takes(topic, channel.topic, name):
+                taken.add(channel.id)
             else:
-                n += self.left_out.get(channel.topic, ("", 0))[1]
-                self.left_out[channel.topic] = name, n
-        return wanted
+                n += left_out.get(channel.topic, ("", 0))[1]
+                left_out[channel.topic] = name, n
+        return taken
+
+    def write(writer: McapWriter) -> None:
+        nonlocal recovery
+        recovery = join(parts, writer, recover=recover, wanted=wanted)
+
+    reader = MemoryReader(path, write, memory)
+    reader.checked, reader.left_out = checked, left_out
+    reader.recovery = recovery if recover else None
+    return reader
 
 
 def join(

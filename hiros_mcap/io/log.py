@@ -28,7 +28,7 @@ import numpy as np
 import hiros_schemas
 from hiros_mcap.body.transforms import TransformTree, parse_tf, read_extrinsics
 from hiros_mcap.errors import LogError, naming
-from hiros_mcap.io.bags import BagReader, SplitReader, kind_of, parts_of
+from hiros_mcap.io.bags import kind_of, parts_of, read_bag, read_parts
 from hiros_mcap.io.channels import (
     OUTPUT_PREFIX,
     TF_TOPICS,
@@ -252,9 +252,9 @@ def open_reader(
     path = Path(path)
     parts = parts_of(path, recover=recover)
     if len(parts) > 1:
-        return SplitReader(path, parts, recover=recover, memory=memory, topic=topic)
+        return read_parts(path, parts, recover=recover, memory=memory, topic=topic)
     if not parts:
-        return BagReader(path, kind_of(path), memory=memory, topic=topic)
+        return read_bag(path, kind_of(path), memory=memory, topic=topic)
     return (RecoveringReader if recover else McapReader)(parts[0], memory=memory)
 
 

@@ -208,7 +208,10 @@ def _of_file(path: str | os.PathLike[str], reader: McapReader) -> Overview:
         seconds=(end - start) / 1e9,
         megabytes=_size(Path(reader.path)) / 1e6,
         has_checksums=reader.has_checksums,
-        channels=_channel_rows(channels, spans),
+        channels=tuple(
+            _channel_row((i.topic, i.schema), i.encoding, i.count, spans.get(i.id))
+            for i in channels
+        ),
         people=_people(reader, channels) if kind in ("result", "golden", "truth") else (),
         run=_run(reader) if kind in ("result", "golden") else None,
     )
@@ -316,14 +319,6 @@ def _stamps(data: Bytes, rows: Table, at: int) -> list[int]:
             time = seconds * 1_000_000_000 + nanoseconds
         times.append(time)
     return times
-
-
-def _channel_rows(
-    channels: Iterable[ChannelInfo], spans: Mapping[int, tuple[int, int]]
-) -> tuple[ChannelRow, ...]:
-    return tuple(
-        _channel_row((i.topic, i.schema), i.encoding, i.count, spans.get(i.id)) for i in channels
-    )
 
 
 def _channel_row(

@@ -161,15 +161,12 @@ class Action:
         speed = SPEED[self.gait] if self.gait else 0.0
         paths = self.layout(len(bodies), speed, rng)
         if facing_deg is not None:
-            paths = [_facing(path, np.radians(facing_deg)) for path in paths]
+            facing = np.radians(facing_deg)
+            paths = [replace(p, facing=facing) if isinstance(p, Spot) else p for p in paths]
         return [
             Person(body, _performance(self, body, path, Style.of(rng)))
             for body, path in zip(bodies, paths, strict=True)
         ]
-
-
-def _facing(path: Path, facing: float) -> Path:
-    return replace(path, facing=facing) if isinstance(path, Spot) else path
 
 
 def _performance(

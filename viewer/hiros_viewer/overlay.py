@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.evaluate.match import skeleton_distances
+from hiros_mcap.evaluate.mot import best_pairs
 from hiros_mcap.io.channels import OUTPUT_PREFIX
 from hiros_mcap.io.log import open_log
-from hiros_mcap.kernels.assignment import assign
 from hiros_mcap.skeletons import UNTRACKED, Floats, Stamps, nearest_stamps
 from hiros_viewer.poses import Poses
 from hiros_viewer.scene import Scene
@@ -78,10 +79,7 @@ def simultaneous(first: Stamps, second: Stamps) -> tuple[Stamps, Stamps]:
 def joint_distances(mine: Floats, theirs: Floats) -> Floats:
     """Distances, m, of all joints of people (P, K, 3) and (Q, K, 3), matched by place."""
     each = np.linalg.norm(mine[:, None] - theirs[None], axis=-1)
-    present = ~np.isnan(each)
-    mean = np.where(present, each, 0).sum(axis=-1) / np.maximum(present.sum(axis=-1), 1)
-    mean[~present.any(axis=-1) | (mean > SAME_PERSON)] = np.inf
-    rows = assign(np.ascontiguousarray(mean)).tolist()
-    distances = [each[row, column] for column, row in enumerate(rows) if row >= 0]
+    mean = skeleton_distances(mine, theirs)
+    distances = [each[pair] for pair in best_pairs(np.where(mean > SAME_PERSON, np.inf, mean))]
     flat = np.concatenate(distances) if distances else np.zeros(0)
     return np.asarray(flat[~np.isnan(flat)])

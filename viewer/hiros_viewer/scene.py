@@ -75,7 +75,7 @@ from hiros_viewer.view_check import (
     FaultySpan,
     ViewCheck,
     Waiting,
-    mean_distances,
+    apart,
 )
 
 STAGES = ("tracked", "merged", "optimized", "filtered", "truth")
@@ -451,16 +451,16 @@ class Scene:
                 whole = f"{self.prefix}/displacement/{path}"
                 tips = result + magnified(before - result)
                 self._entities.joint_lines(whole, times, (result, tips), is_error=False)
-            apart = mean_distances(before, result)
-            if (apart > 0).any():
+            metres = apart(before, result)
+            if (metres > 0).any():
                 self.moved.add(stage)
-            self._extend_apart(f"moved/{path}", person, times, apart)
+            self._extend_apart(f"moved/{path}", person, times, metres)
         if self.truth is not None:
             true = self._earlier["truth", person].at(times[:, 0], self.model.n_markers)
             part = person_part(person)
             whole = f"{self.prefix}/error_lines/{part}"
             self._entities.joint_lines(whole, times, (result, true), is_error=True)
-            self._extend_apart(f"error/{part}", person, times, mean_distances(result, true))
+            self._extend_apart(f"error/{part}", person, times, apart(result, true))
 
     def _extend_apart(self, path: str, person: int, times: Stamps, metres: Floats) -> None:
         """Add to a person's curve of distances, mm; NaN is left out."""

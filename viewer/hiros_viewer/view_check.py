@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hiros_mcap.evaluate.statistics import nan_mean
 from hiros_mcap.frames import rows_between
 from hiros_mcap.kernels.distance import nearest
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps, nearest_stamps
@@ -100,12 +101,9 @@ class EarlierPoses:
         return poses
 
 
-def mean_distances(first: Floats, second: Floats) -> Floats:
+def apart(first: Floats, second: Floats) -> Floats:
     """(T,) Mean distance over joints between poses (T, M, 3), m; NaN without a common joint."""
-    apart = np.linalg.norm(first - second, axis=2)
-    counts = (~np.isnan(apart)).sum(axis=1)
-    mean = np.nansum(apart, axis=1) / np.maximum(counts, 1)
-    return np.asarray(np.where(counts, mean, np.nan))
+    return nan_mean(np.linalg.norm(first - second, axis=2), 1)
 
 
 FaultySpan = tuple[str, Stamps, Stamps]

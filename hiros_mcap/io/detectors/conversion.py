@@ -17,7 +17,7 @@ from typing import Any, Literal, NamedTuple
 import hiros_schemas
 from hiros_mcap.body.transforms import parse_tf
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.bags import BagReader
+from hiros_mcap.io.bags import MemoryReader
 from hiros_mcap.io.channels import (
     LATCHED_QOS,
     TF_TOPICS,
@@ -124,19 +124,13 @@ def converted(reader: McapReader, selection: Selection) -> McapReader:
         return reader
     if selection.is_usual and not any(source.needs_conversion for source in chosen):
         return reader
-    return ConvertedReader(reader, Conversion(reader, selection, chosen, layouts))
-
-
-class ConvertedReader(BagReader):
-    """Reads what a conversion made of a log."""
-
-    def __init__(self, source: McapReader, conversion: Conversion) -> None:
-        self._checksums = source.has_checksums
-        self.recovery = source.recovery
-        self._open_converted(Path(source.path), conversion.write, source.memory)
-        self.left_out = {**source.left_out, **conversion.left_out}
-        self.remarks = tuple(conversion.remarks())
-        self.faults = {t: (n, conversion.first[t]) for t, n in conversion.faulty.items()}
+    conversion = Conversion(reader, selection, chosen, layouts)
+    new = MemoryReader(Path(reader.path), conversion.write, reader.memory)
+    new.checked, new.recovery = reader.has_checksums, reader.recovery
+    new.left_out = {**reader.left_out, **conversion.left_out}
+    new.remarks = tuple(conversion.remarks())
+    new.faults = {t: (n, conversion.first[t]) for t, n in conversion.faulty.items()}
+    return new
 
 
 def of_people(reader: McapReader, selects: Callable[[str], bool]) -> list[ChannelInfo]:

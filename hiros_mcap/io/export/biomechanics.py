@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiros_mcap.body.rotations import Y_UP, nearest_rotation
+from hiros_mcap.body.anatomy import zxy
+from hiros_mcap.body.rotations import Y_UP, from_vector, nearest_rotation, to_matrix
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.export.choices import Choices, pauses
 from hiros_mcap.io.export.rajagopal import NEEDS, PELVIS, bridged, coordinates
@@ -229,9 +230,8 @@ def write_bvh(result: Result, target: Path, choices: Choices) -> None:
     rotations = _rotations(points, tree, rest, root)
     lines += ["MOTION", f"Frames: {len(points)}", f"Frame Time: {1 / motion.rate:.8f}"]
     inner = [slot for slot in order if tree.get(slot)]
-    numbers = np.concatenate(
-        [points[:, root], *(_zxy_degrees(rotations[slot]) for slot in inner)], axis=1
-    )
+    turns = [np.degrees(angle) for slot in inner for angle in zxy(np.eye(3), rotations[slot])]
+    numbers = np.column_stack([points[:, root], *turns])
     lines += [" ".join(f"{value:.5f}" for value in row) for row in numbers.tolist()]
     write_lines(target, lines)
 
@@ -305,22 +305,14 @@ def _aligned(reference: Floats, local: Floats) -> Floats:
 
     For one vector, the shortest rotation; for several, Kabsch's (Acta Cryst. A32, 1976).
     """
-    from scipy.spatial.transform import Rotation
-
     if len(reference) == 1:
         a = reference[0] / np.linalg.norm(reference[0])
         b = local[:, 0] / np.linalg.norm(local[:, 0], axis=-1, keepdims=True)
         axis = np.cross(a, b)
         sine = np.linalg.norm(axis, axis=-1, keepdims=True)
         angle = np.arctan2(sine, (b @ a)[:, None])
-        return Rotation.from_rotvec(axis * angle / np.maximum(sine, 1e-12)).as_matrix()
+        return to_matrix(from_vector(axis * angle / np.maximum(sine, 1e-12)))
     return nearest_rotation(np.einsum("ki,tkj->tij", reference, local))
-
-
-def _zxy_degrees(matrices: Floats) -> Floats:
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(matrices).as_euler("ZXY", degrees=True))
 
 
 def _declare(

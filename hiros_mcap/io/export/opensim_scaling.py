@@ -73,7 +73,8 @@ def scaled(
         model = opensim.Model(str(path))
         state = model.initSystem()
     except (OSError, RuntimeError) as error:
-        raise ConfigError(f"{path}: OpenSim cannot read it: {_first_line(error)}") from None
+        reason = str(error).strip().partition("\n")[0].strip()
+        raise ConfigError(f"{path}: OpenSim cannot read it: {reason}") from None
     joints = _joints(opensim, path, model, state)
     factors = _factors(lengths, {joint.key: joint.place for joint in joints.values() if joint.key})
     scales = opensim.ScaleSet()
@@ -103,10 +104,6 @@ def _opensim() -> Any:
     opensim.Logger.setLevelString("Off")
     opensim.Logger.removeFileSink()
     return opensim
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).strip().partition("\n")[0].strip()
 
 
 def _joints(opensim: Any, path: Path, model: Any, state: Any) -> dict[str, _ModelJoint]:

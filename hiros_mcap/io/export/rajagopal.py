@@ -16,7 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hiros_mcap.body.anatomy import continued, zxy
-from hiros_mcap.body.rotations import Y_UP
+from hiros_mcap.body.angles import wrapped
+from hiros_mcap.body.rotations import Y_UP, from_vector, to_matrix
 from hiros_mcap.body.segments import (
     SIDES,
     Finder,
@@ -239,17 +240,17 @@ def _steady_twist(now: Floats, wanted: Floats, bend: Floats, most: float) -> Flo
     now : (T,) at which both bones are exact. wanted : (T,) as shown, NaN where it is not.
     bend : (T,) angle between the bones. most : that people reach.
     """
-    wanted = np.clip(_wrapped(bridged(wanted, unwrap=True)), -most, most)
+    wanted = np.clip(wrapped(bridged(wanted, unwrap=True)), -most, most)
     half = np.sin(np.radians(SLACK_DEG / 2)) / np.maximum(np.sin(bend), 1e-9)
     slack = 2 * np.arcsin(np.minimum(half, 1.0))
-    reached = np.clip(now + np.clip(_wrapped(wanted - now), -slack, slack), -most, most)
+    reached = np.clip(now + np.clip(wrapped(wanted - now), -slack, slack), -most, most)
     return np.where(np.abs(now) <= most + slack, reached, wanted)
 
 
 def _swing(bone: Floats) -> tuple[Floats, Floats]:
     """Angles about z and x, rad, that bring -y to a direction (T, 3): the smaller of both pairs."""
     z, x = np.arctan2(bone[:, 0], -bone[:, 1]), np.arcsin(np.clip(-bone[:, 2], -1, 1))
-    other_z, other_x = _wrapped(z + np.pi), np.copysign(np.pi, x) - x
+    other_z, other_x = wrapped(z + np.pi), np.copysign(np.pi, x) - x
     other = np.abs(other_z) + np.abs(other_x) < np.abs(z) + np.abs(x)
     return np.where(other, other_z, z), np.where(other, other_x, x)
 
@@ -257,14 +258,9 @@ def _swing(bone: Floats) -> tuple[Floats, Floats]:
 def _nearest(angles: Sequence[Floats], flexion: Floats) -> list[Floats]:
     """Return the one of two equal triples z, x, y whose z is nearer to ``flexion``."""
     z, x, y = angles
-    other = np.abs(_wrapped(z - flexion)) > np.pi / 2
-    others = (_wrapped(z + np.pi), np.copysign(np.pi, x) - x, _wrapped(y + np.pi))
+    other = np.abs(wrapped(z - flexion)) > np.pi / 2
+    others = (wrapped(z + np.pi), np.copysign(np.pi, x) - x, wrapped(y + np.pi))
     return [np.where(other, b, a) for a, b in zip((z, x, y), others, strict=True)]
-
-
-def _wrapped(angles: Floats) -> Floats:
-    """Angles within half a turn of 0, rad."""
-    return np.asarray((angles + np.pi) % (2 * np.pi) - np.pi)
 
 
 def _mirror(side: str) -> Floats:
@@ -290,12 +286,7 @@ def into(frames: Floats, vectors: Floats) -> Floats:
 
 def rotations(axes: Floats, angles: Floats) -> Floats:
     """(T, 3, 3) rotations about axes, (3,) or (T, 3), by angles (T,), rad; NaN where they are."""
-    from scipy.spatial.transform import Rotation
-
-    vectors = np.asarray(unit(np.atleast_2d(axes)) * angles[:, None])
-    absent = np.asarray(np.isnan(vectors).any(axis=-1))
-    matrices = Rotation.from_rotvec(np.where(absent[:, None], 0.0, vectors)).as_matrix()
-    return np.where(absent[:, None, None], np.nan, matrices)
+    return to_matrix(from_vector(np.asarray(unit(np.atleast_2d(axes)) * angles[:, None])))
 
 
 def bridged(values: Floats, *, unwrap: bool = False) -> Floats:

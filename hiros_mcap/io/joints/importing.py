@@ -387,7 +387,7 @@ def _frames(path: Path, camera: str, mapping: FileMapping) -> tuple[SkeletonMode
         people = {
             ids[who]: rows.values()
             for who, rows in instants[time].items()
-            if any(map(_seen, rows.values()))
+            if not all(any(map(math.isnan, row.position)) for row in rows.values())
         }
         stamp = round((start + time) * 1e9)
         frame = Frame.empty(len(people), model, stamp=stamp, source=camera, frame_id=frame_id)
@@ -412,10 +412,6 @@ def _names(path: Path, joints: Iterable[str], renamed: Mapping[str, str]) -> lis
             f"{path}: [joints] gives the name {twice} to a joint, but another one has it"
         )
     return names
-
-
-def _seen(row: JointRow) -> bool:
-    return not any(map(math.isnan, row.position))
 
 
 def _start(path: Path, first: float, last: float, mapping: TimeMapping) -> float:

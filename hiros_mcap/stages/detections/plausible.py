@@ -47,7 +47,7 @@ from hiros_mcap.kernels.array_types import B1, F1, F2, I1, I2, J2, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.kernels.distance import centre
 from hiros_mcap.kernels.points import norm3, point_distance
-from hiros_mcap.skeletons import UNTRACKED, Floats, People, SkeletonModel, Stamps
+from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.detections.detection_params import PlausibleParams
 
@@ -90,57 +90,42 @@ def drop_implausible_blocks(
     ------
     The same frames at once.
     """
-    params = params or PlausibleParams()
+    params, events = params or PlausibleParams(), Events() if events is None else events
     if not params.limbs:
         yield from blocks
         return
-    bodies = _LimbHistories(model, params, Events() if events is None else events, cameras or {})
-    yield from map(bodies.compare, blocks)
-
-
-class _LimbHistories:
-    """What is known of everybody's limbs."""
-
-    def __init__(
-        self, model: SkeletonModel, params: PlausibleParams, events: Events,
-        places: Mapping[str, Floats],
-    ) -> None:  # fmt: skip
-        self._links = links_of(model)
-        self._params = params
-        self._events, self._places = events, places
-        self._bank = Bank(LimbPast.empty(len(self._links.ends)), _FORGET)
-        self._cameras = CameraNumbers()
-
-    def compare(self, block: Block) -> Block:
-        """Return a block with less confident markers, and without those of distorted views."""
-        people, (rows, owners) = block.people, block.everybody()
-        past_rows = np.full(len(people.ids), -1, np.int64)
-        past_rows[rows] = self._bank.rows_of(people.ids[rows], block.stamps[owners])
-        messages = self._cameras.messages(block)
-        places = places_of(self._cameras, self._places)
+    links, numbers = links_of(model), CameraNumbers()
+    bank = Bank(LimbPast.empty(len(links.ends)), _FORGET)
+    for block in blocks:
+        people, (views, owners) = block.people, block.everybody()
+        rows = np.full(len(people.ids), -1, np.int64)
+        rows[views] = bank.rows_of(people.ids[views], block.stamps[owners])
+        messages, places = numbers.messages(block), places_of(numbers, cameras or {})
+        if new := max(len(places) - bank.past.seen.shape[1], 0):
+            seen = np.pad(bank.past.seen, ((0, 0), (0, new)))
+            bank.past = bank.past._replace(seen=seen)
         work = PlausibleWork.of(len(people.ids), len(places), people.markers.shape[1])
-        seen = self._bank.past.seen
-        if len(places) > seen.shape[1]:
-            seen = np.pad(seen, ((0, 0), (0, len(places))))
-            self._bank.past = self._bank.past._replace(seen=seen)
         # What is not written is shared: the tracker may still write into others of the arrays.
         people = people._replace(marker_confidences=people.marker_confidences.copy())
         find_implausible(
-            messages, people, past_rows, places, self._links, self._bank.past,
-            self._params.max_deviation, self._params.enough, self._params.patience, work,
+            messages, people, rows, places, links, bank.past, params.max_deviation, params.enough,
+            params.patience, work,
         )  # fmt: skip
-        if not work.counts.any():
-            return block
-        kinds = DISTORTED, CONTRADICTORY
-        for kind, by_camera in zip(kinds, work.counts.tolist(), strict=True):
-            for source, n in zip(self._cameras, by_camera, strict=True):
-                self._events.count(kind, source, n)
+        for kind, by_camera in zip((DISTORTED, CONTRADICTORY), work.counts.tolist(), strict=True):
+            for source, n in zip(numbers, by_camera, strict=True):
+                events.count(kind, source, n)
         if work.left_out.any():
-            people = people.copy()
-            for array in people.markers, people.marker_confidences, people.links:
-                array[work.left_out] = np.nan
-            people.link_confidences[work.left_out] = np.nan
-        return replace(block, people=people)
+            people = _without(people, work.left_out)
+        yield replace(block, people=people) if work.counts.any() else block
+
+
+def _without(people: People, left_out: Flags) -> People:
+    """Return copies of people, some without markers and links."""
+    people = people.copy()
+    for array in people.markers, people.marker_confidences, people.links:
+        array[left_out] = np.nan
+    people.link_confidences[left_out] = np.nan
+    return people
 
 
 def links_of(model: SkeletonModel) -> LimbLinks:
