@@ -15,8 +15,13 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
 from hiros_mcap.stages.merge.merge import MergeParams, merge_blocks
 from hiros_mcap.stages.merge.unseen import Unseen
-from hiros_mcap.stages.track.limb_scatter import LimbScatter
-from hiros_mcap.stages.track.reidentify import PersonCues, limb_cues, place_cue, reidentify
+from hiros_mcap.stages.track.reidentify import (
+    LimbScatter,
+    PersonCues,
+    limb_cues,
+    place_cue,
+    reidentify,
+)
 from hiros_mcap.stages.track.track import _Tracker, track_blocks
 from hiros_mcap.stages.track.track_params import TrackParams
 

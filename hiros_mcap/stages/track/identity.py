@@ -11,8 +11,14 @@ import numpy as np
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
 from hiros_mcap.skeletons import UNTRACKED, Floats, Ints
-from hiros_mcap.stages.track.limb_scatter import SECOND, LimbScatter
-from hiros_mcap.stages.track.reidentify import OVERLAP, PersonCues, Verdict, reidentify
+from hiros_mcap.stages.track.reidentify import (
+    OVERLAP,
+    SECOND,
+    LimbScatter,
+    PersonCues,
+    Verdict,
+    reidentify,
+)
 from hiros_mcap.stages.track.track_params import TrackParams
 from hiros_mcap.stages.track.tracked_people import (
     DetectionGroup,
