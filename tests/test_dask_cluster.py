@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
+from worker_tasks import die
 
 from hiros_cli.app import run
 from hiros_mcap.many.cluster_runner import on_cluster
@@ -97,23 +98,17 @@ def test_a_killed_workers_logs_are_done_by_others(cluster, client, walking, tmp_
     assert len({(out / f"{k}.hiros.mcap").read_bytes() for k in range(5)}) == 1
 
 
-def kill_at(number):
-    if number == 1:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return number
-
-
 def test_a_task_that_kills_workers_is_given_up_and_the_others_are_not(cluster, client):
     runner = on_cluster(str(cluster), [])
-    answers = dict(runner(kill_at, [(n,) for n in range(3)], lost=lambda k, why: -k))
-    assert answers == {0: 0, 1: -1, 2: 2}
+    answers = dict(runner(die, [(n,) for n in range(4)], lost=lambda k, why: -k))
+    assert answers == {0: 0, 1: 1, 2: -2, 3: 3}
 
 
 def test_workers_that_do_not_see_the_logs_are_refused(cluster, capsys):
     from hiros_mcap.errors import ConfigError
 
     with pytest.raises(ConfigError, match="does not see /nowhere/lab.mcap; logs and results"):
-        list(on_cluster(str(cluster), ["/nowhere/lab.mcap"])(kill_at, [(0,)], lost=max))
+        list(on_cluster(str(cluster), ["/nowhere/lab.mcap"])(die, [(0,)], lost=max))
 
 
 def test_a_scheduler_that_is_not_there_is_one_line(walking, tmp_path, capsys):

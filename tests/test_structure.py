@@ -60,7 +60,9 @@ def parameters(function):
 def imported(parent):
     """Names of modules that are imported when the code runs, wherever the statement stands."""
     for node in ast.iter_child_nodes(parent):
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test):
+        if not isinstance(node, ast.stmt | ast.ExceptHandler | ast.match_case):
+            continue  # no expression imports anything
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
             continue
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)

@@ -6,50 +6,16 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from pathlib import Path
 
 import pytest
+from worker_tasks import die, dies_once, hold_second, refuse, square, where
 
 from hiros_mcap.errors import HirosError, LogError
 from hiros_mcap.workers import run_tasks
 
 SAMPLES = Path(__file__).parent.parent / "sample_data"
-
-
-def square(number):
-    return number * number
-
-
-def where(_):
-    return os.getpid()
-
-
-def refuse(number):
-    if number == 3:
-        raise LogError("is damaged", path="lab.mcap", topic="/camera")
-    return number
-
-
-def die(number):
-    if number == 2:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return number
-
-
-def dies_once(flag):
-    if not Path(flag).exists():
-        Path(flag).touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return os.getpid()
-
-
-def hold(folder):
-    """Hold a temporary folder until somebody stops it."""
-    with tempfile.TemporaryDirectory() as temporary:
-        (Path(folder) / f"{os.getpid()}.started").write_text(temporary)
-        time.sleep(60)
 
 
 @pytest.mark.parametrize("jobs", [1, 9])
@@ -107,11 +73,6 @@ def test_whoever_stops_asking_stops_the_processes(tmp_path):
     assert not Path(held[0]).parent.exists()
 
 
-def hold_second(folder, number):
-    if number == 1:
-        hold(folder)
-
-
 @pytest.mark.skipif(os.name != "posix", reason="needs process groups")
 @pytest.mark.parametrize(
     ("name", "seconds"),
@@ -140,7 +101,7 @@ def test_a_signal_to_all_processes_ends_them_silently(name, seconds, tmp_path):
 def test_the_processes_end_with_the_first_however_that_ends(tmp_path):
     code = (
         f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
-        "from test_workers import hold; from hiros_mcap.workers import run_tasks\n"
+        "from worker_tasks import hold; from hiros_mcap.workers import run_tasks\n"
         f"if __name__ == '__main__': list(run_tasks(hold, [({str(tmp_path)!r},)] * 2, 2))"
     )
     script = tmp_path / "run.py"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,6 @@ from hiros_viewer.palette import (
     curve_colour,
     faint,
     label_colour,
-    marker_colour,
     pale,
     shade,
 )
@@ -124,7 +124,8 @@ class Entities:
     def room(self, *, dim_detections: bool) -> None:
         """Draw the axes, and say what colours and bones each class has."""
         self.recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        self.recording.log("/", self._annotations(dim_detections=dim_detections), static=True)
+        classes = _annotations(self.model.marker_names, dim_detections=dim_detections)
+        self.recording.log("/", classes, static=True)
 
     def _document(self, path: str, text: str) -> None:
         self.recording.log(path, rr.TextDocument(text, media_type="text/markdown"), static=True)
@@ -180,33 +181,6 @@ class Entities:
                 [[0.0, -0.3, 0.0]], radii=0.001, labels=[name], colors=[text_colour]
             )
             self.recording.log(f"{path}/name", label, static=True)
-
-    def _annotations(self, *, dim_detections: bool) -> Any:
-        """Return the classes: people, and each camera's detections."""
-
-        def keypoints(number: int, name: str, colour: RGB, left: int) -> list[Any]:
-            names = enumerate(self.model.marker_names)
-            joints = [
-                rr.AnnotationInfo(k, joint, _packed(marker_colour(colour, joint)))
-                for k, joint in names
-            ]
-            return [
-                rr.ClassDescription(
-                    info=(number, name, _packed(colour)), keypoint_annotations=joints
-                ),
-                rr.ClassDescription(info=(left, name, _packed(shade(colour)))),
-            ]
-
-        classes = keypoints(_TRUE, "truth", TRUTH, _LEFT + _TRUE)
-        for k in range(CLASSES):
-            hue, hidden = person_colour(k), _FAINT + k
-            classes += keypoints(k, f"person {k}", hue, _LEFT + k)
-            classes += keypoints(hidden, f"person {k}", faint(hue), _LEFT + hidden)
-        for camera in range(len(CAMERAS)):
-            colour = camera_colour(camera) if dim_detections else curve_colour(camera)
-            number = _FIRST_CAMERA_CLASS + camera
-            classes += keypoints(number, "", colour, number + len(CAMERAS))
-        return rr.AnnotationContext(classes)
 
     # -- skeletons -----------------------------------------------------------------------------
 
@@ -477,3 +451,31 @@ def _packed(colour: RGB) -> int:
     """Return a colour as the 32 bits that rerun makes of it."""
     red, green, blue = colour
     return red << 24 | green << 16 | blue << 8 | 0xFF
+
+
+@cache
+def _annotations(marker_names: tuple[str, ...], *, dim_detections: bool) -> Any:
+    """Return the classes: people, and each camera's detections. They take a tenth of a second."""
+    sides = [split_side(name)[1] for name in marker_names]
+
+    def keypoints(number: int, name: str, colour: RGB, left: int) -> list[Any]:
+        plain, dark = _packed(colour), _packed(shade(colour))
+        joints = [
+            rr.AnnotationInfo(k, joint, dark if side == "left" else plain)
+            for k, (joint, side) in enumerate(zip(marker_names, sides, strict=True))
+        ]
+        return [
+            rr.ClassDescription(info=(number, name, plain), keypoint_annotations=joints),
+            rr.ClassDescription(info=(left, name, dark)),
+        ]
+
+    classes = keypoints(_TRUE, "truth", TRUTH, _LEFT + _TRUE)
+    for k in range(CLASSES):
+        hue, hidden = person_colour(k), _FAINT + k
+        classes += keypoints(k, f"person {k}", hue, _LEFT + k)
+        classes += keypoints(hidden, f"person {k}", faint(hue), _LEFT + hidden)
+    for camera in range(len(CAMERAS)):
+        colour = camera_colour(camera) if dim_detections else curve_colour(camera)
+        number = _FIRST_CAMERA_CLASS + camera
+        classes += keypoints(number, "", colour, number + len(CAMERAS))
+    return rr.AnnotationContext(classes)

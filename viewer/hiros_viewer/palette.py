@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.io.export.markers import RGB
 
 CAMERAS: tuple[RGB, ...] = (
@@ -71,11 +70,6 @@ def shade(colour: RGB) -> RGB:
     """Return the darker shade of a colour, which left limbs have."""
     red, green, blue = (round(_LEFT * part) for part in colour)
     return red, green, blue
-
-
-def marker_colour(colour: RGB, marker: str) -> RGB:
-    """Colour of one marker of somebody with this colour."""
-    return shade(colour) if split_side(marker)[1] == "left" else colour
 
 
 def curve_colour(index: int) -> RGB:
