@@ -79,9 +79,9 @@ def sightings_from(
     absent = np.isnan(positions).any(axis=2) | (confidences <= 0.0)
     weights = np.where(absent, 0.0, confidences.astype(np.float64) ** CONFIDENCE_POWER)
     places = np.where(absent[:, :, None], np.nan, positions)
-    ends = np.cumsum(counts)[:-1]
-    parts = np.split(places.astype(np.float64), ends), np.split(weights, ends)
-    return [Sighting(*each) for each in zip(seconds.tolist(), *parts, strict=False)]
+    places, ends = places.astype(np.float64), np.cumsum(counts).tolist()
+    spans = zip(seconds.tolist(), [0, *ends], ends, strict=False)
+    return [Sighting(time, places[begin:end], weights[begin:end]) for time, begin, end in spans]
 
 
 GATE_M = 0.35

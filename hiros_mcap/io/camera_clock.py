@@ -291,8 +291,7 @@ def _recorder(others: Sequence[CameraTimes], log_times: Stamps) -> Floats:
 
 def _smooth(values: Floats) -> Floats:
     """(N,) median of each value and its neighbours."""
-    padded = np.pad(values, 1, mode="edge")
-    before, after = padded[:-2], padded[2:]
+    before, after = np.append(values[:1], values[:-1]), np.append(values[1:], values[-1:])
     low, high = np.minimum(before, after), np.maximum(before, after)
     return np.asarray(np.maximum(low, np.minimum(high, values)))
 
@@ -301,15 +300,17 @@ def _largest_step(stamps: Floats, logged: Floats) -> Step | None:
     """Return the largest step of a clock, None if there is none."""
     period = _period(stamps)
     intervals, lags = np.diff(stamps), logged - stamps
-    noise = 1.48 * float(np.median(np.abs(intervals - period)))
-    jumps = -np.diff(lags)
-    jitter = 1.48 * float(np.median(np.abs(jumps)))
     odd = np.flatnonzero(np.abs(intervals - period) > IRREGULAR) + 1
     odd = odd[(odd >= LEAST_AFTER) & (odd <= len(lags) - LEAST_AFTER)]
     least = _LEAST_STEP + _LARGEST_DRIFT * np.maximum(intervals[odd - 1], 0.0)
     falls, rises = _gaps(lags, odd)
     # Most that is odd are lost messages, beside which the lags are mixed.
     parts = np.maximum(falls, rises) > _PARTED * least
+    if not parts.any():
+        return None
+    noise = 1.48 * float(np.median(np.abs(intervals - period)))
+    jumps = -np.diff(lags)
+    jitter = 1.48 * float(np.median(np.abs(jumps)))
     steps: list[tuple[float, Step]] = []
     columns = (array[parts].tolist() for array in (odd, least, falls, rises))
     for k, smallest, falls_by, rises_by in zip(*columns, strict=True):

@@ -247,9 +247,9 @@ class _Bodies:
             return
         frames, origins = local_frames(positions, self._lateral)
         poses = (positions - origins) @ frames
-        for person, (row,) in people:
+        for person, rows in _tracked(out):
             recent = self._people[person].recent
-            poses[row] = recent.shrink(poses[row], variances[row], int(stamps[row]))
+            poses[rows] = recent.shrink(poses[rows], variances[rows], stamps[rows])
         positions[:] = poses @ np.swapaxes(frames, 1, 2) + origins
 
     def _moved(

@@ -102,9 +102,10 @@ class DisplacedViews:
             for person in windows.everybody[begin:end].tolist():
                 self._bank.row(person, boundary)
             begin = end
-        rows = [self._bank.rows.get(person, -1) for person in windows.views.people.tolist()]
+        people, places = np.unique(windows.views.people, return_inverse=True)
+        rows = [self._bank.rows.get(person, -1) for person in people.tolist()]
         limits = limits_of(self._names, self._pose_errors, LIMIT_AHEAD)
-        return OffsetsBefore(self._bank.past, np.array(rows, np.int64), limits)
+        return OffsetsBefore(self._bank.past, np.array(rows, np.int64)[places], limits)
 
     def count(self, views: Sightings, excess: Floats, done: Flags) -> None:
         """Note which of the views whose results are ``done`` have lost their weight."""
