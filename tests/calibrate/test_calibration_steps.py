@@ -12,7 +12,7 @@ from stick_figures import MIRROR, MODEL, POSE, person
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.calibrate.camera_views import CameraView, PeopleFollowed, Sighting, find_tracklets
-from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
+from hiros_mcap.calibrate.coarse_clock import correlate, lag_candidates, landmarks_of, signatures_of
 from hiros_mcap.calibrate.evidence import shared_view
 from hiros_mcap.calibrate.gauge import find_floor, moved, on_transforms
 from hiros_mcap.calibrate.joint_refinement import Points, free_unknowns, refine, residuals_of
@@ -314,3 +314,12 @@ def test_points_move_with_their_velocities_where_a_clock_drifts():
     drifting = sampled._replace(drifts=np.array([0.0, 0.01]))
     assert residuals_of(points, sampled).distances.max() == pytest.approx(0.02)
     assert residuals_of(points, drifting, sampled).distances.max() == pytest.approx(0.0, abs=1e-9)
+
+
+def test_one_common_sample_tells_how_far_signatures_differ_and_nothing_of_how_they_move():
+    one, other = np.array([[1.0, np.nan]]), np.array([[3.0, 5.0]])
+    correlations, differences, overlaps = np.empty((3, 2))
+    correlate(one, other, 0, correlations, differences, overlaps, np.empty(5))
+    assert overlaps.tolist() == [1, 1]
+    assert differences.tolist() == [2, 4]
+    assert np.isnan(correlations).all()

@@ -203,7 +203,7 @@ def test_an_offset_that_log_times_hide_is_found_with_the_poses_and_corrected(
 
 def test_an_offset_of_most_of_a_second_is_found_in_a_crowd(tmp_path):
     """Six people walk at one pace: where each is fits others a moment later, and steps repeat."""
-    scene = {"people": 6, "cameras": 4, "seconds": 10.0, "seed": 8, "rig": {"rate": 10.0}}
+    scene = {"people": 6, "cameras": 4, "seconds": 14.0, "seed": 8, "rig": {"rate": 10.0}}
     write_log(tmp_path / "crowd.mcap", SimulateParams.model_validate(scene))
     source = shifted_whole(tmp_path / "crowd.mcap", tmp_path / "w.mcap", {"camera_1": 0.8})
     summary = process(source, options=FIRST_STAGE)

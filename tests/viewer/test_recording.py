@@ -186,6 +186,14 @@ def test_left_limbs_have_a_darker_shade_of_the_persons_colour(recording):
     assert contrast(right, left) > 2
 
 
+def test_left_joints_have_the_darker_shade(recording, processed):
+    (context,) = look(recording, "/", "AnnotationContext:context")
+    person = next(r["class_description"] for r in context if r["class_id"] == 1)
+    joints = {info["label"]: unpacked(info["color"]) for info in person["keypoint_annotations"]}
+    assert joints["WRIST_RIGHT"] == joints["PELVIS"] == person_colour(1)
+    assert joints["WRIST_LEFT"] == shade(person_colour(1))
+
+
 def colours(recording, entity):
     """Time, ns -> colour of bones from then on."""
     (context,) = look(recording, "/", "AnnotationContext:context")
