@@ -1,15 +1,15 @@
 """What is done with each of many logs, a class per command.
 
 A job has the settings of its command. It is sent to the processes that work, with the paths of one
-log after the other.
+log after the other. It imports what it needs when it runs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -17,8 +17,9 @@ from hiros_mcap.config import Settings
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.alignment import aligned
-from hiros_mcap.evaluate.leave_one_out import leave_one_out
+from hiros_mcap.evaluate.leave_one_out import SelfScores, leave_one_out
 from hiros_mcap.evaluate.logs import (
+    ChannelResult,
     check_scorable,
     covered_by,
     evaluate_channels,
@@ -29,19 +30,22 @@ from hiros_mcap.evaluate.logs import (
 )
 from hiros_mcap.evaluate.measures import CONSISTENCY, MEASURES
 from hiros_mcap.evaluate.remarks import warnings_of
+from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.export.files import export, load_marker_set, renamed
 from hiros_mcap.io.log import open_reader
-from hiros_mcap.io.overview import overview_of
 from hiros_mcap.io.result import is_result, is_truth, open_result
 from hiros_mcap.many.find import base_name
 from hiros_mcap.many.manifest import Verdict
 from hiros_mcap.outputs import Kind
-from hiros_mcap.regression.differences import Provenance
-from hiros_mcap.regression.quantities import Tolerances
-from hiros_mcap.regression.suite import GOLDEN_SUFFIXES, Golden, check_output
 from hiros_mcap.running.pipeline import ProcessOptions, process, skeletons_read
+from hiros_mcap.running.process_options import Progress
 
+if TYPE_CHECKING:
+    from hiros_mcap.regression.quantities import Tolerances
+
+ScoresAgainst = tuple[Truth, dict[str, ChannelResult], Sequence[int], Sequence[str]]
+"""The truth as it was compared, the result of each channel, the ids of people whom the truth lacks,
+and warnings."""
 TRUTH_SUFFIXES = (".truth.mcap", ".mcap", ".trc", ".c3d", ".csv")
 
 
@@ -116,6 +120,8 @@ class ProcessJob(Job):
 
     def run(self, log: Path, target: Path) -> Finding:
         """Process a recording. A result of hiros and a truth are skipped."""
+        from hiros_mcap.regression.differences import Provenance
+
         if is_result(log):
             return Finding(verdict="skipped", error="is a result of hiros, not a recording")
         if is_truth(log):
@@ -172,38 +178,49 @@ class EvalJob(Job):
             return None
         return beside(Path(self.truth), name, TRUTH_SUFFIXES, "truth")
 
-    def run(self, log: Path, target: Path) -> Finding:
-        """Score the last channel against the truth, or each camera against the others' result."""
-        named = self._truth_file(base_name(log.name)) or self.truth
-        file = None if named is None else str(named)
-        with open_reader(log) as reader:
-            truth = None if self.leave_one_out else find_truth(reader, file)
-            check_scorable(reader, self.truth, has_truth=truth is not None)
-            if truth is None:
-                return self._by_itself(reader)
-            truth = truth.moved(self.shift, start=start_of(reader), up=self.up)
-            config, system = self.settings.load(), self.settings.system
-            channels = results_of(reader, config, self.truth, self.channels, system)
+    def against(self, log: McapReader, file: str | None) -> ScoresAgainst | None:
+        """Score what a log holds, or a run on it, against the truth; None without one.
+
+        ``file`` : of the truth, or a channel; None = the log's own.
+        """
+        truth = None if self.leave_one_out else find_truth(log, file)
+        check_scorable(log, self.truth, has_truth=truth is not None)
+        if truth is None:
+            return None
+        truth = truth.moved(self.shift, start=start_of(log), up=self.up)
+        config, system = self.settings.load(), self.settings.system
+        channels = results_of(log, config, self.truth, self.channels, system)
         truth = aligned(truth, channels, self.align)
         truth, others = covered_by(channels, truth, self.covers, self.match_distance)
         results = evaluate_channels(channels, truth, self.match_distance)
+        warnings = warnings_of(truth, results, others, asked=self.covers != "auto")
+        return truth, results, others, warnings
+
+    def by_itself(self, log: McapReader, progress: Progress | None = None) -> SelfScores:
+        """Score each camera of a log against what the system makes of the others."""
+        settings = self.settings
+        config, options = settings_of(log, settings.load(), settings.system, asked=self.asked)
+        return leave_one_out(log, config=config, options=options, progress=progress)
+
+    def run(self, log: Path, target: Path) -> Finding:
+        """Score the last channel against the truth, or each camera against the others' result."""
+        named = self._truth_file(base_name(log.name)) or self.truth
+        with open_reader(log) as reader:
+            scored = self.against(reader, None if named is None else str(named))
+            if scored is None:
+                alone = self.by_itself(reader)
+                medians = [camera.median for camera in alone.cameras]
+                values = {m.name: m.compared(alone.consistency) for m in CONSISTENCY}
+                return Finding({**values, "left_out_camera": float(np.median(medians))})
+        truth, results, _, warnings = scored
         scores = list(results.values())[-1].scores
         values = {name: m.compared(scores) for name, m in MEASURES.items()}
-        warnings = warnings_of(truth, results, others, asked=self.covers != "auto")
         values |= {"people": len(truth.people)}
         if truth.alignment is not None:
             pose, scale, seconds = truth.alignment
             values |= {"turned_deg": truth.alignment.degrees, "scaled_by": scale}
             values |= {"moved_m": float(np.linalg.norm(pose.translation)), "shifted_s": seconds}
         return Finding(values, warnings=tuple(warnings))
-
-    def _by_itself(self, log: McapReader) -> Finding:
-        settings = self.settings
-        config, options = settings_of(log, settings.load(), settings.system, asked=self.asked)
-        scores = leave_one_out(log, config=config, options=options)
-        medians = [camera.median for camera in scores.cameras]
-        values = {m.name: m.compared(scores.consistency) for m in CONSISTENCY}
-        return Finding({**values, "left_out_camera": float(np.median(medians))})
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,6 +238,8 @@ class CheckJob(Job):
 
     def run(self, log: Path, target: Path) -> Finding:
         """Compare, or with ``bless`` make the result the golden file."""
+        from hiros_mcap.regression.suite import GOLDEN_SUFFIXES, Golden, check_output
+
         name = base_name(log.name)
         if self.bless and not any((self.golden / (name + s)).is_file() for s in GOLDEN_SUFFIXES):
             path = self.golden / f"{name}.mcap"
@@ -264,6 +283,8 @@ class ExportJob(Job):
 
     def run(self, log: Path, target: Path) -> Finding:
         """Write a result in the format."""
+        from hiros_mcap.io.export.files import export, load_marker_set, renamed
+
         result = open_result(log, self.channel)
         result, what = result.select(self.person, self.start, self.end, self.rate), self.what
         if self.marker_set:
@@ -300,6 +321,8 @@ class InfoJob(Job):
 
     def run(self, log: Path, target: Path) -> Finding:
         """Look at a log."""
+        from hiros_mcap.io.overview import overview_of
+
         skeletons = skeletons_read(self.settings.load())
         overview = overview_of(
             log, topics=self.topics or None, extrinsics=self.extrinsics, skeletons=skeletons

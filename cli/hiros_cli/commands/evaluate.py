@@ -31,6 +31,7 @@ from hiros_mcap.running.progress_bar import bar
 if TYPE_CHECKING:
     from hiros_cli.evaluation import Output
     from hiros_mcap.config import Settings
+    from hiros_mcap.many.jobs import EvalJob
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,54 +126,17 @@ def evaluate(
 
     settings = settings_of(logs[0], parameters.settings())
     shown = Output(log, html, table, json=many.json, quiet=many.quiet, joints=joints)
-    _one(scoring, settings, shown, asked=parameters.asked)
+    _one(_job(scoring, settings, asked=parameters.asked), shown)
 
 
-def _one(scoring: Scoring, settings: Settings, shown: Output, *, asked: bool) -> None:
-    """Score one log against the truth, or without one each camera against the others."""
-    from hiros_cli.evaluation import show_self, show_truth
-    from hiros_mcap.evaluate import logs
-    from hiros_mcap.evaluate.alignment import aligned
-    from hiros_mcap.evaluate.leave_one_out import leave_one_out
-    from hiros_mcap.evaluate.remarks import warnings_of
-    from hiros_mcap.io.log import open_reader
-
-    config, truth = settings.load(), scoring.truth
-    with open_reader(shown.log) as reader:
-        true = None if scoring.leave_one_out else logs.find_truth(reader, truth)
-        logs.check_scorable(reader, truth, has_truth=true is not None)
-        if true is None:
-            used, options = logs.settings_of(reader, config, settings.system, asked=asked)
-            title = f"leaving each camera of {shown.log.name} out"
-            with bar(title, quiet=shown.quiet) as progress:
-                scores = leave_one_out(reader, config=used, options=options, progress=progress)
-            show_self(shown, scores)
-            return
-        true = true.moved(scoring.shift, start=logs.start_of(reader), up=scoring.up)
-        channels = logs.results_of(reader, config, truth, scoring.channel or (), settings.system)
-    true = aligned(true, channels, scoring.alignment)
-    true, others = logs.covered_by(channels, true, scoring.truth_covers, scoring.match_distance)
-    results = logs.evaluate_channels(channels, true, scoring.match_distance)
-    named = scoring.truth_covers != "auto"
-    show_truth(shown, true, results, others, warnings_of(true, results, others, asked=named))
-
-
-def _many(
-    scoring: Scoring, parameters: Parameters, logs: Sequence[str], many: ManyLogs, folder: str
-) -> NoReturn:
-    """Score many logs, each with the parameters of its own folder."""
-    prepare(quiet=many.quiet or many.json)
+def _job(scoring: Scoring, settings: Settings, *, asked: bool) -> EvalJob:
+    """Return what is done with each log."""
     from hiros_mcap.many.jobs import EvalJob
 
-    settings, truth = parameters.settings(), scoring.truth
-    if settings.file is not None:
-        settings = replace(settings, file=settings.file.absolute())
     settings.load()  # what is wrong for all logs is said before the first one
-    if truth is not None and Path(truth).is_dir():
-        truth = str(Path(truth).absolute())
-    job = EvalJob(
+    return EvalJob(
         settings,
-        truth,
+        scoring.truth,
         tuple(scoring.channel or ()),
         scoring.leave_one_out,
         scoring.truth_covers,
@@ -180,6 +144,34 @@ def _many(
         scoring.shift,
         scoring.up,
         scoring.alignment,
-        asked=parameters.asked,
+        asked=asked,
     )
-    run(job, logs, many, folder)
+
+
+def _one(job: EvalJob, shown: Output) -> None:
+    """Score one log against the truth, or without one each camera against the others."""
+    from hiros_cli.evaluation import show_self, show_truth
+    from hiros_mcap.io.log import open_reader
+
+    with open_reader(shown.log) as reader:
+        scored = job.against(reader, job.truth)
+        if scored is None:
+            title = f"leaving each camera of {shown.log.name} out"
+            with bar(title, quiet=shown.quiet) as progress:
+                scores = job.by_itself(reader, progress)
+            show_self(shown, scores)
+            return
+    show_truth(shown, *scored)
+
+
+def _many(
+    scoring: Scoring, parameters: Parameters, logs: Sequence[str], many: ManyLogs, folder: str
+) -> NoReturn:
+    """Score many logs, each with the parameters of its own folder."""
+    prepare(quiet=many.quiet or many.json)
+    settings, truth = parameters.settings(), scoring.truth
+    if settings.file is not None:
+        settings = replace(settings, file=settings.file.absolute())
+    if truth is not None and Path(truth).is_dir():
+        scoring = replace(scoring, truth=str(Path(truth).absolute()))
+    run(_job(scoring, settings, asked=parameters.asked), logs, many, folder)
