@@ -16,12 +16,10 @@ from hiros_mcap.stages.fuse.displaced_views import (
     SHARE,
     DisplacedViews,
     excess_of,
-    expect,
     limits_of,
-    remember,
 )
 from hiros_mcap.stages.fuse.fuse import FuseParams, fuse_blocks, noise_of
-from hiros_mcap.stages.fuse.fusing import FusionWindows, Sightings
+from hiros_mcap.stages.fuse.fusing import Sightings
 
 fuse = at_once(fuse_blocks)
 
@@ -37,30 +35,6 @@ def views_of(cameras, seconds=1.0, person=0):
     return Sightings.allocate(n * cameras, 1)._replace(
         stamps=stamps, people=np.full(len(stamps), person), cameras=np.tile(np.arange(cameras), n)
     )
-
-
-def windows_of(views):
-    """A window with all of these views, and no results."""
-    n = len(views.stamps)
-    people, end = np.unique(views.people), int(views.stamps.max())
-    return FusionWindows(
-        views, np.ones((n, 1)), np.ones((n, 1)), np.zeros(n), np.ones(n, np.bool_), np.full(n, -1),
-        np.full((n, 3), np.nan), np.empty(0, np.int32), np.empty(0, np.int64), people,
-        np.zeros(len(people), np.int64), np.array([[n, 0, len(people)]]), np.array([end]), 0,
-    )  # fmt: skip
-
-
-def take(memory, views, offsets):
-    """Let a filter remember the offsets of views."""
-    before = memory.before(windows_of(views))
-    remember(before, views.cameras, views.stamps, offsets, 0, len(offsets))
-
-
-def expected(memory, views):
-    """Excess, m2, that a filter expects of views."""
-    excess = np.full(len(views.stamps), np.nan)
-    expect(memory.before(windows_of(views)), views.cameras, 0, len(excess), excess)
-    return excess
 
 
 def excess(*metres):
@@ -106,8 +80,8 @@ def test_a_pose_that_people_gave_may_be_off_by_its_error(error, is_displaced):
     assert (excess_of(views, offsets, limits) > 0).any() == is_displaced
     memory = DisplacedViews({"c": error})
     memory.name(("a", "b", "c"))
-    take(memory, views, offsets)
-    assert (expected(memory, views) > 0).any() == is_displaced
+    memory.remember(views, offsets)
+    assert (memory.expected(views) > 0).any() == is_displaced
 
 
 def told(*lost, seconds=12.0):
@@ -167,8 +141,8 @@ def after(seconds, *, off, then=0.0):
         some = Sightings(*[array[k : k + 3] for array in views])
         metres = off if some.stamps[0] < seconds * SECOND else 0.0
         offsets = np.array([[0.0, 0, 0], [0.0, 0, 0], [metres, 0, 0]])
-        take(memory, some, offsets)
-    return expected(memory, views_of(3, 0.1))
+        memory.remember(some, offsets)
+    return memory.expected(views_of(3, 0.1))
 
 
 def test_a_filter_knows_it_from_the_views_before():
@@ -180,7 +154,7 @@ def test_a_filter_knows_it_from_the_views_before():
 def test_nothing_is_expected_of_somebody_new():
     memory = DisplacedViews()
     memory.name(("a", "b", "c"))
-    assert not expected(memory, views_of(3, 0.1, person=7)).any()
+    assert not memory.expected(views_of(3, 0.1, person=7)).any()
 
 
 def detections(shift):

@@ -16,12 +16,10 @@ from hiros_mcap.frames import Block, by_frame, frames_of, join
 from hiros_mcap.skeletons import VELOCITY, Frame, SkeletonModel
 from hiros_mcap.stages.fuse import fusing
 from hiros_mcap.stages.fuse.constrain import ConstrainParams, constrain_blocks
-from hiros_mcap.stages.fuse.displaced_views import DisplacedViews
 from hiros_mcap.stages.fuse.fuse import FuseParams, fuse_blocks
 from hiros_mcap.stages.fuse.fusing import (
     POSE,
     FusedPoses,
-    FusionWindows,
     FusionWork,
     JointNoise,
     JointStates,
@@ -38,7 +36,7 @@ from hiros_mcap.stages.fuse.pose_prior import (
     local_frames,
     shrink_noise,
 )
-from hiros_mcap.stages.fuse.window_smoother import StepWork, smooth_people
+from hiros_mcap.stages.fuse.window_smoother import FusionWindow, StepWork, smooth_people
 from hiros_mcap.systems import Run, system
 
 fuse = at_once(fuse_blocks)
@@ -92,15 +90,13 @@ def test_views_are_filtered_in_the_order_of_their_times_person_by_person():
         people=people[order], cameras=both.cameras[order], stamps=stamps[order],
         positions=both.positions[order],
     )  # fmt: skip
-    n, variances = len(order), both.variances[order]
-    windows = FusionWindows(
-        views, variances, variances, np.zeros(n), np.ones(n, np.bool_), np.full(n, -1),
-        np.empty((n, 3)), people[is_pose].astype(np.int32), stamps[is_pose], np.array([7, 9]),
-        np.array([1, 0]), np.array([[n, 120, 2]]), np.array([10**9]), 0,
+    window = FusionWindow(
+        views, both.variances[order], np.ones(len(order), np.bool_),
+        people[is_pose].astype(np.int32), stamps[is_pose], np.array([7, 9]), np.array([1, 0]),
+        0, 10**9,
     )  # fmt: skip
     states, out = JointStates.unknown(2, 1, 2), FusedPoses.absent(120, 1)
-    work = StepWork.of(180, 4)
-    smooth_people(windows, 0, 2, NOISE, states, DisplacedViews().nothing, out, work)
+    smooth_people(window, 0, 2, NOISE, states, out, StepWork.of(180, 4))
     for k, (steps, row) in enumerate(zip(parts, (1, 0), strict=True)):
         alone = JointStates.unknown(1, 1, 2)
         expected = smoothed(steps, keep=int((steps.times < 1).sum()), states=alone)

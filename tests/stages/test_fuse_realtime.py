@@ -227,6 +227,5 @@ def test_a_camera_with_twice_the_noise_gets_four_times_the_variance():
     model = SkeletonModel.of(["A"], [])
     noise = RunningNoise.of(FusionNoise.default(model))
     for part in np.array_split(instants, 60):
-        noise.hold(chosen(views, part))
-        noise.learn(["a", "b"])
+        noise.variances(chosen(views, part), ["a", "b"])
     assert noise.cameras["b"] / noise.cameras["a"] == pytest.approx(4.0, rel=0.2)

@@ -12,18 +12,14 @@ the offset; they count again from the second on in which they agree.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from hiros_mcap.events import Events, camera_displaced
-from hiros_mcap.kernels.array_types import F1, F2, F3, I1, arrays
-from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.skeletons import Flags, Floats, Stamps
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.fuse.fusing import PEOPLE, FusionWindows, Sightings
+from hiros_mcap.stages.fuse.fusing import Sightings
 
 LIMIT, LIMIT_AHEAD = 0.035, 0.06
 """m; of a smoother, and of a filter, whose poses and means are less sure. Healthy cameras of
@@ -47,34 +43,20 @@ of two who touch one may be seen wrong."""
 _PART, _PAUSE = 250_000_000, 4  # ns, and so many of it in which people are in place end one
 
 
-class RecentOffsets(NamedTuple):
-    """Offsets of the recent views of R people, of which the old ones count less."""
-
-    sums: F3  # (R, C, 3) by cameras, m
-    weights: F2  # (R, C) of how many views
-    stamps: I1  # (R,) time of the latest, ns
-
-
-class OffsetsBefore(NamedTuple):
-    """By what a filter expects offsets of N views."""
-
-    recent: RecentOffsets
-    rows: I1  # (N,) of the person; -1 = nothing is known
-    limits: F1  # (C,) offset of each camera, m, up to which it may be healthy; none = a smoother's
-
-
 class DisplacedViews:
     """Which cameras show people elsewhere than the others, person by person.
 
     A smoother asks for the excess (:func:`excess_of`) of views whose offsets it has measured, and
-    smooths again. A filter expects (:func:`expect`) the excess that the views ``before`` had.
+    smooths again. A filter asks for the excess that is ``expected`` by the views before.
     ``pose_errors`` are those of :func:`limits_of`.
     """
 
     def __init__(self, pose_errors: Mapping[str, float] = EXACT) -> None:
         self._pose_errors = pose_errors
         self._names: tuple[str, ...] = ()
-        self._bank = Bank(arrays(RecentOffsets, (0, 0, 3), (0, 0), 0))
+        self._bank = Bank((np.zeros((0, 0, 3)), np.zeros((0, 0))))
+        """(R, C, 3) sums over the recent views of people by cameras, m, and (R, C) their number."""
+        self._stamp = 0
         self._spans: dict[int, _Span] = {}
         self._uncounted: list[tuple[Stamps, Stamps, Floats]] = []
         """Cameras, times, ns, and excess, m2, of views of the latest part of a second."""
@@ -83,29 +65,36 @@ class DisplacedViews:
         """Take the names of the cameras, by index."""
         new = len(names) - len(self._names)
         self._names = names
-        sums, weights, stamps = self._bank.past
+        sums, weights = self._bank.past
         sums = np.pad(sums, ((0, 0), (0, new), (0, 0)))
-        self._bank.past = RecentOffsets(sums, np.pad(weights, ((0, 0), (0, new))), stamps)
+        self._bank.past = sums, np.pad(weights, ((0, 0), (0, new)))
 
-    @property
-    def nothing(self) -> OffsetsBefore:
-        """What a smoother takes, which compares views with its own results."""
-        return OffsetsBefore(self._bank.past, np.empty(0, np.int64), np.empty(0))
-
-    def before(self, windows: FusionWindows) -> OffsetsBefore:
-        """Return what the views before tell; the people of ``windows`` are remembered."""
-        begin = 0
-        for end, boundary in zip(
-            windows.ends[:, PEOPLE].tolist(), windows.boundaries.tolist(), strict=True
-        ):
-            self._bank.expire(boundary)
-            for person in windows.everybody[begin:end].tolist():
-                self._bank.row(person, boundary)
-            begin = end
-        people, places = np.unique(windows.views.people, return_inverse=True)
-        rows = [self._bank.rows.get(person, -1) for person in people.tolist()]
+    def expected(self, views: Sightings) -> Floats:
+        """(N,) Variance, m2, to be added to new views, by the offsets of the views before them."""
         limits = limits_of(self._names, self._pose_errors, LIMIT_AHEAD)
-        return OffsetsBefore(self._bank.past, np.array(rows, np.int64)[places], limits)
+        variances = displaced(*self._bank.past, limits)
+        if not variances.any():
+            return np.zeros(len(views.people))
+        rows = np.array([self._bank.rows.get(p, -1) for p in views.people.tolist()], np.int64)
+        return np.where(rows >= 0, variances[rows, views.cameras], 0.0)
+
+    def remember(self, views: Sightings, offsets: Floats) -> None:
+        """Take the offsets of views, m; NaN = none. Each view comes once with an offset."""
+        these = ~np.isnan(offsets[:, 0])
+        if not these.any():
+            return
+        stamp = int(views.stamps[these].max())
+        ids, people = np.unique(views.people[these], return_inverse=True)
+        rows = np.array([self._bank.row(person, stamp) for person in ids.tolist()])
+        keep = float(np.exp(-max(stamp - self._stamp, 0) * 1e-9 / _MEMORY))
+        self._stamp = max(stamp, self._stamp)
+        sums, weights = self._bank.past
+        sums *= keep
+        weights *= keep
+        places = rows[people], views.cameras[these]
+        np.add.at(sums, places, offsets[these])
+        np.add.at(weights, places, 1.0)
+        self._bank.expire(stamp)
 
     def count(self, views: Sightings, excess: Floats, done: Flags) -> None:
         """Note which of the views whose results are ``done`` have lost their weight."""
@@ -228,85 +217,23 @@ def excess_of(views: Sightings, offsets: Floats, limits: Floats) -> Floats:
     sums, counts = np.zeros((n, len(limits), 3)), np.zeros((n, len(limits)))
     np.add.at(sums, (groups[there], views.cameras[there]), offsets[there])
     np.add.at(counts, (groups[there], views.cameras[there]), 1.0)
-    excess = np.zeros(counts.shape)
-    displace_all(sums, counts, limits, excess)
+    excess = displaced(sums, counts, limits)
     for g in range(1, n):
         if people[g] == people[g - 1] and (counts[g] > 0).sum() < MAJORITY:
             excess[g] = excess[g - 1]
     return np.asarray(excess[groups, views.cameras])
 
 
-# Offsets of cameras, compiled.
+def displaced(sums: Floats, weights: Floats, limits: Floats) -> Floats:
+    """(G, C) Variance, m2, to be added to the views of each camera in each group; mostly 0.
 
-
-@inlined
-def _square(sums: Floats, weights: Floats, camera: int) -> float:
-    """Return the square of the offset of a camera, m2."""
-    x, y, z = sums[camera, 0], sums[camera, 1], sums[camera, 2]
-    return (x * x + y * y + z * z) / (weights[camera] * weights[camera])
-
-
-@kernel
-def displaced(sums: Floats, weights: Floats, limits: Floats, camera: int) -> float:
-    """Variance, m2, to be added to the views of a camera; mostly 0.
-
-    ``sums`` (C, 3) of offsets, m, ``weights`` (C,) of views, 0 = none, ``limits`` (C,), m.
+    ``sums`` (G, C, 3) of offsets, m, ``weights`` (G, C) of views, 0 = none, ``limits`` (C,), m.
     """
-    square = _square(sums, weights, camera)
-    if weights[camera] == 0.0 or square <= limits[camera] * limits[camera]:
-        return 0.0
-    count = 0
-    for k in range(len(weights)):
-        count += int(weights[k] > 0.0)
-    if count < MAJORITY:
-        return 0.0
-    for k in range(len(weights)):
-        middle, nearer = _square(sums, weights, k), 0
-        for j in range(len(weights)):
-            other = _square(sums, weights, j)
-            nearer += int(weights[j] > 0.0 and (other < middle or (other == middle and j < k)))
-        if weights[k] > 0.0 and nearer == (count - 1) // 2:  # the median
-            return SHARE * square if square > CLEARLY * CLEARLY * middle else 0.0
-    return 0.0
-
-
-@kernel
-def expect(before: OffsetsBefore, cameras: Stamps, begin: int, end: int, excess: Floats) -> None:
-    """Write the variance, m2, to be added to views, by the offsets of the views before them."""
-    for n in range(begin, end):
-        row, excess[n] = before.rows[n], 0.0
-        if row >= 0:
-            sums, weights = before.recent.sums[row], before.recent.weights[row]
-            excess[n] = displaced(sums, weights, before.limits, cameras[n])
-
-
-@kernel
-def remember(
-    before: OffsetsBefore, cameras: Stamps, stamps: Stamps, offsets: Floats, begin: int, end: int
-) -> None:
-    """Take the offsets (N, 3) of views, m; NaN = none. Each view comes once with an offset."""
-    recent, now = before.recent, 0
-    for n in range(begin, end):
-        now = now if math.isnan(offsets[n, 0]) else max(now, stamps[n])
-    for n in range(begin, end):
-        row, k = before.rows[n], cameras[n]
-        if math.isnan(offsets[n, 0]):
-            continue
-        if now > recent.stamps[row]:
-            keep = math.exp(-(now - recent.stamps[row]) * 1e-9 / _MEMORY)
-            for j in range(len(before.limits)):
-                recent.weights[row, j] *= keep
-                for c in range(3):
-                    recent.sums[row, j, c] *= keep
-            recent.stamps[row] = now
-        recent.weights[row, k] += 1.0
-        for c in range(3):
-            recent.sums[row, k, c] += offsets[n, c]
-
-
-@entry
-def displace_all(sums: F3, weights: F2, limits: F1, excess: F2) -> None:
-    """Write what :func:`displaced` says of the cameras of G groups of views, (G, C) m2."""
-    for g in range(len(weights)):
-        for k in range(len(limits)):
-            excess[g, k] = displaced(sums[g], weights[g], limits, k)
+    seen = weights > 0.0
+    count = seen.sum(axis=1)
+    means = sums / np.where(seen, weights, 1.0)[:, :, None]
+    squares = np.where(seen, (means**2).sum(axis=2), np.inf)  # of the offsets, m2
+    middle = np.sort(squares, axis=1)[np.arange(len(count)), np.maximum(count - 1, 0) // 2]
+    middle = np.where(count >= MAJORITY, CLEARLY * CLEARLY * middle, np.inf)
+    largest = np.maximum(limits * limits, middle[:, None])
+    return np.asarray(SHARE * np.where(seen & (squares > largest), squares, 0.0))

@@ -17,13 +17,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.array_types import B1, F1, F2, F3, F4, I1, I2, J1, arrays
+from hiros_mcap.kernels.array_types import F1, F2, F3, F4, I1, arrays
 from hiros_mcap.kernels.compile import inlined, kernel
 from hiros_mcap.skeletons import Floats, Ints, Stamps
 
 POSITION, VELOCITY, OFFSETS = 0, 1, 2  # rows of the state of a joint
 REFERENCE = 2.0  # m; distance at which the white noise of a joint is stated
-VIEWS, POSES, PEOPLE = range(3)  # columns of the ends of windows
 POSE = -1  # the camera of a step at which a pose is wanted and nothing is measured
 
 _POSITION_VARIANCE, _VELOCITY_VARIANCE = 0.05, 1.0  # of a joint that is seen first, m2 and m2/s2
@@ -56,25 +55,6 @@ class Sightings(NamedTuple):
         """Return arrays whose numbers are still to be set."""
         joints = views, markers
         return arrays(cls, *4 * [views], (*joints, 3), joints, views, joints)
-
-
-class FusionWindows(NamedTuple):
-    """What is smoothed, window after window: N views of people, and K poses that are wanted."""
-
-    views: Sightings
-    white: F2  # (N, M) variance of the white noise of the views along each axis, m2
-    variances: F2  # (N, M) with ``excess``
-    excess: F1  # (N,) m2, of views of displaced cameras
-    new: B1  # (N,) whether the filters have not taken a view yet
-    results: I1  # (N,) which of the poses a view is compared with; -1 = none
-    offsets: F2  # (N, 3) m, of views against the results
-    people: J1  # (K,) whose pose is wanted
-    stamps: I1  # (K,) at which time, ns, in order for each person
-    everybody: I1  # (E,) ``people`` of each window, each once
-    rows: I1  # (E,) of their filters
-    ends: I2  # (W, 3) where the VIEWS, POSES and PEOPLE of each window end
-    boundaries: I1  # (W,) times at which the filters stand after each window, ns
-    origin: int  # time of second 0, ns
 
 
 def joined_out_of(parts: list[Sightings]) -> Sightings:

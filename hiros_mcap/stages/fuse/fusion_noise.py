@@ -121,36 +121,29 @@ class FusionNoise:
         quantile = stdtrit(n - 1, _WITHIN_ONE_SD)
         return float(quantile**2 * np.pi / 2 * np.var(ahead, ddof=1) / n)
 
-    def hold(self, views: Sightings) -> None:
-        """Take views to learn from, of which some may have come before; here none are needed."""
-
-    def learn(self, names: Sequence[str]) -> None:
-        """Learn from what is held; this noise stays as it is."""
-
-    def variances(
-        self, views: Sightings, names: Sequence[str], windows: Stamps | None = None
-    ) -> Floats:
+    def variances(self, views: Sightings, names: Sequence[str]) -> Floats:
         """(N, M) Variance of every measurement along each axis, m2.
 
-        ``names`` are the cameras by index. ``windows`` : (N,) which views are looked at together.
+        ``names`` are the cameras by index.
         """
         cameras = np.array([self.cameras.get(name, 1.0) for name in names])[views.cameras]
-        kinds = views.cameras if windows is None else views.cameras + windows * len(names)
-        return self.white(views.distances, self._guessed(views, kinds), cameras) + views.hidden
+        guessed = self._guessed(views, len(names))
+        return self.white(views.distances, guessed, cameras) + views.hidden
 
-    def sees(self, views: Sightings) -> Flags:
+    def sees(self, views: Sightings, names: Sequence[str]) -> Flags:
         """(N, M) Whether a camera sees a joint: nobody hides it, and it is not guessed."""
         there = ~np.isnan(views.positions[:, :, 0])
-        return np.asarray(there & ~self._guessed(views, views.cameras) & (views.hidden == 0))
+        return np.asarray(there & ~self._guessed(views, len(names)) & (views.hidden == 0))
 
-    def _guessed(self, views: Sightings, kinds: Stamps) -> Flags:
-        """(N, M) Whether the detector guesses a joint; ``kinds`` as for :meth:`_limits`."""
-        return np.asarray(views.confidences < self._limits(views, kinds)[kinds, None])
+    def _guessed(self, views: Sightings, n_cameras: int) -> Flags:
+        """(N, M) Whether the detector guesses a joint."""
+        return np.asarray(views.confidences < self._limits(views, n_cameras)[views.cameras, None])
 
-    def _limits(self, views: Sightings, kinds: Stamps) -> Floats:
-        """(K,) Confidence below which a detector guesses, of each kind (N,) of views."""
-        best = np.fmax.reduce(views.confidences, axis=1, initial=0.0)
-        means = np.bincount(kinds, best) / np.maximum(np.bincount(kinds), 1)
+    def _limits(self, views: Sightings, n_cameras: int) -> Floats:
+        """(C,) Confidence below which each camera's detector guesses."""
+        best = np.nan_to_num(views.confidences).max(axis=1, initial=0.0)
+        counts = np.bincount(views.cameras, minlength=n_cameras)
+        means = np.bincount(views.cameras, best, n_cameras) / np.maximum(counts, 1)
         return np.minimum(GUESSED_BELOW, GUESSED_SHARE * means)
 
 
@@ -176,8 +169,8 @@ class RunningNoise(FusionNoise):
         """Start from ``noise``."""
         return cls(**vars(replace(noise, cameras=dict(noise.cameras))))
 
-    def hold(self, views: Sightings) -> None:
-        """Hold the views that are new.
+    def variances(self, views: Sightings, names: Sequence[str]) -> Floats:
+        """Do what :meth:`FusionNoise.variances` does, after learning from views that are new.
 
         Instants are numbered through the log; a view comes again for as long as it is needed.
         """
@@ -185,15 +178,13 @@ class RunningNoise(FusionNoise):
         if len(new.instants):
             self.next_instant = int(new.instants[-1]) + 1
             self.held.append(new)
-
-    def learn(self, names: Sequence[str]) -> None:
-        """Learn from what is held if it lasts for two seconds."""
-        if self.held and self.held[-1].stamps[-1] - self.held[0].stamps[0] >= _STRETCH:
-            self._learn(joined(self.held), names)
-            self.held = []
+            if new.stamps[-1] - self.held[0].stamps[0] >= _STRETCH:
+                self._learn(joined(self.held), names)
+                self.held = []
+        return super().variances(views, names)
 
     def _learn(self, views: Sightings, names: Sequence[str]) -> None:
-        cameras, logs, distances, guesses = _binned(views, self._limits(views, views.cameras))
+        cameras, logs, distances, guesses = _binned(views, self._limits(views, len(names)))
         # The logarithm of :meth:`white`.
         expected = np.log(self.joints) + 2 * self.power * distances[:, None]
         off = np.where(guesses == 0, logs - expected, np.nan)

@@ -26,11 +26,12 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.calibrate.gauge import placement_error
 from hiros_mcap.frames import places_of
-from hiros_mcap.skeletons import Flags, Floats, Stamps
+from hiros_mcap.skeletons import Floats, Stamps
 from hiros_mcap.stages.fuse.fusing import Sightings
 
 _AWAY = 3.0  # m; from a camera whose position is not known
 _AXES = 3
+_RENEWED = 500_000_000  # ns; poses stay as they are, so each instant need not be looked at
 _MOST = 25.0
 """Observed over assumed variance of a person in a window. A larger one is a confused identity."""
 _REMEMBERED = 1000  # persons in windows
@@ -63,6 +64,7 @@ class PoseError:
         self._most = 0
         self.ratio = 1.0
         """Estimated over assumed variance."""
+        self._learned: int | None = None
 
     def learn(self, views: Sightings, offsets: Floats, names: Sequence[str]) -> None:
         """Compare the places at which cameras see a person.
@@ -73,18 +75,19 @@ class PoseError:
         """
         if self._right or not len(views.stamps):
             return
-        these = np.flatnonzero(~np.isnan(offsets[:, 0]))
-        # A group is what one camera sees of one person.
-        keys = views.people[these] * len(names) + views.cameras[these]
-        keys, groups = np.unique(keys, return_inverse=True)
-        there: Flags = np.asarray(~np.isnan(views.positions))
-        sums, counts = views.positions.sum(axis=1, where=there), there.sum(axis=1)
-        centres = _sums(groups, sums[these]) / _sums(groups, counts[these])
-        means = _sums(groups, offsets[these]) / np.bincount(groups)[:, None]
-        assumed = self._assumed(centres, places_of(names, self._places)[keys % len(names)])
-        scaled = means / np.sqrt(assumed)[:, None]
-        for of_person in np.split(scaled, np.flatnonzero(np.diff(keys // len(names))) + 1):
-            self._count(of_person)
+        now = int(views.stamps.max())
+        if self._learned is not None and now - self._learned < _RENEWED:
+            return
+        self._learned = now
+        places, seen = places_of(names, self._places), ~np.isnan(offsets[:, 0])
+        for person in np.unique(views.people[seen]):
+            scaled = []
+            for camera in np.unique(views.cameras[seen & (views.people == person)]):
+                these = seen & (views.people == person) & (views.cameras == camera)
+                centre = np.nanmean(views.positions[these], axis=(0, 1))
+                assumed = self._assumed(centre, places[camera])
+                scaled.append(offsets[these].mean(axis=0) / np.sqrt(assumed))
+            self._count(np.array(scaled))
 
     def _count(self, scaled: Floats) -> None:
         """Add how far the cameras' places (C, 3), in standard deviations, are from each other."""
@@ -124,8 +127,3 @@ class PoseError:
             shared = self._placement.variances(positions)
         total = self.ratio * alone + own + refined**2 * shared
         return np.asarray(total / np.maximum(count, 1) ** 2)
-
-
-def _sums(groups: Stamps, values: Floats | Stamps) -> Floats:
-    """(G, K) Sums of the values (N, K) of each group."""
-    return np.stack([np.bincount(groups, column) for column in values.T], axis=1)

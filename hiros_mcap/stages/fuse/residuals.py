@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from hiros_mcap.calibrate.gauge import CHI2_3_MEDIAN
 from hiros_mcap.events import COMMON, RESIDUAL, Events
-from hiros_mcap.frames import Block, join, together
+from hiros_mcap.frames import Block, together
 from hiros_mcap.kernels.array_types import chosen
 from hiros_mcap.skeletons import POSITION, VELOCITY, Floats, Stamps
 from hiros_mcap.stages.fuse.displaced_views import excess_of, limits_of
@@ -93,7 +93,7 @@ class ResidualMeter:
         Frames that a filter gives one by one are joined: later stages cost a call per block.
         """
         some: list[Block] = []
-        for fused in (part for window in windows for part in self._parts(window)):
+        for fused in windows:
             ends_batch = self._waiting + len(fused) >= _BATCH
             if ends_batch and some:  # they are scaled by what the batches before have shown
                 yield self.scaled(together(some))
@@ -109,13 +109,6 @@ class ResidualMeter:
             del fused  # else it lies in memory until the next one is made
         if some:
             yield self.scaled(together(some))
-
-    def _parts(self, fused: Block) -> Iterator[Block]:
-        """Cut the frames of a filter where a batch ends; the last one of a batch is alone."""
-        while self._is_causal and len(fused) > (n := max(_BATCH - 1 - self._waiting, 1)):
-            yield join([fused.select(slice(n))])
-            fused = join([fused.select(slice(n, None))])
-        yield fused
 
     def finish(self) -> None:
         """Count what was fused so far."""
@@ -153,7 +146,7 @@ class ResidualMeter:
         uncertainty = fused.uncertainty
         if uncertainty is None or not len(rows):
             return
-        sees = self._noise.sees(views)  # before positions become residuals
+        sees = self._noise.sees(views, self._names)  # before positions become residuals
         residuals = _residuals(views, fused, rows)
         posterior = uncertainty.deviations[rows] ** 2 - uncertainty.shared[rows] ** 2
         white = self._noise.variances(views, self._names)
