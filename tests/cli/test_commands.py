@@ -159,7 +159,7 @@ def test_every_kernel_with_a_signature_is_found():
         compiled = [kernel for kernel in vars(module).values() if isinstance(kernel, EntryKernel)]
         assert compiled, f"{name} compiles nothing when it is imported:\n{source[:300]}"
     names = {name.rpartition(".")[2] for name in kernels.sources()}
-    assert {"tracking", "merging", "fusing", "cdr"} <= names
+    assert {"tracking", "merging", "window_smoother", "cdr"} <= names
     assert not {"bytes", "compile", "__init__", "track"} & names
 
 
