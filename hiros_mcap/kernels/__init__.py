@@ -1,7 +1,7 @@
 """Compiled inner loops: numba functions on bare arrays, no objects, no input/output.
 
 Those that several folders use are here. Those of one step lie beside its page, in its folder of
-stages.
+stages or in calibrate.
 
 Kernels state their signatures, so they are compiled (or loaded) when their module is imported,
 never in the middle of a run, and a wrong array layout is a TypeError rather than a silent second
@@ -31,7 +31,7 @@ NOTICE = "compiling kernels for this machine, once (about a minute with two core
 _ENTRY = re.compile(r"^@entry\b.*\ndef (\w+)", re.MULTILINE)
 _IMPORT = re.compile(r"^from (hiros_mcap[\w.]*) import (?:\(([^)]*)\)|(.*)$)", re.MULTILINE)
 _PACKAGE = Path(__file__).parent.parent
-_PLACES = ("kernels/*.py", "stages/*.py", "stages/*/*.py")
+_PLACES = ("kernels/*.py", "calibrate/*.py", "stages/*.py", "stages/*/*.py")
 
 
 def sources() -> Mapping[str, str]:
