@@ -166,12 +166,9 @@ def swinging(seconds):
     return pose + rng.normal(0, 0.02, pose.shape), pose
 
 
-def shrunk(poses, at_once=1, stamps=None):
-    """The poses, if so many come at once."""
-    recent, stamps = RecentMotion(), np.arange(len(poses)) * 33 * MS if stamps is None else stamps
-    variances = np.full(poses.shape[:2], 0.02**2)
-    parts = [slice(k, k + at_once) for k in range(0, len(poses), at_once)]
-    return np.concatenate([recent.shrink(poses[p], variances[p], stamps[p]) for p in parts])
+def shrunk(poses):
+    recent, variances = RecentMotion(), np.full(12, 0.02**2)
+    return np.array([recent.shrink(p, variances, k * 33 * MS) for k, p in enumerate(poses)])
 
 
 def test_the_motion_so_far_takes_noise_off():
@@ -179,16 +176,6 @@ def test_the_motion_so_far_takes_noise_off():
     found = shrunk(noisy)
     np.testing.assert_array_equal(found[:60], noisy[:60])  # nothing known for 2 s
     assert (found - pose)[90:].std() < 0.7 * (noisy - pose)[90:].std()
-
-
-@pytest.mark.parametrize("at_once", [2, 7, 400])
-def test_a_prior_knows_only_the_poses_before(at_once):
-    """Whatever the number of poses that come at once; also after a pause, which it forgets."""
-    noisy, _ = swinging(13)
-    stamps = np.arange(len(noisy)) * 33 * MS + np.where(np.arange(len(noisy)) > 200, 2000 * MS, 0)
-    alone = shrunk(noisy, stamps=stamps)
-    np.testing.assert_allclose(shrunk(noisy, at_once, stamps), alone, atol=1e-12)
-    np.testing.assert_array_equal(alone[201:261], noisy[201:261])
 
 
 def test_a_motion_that_was_never_seen_is_not_held_back():

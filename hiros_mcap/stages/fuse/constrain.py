@@ -247,9 +247,9 @@ class _Bodies:
             return
         frames, origins = local_frames(positions, self._lateral)
         poses = (positions - origins) @ frames
-        for person, rows in _tracked(out):
+        for person, (row,) in people:
             recent = self._people[person].recent
-            poses[rows] = recent.shrink(poses[rows], variances[rows], stamps[rows])
+            poses[row] = recent.shrink(poses[row], variances[row], int(stamps[row]))
         positions[:] = poses @ np.swapaxes(frames, 1, 2) + origins
 
     def _moved(

@@ -19,7 +19,7 @@ import numpy as np
 from hiros_mcap.body.rotations import nearest_rotation
 from hiros_mcap.kernels.array_types import F1, F2, F3
 from hiros_mcap.kernels.compile import entry, kernel
-from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
+from hiros_mcap.skeletons import Flags, Floats, Ints
 
 FEWEST = 30  # poses that a prior needs
 _EXCESS = 1.5  # eigenvalue, in units of the noise, that noise alone may have
@@ -74,58 +74,37 @@ class RecentMotion:
         last, ns."""
         self._motion: MotionPrior | None = None
 
-    def shrink(self, poses: Floats, variances: Floats, stamps: Stamps) -> Floats:
-        """Return local poses (T, M, 3), m, each moved towards what the person did before it.
+    def shrink(self, local: Floats, variances: Floats, stamp: int) -> Floats:
+        """Return a local pose (M, 3), m, moved towards what the person has done; remember it.
 
-        They are remembered. After a second unseen the motion is learned anew.
-
-        Parameters
-        ----------
-        variances : (T, M) m2 along each axis. stamps : (T,) ns, in order.
+        After a second unseen the motion is learned anew.
         """
-        estimates, begin = poses.copy(), 0
-        while begin < len(stamps):
-            if stamps[begin] - self._seen > _LEFT * 1e9:
-                self._motion = None
-                self._kept = self._next = self._pushed = 0
-            kept, end = self._next_part(stamps, begin)
-            part = slice(begin, end)
-            if self._motion is not None:
-                given = poses[part], variances[part], _LARGEST_STEP
-                estimates[part] = estimated(self._motion, *given)
-            # Not the poses as measured: from what has less noise, a better prior is learned.
-            self._remember(estimates[kept], variances[kept])
-            begin = end
-        return estimates
+        if stamp - self._seen > _LEFT * 1e9:
+            self._motion = None
+            self._kept = self._next = self._pushed = 0
+        self._seen = stamp
+        estimate = local
+        if self._motion is not None:
+            estimate = estimated(self._motion, local[None], variances[None], _LARGEST_STEP)[0]
+        # Not the pose as measured: from what has less noise, a better prior is learned.
+        self._remember(estimate, variances, stamp)
+        return estimate
 
-    def _next_part(self, stamps: Stamps, begin: int) -> tuple[list[int], int]:
-        """Return which poses from ``begin`` on are kept, and where the part with one prior ends."""
-        kept = list[int]()
-        for k, stamp in enumerate(stamps[begin:].tolist(), begin):
-            if k > begin and stamp - self._seen > _LEFT * 1e9:
-                return kept, k
-            self._seen = stamp
-            if not self._kept + len(kept):
-                self._next = stamp + round(_FIRST * 1e9)
-            elif stamp - self._pushed < 0.9e9 / _RATE:
-                continue
-            self._pushed = stamp
-            kept.append(k)
-            if stamp >= self._next and self._kept + len(kept) >= FEWEST:
-                return kept, k + 1
-        return kept, len(stamps)
-
-    def _remember(self, poses: Floats, variances: Floats) -> None:
-        """Keep poses; renew the prior if it is due."""
+    def _remember(self, local: Floats, variances: Floats, stamp: int) -> None:
+        """Keep a pose; renew the prior if it is due."""
         if not self._kept:
-            self._poses = np.empty((_POSES, *poses.shape[1:]))
-            self._variances = np.empty((_POSES, *variances.shape[1:]))
-        places = np.arange(self._kept, self._kept + len(poses)) % _POSES
-        self._poses[places], self._variances[places] = poses, variances
-        self._kept += len(poses)
-        if self._pushed >= self._next and self._kept >= FEWEST:
+            self._next = stamp + round(_FIRST * 1e9)
+            self._poses = np.empty((_POSES, *local.shape))
+            self._variances = np.empty((_POSES, *variances.shape))
+        elif stamp - self._pushed < 0.9e9 / _RATE:
+            return
+        self._pushed = stamp
+        self._poses[self._kept % _POSES] = local
+        self._variances[self._kept % _POSES] = variances
+        self._kept += 1
+        if stamp >= self._next and self._kept >= FEWEST:
             poses, variances = self._poses[: self._kept], self._variances[: self._kept]
-            self._next = self._pushed + round(max(_RENEWED, _NEW * len(poses) / _RATE) * 1e9)
+            self._next = stamp + round(max(_RENEWED, _NEW * len(poses) / _RATE) * 1e9)
             self._motion = motion_of(poses, variances)
 
 
