@@ -159,8 +159,11 @@ class PoseAlignment:
             events.log.append(self.late)
             events.count(DISPLACED, self.late.source, self.not_used)
 
-    def warnings(self) -> Iterator[str]:
-        """Yield what makes the poses doubtful, and the remedy."""
+    def warnings(self, *, found: bool) -> Iterator[str]:
+        """Yield what makes the poses doubtful, and the remedy.
+
+        Where nobody was ``found``, no view tells whether cameras see the same people.
+        """
         stays = [one for one in self.cameras if not math.isnan(one.since_s)]
         for move in self.moves:
             seconds = next(one.since_s for one in stays if one.name == move.camera)
@@ -188,7 +191,7 @@ class PoseAlignment:
                     f"{camera.name}: its pose does not fit the people ({camera.reason}); hiros "
                     "kept it. Calibrate the camera anew, or pass its pose with --extrinsics FILE"
                 )
-            elif self._is_unconfirmed(camera):
+            elif found and self._is_unconfirmed(camera):
                 yield (
                     f"{camera.name} {camera.reason}; if it should, its pose is wrong, and people "
                     "may appear twice. hiros calibrate people may find it"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
@@ -222,12 +221,12 @@ class Report:
         yield from self._untimed()
         yield from self._distortions(cameras)
         yield from clock_warnings(self.prepared.clocks.faults, self.log.span[0])
-        if self.observer.people:
-            yield from self.prepared.poses.warnings()
-            yield from self._displaced()
-        else:
-            yield from self._nobody()
+        found = bool(self.observer.people)
+        yield from self.prepared.poses.warnings(found=found)
+        yield from self._displaced()
         yield from self.reading.warnings
+        if not found:
+            yield from self._nobody()
 
     def _untimed(self) -> Iterator[str]:
         """Yield that log times are used, if many messages have no time of their own."""
@@ -291,13 +290,10 @@ class Report:
         """Yield why nobody was found in detections of somebody."""
         reasons = list(self.observer.sample.reasons())
         if not reasons and self.observer.sample.frames:
-            left_out = {
-                kind: self.run.events.total(kind)
-                for kind, (noun, _) in COUNTED.items()
-                if noun == "detection"
-            }
-            most = max(left_out, key=left_out.__getitem__)
-            why = f": {counted(most, left_out[most])}" if left_out[most] else ""
+            total = self.run.events.total
+            kinds = [kind for kind, (noun, _) in COUNTED.items() if noun == "detection"]
+            most = max(kinds, key=total)
+            why = f": {counted(most, total(most))}" if total(most) else ""
             reasons = [
                 f"nobody was found, though the cameras report people{why}; `hiros info` shows "
                 "whether the cameras' poses and the skeletons make sense"
@@ -313,13 +309,11 @@ class Report:
         yield from self.reading.remarks
         for account in self.reading.accounts.values():
             yield from _input_notes(account)
-        totals: Counter[str] = Counter()
-        for (kind, _), n in self.run.events.counts.items():
-            totals[kind] += n
-        for kind in sorted(totals.keys() - _IN_TABLES):
-            yield f"{counted(kind, totals[kind])}{self._by_camera(kind)}"
+        total = self.run.events.total
+        for kind in sorted({kind for kind, _ in self.run.events.counts} - _IN_TABLES):
+            yield f"{counted(kind, total(kind))}{self._by_camera(kind)}"
         windows = self.run.config.optimize.calibration_windows
-        measured = self.run.limbs.people or totals["calibration rejected"]
+        measured = self.run.limbs.people or total("calibration rejected")
         optimized = self.observer.people and "optimized" in self.observer.chain
         if windows and optimized and not measured:
             yield "limb lengths not calibrated: nobody was seen in the calibration windows"

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid, angle
 from hiros_mcap.calibrate.survey import stretches
-from hiros_mcap.calibrate.verdict import CalibratedCamera, Evidence, verdict_of
+from hiros_mcap.calibrate.verdict import UNLINKED, CalibratedCamera, Evidence, verdict_of
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.channels import add_skeleton_channel, add_static_poses
@@ -23,8 +23,10 @@ from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.observe import Stopwatch
 from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.running.preparation import prepare, set_up
 from hiros_mcap.simulate import SimulateParams, simulate
+from hiros_mcap.summary import PoseSummary
 
 NAMES = ("camera_0", "camera_1", "camera_2")
 FIRST_STAGE = ProcessOptions(stages="T")
@@ -404,3 +406,11 @@ def test_a_long_log_is_read_in_stretches():
     assert sum(end - begin for begin, end in spans) == pytest.approx(20e9)
     assert spans[0] == (int(8e9), int(12e9))
     assert spans[-1] == (int(88e9), int(92e9))
+
+
+def test_where_nobody_is_found_poses_are_told_but_for_views_that_nobody_shares():
+    cameras = [PoseSummary(name, "impossible", UNLINKED) for name in ("a", "b")]
+    poses = PoseAlignment(cameras, alike=(["a", "b"],))
+    (alike,) = poses.warnings(found=False)
+    assert "one pose for a and b" in alike
+    assert len([*poses.warnings(found=True)]) == 3
