@@ -591,7 +591,7 @@ class Mover:
         for i in frames.tolist():
             stamp, log_time = int(block.stamps[i]), int(block.log_times[i])
             poses.append(self._pose(block.names[block.frame_ids[i]], stamp, log_time))
-        move_messages(joined(poses), np.arange(len(poses)), block.rows[frames], people)
+        move_messages(joined(poses), block.rows[frames], people)
         names, fixed = (*block.names, self._fixed), np.full(len(block), len(block.names))
         return replace(block, people=people, names=names, frame_ids=fixed)
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.array_types import F2, F3, I1, I2
+from hiros_mcap.kernels.array_types import F2, F3, I2
 from hiros_mcap.kernels.compile import entry, kernel, rows_of
 from hiros_mcap.skeletons import Floats, People
 
@@ -67,7 +67,7 @@ def move(poses: PoseArrays, k: int, people: People) -> None:
 
 
 @entry
-def move_messages(poses: PoseArrays, which: I1, rows: I2, people: People) -> None:
-    """Move the people of N messages, whose ``rows`` (N, 2) are given, by the poses ``which``."""
-    for n in range(len(which)):
-        move(poses, which[n], rows_of(people, rows[n, 0], rows[n, 1]))
+def move_messages(poses: PoseArrays, rows: I2, people: People) -> None:
+    """Move the people of N messages, whose ``rows`` (N, 2) are given, by a pose each."""
+    for n in range(len(rows)):
+        move(poses, n, rows_of(people, rows[n, 0], rows[n, 1]))

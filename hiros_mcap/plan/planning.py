@@ -190,6 +190,11 @@ class Placed(NamedTuple):
     tilt: float = np.nan
     """rad below the horizon."""
 
+    @property
+    def stand(self) -> tuple[float, float, float]:
+        """Where it stands on the wall, and looks."""
+        return self.along, self.bearing, self.tilt
+
 
 class Placing:
     """The search for the places of cameras in one room."""
@@ -208,15 +213,15 @@ class Placing:
         for _ in range(count):
             chosen.append(self._best(chosen, self._candidates))
         for _ in range(_EXCHANGES):
-            before = [each[2:] for each in chosen]
+            before = [each.stand for each in chosen]
             for k in range(count):
                 chosen[k] = self._best(_without(chosen, k), [chosen[k], *self._candidates])
-            if [each[2:] for each in chosen] == before:
+            if [each.stand for each in chosen] == before:
                 break
         for steps in _STEPS:
             for k in range(count):
                 chosen[k] = self._descend(_without(chosen, k), chosen[k], steps)
-        return [each.pose for each in sorted(chosen, key=lambda each: each[2:])]
+        return [each.pose for each in sorted(chosen, key=lambda each: each.stand)]
 
     def further(self, poses: Sequence[Rigid]) -> Rigid:
         """Return where one more camera beside those at ``poses`` helps most."""
@@ -236,7 +241,7 @@ class Placing:
         return Placed(pose, self._model.view(self._markers, pose), along, bearing, tilt)
 
     def _stands(self) -> Iterator[tuple[float, float, float]]:
-        """Yield where candidates stand and look: along, bearing and tilt, see :class:`Placed`."""
+        """Yield the :attr:`~Placed.stand` of each candidate."""
         x0, y0, x1, y1 = self._area
         sides = np.array([x1 - x0, y1 - y0, x1 - x0, y1 - y0])
         start = 0.0
@@ -263,7 +268,7 @@ class Placing:
         cost = cost_of(best)
         for axis, step in enumerate((steps[0], *np.radians(steps[1:]))):
             for change in (step, -step):
-                moved = [best.along, best.bearing, best.tilt]
+                moved = list(best.stand)
                 moved[axis] += change
                 tried = self._placed(*moved)
                 if (new := cost_of(tried)) < cost * (1 - _ENOUGH):

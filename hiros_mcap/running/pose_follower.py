@@ -38,7 +38,7 @@ from hiros_mcap.calibrate.verdict import MOVED, TIMED, CalibratedCamera, weaknes
 from hiros_mcap.frames import Block, join
 from hiros_mcap.io.log import Reading
 from hiros_mcap.kernels.array_types import joined
-from hiros_mcap.kernels.transforming import move_messages
+from hiros_mcap.kernels.transforming import PoseArrays, move_messages
 from hiros_mcap.running.clock_alignment import significant_offsets
 from hiros_mcap.running.clock_follower import ClockFollower
 from hiros_mcap.running.pose_alignment import PoseAlignment, summary_of
@@ -94,9 +94,8 @@ class PoseFollower:
         """Camera -> the better pose that is proven."""
         self._poses: dict[str, Rigid] = {}
         """Camera -> the pose that is used, between the given one and the goal."""
-        self._moves = pose_arrays([])
-        """How detections move: those of a camera by the pose of its number."""
-        self._numbers: dict[str, int] = {}
+        self._moves: dict[str, PoseArrays] = {}
+        """Camera -> how its detections move."""
         self._comparison: Callable[[], None] | None = None
         """Waits for the result of the comparison that has begun, and takes it."""
 
@@ -123,23 +122,19 @@ class PoseFollower:
     def _take(self, block: Block) -> Block:
         """Learn from the messages of a block one by one, and move their detections."""
         new = self._new_sightings(block)
-        moves, moved, which, before = [self._moves], list[int](), list[int](), 0
+        moves: dict[int, PoseArrays] = {}
         for i, (_, source, log_time) in enumerate(block.messages()):
             self._advance(log_time)
-            if self._moves is not moves[-1]:
-                before += len(moves[-1].xyzw)
-                moves.append(self._moves)
-            if source in self._numbers:
-                moved.append(i)
-                which.append(before + self._numbers[source])
+            if source in self._moves:
+                moves[i] = self._moves[source]
             if i in new:
                 at = new[i].seconds - self._clocks.added(source)
                 followed = self._seen.setdefault(source, PeopleFollowed(self._mirror))
                 followed.add(new[i]._replace(seconds=at))
-        if not moved:
+        if not moves:
             return block
         block = join([block])
-        move_messages(joined(moves), np.array(which), block.rows[moved], block.people)
+        move_messages(joined([*moves.values()]), block.rows[[*moves]], block.people)
         return block
 
     def _new_sightings(self, block: Block) -> dict[int, Sighting]:
@@ -256,8 +251,7 @@ class PoseFollower:
         for name, goal in self._goals.items():
             pose = goal if share >= 1.0 else self._poses[name].towards(goal, share)
             self._poses[name] = pose
-        self._moves = pose_arrays([self._poses[n] @ self._given[n].inverse() for n in self._goals])
-        self._numbers = {name: k for k, name in enumerate(self._goals)}
+            self._moves[name] = pose_arrays([pose @ self._given[name].inverse()])
 
 
 def _is_clearly_wrong(one: CalibratedCamera) -> bool:

@@ -38,9 +38,7 @@ def moved(frame, start):
     if frame.source != "camera_2" or frame.stamp < start + AT_S * 1e9:
         return frame
     people = frame.people.copy()
-    move_messages(
-        pose_arrays([STEP.inverse()]), np.array([0]), np.array([[0, len(people.ids)]]), people
-    )
+    move_messages(pose_arrays([STEP.inverse()]), np.array([[0, len(people.ids)]]), people)
     return frame.replace(people=people)
 
 

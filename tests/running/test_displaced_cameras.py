@@ -62,9 +62,7 @@ def moved_late(frame):
     if frame.stamp < SimulateParams().start + AT_S * 1e9:
         return frame
     people = frame.people.copy()
-    move_messages(
-        pose_arrays([STEP.inverse()]), np.array([0]), np.array([[0, len(people.ids)]]), people
-    )
+    move_messages(pose_arrays([STEP.inverse()]), np.array([[0, len(people.ids)]]), people)
     return frame.replace(people=people)
 
 
@@ -72,7 +70,6 @@ def upside_down(frame):
     people = frame.people.copy()
     move_messages(
         pose_arrays([Rigid(from_vector(np.array([0.0, 0.0, np.pi])), np.zeros(3))]),
-        np.array([0]),
         np.array([[0, len(people.ids)]]),
         people,
     )

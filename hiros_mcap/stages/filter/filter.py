@@ -199,9 +199,9 @@ class _SkeletonFilter:
         self, rows: Stamps, people: Stamps, steps: Stamps, ends: Stamps, design: Floats
     ) -> FilterSteps:
         """Return what to do; ``design`` (2, N) are the tunings and the sample times."""
-        order, max_gap, (tunings, periods) = self._params.order, self._params.max_gap, design
+        (tunings, periods), params = design, self._params
         return FilterSteps(
-            rows, people, steps, ends, tunings, periods, order, max_gap, self._bridge
+            rows, people, steps, ends, tunings, periods, params.order, params.max_gap, self._bridge
         )
 
     def _designs(self, block: Block, sources: Stamps) -> Floats:
