@@ -27,7 +27,12 @@ from hiros_mcap.stages.fuse.fusing import (
     Steps,
 )
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
-from hiros_mcap.stages.fuse.pair_lengths import LastMinute, RunningLengths, measured_lengths
+from hiros_mcap.stages.fuse.pair_lengths import (
+    RATE,
+    LastMinute,
+    RunningLengths,
+    measured_lengths,
+)
 from hiros_mcap.stages.fuse.pose_prior import (
     MotionPrior,
     body_frames,
@@ -247,8 +252,8 @@ def test_lengths_are_right_in_spite_of_noise_and_never_shortened_by_a_wrong_one(
 
 
 def told(limbs, poses):
-    """Give poses at 30 Hz that are known to 0.1 mm."""
-    stamps, variances = np.arange(len(poses)) * 33_333_333, np.full(poses.shape[:2], 1e-8)
+    """Give poses at 15 Hz that are known to 0.1 mm."""
+    stamps, variances = np.arange(len(poses)) * 66_666_667, np.full(poses.shape[:2], 1e-8)
     limbs.update(*((stamps,) if isinstance(limbs, LastMinute) else ()), poses, variances)
 
 
@@ -321,7 +326,7 @@ def test_the_last_minute_forgets_what_was_before_and_thins_what_comes_fast():
         stamps = start * 10**9 + 5_000_000 * np.arange(1000)
         minute.update(stamps, np.full((1000, 2, 3), float(start)), np.ones((1000, 2)))
     poses, variances = minute.poses()
-    assert len(poses) == len(variances) == 2 * 200
+    assert len(poses) == len(variances) == pytest.approx(10 * RATE, abs=2)
     assert np.unique(poses).tolist() == [30.0, 35.0]
 
 

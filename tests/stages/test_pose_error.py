@@ -16,17 +16,18 @@ ASSUMED = 0.01
 """m; with no error of the orientation."""
 
 
-def learned(*moments):
+def learned(*moments, angle=0.0, shift=ASSUMED, away=3.0):
     """Three cameras see a body, at each moment shifted by the rows of an array (3, 3)."""
-    error = PoseError(0.0, ASSUMED, PLACES, {})
+    error = PoseError(angle, shift, PLACES, {})
     for second, shifts in enumerate(moments):
         views = Sightings.allocate(3, 12)._replace(
             people=np.zeros(3, int),
             cameras=np.arange(3),
             stamps=np.full(3, second * 10**9),
             positions=BODY + shifts[:, None],
+            distances=np.full(3, away),
         )
-        error.learn(views, shifts, NAMES)
+        error.learn(views, shifts)
     return error
 
 
@@ -46,6 +47,12 @@ def test_a_rotation_counts_more_from_afar():
     positions, seen = np.zeros((1, 1, 3)), np.array([[1]])
     ratio = far.variances(positions, seen, ["a"]) / near.variances(positions, seen, ["a"])
     assert ratio == pytest.approx(4.0)
+
+
+def test_from_afar_the_same_disagreement_shows_a_smaller_error_of_orientations():
+    shifts = np.random.default_rng(4).normal(0, 0.01, (3, 3))
+    near, far = (learned(shifts, angle=0.01, shift=0.0, away=away).ratio for away in (2.0, 4.0))
+    assert 9 * far - 3 == pytest.approx((9 * near - 3) / 4)
 
 
 def test_cameras_that_agree_have_better_poses_than_assumed():

@@ -22,7 +22,8 @@ from hiros_mcap.kernels.compile import inlined, kernel
 from hiros_mcap.skeletons import Floats, Ints, Stamps
 
 POSITION, VELOCITY, OFFSETS = 0, 1, 2  # rows of the state of a joint
-REFERENCE = 2.0  # m; distance at which the white noise of a joint is stated
+REFERENCE = 2.0
+"""m; distance at which the white noise of a joint is stated, and of a camera without a place."""
 POSE = -1  # the camera of a step at which a pose is wanted and nothing is measured
 
 _POSITION_VARIANCE, _VELOCITY_VARIANCE = 0.05, 1.0  # of a joint that is seen first, m2 and m2/s2

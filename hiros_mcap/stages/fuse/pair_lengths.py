@@ -17,8 +17,8 @@ from hiros_mcap.skeletons import Floats, Ints, SkeletonModel, Stamps
 MINUTE = 60.0  # s
 _LENGTH_DEVIATION = 0.005  # m; added to the deviations that weight a length
 _OUTLIER = 4.0  # robust standard deviations
-_FEWEST = 30  # poses that give a length
-_APART = 25_000_000  # ns; poses that follow each other faster say the same
+_FEWEST = 15  # poses that give a length
+RATE = 15.0  # Hz; poses that follow each other faster say the same
 
 MeasuredLengths = tuple[Floats, Floats, Ints]
 """Of the K distances of one person: lengths, m, 0 = unknown; standard deviations of the distances
@@ -80,7 +80,7 @@ def drawn_together(lengths: Floats, weights: Floats | Ints, other: Ints) -> Floa
 
 
 class LastMinute:
-    """The poses of a person's last minute, and the distances that they show.
+    """Poses of a person's last minute, at most RATE, and the distances that they show.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class LastMinute:
 
     def update(self, stamps: Stamps, positions: Floats, variances: Floats) -> None:
         """Take poses: (T,) ns, (T, M, 3) m, (T, M) m2 along each axis."""
-        kept = np.diff(stamps // _APART, prepend=-1) != 0
+        kept = np.diff(stamps // round(1e9 / RATE), prepend=-1) != 0
         self._parts.append((stamps[kept], positions[kept], variances[kept]))
         while self._parts[0][0][-1] < stamps[-1] - self._length:
             self._parts.popleft()

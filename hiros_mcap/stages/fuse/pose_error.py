@@ -27,9 +27,8 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.calibrate.gauge import placement_error
 from hiros_mcap.frames import places_of
 from hiros_mcap.skeletons import Floats, Stamps
-from hiros_mcap.stages.fuse.fusing import Sightings
+from hiros_mcap.stages.fuse.fusing import REFERENCE, Sightings
 
-_AWAY = 3.0  # m; from a camera whose position is not known
 _AXES = 3
 _RENEWED = 500_000_000  # ns; poses stay as they are, so each instant need not be looked at
 _MOST = 25.0
@@ -66,7 +65,7 @@ class PoseError:
         """Estimated over assumed variance."""
         self._learned: int | None = None
 
-    def learn(self, views: Sightings, offsets: Floats, names: Sequence[str]) -> None:
+    def learn(self, views: Sightings, offsets: Floats) -> None:
         """Compare the places at which cameras see a person.
 
         Parameters
@@ -79,13 +78,12 @@ class PoseError:
         if self._learned is not None and now - self._learned < _RENEWED:
             return
         self._learned = now
-        places, seen = places_of(names, self._places), ~np.isnan(offsets[:, 0])
+        seen = ~np.isnan(offsets[:, 0])
         for person in np.unique(views.people[seen]):
             scaled = []
             for camera in np.unique(views.cameras[seen & (views.people == person)]):
                 these = seen & (views.people == person) & (views.cameras == camera)
-                centre = np.nanmean(views.positions[these], axis=(0, 1))
-                assumed = self._assumed(centre, places[camera])
+                assumed = self._assumed(views.distances[these].mean())
                 scaled.append(offsets[these].mean(axis=0) / np.sqrt(assumed))
             self._count(np.array(scaled))
 
@@ -100,12 +98,10 @@ class PoseError:
             middle = float(np.median(self._observed))
             self.ratio = (_AXES + self._most * middle) / (_AXES + self._most)
 
-    def _assumed(self, positions: Floats, places: Floats) -> Floats:
-        """(...) Assumed variance along each axis, m2, of positions from cameras (..., 3), m."""
-        square = ((positions - places) ** 2).sum(axis=-1)
+    def _assumed(self, distances: Floats) -> Floats:
+        """(...) Assumed variance along each axis, m2, at distances from a camera (...), m."""
         # A rotation moves what it sees across two of three axes.
-        away = np.where(np.isnan(square), _AWAY**2, square)
-        return np.asarray(self._shift**2 + 2 / 3 * self._angle**2 * away)
+        return np.asarray(self._shift**2 + 2 / 3 * self._angle**2 * distances**2)
 
     def variances(self, positions: Floats, seen: Stamps, names: Sequence[str]) -> Floats:
         """(K, M) Variance along each axis, m2, of results (K, M, 3), m, from the cameras ``seen``.
@@ -122,7 +118,8 @@ class PoseError:
                 refined += sees
                 own += sees * self._errors.get(name, 0.0) ** 2 / _AXES
             else:
-                alone += sees * self._assumed(positions, places[k])
+                distances = np.linalg.norm(positions - places[k], axis=-1)
+                alone += sees * self._assumed(np.nan_to_num(distances, nan=REFERENCE))
         if self._placement is not None:
             shared = self._placement.variances(positions)
         total = self.ratio * alone + own + refined**2 * shared

@@ -20,13 +20,13 @@ from hiros_mcap.body.rotations import nearest_rotation
 from hiros_mcap.kernels.array_types import F1, F2, F3
 from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.skeletons import Flags, Floats, Ints
+from hiros_mcap.stages.fuse.pair_lengths import RATE
 
 FEWEST = 30  # poses that a prior needs
 _EXCESS = 1.5  # eigenvalue, in units of the noise, that noise alone may have
 _PIECE = 3.0  # s
 _SHOWN = 0.4  # share of its variance that a Gauss-Markov offset of 1.7 s shows within such a piece
 _LEAST = 1e-9  # m; noise of a marker that does not move at all
-_RATE = 15.0  # Hz; a prior of the poses before needs no more poses
 _FIRST, _RENEWED = 2.0, 0.5  # s of a person before the first such prior, and least between two
 _NEW = 1 / 30  # share of the poses that are new when it is renewed: of a minute, 2 s
 _LARGEST_STEP = 0.5  # by it, in standard deviations: a new motion is believed
@@ -48,15 +48,16 @@ def shrink_noise(
     Parameters
     ----------
     variances : (T, M) m2 along each axis.
-    minute : local poses (S, M, 3) and variances (S, M), which lie about the others.
-    rate : poses per second, Hz.
+    minute : local poses (S, M, 3) and variances (S, M), at most RATE, which lie about the others.
+    rate : of the poses, Hz.
     """
     known, noises = minute
     some = ~np.isnan(known[:, :, 0]).any(axis=0)
     if len(known) < FEWEST or not some.any():
         return positions
-    size = max(round(_PIECE * rate), 2)
+    size = max(round(_PIECE * min(rate, RATE)), 2)
     known, noises = known[:, some], at_most_shown(known[:, some], noises[:, some], size)
+    size = max(round(_PIECE * rate), 2)
     noise = at_most_shown(positions[:, some], variances[:, some], size)
     out = positions.copy()
     out[:, some] = estimated(motion_of(known, noises), positions[:, some], noise)
@@ -96,7 +97,7 @@ class RecentMotion:
             self._next = stamp + round(_FIRST * 1e9)
             self._poses = np.empty((_POSES, *local.shape))
             self._variances = np.empty((_POSES, *variances.shape))
-        elif stamp - self._pushed < 0.9e9 / _RATE:
+        elif stamp - self._pushed < 0.9e9 / RATE:
             return
         self._pushed = stamp
         self._poses[self._kept % _POSES] = local
@@ -104,7 +105,7 @@ class RecentMotion:
         self._kept += 1
         if stamp >= self._next and self._kept >= FEWEST:
             poses, variances = self._poses[: self._kept], self._variances[: self._kept]
-            self._next = stamp + round(max(_RENEWED, _NEW * len(poses) / _RATE) * 1e9)
+            self._next = stamp + round(max(_RENEWED, _NEW * len(poses) / RATE) * 1e9)
             self._motion = motion_of(poses, variances)
 
 

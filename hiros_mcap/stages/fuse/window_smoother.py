@@ -177,7 +177,7 @@ class WindowSmoother:
                 break
             self._bank.past = before
         self.displaced.count(views, excess, of_views >= 0)
-        self._pose_error.learn(views, np.where(excess > 0, np.nan, offsets.T).T, self._names)
+        self._pose_error.learn(views, np.where(excess > 0, np.nan, offsets.T).T)
         return poses
 
     def _smooth_people(self, window: FusionWindow) -> FusedPoses:
