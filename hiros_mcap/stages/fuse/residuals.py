@@ -40,7 +40,6 @@ from hiros_mcap.skeletons import POSITION, VELOCITY, Floats, Stamps
 from hiros_mcap.stages.fuse.displaced_views import excess_of, limits_of
 from hiros_mcap.stages.fuse.fusing import Sightings, joined_out_of, rows_of
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
-from hiros_mcap.threads import give_back
 
 FEWEST = 50  # residuals that give a median
 _EVERY = 3  # moments; neighbours tell much the same, and views take much memory
@@ -115,8 +114,6 @@ class ResidualMeter:
         if not self._waiting:
             return
         fused = together(self._fused)
-        if not self._is_causal:
-            give_back()
         views = joined_out_of(self._views)
         done = views.instants < self._first + len(fused)
         self._views, self._fused = [chosen(views, ~done)], []

@@ -132,8 +132,6 @@ class WindowSmoother:
         stamps = self._ahead.stamps[:known]
         n = max(int(np.searchsorted(stamps, end)), 1)
         boundary = int(stamps[min(n, known - 1)])  # nothing older is merged any more
-        if self._params.window > 0:
-            give_back()
         views = joined_out_of(self._views)
         first, out = self._ahead.first, self._ahead.release(n)
         if self._params.window > 0:
