@@ -14,7 +14,7 @@ from typing import Concatenate, NamedTuple, ParamSpec
 import numpy as np
 
 from hiros_mcap.kernels.array_types import I1, I2
-from hiros_mcap.kernels.gathering import gather
+from hiros_mcap.kernels.people_rows import gather
 from hiros_mcap.skeletons import Floats, Frame, People, Stage, Stamps, Uncertainty
 
 

@@ -28,7 +28,7 @@ from hiros_mcap.body.rotations import Rigid, angle, from_vector, to_matrix
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.frames import Block
 from hiros_mcap.kernels.array_types import joined
-from hiros_mcap.kernels.transforming import PoseArrays, move_messages
+from hiros_mcap.kernels.people_rows import PoseArrays, move_messages
 from hiros_mcap.outside import parse, read_text
 from hiros_mcap.params import explain
 from hiros_mcap.skeletons import Frame

@@ -31,7 +31,7 @@ from hiros_mcap.io.container import (
 )
 from hiros_mcap.io.container.reader import MEMORY
 from hiros_mcap.io.container.salvage import RECOVERY_METADATA, Damage, Lost, joined
-from hiros_mcap.io.detectors.registry import detector_readers
+from hiros_mcap.io.detectors import detector_readers
 from hiros_mcap.io.ros_cdr import ros2_types, types_of
 from hiros_mcap.outputs import BAG_MARK, bag_files, check_outputs, target_kind, write_text
 

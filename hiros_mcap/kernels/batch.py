@@ -18,7 +18,7 @@ from hiros_mcap.kernels.cdr import (
     read_header,
 )
 from hiros_mcap.kernels.compile import entry, kernel, rows_of
-from hiros_mcap.kernels.transforming import PoseArrays, move
+from hiros_mcap.kernels.people_rows import PoseArrays, move
 from hiros_mcap.skeletons import BOX, ORIENTATION, STATE, VELOCITY, Floats, People, Stamps
 
 START, STOP = 0, 1

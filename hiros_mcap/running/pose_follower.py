@@ -38,7 +38,7 @@ from hiros_mcap.calibrate.verdict import MOVED, TIMED, CalibratedCamera, weaknes
 from hiros_mcap.frames import Block, join
 from hiros_mcap.io.log import Reading
 from hiros_mcap.kernels.array_types import joined
-from hiros_mcap.kernels.transforming import PoseArrays, move_messages
+from hiros_mcap.kernels.people_rows import PoseArrays, move_messages
 from hiros_mcap.running.clock_alignment import significant_offsets
 from hiros_mcap.running.clock_follower import ClockFollower
 from hiros_mcap.running.pose_alignment import PoseAlignment, summary_of

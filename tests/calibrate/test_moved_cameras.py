@@ -13,7 +13,7 @@ from hiros_mcap.calibrate import survey
 from hiros_mcap.events import events_from_json
 from hiros_mcap.io.channels import EVENTS_ATTACHMENT
 from hiros_mcap.io.log import open_log
-from hiros_mcap.kernels.transforming import move_messages
+from hiros_mcap.kernels.people_rows import move_messages
 from hiros_mcap.running.pipeline import ProcessOptions, process
 
 STEP = Rigid(from_vector(np.radians([3.0, -4.0, 0.0])), np.array([0.16, 0.0, 0.12]))

@@ -20,14 +20,14 @@ from hiros_cli.app import run
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate import evaluate, load_truth
+from hiros_mcap.io import detectors
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.detectors import azure_kinect, registry
+from hiros_mcap.io.detectors import azure_kinect, detector_readers
 from hiros_mcap.io.detectors.body_models import BODY_MODELS, body_model, joints_of, name_of
 from hiros_mcap.io.detectors.body_size import unit_of
 from hiros_mcap.io.detectors.conversion import Selection
 from hiros_mcap.io.detectors.detector_reader import DetectorMessage
 from hiros_mcap.io.detectors.model_fitting import union_of
-from hiros_mcap.io.detectors.registry import detector_readers
 from hiros_mcap.io.log import open_log
 from hiros_mcap.io.overview import overview_of
 from hiros_mcap.running.pipeline import process
@@ -382,7 +382,7 @@ uint32 nanosec
 
 def test_the_reader_of_the_documentation_reads(tmp_path, scene, monkeypatch):
     """It is 40 lines long at most, and registered for the rest of the program."""
-    monkeypatch.setattr(registry, "_READERS", list(registry._READERS))
+    monkeypatch.setattr(detectors, "_READERS", list(detectors._READERS))
     (code,) = re.findall(r"```python\n(.*?)```", DOCS.read_text(encoding="utf-8"), re.DOTALL)
     assert len(code.strip().splitlines()) <= 40
     names: dict[str, Any] = {}
@@ -416,9 +416,9 @@ def test_the_reader_of_the_documentation_reads(tmp_path, scene, monkeypatch):
 
 
 def test_a_reader_that_cannot_be_loaded_is_named(monkeypatch):
-    point = EntryPoint("lab", "nowhere.reader:Lab", registry.GROUP)
-    monkeypatch.setattr(registry, "entry_points", lambda group: [point])
-    registry._installed.cache_clear()
+    point = EntryPoint("lab", "nowhere.reader:Lab", detectors.GROUP)
+    monkeypatch.setattr(detectors, "entry_points", lambda group: [point])
+    detectors._installed.cache_clear()
     with pytest.raises(ConfigError, match=r"detector reader lab \(nowhere.reader:Lab\)"):
         detector_readers()
-    registry._installed.cache_clear()
+    detectors._installed.cache_clear()

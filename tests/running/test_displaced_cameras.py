@@ -18,7 +18,7 @@ from hiros_mcap.io.channels import EVENTS_ATTACHMENT, add_skeleton_channel, add_
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_log
-from hiros_mcap.kernels.transforming import move_messages
+from hiros_mcap.kernels.people_rows import move_messages
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.simulate import SimulateParams, simulate

@@ -1,5 +1,19 @@
-"""Readers of what detectors publish, one sibling per kind. docs/detectors.md adds another one."""
+"""Readers of what detectors publish, one sibling per kind. docs/detectors.md adds another one.
 
+hiros knows its own, those that a program adds, and those that packages bring, by an entry point of
+the group ``hiros.detectors``::
+
+    [project.entry-points."hiros.detectors"]
+    my_bodies = "my_package.reader:MyBodies"
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.metadata import entry_points
+
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.io.detectors.azure_kinect import AzureKinectMarkers
 from hiros_mcap.io.detectors.body_models import body_model, linked
 from hiros_mcap.io.detectors.detector_reader import (
     DetectorMessage,
@@ -8,7 +22,9 @@ from hiros_mcap.io.detectors.detector_reader import (
     nanoseconds,
     seen_people,
 )
-from hiros_mcap.io.detectors.registry import register_detector
+from hiros_mcap.io.detectors.human_frames import HumanFrames
+from hiros_mcap.io.detectors.skeleton_groups import SkeletonGroups
+from hiros_mcap.io.detectors.zed import ZedBodies
 
 __all__ = [
     "DetectorMessage",
@@ -20,3 +36,34 @@ __all__ = [
     "register_detector",
     "seen_people",
 ]
+
+GROUP = "hiros.detectors"
+_READERS: list[type[DetectorReader]] = [SkeletonGroups, AzureKinectMarkers, ZedBodies, HumanFrames]
+
+
+def register_detector(reader: type[DetectorReader]) -> type[DetectorReader]:
+    """Add a reader; usable as a decorator. Of two for one type, the later is asked first."""
+    if reader not in _READERS:
+        _READERS.insert(0, reader)
+    return reader
+
+
+def detector_readers() -> tuple[type[DetectorReader], ...]:
+    """Return all readers in the order in which they are asked.
+
+    Raises ConfigError for an entry point that cannot be loaded.
+    """
+    return (*_READERS, *(r for r in _installed() if r not in _READERS))
+
+
+@cache
+def _installed() -> tuple[type[DetectorReader], ...]:
+    readers = []
+    for point in entry_points(group=GROUP):
+        try:
+            readers.append(point.load())
+        except Exception as error:  # anything can go wrong in it
+            raise ConfigError(
+                f"the detector reader {point.name} ({point.value}) cannot be loaded: {error}"
+            ) from error
+    return tuple(readers)

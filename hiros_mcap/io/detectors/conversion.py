@@ -30,10 +30,10 @@ from hiros_mcap.io.channels import (
 )
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapReader, McapWriter, Message, Schema
+from hiros_mcap.io.detectors import detector_readers
 from hiros_mcap.io.detectors.body_models import name_of
 from hiros_mcap.io.detectors.detector_reader import DetectorMessage, DetectorReader, SeenPeople
 from hiros_mcap.io.detectors.model_fitting import UNION, Fit, chosen_model
-from hiros_mcap.io.detectors.registry import detector_readers
 from hiros_mcap.io.layout import Layout, check_schema
 from hiros_mcap.io.ros_cdr import RosMessage, cdr_of, decoder_of, types_of
 from hiros_mcap.skeletons import SkeletonModel

@@ -12,7 +12,7 @@ A reader takes one message and gives the skeletons in it, or declines::
             ...
             return [seen_people(MODEL, message, frame_id, positions, stamp=stamp)]
 
-:mod:`hiros_mcap.io.detectors.registry` is where hiros finds it.
+:mod:`hiros_mcap.io.detectors` is where hiros finds it.
 """
 
 from __future__ import annotations
