@@ -75,7 +75,7 @@ class InputParams(Params):
         ge=0,
         description="Longest time, s, for which messages of a live system wait for others that are "
         "late. They wait as long as 97 % of the messages of the slowest camera were late in the "
-        "last 10 s, and not at all below 0.04 s.",
+        "last 10 s, and not at all below 0.04 s, or below the period of cameras faster than 33 Hz.",
     )
     poses: Literal["refined", "given"] = advanced(
         "refined",

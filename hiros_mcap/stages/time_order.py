@@ -18,9 +18,10 @@ _USUAL_DELAY = 100_000_000  # ns: how late cameras are taken to be before any wa
 SHARE = 97.0  # %
 _MEMORY = 10_000_000_000  # ns
 _EVERY = 10  # messages of a camera after which its lateness is found again
-_TOLERATED = 40_000_000
+_TOLERATED, _FAST = 40_000_000, 30_000_000
 """ns: a camera's messages come every 33 ms, and the stages gather those of one moment. Nobody waits
-for what is late by no more."""
+for what is late by no more. Where a camera's messages come faster than _FAST, its period is the
+limit: what is later is older than what the others have shown since."""
 
 # Places of what is known of all messages so far, ns.
 _LATEST, _NOW, _BEGIN, _DELAY, _PATIENCE = range(5)
@@ -194,6 +195,8 @@ class _Camera:
     count: int = 0
     usual: int = 0
     """ns by which nearly all messages are late at most."""
+    period: float = _TOLERATED
+    """ns from one message to the next; long until it is known."""
 
     def add(self, log_time: int, late: int) -> bool:
         """Remember a message; return whether the lateness was found again."""
@@ -204,7 +207,8 @@ class _Camera:
         if self.count % _EVERY:
             return False
         usual = np.percentile([some for _, some in self.late], SHARE, method="higher")
-        self.usual = int(usual) if usual > _TOLERATED else 0
+        self.usual = int(usual)
+        self.period = (log_time - self.late[0][0]) / max(len(self.late) - 1, 1)
         return True
 
 
@@ -235,9 +239,12 @@ class Lateness:
         camera = self._cameras.setdefault(source, _Camera())
         if not camera.add(log_time, self._latest - stamp):
             return self.wait
-        if camera.usual > self._limit:
+        heard = [c for c in self._cameras.values() if log_time - c.late[-1][0] <= _MEMORY]
+        period = min(c.period for c in heard)
+        tolerated = period if period < _FAST else _TOLERATED
+        if camera.usual > max(self._limit, tolerated):
             most = max(self.needed.get(source, 0.0), camera.usual * 1e-9)
             self.needed[source] = most
-        heard = [c.usual for c in self._cameras.values() if log_time - c.late[-1][0] <= _MEMORY]
-        self.wait = max(min(max(heard), self._limit), self._least)
+        usual = max(c.usual for c in heard)
+        self.wait = max(min(usual if usual > tolerated else 0, self._limit), self._least)
         return self.wait
