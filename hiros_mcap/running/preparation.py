@@ -62,7 +62,7 @@ class Prepared:
         if LETTERS["M"] not in chain or "merge" not in sections_of(self.options.system):
             return ordered
         merge = self.config.merge
-        return by_instants(ordered, merge.cameras, merge.max_delta_time)
+        return by_instants(ordered, merge.cameras, merge.max_delta_time, in_step=merge.in_step)
 
 
 def prepare(log: Log, config: Config, options: ProcessOptions, watch: Stopwatch) -> Prepared:

@@ -45,7 +45,7 @@ def result(log):
 def test_the_result_is_the_last_stage_of_everybody(result):
     assert (result.channel, result.people) == ("/hiros/filtered", (0, 1))
     assert repr(result) == (
-        "<Result crossing.hiros.mcap /hiros/filtered: 2 people, 1.9 s, 32 markers>"
+        "<Result crossing.hiros.mcap /hiros/filtered: 2 people, 2.0 s, 32 markers>"
     )
     joints = result.joints()
     assert joints.index.names == ["person", "time"]

@@ -479,7 +479,7 @@ def test_what_hiros_exported_comes_back_without_a_mapping(tmp_path, crossing):
     result, table, log = (tmp_path / name for name in ("result.mcap", "lab.csv", "log.mcap"))
     process(crossing, result)
     assert run(["export", str(result), "-o", str(table), "--least-confidence", "0", "-q"]) == 0
-    assert import_joints([table], log) == {"/lab/skeletons": 59}
+    assert import_joints([table], log) == {"/lab/skeletons": 60}
     with open_log(log) as back:
         frames, names = list(back.frames()), list(back.model.marker_names)
     exported = open_result(result)

@@ -59,7 +59,7 @@ def messages(output):
 def test_bones_lie_where_the_joints_are(output, messages):
     frames, model, _ = read_channel(output, "/hiros/filtered")
     chains = limb_chains(model)
-    assert len(messages[MARKERS]) == len(frames) == 150
+    assert len(messages[MARKERS]) == len(frames) == 151
     for frame, array in zip(frames, messages[MARKERS], strict=True):
         by_person: dict[str, list[Any]] = defaultdict(list)
         for marker in array.markers:

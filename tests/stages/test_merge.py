@@ -564,12 +564,42 @@ def test_a_frame_older_than_the_last_merged_one_is_counted_and_left_out():
     assert events.counts["too late to be merged", "b"] == 1
 
 
-def test_messages_of_one_time_are_all_merged_even_before_every_camera_is_known():
+def instants_of(times, **changes):
+    """Times, in periods, at which messages of cameras, (period, camera) each, are merged."""
     events = Events()
-    frames = [seen([person()], at(k), camera, ids=[0]) for k in range(3) for camera in "abc"]
-    merged = list(merge(frames, MODEL, events=events))
-    assert [(f.stamp - START) // PERIOD for f in merged] == [0, 0, 1, 2]
+    frames = [seen([person()], at(k), camera, ids=[0]) for k, camera in times]
+    merged = merge(frames, MODEL, PLAIN.model_copy(update=changes), events)
+    return [(frame.stamp - START) / PERIOD for frame in merged], events
+
+
+@pytest.mark.parametrize("span", [0.07, 0.2])
+@pytest.mark.parametrize("lost", [[], [(1, "b")], [(2, "a")], [(3, "a"), (3, "d")]])
+def test_cameras_that_are_triggered_together_are_merged_trigger_by_trigger(span, lost):
+    times = [(k, camera) for k in range(6) for camera in "abcd" if (k, camera) not in lost]
+    found, events = instants_of(times, max_delta_time=span)
+    assert found == list(range(6))
     assert events.total("too late to be merged") == 0
+
+
+def test_a_camera_that_joins_others_is_merged_with_them_from_its_second_message_on():
+    times = [(k, camera) for k in range(6) for camera in "abcd" if k > 1 or camera != "d"]
+    assert instants_of(times)[0] == [0, 1, 2, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.1])
+def test_cameras_that_take_turns_are_merged_once_in_a_period(jitter):
+    shifts = jitter * np.random.default_rng(1).uniform(-1, 1, (60, 4))
+    times = [(k + c / 4 + shifts[k, c], "abcd"[c]) for k in range(60) for c in range(4)]
+    found, _ = instants_of(times)
+    assert len(found) == 60
+    assert np.diff(found) == pytest.approx(1, abs=0.15)
+
+
+def test_a_message_older_than_the_instant_that_it_closes_is_left_out():
+    times = [(0, "a"), (1, "b"), (1, "c"), (0.4, "a"), (2, "a"), (2, "b"), (2, "c")]
+    found, events = instants_of(times, cameras=9)
+    assert found == sorted(found)
+    assert events.counts["too late to be merged", "a"] == 1
 
 
 def test_of_two_views_that_face_opposite_ways_the_more_confident_is_right():

@@ -682,7 +682,7 @@ def test_two_logs_are_overlaid_with_their_distance(crossing, processed, tmp_path
     assert run(["view", str(processed), str(other), "--save", str(target), "-q"]) == 0
     assert {"/a/filtered/person_0", "/b/filtered/person_0"} <= entities(target)
     mean = np.concatenate(list(rows(target, "/distance/mean", "Scalars:scalars").values()))
-    assert len(mean) == 59
+    assert len(mean) == 60
     ours, theirs = (read_channel(p, "/hiros/filtered")[0] for p in (processed, other))
     expected = [
         1000 * np.nanmean(np.linalg.norm(a.positions - b.positions, axis=-1))

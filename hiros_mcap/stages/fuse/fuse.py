@@ -118,7 +118,7 @@ def merged_sightings(
         model, merge, merge_links.bank, events, fixed_frame, ("outlier", "flip"),
         Unseen(params.bridge, params.carry, cameras), merge_links.widths,
     )  # fmt: skip
-    for block in merger.run(blocks, params.cameras, params.max_delta_time):
+    for block in merger.run(blocks, params.cameras, params.max_delta_time, in_step=params.in_step):
         sightings, instants = joined(parts), 0
         parts.clear()
         yield block, sightings, merger.cameras

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -17,6 +18,11 @@ from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.look_ahead import LookAhead
 from hiros_mcap.stages.merge.unseen import Unseen
 
+_NEAR = 2 / 3
+"""By so much of its camera's interval is a message later than the middle of its instant at most.
+
+Where cameras take turns evenly, the last one is later by half of it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Instant:
@@ -31,22 +37,32 @@ class Instant:
 class Instants:
     """Gathers one message per camera (Hi-ROS 2023, section 3.2).
 
+    ``in_step``, a message also starts a new instant where the camera's message before, or one that
+    was lost, would have been nearer to the others. Without this, a bad start lasts: cameras are
+    triggered together, and each instant has the next message of one of them, a period later.
+
     Times of instants never decrease: a message older than the last one is left out. Two have the
-    same time where messages do: cameras triggered together, before all of them are known.
+    same time where a camera joins cameras that are triggered together.
 
     Parameters
     ----------
-    cameras : messages that complete an instant (third trigger); 0 = as many as sources are known.
+    cameras : messages that complete an instant (third trigger); 0 = as many as sources are known,
+        once one of them has sent a second message.
     max_delta_time : s between the oldest and the newest message of an instant (second trigger).
         A second message of the same camera starts a new one, too (first trigger).
     events : counts "too late to be merged".
     """
 
-    def __init__(self, cameras: int, max_delta_time: float, events: Events) -> None:
+    def __init__(
+        self, cameras: int, max_delta_time: float, events: Events, *, in_step: bool = True
+    ) -> None:
         self._cameras, self._span, self._events = cameras, max_delta_time * 1e9, events
+        self._near = _NEAR if in_step else math.inf
         self._buffer: dict[str, tuple[int, int]] = {}
         """Source to the stamp and number of its message."""
-        self._sources: set[str] = set()
+        self._sources: dict[str, tuple[int, float]] = {}
+        """Source to the stamp of its latest message, and the ns from the one before to it."""
+        self._all_known = False
         self._newest = 0
         self._first = self._last = 0
         """Times of the oldest and the newest message in the buffer."""
@@ -56,25 +72,39 @@ class Instants:
     def add(self, stamp: int, source: str, log_time: int, number: int) -> list[Instant]:
         """Take a message; return the instants that it completes: none, one or two."""
         done: list[Instant] = []
-        self._sources.add(source)
-        if stamp < self._newest:
-            self._events.count(TOO_LATE, source)
-            return done
+        self._all_known = self._all_known or source in self._sources
+        interval = self._interval(source, stamp)
         buffer = self._buffer
-        if buffer and (
-            source in buffer or max(stamp, self._last) - min(stamp, self._first) > self._span
+        if (buffer and stamp >= self._newest) and (
+            source in buffer
+            or max(stamp, self._last) - min(stamp, self._first) > self._span
+            or stamp - (self._first + self._last) / 2 > self._near * interval
         ):
             done.append(self._close(log_time))
             buffer = self._buffer
+        if stamp < self._newest:
+            self._events.count(TOO_LATE, source)
+            return done
         if buffer:
             self._log_time = max(log_time, self._log_time)
             self._first, self._last = min(stamp, self._first), max(stamp, self._last)
         else:
             self._log_time, self._first, self._last = log_time, stamp, stamp
         buffer[source] = stamp, number
-        if len(self._buffer) >= (self._cameras or len(self._sources)):
+        known = len(self._sources) if self._all_known else math.inf
+        if len(self._buffer) >= (self._cameras or known):
             done.append(self._close(log_time))
         return done
+
+    def _interval(self, source: str, stamp: int) -> float:
+        """Usual time, ns, between messages of a source, of which one is new; inf if not known.
+
+        It is the shorter one of the last two: between them, a message may be lost.
+        """
+        latest, before = self._sources.get(source, (stamp, math.inf))
+        gap = stamp - latest if stamp > latest else math.inf
+        self._sources[source] = max(stamp, latest), gap
+        return min(gap, before)
 
     def rest(self) -> list[Instant]:
         """Return the instant that no further message will complete, if there is one."""
@@ -87,13 +117,15 @@ class Instants:
         return Instant([number for _, number in messages], self._newest, log_time)
 
 
-def by_instants(blocks: Iterable[Block], cameras: int, max_delta_time: float) -> Iterator[Block]:
+def by_instants(
+    blocks: Iterable[Block], cameras: int, max_delta_time: float, *, in_step: bool = True
+) -> Iterator[Block]:
     """Gather messages into blocks that end where an instant is complete.
 
     No merger gives anything before, and every stage costs a call per block. The parameters are
     those of :class:`Instants`.
     """
-    gathered, held = Instants(cameras, max_delta_time, Events()), list[Block]()
+    gathered, held = Instants(cameras, max_delta_time, Events(), in_step=in_step), list[Block]()
     for block in blocks:
         end = 0
         for n, message in enumerate(block.messages(), 1):
@@ -146,9 +178,11 @@ class InstantMerger:
         """Sources of the messages, by the index that the kernel knows them by."""
         return tuple(self._cameras)
 
-    def run(self, blocks: Iterable[Block], cameras: int, max_delta_time: float) -> Iterator[Block]:
+    def run(
+        self, blocks: Iterable[Block], cameras: int, max_delta_time: float, *, in_step: bool = True
+    ) -> Iterator[Block]:
         """Yield the merged people of every instant; the parameters are those of Instants."""
-        gathered = Instants(cameras, max_delta_time, self._events)
+        gathered = Instants(cameras, max_delta_time, self._events, in_step=in_step)
         for block in blocks:
             first, ready = self._ahead.first + len(self._ahead), list[Instant]()
             self._ahead.add(block)

@@ -64,7 +64,7 @@ def merge_blocks(
         model, kernel, kernel.bank, events or Events(), fixed_frame, ("outlier", "flip"),
         Unseen(params.bridge, params.carry, cameras or {}),
     )  # fmt: skip
-    yield from merger.run(blocks, params.cameras, params.max_delta_time)
+    yield from merger.run(blocks, params.cameras, params.max_delta_time, in_step=params.in_step)
 
 
 class ViewMerger:

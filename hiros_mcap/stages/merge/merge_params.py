@@ -22,6 +22,11 @@ class MergeParams(Params):
         0,
         "Number of messages that fill the buffer (third trigger); 0 = the number of known cameras.",
     )
+    in_step: bool = fixed(
+        True,
+        "A message also starts a new buffer where the message of its camera before, or one that "
+        "was lost, would have been nearer to the others (not in the paper).",
+    )
     max_position_delta: float = advanced(
         0.2,
         description="Views of a marker agree if they differ by less than this, m (0.2 in the "
