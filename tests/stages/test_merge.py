@@ -595,6 +595,14 @@ def test_cameras_that_take_turns_are_merged_once_in_a_period(jitter):
     assert np.diff(found) == pytest.approx(1, abs=0.15)
 
 
+def test_irregular_cameras_that_lose_messages_give_hardly_more_instants_than_frames():
+    rng = np.random.default_rng(2)
+    times = np.arange(600)[:, None] + rng.uniform(0, 1, 4) + rng.normal(0, 0.15, (600, 4))
+    kept = [(k, c) for k, c in np.ndindex(600, 4) if rng.random() > 0.1]
+    found, _ = instants_of(sorted((times[k, c], "abcd"[c]) for k, c in kept))
+    assert len(found) < 1.04 * 600
+
+
 def test_a_message_older_than_the_instant_that_it_closes_is_left_out():
     times = [(0, "a"), (1, "b"), (1, "c"), (0.4, "a"), (2, "a"), (2, "b"), (2, "c")]
     found, events = instants_of(times, cameras=9)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import groupby, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ _NEAR = 2 / 3
 """By so much of its camera's interval is a message later than the middle of its instant at most.
 
 Where cameras take turns evenly, the last one is later by half of it."""
+_REMEMBERED = 6  # messages of a camera: the median of five intervals counts
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +62,8 @@ class Instants:
         self._near = _NEAR if in_step else math.inf
         self._buffer: dict[str, tuple[int, int]] = {}
         """Source to the stamp and number of its message."""
-        self._sources: dict[str, tuple[int, float]] = {}
-        """Source to the stamp of its latest message, and the ns from the one before to it."""
+        self._sources: dict[str, deque[int]] = {}
+        """Source to the stamps of its latest messages."""
         self._all_known = False
         self._newest = 0
         self._first = self._last = 0
@@ -97,14 +99,12 @@ class Instants:
         return done
 
     def _interval(self, source: str, stamp: int) -> float:
-        """Usual time, ns, between messages of a source, of which one is new; inf if not known.
-
-        It is the shorter one of the last two: between them, a message may be lost.
-        """
-        latest, before = self._sources.get(source, (stamp, math.inf))
-        gap = stamp - latest if stamp > latest else math.inf
-        self._sources[source] = max(stamp, latest), gap
-        return min(gap, before)
+        """Usual time, ns, between messages of a source, of which one is new; inf if not known."""
+        stamps = self._sources.setdefault(source, deque(maxlen=_REMEMBERED))
+        if not stamps or stamp > stamps[-1]:
+            stamps.append(stamp)
+        gaps = sorted(later - earlier for earlier, later in pairwise(stamps))
+        return gaps[(len(gaps) - 1) // 2] if gaps else math.inf
 
     def rest(self) -> list[Instant]:
         """Return the instant that no further message will complete, if there is one."""
