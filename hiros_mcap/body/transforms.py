@@ -33,6 +33,7 @@ from hiros_mcap.outside import parse, read_text
 from hiros_mcap.params import explain
 from hiros_mcap.skeletons import Frame
 
+_REMEDY = "mend the transforms, or pass others with --extrinsics FILE"
 _DENORMALISED = 1e-3
 _ZERO = 1e-6
 _LISTED = 12
@@ -341,10 +342,11 @@ class TransformTree:
         while path[-1] in self._edges:
             name = path[-1]
             if name in self._faults:
-                raise LogError(f"the frame {name!r} {self._faults[name]}")
+                raise LogError(f"the frame {name!r} {self._faults[name]}; {_REMEDY}")
             path.append(self._edges[name].parent)
             if path[-1] in path[:-1]:
-                raise LogError(f"the transforms form a loop: {' -> '.join(path)}")
+                loop = " -> ".join(path[path.index(path[-1]) :])
+                raise LogError(f"the transforms form a loop: {loop}; {_REMEDY}")
         return path
 
 

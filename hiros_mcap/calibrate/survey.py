@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from hiros_mcap.body.rotations import Rigid, to_matrix
 from hiros_mcap.calibrate.camera_views import CameraView, Sighting, sightings_from, view_of
-from hiros_mcap.errors import LogError
+from hiros_mcap.errors import LogError, naming
 from hiros_mcap.frames import rows_between
 from hiros_mcap.io.camera_clock import CameraTimes, ClockCorrection
 from hiros_mcap.io.log import Log
@@ -231,7 +231,8 @@ def moves(log: Log, frame: str) -> bool:
     """Whether the log knows how a frame moves."""
     if frame not in log.transforms.frames:
         return False
-    return log.transforms.at_rest(frame, log.transforms.root(frame)) is None
+    with naming(log.path):
+        return log.transforms.at_rest(frame, log.transforms.root(frame)) is None
 
 
 def seen_by(

@@ -88,6 +88,7 @@ class ModelBuilder:
             raise LogError(_fault(code, report.tolist(), data), topic=topic)
         self._max_markers = max(self._max_markers, int(report[cdr.MOST_MARKERS]))
         self._max_links = max(self._max_links, int(report[cdr.MOST_LINKS]))
+        own = dict[int, str]()
         for is_link, key, start, end, parent, child in rows[: report[cdr.ROWS]].tolist():
             try:
                 name = str(data[start:end], "utf-8")
@@ -96,6 +97,8 @@ class ModelBuilder:
             if is_link:
                 self._add_link(key, (name, parent, child), topic)
                 continue
+            if (other := own.setdefault(key, name)) != name:
+                raise LogError(f"markers {other!r} and {name!r} have one id, {key}", topic=topic)
             first, where = self._markers.setdefault(key, (name, topic))
             if first != name:
                 fault = f"marker {key} is {name!r} here and {first!r} on {where}"

@@ -24,6 +24,7 @@ from hiros_mcap.evaluate.logs import (
     covered_by,
     evaluate_channels,
     find_truth,
+    has_outputs,
     results_of,
     settings_of,
     start_of,
@@ -187,6 +188,11 @@ class EvalJob(Job):
         check_scorable(log, self.truth, has_truth=truth is not None)
         if truth is None:
             return None
+        if self.asked and has_outputs(log):
+            raise ConfigError(
+                f"{Path(log.path).name} is a result, and is scored as it is; --system, --preset, "
+                "--config and --set are for recordings"
+            )
         truth = truth.moved(self.shift, start=start_of(log), up=self.up)
         config, system = self.settings.load(), self.settings.system
         channels = results_of(log, config, self.truth, self.channels, system)

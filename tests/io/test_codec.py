@@ -233,6 +233,12 @@ def test_marker_of_another_name_is_named():
     assert "marker 1 has another name, 'tail'" in refusal(data)
 
 
+def test_two_markers_of_one_id_are_named_before_other_cameras_are_blamed():
+    data = edited(stick(), lambda m: marker_of(m, 1).update(id=0))
+    with pytest.raises(LogError, match=r"/t: markers 'm?\w+' and '\w+' have one id, 0"):
+        ModelBuilder().add(data, "/t")
+
+
 @pytest.mark.parametrize("name", ["m10", "m", "", "M1", "m2"])
 def test_names_are_compared_to_their_last_byte(name):
     data = edited(stick(), lambda m: marker_of(m, 1).update(name=name))

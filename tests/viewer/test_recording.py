@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import subprocess
+import sys
 from dataclasses import replace
 from typing import Any
 
@@ -672,6 +674,25 @@ def test_a_time_range_has_its_results_though_they_were_logged_much_later(process
     stamps = sorted(rows(target, "/filtered/person_0", "Points3D:positions"))
     assert len(stamps) > 25
     assert start + 1_000_000_000 <= stamps[0] < stamps[-2] <= start + 2_000_000_000
+
+
+LIMITED = """
+import resource, sys
+from hiros_cli.app import run
+resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
+sys.exit(run(["view", sys.argv[1], "--save", sys.argv[2], "-q"]))
+"""
+
+
+def test_a_recording_beyond_a_limit_of_size_is_one_error_and_no_file(processed, tmp_path):
+    target = tmp_path / "out.rrd"
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED, processed, target],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2, done.stderr
+    assert f"hiros: error: {target}: cannot be written: " in done.stderr
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_two_logs_are_overlaid_with_their_distance(crossing, processed, tmp_path):

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hiros_mcap.errors import ConfigError, HirosError
+from hiros_mcap.errors import ConfigError, HirosError, LogError
 from hiros_mcap.outputs import replacing
 
 if TYPE_CHECKING:
@@ -55,6 +55,9 @@ def save(target: Path, name: str, draw: Draw) -> None:
         try:
             recording.save(temporary)
             draw(recording)
+            recording.flush()  # else a full disk goes unnoticed
+        except RuntimeError as error:  # of rerun: it cannot write
+            raise LogError(f"cannot be written: {error}", path=target) from error
         finally:
             recording.disconnect()
 

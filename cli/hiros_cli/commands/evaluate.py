@@ -73,6 +73,8 @@ class Scoring:
     align_scale: bool = flag("--align-scale", "--align, and find the scale of the truth.")
 
     def __post_init__(self) -> None:
+        if self.leave_one_out and self.truth is not None:
+            raise ConfigError("--leave-one-out takes no --truth: it compares the cameras")
         if self.up not in ("z", "y"):
             raise ConfigError(f"--up: {self.up!r} is neither z nor y")
         if self.truth_covers not in ("all", "partial", "auto"):
