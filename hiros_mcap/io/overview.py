@@ -81,7 +81,7 @@ class CameraRow:
     rate_hz: float
     """Frames per second of the camera's own time, gaps of more than 1 s left out."""
     longest_gap_s: float
-    """Longest time between two frames, s."""
+    """Longest time, s, between two frames, or beyond 1 s before the first or after the last."""
     least_people: int
     most_people: int
     mean_people: float
@@ -425,13 +425,20 @@ def _camera_rows(reading: Reading, fixed: str) -> Iterator[CameraRow]:
         for name in camera.sources.values()
     }
     seen: dict[str, list[tuple[int, int]]] = {name: [] for name in topics}  # stamp, people
+    logged: dict[str, tuple[int, int]] = {}  # first and last
     for frame in reading.frames():
         topics.setdefault(frame.source, ("", frame.frame_id))
         seen.setdefault(frame.source, []).append((frame.stamp, frame.n_people))
+        first, _ = logged.get(frame.source, (frame.log_time, 0))
+        logged[frame.source] = first, frame.log_time
+    begin, end = log.span
     for name, (topic, frame_id) in topics.items():
         people = [n for _, n in seen[name]]
         steps = [(b - a) / 1e9 for (a, _), (b, _) in pairwise(sorted(seen[name])) if b > a]
         steady = [step for step in steps if step <= _GAP_S]
+        # A camera may begin late, or stop: what other cameras' log times show.
+        first, last = logged.get(name, (begin, end))
+        steps += [gap for gap in ((first - begin) / 1e9, (end - last) / 1e9) if gap > _GAP_S]
         yield CameraRow(
             name=name,
             topic=topic,

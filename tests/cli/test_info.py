@@ -6,6 +6,7 @@ import itertools
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 from mcap.writer import IndexType, Writer
 from mcap_logs import KINDS
 
@@ -54,6 +55,30 @@ def test_any_mcap_is_shown_and_none_without_skeletons_processed(messages, tmp_pa
         (line,) = capsys.readouterr().err.splitlines()
         assert "has no SkeletonGroup channel" in line
     assert not out.exists()
+
+
+def test_a_camera_that_stops_or_begins_late_has_a_gap(whole_crossing, tmp_path):
+    log, begin = tmp_path / "log.mcap", None
+    with whole_crossing.open("rb") as file, log.open("wb") as target:
+        writer, ids = Writer(target), dict[str, int]()
+        writer.start()
+        for schema, channel, message in make_reader(file).iter_messages():
+            begin = begin or message.log_time
+            seconds = (message.log_time - begin) * 1e-9
+            if channel.topic == "/camera_1/skeletons" and not 1.5 < seconds < 3.0:
+                continue
+            if channel.topic not in ids:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                ids[channel.topic] = writer.register_channel(
+                    channel.topic, channel.message_encoding, number
+                )
+            writer.add_message(
+                ids[channel.topic], message.log_time, message.data, message.publish_time
+            )
+        writer.finish()
+    gaps = {camera.name: camera.longest_gap_s for camera in overview_of(log).cameras}
+    assert gaps["camera_1"] == pytest.approx(2.0, abs=0.1)
+    assert max(gaps["camera_0"], gaps["camera_2"]) < 0.2
 
 
 @pytest.mark.parametrize("kind", KINDS)

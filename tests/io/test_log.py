@@ -292,6 +292,17 @@ def test_a_camera_whose_joints_have_no_common_names_is_refused(path):
         open_log(path)
 
 
+@pytest.mark.parametrize("odd", range(3))
+def test_of_three_cameras_the_one_with_odd_names_is_refused(path, odd):
+    other = SkeletonModel.of(("x", "y", "z"), (("ab", 0, 1), ("bc", 1, 2)))
+    with Maker(path) as log:
+        for camera in range(3):
+            data = Encoder(other if camera == odd else MODEL).encode(seen(camera))
+            log.add(seen(camera), data=data)
+    with pytest.raises(LogError, match=rf"/camera_{odd}/skeletons: its markers \(x, y, z"):
+        open_log(path)
+
+
 # -- the same, however it was read -------------------------------------------------------------
 
 

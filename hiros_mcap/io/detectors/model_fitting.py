@@ -98,7 +98,9 @@ def _check_common(wanted: str, model: SkeletonModel, models: Mapping[str, Skelet
     """Raise LogError for a topic whose skeletons cannot be compared with the others'."""
     target = set(joints_of(model.marker_names))
     joints = {topic: set(joints_of(m.marker_names)) for topic, m in models.items()}
-    for topic, of_topic in joints.items():
+    alike = {topic: sum(m == model for m in models.values()) for topic, model in models.items()}
+    for topic in sorted(joints, key=alike.__getitem__):  # the odd one out is named
+        of_topic = joints[topic]
         others = [other for t, other in joints.items() if models[t] != models[topic]]
         if wanted == UNION and not others:
             continue
