@@ -103,7 +103,7 @@ class Instants:
         stamps = self._sources.setdefault(source, deque(maxlen=_REMEMBERED))
         if not stamps or stamp > stamps[-1]:
             stamps.append(stamp)
-        gaps = sorted(later - earlier for earlier, later in pairwise(stamps))
+        gaps = sorted([later - earlier for earlier, later in pairwise(stamps)])
         return gaps[(len(gaps) - 1) // 2] if gaps else math.inf
 
     def rest(self) -> list[Instant]:
