@@ -35,6 +35,7 @@ from hiros_viewer import poses as drawn_poses
 from hiros_viewer import replay as replaying
 from hiros_viewer.blueprint import LAYOUTS, Content, cameras, fitting
 from hiros_viewer.columns import LOGGED, TIMELINE, ended
+from hiros_viewer.destinations import save
 from hiros_viewer.legend import legend
 from hiros_viewer.palette import SIDES, faint, shade
 from hiros_viewer.poses import HALF_SIZE, Poses
@@ -692,6 +693,15 @@ def test_a_recording_beyond_a_limit_of_size_is_one_error_and_no_file(processed, 
     )  # fmt: skip
     assert done.returncode == 2, done.stderr
     assert f"hiros: error: {target}: cannot be written: " in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_error_of_ours_while_a_recording_is_drawn_is_not_said_of_the_disk(tmp_path):
+    def draw(recording):
+        raise RuntimeError("ours")
+
+    with pytest.raises(RuntimeError, match="ours"):
+        save(tmp_path / "out.rrd", "log", draw)
     assert list(tmp_path.iterdir()) == []
 
 

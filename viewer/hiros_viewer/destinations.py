@@ -55,11 +55,13 @@ def save(target: Path, name: str, draw: Draw) -> None:
         try:
             recording.save(temporary)
             draw(recording)
-            recording.flush()  # else a full disk goes unnoticed
-        except RuntimeError as error:  # of rerun: it cannot write
-            raise LogError(f"cannot be written: {error}", path=target) from error
         finally:
-            recording.disconnect()
+            try:
+                recording.flush()  # else a full disk goes unnoticed
+            except RuntimeError as error:
+                raise LogError(f"cannot be written: {error}", path=target) from error
+            finally:
+                recording.disconnect()
 
 
 def connect(url: str, name: str, draw: Draw) -> None:

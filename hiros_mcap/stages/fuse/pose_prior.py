@@ -55,10 +55,9 @@ def shrink_noise(
     some = ~np.isnan(known[:, :, 0]).any(axis=0)
     if len(known) < FEWEST or not some.any():
         return positions
-    size = max(round(_PIECE * min(rate, RATE)), 2)
-    known, noises = known[:, some], at_most_shown(known[:, some], noises[:, some], size)
-    size = max(round(_PIECE * rate), 2)
-    noise = at_most_shown(positions[:, some], variances[:, some], size)
+    known = known[:, some]
+    noises = at_most_shown(known, noises[:, some], min(rate, RATE))
+    noise = at_most_shown(positions[:, some], variances[:, some], rate)
     out = positions.copy()
     out[:, some] = estimated(motion_of(known, noises), positions[:, some], noise)
     return out
@@ -109,13 +108,13 @@ class RecentMotion:
             self._motion = motion_of(poses, variances)
 
 
-def at_most_shown(positions: Floats, variances: Floats, size: int) -> Floats:
+def at_most_shown(positions: Floats, variances: Floats, rate: float) -> Floats:
     """(T, M) Variances without what the poses (T, M, 3) contradict, m2: noise shows in them.
 
     Errors of detectors depend on the pose: those of a person who stands hardly change. A prior that
-    expects noise there would take small movements for it. ``size`` poses each are 3 s.
+    expects noise there would take small movements for it. The poses are looked at in pieces of 3 s.
     """
-    out = variances.copy()
+    out, size = variances.copy(), max(round(_PIECE * rate), 2)
     for start in range(0, len(positions), size):
         part = slice(max(min(start, len(positions) - size), 0), start + size)
         seen: Flags = np.asarray(~np.isnan(positions[part]))

@@ -39,10 +39,6 @@ class Instant:
 class Instants:
     """Gathers one message per camera (Hi-ROS 2023, section 3.2).
 
-    ``in_step``, a message also starts a new instant where the camera's message before, or one that
-    was lost, would have been nearer to the others. Without this, a bad start lasts: cameras are
-    triggered together, and each instant has the next message of one of them, a period later.
-
     Times of instants never decrease: a message older than the last one is left out. Two have the
     same time where a camera joins cameras that are triggered together.
 
@@ -53,6 +49,10 @@ class Instants:
     max_delta_time : s between the oldest and the newest message of an instant (second trigger).
         A second message of the same camera starts a new one, too (first trigger).
     events : counts "too late to be merged".
+    in_step : whether a message also starts a new instant where its camera's message before, or one
+        that was lost, would have been nearer to the others. Without this, a bad start lasts: of
+        cameras that are triggered together, each instant has the next message of one, a period
+        later.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class Instants:
         ):
             done.append(self._close(log_time))
             buffer = self._buffer
-        if stamp < self._newest:
+        if stamp < self._newest:  # than the instant just closed, or one before
             self._events.count(TOO_LATE, source)
             return done
         if buffer:
