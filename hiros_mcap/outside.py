@@ -6,6 +6,7 @@ one error that names its place.
 
 from __future__ import annotations
 
+import codecs
 import json
 import os
 import stat
@@ -27,6 +28,8 @@ _LARGEST = 1 << 64
 def read_text(path: str | os.PathLike[str], most: int = MOST_BYTES) -> str:
     """Return the text of a regular file of at most ``most`` bytes, without a byte order mark.
 
+    It is UTF-8, or UTF-16 by its mark.
+
     Raises ConfigError naming the file. A FIFO is refused, for whose writer nobody may wait.
     """
     path = Path(path)
@@ -38,11 +41,12 @@ def read_text(path: str | os.PathLike[str], most: int = MOST_BYTES) -> str:
             data = file.read(most + 1)
         if len(data) > most:
             raise ConfigError(f"{path}: is larger than {most >> 20} MiB")
-        return data.decode("utf-8-sig")
+        is_wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))  # Excel's "Unicode"
+        return data.decode("utf-16" if is_wide else "utf-8-sig")
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: not text: {error.reason}") from None
+        raise ConfigError(f"{path}: not text: {error.reason}; save text as UTF-8") from None
     except ValueError as error:  # a null byte in the name
         raise ConfigError(f"{path}: {error}") from None
 

@@ -5,7 +5,6 @@ docs/evaluating.md describes the CSV layout, joints and link orientations, for i
 
 from __future__ import annotations
 
-import csv
 import math
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,8 @@ from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.truth import MAX_GAP_NS, Truth
 from hiros_mcap.io.channels import TRUTH_PREFIX
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.joints.marker_files import MARKER_FILES, lines_of, number_of
+from hiros_mcap.io.joints.marker_files import MARKER_FILES
+from hiros_mcap.io.joints.text_tables import METRES, SECONDS, number_of, read_table, seconds_of
 from hiros_mcap.io.log import Source, open_log
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
@@ -109,36 +109,35 @@ _Table = dict[tuple[float, int, Any], list[float]]
 
 def _read_tables(path: Path) -> tuple[_Table, _Table]:
     """Return the positions of markers and the orientations of links in a CSV file."""
-    try:
-        reader = csv.DictReader(lines_of(path))
-        columns, rows = set(reader.fieldnames or ()), list(reader)
-    except csv.Error as error:
-        raise ConfigError(f"{path}: not CSV: {error}") from error
+    table = read_table(path, may_be_short=True)
+    columns = set(table.columns)
     needed = {"time", "marker", "x", "y", "z"}
     if columns & {*_LINK, *_QUATERNION}:
         needed |= {*_LINK, *_QUATERNION}
     if missing := needed - columns:
         raise ConfigError(
             f"{path}: line 1: no column {', '.join(sorted(missing))} "
-            f"(there are: {', '.join(reader.fieldnames or ())})"
+            f"(there are: {', '.join(table.columns)})"
         )
+    seconds = table.unit(["time"], SECONDS) or "s"
+    metres = METRES[table.unit("xyz", METRES) or "m"]
     joints: _Table = {}
     links: _Table = {}
-    for line, row in enumerate(rows, start=2):
-        where = f"{path}: line {line}"
-        stamp, person = (number_of(text, where) for text in (row["time"], row.get("person") or "0"))
+    for where, row in table.rows:
+        stamp = seconds_of(row["time"], where, seconds)
+        person = number_of(row.get("person") or "0", where)
         if math.isnan(stamp) or not person.is_integer():
             raise ConfigError(f"{where}: time and person must be numbers")
-        marker, parent, child = ((row.get(c) or "").strip() for c in ("marker", *_LINK))
+        marker, parent, child = (row.get(c) or "" for c in ("marker", *_LINK))
         if bool(marker) == bool(parent or child) or bool(parent) != bool(child):
             raise ConfigError(f"{where}: needs either a marker, or the parent and child of a link")
         name = marker or f"link {parent} to {child}"
-        table, numbers = (joints, "xyz") if marker else (links, _QUATERNION)
+        found, numbers = (joints, "xyz") if marker else (links, _QUATERNION)
         key = stamp, int(person), marker or (parent, child)
-        if key in table:
+        if key in found:
             raise ConfigError(f"{where}: {name} twice at {stamp} s")
         values = [number_of(row[column], where) for column in numbers]
-        table[key] = values if marker else _unit_quaternion(values, where)
+        found[key] = [metres * v for v in values] if marker else _unit_quaternion(values, where)
     return joints, links
 
 
@@ -180,12 +179,13 @@ def _check_unit(path: Path, positions: Floats) -> None:
     people = np.where(unknown, np.nan, positions)[enough]
     if not len(people):
         return
+    is_mocap = path.suffix.lower() in MARKER_FILES
     size = float(np.median((np.nanmax(people, axis=1) - np.nanmin(people, axis=1)).max(axis=-1)))
     if size > _LARGEST_M:
         unit = "millimetres" if size > 30 * _LARGEST_M else "centimetres"
         raise ConfigError(
             f"{path}: its people measure {size:.4g} m; the coordinates look like {unit}. "
-            "Convert them to metres"
+            f"{'Correct the unit in the file' if is_mocap else 'Convert them to metres'}"
         )
     if 0 < size < _SMALLEST_M and positions.shape[2] > _ENOUGH_MARKERS:
         raise ConfigError(f"{path}: its people measure {size:.2g} m; is the unit right?")

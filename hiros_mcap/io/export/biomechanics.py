@@ -18,6 +18,7 @@ from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.export.choices import Choices, pauses
 from hiros_mcap.io.export.rajagopal import NEEDS, PELVIS, bridged, coordinates
 from hiros_mcap.io.export.tables import write_lines
+from hiros_mcap.io.joints.c3d_frames import MOST_FRAMES
 from hiros_mcap.io.joints.marker_files import open_c3d
 from hiros_mcap.io.result import safe_name
 from hiros_mcap.outputs import BVH_START, EXPORT_MARK
@@ -149,6 +150,8 @@ def write_c3d(result: Result, target: Path, choices: Choices) -> None:
     """Write everybody's markers, mm, and angles, degrees, z up; a gap has the residual -1.
 
     An angle is the x of a point that POINT:ANGLES names.
+
+    Raises ConfigError for more frames than the header of a C3D file counts.
     """
     import ezc3d
 
@@ -157,6 +160,11 @@ def write_c3d(result: Result, target: Path, choices: Choices) -> None:
     first = min(m.times[0] for m in motions.values())
     last = max(m.times[-1] for m in motions.values())
     n: int = round((last - first) * rate) + 1
+    if n > MOST_FRAMES:
+        raise ConfigError(
+            f"{result.path}: C3D counts at most {MOST_FRAMES} frames, and this would have {n}; "
+            "choose a part with --start and --end, a lower --rate, or another format"
+        )
     labels: list[str] = []
     angle_labels: list[str] = []
     columns: list[Floats] = []

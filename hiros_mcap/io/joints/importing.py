@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import heapq
 import math
 import os
@@ -23,18 +22,28 @@ from hiros_mcap.io.detectors.body_models import linked
 from hiros_mcap.io.detectors.body_size import LARGEST, SMALLEST, body_size
 from hiros_mcap.io.detectors.detector_reader import add_links
 from hiros_mcap.io.joints.mapping import (
-    SECONDS,
     ColumnMapping,
     FileMapping,
     TimeMapping,
     of_columns,
     read_mapping,
 )
-from hiros_mcap.io.joints.marker_files import MARKER_FILES, METRES, lines_of, number_of, text_of
+from hiros_mcap.io.joints.marker_files import MARKER_FILES
+from hiros_mcap.io.joints.text_tables import (
+    METRES,
+    SECONDS,
+    Table,
+    lacks_zone,
+    number_of,
+    read_table,
+    seconds_of,
+    text_of,
+)
 from hiros_mcap.outside import parse
 from hiros_mcap.skeletons import POSITION, Frame, SkeletonModel
 
 _BODY = 33
+_NOWHERE = math.nan, math.nan, math.nan
 _HOLISTIC = (75, 543, 553)
 """Joints of MediaPipe's holistic model: those of the body, then hands, then the face if any."""
 
@@ -46,18 +55,37 @@ class JointRow(NamedTuple):
     """s, as the file has it."""
     person: str
     joint: str
+    """"" if the person has none in 3D, or if nobody is there; then the person is "", too."""
     position: tuple[float, float, float]
     """m."""
     confidence: float
     """0 to 1, NaN = not given."""
+    camera: str = ""
+    """"" if all rows of the file are of one."""
 
 
-def read_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
+class Series(NamedTuple):
+    """What one camera saw."""
+
+    camera: str
+    model: SkeletonModel
+    frames: list[Frame]
+    """In the order of time."""
+
+
+Warn = Callable[[str], object]
+
+
+def read_rows(
+    path: Path, mapping: FileMapping, warn: Warn = lambda text: None
+) -> Iterator[JointRow]:
     """Yield what a CSV, TRC or JSON file holds, or a folder of JSON files, one per instant.
+
+    ``warn`` is called with what is guessed, or makes the rows doubtful.
 
     Raises ConfigError naming the file and the line, for a file that is not as the mapping says.
     """
-    readers: dict[str, Callable[[Path, FileMapping], Iterator[JointRow]]] = {
+    readers: dict[str, Callable[[Path, FileMapping, Warn], Iterator[JointRow]]] = {
         ".csv": _csv_rows,
         ".json": _json_rows,
         ".npy": _npy_rows,
@@ -66,57 +94,99 @@ def read_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
     reader = readers.get(".json" if path.is_dir() else path.suffix.lower())
     if reader is None:
         raise ConfigError(f"{path}: is none of {', '.join(readers)}, which hiros imports")
-    yield from reader(path, mapping)
+    yield from reader(path, mapping, warn)
 
 
-def _marker_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
+def _marker_rows(path: Path, mapping: FileMapping, warn: Warn) -> Iterator[JointRow]:
     if mapping.time.rate:
         raise ConfigError(f"{path}: time.rate is for files without times; this one has times")
-    markers = MARKER_FILES[path.suffix.lower()](path)
+    markers = MARKER_FILES[path.suffix.lower()](path, _unit_set(mapping))
+    if markers.doubt:
+        warn(f"{path}: {markers.doubt}")
     for time, skeletons in zip(markers.times.tolist(), markers.positions.tolist(), strict=True):
         for person, points in zip(markers.people, skeletons, strict=True):
             for name, point in zip(markers.names, points, strict=True):
                 yield JointRow(time, person, name, tuple(point), math.nan)
 
 
-def _csv_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
-    try:
-        reader = csv.DictReader(lines_of(path))
-        columns, rows = list(reader.fieldnames or ()), list(reader)
-    except csv.Error as error:
-        raise ConfigError(f"{path}: not CSV: {error}") from error
-    if twice := sorted({name for name in columns if name and columns.count(name) > 1}):
-        raise ConfigError(f"{path}: line 1: names the column {twice[0]} twice")
+def _unit_set(mapping: FileMapping) -> str:
+    """Return the unit that a mapping file sets; "" if it does not."""
+    return mapping.unit if "unit" in mapping.model_fields_set else ""
+
+
+_CAMERA = re.compile(
+    r"(cam|camera|device|sensor|kinect)([ _-]?(id|name|no|nr|number|serial))?", re.I
+)
+"""Columns that probably name the camera of a row."""
+
+
+def _csv_rows(path: Path, mapping: FileMapping, warn: Warn) -> Iterator[JointRow]:
+    table = read_table(path)
+    columns = table.columns
     mapping = of_columns(mapping, columns)
     c = mapping.columns
     names = _wide_names(columns, c)
-    needed = [*mapping.rows, *([] if mapping.time.rate else [mapping.time.column])]
-    needed += [column for n in names for column in c.numbers_of(n)[:3]] or [c.joint, c.x, c.y, c.z]
-    if "person" in c.model_fields_set:
-        needed.append(c.person)
-    if missing := [name for name in needed if name not in columns]:
-        raise ConfigError(
-            f"{path}: line 1: no column {', '.join(missing)}; the mapping file says how the "
-            f"columns are called, or the rate of a file without times (there are: "
-            f"{', '.join(columns[:12])})"
-        )
+    _check_columns(path, table, names, mapping)
+    mapping = _with_units(mapping, table, names)
     counts = mapping.time.frame in columns
-    if mapping.time.rate and not counts and (not names or c.person in columns):
+    if mapping.time.rate and not counts and (not names or c.person in columns or c.camera):
+        row_of = "camera" if c.camera else "person" if names else "joint"
         raise ConfigError(
             f"{path}: time.rate is for files of one row per instant; this one has a row for each "
-            f"{'person' if names else 'joint'}, so it needs a column with times"
+            f"{row_of}, so it needs a column with times"
         )
-    for number, row in enumerate(rows):
-        where = f"{path}: line {number + 2}"
-        if None in row or None in row.values():
-            raise ConfigError(f"{where}: has not as many cells as the first line; is it cut off?")
+    cells = {name: c.numbers_of(name) for name in names}
+    if any(lacks_zone(row.get(mapping.time.column)) for _, row in table.rows[:1]):
+        warn(f"{path}: its dates name no zone, so that of UTC is taken")
+    for number, (where, row) in enumerate(table.rows):
         if any(not fnmatchcase(row[name], pattern) for name, pattern in mapping.rows.items()):
             continue
         place = number_of(row[mapping.time.frame], where) if counts else number
         time = _time(row.get(mapping.time.column), place, mapping, where)
-        yield from (
-            _wide(row, names, time, mapping, where) if names else _tall(row, time, mapping, where)
+        camera = row[c.camera] if c.camera else ""
+        if c.camera and not camera:
+            raise ConfigError(f"{where}: the column {c.camera} names no camera")
+        for joint in (
+            _wide(row, cells, time, mapping, where) if names else _tall(row, time, mapping, where)
+        ):
+            yield joint._replace(camera=camera) if camera else joint
+
+
+def _check_columns(path: Path, table: Table, names: Sequence[str], mapping: FileMapping) -> None:
+    """Raise ConfigError if a column is missing, or one of several cameras is not named."""
+    c, columns = mapping.columns, set(table.columns)
+    needed = [*mapping.rows, *([] if mapping.time.rate else [mapping.time.column])]
+    needed += [column for n in names for column in c.numbers_of(n)[:3]] or [c.joint, c.x, c.y, c.z]
+    needed += [c.person] if "person" in c.model_fields_set else []
+    needed += [c.camera] if c.camera else []
+    if missing := [name for name in needed if name not in columns]:
+        raise ConfigError(
+            f"{path}: line 1: no column {', '.join(missing[:12])}; the mapping file says how the "
+            f"columns are called, or the rate of a file without times (there are: "
+            f"{', '.join(table.columns[:12])})"
         )
+    if "camera" in c.model_fields_set:
+        return
+    for column in filter(_CAMERA.fullmatch, dict.fromkeys(table.columns)):
+        if len(values := dict.fromkeys(row[column] for _, row in table.rows)) > 1:
+            raise ConfigError(
+                f"{path}: line 1: the column {column} has {len(values)} values "
+                f'({", ".join([*values][:4])}); if they are cameras, write camera = "{column}" '
+                'under [columns] of a mapping file (--mapping), else camera = ""'
+            )
+
+
+def _with_units(mapping: FileMapping, table: Table, names: Sequence[str]) -> FileMapping:
+    """Return a mapping with the units of the second line, where the mapping file sets none."""
+    c = mapping.columns
+    places = [n for name in names for n in c.numbers_of(name)[:3]] or [c.x, c.y, c.z]
+    length, time = table.unit(places, METRES), table.unit([mapping.time.column], SECONDS)
+    if time and "unit" not in mapping.time.model_fields_set:
+        times = mapping.time.model_copy(update={"unit": time})
+        mapping = mapping.model_copy(update={"time": times})
+    if length and not _unit_set(mapping):
+        mapping = mapping.model_copy(update={"unit": length})
+    return mapping
 
 
 def _wide_names(columns: Sequence[str], mapping: ColumnMapping) -> list[str]:
@@ -136,21 +206,25 @@ def _wide_names(columns: Sequence[str], mapping: ColumnMapping) -> list[str]:
 
 
 def _wide(
-    row: dict[str, str], names: Sequence[str], time: float, mapping: FileMapping, where: str
+    row: dict[str, str],
+    cells: dict[str, tuple[str, ...]],
+    time: float,
+    mapping: FileMapping,
+    where: str,
 ) -> Iterator[JointRow]:
-    c = mapping.columns
-    for name in names:
-        x, y, z, sure = (number_of(row.get(column), where) for column in c.numbers_of(name))
-        yield _row(time, row.get(c.person) or "0", name, (x, y, z), sure, mapping)
+    person = row.get(mapping.columns.person) or "0"
+    for name, columns in cells.items():
+        x, y, z, sure = (number_of(row.get(column), where) for column in columns)
+        yield _row(time, person, name, (x, y, z), sure, mapping)
 
 
 def _tall(row: dict[str, str], time: float, mapping: FileMapping, where: str) -> Iterator[JointRow]:
     c = mapping.columns
     x, y, z, sure = (number_of(row.get(name), where) for name in c.numbers)
-    yield _row(time, row.get(c.person) or "0", row[c.joint] or "", (x, y, z), sure, mapping)
+    yield _row(time, row.get(c.person) or "0", row[c.joint], (x, y, z), sure, mapping)
 
 
-def _json_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
+def _json_rows(path: Path, mapping: FileMapping, warn: Warn) -> Iterator[JointRow]:
     c = mapping.columns
     for where, number, frame in _instants(path, mapping):
         given = _object(frame, where).get(mapping.time.column)
@@ -158,15 +232,30 @@ def _json_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
         people = _list(frame.get(c.people), c.people, where)
         if people and isinstance(people[0], dict) and c.x in people[0]:
             people = [people]  # the joints of the only person
+        camera = _camera(frame, c.camera, where)
+        if not people:
+            yield JointRow(time, "", "", _NOWHERE, math.nan, camera)
         for index, person in enumerate(people):
             joints = _object({c.joints: person} if isinstance(person, list) else person, where)
             who = str(joints.get(c.person, joints.get("id", index)))
             each = joints.get(c.confidence)  # of the person's joints, beside them
-            for k, (name, values) in enumerate(_named(joints.get(c.joints), mapping, where)):
+            named = [*_named(joints.get(c.joints), mapping, where)]
+            if not named:
+                yield JointRow(time, who, "", _NOWHERE, math.nan, camera)
+            for k, (name, values) in enumerate(named):
                 x, y, z, sure = _four(values, c, where)
                 if isinstance(each, list) and k < len(each):
                     sure = number_of("" if each[k] is None else str(each[k]), where)
-                yield _row(time, who, name, (x, y, z), sure, mapping)
+                yield _row(time, who, name, (x, y, z), sure, mapping)._replace(camera=camera)
+
+
+def _camera(instant: dict[str, Any], key: str, where: str) -> str:
+    """Return which camera an instant is of; "" if no key tells. Raises ConfigError if it lacks."""
+    if not key:
+        return ""
+    if not isinstance(name := instant.get(key), str | int) or name == "":
+        raise ConfigError(f"{where}: the key {key} names no camera")
+    return str(name)
 
 
 def _instants(path: Path, mapping: FileMapping) -> Iterator[tuple[str, int, Any]]:
@@ -244,7 +333,7 @@ def _names_of(count: int, mapping: FileMapping, where: object) -> list[str]:
     return mapping.names[count]
 
 
-def _npy_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
+def _npy_rows(path: Path, mapping: FileMapping, warn: Warn) -> Iterator[JointRow]:
     """Yield the joints of an array (T, M, 3) of one person, as FreeMoCap writes them.
 
     Its arrays of body, hands and face begin with the body's joints.
@@ -280,10 +369,10 @@ def _four(values: Any, columns: ColumnMapping, where: str) -> list[float]:
 def _time(text: str | None, number: float, mapping: FileMapping, where: str) -> float:
     if mapping.time.rate is not None and not math.isnan(number):
         return number / mapping.time.rate
-    time = number_of(text, where)
+    time = seconds_of(text, where, mapping.time.unit)
     if math.isnan(time):
         raise ConfigError(f"{where}: has no time; the rate under [time] tells it, too")
-    return time * SECONDS[mapping.time.unit]
+    return time
 
 
 def _row(
@@ -295,7 +384,7 @@ def _row(
     mapping: FileMapping,
 ) -> JointRow:
     if confidence == 0 and not any(position):  # OpenPose: this joint was not triangulated
-        position = math.nan, math.nan, math.nan
+        position = _NOWHERE
     factor = METRES[mapping.unit]
     x, y, z = position
     sure = confidence / mapping.certain
@@ -314,7 +403,7 @@ def import_joints(
     sources: Sequence[str | os.PathLike[str]],
     target: str | os.PathLike[str],
     mapping: str | os.PathLike[str] | None = None,
-    warn: Callable[[str], object] = lambda text: None,
+    warn: Warn = lambda text: None,
 ) -> dict[str, int]:
     """Write files of joint positions as a log; return its messages by topic.
 
@@ -334,22 +423,14 @@ def import_joints(
     """
     paths = [Path(source) for source in sources]
     meanings = read_mapping(None if mapping is None else Path(mapping), paths)
-    names = [one.camera or path.stem for one, path in zip(meanings, paths, strict=True)]
-    for path, name in zip(paths, names, strict=True):
-        if not name.isprintable():
-            raise ConfigError(f"{path}: name the camera in the mapping file; {name!r} is no name")
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise ConfigError(
-            f"several files are of the camera {', '.join(twice)}; name it in the mapping file, "
-            f'under [files."{paths[-1].name}"]'
-        )
-    read = [_frames(*each) for each in zip(paths, names, meanings, strict=True)]
+    read = [s for each in zip(paths, meanings, strict=True) for s in _series(*each, warn)]
+    _check_names([series.camera for series in read], paths)
     for path in filter(_may_be_cut, paths):
         warn(f"{path}: its last line has no end; if a number in it is cut off, it is wrong")
     with McapWriter(target) as writer:
-        encoders = [Encoder(model) for model, _ in read]
-        channels = [add_skeleton_channel(writer, f"/{name}/skeletons") for name in names]
-        each = ([(f.log_time, i, f) for f in frames] for i, (_, frames) in enumerate(read))
+        encoders = [Encoder(series.model) for series in read]
+        channels = [add_skeleton_channel(writer, f"/{s.camera}/skeletons") for s in read]
+        each = ([(f.log_time, i, f) for f in series.frames] for i, series in enumerate(read))
         for log_time, i, frame in heapq.merge(*each, key=lambda item: item[:2]):
             writer.write(channels[i], log_time, encoders[i].encode(frame))
         writer.commit()
@@ -359,48 +440,81 @@ def import_joints(
 def _may_be_cut(path: Path) -> bool:
     """Whether a table does not end with the end of a line. What else is cut off is an error."""
     is_table = path.is_file() and path.suffix.lower() in (".csv", ".trc")
-    return is_table and not path.read_bytes().endswith((b"\n", b"\r"))
+    return is_table and not path.read_bytes().endswith((b"\n", b"\r", b"\n\0"))
 
 
-def _frames(path: Path, camera: str, mapping: FileMapping) -> tuple[SkeletonModel, list[Frame]]:
-    """Return the skeleton model of a file, and its frames in the order of time."""
+def _check_names(names: Sequence[str], paths: Sequence[Path]) -> None:
+    """Raise ConfigError if a camera's name is none, or is another one's, too."""
+    for name in names:
+        if not name.isprintable():
+            raise ConfigError(
+                f"{paths[0]}: name the camera in the mapping file; {name!r} is no name"
+            )
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise ConfigError(
+            f"several files are of the camera {', '.join(twice)}; name it in the mapping file, "
+            f'under [files."{paths[-1].name}"]'
+        )
+
+
+def _series(path: Path, mapping: FileMapping, warn: Warn) -> Iterator[Series]:
+    """Yield what each camera of a file saw."""
+    cameras: dict[str, list[JointRow]] = {}
+    for row in read_rows(path, mapping, warn):
+        cameras.setdefault(row.camera, []).append(row)
+    if not cameras:
+        raise ConfigError(f"{path}: holds no joint in 3D")
+    for name, rows in cameras.items():
+        yield _seen(path, name or mapping.camera or path.stem, rows, mapping)
+
+
+def _seen(path: Path, camera: str, rows: Iterable[JointRow], mapping: FileMapping) -> Series:
+    """Return what a camera saw, by its rows."""
     instants: dict[float, dict[str, dict[str, JointRow]]] = {}
     slots: dict[str, int] = {}
     ids: dict[str, int] = {}
-    for row in read_rows(path, mapping):
-        joints = instants.setdefault(row.time, {}).setdefault(row.person, {})
+    is_flat = False
+    for row in rows:
+        people = instants.setdefault(row.time, {})
+        if not row.joint:
+            is_flat = is_flat or bool(row.person)
+            continue
+        joints = people.setdefault(row.person, {})
         if row.joint in joints:
             raise ConfigError(
                 f"{path}: the joint {row.joint} of person {row.person} occurs twice at "
-                f"{row.time:g} s"
+                f"{row.time:g} s; if a column tells cameras or people apart, name it under "
+                "[columns] of a mapping file (--mapping): camera = ... or person = ..."
             )
         joints[row.joint] = row
         slots.setdefault(row.joint, len(slots))
         ids.setdefault(row.person, len(ids))
-    if not instants:
+    if not slots and (is_flat or not mapping.names):
         raise ConfigError(f"{path}: holds no joint in 3D")
+    # A camera that saw nobody has the joints of its program.
+    slots = slots or {name: k for k, name in enumerate(mapping.names[min(mapping.names)])}
     model = linked(_names(path, slots, mapping.joints))
     start = _start(path, min(instants), max(instants), mapping.time)
     frame_id = mapping.frame.replace("{camera}", camera)
     frames = []
     for time in sorted(instants):
         people = {
-            ids[who]: rows.values()
-            for who, rows in instants[time].items()
-            if not all(any(map(math.isnan, row.position)) for row in rows.values())
+            who: joints
+            for who, joints in instants[time].items()
+            if not all(any(map(math.isnan, row.position)) for row in joints.values())
         }
         stamp = round((start + time) * 1e9)
         frame = Frame.empty(len(people), model, stamp=stamp, source=camera, frame_id=frame_id)
-        frame.ids[:] = list(people)
-        for k, rows in enumerate(people.values()):
-            for row in rows:
-                frame.markers[k, slots[row.joint], POSITION] = row.position
-                frame.marker_confidences[k, slots[row.joint]] = row.confidence
+        frame.ids[:] = [ids[who] for who in people]
+        for k, joints in enumerate(people.values()):
+            for name, row in joints.items():
+                frame.markers[k, slots[name], POSITION] = row.position
+                frame.marker_confidences[k, slots[name]] = row.confidence
         frame.positions[:] = mapping.rotated(frame.positions)
         add_links(frame, model)
         frames.append(frame)
     _check_size(path, frames, mapping)
-    return model, frames
+    return Series(camera, model, frames)
 
 
 def _names(path: Path, joints: Iterable[str], renamed: Mapping[str, str]) -> list[str]:
@@ -434,12 +548,13 @@ def _check_size(path: Path, frames: Iterable[Frame], mapping: FileMapping) -> No
     size = body_size(person for frame in frames for person in frame.positions)
     if math.isnan(size) or SMALLEST <= size <= LARGEST:
         return
-    if path.suffix.lower() in MARKER_FILES:
-        raise ConfigError(f"{path}: people are {size:.3g} m large by the unit in the file")
-    given = size / METRES[mapping.unit]
-    units = [unit for unit, metres in METRES.items() if _USUAL[0] <= given * metres <= _USUAL[1]]
+    unit, said = str(mapping.unit), ""
+    if path.suffix.lower() in MARKER_FILES and not _unit_set(mapping):
+        unit, said = MARKER_FILES[path.suffix.lower()](path).unit, ", as the file says"
+    given = size / METRES[unit]
+    units = [name for name, metres in METRES.items() if _USUAL[0] <= given * metres <= _USUAL[1]]
     remedy = f'write unit = "{units[0]}"' if units else "correct the unit"
     raise ConfigError(
-        f"{path}: people are {size:.3g} m large if its unit is {mapping.unit}; {remedy} in the "
-        "mapping file"
+        f"{path}: people are {size:.3g} m large if its unit is {unit}{said}; {remedy} in the "
+        "mapping file (--mapping)"
     )

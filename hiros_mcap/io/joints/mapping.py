@@ -13,6 +13,7 @@
 
     [columns]                   # of a CSV file
     person = "id"
+    camera = "device"           # rows of several cameras
     position = "{joint}_{axis}"
 
     [joints]                    # names in the file = names in the log
@@ -39,7 +40,6 @@ from hiros_mcap.outside import read_toml
 from hiros_mcap.params import explain
 from hiros_mcap.skeletons import Floats
 
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 _AXES = ("x", "y", "z")
 
@@ -131,6 +131,8 @@ class ColumnMapping(BaseModel):
     """Where a row has all joints of a person: with {joint}, or the {axis} of the position."""
     position: str = ""
     """A CSV file with a row per instant and person: name of a column, with {joint} and {axis}."""
+    camera: str = ""
+    """Column with the name of the camera, if a file has rows of several."""
     frames: str = "frames"
     """"" if the instants are the entries of the whole file."""
     people: str = "people"
@@ -168,6 +170,7 @@ class FileMapping(BaseModel):
     frame: str = "world"
     """Coordinate frame of the positions; {camera} stands for the camera's name."""
     unit: Literal["m", "cm", "mm"] = "m"
+    """If it is set, it counts more than what a file says itself."""
     axes: list[str] = ["x", "y", "z"]
     time: TimeMapping = TimeMapping()
     columns: ColumnMapping = ColumnMapping()

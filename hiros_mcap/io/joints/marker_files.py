@@ -4,23 +4,23 @@ https://www.c3d.org describes C3D. These parameters count: POINT:LABELS (and LAB
 more than 255 points), POINT:UNITS, POINT:RATE, and the lists of points that are no markers, as the
 manual of Vicon's Plug-in Gait has them: ANGLES, FORCES, MOMENTS, POWERS and SCALARS. Nexus writes a
 subject before the marker, ``Anna:LASI``, and ``*12`` for a trajectory without a name. A marker that
-was not seen has a negative residual.
+was not seen has a negative residual. USED counts the points; labels beyond it name nothing.
 """
 
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.outside import read_text
+from hiros_mcap.io.joints.c3d_frames import all_points, layout_of, parsed
+from hiros_mcap.io.joints.text_tables import METRES, number_of, text_of, unit_of, with_points
 from hiros_mcap.skeletons import Floats
-
-_MOST_BYTES = 1 << 30
-METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0}
 
 
 class Markers(NamedTuple):
@@ -33,73 +33,124 @@ class Markers(NamedTuple):
     """(T, N, M, 3) m, in the file's axes; NaN where a marker was not seen."""
     people: tuple[str, ...] = ("0",)
     """Name of each of the N people."""
+    unit: str = "m"
+    """Of the file."""
+    doubt: str = ""
+    """What makes the file doubtful."""
 
 
-def read_trc(path: Path) -> Markers:
-    """Read a TRC file; its ``Units`` scale to metres. Raises ConfigError if it is none."""
-    lines = lines_of(path)
-    if len(lines) < 6 or not lines[0].startswith("PathFileType"):
+def read_trc(path: Path, unit: str = "") -> Markers:
+    """Read a TRC file; ``unit``, or else its ``Units``, scales to metres.
+
+    Cells are apart by tabs, semicolons, commas or blanks. The header may have empty cells, and
+    lines of axes and without text may be missing.
+
+    Raises ConfigError if it is none, or is cut off.
+    """
+    text = text_of(path)
+    lines = text.splitlines()
+    if len(lines) < 5 or not lines[0].lstrip(' "').startswith("PathFileType"):
         raise ConfigError(f"{path}: not a TRC file: the first line is not PathFileType")
-    header = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
-    unit = header.get("Units", "").strip()
-    if unit not in METRES:
-        raise ConfigError(f"{path}: line 3: unit {unit!r} is none of {', '.join(METRES)}")
-    names = [cell.strip() for cell in lines[3].split("\t")[2:] if cell.strip()]
+    header, given = _trc_header(*lines[1:3])
+    unit = unit or _length(given, f"{path}: line 3")
+    delimiter = next((d for d in "\t;," if d in lines[3]), None)
+    names = [name for name in _stripped(lines[3].split(delimiter))[2:] if name]
     if not names:
         raise ConfigError(f"{path}: line 4: names no marker")
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise ConfigError(f"{path}: line 4: names the marker {twice} twice")
-    count = header.get("NumMarkers", "").strip()
-    if count and count != str(len(names)):
-        raise ConfigError(f"{path}: line 4 names {len(names)} markers, but line 3 says {count}")
-    times, rows = [], []
-    columns = 1 + 3 * len(names)
-    for number, line in enumerate(lines[5:], start=6):
-        cells = line.split("\t")
-        if not line.strip():
-            continue
-        if any(cell.strip() for cell in cells[1 + columns :]):
-            raise ConfigError(
-                f"{path}: line {number}: has more numbers than the {len(names)} markers of line 4"
-            )
-        values = [number_of(cell, f"{path}: line {number}") for cell in cells[1 : 1 + columns]]
-        if len(values) % 3 != 1:
-            raise ConfigError(f"{path}: line {number}: is cut off")
-        values += [math.nan] * (columns - len(values))
-        if math.isnan(values[0]):
-            raise ConfigError(f"{path}: line {number}: has no time")
-        times.append(values[0])
-        rows.append(values[1:])
-    expected = header.get("NumFrames", "").strip()
-    if expected.isdecimal() and int(expected[:18]) > len(rows):
+    rows = list(_trc_rows(path, lines, delimiter, 2 + 3 * len(names)))
+    count = header.get("NumMarkers", "")
+    if count.isdecimal() and int(count[:18]) != len(names):
         raise ConfigError(
-            f"{path}: is cut off: it has {len(rows)} of the {expected} frames of its line 3"
+            f"{path}: line 4 names {len(names)} markers, but line 3 says {count}; correct it"
         )
-    positions = METRES[unit] * np.array(rows, float).reshape(-1, 1, len(names), 3)
-    return Markers(names, np.array(times), positions)
+    # A last line without an end may be cut off.
+    doubt = _check_frames(path, header.get("NumFrames", ""), rows, int(text.endswith("\n")))
+    with_points(rows)
+    numbers = np.full((len(rows), 1 + 3 * len(names)), np.nan)
+    for k, (where, cells) in enumerate(rows):
+        values = [number_of(cell, where) for cell in cells[1:]]
+        if math.isnan(values[0]):
+            raise ConfigError(f"{where}: has no time")
+        numbers[k, : len(values)] = values
+    positions = METRES[unit] * numbers[:, 1:].reshape(-1, 1, len(names), 3)
+    return Markers(names, numbers[:, 0], positions, unit=unit, doubt=doubt)
 
 
-def text_of(path: Path) -> str:
-    """Text of a file of joints; raises ConfigError if it cannot be read or is not UTF-8."""
-    return read_text(path, _MOST_BYTES)
+def _trc_header(keys: str, values: str) -> tuple[dict[str, str], str]:
+    """Return the values of the header that are known by name, and its unit."""
+    by = [r"[\t; ]+" if re.search(r"[\t;]", line) else r"[, ]+" for line in (keys, values)]
+    names, cells = (
+        re.split(pattern, line.replace('"', "").strip(" \t;,"))
+        for pattern, line in zip(by, (keys, values), strict=True)
+    )
+    header = dict(zip(names, cells, strict=True)) if len(names) == len(cells) else {}
+    # The unit is the only word among numbers.
+    word = next((cell for cell in cells if cell[:1].isalpha()), "")
+    return header, word or header.get("Units", "")
 
 
-def lines_of(path: Path) -> list[str]:
-    """Lines of a file of joints; raises ConfigError as :func:`text_of` does."""
-    return text_of(path).splitlines()
+def _trc_rows(
+    path: Path, lines: list[str], delimiter: str | None, columns: int
+) -> Iterator[tuple[str, list[str]]]:
+    """Yield place and cells of each row, which begins with the number of the frame and the time."""
+    begun = False
+    for number, line in enumerate(lines[4:], start=5):
+        where = f"{path}: line {number}"
+        by = delimiter if delimiter and delimiter in line else None
+        cells = _stripped(line.split(by))
+        first = next(filter(None, cells), "")
+        if not first or (not begun and first[0] in "XYZxyz"):
+            continue
+        begun = True
+        if any(cells[columns:]):
+            raise ConfigError(
+                f"{where}: has more numbers than the {columns // 3} markers of line 4"
+                + ("; if its commas are decimal ones, separate the cells by tabs" * (by == ","))
+            )
+        cells = cells[:columns]
+        # Without a delimiter, nobody knows which cell is missing.
+        if len(cells) % 3 != 2 or (by is None and len(cells) < columns):
+            raise ConfigError(f"{where}: is cut off")
+        yield where, cells
 
 
-def number_of(text: str | None, where: str) -> float:
-    """Return a finite number, NaN for an empty cell; raises ConfigError for anything else."""
-    text = (text or "").strip()
-    try:
-        number = float(text) if text else math.nan
-    except ValueError:
-        number = math.inf
-    if math.isinf(number) or "_" in text:  # Python reads 1_0 as 10
-        raise ConfigError(f"{where}: {text!r} is not a number")
-    return number
+def _check_frames(
+    path: Path, expected: str, rows: list[tuple[str, list[str]]], allowed: int
+) -> str:
+    """Return what is doubtful about the number of rows, of which a program may count one too many.
+
+    Rows that are missing in the middle are a pause. Raises ConfigError if more than ``allowed``
+    are missing at the end.
+    """
+    count = int(expected[:18]) if expected.isdecimal() else 0
+    ends = [rows[k][1][0] for k in (0, -1)] if rows else []
+    if len(ends) == 2 and all(number.isdecimal() for number in ends):
+        found = max(int(ends[1][:18]) - int(ends[0][:18]) + 1, len(rows))
+    else:
+        found = len(rows)
+    if count <= found:
+        return ""
+    text = f"it has {len(rows)} of the {expected} frames of its line 3"
+    if rows and count <= found + allowed:
+        return f"{text}; unless NumFrames is wrong, it was cut off"
+    raise ConfigError(f"{path}: is cut off: {text}; export it again, or correct NumFrames")
+
+
+def _stripped(cells: list[str]) -> list[str]:
+    return [cell.strip(' "') for cell in cells]
+
+
+def _length(text: str, where: str) -> str:
+    """Return the unit of METRES that a file names. Raises ConfigError for others."""
+    if (unit := unit_of(text)) in METRES:
+        return unit
+    raise ConfigError(
+        f"{where}: unit {text!r} is none of {', '.join(METRES)}; correct it, or import the file "
+        'with unit = "mm", or which it is, in a mapping file (--mapping)'
+    )
 
 
 _BIG_ENDIAN = bytes([86])
@@ -107,8 +158,8 @@ _BIG_ENDIAN = bytes([86])
 _NO_MARKERS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
 
 
-def read_c3d(path: Path) -> Markers:
-    """Read a C3D file; its POINT:UNITS, mm if there are none, scale to metres.
+def read_c3d(path: Path, unit: str = "") -> Markers:
+    """Read a C3D file; ``unit``, or else its POINT:UNITS, or else mm, scales to metres.
 
     Times count from the first frame of the file. ``Anna:LASI`` is the marker LASI of Anna.
 
@@ -116,12 +167,11 @@ def read_c3d(path: Path) -> Markers:
     """
     file = open_c3d(path)
     point, points = file["parameters"]["POINT"], file["data"]["points"]
-    labels = [label.strip() for label in _listed(point, "LABELS")]
+    labels = [label.strip() for label in _listed(point, "LABELS")][: points.shape[1]]
     others = {label.strip() for name in _NO_MARKERS for label in _listed(point, name)}
-    unit = (point.get("UNITS", {}).get("value") or ["mm"])[0].strip() or "mm"
+    given = (point.get("UNITS", {}).get("value") or ["mm"])[0].strip() or "mm"
+    unit = unit or _length(given, f"{path}: POINT:UNITS")
     rate = float((point.get("RATE", {}).get("value") or [0.0])[0])
-    if unit not in METRES:
-        raise ConfigError(f"{path}: POINT:UNITS: unit {unit!r} is none of {', '.join(METRES)}")
     if not rate > 0:
         raise ConfigError(f"{path}: POINT:RATE is {rate:g}, so its frames have no times")
     columns: dict[tuple[str, str], int] = {}
@@ -142,13 +192,14 @@ def read_c3d(path: Path) -> Markers:
         positions[:, people.index(person), names.index(name)] = metres[:, k].T
     times = np.arange(points.shape[-1]) / rate
     whose = tuple(person or "0" for person in people)
-    return Markers(names, times, positions, whose)
+    return Markers(names, times, positions, whose, unit)
 
 
 def open_c3d(path: Path) -> Any:
-    """Return a C3D file as ezc3d reads it; raises ConfigError if it is none, or is cut off."""
-    import ezc3d
+    """Return a C3D file as ezc3d reads it, with all of its frames.
 
+    Raises ConfigError if it is none, is cut off, or its counts contradict its size.
+    """
     with path.open("rb") as start:
         header = start.read(512)
         start.seek(512 * (header[0] - 1) + 3 if header[:1] > b"\0" else 0)
@@ -157,15 +208,17 @@ def open_c3d(path: Path) -> Any:
         raise ConfigError(f"{path}: not a C3D file")
     if int.from_bytes(header[16:18], order) < 2:  # the first block is the header; ezc3d would crash
         raise ConfigError(f"{path}: is cut off: its header names no block where the data begin")
-    try:
-        file = ezc3d.c3d(str(path))
-    except Exception as error:  # noqa: BLE001 - a reader of another project, on a faulty file
-        raise ConfigError(f"{path}: not a C3D file: {error}") from None
-    # ezc3d leaves out what is cut off. Beyond 65535 frames, the header holds less than there are.
+    file = parsed(path, path)
     first, last = (int.from_bytes(header[k : k + 2], order) for k in (6, 8))
-    found = file["data"]["points"].shape[-1]
-    if found < last - first + 1:
-        raise ConfigError(f"{path}: is cut off: it has {found} of {last - first + 1} frames")
+    layout = layout_of(path, file, 512 * (int.from_bytes(header[16:18], order) - 1))
+    file["data"]["points"] = all_points(path, file, layout, last - first + 1)
+    used, found = file["data"]["points"].shape[1:]
+    labels = len(_listed(file["parameters"]["POINT"], "LABELS"))
+    if labels > used and layout.held > found + layout.filling:
+        raise ConfigError(
+            f"{path}: POINT:LABELS names {labels} points, POINT:USED counts {used}, and its "
+            f"{found} frames are too long for them; one of these is damaged"
+        )
     return file
 
 
