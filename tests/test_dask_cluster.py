@@ -15,6 +15,7 @@ import pytest
 from worker_tasks import die
 
 from hiros_cli.app import run
+from hiros_mcap.many import cluster_runner
 from hiros_mcap.many.cluster_runner import on_cluster
 
 ROOT = Path(__file__).parents[1]
@@ -111,7 +112,10 @@ def test_workers_that_do_not_see_the_logs_are_refused(cluster, capsys):
         list(on_cluster(str(cluster), ["/nowhere/lab.mcap"])(die, [(0,)], lost=max))
 
 
-def test_a_scheduler_that_is_not_there_is_one_line(walking, tmp_path, capsys):
+def test_a_scheduler_that_is_not_there_is_one_line(walking, tmp_path, monkeypatch, capsys):
     command = ["process", str(walking), "-o", str(tmp_path / "out")]
     assert run([*command, "--cluster", "nonsense"]) == 2
     assert "no scheduler answers there" in capsys.readouterr().err
+    monkeypatch.setattr(cluster_runner, "_CONNECT_S", 0.2)
+    assert run([*command, "--cluster", str(tmp_path / "nosuch.json")]) == 2
+    assert "nosuch.json: there is no such file; `dask" in capsys.readouterr().err

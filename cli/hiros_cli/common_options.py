@@ -127,8 +127,10 @@ def _file_handler(path: Path) -> logging.Handler:
             if file.read(len(LOG_MARK)) != LOG_MARK.encode():
                 raise LogError("exists and is not a log of hiros; choose another name", path=path)
     if is_new:
-        with path.open("w", encoding="utf-8") as file:
-            file.write(LOG_MARK)
+        try:
+            path.write_text(LOG_MARK, encoding="utf-8")
+        except OSError as error:  # a full disk names no file
+            raise LogError(f"cannot be written: {error.strerror}", path=path) from None
     handler = _LogFile(path, encoding="utf-8", errors="backslashreplace")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     return handler

@@ -10,6 +10,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
+from hiros_cli.output import printable
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.outputs import target_kind
 from hiros_mcap.running.progress_bar import bar
@@ -87,7 +88,7 @@ def run_live(
         print(f"hiros: running on {cameras}; Ctrl-C ends the input", file=sys.stderr, flush=True)
 
     if not quiet:
-        print(f"hiros: listening to {_name(source)}", file=sys.stderr, flush=True)
+        print(f"hiros: listening to {printable(_name(source))}", file=sys.stderr, flush=True)
     with (
         _output(wanted, quiet=quiet) as target,
         _input(source, options) as stream,

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -333,19 +334,26 @@ def _csv(sheets: Sequence[Sheet]) -> str:
 
 def _markdown(sheets: Sequence[Sheet]) -> str:
     def line(cells: Sequence[str]) -> str:
-        return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+        return f"| {' | '.join(map(markdown_text, cells))} |"
 
     parts = [f"<!-- {EXPORT_MARK} -->"]
     for sheet in sheets:
         header, *rows = _readable(sheet)
         rule = line(["---", *["---:"] * (len(header) - 1)])
-        parts.append("\n".join([f"**{sheet.title}**", "", line(header), rule, *map(line, rows)]))
+        title = f"**{markdown_text(sheet.title)}**"
+        parts.append("\n".join([title, "", line(header), rule, *map(line, rows)]))
     return "\n\n".join(parts) + "\n"
+
+
+def markdown_text(text: str) -> str:
+    """Return text in one line that shows as it is, also in a cell of a table."""
+    return re.sub(r"([\\`*\[\]|])", r"\\\1", " ".join(text.split())).replace("<", "&lt;")
 
 
 def _latex(sheets: Sequence[Sheet]) -> str:
     def line(cells: Sequence[str]) -> str:
-        return " & ".join("".join(_TEX.get(c, c) for c in cell) for cell in cells) + r" \\"
+        flat = (" ".join(cell.split()) for cell in cells)
+        return " & ".join("".join(_TEX.get(c, c) for c in cell) for cell in flat) + r" \\"
 
     parts = [f"% {EXPORT_MARK}"]
     for sheet in sheets:
@@ -353,7 +361,8 @@ def _latex(sheets: Sequence[Sheet]) -> str:
         body = [line(header), r"\hline", *map(line, rows)]
         columns = "l" + "r" * (len(header) - 1)
         begin, end = rf"\begin{{tabular}}{{{columns}}}", r"\end{tabular}"
-        parts.append("\n".join([f"% {sheet.title}", begin, r"\hline", *body, r"\hline", end]))
+        title = f"% {' '.join(sheet.title.split())}"
+        parts.append("\n".join([title, begin, r"\hline", *body, r"\hline", end]))
     return "\n\n".join(parts) + "\n"
 
 

@@ -15,6 +15,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any
+from urllib.parse import SplitResult, urlsplit
 
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.container.records import Channel, McapRecord, Message, Schema
@@ -45,9 +46,13 @@ class FoxgloveInput:
     url : ``ws://HOST:PORT`` or ``wss://...``.
     wanted : which channels to subscribe to; others are not sent.
     largest : bytes of the largest message that is taken.
+
+    Raises ConfigError for what is no address.
     """
 
     def __init__(self, url: str, wanted: Wanted, largest: int = LARGEST) -> None:
+        if not split_address(url).hostname:
+            raise ConfigError(f"{url}: names no host; a server is at ws://HOST:PORT")
         self.name = url
         self.fault = ""
         self._largest = largest
@@ -169,6 +174,17 @@ class FoxgloveInput:
         if ident in self._counts:
             self._counts[ident] += 1
             yield Message(ident, log_time, data[_DATA.size :], log_time, self._counts[ident])
+
+
+def split_address(url: str) -> SplitResult:
+    """Return the parts of an address; raises ConfigError for a port or a host that cannot be."""
+    try:
+        parts = urlsplit(url)
+        _ = parts.port  # is parsed now
+        (parts.hostname or "").encode("idna")
+    except ValueError as error:
+        raise ConfigError(f"{url}: {error}; a server is at ws://HOST:PORT") from None
+    return parts
 
 
 def _subscribe(connection: Any, numbers: dict[int, int]) -> None:

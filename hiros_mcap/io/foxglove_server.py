@@ -12,7 +12,6 @@ from collections.abc import Iterable, Iterator
 from threading import Thread
 from types import SimpleNamespace
 from typing import Any
-from urllib.parse import urlsplit
 
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.channels import TF_TOPICS
@@ -27,6 +26,7 @@ from hiros_mcap.io.container.records import (
     Opcode,
     Schema,
 )
+from hiros_mcap.io.foxglove import split_address
 
 _LOOPBACK, _PORT = "127.0.0.1", 8765
 _QUEUED = 2048
@@ -140,14 +140,10 @@ class FoxgloveServer(Sink):
 
 def _address(url: str) -> tuple[str, int]:
     """Return host and port; raises ConfigError for what is no address of a server."""
-    try:
-        parts = urlsplit(url)
-        port = parts.port
-    except ValueError as error:
-        raise ConfigError(f"{url}: {error}") from None
+    parts = split_address(url)
     if parts.scheme != "ws" or parts.path not in ("", "/") or parts.query:
         raise ConfigError(f"{url}: results are served at ws://HOST:PORT")
-    return parts.hostname or _LOOPBACK, _PORT if port is None else port
+    return parts.hostname or _LOOPBACK, _PORT if parts.port is None else parts.port
 
 
 def _records(data: bytes) -> Iterator[tuple[int, memoryview]]:

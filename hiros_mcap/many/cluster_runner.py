@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
@@ -21,6 +22,7 @@ Answer = TypeVar("Answer")
 _PATIENCE_S = 60.0
 """How long to wait for the first worker."""
 _CONNECT_S = 10.0
+_POLL_S = 0.1
 
 
 def on_cluster(address: str, paths: Sequence[str]) -> Runner:
@@ -59,6 +61,8 @@ def _client(address: str) -> Iterator[Any]:
     # The library reports what the caller gets as an answer or an exception, too.
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     keyword = "scheduler_file" if address.endswith(".json") else "address"
+    if keyword == "scheduler_file":
+        _await(Path(address))
     try:
         client = Client(**{keyword: address}, timeout=_CONNECT_S)
     except (OSError, ValueError) as error:
@@ -68,6 +72,21 @@ def _client(address: str) -> Iterator[Any]:
         ) from None
     with client:
         yield client
+
+
+def _await(file: Path) -> None:
+    """Give a scheduler that has just been started the time to write its file.
+
+    Raises ConfigError if it does not; the library would wait for longer, and without a word.
+    """
+    end = time.monotonic() + _CONNECT_S
+    while not file.is_file():
+        if time.monotonic() > end:
+            raise ConfigError(
+                f"--cluster {file}: there is no such file; `dask scheduler --scheduler-file "
+                f"{file}` writes it"
+            )
+        time.sleep(_POLL_S)
 
 
 def _check_workers(client: Any, paths: Sequence[str]) -> None:

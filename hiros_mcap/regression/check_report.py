@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 from xml.etree import ElementTree
 
-from hiros_mcap.evaluate.measures import BRIEF, MEASURES
+from hiros_mcap.evaluate.measures import BRIEF, MEASURES, markdown_text
 from hiros_mcap.outputs import JUNIT_MARK, MARKDOWN_MARK
 from hiros_mcap.regression.suite import CaseResult
 from hiros_mcap.summary import plain
@@ -49,7 +50,7 @@ def junit(results: Sequence[CaseResult], name: str) -> str:
     """JUnit XML: a difference is a failure, a log that cannot be processed an error."""
     suite = ElementTree.Element(
         "testsuite",
-        name=name,
+        name=_xml_text(name),
         tests=str(len(results)),
         failures=str(sum(r.status == "different" for r in results)),
         errors=str(sum(r.status == "error" for r in results)),
@@ -57,7 +58,11 @@ def junit(results: Sequence[CaseResult], name: str) -> str:
     )
     for result in results:
         case = ElementTree.SubElement(
-            suite, "testcase", classname=name, name=result.name, time=f"{result.seconds:.3f}"
+            suite,
+            "testcase",
+            classname=_xml_text(name),
+            name=_xml_text(result.name),
+            time=f"{result.seconds:.3f}",
         )
         if result.status != "equal":
             kind = "error" if result.status == "error" else "failure"
@@ -67,7 +72,8 @@ def junit(results: Sequence[CaseResult], name: str) -> str:
         metrics = [
             f"{name} = {MEASURES[name].shown(value)}" for name, value in result.metrics.items()
         ]
-        ElementTree.SubElement(case, "system-out").text = "\n".join([*metrics, *result.notes])
+        told = _xml_text("\n".join([*metrics, *result.notes]))
+        ElementTree.SubElement(case, "system-out").text = told
     root = ElementTree.Element("testsuites")
     root.append(suite)
     ElementTree.indent(root)
@@ -77,7 +83,7 @@ def junit(results: Sequence[CaseResult], name: str) -> str:
 
 def _xml_text(text: str) -> str:
     """Return text without the characters that XML does not allow."""
-    return "".join(c if c in "\t\n" or c >= " " else "?" for c in text)
+    return re.sub("[^\t\n -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "?", text)
 
 
 def markdown(results: Sequence[CaseResult], name: str) -> str:
@@ -92,7 +98,7 @@ def markdown(results: Sequence[CaseResult], name: str) -> str:
         )
         for r in results
     ]
-    text = [f"{MARKDOWN_MARK}{_cell(name)}: {totals(results)}", ""]
+    text = [f"{MARKDOWN_MARK}{markdown_text(name)}: {totals(results)}", ""]
     text += _table(("log", "result", *measures), rows)
     for r in results:
         text += _details(r)
@@ -102,9 +108,9 @@ def markdown(results: Sequence[CaseResult], name: str) -> str:
 def _details(r: CaseResult) -> list[str]:
     if r.status == "equal":
         return []
-    text = ["", f"**{_cell(r.name)}**", ""]
+    text = ["", f"**{markdown_text(r.name)}**", ""]
     if r.error:
-        text += [_cell(r.error), ""]
+        text += [markdown_text(r.error), ""]
     if r.differences:
         rows = [(d.where, d.what, d.was, d.now) for d in r.differences]
         text += [*_table(("where", "what", "was", "is"), rows), ""]
@@ -116,10 +122,4 @@ def _details(r: CaseResult) -> list[str]:
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     ruled = ["| " + " | ".join(header) + " |", "|---" * len(header) + "|"]
-    return ruled + ["| " + " | ".join(map(_cell, row)) + " |" for row in rows]
-
-
-def _cell(text: str) -> str:
-    """Return text that cannot break out of a table's cell."""
-    flat = " ".join(text.split())
-    return flat.replace("|", "\\|").replace("<", "&lt;")
+    return ruled + ["| " + " | ".join(map(markdown_text, row)) + " |" for row in rows]

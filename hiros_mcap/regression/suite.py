@@ -102,6 +102,8 @@ class Case(Params):
 
     @model_validator(mode="after")
     def _expects_something(self) -> Case:
+        if "\0" in self.input + self.golden + self.truth + self.config:
+            raise ValueError("names a file with a null character, which no file can have")
         if not self.golden and not self.require:
             raise ValueError("expects nothing: give it a golden file or thresholds (require)")
         if self.golden and Path(self.golden).suffix not in GOLDEN_SUFFIXES:

@@ -71,6 +71,13 @@ def test_a_log_is_never_appended_to_another_file(lab, capsys):
     assert lab.read_bytes() == before
 
 
+def test_a_log_that_does_not_fit_on_the_disk_names_its_file(lab, capsys):
+    assert run(["info", str(lab), "--log-file", "/dev/full"]) == 2
+    assert capsys.readouterr().err == (
+        "hiros: error: /dev/full: cannot be written: No space left on device\n"
+    )
+
+
 @pytest.mark.parametrize(
     ("arguments", "environment", "colored"),
     [

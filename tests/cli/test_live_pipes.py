@@ -311,6 +311,26 @@ def test_a_client_that_does_not_read_loses_messages_and_does_not_stop_the_run(tm
 
 
 @pytest.mark.parametrize(
+    ("source", "fault"),
+    [
+        ("ws://127.0.0.1:99999", "Port out of range 0-65535; a server is at ws://HOST:PORT"),
+        ("ws://127.0.0.1:abc", "as 'abc'; a server is at"),
+        ("ws://[::1", "Invalid IPv6 URL; a server is at"),
+        ("ws://:8765", "names no host; a server is at"),
+        ("ws://a..b:80", "a server is at"),
+        ("ws://127.0.0.1:1/\x1b[31m", "no Foxglove WebSocket server answers"),
+    ],
+)
+def test_what_is_no_address_of_a_server(source, fault, tmp_path, capfd):
+    pytest.importorskip("websockets")
+    assert hiros(["process", source, "-o", str(tmp_path / "out.mcap")]) == 2
+    shown = capfd.readouterr().err
+    assert fault in shown
+    assert "\x1b" not in shown
+    assert not (tmp_path / "out.mcap").exists()
+
+
+@pytest.mark.parametrize(
     ("output", "fault"),
     [
         ("wss://127.0.0.1:1", "results are served at ws://HOST:PORT"),

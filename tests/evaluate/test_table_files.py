@@ -67,6 +67,16 @@ def test_markdown_has_a_table_per_sheet(tmp_path):
     assert "| a_b & \\|c\\| | 1.50 (0.25) | 50.0 | - |\n| bad | - | - | 3 |" in text
 
 
+def test_markup_in_names_shows_as_it_is(tmp_path):
+    name = "<b>[x](http://y) `c` *d*\ne\\"
+    sheet = JOINTS._replace(rows=[(name, GOOD)], title=name)
+    shown = r"&lt;b>\[x\](http://y) \`c\` \*d\* e\\"
+    text = written(tmp_path / "x.md", [sheet])
+    assert f"**{shown}**\n" in text
+    assert f"| {shown} | 9.9 (9.5 to 10.2) |\n" in text
+    assert "\ne" not in written(tmp_path / "x.tex", [sheet])
+
+
 def test_latex_escapes_what_it_must(tmp_path):
     text = written(tmp_path / "x.tex")
     assert "% Joint error, mm\n\\begin{tabular}{lr}\n\\hline\n" in text

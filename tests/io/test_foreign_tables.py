@@ -340,6 +340,13 @@ def test_a_damaged_number_of_points_is_refused(tmp_path, capsys):
     assert "LABELS names 3 points, POINT:USED counts 2, and its" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("suffix", [".trc", ".csv", ".c3d"])
+def test_info_on_a_file_of_joints_names_the_import(suffix, tmp_path, capsys):
+    (tmp_path / f"a{suffix}").write_text(trc())
+    assert run(["info", str(tmp_path / f"a{suffix}")]) == 2
+    assert "is not an MCAP file; `hiros import` makes a log of" in capsys.readouterr().err
+
+
 def azure(path, counts):
     """JSON of the offline processor: so many bodies in each instant."""
     joints = (1000 * np.linspace([0, 0.5, 2], [0, -1, 2], 32)).tolist()

@@ -433,6 +433,22 @@ def test_junit_is_xml_that_counts():
     assert suite[2].find("error") is not None
 
 
+def test_junit_is_xml_whatever_the_names_hold():
+    results = [CaseResult("a\x01\ufffe", "error", "b\x1b", notes=("c\x02\ud800",))]
+    suite = ElementTree.fromstring(check_report.junit(results, "s\x03"))[0]
+    assert (suite.get("name"), suite[0].get("name")) == ("s?", "a??")
+    assert suite[0].findtext("system-out") == "c??"
+
+
+@pytest.mark.parametrize("key", ["input", "golden", "truth", "config"])
+def test_a_null_character_in_a_name_is_one_line(key, tmp_path):
+    table = {"input": "a.mcap", "golden": "a.json", key: "a\x00.json"}
+    rows = "\n".join(f"{name} = {json.dumps(value)}" for name, value in table.items())
+    (tmp_path / "suite.toml").write_text(f"[[log]]\n{rows}\n")
+    with pytest.raises(ConfigError, match="suite.toml: log .*: names a file with a null character"):
+        load_suite(tmp_path / "suite.toml")
+
+
 def test_markdown_keeps_to_its_tables_and_has_no_empty_column():
     lines = check_report.markdown(RESULTS, "suite").splitlines()
     assert lines[0].startswith("### hiros check: suite: 1 of 3 logs as expected, 1 different, 1 f")

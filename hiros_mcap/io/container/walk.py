@@ -27,6 +27,8 @@ MAX_RECORD = 64 * 2**20
 _RUN = 1 << 20
 _AHEAD = 1 << 14
 _NAMES = 1 << 18
+_TABLES = (".csv", ".trc", ".c3d", ".json", ".npy")
+"""Suffixes of files that `hiros import` reads."""
 _LOOSE = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
 
 Definition = TypeVar("Definition", r.Schema, r.Channel)
@@ -326,7 +328,9 @@ class StrictWalk(Walk):
         if not start:
             raise LogError("is empty (0 bytes)", path=self.file.path)
         if start != r.MAGIC[: len(start)]:
-            raise LogError("is not an MCAP file", path=self.file.path)
+            is_table = str(self.file.path).lower().endswith(_TABLES)
+            hint = "; `hiros import` makes a log of files of joints" if is_table else ""
+            raise LogError(f"is not an MCAP file{hint}", path=self.file.path)
         self.at = len(r.MAGIC)
         if self.file.size < self.at:
             raise CutOffError("the file ends inside its first bytes")
