@@ -211,6 +211,17 @@ def frames_time(result, frame, rate):
     return float(min(m.times[0] for m in result.motions.values()) + frame / rate)
 
 
+def test_c3d_of_more_frames_than_it_counts_is_one_line_with_the_remedy(tmp_path, capsys):
+    write_log(tmp_path / "sim.mcap", SimulateParams(seconds=66, cameras=1))
+    truth_only(tmp_path / "sim.mcap", tmp_path / "truth.mcap")
+    arguments = ["export", str(tmp_path / "truth.mcap"), "-o", str(tmp_path / "a.c3d"), "-q"]
+    assert run([*arguments, "--rate", "1000"]) == 2
+    assert "at most 65535 frames, and this would have 6" in (error := capsys.readouterr().err)
+    assert "choose a part with --start and --end, a lower --rate, or another format" in error
+    assert not (tmp_path / "a.c3d").exists()
+    assert run([*arguments, "--rate", "900"]) == 0
+
+
 def test_c3d_says_which_points_are_angles(result, tmp_path):
     import ezc3d
 

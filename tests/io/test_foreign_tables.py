@@ -87,6 +87,12 @@ def test_trc_of_other_programs_is_read(kind, tmp_path):
     assert load_truth(path).positions[:, 0] == pytest.approx(POINTS, abs=1e-6)
 
 
+def test_trajectories_without_a_name_are_left_out_of_a_trc_file(tmp_path):
+    (tmp_path / "a.trc").write_text(trc().replace("\tHEAD\t", "\t*60\t"))
+    assert_same(imported(tmp_path / "a.trc")["a"], POINTS[:, [0, 2]])
+    assert load_truth(tmp_path / "a.trc").model.marker_names == ("PELVIS", "Left Knee")
+
+
 def test_rows_that_are_missing_in_a_trc_file_are_a_pause(tmp_path):
     (tmp_path / "a.trc").write_text(trc(rows=[0, 1, 4, 5]))
     frames = imported(tmp_path / "a.trc")["a"]

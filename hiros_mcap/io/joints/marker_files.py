@@ -43,7 +43,7 @@ def read_trc(path: Path, unit: str = "") -> Markers:
     """Read a TRC file; ``unit``, or else its ``Units``, scales to metres.
 
     Cells are apart by tabs, semicolons, commas or blanks. The header may have empty cells, and
-    lines of axes and without text may be missing.
+    lines of axes and without text may be missing. Trajectories without a name are left out.
 
     Raises ConfigError if it is none, or is cut off.
     """
@@ -76,6 +76,8 @@ def read_trc(path: Path, unit: str = "") -> Markers:
             raise ConfigError(f"{where}: has no time")
         numbers[k, : len(values)] = values
     positions = METRES[unit] * numbers[:, 1:].reshape(-1, 1, len(names), 3)
+    named = [k for k, name in enumerate(names) if not name.startswith("*")]
+    names, positions = [names[k] for k in named], positions[:, :, named]
     return Markers(names, numbers[:, 0], positions, unit=unit, doubt=doubt)
 
 
