@@ -16,6 +16,7 @@ from hiros_mcap.body.anatomy import zxy
 from hiros_mcap.body.rotations import Y_UP, from_vector, nearest_rotation, to_matrix
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.export.choices import Choices, pauses
+from hiros_mcap.io.export.opensim_model import rows_of
 from hiros_mcap.io.export.rajagopal import NEEDS, PELVIS, bridged, coordinates
 from hiros_mcap.io.export.tables import write_lines
 from hiros_mcap.io.joints.c3d_frames import MOST_FRAMES
@@ -40,10 +41,22 @@ def only(result: Result) -> Motion:
 
 
 def write_trc(result: Result, target: Path, choices: Choices) -> None:
-    """Write one person's markers, mm, y up; an empty cell is a gap."""
+    """Write one person's markers, mm, y up; an empty cell is a gap.
+
+    OpenSim's inverse kinematics stops at a row without its markers, so these rows are left out; a
+    warning names them. Raises ConfigError if none is left.
+    """
     motion = only(result)
     names = result.model.marker_names
-    rate, n = round(motion.rate, 6), len(motion.times)
+    seen = rows_of(result.model, motion)
+    if not seen.any():
+        raise ConfigError(f"{result.path}: no joint of OpenSim's model is ever seen")
+    if not seen.all():
+        choices.warn(
+            f"{result.path}: left out the rows in which no joint of OpenSim's model is seen: "
+            f"{pauses(motion.times, ~seen)}"
+        )
+    rate, n = round(motion.rate, 6), int(seen.sum())
     axes = "\t".join(f"X{k}\tY{k}\tZ{k}" for k in range(1, len(names) + 1))
     head = [
         f"PathFileType\t4\t(X/Y/Z)\t{safe_name(result.path.name)}\t{EXPORT_MARK}",
@@ -54,11 +67,13 @@ def write_trc(result: Result, target: Path, choices: Choices) -> None:
         f"\t\t{axes}",
         "",
     ]
-    points = 1000 * (motion.positions @ Y_UP.T).reshape(n, -1)
+    points = 1000 * (motion.positions[seen] @ Y_UP.T).reshape(n, -1)
+    times = motion.times[seen].tolist()
+    frames = (np.flatnonzero(seen) + 1).tolist()  # as if all rows were there
     # OpenSim counts a row's cells by the tabs behind them.
     rows = [
         "\t".join([str(k), f"{time:.6f}", *(_cell(value) for value in row), ""])
-        for k, (time, row) in enumerate(zip(motion.times.tolist(), points.tolist(), strict=True), 1)
+        for k, time, row in zip(frames, times, points.tolist(), strict=True)
     ]
     write_lines(target, [*head, *rows])
 

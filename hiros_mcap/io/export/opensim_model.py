@@ -18,7 +18,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from hiros_mcap.body.segments import SIDES, TOE, Finder, finder, unit
+from hiros_mcap.body.segments import LOWER_SPINE, SIDES, TOE, Finder, finder, unit
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.export import rajagopal
@@ -27,7 +27,7 @@ from hiros_mcap.io.export.rajagopal import ANKLE, ELBOW, HIPS, KNEE, LUMBAR, PEL
 from hiros_mcap.io.export.tables import write_lines
 from hiros_mcap.io.result import Motion, Result
 from hiros_mcap.outputs import EXPORT_MARK
-from hiros_mcap.skeletons import Floats, SkeletonModel
+from hiros_mcap.skeletons import Flags, Floats, SkeletonModel
 
 if TYPE_CHECKING:
     from hiros_mcap.io.export.rajagopal import Hinge
@@ -64,6 +64,8 @@ head, and the ulna the hand."""
 SOLE_M = (0.02, 0.15)
 """Of the ankle's height above the floor. Who is never seen to stand has the second value's half."""
 MARKERS = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
+SPINE = ("spine", "")
+"""The marker in the lower spine, by which the pelvis of MOT files is tilted."""
 
 
 def lengths_of(model: SkeletonModel, motion: Motion) -> dict[str, float]:
@@ -151,14 +153,15 @@ def write_osim(result: Result, target: Path, choices: Choices) -> None:
     """
     (motion,) = result.motions.values()
     lengths = sized(result, motion, choices)
+    names, spine = marker_names(result.model), _spine(result.model, motion)
     if choices.model is not None:
         from hiros_mcap.io.export.opensim_scaling import scaled
 
-        text = scaled(choices.model, lengths, marker_names(result.model), choices.mass)
+        text = scaled(choices.model, lengths, names, spine, choices.mass)
         write_lines(target, text.splitlines())
         return
     bodies = _bodies(lengths, _shoulders(result.model, motion, lengths))
-    markers = _markers(marker_names(result.model), {body.name: body.end for body in bodies})
+    markers = _markers(names, {body.name: body.end for body in bodies}, HIPS + spine)
     mass = choices.mass or 0.0
     text = f"""<?xml version="1.0" encoding="UTF-8"?>
 <!-- {EXPORT_MARK} -->
@@ -178,14 +181,34 @@ def write_osim(result: Result, target: Path, choices: Choices) -> None:
 
 
 def marker_names(model: SkeletonModel) -> dict[tuple[str, str], str]:
-    """Joint and side -> name of its marker, of the joints that the model has."""
+    """Joint and side -> name of its marker, of the joints that the model has; SPINE without."""
     names: dict[tuple[str, str], str] = {}
     for name in model.marker_names:
         part, side = split_side(name)
         part = "toes" if part in TOE else part
         if side and part in (*MARKERS, "toes"):
             names.setdefault((part, side), name)
-    return names
+    parts = {split_side(name): name for name in model.marker_names}
+    spine = next((parts[part, ""] for part in LOWER_SPINE if (part, "") in parts), None)
+    return names if spine is None else {**names, SPINE: spine}
+
+
+def rows_of(model: SkeletonModel, motion: Motion) -> Flags:
+    """(T,) instants at which a marker of inverse kinematics is seen: OpenSim stops at the others.
+
+    If the markers have the names of another model, any of them counts.
+    """
+    slots = [model.marker_names.index(name) for name in marker_names(model).values()]
+    positions = motion.positions[:, slots] if slots else motion.positions
+    return np.asarray(np.isfinite(positions).all(axis=-1).any(axis=-1))
+
+
+def _spine(model: SkeletonModel, motion: Motion) -> Floats:
+    """(3,) from the middle of the hips to SPINE in the pelvis: the median; NaN if it has none."""
+    hips, pelvis, _ = rajagopal.trunk_of(model, motion)
+    places = rajagopal.into(pelvis, finder(model, motion.positions)(*LOWER_SPINE) - hips)
+    known = places[np.isfinite(places).all(axis=-1)]
+    return np.median(known, axis=0) if len(known) else np.full(3, np.nan)
 
 
 def _shoulders(
@@ -358,12 +381,16 @@ _CARRIERS = {
 """Joint -> the body whose origin it is."""
 
 
-def _markers(names: Mapping[tuple[str, str], str], ends: Mapping[str, Floats]) -> str:
+def _markers(
+    names: Mapping[tuple[str, str], str], ends: Mapping[str, Floats], spine: Floats
+) -> str:
     lines = []
     for (part, side), name in names.items():
         at_end = {"toes": "talus", "wrist": "ulna"}.get(part)
-        body = f"{at_end or _CARRIERS[part]}_{side[0]}"
-        place = ends[body] if at_end else np.zeros(3)
+        body = f"{at_end or _CARRIERS[part]}_{side[0]}" if side else "pelvis"
+        place = ends[body] if at_end else np.zeros(3) if side else spine
+        if np.isnan(place).any():
+            continue
         lines.append(
             f"<Marker name={quoteattr(name)}><socket_parent_frame>/bodyset/{body}"
             f"</socket_parent_frame><location>{_numbers(place)}</location></Marker>\n"
@@ -375,27 +402,28 @@ def _numbers(values: Floats | Sequence[float]) -> str:
     return " ".join(f"{value:.9g}" for value in values)
 
 
-TOES = 0.1
-"""Weight of their markers: detectors place them badly, and the foot has one coordinate."""
+WEIGHTS = {"toes": 0.1, "spine": 0.3}
+"""Of markers that the model follows worse than the others, which have 1: detectors place toes
+badly, and the foot has one coordinate; the lower spine bends, and is no part of the pelvis."""
 LOOSE = ("hip_rotation", "arm_rot", "ankle_angle")
 """Coordinates that joint centres of straight limbs do not show."""
+LOOSE_WEIGHT = 1e-4
+"""1 rad counts as much as 1 cm at one marker."""
+STIFF_WEIGHT = 1e-2
+"""Of the lumbar extension where no SPINE shows it: hips and shoulders alone cannot tell the tilt
+of the pelvis from a bend of the trunk, as both hardly change their distance."""
 
 
 def write_ik_setup(result: Result, target: Path, choices: Choices) -> None:
-    """Write the setup of OpenSim's inverse kinematics on the .osim and .trc of the same name."""
+    """Write the setup of OpenSim's inverse kinematics on the .osim and .trc of the same name.
+
+    Raises ConfigError if no joint of the model is ever seen.
+    """
+    (motion,) = result.motions.values()
+    times = motion.times[rows_of(result.model, motion)]
+    if not len(times):
+        raise ConfigError(f"{result.path}: no joint of OpenSim's model is ever seen")
     name = quoteattr(result.path.stem)[1:-1]
-    markers = "".join(
-        f"<IKMarkerTask name={quoteattr(marker)}><apply>true</apply>"
-        f"<weight>{TOES if part == 'toes' else 1}</weight></IKMarkerTask>\n"
-        for (part, _), marker in marker_names(result.model).items()
-    )
-    # 1 rad counts as much as 1 cm at one marker.
-    loose = "".join(
-        f'<IKCoordinateTask name="{coordinate}_{side}"><apply>true</apply><weight>0.0001</weight>'
-        "<value_type>default_value</value_type></IKCoordinateTask>\n"
-        for coordinate in LOOSE
-        for side in "rl"
-    )
     text = f"""<?xml version="1.0" encoding="UTF-8"?>
 <!-- {EXPORT_MARK} -->
 <OpenSimDocument Version="40000">
@@ -403,8 +431,34 @@ def write_ik_setup(result: Result, target: Path, choices: Choices) -> None:
 <model_file>{name}.osim</model_file>
 <marker_file>{name}.trc</marker_file>
 <output_motion_file>{name}_ik.mot</output_motion_file>
+<time_range>{times[0]:.6f} {times[-1]:.6f}</time_range>
 <IKTaskSet><objects>
-{markers}{loose}</objects></IKTaskSet>
+{"".join(_tasks(result.model, motion))}</objects></IKTaskSet>
 </InverseKinematicsTool>
 </OpenSimDocument>"""
     write_lines(target, text.splitlines())
+
+
+def _tasks(model: SkeletonModel, motion: Motion) -> list[str]:
+    """Return what inverse kinematics follows: the markers and, weakly, usual coordinates."""
+    names = marker_names(model)
+    tasks = [
+        f"<IKMarkerTask name={quoteattr(marker)}><apply>true</apply>"
+        f"<weight>{WEIGHTS.get(part, 1)}</weight></IKMarkerTask>\n"
+        for (part, _), marker in names.items()
+    ]
+    tasks += [_pull(f"{name}_{side}", LOOSE_WEIGHT, 0.0) for name in LOOSE for side in "rl"]
+    columns, _ = rajagopal.coordinates(model, motion)
+    extension = columns[LUMBAR[0]]
+    if np.isfinite(extension).any():
+        weight = LOOSE_WEIGHT if SPINE in names else STIFF_WEIGHT
+        tasks.append(_pull(LUMBAR[0], weight, float(np.radians(np.nanmedian(extension)))))
+    return tasks
+
+
+def _pull(coordinate: str, weight: float, value: float) -> str:
+    """Return the task that pulls a coordinate towards a value, rad."""
+    return (
+        f'<IKCoordinateTask name="{coordinate}"><apply>true</apply><weight>{weight}</weight>'
+        f"<value_type>manual_value</value_type><value>{value:.6g}</value></IKCoordinateTask>\n"
+    )

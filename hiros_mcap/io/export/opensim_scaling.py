@@ -50,6 +50,7 @@ def scaled(
     path: Path,
     lengths: Mapping[str, float],
     markers: Mapping[tuple[str, str], str],
+    spine: Floats,
     mass: float | None,
 ) -> str:
     """Return a model's XML with the lengths of a person.
@@ -61,6 +62,7 @@ def scaled(
     Parameters
     ----------
     lengths : m, by name. markers : (joint, side) -> name of the marker that is put there.
+    spine : (3,) of the marker ("spine", "") in the pelvis, m, from the middle of the hips.
     mass : of the person, kg; None keeps that of the model.
 
     Raises
@@ -86,6 +88,7 @@ def scaled(
         scales.cloneAndAppend(scale)
     model.scale(state, scales, mass is None, -1.0 if mass is None else mass)
     _mark(opensim, model, joints, markers)
+    _mark_spine(opensim, model, joints, markers, spine)
     with TemporaryDirectory() as folder:
         written = Path(folder) / "scaled.osim"
         model.printToXML(str(written))
@@ -148,15 +151,39 @@ def _mark(
     opensim: Any, model: Any, joints: Mapping[str, _ModelJoint], markers: Mapping[Key, str]
 ) -> None:
     """Put a marker at each joint, in the body that the joint carries."""
-    present = {marker.getName() for marker in _each(model.getMarkerSet())}
     for joint in _each(model.getJointSet()):
         frame = joint.getChildFrame()
         body = frame.findBaseFrame().getName()
         name = markers.get(joints[body].key or ("", ""))
-        if name is not None and name not in present:
-            place = frame.findTransformInBaseFrame().p()
-            model.addMarker(opensim.Marker(name, model.getBodySet().get(body), place))
-    model.finalizeConnections()
+        if name is not None:
+            _add(opensim, model, name, body, frame.findTransformInBaseFrame().p())
+
+
+def _mark_spine(
+    opensim: Any,
+    model: Any,
+    joints: Mapping[str, _ModelJoint],
+    markers: Mapping[Key, str],
+    spine: Floats,
+) -> None:
+    """Put the marker of the lower spine where it is from the middle of the hips."""
+    if ("spine", "") not in markers or np.isnan(spine).any():
+        return
+    hips = [
+        joint.getParentFrame().findTransformInBaseFrame().p().to_numpy()
+        for joint in _each(model.getJointSet())
+        if (joints[joint.getChildFrame().findBaseFrame().getName()].key or ("",))[0] == "hip"
+    ]
+    pelvis = next(body for body, joint in joints.items() if joint.key == ("pelvis", ""))
+    place = opensim.Vec3(*np.mean(hips, axis=0) + spine)
+    _add(opensim, model, markers["spine", ""], pelvis, place)
+
+
+def _add(opensim: Any, model: Any, name: str, body: str, place: Any) -> None:
+    """Add a marker, unless the model has one of that name."""
+    if model.getMarkerSet().getIndex(name) < 0:
+        model.addMarker(opensim.Marker(name, model.getBodySet().get(body), place))
+        model.finalizeConnections()
 
 
 def _each(things: Any) -> list[Any]:
