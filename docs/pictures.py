@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from contextlib import chdir
 from functools import partial
 from pathlib import Path
 from threading import Thread
@@ -35,6 +36,7 @@ from hiros_mcap.plan.planning import make_plan
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.process_live import process_live, subscription
 from hiros_mcap.simulate import SimulateParams
+from hiros_mcap.simulate.simulation import write_log
 from hiros_viewer.columns import TIMELINE
 from hiros_viewer.destinations import connected, running_viewer, save
 from hiros_viewer.live import LiveView
@@ -54,16 +56,18 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder) / "crossing.hiros.mcap"
         process(LOG, result)
-        for layout, second in (("overview", 2.0), ("stages", 2.0), ("cameras", 2.0)):
+        for layout in ("overview", "stages", "cameras"):
             recording = Path(folder) / f"{layout}.rrd"
             options = ViewOptions(layout)
             save(recording, layout, lambda sink, o=options: replay([result], sink, o))
-            (picture,) = screenshots(recording, [second])
+        for layout in ("stages", "cameras"):
+            (picture,) = screenshots(Path(folder) / f"{layout}.rrd", [2.0])
             pixels = imread(io.BytesIO(picture), format="png")
             imsave(HERE / f"{layout}.png", pixels[MENU:, :, :3])
         moving = screenshots(Path(folder) / "overview.rrd", np.arange(0.6, 4.2, 0.1), "1120x660")
         save_gif(moving, HERE / "crossing.gif")
         imsave(HERE / "opensim.png", opensim_picture(result, Path(folder)))
+        inverse_kinematics_figure(Path(folder)).savefig(HERE / "opensim-ik.png", dpi=110)
         live = Image.open(io.BytesIO(live_picture()))
         few_colours = live.crop((0, MENU, *live.size)).quantize(64)
         few_colours.save(HERE / "live.png", optimize=True)
@@ -146,6 +150,29 @@ def opensim_picture(result: Path, folder: Path) -> np.ndarray:
     picture = imread(buffer)[:, :, :3]
     rows, columns = np.nonzero((picture < 0.99).any(axis=2))
     return picture[rows.min() - 20 : rows.max() + 20, columns.min() - 20 : columns.max() + 20]
+
+
+def inverse_kinematics_figure(folder: Path) -> Figure:
+    """Draw angles of somebody who bends, as hiros and OpenSim's inverse kinematics have them."""
+    import opensim
+
+    log, result = folder / "bend.mcap", folder / "bend.hiros.mcap"
+    write_log(log, SimulateParams(action="bend", seconds=8, seed=5))
+    process(log, result)
+    names = ",".join(str(folder / f"bend{suffix}") for suffix in (".osim", ".trc", ".xml", ".mot"))
+    run(["export", str(result), "--person", "0", "-o", names, "-q"])
+    with chdir(folder):  # OpenSim finds the model and the markers beside where it runs
+        opensim.InverseKinematicsTool("bend.xml").run()
+    figure = Figure(figsize=(9, 3.4), layout="constrained")
+    angles = ("pelvis_tilt", "hip_flexion_r", "knee_angle_r")
+    for axes, name in zip(figure.subplots(1, len(angles)), angles, strict=True):
+        for file, label, style in (("bend.mot", "hiros", "-"), ("bend_ik.mot", "OpenSim", "--")):
+            table = opensim.TimeSeriesTable(str(folder / file))
+            values = table.getMatrix().to_numpy()[:, table.getColumnIndex(name)]
+            axes.plot(table.getIndependentColumn(), values, style, label=label)
+        axes.set(title=name, xlabel="s", ylabel="degrees")
+    axes.legend()
+    return figure
 
 
 def draw_model(axes: Any, model: Any, state: Any) -> None:

@@ -83,14 +83,25 @@ def test_the_mass_is_shared(result, tmp_path):
         (path,) = export(result, tmp_path / "out.osim", mass=mass, warn=len)
         masses = [float(body.find("mass").text) for body in model_of(path).iter("Body")]
         assert sum(masses) == pytest.approx(total, rel=1e-3)
-    with pytest.raises(ConfigError, match="mass and model are for .osim"):
-        export(result, tmp_path / "out.mot", mass=MASS)
+    export(result, tmp_path / "out.mot", mass=MASS, warn=len)  # it has no use, and does no harm
+    with pytest.raises(ConfigError, match="mass: should be 1 to 1000 kg, is 0"):
+        export(result, tmp_path / "out.trc", mass=0)
 
 
 def test_a_person_without_hips_has_no_model(result, tmp_path):
     hipless = {name: at for name, at in STANDING.items() if "hip" not in name}
     with pytest.raises(ConfigError, match="the model needs both hips"):
         export(stick(result, **hipless), tmp_path / "out.osim")
+
+
+def test_all_files_of_a_person_are_written_at_once_or_none(result, tmp_path):
+    names = [tmp_path / f"walk{suffix}" for suffix in (".trc", ".osim", ".xml")]
+    hipless = stick(result, **{name: at for name, at in STANDING.items() if "hip" not in name})
+    with pytest.raises(ConfigError, match="the model needs both hips"):
+        export(hipless, names)
+    assert not [*tmp_path.iterdir()]
+    assert export(result, names, warn=len) == names
+    assert {*tmp_path.iterdir()} == {*names}
 
 
 def test_the_setup_names_the_files_of_its_own_name(result, tmp_path):

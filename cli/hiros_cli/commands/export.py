@@ -23,7 +23,8 @@ def export(
     output: str = option(
         "FILE",
         "Output file; its suffix is the format, such as .csv, .parquet, .trc, .mot, .osim, .c3d or "
-        ".bvh (a wrong one lists all). With many logs, the folder for all.",
+        ".bvh (a wrong one lists all). Commas separate several: a.osim,a.trc,a.xml. With many "
+        "logs, the folder for all.",
         "-o",
         "--output",
         default=...,
@@ -67,7 +68,8 @@ def export(
         "--keep-gaps", "For .mot: leave out the rows that have gaps. Default: bridge them."
     ),
     mass: float | None = option(
-        "KG", "For .osim: mass of the person. Default: none, or that of --model."
+        "KG",
+        "For .osim: mass of the person; other files need none. Default: none, or that of --model.",
     ),
     model: Path | None = option(
         "FILE.osim",
@@ -86,14 +88,15 @@ def export(
     if topic:
         _topic(context, logs, topic, Path(output), many)
         return
-    from hiros_mcap.io.export.files import SUFFIXES, files_of, format_of, load_marker_set, renamed
     from hiros_mcap.io.export.files import export as write
+    from hiros_mcap.io.export.files import files_of, format_of, load_marker_set, renamed
 
     is_many, suffix = many.wanted(logs, output), f".{file_format.lstrip('.').lower()}"
-    target = Path("log").with_suffix(suffix) if is_many else Path(output)
-    format_of(target)
-    if marker_set and (target.suffix.lower() not in SUFFIXES or what not in ("", "joints")):
-        raise ConfigError(f"{target}: --marker-set is for the joints of {' and '.join(SUFFIXES)}")
+    targets = [Path("log").with_suffix(suffix)] if is_many else _split(output)
+    for target in targets:
+        format_of(target)
+        if marker_set:
+            _check_marker_set(target, what)
     if is_many:
         from hiros_mcap.many.jobs import ExportJob
 
@@ -110,13 +113,13 @@ def export(
         result = open_result(log, channel).select(person, start, end, rate)
         if marker_set:
             result, what = renamed(result, load_marker_set(marker_set, result.model)), "joints"
-        targets = files_of(target, result.people)
+        files = [file for target in targets for file in files_of(target, result.people)]
         inputs = (log, model)
-        check_outputs(*((path, "export") for path in targets), inputs=inputs, force=many.force)
+        check_outputs(*((path, "export") for path in files), inputs=inputs, force=many.force)
         warnings: list[str] = []
         written = write(
             result,
-            target,
+            targets,
             what,
             least_confidence,
             keep_gaps=keep_gaps,
@@ -130,6 +133,20 @@ def export(
         print_json("export", {"log": logs[0], "files": list(map(str, written))}, warnings)
     for path in () if many.quiet or many.json else written:
         print(f"wrote {path}")
+
+
+def _split(output: str) -> list[Path]:
+    """Return the files of ``a.osim,a.trc``. A comma in a name is none if a part has no suffix."""
+    parts = [Path(part) for part in output.split(",")]
+    return parts if all(part.suffix for part in parts) else [Path(output)]
+
+
+def _check_marker_set(target: Path, what: str) -> None:
+    """Raise ConfigError if a file cannot have the marker names of another model."""
+    from hiros_mcap.io.export.files import SUFFIXES
+
+    if target.suffix.lower() not in SUFFIXES or what not in ("", "joints"):
+        raise ConfigError(f"{target}: --marker-set is for the joints of {' and '.join(SUFFIXES)}")
 
 
 def _topic(

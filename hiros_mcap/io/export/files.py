@@ -12,7 +12,7 @@ Markers that it does not name are left out.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -103,7 +103,7 @@ def format_of(target: Path) -> ExportFormat:
 
 def export(
     result: Result,
-    target: str | os.PathLike[str],
+    target: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     what: str = "",
     least_confidence: float = LEAST_CONFIDENCE,
     *,
@@ -114,16 +114,19 @@ def export(
 ) -> list[Path]:
     """Write a result in the format of the target's suffix.
 
+    Of several targets, all are written or none.
     A format for one person gets a file per person, ``NAME.0.trc``, unless there is just one.
     Formats with a fixed rate get the result's own median rate, unless it was resampled before.
 
     Parameters
     ----------
-    result : what to write. target : the file. what : "joints", "angles" or "both"; "" is
-        whatever the format holds. least_confidence : markers below it are gaps; 0 writes them all.
+    result : what to write. target : the file, or several.
+    what : "joints", "angles" or "both"; "" is whatever the format holds.
+    least_confidence : markers below it are gaps; 0 writes them all.
     keep_gaps : leave out the rows of a MOT file that have gaps, instead of bridging them.
     mass : of the person, kg, for the bodies of a .osim file; without it they have none.
     model : .osim file to scale to the person, instead of writing a model of our own.
+        Other files need neither.
     warn : is called with what a file lacks or bridges; by default Python's own warning.
 
     Returns
@@ -137,7 +140,30 @@ def export(
     LogError
         A file cannot be written.
     """
-    target = Path(target)
+    if not result.motions:
+        raise ConfigError(f"{result.path}: {result.channel} holds no people")
+    targets = [target] if isinstance(target, (str, os.PathLike)) else target
+    parts = {path: _parts_of(path, what) for path in map(Path, targets)}
+    if mass is not None and not 1 <= mass <= 1000:
+        raise ConfigError(f"{targets[0]}: mass: should be 1 to 1000 kg, is {mass:g}")
+    result = _prepared(result, least_confidence)
+    scaled = None if model is None else Path(model)
+    written = []
+    with ExitStack() as together:  # the files get their names when all are written
+        for path, chosen in parts.items():
+            kind, choices = format_of(path), Choices(chosen, keep_gaps, mass, scaled, warn)
+            whole = steady(result) if kind.steady else result
+            files = files_of(path, whole.people)
+            each = [whole] if len(files) == 1 else [whole.select(p) for p in whole.people]
+            for one, file in zip(each, files, strict=True):
+                named = replace(one, path=file)  # a header names the file itself
+                kind.write(named, together.enter_context(replacing(file)), choices)
+            written += files
+    return written
+
+
+def _parts_of(target: Path, what: str) -> tuple[str, ...]:
+    """Return the parts of a result that a file gets; raises ConfigError if it cannot hold one."""
     kind = format_of(target)
     if what not in ("", *WHAT):
         raise ConfigError(f"{what!r} is none of {', '.join(WHAT)}")
@@ -145,23 +171,7 @@ def export(
     lacking = [part for part in parts if part not in kind.parts]
     if lacking:
         raise ConfigError(f"{target}: {target.suffix} holds no {lacking[0]}")
-    if not result.motions:
-        raise ConfigError(f"{result.path}: {result.channel} holds no people")
-    if (mass, model) != (None, None) and target.suffix.lower() != ".osim":
-        raise ConfigError(f"{target}: mass and model are for .osim files")
-    if mass is not None and not 1 <= mass <= 1000:
-        raise ConfigError(f"{target}: mass: should be 1 to 1000 kg, is {mass:g}")
-    result = _prepared(result, least_confidence)
-    if kind.steady:
-        result = steady(result)
-    choices = Choices(parts, keep_gaps, mass, None if model is None else Path(model), warn)
-    targets = files_of(target, result.people)
-    each = [result] if len(targets) == 1 else [result.select(p) for p in result.people]
-    with ExitStack() as together:  # the files get their names when all are written
-        for one, path in zip(each, targets, strict=True):
-            named = replace(one, path=path)  # a header names the file itself
-            kind.write(named, together.enter_context(replacing(path)), choices)
-    return targets
+    return parts
 
 
 def _prepared(result: Result, least_confidence: float) -> Result:

@@ -102,7 +102,7 @@ def _opensim() -> Any:
         import opensim
     except ImportError:
         raise ConfigError(
-            "OpenSim scales models, and is not installed: pip install 'hiros-mcap[opensim]'"
+            "OpenSim scales models, and is not installed: pip install opensim"
         ) from None
     opensim.Logger.setLevelString("Off")
     opensim.Logger.removeFileSink()
