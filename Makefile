@@ -12,6 +12,9 @@ SAMPLE := sample_data/two_people_crossing.mcap
 CODE   := hiros_mcap cli schemas viewer tests benchmarks docs
 # On a terminal pip shows what it downloads, elsewhere only what goes wrong.
 INSTALL = $(BIN)/python -m pip install --disable-pip-version-check $(if $(MAKE_TERMERR),,--quiet)
+# Says each minute that what follows goes on: pip is silent while it unpacks. Ends with it.
+EACH_MINUTE = @n=0; while sleep 60 >/dev/null 2>&1; do n=$$((n+1)); echo "still installing after $$n min" >&2; done & \
+	  minutes=$$!; trap "kill $$minutes" EXIT;
 
 .PHONY: demo test lint types tests docs format dist clean
 
@@ -53,24 +56,24 @@ $(BIN)/python:
 	  rm -rf $(VENV); exit 1; }
 
 $(VENV)/.installed: $(BIN)/python pyproject.toml
-	@echo "1/2 installing hiros and its libraries into $(VENV): 1.3 GB, some minutes; half of it is for viewer and plots"
-	$(INSTALL) -e .
-	@echo "2/2 compiling the kernels for this machine, once: a minute or more"
+	@echo "1/2 installing hiros and its libraries into $(VENV): 1.3 GB, 3 to 15 minutes; half of it is for viewer and plots"
+	$(EACH_MINUTE) $(INSTALL) -e .
+	@echo "2/2 compiling the kernels for this machine, once"
 	$(BIN)/hiros warmup
 	@touch $@
 
 $(VENV)/.installed-dev: $(BIN)/python pyproject.toml
-	@echo "installing hiros and the development tools into $(VENV): 2 GB, some minutes"
-	$(INSTALL) -e '.[dev]'
+	@echo "installing hiros and the development tools into $(VENV): 2 GB, 5 to 20 minutes"
+	$(EACH_MINUTE) $(INSTALL) -e '.[dev]'
 	@touch $@ $(VENV)/.installed
 
 $(VENV)/.installed-build: $(BIN)/python
-	$(INSTALL) 'build>=1.2'
+	$(EACH_MINUTE) $(INSTALL) 'build>=1.2'
 	@touch $@
 
 $(VENV)/.installed-docs: $(BIN)/python pyproject.toml
 	@echo "installing hiros and the tools for the site into $(VENV)"
-	$(INSTALL) -e '.[docs]'
+	$(EACH_MINUTE) $(INSTALL) -e '.[docs]'
 	@touch $@ $(VENV)/.installed
 
 clean:

@@ -30,7 +30,7 @@ class CustomMetadataHook(MetadataHookInterface):
         from readme_links import absolute
 
         text = (ROOT / "README.md").read_text(encoding="utf-8")
-        text = absolute(text, metadata["urls"]["Source"])
+        text = absolute(text, metadata.get("urls", {}).get("Source", ""))
         metadata["readme"] = {"content-type": "text/markdown", "text": text}
 
 
@@ -44,7 +44,7 @@ class CustomBuildHook(BuildHookInterface):
         unwanted = os.environ.get(shipped.CHOICE) == "compile"
         if version == "editable" or unwanted or platform.machine() not in ("x86_64", "AMD64"):
             return
-        self.app.display_info("compiling the kernels (about a minute with two cores)")
+        self.app.display_info("compiling the kernels into the wheel")
         # Not in the source tree: two builds at once would mix, and a checkout would use it.
         self._folder = tempfile.mkdtemp(prefix="hiros-wheel-")
         packed = Path(self._folder) / "packed"
@@ -71,7 +71,7 @@ def compile_into(target: Path) -> None:
     from hiros_mcap import kernels
     from hiros_mcap.kernels import shipped
 
-    prepare(quiet=True)
+    prepare(quiet=False)
     for module in kernels.sources():
         kernels.load([module])  # what a process had no memory for is compiled now
         shutil.copytree(kernels.folder_of(module), target, dirs_exist_ok=True)

@@ -8,7 +8,12 @@ _LINK = re.compile(r"(!?)(\[[^\]]*\]\()(?!https?:|mailto:|#)([^)\s]+)\)")
 
 
 def absolute(text: str, source: str) -> str:
-    """Return Markdown whose links and pictures lead into the repository at ``source``."""
+    """Return Markdown whose links and pictures lead into the repository at ``source``.
+
+    They stay as they are while it has no address, "".
+    """
+    if not source:
+        return text
 
     def led(hit: re.Match[str]) -> str:
         kind = "raw" if hit[1] else "blob"

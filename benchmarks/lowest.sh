@@ -14,12 +14,13 @@ python=$(command -v "${PYTHON:-python3}")
 "$work/tool/bin/python" -m pip install --quiet --disable-pip-version-check uv packaging
 uv="$work/tool/bin/uv"
 
-"$uv" pip compile --quiet --python "$python" --resolution lowest-direct pyproject.toml --output-file "$work/lowest.txt"
+"$uv" pip compile --quiet --no-header --no-annotate --python "$python" --resolution lowest-direct \
+  pyproject.toml --output-file "$work/lowest.txt" >/dev/null
 "$work/tool/bin/python" - "$work/lowest.txt" <<'CHECK'
 import sys, tomllib
 from packaging.requirements import Requirement
 from packaging.version import Version
-lines = [Requirement(line) for line in open(sys.argv[1]) if "==" in line and line.strip()[0] != "#"]
+lines = [Requirement(line.strip()) for line in open(sys.argv[1])]
 pinned = {line.name: Version(next(iter(line.specifier)).version) for line in lines}
 project = tomllib.load(open("pyproject.toml", "rb"))["project"]
 wrong = [
