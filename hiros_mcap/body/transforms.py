@@ -16,7 +16,7 @@ import struct
 from array import array
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -80,9 +80,11 @@ class _Edge:
     at which log times.
     """
 
-    def __init__(self, parent: str, *, static: bool) -> None:
+    def __init__(self, parent: str, *, static: bool, topic: str = "") -> None:
         self.parent = parent
         self.static = static
+        self.topic = topic
+        """Where it was published, if in a namespace."""
         self.changes: list[PoseChange] = []
         self._stamps = array("q")
         self._numbers = array("d")  # 7 per stamp: x y z w, x y z. An hour of /tf has millions.
@@ -185,9 +187,24 @@ class TransformTree:
         self._edges: dict[str, _Edge] = {}
         self._faults: dict[str, str] = {}
         self._parents: set[str] = set()
+        self._rivals: dict[str, list[str]] = {}
+        """Child -> its parents, where it has several."""
         self._fixed: dict[tuple[str, str], Rigid] = {}
         self.normalised: Counter[str] = Counter()
         """Quaternions of a length off by more than 1e-3 that were put right, by child frame."""
+        self.takes_namespaces = False
+        """Whether transforms in a namespace count for frames without a global one. Otherwise they
+        count for frames of which nothing else is known."""
+        self.look_alikes: Sequence[str] = ()
+        """Topics that may hold transforms, and are not read."""
+        self.source = ""
+        """The file that the poses are from, "" if they are the log's."""
+        self.clocks: Mapping[str, float] = {}
+        """Camera -> seconds to add to its stamps, as the file says."""
+        self.renamed: dict[str, str] = {}
+        """Name of a frame in the file -> the frame of the camera that it means."""
+        self.remarks: list[str] = []
+        """What was guessed about the frames' names, and what of the file is not used."""
 
     def __len__(self) -> int:
         return len(self._edges)
@@ -197,16 +214,24 @@ class TransformTree:
         """Names of all frames."""
         return sorted(self._parents | self._edges.keys())
 
-    def add(self, transform: Transform, *, static: bool, log_time: int = 0) -> None:
-        """Take note of a transform; of static ones in the order of their log times, ns."""
+    def add(
+        self, transform: Transform, *, static: bool, log_time: int = 0, namespace: str = ""
+    ) -> None:
+        """Take note of a transform; of static ones in the order of their log times, ns.
+
+        ``namespace`` is the topic of a transform that is not on /tf_static or /tf. It does not
+        count where there is a global one.
+        """
         child, parent = transform.child.lstrip("/"), transform.parent.lstrip("/")
-        numbers = self._checked(child, transform)
         edge = self._edges.get(child)
+        if namespace and not self._takes_of_namespace(child):
+            return
+        numbers = self._checked(child, transform)
         if edge is None:
-            edge = self._edges[child] = _Edge(parent, static=static)
+            edge = self._edges[child] = _Edge(parent, static=static, topic=namespace)
             self._parents.add(parent)
         if edge.parent != parent:
-            self._faults[child] = f"has two parents, {edge.parent!r} and {parent!r}"
+            self._add_rival(child, parent)
         elif edge.static != static:
             self._faults[child] = "is on /tf_static and on /tf"
         elif numbers and static:
@@ -214,6 +239,24 @@ class TransformTree:
                 self._faults.setdefault(child, fault)
         elif numbers:
             edge.add(transform.stamp, numbers)
+
+    def _takes_of_namespace(self, child: str) -> bool:
+        edge = self._edges.get(child)
+        if edge is not None:
+            return bool(edge.topic)
+        return self.takes_namespaces or child not in self._parents
+
+    def _add_rival(self, child: str, parent: str) -> None:
+        """Take note that a frame has one more parent, which is a fault of it."""
+        parents = self._rivals.setdefault(child, [self._edges[child].parent])
+        if parent not in parents:
+            parents.append(parent)
+            self._parents.add(parent)
+        count = "two" if len(parents) == 2 else "several"
+        self._faults[child] = (
+            f"has {count} parents, {_quoted(parents)}; a frame has one, so parent and child may be "
+            "exchanged"
+        )
 
     def _checked(self, child: str, transform: Transform) -> tuple[float, ...]:
         """Rotation of length 1 and translation; nothing, and a fault, if they make no sense."""
@@ -239,20 +282,76 @@ class TransformTree:
             by_root.setdefault(self.root(frame), []).append(frame)
         if len(by_root) == 1:
             return next(iter(by_root))
+        unread = _unread(self.look_alikes)
         if not self.frames:
             raise LogError(
                 "the log has no /tf or /tf_static, so the camera poses are unknown; pass them with "
-                "--extrinsics cameras.toml, or find them with hiros calibrate people"
+                f"--extrinsics cameras.toml, or find them with hiros calibrate people{unread}"
             )
+        for child, parents in self._rivals.items():
+            if len(by_root.keys() & {self._top(parent) for parent in parents}) > 1:
+                raise LogError(
+                    f"the frame {child!r} {self._faults[child]}: publish the cameras as children "
+                    f"of {child!r}, or pass their poses with --extrinsics FILE"
+                )
         groups = "; ".join(
-            f"{', '.join(name or 'no name' for name in sorted(names))} in {root or 'no name'}"
-            for root, names in by_root.items()
+            f"{', '.join(sorted(names))} in {root}" for root, names in by_root.items()
         )
         raise LogError(
             f"no transforms connect the cameras' frames ({groups}); the log has transforms of "
             f"{_listing(self.frames)}. Record /tf_static, pass the camera poses with "
-            "--extrinsics FILE, or choose cameras with --topic"
+            f"--extrinsics FILE, or choose cameras with --topic{unread}"
         )
+
+    def _top(self, frame: str) -> str:
+        """Return the root above a frame, "" where a fault is in between."""
+        try:
+            return self.root(frame)
+        except LogError:
+            return ""
+
+    def joins(self, frames: Collection[str]) -> bool:
+        """Whether all ``frames`` are known and hang on one root; a faulty one counts as joined."""
+        try:
+            roots = {self.root(frame) for frame in frames}
+        except LogError:
+            return True
+        return len(roots) <= 1 and set(self.frames).issuperset(frames)
+
+    def namespaces_above(self, frames: Iterable[str]) -> list[str]:
+        """Return the topics in namespaces that give transforms of ``frames``, in order."""
+        above = {name for frame in frames for name in self._path(frame)[:-1]}
+        return sorted({self._edges[name].topic for name in above} - {""})
+
+    def children_above(self, frames: Iterable[str]) -> set[str]:
+        """Return which frames with a parent ``frames`` hang on, themselves included."""
+        return {name for frame in frames for name in self._path(frame)[:-1]}
+
+    @property
+    def names(self) -> list[str]:
+        """Names of all frames, as the file has them."""
+        before = {new: old for old, new in self.renamed.items()}
+        return [before.get(name, name) for name in self.frames]
+
+    @property
+    def children(self) -> list[str]:
+        """Names of the frames that have a parent, in the order in which they came."""
+        return list(self._edges)
+
+    def remark(self, text: str) -> None:
+        """Take note of something that a user should know, once."""
+        if text not in self.remarks:
+            self.remarks.append(text)
+
+    def rename(self, old: str, new: str) -> None:
+        """Give a frame another name, which no frame has yet."""
+        if old in self._edges:
+            self._edges = {new if k == old else k: edge for k, edge in self._edges.items()}
+        for edge in self._edges.values():
+            edge.parent = new if edge.parent == old else edge.parent
+        self._parents = {new if name == old else name for name in self._parents}
+        self._fixed.clear()
+        self.renamed[old] = new
 
     def lookup(self, frame: str, fixed: str, stamp: int, log_time: int | None = None) -> Rigid:
         """Return the pose of ``frame`` in ``fixed`` at ``stamp``, ns, as logged by ``log_time``.
@@ -293,9 +392,10 @@ class TransformTree:
         ``fixed`` must not hang on the frame itself.
         """
         tree = TransformTree(self._begin)
+        tree.__dict__.update(self.__dict__)
         tree._edges, tree._parents = dict(self._edges), self._parents | {fixed}
         tree._faults = {name: fault for name, fault in self._faults.items() if name not in poses}
-        tree.normalised = self.normalised
+        tree._fixed = {}
         for name in sorted(poses, key=lambda name: len(tree._path(name))):
             edge = tree._edges.get(name)
             joined = edge is not None and tree.root(edge.parent) == tree.root(fixed)
@@ -348,6 +448,20 @@ class TransformTree:
                 loop = " -> ".join(path[path.index(path[-1]) :])
                 raise LogError(f"the transforms form a loop: {loop}; {_REMEDY}")
         return path
+
+
+def _unread(topics: Sequence[str]) -> str:
+    if not topics:
+        return ""
+    return (
+        f". Not read, though they look like transforms: {', '.join(topics)}; hiros reads TFMessage "
+        "on /tf_static and /tf, also in a namespace"
+    )
+
+
+def _quoted(names: Sequence[str]) -> str:
+    """Return two or more names as a list in words."""
+    return f"{', '.join(map(repr, names[:-1]))} and {names[-1]!r}"
 
 
 def _listing(names: list[str]) -> str:
@@ -469,12 +583,13 @@ def read_extrinsics(path: str | Path) -> TransformTree:
 
     A camera that was moved has a second entry with ``since``, a log time in ns. What a calibration
     tells about a pose may follow it; see :func:`read_camera_entries`. A table ``[clock]`` may
-    follow, too; see :func:`read_clocks`.
+    follow, too: seconds to add to the stamps of each camera.
 
     Raises ConfigError naming the file and the key.
     """
-    cameras = _extrinsics(path).camera
-    tree = TransformTree()
+    file = _extrinsics(path)
+    cameras, tree = file.camera, TransformTree()
+    tree.source, tree.clocks = str(path), file.clock
     for camera in cameras:
         _add_camera(tree, camera, f"{path}: {camera.frame}")
     for camera in cameras:
@@ -483,14 +598,6 @@ def read_extrinsics(path: str | Path) -> TransformTree:
         except LogError as error:
             raise ConfigError(f"{path}: {error.fault}") from None
     return tree
-
-
-def read_clocks(path: str | Path) -> dict[str, float]:
-    """Camera -> seconds to add to its stamps, from the table ``[clock]`` of a file with poses.
-
-    ``hiros calibrate people`` writes it. Raises ConfigError as :func:`read_extrinsics` does.
-    """
-    return _extrinsics(path).clock
 
 
 def read_room(path: str | Path) -> RoomTable | None:

@@ -39,11 +39,14 @@ def save_cameras(path: Path, rig: PeopleCalibration | BallCalibration | BoardRep
 
 
 def cameras_toml(rig: PeopleCalibration | BallCalibration | BoardReport) -> str:
-    """Return poses and clocks as TOML: every camera with a pose, every clock that is known."""
+    """Return poses and clocks as TOML: every camera with a pose, every clock that is known.
+
+    A camera whose frame is the fixed one is the parent of the others.
+    """
     frame = rig.fixed_frame
     lines = [f"# verdict: {rig.verdict}" + (f" ({rig.reason})" if rig.reason else "")]
     for camera in rig.cameras:
-        if camera.pose is not None:
+        if camera.pose is not None and camera.frame != frame:
             lines += ["", *_camera(camera, camera.pose, frame)]
     clocks = {c.name: c.clock_s for c in rig.cameras if not math.isnan(c.clock_s)}
     if clocks:
@@ -92,6 +95,8 @@ def write_corrected_log(log: Log, rig: PeopleCalibration, target: str | os.PathL
 
     Raises LogError if ``target`` cannot be written; there is no file then.
     """
+    ours = {camera.frame for camera in rig.cameras}
+    log = log.with_own_frames([c.channel.topic for c in log.cameras if c.topic_frame in ours])
     topics = {
         name: (camera.channel.topic, source)
         for camera in log.cameras
@@ -146,7 +151,8 @@ def _merged(log: Log, kept: list[int]) -> Iterator[tuple[Frame | None, Message |
 
 def _write_poses(writer: McapWriter, log: Log, rig: PeopleCalibration, start: int) -> None:
     """Write the static poses of the log but the cameras', then those that were found."""
-    ours = {camera.frame for camera in rig.cameras if camera.pose is not None}
+    placed = [c for c in rig.cameras if c.pose is not None and c.frame != rig.fixed_frame]
+    ours = {camera.frame for camera in placed}
     others: dict[str, dict[str, Rigid]] = {}
     static = [info.id for info in log.channels if info.topic == _STATIC]
     for message in log.reader.messages(static) if static else ():
@@ -158,6 +164,6 @@ def _write_poses(writer: McapWriter, log: Log, rig: PeopleCalibration, start: in
         add_static_poses(writer, poses, parent, start)
     times = sorted({camera.since for camera in rig.cameras})
     for since in times:
-        poses = {c.frame: c.pose for c in rig.cameras if c.pose and c.since == since}
+        poses = {c.frame: c.pose for c in placed if c.pose and c.since == since}
         if poses:
             add_static_poses(writer, poses, rig.fixed_frame, since or start)

@@ -10,9 +10,11 @@ from itertools import takewhile
 from typing import Any, NamedTuple
 
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.body.transforms import TransformTree, parse_tf
+from hiros_mcap.body.transforms import TransformTree
 from hiros_mcap.calibrate.ball_image import DepthCamera
 from hiros_mcap.errors import LogError
+from hiros_mcap.io.camera_frames import add_transforms
+from hiros_mcap.io.channels import is_static_topic, namespace_of
 from hiros_mcap.io.ros_cdr import RosMessage
 from hiros_mcap.io.ros_messages import (
     CAMERA_INFO,
@@ -46,10 +48,12 @@ def is_chosen(topic: str, globs: Sequence[str]) -> bool:
 def static_transforms(log: RosMessages) -> TransformTree:
     """Gather the static transforms; cameras that move cannot be calibrated by a ball."""
     tree = TransformTree()
-    wanted = [topic for topic, kind in log.types.items() if kind == TRANSFORMS]
-    for message in log.read([topic for topic in wanted if topic == "/tf_static"]):
-        for transform in parse_tf(message.data):
-            tree.add(transform, static=True, log_time=message.log_time)
+    tree.takes_namespaces = True
+    wanted = [t for t, kind in log.types.items() if kind == TRANSFORMS and is_static_topic(t)]
+    spaced = [topic for topic in wanted if namespace_of(topic)]
+    for topics in ([topic for topic in wanted if topic not in spaced], spaced):
+        for message in log.read(topics) if topics else ():
+            add_transforms(tree, message.topic, message.data, message.log_time)
     return tree
 
 

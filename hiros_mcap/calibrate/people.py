@@ -48,14 +48,19 @@ from hiros_mcap.calibrate.survey import (
     MOST_S,
     FixedCamera,
     Survey,
+    applied,
     check_frames,
     fixed_cameras,
+    names_of,
     seen_by,
+    shared_frames,
+    with_own_frames,
 )
 from hiros_mcap.calibrate.verdict import (
     GRADES,
     NAN,
     NO_VIEW,
+    SURE,
     UNLINKED,
     CalibratedCamera,
     Verdict,
@@ -63,6 +68,7 @@ from hiros_mcap.calibrate.verdict import (
 )
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.camera_clock import CameraTimes, ClockCorrection
+from hiros_mcap.io.channels import CameraChannel
 from hiros_mcap.io.log import Log
 from hiros_mcap.skeletons import Floats, Ints, SkeletonModel
 from hiros_mcap.summary import plain
@@ -71,8 +77,12 @@ PAIR_INSTANTS = 100
 """Instants at which two cameras are compared."""
 APART_S, CONSTANT_S = 2.0, 0.1
 """Lags that differ by more, and vary by less, show a wrong clock."""
-WORLD = "world"
-"""Fixed frame of a log without transforms."""
+WORLD, ROOM = "world", "room"
+"""Fixed frame of a log whose cameras have no transforms; the other one if others have, so that it
+has a world, which lies elsewhere."""
+_ALIKE_DEG, _ALIKE_M = 5.0, 0.3
+"""Poses that differ by less show that people were at the same place before: a transform to the room
+may be wrong by so much, and cameras stand further apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,14 +114,18 @@ def calibrate_people(
 ) -> PeopleCalibration:
     """Find the poses and clocks of a log's cameras from the people in it.
 
-    The log's transforms are not needed. Where there are some, they place the rig as a whole.
+    The log's transforms are not needed. Where there are some, they place the rig as a whole. Where
+    several channels are in one frame, each gets one that is called as its topic.
 
     Parameters
     ----------
     survey : of the log, if it is there. corrections : what is known of the clocks, by camera.
 
-    Raises LogError for a log of one camera, of cameras that share a frame, or that move.
+    Raises LogError for a log of one camera, of cameras that move, or that share a frame in which
+    they see the same people at the same place.
     """
+    shared = shared_frames(log)
+    log = with_own_frames(log, shared)
     check_frames(log)
     survey = survey or Survey(log, MOST_S, fixed=False)
     views = _views(survey, corrections or {})  # tracklets
@@ -136,13 +150,27 @@ def calibrate_people(
     fit = solved.fit
     if fit is None:
         return PeopleCalibration(root, *_whole(cameras), tuple(cameras))
-    rig, gauge = _in_fixed_frame(log, fit, given)  # transforms, or the floor
+    anchor = next((c for c, view in enumerate(views) if view.frame == root), None)
+    rig, gauge = _in_fixed_frame(log, fit, given, anchor)  # transforms, or the floor
     for c, camera in _placed(solved, fit, rig, given):  # verdict
         cameras[c] = camera
+    _check_apart(log, shared, cameras)
     cameras = with_times(cameras, moves, log.span)
     joints = _by_joint(fit.refined, log.model)
     people_mm = 1000.0 * fit.refined.people
     return PeopleCalibration(root, *_whole(cameras), tuple(cameras), joints, gauge, people_mm)
+
+
+def _check_apart(
+    log: Log, shared: Mapping[str, list[CameraChannel]], cameras: Sequence[CalibratedCamera]
+) -> None:
+    """Raise LogError for a frame in which several cameras see people at the same place."""
+    poses = {one.name: one.pose for one in cameras if one.pose and one.verdict in SURE}
+    for frame, channels in shared.items():
+        names = [name for name in names_of(channels) if name in poses]
+        apart = [poses[names[0]].apart(poses[name]) for name in names[1:]]
+        if apart and all(metres < _ALIKE_M and deg < _ALIKE_DEG for metres, deg in apart):
+            raise LogError(applied(names, frame), path=log.path)
 
 
 def _views(survey: Survey, corrections: Mapping[str, ClockCorrection]) -> list[CameraView]:
@@ -192,13 +220,14 @@ def _given_poses(log: Log, views: Sequence[CameraView]) -> tuple[str, dict[int, 
 
     Two cameras cannot have the same pose: nobody has calibrated them.
     """
-    frames = {c: view.frame for c, view in enumerate(views) if view.frame in log.transforms.frames}
-    if not frames:
-        return WORLD, {}
+    known = log.transforms.frames
+    frames = {c: view.frame for c, view in enumerate(views) if view.frame in known}
     roots = [log.transforms.root(frame) for frame in frames.values()]
-    root = max(sorted(set(roots)), key=roots.count)
+    root = max(sorted(set(roots)), key=roots.count, default="")
     poses = {c: log.transforms.at_rest(frame, root) for c, frame in frames.items()}
     given = {c: pose for c, pose in poses.items() if pose is not None}
+    if all(frames[c] == root for c in given):  # a camera in itself says nothing
+        return ROOM if WORLD in known else WORLD, {}
     named = {str(c): pose for c, pose in given.items()}
     alike = {int(name) for group in same_place(named) for name in group}
     return root, {c: pose for c, pose in given.items() if c not in alike}
@@ -292,10 +321,16 @@ def _only_ambiguous(c: int, tree: Sequence[Pair], fits: Fits) -> bool:
     return all(ambiguous(fits[min(pair), max(pair)]) for pair in tree if c in pair)
 
 
-def _in_fixed_frame(log: Log, fit: FittingRig, given: Mapping[int, Rigid]) -> tuple[Rig, str]:
-    """Return the rig where the log's transforms or the floor put it, and which of both."""
+def _in_fixed_frame(
+    log: Log, fit: FittingRig, given: Mapping[int, Rigid], anchor: int | None
+) -> tuple[Rig, str]:
+    """Return the rig where the log's transforms or the floor put it, and which of both.
+
+    The camera ``anchor`` defines the fixed frame.
+    """
     refined = fit.refined
-    fixed = {k: given[c] for k, c in enumerate(fit.cameras) if c in given}
+    at = [anchor] if anchor in fit.cameras else given
+    fixed = {k: given[c] for k, c in enumerate(fit.cameras) if c in at and c in given}
     if fixed:
         return moved(refined.rig, on_transforms(refined.rig, fixed)), "transforms"
     poses, velocities = _merged(refined, log.model.n_markers)

@@ -8,7 +8,7 @@ moved, or if poses are to be found from nothing.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from itertools import product
@@ -22,6 +22,7 @@ from hiros_mcap.calibrate.camera_views import CameraView, Sighting, sightings_fr
 from hiros_mcap.errors import LogError, naming
 from hiros_mcap.frames import rows_between
 from hiros_mcap.io.camera_clock import CameraTimes, ClockCorrection
+from hiros_mcap.io.channels import CameraChannel
 from hiros_mcap.io.log import Log
 from hiros_mcap.skeletons import POSITION, Ints, Stamps
 
@@ -207,17 +208,38 @@ def fixed_cameras(log: Log, faults: Mapping[str, str]) -> Iterator[FixedCamera]:
                 yield FixedCamera(name, camera.frames[0], pose or Rigid.identity())
 
 
+def shared_frames(log: Log) -> dict[str, list[CameraChannel]]:
+    """Frame -> the channels whose detections are in it, where these are several."""
+    owners: dict[str, list[CameraChannel]] = {}
+    for camera in log.cameras:
+        for frame in camera.frames:
+            owners.setdefault(frame, []).append(camera)
+    return {frame: cameras for frame, cameras in owners.items() if len(cameras) > 1}
+
+
+def with_own_frames(log: Log, frames: Iterable[str]) -> Log:
+    """Return the log with a frame for each channel, where several are in one of ``frames``.
+
+    A channel of several cameras or frames stays as it is.
+    """
+    shared = shared_frames(log)
+    cameras = [camera for frame in frames for camera in shared.get(frame, [])]
+    plain = [c for c in cameras if len(c.frames) == 1 and len(c.sources) == 1]
+    return log.with_own_frames([camera.channel.topic for camera in plain])
+
+
+def names_of(cameras: Iterable[CameraChannel]) -> list[str]:
+    """Return the names of the cameras on some channels."""
+    return [name for camera in cameras for name in camera.sources.values()]
+
+
 def check_frames(log: Log) -> None:
     """Raise LogError if two cameras share a frame, or a camera moves."""
     owners: dict[str, str] = {}
     for camera in log.cameras:
         for name, frame in product(camera.sources.values(), camera.frames):
             if frame in owners:
-                raise LogError(
-                    f"{owners[frame]} and {name} publish in the same frame {frame!r}, so their "
-                    "poses are already applied; record the detections in each camera's own frame",
-                    path=log.path,
-                )
+                raise LogError(applied([owners[frame], name], frame), path=log.path)
             owners[frame] = name
             if moves(log, frame):
                 raise LogError(
@@ -225,6 +247,19 @@ def check_frames(log: Log) -> None:
                     "calibrated, choose them with --topic",
                     path=log.path,
                 )
+
+
+def applied(names: Sequence[str], frame: str) -> str:
+    """Say that the poses of cameras in one frame cannot be found any more."""
+    return (
+        f"{in_words(names)} publish in the same frame {frame!r}, so their poses are already "
+        "applied; record the detections in each camera's own frame"
+    )
+
+
+def in_words(names: Sequence[str]) -> str:
+    """Return names as a list in words."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def moves(log: Log, frame: str) -> bool:

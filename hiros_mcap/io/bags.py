@@ -21,7 +21,13 @@ from typing import TYPE_CHECKING, Any
 import hiros_schemas
 from hiros_mcap._version import __version__
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.channels import LATCHED_QOS, OTHER_FILES, TF_TOPICS, ChannelInfo, channels_of
+from hiros_mcap.io.channels import (
+    LATCHED_QOS,
+    OTHER_FILES,
+    ChannelInfo,
+    channels_of,
+    is_static_topic,
+)
 from hiros_mcap.io.container import (
     McapReader,
     McapWriter,
@@ -342,7 +348,6 @@ def recover(
 
 
 _VERSION = 8
-_STATIC = TF_TOPICS[0]
 
 
 @contextmanager
@@ -388,7 +393,7 @@ def refuse_foreign_encodings(channels: Iterable[ChannelInfo], target: Path) -> N
 def needs_latching(info: ChannelInfo) -> bool:
     """Whether a channel is /tf_static and late subscribers would not get it."""
     profiles = info.metadata.get("offered_qos_profiles", "")
-    if info.topic != _STATIC or profiles == LATCHED_QOS or info.encoding != "cdr":
+    if not is_static_topic(info.topic) or profiles == LATCHED_QOS or info.encoding != "cdr":
         return False
     if not profiles:
         return True

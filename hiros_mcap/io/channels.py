@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
 import hiros_schemas
@@ -31,6 +31,7 @@ PROVENANCE = "hiros.provenance"
 OTHER_FILES = "`hiros import` reads files of other detectors; docs/detectors.md says how"
 TRUTH_PREFIX = "/truth"
 TF_TOPICS = ("/tf_static", "/tf")
+_TF_NAMES = tuple(topic.strip("/") for topic in TF_TOPICS)
 _LISTED = 20
 # The quality of service that rosbag2 offers when it plays a channel: reliable, volatile, keep
 # last 10, no deadlines. Numbers, because Humble cannot read the names that later versions write.
@@ -85,6 +86,18 @@ class CameraChannel:
     """Coordinate frames of its detections."""
     size: float = math.nan
     """Size of the first people on it, m; NaN if nobody is."""
+    own_frame: str = ""
+    """The frame that its detections are taken to be in, whatever frame its messages name; "" for
+    the frame that they name."""
+
+    @property
+    def topic_frame(self) -> str:
+        """The frame that is called as the topic: it is the camera's wherever there is one."""
+        return self.channel.topic.strip("/")
+
+    def in_frame(self, name: str) -> CameraChannel:
+        """Return the channel with its detections in another frame."""
+        return replace(self, frames=(name,), own_frame=name)
 
 
 def channels_of(reader: McapReader) -> tuple[ChannelInfo, ...]:
@@ -179,6 +192,21 @@ def not_cdr(info: ChannelInfo) -> LogError:
         "with --topic",
         topic=info.topic,
     )
+
+
+def is_transform_topic(topic: str) -> bool:
+    """Whether a topic is /tf or /tf_static, or one of these in a namespace."""
+    return topic.rpartition("/")[2] in _TF_NAMES
+
+
+def is_static_topic(topic: str) -> bool:
+    """Whether a topic is /tf_static, or that in a namespace."""
+    return topic.rpartition("/")[2] == _TF_NAMES[0]
+
+
+def namespace_of(topic: str) -> str:
+    """Return the topic of transforms in a namespace as TransformTree.add takes it."""
+    return "" if topic in TF_TOPICS else topic
 
 
 def is_selected(topic: str, topics: Sequence[str] | None, output_prefix: str) -> bool:

@@ -233,6 +233,7 @@ class Decoder:
     exact : keep every bit. By default numbers that cannot be true are taken out
         (see :func:`hiros_mcap.kernels.batch.clean`), and a person's time before 1970 becomes 0.
     slim : leave out the columns of velocities and accelerations until a message holds one.
+    own_frames : channel -> the frame of its detections, whatever frame its messages name.
     """
 
     _MOST = 64 * 2**20  # bytes of people; a larger batch is decoded in parts
@@ -245,8 +246,10 @@ class Decoder:
         poses: RestPoses | None = None,
         exact: bool = False,
         slim: bool = False,
+        own_frames: Mapping[int, str] | None = None,
     ) -> None:
         self.model = model
+        self._own_frames = {} if own_frames is None else own_frames
         self._layouts = {i: how for i, how in (layouts or {}).items() if not how.is_published}
         self._poses = poses or RestPoses()
         self._exact = exact
@@ -294,14 +297,15 @@ class Decoder:
         if n > 1 and first[-1] * 8 * (sum(self._slots) * (STATE + 1) + BOX) > self._MOST:
             return None
         data = [part.data.data[a:b] for part in sections for a, b in part.places.tolist()]
-        people, results = self._people(sections, data, first, reports)
         channels = np.concatenate([records.messages[:, CHANNEL] for records in batch.records])
+        own = [self._own_frames.get(ident, "") for ident in channels.tolist()]
+        people, results = self._people(sections, data, first, reports, own)
         return Decoded(
             people,
             np.concatenate([records.keys for records in batch.records]),
             channels.tolist(),
             reports[:, cdr.HEADER_STAMP].tolist(),
-            list(self._parts(data, people, results, faults)),
+            list(self._parts(data, people, results, faults, own)),
             _by_kind(results.cleaned),
             faults,
             batch.until,
@@ -358,12 +362,17 @@ class Decoder:
         data: Sequence[memoryview],
         first: cdr.Table,
         reports: cdr.Table,
+        own: Sequence[str],
     ) -> tuple[People, batch_kernels.Results]:
-        """Decode, clean and move the people of all messages, whose headers were read."""
+        """Decode, clean and move the people of all messages, whose headers were read.
+
+        ``own`` is the frame of each message whose name for it does not count.
+        """
         n, n_people = len(data), int(first[-1])
         people = People.allocate(n_people, *self._slots, self._width)
         frames = reports[:, [cdr.FRAME, cdr.FRAME_END]].tolist()
-        poses = [self._poses.find(bytes(d[a:b])) for d, (a, b) in zip(data, frames, strict=True)]
+        named = (bytes(d[a:b]) for d, (a, b) in zip(data, frames, strict=True))
+        poses = [self._poses.find(o.encode() or n) for o, n in zip(own, named, strict=True)]
         results = batch_kernels.Results(
             first,
             np.empty(n, np.int64),
@@ -379,7 +388,7 @@ class Decoder:
             )  # fmt: skip
             if not is_whole:
                 self._width = STATE
-                return self._people(sections, data, first, reports)
+                return self._people(sections, data, first, reports, own)
         if not self._exact:
             np.maximum(people.stamps, 0, out=people.stamps)
         return people, results
@@ -390,6 +399,7 @@ class Decoder:
         people: People,
         results: batch_kernels.Results,
         faults: dict[int, str],
+        own: Sequence[str],
     ) -> Iterator[list[MessagePart]]:
         """Yield the parts of each message, or note its fault and yield none."""
         columns = [cdr.FRAME, cdr.FRAME_END, cdr.SOURCE, cdr.SOURCE_END, cdr.MIXED]
@@ -412,7 +422,7 @@ class Decoder:
                 continue
             fixed = self._poses.fixed if results.pose_of[i] >= 0 else ""
             yield [
-                (name or frame_id, fixed or frame_id or name, first_row, end_row)
+                (name or frame_id, fixed or own[i] or frame_id or name, first_row, end_row)
                 for name, first_row, end_row in _by_source(sources, people, begin, end)
             ]
 

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.io.channels import TF_TOPICS
+from hiros_mcap.io.channels import is_static_topic
 from hiros_mcap.io.container.file import Sink
 from hiros_mcap.io.container.records import (
     HEAD,
@@ -63,7 +63,7 @@ class FoxgloveServer(Sink):
         self._context = foxglove.Context()
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Any] = {}
-        self._static: dict[bytes, None] = {}
+        self._static: dict[tuple[int, bytes], None] = {}
         """Messages with static transforms, each once, in order."""
         self._time = 0
         """Log time of the latest message, ns."""
@@ -97,10 +97,9 @@ class FoxgloveServer(Sink):
 
     def greet(self, channel: int) -> None:
         """Send the static transforms again if ``channel``, the library's number, has them."""
-        for ours in list(self._channels.values()):
-            if ours.id() == channel and ours.topic() == TF_TOPICS[0]:
-                for data in list(self._static):
-                    ours.log(data, log_time=self._time)
+        for ident, data in list(self._static):
+            if (ours := self._channels[ident]).id() == channel:
+                ours.log(data, log_time=self._time)
 
     def _put(self, parts: Iterable[Bytes]) -> None:
         """Send what is in whole records."""
@@ -129,9 +128,9 @@ class FoxgloveServer(Sink):
     def _send(self, content: memoryview) -> None:
         ident, _, log_time, _ = MESSAGE_HEAD.unpack_from(content)
         channel, data = self._channels[ident], bytes(content[MESSAGE_HEAD.size :])
-        if channel.topic() == TF_TOPICS[0]:
-            self._static.pop(data, None)
-            self._static[data] = None
+        if is_static_topic(channel.topic()):
+            self._static.pop((ident, data), None)
+            self._static[ident, data] = None
             if len(self._static) > _LATCHED:
                 del self._static[next(iter(self._static))]
         self._time = max(self._time, log_time)

@@ -20,9 +20,10 @@ from pathlib import Path
 from typing import Any, Self
 
 import hiros_schemas
-from hiros_mcap.body.transforms import parse_tf, read_extrinsics
+from hiros_mcap.body.transforms import read_extrinsics
 from hiros_mcap.errors import LogError, SchemaError, naming
 from hiros_mcap.frames import Block
+from hiros_mcap.io.camera_frames import add_transforms, is_read
 from hiros_mcap.io.channels import (
     OUTPUT_PREFIX,
     TF_TOPICS,
@@ -30,6 +31,7 @@ from hiros_mcap.io.channels import (
     ChannelInfo,
     channels_of,
     is_selected,
+    is_transform_topic,
     not_used,
     select_skeletons,
 )
@@ -69,6 +71,8 @@ class LiveReading(Reading):
         super().__init__(log, **how)
         self._refused: dict[int, str] = {}
         """Channel -> why it is not read, "" for what holds no detections."""
+        self._spaced: dict[int, bool] = {}
+        """Channel -> whether it has transforms in a namespace."""
         self._waiting: Counter[str] = Counter()
         """Messages of cameras that could not be used yet, by topic."""
         log.reader.listeners.append(self._hear)
@@ -107,10 +111,9 @@ class LiveReading(Reading):
         if ident in self._inputs or ident in self._refused:
             return
         topic = self.log.reader.channels[ident].topic
-        if topic in TF_TOPICS:
-            for transform in () if self.log.has_extrinsics else parse_tf(message.data):
-                static = topic == TF_TOPICS[0]
-                self.log.transforms.add(transform, static=static, log_time=message.log_time)
+        if topic in TF_TOPICS or self._is_transforms(ident):
+            if not self.log.transforms.source:
+                add_transforms(self.log.transforms, topic, message.data, message.log_time)
             return
         info = next(info for info in channels_of(self.log.reader) if info.id == ident)
         if takes(info, self.log.topics):
@@ -119,6 +122,13 @@ class LiveReading(Reading):
             is_people = info.has_type(hiros_schemas.SKELETON_GROUP)
             wanted = is_people and is_selected(topic, self.log.topics, OUTPUT_PREFIX)
             self._refused[ident] = not_used(replace(info, count=0)) if wanted else ""
+
+    def _is_transforms(self, ident: int) -> bool:
+        """Whether a channel has transforms in a namespace."""
+        if ident not in self._spaced:
+            infos = channels_of(self.log.reader)
+            self._spaced[ident] = any(i.id == ident and is_read(i) for i in infos)
+        return self._spaced[ident]
 
     def _join(self, info: ChannelInfo, message: Message) -> None:
         """Read a camera from its first message on that holds somebody in a known place."""
@@ -155,8 +165,6 @@ class LiveLog(Log):
     """What makes SkeletonGroups of other detectors' messages."""
     topics: Sequence[str] | None = None
     """Globs of the channels that are wanted."""
-    has_extrinsics: bool = False
-    """Whether the poses are given, so that the input's transforms do not count."""
 
     is_live = True
     reading = LiveReading
@@ -232,11 +240,10 @@ def open_live(
             *(reader, *parts, fixed_frame),
             conversion=conversion,
             topics=topics,
-            has_extrinsics=tree is not None,
         )
 
     listener = _Listener(reader, attempt)
-    reader.listen(listener.has_heard_enough, _MOST, TF_TOPICS)
+    reader.listen(listener.has_heard_enough, _MOST, is_transform_topic)
     with naming(reader.path):
         log = listener.log or attempt()
     conversion.target = log.model  # of cameras of other detectors that come later

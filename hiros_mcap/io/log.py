@@ -25,13 +25,17 @@ from threading import Event
 
 import numpy as np
 
-import hiros_schemas
-from hiros_mcap.body.transforms import TransformTree, parse_tf, read_extrinsics
+from hiros_mcap.body.transforms import TransformTree, read_extrinsics
 from hiros_mcap.errors import LogError, naming
 from hiros_mcap.io.bags import kind_of, parts_of, read_bag, read_parts
+from hiros_mcap.io.camera_frames import (
+    as_file_says,
+    as_transforms_say,
+    note_unused,
+    transforms_of,
+)
 from hiros_mcap.io.channels import (
     OUTPUT_PREFIX,
-    TF_TOPICS,
     CameraChannel,
     ChannelInfo,
     channels_of,
@@ -203,6 +207,8 @@ def open_log(
             with naming(file.path):
                 reader = converted(file, selection._replace(several=True))
             contents = skeletons_of(reader, tree, topics, output_prefix)
+        if tree is not None:
+            note_unused(tree, contents[0])
         encodings = ("cdr",) if reader is file else ENCODINGS
         unread = [i for i in of_people(file, selects) if i.encoding not in encodings]
         owns_file = reader is not path
@@ -234,8 +240,14 @@ def skeletons_of(
             if info.id in layouts
         ]
         begin = min((message.log_time for message in first.values()), default=0)
-        transforms = _transforms(reader, min(begin, LATEST)) if tree is None else tree
-    return _name_cameras(seen), model, transforms
+        cameras, known = _name_cameras(seen), tree
+        if known is None:
+            known, cameras = transforms_of(reader, min(begin, LATEST), cameras)
+        elif known.source:
+            cameras = as_file_says(cameras, known)
+        else:
+            cameras = as_transforms_say(cameras, known)
+    return cameras, model, known
 
 
 def open_reader(
@@ -341,30 +353,6 @@ def _name_cameras(seen: Sequence[CameraChannel]) -> list[CameraChannel]:
         }
         named.append(replace(camera, sources=names))
     return named
-
-
-def _transforms(reader: McapReader, begin: int) -> TransformTree:
-    """Gather every transform of the log; only the chunks that hold some are read.
-
-    ``begin`` is the log time of the first detection.
-    """
-    wanted = {
-        info.id: info.topic
-        for info in channels_of(reader)
-        if info.topic in TF_TOPICS
-        and info.has_type(hiros_schemas.TF_MESSAGE)
-        and info.encoding == "cdr"
-        and info.count
-    }
-    tree = TransformTree(begin)
-    if wanted:
-        for message in reader.messages(wanted.keys()):
-            topic, logged = wanted[message.channel_id], min(message.log_time, LATEST)
-            with naming(reader.path, topic):
-                transforms = parse_tf(message.data)
-            for transform in transforms:
-                tree.add(transform, static=topic == "/tf_static", log_time=logged)
-    return tree
 
 
 _BLOCK = 1 << 20  # bytes

@@ -72,6 +72,7 @@ class Reading:
         self._slim = slim
         self._inputs: dict[int, CameraInput] = {}
         self._layouts: dict[int, Layout] = {}
+        self._own_frames: dict[int, str] = {}
         self._names: dict[str, int] = {}
         """Of cameras and coordinate frames, to their numbers in blocks."""
         for camera in sorted(log.cameras, key=lambda camera: camera.channel.topic):
@@ -112,7 +113,13 @@ class Reading:
     def _blocks(self, poses: RestPoses | None) -> Iterator[tuple[Sequence[str], Block]]:
         """Yield the messages, those of cameras at rest moved to ``poses``."""
         reader, times = self.log.reader, self._times
-        decoder = Decoder(self.log.model, layouts=self._layouts, poses=poses, slim=self._slim)
+        decoder = Decoder(
+            self.log.model,
+            layouts=self._layouts,
+            poses=poses,
+            slim=self._slim,
+            own_frames=self._own_frames,
+        )
         batches = reader.batches(self._inputs, spans=self._spans if times is None else None)
         if self._step:
             spans = None if times is None else self._spans
@@ -131,6 +138,8 @@ class Reading:
         account = self.accounts.setdefault(topic, Account(topic))
         self._inputs[camera.channel.id] = CameraInput(camera, account)
         self._layouts[camera.channel.id] = camera.layout
+        if camera.own_frame:
+            self._own_frames[camera.channel.id] = camera.own_frame
 
     def _account_for_conversion(self) -> None:
         """Account for the messages that could not be converted."""
@@ -237,11 +246,24 @@ class Log:
         if not frames:  # no camera sent anything
             return self.wanted_frame or ""
         self.check_fixed_frame()
+        self._check_names()
         with naming(self.path):
             fixed = self.wanted_frame or self.transforms.common_root(frames)
             for name in frames:
                 self.transforms.lookup(name, fixed, 0)
         return fixed
+
+    def _check_names(self) -> None:
+        """Raise LogError if some cameras name their frames, and others do not."""
+        nameless = [c.channel.topic for c in self.cameras if "" in c.frames]
+        named = sorted({name for c in self.cameras for name in c.frames if name})
+        if nameless and named:
+            raise LogError(
+                f"{', '.join(nameless)}: header.frame_id is empty, while the other cameras are in "
+                f"{', '.join(named)}; set it, or pass the camera poses with --extrinsics FILE, "
+                "which may name cameras by their topics",
+                path=self.path,
+            )
 
     def check_fixed_frame(self) -> None:
         """Raise LogError if results are to be in a frame that the log does not have."""
@@ -308,6 +330,7 @@ class Log:
         return (*self.reader.remarks, *self._remarks())
 
     def _remarks(self) -> Iterator[str]:
+        yield from self.transforms.remarks
         if self.model.n_markers == 0 and self._sent:
             yield "the room is empty: no camera sees anybody"
         if topics := [camera.channel.topic for camera in self.cameras if "" in camera.frames]:
@@ -350,6 +373,13 @@ class Log:
     def with_poses(self, poses: Mapping[str, TimedPoses], fixed: str) -> Self:
         """Return the log with other poses of some cameras' frames in the frame ``fixed``."""
         return self._but(transforms=self.transforms.with_poses(poses, fixed))
+
+    def with_own_frames(self, topics: Collection[str]) -> Self:
+        """Return the log with the detections on some channels in frames called as the topics."""
+        cameras = [
+            c.in_frame(c.topic_frame) if c.channel.topic in topics else c for c in self.cameras
+        ]
+        return self._but(cameras=tuple(cameras))
 
     def only(self, topics: Collection[str]) -> Self:
         """Return the log with these skeleton channels alone."""

@@ -402,7 +402,8 @@ def _changed(values: Mapping[str, str], system: str) -> tuple[str, tuple[Paramet
 
 def _fixed_frame(log: Log) -> tuple[str, str]:
     try:
-        return log.fixed_frame, ""
+        fixed = log.fixed_frame
+        return fixed, "" if fixed else "no camera names a frame"
     except LogError as error:
         return "", error.fault
 

@@ -30,10 +30,21 @@ from hiros_mcap.calibrate.survey import (
     Survey,
     camera_faults,
     fixed_cameras,
+    in_words,
     moves,
+    names_of,
     seen_by,
+    shared_frames,
+    with_own_frames,
 )
-from hiros_mcap.calibrate.verdict import CONFIRMED, SURE, UNLINKED, CalibratedCamera, remedy
+from hiros_mcap.calibrate.verdict import (
+    CONFIRMED,
+    NO_VIEW,
+    SURE,
+    UNLINKED,
+    CalibratedCamera,
+    remedy,
+)
 from hiros_mcap.config import Config
 from hiros_mcap.errors import LogError
 from hiros_mcap.events import CAMERA_MOVED, Event, Events
@@ -69,6 +80,7 @@ _DOUBTFUL = (
     "hiros calibrate people LOG -o cameras.toml writes what is known of doubtful poses, and "
     "--extrinsics cameras.toml uses them"
 )
+_GAUGES = "the room's origin is arbitrary", "the transforms of the others place them"
 _ALONE = "no other camera stands still in a frame of its own"
 
 
@@ -91,6 +103,12 @@ class PoseAlignment:
     """Cameras that the log puts at one place with one orientation, where the people do not."""
     contradictions: tuple[str, ...] = ()
     """Cameras that publish in one frame, and do not see the same people at one place in it."""
+    agreements: tuple[str, ...] = ()
+    """Cameras that publish in one frame, and see the same people at one place in it."""
+    own_frames: frozenset[str] = frozenset()
+    """Topics whose detections are in a frame that is called as the topic, whatever they name."""
+    poses_of: str = "the log"
+    """What has the poses that the people's replaced."""
     to_given: Mapping[str, Rigid] = field(default_factory=dict)
     """Camera -> what takes its people back to the log's pose, where the run uses a better one."""
     pose_errors: dict[str, float] = field(default_factory=dict)
@@ -102,7 +120,8 @@ class PoseAlignment:
     """Cameras whose poses nobody knows, so that the run does without them."""
 
     def used_in(self, log: Log) -> Log:
-        """Return the log with the poses, and of the cameras, that the run uses."""
+        """Return the log with the frames, the poses, and of the cameras, that the run uses."""
+        log = log.with_own_frames(self.own_frames)
         if self.left_out:
             seeing = [c for c in log.cameras if not set(c.sources.values()) <= self.left_out]
             log = log.only([camera.channel.topic for camera in seeing])
@@ -173,10 +192,11 @@ class PoseAlignment:
                 "found its pose for each part of the log. Calibrate it anew before you record "
                 "again: hiros calibrate people"
             )
-        if self.from_nothing:
+        if self.calibration is not None:
             yield (
-                "the cameras' poses come from the people, because the log has none that fit them; "
-                "the room's origin is arbitrary. `hiros calibrate people` saves them for other logs"
+                f"the cameras' poses come from the people, because {self.poses_of} has none that "
+                f"fit them; {_GAUGES[self.calibration.gauge == 'transforms']}. `hiros calibrate "
+                "people` saves them for other logs"
             )
         for names in self.alike:
             yield (
@@ -199,6 +219,7 @@ class PoseAlignment:
 
     def notes(self) -> Iterator[str]:
         """Yield what was done."""
+        yield from self.agreements
         if self.replaced and not self.from_nothing:
             yield (
                 "hiros moved the cameras to where they see the same people at the same place; "
@@ -233,12 +254,13 @@ def align_cameras(
         poses = _from_nothing(survey, clocks, missing, mode)
     elif mode == "off":
         poses = _compared(survey, clocks)
+        kept = PoseAlignment(contradictions=poses.contradictions, agreements=poses.agreements)
     else:
         poses = _refined_poses(survey, clocks, mode)
     if clocks.times:
         poses = replace(poses, cameras=clocks.take_offsets(poses.cameras))
     poses.note_errors()
-    return clocks, PoseAlignment() if mode == "off" else poses
+    return clocks, kept if mode == "off" else poses
 
 
 def _missing_poses(log: Log) -> LogError | None:
@@ -258,7 +280,11 @@ def _compared(survey: Survey, clocks: ClockAlignment) -> PoseAlignment:
     """Compare the log's poses as they are with the people, for the clocks alone."""
     cameras = fixed_cameras(survey.log, camera_faults(survey.log))
     posed = _posed(survey, clocks, [camera._replace(movable=False) for camera in cameras])
-    return _aligned(posed, survey.log.span[0], {})
+    alignment = _aligned(posed, survey.log.span[0], {})
+    contradictions = tuple(map(said, shared_wrongly(survey.log, posed.rig).items()))
+    return replace(
+        alignment, contradictions=contradictions, agreements=_agreements(survey.log, posed.rig)
+    )
 
 
 def _refined_poses(survey: Survey, clocks: ClockAlignment, mode: Calibration) -> PoseAlignment:
@@ -269,6 +295,8 @@ def _refined_poses(survey: Survey, clocks: ClockAlignment, mode: Calibration) ->
     if len(free) == 1:
         faults |= {free[0]: _ALONE}
     posed = _posed(survey, clocks, fixed_cameras(log, faults))
+    if separated := _separated(survey, clocks, mode, posed):
+        return separated
     if not free and mode != "require" and all(one.reason == UNLINKED for one in posed.rig):
         return PoseAlignment()  # nothing tells a pose, and none is used: all are in one frame
     posed = split_moved(survey, clocks, posed)
@@ -276,7 +304,7 @@ def _refined_poses(survey: Survey, clocks: ClockAlignment, mode: Calibration) ->
     if not faults and (anew := _found_anew(survey, clocks, mode, posed, alike)):
         return anew
     alignment = _aligned(posed, log.span[0], faults)
-    alignment.contradictions = _contradictions(log, posed)
+    alignment.agreements = _agreements(log, posed.rig)
     if mode == "require":
         _require(log, alignment)
     if poses := _poses_used(posed):
@@ -316,20 +344,70 @@ def _found_anew(
         return None
 
 
-def _contradictions(log: Log, posed: PosedViews) -> tuple[str, ...]:
-    """Return a line for each frame of several cameras that is no frame of what they all see."""
-    owners: dict[str, list[str]] = {}
-    for camera in log.cameras:
-        for frame in camera.frames:
-            owners.setdefault(frame, []).extend(camera.sources.values())
-    wrong = {one.name for one in posed.rig if not one.fits}
+def _separated(
+    survey: Survey, clocks: ClockAlignment, mode: Calibration, posed: PosedViews
+) -> PoseAlignment | None:
+    """Return poses of channels that share a frame, but do not see people at one place in it.
+
+    Each gets a frame of its own. None if all channels see the same people at one place. If they do
+    not see the same people at all, they keep the frame unless people prove that they do elsewhere.
+
+    Raises LogError if the frame is wrong, and the people do not tell the poses.
+    """
+    log, wrong = survey.log, shared_wrongly(survey.log, posed.rig)
+    strangers = {one.name for one in posed.rig if one.reason == UNLINKED}
+    shared = {frame: names_of(cameras) for frame, cameras in shared_frames(log).items()}
+    frames = [frame for frame, names in shared.items() if frame in wrong or strangers & set(names)]
+    if not frames:
+        return None
+    error = LogError("; ".join(map(said, wrong.items())), path=log.path) if wrong else None
+    try:
+        return _from_nothing(survey, clocks, error, mode, frames)
+    except LogError:
+        if wrong:
+            raise
+        return None
+
+
+def shared_wrongly(log: Log, rig: Iterable[CalibratedCamera]) -> dict[str, list[str]]:
+    """Frame -> the cameras in it, where people whom they share are not at one place in it."""
+    wrong = {one.name for one in rig if not one.fits}
+    shared = {frame: names_of(cameras) for frame, cameras in shared_frames(log).items()}
+    return {frame: names for frame, names in shared.items() if wrong & set(names)}
+
+
+def _agreements(log: Log, rig: Sequence[CalibratedCamera]) -> tuple[str, ...]:
+    """Return a line for each frame in which several cameras see the same people at one place."""
+    fitting = {one.name for one in rig if one.fits and one.reason not in (NO_VIEW, UNLINKED)}
+    shared = {frame: names_of(cameras) for frame, cameras in shared_frames(log).items()}
     return tuple(
-        f"{' and '.join(names)} publish in the same frame {frame!r}, but do not see the same "
-        "people at the same place in it; set header.frame_id to each camera's own frame, or "
-        "calibrate the poses that were applied before"
-        for frame, names in owners.items()
-        if len(names) > 1 and wrong & set(names)
+        f"{in_words(names)} publish in the same frame {frame!r} and see the same people at the "
+        "same place in it, so hiros takes them as they are"
+        for frame, names in shared.items()
+        if fitting >= set(names)
     )
+
+
+def said(frame: tuple[str, Sequence[str]]) -> str:
+    """Say that a frame of several cameras is no frame of what they all see."""
+    name, cameras = frame
+    return (
+        f"{in_words(cameras)} publish in the same frame {name!r}, but do not see the same people "
+        "at the same place in it; set header.frame_id to each camera's own frame, pass a pose for "
+        "each topic with --extrinsics FILE, or calibrate the poses that were applied before"
+    )
+
+
+def _mended(log: Log, own: Log) -> Iterator[str]:
+    """Yield which frames channels got in ``own`` that share one in the log."""
+    named = {camera.channel.topic: camera.own_frame for camera in own.cameras}
+    for frame, cameras in shared_frames(log).items():
+        if new := list(filter(None, (named[camera.channel.topic] for camera in cameras))):
+            yield (
+                f"{in_words(names_of(cameras))} publish in the same frame {frame!r}: hiros took a "
+                f"frame for each channel ({', '.join(new)}). Set header.frame_id to each camera's "
+                "own frame (tf_prefix)"
+            )
 
 
 def _aligned(posed: PosedViews, start: int, faults: Mapping[str, str]) -> PoseAlignment:
@@ -391,11 +469,14 @@ def pose_faults(log: Log) -> list[str]:
 
     Only some seconds of the log are read. A log whose cameras cannot be compared has no faults.
     """
-    faults = camera_faults(log)
-    cameras = sorted(camera for camera in fixed_cameras(log, faults) if camera.movable)
+    faults, shared = camera_faults(log), shared_frames(log)
+    cameras = sorted(camera for camera in fixed_cameras(log, faults) if camera.movable or shared)
     if len(cameras) < 2:
         return []
     posed = _refined(Survey(log, CHECKED_S), {}, cameras, {})
+    if wrong := shared_wrongly(log, posed.rig):
+        give = "hiros process and hiros calibrate people give each channel a frame of its own"
+        return [f"{said(one)}. {give}, if the people tell the poses" for one in wrong.items()]
     named = []
     for one in posed.rig:
         if not one.fits:
@@ -472,15 +553,20 @@ def _fit(posed: PosedViews) -> tuple[int, float]:
 
 
 def _from_nothing(
-    survey: Survey, clocks: ClockAlignment, error: LogError | None, mode: Calibration
-) -> PoseAlignment:
+    survey: Survey, clocks: ClockAlignment, error: LogError | None, mode: Calibration,
+    frames: Iterable[str] | None = None,
+) -> PoseAlignment:  # fmt: skip
     """Use poses that need no transforms; raise LogError if the people do not tell them.
 
     Without poses in the log (``error`` says so), two cameras are enough: the others are left out.
+    Channels that share one of ``frames`` get frames of their own; None = any frame.
     """
     from hiros_mcap.calibrate.people import calibrate_people
 
-    log = survey.log
+    log = with_own_frames(survey.log, shared_frames(survey.log) if frames is None else frames)
+    mended = tuple(_mended(survey.log, log))
+    if mended:
+        survey = Survey(log, MOST_S, fixed=False)
     try:
         calibration = calibrate_people(log, survey, clocks.corrections)
     except LogError as reason:
@@ -490,7 +576,9 @@ def _from_nothing(
     for camera in calibration.cameras:
         if camera.pose is not None and camera.name not in left:
             poses.setdefault(camera.frame, {})[camera.since] = camera.pose
-    if len(poses) < 2 or (left and (error is None or mode == "require")):
+    used = len(poses)
+    poses.pop(calibration.fixed_frame, None)  # of the camera that defines the frame
+    if used < 2 or (left and (error is None or mode == "require")):
         fault = f"{calibration.reason}. {_ways_to_use(calibration, left)}"
         raise LogError(_fault_of_both(error, fault), path=log.path)
     return PoseAlignment(
@@ -499,6 +587,9 @@ def _from_nothing(
         left_out=frozenset(left),
         moves=tuple(_moves_of(calibration)),
         better=(poses, calibration.fixed_frame),
+        contradictions=mended,
+        own_frames=frozenset(c.channel.topic for c in log.cameras if c.own_frame == c.topic_frame),
+        poses_of=log.transforms.source or "the log",
     )
 
 

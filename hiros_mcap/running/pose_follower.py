@@ -33,15 +33,21 @@ from hiros_mcap.calibrate.survey import (
     camera_faults,
     fixed_cameras,
     in_own_frame,
+    shared_frames,
 )
 from hiros_mcap.calibrate.verdict import MOVED, TIMED, CalibratedCamera, weakness_of
 from hiros_mcap.frames import Block, join
-from hiros_mcap.io.log import Reading
+from hiros_mcap.io.log import Log, Reading
 from hiros_mcap.kernels.array_types import joined
 from hiros_mcap.kernels.people_rows import PoseArrays, move_messages
 from hiros_mcap.running.clock_alignment import significant_offsets
 from hiros_mcap.running.clock_follower import ClockFollower
-from hiros_mcap.running.pose_alignment import PoseAlignment, summary_of
+from hiros_mcap.running.pose_alignment import (
+    PoseAlignment,
+    said,
+    shared_wrongly,
+    summary_of,
+)
 from hiros_mcap.threads import beside
 
 _MOMENTS_S = (3, 4, 6, 8, 10, 15, 20, 30, 40)
@@ -175,8 +181,10 @@ class PoseFollower:
         for followed in self._seen.values():
             followed.forget(since)
         log = self._reading.log
-        fixed = fixed_cameras(log, camera_faults(log))
-        cameras = sorted(c for c in fixed if c.movable and c.name in self._seen)
+        seeing = [c for c in fixed_cameras(log, camera_faults(log)) if c.name in self._seen]
+        cameras = sorted(camera for camera in seeing if camera.movable)
+        if shared_frames(log):
+            self._compare_in_shared_frames(log, seeing)
         if len(cameras) < 2:
             return
         anchors = [k for k, one in enumerate(cameras) if one.frame == log.fixed_frame]
@@ -201,6 +209,13 @@ class PoseFollower:
                 self._take_poses(cameras, rig)
 
         self._comparison = take
+
+    def _compare_in_shared_frames(self, log: Log, cameras: Sequence[FixedCamera]) -> None:
+        """Find out whether cameras in one frame see the same people at one place in it."""
+        views = [in_own_frame(camera, self._view(camera)) for camera in cameras]
+        poses, stay = [camera.pose for camera in cameras], [False] * len(cameras)
+        rig, _ = refine_poses(views, poses, self._mirror, None, stay, moves=False, effort=_EFFORT)
+        self._alignment.contradictions = tuple(map(said, shared_wrongly(log, rig).items()))
 
     def _view(self, camera: FixedCamera) -> CameraView:
         """Return what a camera sees, where the log's poses put it."""

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hiros_mcap.body.limb_table import LimbTable
-from hiros_mcap.body.transforms import read_clocks
 from hiros_mcap.config import ClockParams, Config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
+from hiros_mcap.io.camera_frames import cameras_called
 from hiros_mcap.io.log import Log, Reading
 from hiros_mcap.running.clock_alignment import ClockAlignment
 from hiros_mcap.running.observe import Stopwatch
@@ -76,7 +75,7 @@ def prepare(log: Log, config: Config, options: ProcessOptions, watch: Stopwatch)
         A parameter names a camera that is not there, or contradicts ``--calibrate require``.
     """
     # Clocks of a file with poses; the user's own come first.
-    config = _with_clocks(config, log, options.extrinsics)
+    config = _with_clocks(config, log)
     # Clocks and poses together: by the times of all messages, and by the people.
     mode, reorder = _calibration(log, config, options), _reorder_of(config, options.system)
     with watch.timing("calibrate"):
@@ -164,12 +163,16 @@ def _calibration(log: Log, config: Config, options: ProcessOptions) -> Calibrati
     return "off"
 
 
-def _with_clocks(config: Config, log: Log, extrinsics: Path | None) -> Config:
+def _with_clocks(config: Config, log: Log) -> Config:
     """Add the clocks of a file with poses to the configuration, whose own come first."""
-    if extrinsics is None:
+    clocks = {
+        source: seconds
+        for name, seconds in log.transforms.clocks.items()
+        for camera in cameras_called(name, log.cameras)
+        for source in ([name] if name in camera.sources.values() else camera.sources.values())
+    }
+    if not clocks:
         return config
-    names = {name for camera in log.cameras for name in camera.sources.values()}
-    clocks = {name: s for name, s in read_clocks(extrinsics).items() if name in names}
     clock = ClockParams.model_validate({**clocks, **config.clock.seconds})
     return config.model_copy(update={"clock": clock})
 

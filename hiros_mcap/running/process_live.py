@@ -18,7 +18,7 @@ from hiros_mcap.config import Config, load_config
 from hiros_mcap.defaults import LIVE_SYSTEM
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.bags import needs_latching
-from hiros_mcap.io.channels import LATCHED_QOS, TF_TOPICS, ChannelInfo, channels_of
+from hiros_mcap.io.channels import LATCHED_QOS, ChannelInfo, channels_of, is_transform_topic
 from hiros_mcap.io.container import McapWriter, Message
 from hiros_mcap.io.container.file import Pipe, Sink
 from hiros_mcap.io.container.live_input import LiveInput
@@ -94,7 +94,7 @@ def subscription(options: ProcessOptions) -> Callable[[str, str], bool]:
         info = ChannelInfo(0, topic, kind, "cdr", 1, {})
         reads = may_be_read(info, options.topics or None)
         # With given poses, transforms may still show humans.
-        needed = topic in TF_TOPICS or kind.startswith(HUMANS)
+        needed = is_transform_topic(topic) or kind.startswith(HUMANS)
         return reads or needed or is_kept(info, options, is_read=False)
 
     return wanted

@@ -23,12 +23,13 @@ from hiros_mcap.io.channels import (
     OUTPUT_TOPICS,
     PROVENANCE,
     REPORT_ATTACHMENT,
-    TF_TOPICS,
     TRUTH_PREFIX,
     ChannelInfo,
     add_ros_channel,
     add_skeleton_channel,
     add_static_poses,
+    is_static_topic,
+    is_transform_topic,
 )
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import ChunkCopier, McapWriter
@@ -238,8 +239,10 @@ def is_kept(
     """Whether a channel of the input is copied; ``is_read``: its skeletons are read."""
     if options.keep is None:
         # Transforms that a file replaced would contradict the result.
-        transforms = () if options.extrinsics else TF_TOPICS[1:] if moved else TF_TOPICS
-        return is_read or info.topic in transforms or info.topic.startswith(f"{TRUTH_PREFIX}/")
+        replaced = options.extrinsics or (moved and is_static_topic(info.topic))
+        if is_transform_topic(info.topic):
+            return is_read or not replaced
+        return is_read or info.topic.startswith(f"{TRUTH_PREFIX}/")
     if info.topic in (*OUTPUT_TOPICS, UNCERTAINTY_TOPIC):  # of a former run
         return False
     return any(fnmatchcase(info.topic, glob) for glob in options.keep)

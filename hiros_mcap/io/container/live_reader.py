@@ -61,10 +61,12 @@ class LiveReader(McapReader):
     def close(self) -> None:
         """Do nothing: the input belongs to the caller."""
 
-    def listen(self, enough: Callable[[Message], bool], most: int, keep: Collection[str]) -> None:
+    def listen(
+        self, enough: Callable[[Message], bool], most: int, keep: Callable[[str], bool]
+    ) -> None:
         """Fill the preface until a message is ``enough``, or the input ends.
 
-        Of more than ``most`` messages the first are forgotten, but for the topics in ``keep``.
+        Of more than ``most`` messages the first are forgotten, but for topics to ``keep``.
         """
         for message in self._messages:
             self.preface.append(message)
@@ -72,7 +74,7 @@ class LiveReader(McapReader):
                 return
             if len(self.preface) > most:
                 old, recent = self.preface[: most // 2], self.preface[most // 2 :]
-                kept = [m for m in old if self.channels[m.channel_id].topic in keep]
+                kept = [m for m in old if keep(self.channels[m.channel_id].topic)]
                 self.forgotten += len(old) - len(kept)
                 self.preface = kept + recent
 

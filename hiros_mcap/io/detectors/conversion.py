@@ -20,11 +20,12 @@ from hiros_mcap.errors import LogError
 from hiros_mcap.io.bags import MemoryReader
 from hiros_mcap.io.channels import (
     LATCHED_QOS,
-    TF_TOPICS,
     ChannelInfo,
     add_ros_channel,
     add_skeleton_channel,
     channels_of,
+    is_static_topic,
+    is_transform_topic,
     not_cdr,
     readable,
 )
@@ -163,7 +164,7 @@ def _sources(reader: McapReader, selection: Selection) -> list[InputChannel]:
         moves = is_transforms(info)
         selected = info in wanted
         copied = type_of(info) == SKELETONS and info.encoding in ENCODINGS
-        if selected or (moves and info.topic in TF_TOPICS) or copied:
+        if selected or (moves and is_transform_topic(info.topic)) or copied:
             sources.append(source_of(reader, info, selected=selected))
     # Every log has transforms. Those of humans are looked for where something hints at them.
     hints = any(i.schema.startswith(HUMANS) for i in channels_of(reader))
@@ -328,7 +329,7 @@ class Conversion:
             if kind == SKELETONS:
                 self._ids[topic] = add_skeleton_channel(writer, topic)
             else:
-                qos = [LATCHED_QOS] if topic == "/tf_static" else []
+                qos = [LATCHED_QOS] if is_static_topic(topic) else []
                 self._ids[topic] = add_ros_channel(writer, topic, hiros_schemas.TF_MESSAGE, *qos)
         return self._ids[topic]
 

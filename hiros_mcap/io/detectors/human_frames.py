@@ -16,6 +16,7 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import Transform, parse_tf
+from hiros_mcap.io.channels import is_static_topic
 from hiros_mcap.io.detectors.body_models import body_model
 from hiros_mcap.io.detectors.detector_reader import (
     DetectorMessage,
@@ -76,7 +77,7 @@ class HumanFrames(DetectorReader):
                 continue
             part, name = match["part"], match["body"]
             body = self._bodies.setdefault(name, _Human(len(self._bodies)))
-            if part in self._parts and message.topic != "/tf_static":
+            if part in self._parts and not is_static_topic(message.topic):
                 done += self._advance(body, transform.stamp, message)
                 is_new |= body.is_human(self._parts)
             body.frames[part] = transform
