@@ -282,18 +282,14 @@ class TransformTree:
             by_root.setdefault(self.root(frame), []).append(frame)
         if len(by_root) == 1:
             return next(iter(by_root))
-        unread = _unread(self.look_alikes)
+        unread = "".join(f". {text}" for text in self._unread())
         if not self.frames:
             raise LogError(
                 "the log has no /tf or /tf_static, so the camera poses are unknown; pass them with "
                 f"--extrinsics cameras.toml, or find them with hiros calibrate people{unread}"
             )
-        for child, parents in self._rivals.items():
-            if len(by_root.keys() & {self._top(parent) for parent in parents}) > 1:
-                raise LogError(
-                    f"the frame {child!r} {self._faults[child]}: publish the cameras as children "
-                    f"of {child!r}, or pass their poses with --extrinsics FILE"
-                )
+        for text in self._exchanged(by_root):
+            raise LogError(text)
         groups = "; ".join(
             f"{', '.join(sorted(names))} in {root}" for root, names in by_root.items()
         )
@@ -302,6 +298,28 @@ class TransformTree:
             f"{_listing(self.frames)}. Record /tf_static, pass the camera poses with "
             f"--extrinsics FILE, or choose cameras with --topic{unread}"
         )
+
+    def doubts(self, frames: Iterable[str]) -> list[str]:
+        """Return why transforms that are there may not join ``frames``."""
+        roots = {self._top(frame) for frame in frames}
+        return [*self._exchanged(roots), *self._unread()]
+
+    def _exchanged(self, roots: Collection[str]) -> Iterator[str]:
+        """Yield which frames are children of several of the ``roots``."""
+        for child, parents in self._rivals.items():
+            if len(set(roots) & {self._top(parent) for parent in parents}) > 1:
+                yield (
+                    f"the frame {child!r} {self._faults[child]}: publish the cameras as children "
+                    f"of {child!r}, or pass their poses with --extrinsics FILE"
+                )
+
+    def _unread(self) -> Iterator[str]:
+        """Yield which topics look like transforms and are not read."""
+        if self.look_alikes:
+            yield (
+                f"Not read, though they look like transforms: {', '.join(self.look_alikes)}; hiros "
+                "reads TFMessage on /tf_static and /tf, also in a namespace"
+            )
 
     def _top(self, frame: str) -> str:
         """Return the root above a frame, "" where a fault is in between."""
@@ -448,15 +466,6 @@ class TransformTree:
                 loop = " -> ".join(path[path.index(path[-1]) :])
                 raise LogError(f"the transforms form a loop: {loop}; {_REMEDY}")
         return path
-
-
-def _unread(topics: Sequence[str]) -> str:
-    if not topics:
-        return ""
-    return (
-        f". Not read, though they look like transforms: {', '.join(topics)}; hiros reads TFMessage "
-        "on /tf_static and /tf, also in a namespace"
-    )
 
 
 def _quoted(names: Sequence[str]) -> str:

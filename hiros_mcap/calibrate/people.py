@@ -12,7 +12,7 @@ and ``verdict``, ``gauge``.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -165,12 +165,17 @@ def _check_apart(
     log: Log, shared: Mapping[str, list[CameraChannel]], cameras: Sequence[CalibratedCamera]
 ) -> None:
     """Raise LogError for a frame in which several cameras see people at the same place."""
-    poses = {one.name: one.pose for one in cameras if one.pose and one.verdict in SURE}
     for frame, channels in shared.items():
-        names = [name for name in names_of(channels) if name in poses]
-        apart = [poses[names[0]].apart(poses[name]) for name in names[1:]]
-        if apart and all(metres < _ALIKE_M and deg < _ALIKE_DEG for metres, deg in apart):
+        if see_alike(names := names_of(channels), cameras):
             raise LogError(applied(names, frame), path=log.path)
+
+
+def see_alike(names: Iterable[str], cameras: Iterable[CalibratedCamera]) -> bool:
+    """Whether cameras saw people at the same place in one frame, since they have one pose in it."""
+    poses = {one.name: one.pose for one in cameras if one.pose and one.verdict in SURE}
+    known = [poses[name] for name in names if name in poses]
+    apart = [known[0].apart(pose) for pose in known[1:]]
+    return bool(apart) and all(m < _ALIKE_M and degrees < _ALIKE_DEG for m, degrees in apart)
 
 
 def _views(survey: Survey, corrections: Mapping[str, ClockCorrection]) -> list[CameraView]:

@@ -398,15 +398,19 @@ def said(frame: tuple[str, Sequence[str]]) -> str:
     )
 
 
-def _mended(log: Log, own: Log) -> Iterator[str]:
+def _mended(log: Log, own: Log, calibration: PeopleCalibration) -> Iterator[str]:
     """Yield which frames channels got in ``own`` that share one in the log."""
+    from hiros_mcap.calibrate.people import see_alike
+
     named = {camera.channel.topic: camera.own_frame for camera in own.cameras}
     for frame, cameras in shared_frames(log).items():
-        if new := list(filter(None, (named[camera.channel.topic] for camera in cameras))):
+        names, new = names_of(cameras), [named[camera.channel.topic] for camera in cameras]
+        if any(new) and not see_alike(names, calibration.cameras):
             yield (
-                f"{in_words(names_of(cameras))} publish in the same frame {frame!r}: hiros took a "
-                f"frame for each channel ({', '.join(new)}). Set header.frame_id to each camera's "
-                "own frame (tf_prefix)"
+                f"{in_words(names)} publish in the same frame {frame!r}, but do not see the same "
+                f"people at the same place in it: hiros took a frame for each channel "
+                f"({', '.join(filter(None, new))}). Set header.frame_id to each camera's own frame "
+                "(tf_prefix)"
             )
 
 
@@ -564,8 +568,8 @@ def _from_nothing(
     from hiros_mcap.calibrate.people import calibrate_people
 
     log = with_own_frames(survey.log, shared_frames(survey.log) if frames is None else frames)
-    mended = tuple(_mended(survey.log, log))
-    if mended:
+    given = survey.log
+    if any(camera not in given.cameras for camera in log.cameras):
         survey = Survey(log, MOST_S, fixed=False)
     try:
         calibration = calibrate_people(log, survey, clocks.corrections)
@@ -587,7 +591,10 @@ def _from_nothing(
         left_out=frozenset(left),
         moves=tuple(_moves_of(calibration)),
         better=(poses, calibration.fixed_frame),
-        contradictions=mended,
+        contradictions=(
+            *_mended(given, log, calibration),
+            *log.transforms.doubts(name for camera in given.cameras for name in camera.frames),
+        ),
         own_frames=frozenset(c.channel.topic for c in log.cameras if c.own_frame == c.topic_frame),
         poses_of=log.transforms.source or "the log",
     )
