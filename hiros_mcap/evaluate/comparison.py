@@ -18,11 +18,19 @@ import numpy.typing as npt
 from hiros_mcap.config import Config, Settings
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.leave_one_out import Distances, frames_of_cameras, leave_each_out
-from hiros_mcap.evaluate.logs import consistency, find_truth, fused_topics
-from hiros_mcap.evaluate.match import Matches, match
-from hiros_mcap.evaluate.scores import Scores, score_matches
+from hiros_mcap.evaluate.logs import (
+    Channel,
+    consistency,
+    evaluate_channels,
+    find_truth,
+    fused_topics,
+    start_of,
+)
+from hiros_mcap.evaluate.match import Matches
+from hiros_mcap.evaluate.scores import Scores
 from hiros_mcap.evaluate.statistics import ErrorStats, block_interval, blocks_of, mean_of
 from hiros_mcap.evaluate.truth import Truth
+from hiros_mcap.io.channels import OUTPUT_PREFIX
 from hiros_mcap.running.preparation import preparation_key
 from hiros_mcap.running.process_options import ProcessOptions, Progress
 from hiros_mcap.running.progress_bar import Bar
@@ -244,15 +252,15 @@ def _run(task: Task) -> tuple[Outcome, list[Distances]]:
         recording.head(_WARM_UP).run(config, options, chosen)
         _WARM.add(kind)
     start = time.process_time()
-    (frames,) = recording.run(config, options, chosen, last=True).values()
+    ((stage, frames),) = recording.run(config, options, chosen, last=True).items()
     seconds = time.process_time() - start
     messages = sum(frame.source in chosen for frame in recording.frames())
     outcome = Outcome(task.log.name, task.entry.name, chosen, 1000 * seconds / max(messages, 1))
     if truth is None:
         return _without_truth(task, outcome, recording, frames)
-    truth = truth.seen_by(recording.model)
-    matches = match(frames, truth)
-    scores = score_matches(matches, truth, recording.model)
+    topic, channel = f"{OUTPUT_PREFIX}/{stage}", Channel(task.log, frames, recording.model)
+    (result,) = evaluate_channels({topic: channel}, truth).values()
+    scores = result.scores
     scored = replace(
         outcome,
         scores=scores,
@@ -261,7 +269,7 @@ def _run(task: Task) -> tuple[Outcome, list[Distances]]:
         ids=len({ident for frame in frames for _, ident in frame.tracked()}),
         people=float(np.mean([frame.n_people for frame in frames])) if frames else 0.0,
     )
-    return scored, [_by_second(matches, truth)]
+    return scored, [_by_second(result.matches, truth)]
 
 
 def _by_second(matches: Matches, truth: Truth) -> Distances:
@@ -294,8 +302,7 @@ def _read(task: Task) -> tuple[Recording, Truth | None]:
         _READ.clear()  # two recordings may be too large
         truth = find_truth(task.log, task.truth)
         recording = Recording.read(task.log, config, options)
-        start = recording.prepared.log.span[0]
-        _READ[key] = recording, None if truth is None else truth.moved(start=start)
+        _READ[key] = recording, None if truth is None else truth.moved(start=start_of(task.log))
     return _READ[key]
 
 

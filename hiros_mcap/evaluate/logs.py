@@ -28,7 +28,7 @@ from hiros_mcap.evaluate.scores import EllipsoidCoverage, Scores, coverage_of, s
 from hiros_mcap.evaluate.smoothness import jitter, limb_variations
 from hiros_mcap.evaluate.statistics import mean_of
 from hiros_mcap.evaluate.truth import Truth
-from hiros_mcap.evaluate.truth_files import load_truth
+from hiros_mcap.evaluate.truth_files import check_only, load_truth
 from hiros_mcap.io.channels import (
     CONFIG_ATTACHMENT,
     OUTPUT_PREFIX,
@@ -199,7 +199,8 @@ def fused_topics(source: Source, truth: str | None) -> tuple[str, ...]:
 
     A camera that is the reference must not be in what is compared with it (Lee 2022, section 2.3).
 
-    Raises LogError if the log cannot be read; ConfigError if the truth is the only camera.
+    Raises LogError if the log cannot be read; ConfigError if the truth is the only camera, or is
+    several.
     """
     if truth is None or not truth.startswith("/"):
         return ()
@@ -207,6 +208,7 @@ def fused_topics(source: Source, truth: str | None) -> tuple[str, ...]:
         topics = tuple(camera.channel.topic for camera in log.cameras)
         path = log.path
     others = tuple(topic for topic in topics if not fnmatchcase(topic, truth))
+    check_only(path, truth, [topic for topic in topics if topic not in others])
     if not others:
         raise ConfigError(f"{path}: no camera is left besides the truth {truth}")
     return () if others == topics else others

@@ -11,6 +11,7 @@ from hiros_mcap.evaluate.comparison import Outcome
 from hiros_mcap.evaluate.leave_one_out import LeftOut, SelfScores
 from hiros_mcap.evaluate.logs import Consistency
 from hiros_mcap.evaluate.measures import SELF, Measure, Rows, Sheet, Table, table_of, text_of
+from hiros_mcap.evaluate.remarks import other_clock
 from hiros_mcap.evaluate.scores import Scores
 from hiros_mcap.evaluate.side_scores import SideScores
 from hiros_mcap.evaluate.statistics import AngleStats, ErrorStats
@@ -160,9 +161,13 @@ def differences_of(outcomes: Sequence[Outcome]) -> list[str]:
 
 
 def notes_on(outcomes: Sequence[Outcome]) -> list[str]:
-    """Return what a reader of tables without a truth has to know."""
+    """Return what a reader of the tables has to know."""
     if has_truth(outcomes):
-        return []
+        logs: dict[str, list[Scores]] = {}
+        for o in outcomes:
+            logs.setdefault(o.log, []).extend([o.scores] if o.scores else [])
+        hints = {log: other_clock(scores) for log, scores in logs.items()}
+        return [f"{log}: {hint}" for log, hint in hints.items() if hint]
     two = any(o.scores is None and len(o.cameras) == 2 for o in outcomes)
     return [WITHOUT_TRUTH, *([TWO_CAMERAS] if two else [])]
 

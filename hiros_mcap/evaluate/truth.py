@@ -70,6 +70,8 @@ class Truth:
     """Whether there were people besides these, of whom the truth knows nothing."""
     alignment: Alignment | None = None
     """What brought it to the result; None if it is where the file has it."""
+    from_begin: bool = False
+    """Whether its times may count from the log's start, as those of motion capture files do."""
 
     @classmethod
     def of(cls, frames: Iterable[Frame], model: SkeletonModel | None = None) -> Truth:
@@ -141,12 +143,12 @@ class Truth:
         Parameters
         ----------
         seconds : added to all times.
-        start : ns; where the log starts. Times before the year 2001 are taken as seconds from
-            there, as motion capture files count them.
+        start : ns; where the log starts. Times of a truth that may count ``from_begin`` do so if
+            they lie before the year 2001. Others stay: simulated time begins at 0, too.
         up : the vertical axis of the truth, "z" or "y" (OpenSim); y becomes z.
         """
         stamps = self.stamps + round(seconds * 1e9)
-        if start is not None and self.stamps[-1] < _EPOCH_2001:
+        if start is not None and self.from_begin and self.stamps[-1] < _EPOCH_2001:
             stamps = stamps + start
         positions, orientations = self.positions, self.orientations
         if up == "y":

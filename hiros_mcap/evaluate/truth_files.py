@@ -6,6 +6,7 @@ docs/evaluating.md describes the CSV layout, joints and link orientations, for i
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -46,13 +47,18 @@ def load_truth(path: Source, topic: str = f"{TRUTH_PREFIX}/*") -> Truth:
     if (read := readers.get(name.suffix.lower())) is not None:
         return read(name)
     with open_log(path, topics=[topic], output_prefix="/none") as log:
-        if len(log.cameras) > 1:
-            topics = ", ".join(camera.channel.topic for camera in log.cameras)
-            raise ConfigError(f"{name}: several channels match {topic}: {topics}; name one")
+        check_only(name, topic, [camera.channel.topic for camera in log.cameras])
         frames = list(log.detections())
         if not frames:
             raise LogError("holds no true skeletons", path=name, topic=topic)
         return Truth.of(frames, log.model)
+
+
+def check_only(path: Path | str, topic: str, matching: Sequence[str]) -> None:
+    """Raise ConfigError if several channels of a log match the glob of the truth."""
+    if len(matching) > 1:
+        topics = ", ".join(matching)
+        raise ConfigError(f"{path}: several channels match {topic}: {topics}; name one")
 
 
 def read_mocap(path: Path) -> Truth:
@@ -169,7 +175,7 @@ def _truth(
         )
     _check_unit(path, positions)
     stamps = np.rint(times * 1e9).astype(np.int64)
-    return Truth(stamps, positions, orientations, people, model)
+    return Truth(stamps, positions, orientations, people, model, from_begin=True)
 
 
 def _check_unit(path: Path, positions: Floats) -> None:

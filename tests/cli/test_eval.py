@@ -285,3 +285,16 @@ def test_faults_are_one_line(processed, capsys, arguments, fault):
     captured = capsys.readouterr()
     assert captured.err.count("\n") == 1
     assert fault in captured.err
+
+
+@pytest.mark.parametrize(("ms", "way"), [(30, "earlier"), (-30, "later")])
+def test_a_truth_that_fits_at_another_time_says_so(processed, tmp_path, capsys, ms, way):
+    """A capture whose first instant is not the log's: 34 mm for 9, and nothing else shows it."""
+    truth = load_truth(processed)
+    path = write_csv(tmp_path / "truth.csv", truth.moved(ms / 1000))
+    notes = json_of(processed, capsys, "--truth", str(path))["notes"]
+    (note,) = [note for note in notes if "--align-time" in note]
+    assert re.match(rf"the truth fits better (2[5-9]|3[0-5]) ms {way}: ", note)
+    assert not [n for n in json_of(processed, capsys)["notes"] if "--align-time" in n]
+    assert run(["compare", str(processed), "--system", "fuse", "--truth", str(path)]) == 0
+    assert f"ms {way}: " in capsys.readouterr().out

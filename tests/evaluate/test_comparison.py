@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 
 import pytest
@@ -30,9 +31,13 @@ from hiros_mcap.evaluate.logs import (
     output_channels,
     read_channel,
     results_of,
+    start_of,
 )
 from hiros_mcap.evaluate.match import match
 from hiros_mcap.evaluate.measures import text_of
+from hiros_mcap.io.codec import Decoder, Encoder
+from hiros_mcap.io.container import McapWriter
+from hiros_mcap.io.log import open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.simulation import write_log
@@ -263,3 +268,49 @@ def test_faults_are_one_line(walking, capsys, arguments, fault):
     captured = capsys.readouterr()
     assert captured.err.count("\n") == 1
     assert fault in captured.err
+
+
+def later(source, target, seconds, *, but=""):
+    """Copy a log whose cameras and truth, ``but`` some, have other stamps and log times."""
+    ns = seconds * SECOND
+    with open_log(source, topics=["/camera_*/*", "/truth/*"]) as log, McapWriter(target) as writer:
+        writer.copy_definitions(log.reader, log.reader.channels)
+        decoder, encoder = Decoder(log.model, exact=True), Encoder(log.model)
+        for message in log.reader.messages():
+            topic, data = log.reader.channels[message.channel_id].topic, message.data
+            if topic.startswith(("/camera", "/truth")) and not (but and topic.startswith(but)):
+                (frame,) = decoder.decode_message(data, message.log_time)
+                frame = frame.replace(stamp=frame.stamp + ns, stamps=frame.stamps + ns)
+                data = encoder.encode(frame)
+            writer.write(message.channel_id, message.log_time + ns, data)
+        writer.commit()
+    return target
+
+
+@pytest.mark.parametrize("begin", [0, 52, 10**9 - 1])
+def test_simulated_time_is_scored_as_any_other(crossing, tmp_path, begin):
+    """Logs from Gazebo (use_sim_time) begin at 52 s after 1970."""
+    usual = comparison([Task(crossing, Entry("fuse"))])[0]
+    simulated = later(crossing, tmp_path / "sim.mcap", begin - start_of(crossing) // SECOND)
+    assert comparison([Task(simulated, Entry("fuse"))])[0].error == pytest.approx(usual.error, 0.02)
+    process(simulated, tmp_path / "out.mcap")
+    truth = find_truth(tmp_path / "out.mcap")
+    assert truth is not None
+    truth = truth.moved(start=start_of(tmp_path / "out.mcap"))
+    scores = list(evaluate_log(tmp_path / "out.mcap", truth).values())[-1].scores
+    assert scores.mean == pytest.approx(usual.error, 0.02)
+
+
+@pytest.mark.parametrize("command", [["eval"], ["compare", "--system", "fuse"]])
+def test_a_truth_of_another_time_is_one_line(crossing, tmp_path, capsys, command):
+    other = later(crossing, tmp_path / "other.mcap", 1000, but="/camera")
+    assert run([*command, str(other)]) == 2
+    assert re.search(r"other.mcap: /hiros/\w+: the truth covers no frame", capsys.readouterr().err)
+
+
+@pytest.mark.parametrize("glob", ["/camera_*/skeletons", "/no/such"])
+def test_eval_and_compare_refuse_a_truth_alike(crossing, capsys, glob):
+    assert run(["eval", str(crossing), "--truth", glob]) == 2
+    expected = capsys.readouterr().err
+    assert run(["compare", str(crossing), "--system", "fuse", "--truth", glob]) == 2
+    assert capsys.readouterr().err == expected

@@ -111,8 +111,13 @@ def test_trc_in_millimetres_with_a_gap(tmp_path):
 def test_times_of_files_count_from_the_logs_start(tmp_path):
     truth = load_truth(write(tmp_path, "a.csv", CSV))
     assert truth.moved(2.0, start=START).stamps[0] == START + 2_000_000_000
-    late = Truth.of([seen([person()], START, ids=[0])])
-    assert late.moved(start=START).stamps[0] == START
+
+
+@pytest.mark.parametrize("begin", [0, 52 * 10**9, 10**17, START])
+def test_times_of_a_log_are_absolute(begin):
+    """A log from a simulator begins at 0, or at 52 s after 1970."""
+    truth = Truth.of([seen([person()], begin, ids=[0])])
+    assert truth.moved(start=START).stamps[0] == begin
 
 
 def test_y_up_becomes_z_up(tmp_path):

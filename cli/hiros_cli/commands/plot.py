@@ -43,7 +43,7 @@ def plot(
     kind: Kind = "HTML page" if target.suffix == ".html" else "PNG picture"
     check_outputs((target, kind), inputs=(log, truth), force=force)
     prepare(quiet=quiet)
-    from hiros_mcap.evaluate.logs import find_truth, output_channels, read_channel
+    from hiros_mcap.evaluate.logs import find_truth, output_channels, read_channel, start_of
     from hiros_mcap.io.log import open_reader
     from hiros_mcap.io.result import stored_events
     from hiros_viewer import curves
@@ -55,10 +55,9 @@ def plot(
     with bar(f"plotting {log.name}", quiet=quiet):
         frames, model, _ = read_channel(log, topic)
         its_truth = find_truth(log, truth)
-        start = frames[0].stamp if frames else 0
         with open_reader(log) as reader:
             events = stored_events(reader)
-        true = None if its_truth is None else its_truth.moved(start=start)
+        true = None if its_truth is None else its_truth.moved(start=start_of(log))
         collected = curves.collect(f"{log}: {topic}", frames, model, true, events)
         lines = curves.about(log, curves.verdict(collected), curves.summary_row(frames, model))
         collected = replace(collected, about=lines)
