@@ -87,8 +87,8 @@ def other_clock(results: Sequence[Scores]) -> str:
     most = " or more" if size > MOST_MS - _NEAR_END_MS else ""
     return (
         f"the truth fits better {size:.0f} ms{most} {way}: {best.mean_at_lag:.1f} mm instead of "
-        f"{best.mean:.1f}; if its clock or its begin is not that of the log, hiros eval --align-time "
-        "finds the difference"
+        f"{best.mean:.1f}; if its clock or its begin is not that of the log, "
+        "hiros eval --align-time finds the difference"
     )
 
 

@@ -16,6 +16,7 @@ from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import partial
 from glob import escape
+from itertools import chain
 from pathlib import Path
 from typing import Any, Self
 
@@ -41,6 +42,7 @@ from hiros_mcap.io.container.live_input import LiveInput
 from hiros_mcap.io.container.live_reader import LiveReader
 from hiros_mcap.io.detectors.conversion import is_of_other_detector
 from hiros_mcap.io.detectors.live_conversion import LiveConversion
+from hiros_mcap.io.live_log_times import LiveLogTimes
 from hiros_mcap.io.log import skeletons_of
 from hiros_mcap.io.log_accounts import DAMAGED
 from hiros_mcap.io.opened_log import Log, Reading
@@ -163,6 +165,8 @@ class LiveLog(Log):
     reader: LiveReader
     conversion: LiveConversion = field(kw_only=True)
     """What makes SkeletonGroups of other detectors' messages."""
+    log_times: LiveLogTimes = field(kw_only=True)
+    """What mends log times that cannot be right."""
     topics: Sequence[str] | None = None
     """Globs of the channels that are wanted."""
 
@@ -177,7 +181,8 @@ class LiveLog(Log):
     @property
     def remarks(self) -> tuple[str, ...]:
         """Notes about the log."""
-        remarks = (*super().remarks, *self.conversion.remarks())
+        notes = self.conversion.remarks(), self.log_times.remarks()
+        remarks = (*super().remarks, *chain(*notes))
         if not self.reader.forgotten:
             return remarks
         n = quantity(self.reader.forgotten, "message")
@@ -228,7 +233,9 @@ def open_live(
     reader = LiveReader(source)
     selects = partial(is_selected, topics=topics, output_prefix=OUTPUT_PREFIX)
     conversion = LiveConversion(reader, selects)
-    reader.convert, reader.rest = conversion.converted, conversion.held_back
+    log_times = LiveLogTimes(reader)
+    reader.convert = lambda message: conversion.converted(log_times.right(message))
+    reader.rest = conversion.held_back
 
     def attempt() -> LiveLog:
         try:
@@ -239,6 +246,7 @@ def open_live(
         return LiveLog(
             *(reader, *parts, fixed_frame),
             conversion=conversion,
+            log_times=log_times,
             topics=topics,
         )
 

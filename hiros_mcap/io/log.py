@@ -54,6 +54,7 @@ from hiros_mcap.io.detectors.conversion import (
 )
 from hiros_mcap.io.layout import Layout, check_schema
 from hiros_mcap.io.log_accounts import DAMAGED, FAR_FUTURE, LATEST, STALE, Account
+from hiros_mcap.io.log_times import mend_log_times
 from hiros_mcap.io.opened_log import Log, Reading, span_of
 from hiros_mcap.kernels.record_index import CHANNEL, START
 from hiros_mcap.skeletons import Frame, SkeletonModel
@@ -259,9 +260,19 @@ def open_reader(
 ) -> McapReader:
     """Open the container of a log of any kind, see :func:`open_log`; raises LogError.
 
-    Of a bag and of a split recording, it has the skeletons and transforms, or the named topic.
+    Of a bag and of a split recording, it has the skeletons and transforms, or the named topic. Log
+    times that cannot be right are mended, see :mod:`.log_times`.
     """
-    path = Path(path)
+    reader = _open_reader(Path(path), recover=recover, memory=memory, topic=topic)
+    try:
+        mend_log_times(reader)
+    except BaseException:
+        reader.close()
+        raise
+    return reader
+
+
+def _open_reader(path: Path, *, recover: bool, memory: int, topic: str) -> McapReader:
     parts = parts_of(path, recover=recover)
     if len(parts) > 1:
         return read_parts(path, parts, recover=recover, memory=memory, topic=topic)

@@ -495,7 +495,8 @@ def odd_walk(target):
             if topic == "/camera_0/skeletons" and after > 2.3e9 and not far:
                 writer.write(m.channel_id, m.log_time + 1000, data)
                 far, last = m.channel_id, data
-        writer.write(far, 2**63 + 5, last)
+        stamped_2038 = last[:4] + b"\xff\xff\xff\x7f" + last[8:]
+        writer.write(far, 2**63 + 5, stamped_2038)
         writer.commit()
     return target
 

@@ -45,6 +45,9 @@ Keys = npt.NDArray[np.uint64]
 """(N, 3) log time, ns; first byte of the message's chunk in the file; its first byte in the chunk.
 Messages are ordered by the first, those of equal time by the others: as they are in the file."""
 
+LogTimes = tuple[npt.NDArray[np.bool_], npt.NDArray[np.int64]]
+"""Which messages of a chunk, in their order in the file, have other log times, and these, ns."""
+
 T = TypeVar("T")
 
 
@@ -200,6 +203,7 @@ class McapReader:
             size = sum(chunk.size for chunk in self._contents.chunks)
             self._keeps = size <= min(_KEPT, memory // 8)
             self._kept: dict[int, Records] = {}
+            self._retimed: Mapping[int, LogTimes] = {}
             self._complete_definitions()
             self.counts = self._count()
         except BaseException:
@@ -357,6 +361,19 @@ class McapReader:
             self._kept[chunk.offset] = records
         return records
 
+    def retime(self, log_times: Mapping[int, LogTimes]) -> None:
+        """Hand out the messages of some chunks, by their offset, with other log times from now on.
+
+        The chunks lie at these times then, so that everything that goes by log times does, too.
+        """
+        chunks = self._contents.chunks
+        for i, chunk in enumerate(chunks):
+            if chunk.offset in log_times:
+                times = _with_times(self.load(chunk), log_times[chunk.offset]).messages[:, LOG_TIME]
+                ends = int(times.min()), int(times.max())
+                chunks[i] = replace(chunk, start_time=ends[0], end_time=ends[1], retimed=True)
+        self._retimed, self._kept = log_times, {}
+
     def _read_chunk(self, chunk: Chunk) -> Records:
         try:
             data, messages, definitions = read_chunk(self._file, chunk)
@@ -371,7 +388,8 @@ class McapReader:
         except MemoryError:
             raise LogError("is too large for the memory", path=self.path) from None
         self._checked[chunk.offset] = defined
-        return Records(data, messages, chunk.offset)
+        records = Records(data, messages, chunk.offset)
+        return _with_times(records, self._retimed[chunk.offset]) if chunk.retimed else records
 
     def _chosen(self, records: Records, channels: Collection[int] | None) -> Records:
         if channels is None:
@@ -399,7 +417,8 @@ class McapReader:
             counts: dict[int, int] = {}
         else:
             times = table[:, LOG_TIME]
-            if times.min() < chunk.start_time or times.max() > chunk.end_time:
+            outside = times.min() < chunk.start_time or times.max() > chunk.end_time
+            if outside and not chunk.retimed:
                 raise FormatError("a message lies outside of the times that the chunk claims")
             numbers = np.bincount(table[:, CHANNEL].astype(np.intp))
             counts = {i: n for i, n in enumerate(numbers.tolist()) if n}
@@ -440,6 +459,13 @@ class McapReader:
                 path=self.path,
             )
         return dict(counts)
+
+
+def _with_times(records: Records, log_times: LogTimes) -> Records:
+    """Return records with other log times of some messages."""
+    messages = records.messages.copy()
+    messages[log_times[0], LOG_TIME] = log_times[1]
+    return records._replace(messages=messages)
 
 
 def _most_held(chunks: Sequence[Chunk]) -> int:

@@ -105,6 +105,8 @@ class Chunk:
     counts: Mapping[int, int] | None
     """Messages per channel id by the message index; None where the file has no index of it."""
     loose: bool = False
+    retimed: bool = False
+    """Whether its times are not those of the record, see McapReader.retime."""
 
     def holds(self, channels: Iterable[int]) -> bool:
         """Whether any of the channels has a message in here, as far as is known."""

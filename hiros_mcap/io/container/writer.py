@@ -214,13 +214,14 @@ class McapWriter:
         """Copy a chunk's messages of the copied channels; bytes, times and numbers stay.
 
         A chunk of which everything is kept is checked and copied in its compressed form. Of any
-        other chunk, the messages are added one by one.
+        other chunk, the messages are added one by one; so they are where the reader has given them
+        other log times (:meth:`McapReader.retime`), which are copied.
         """
         counts = {i: n for i, n in (chunk.counts or {}).items() if n}
         if not any(i in self.channels for i in counts):
             return
         whole = counts.keys() | reader.definitions_in(chunk) <= self.channels.keys()
-        if whole and chunk.index_end > chunk.end:
+        if whole and chunk.index_end > chunk.end and not chunk.retimed:
             self.counts.update(counts)
             self._submit(self._emit_copy, chunk, reader)
             return

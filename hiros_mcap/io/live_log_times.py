@@ -1,0 +1,72 @@
+"""Log times of live input that cannot be right: each message is mended by those before it.
+
+What is right stands in :mod:`.log_times`. The recorder's clock goes on where the last message was
+logged, and the stamps of a camera where its last one was. A log time that leaves both is wrong.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+
+from hiros_mcap.io.channels import TF_TOPICS, channels_of
+from hiros_mcap.io.container.live_reader import LiveReader
+from hiros_mcap.io.container.records import Message
+from hiros_mcap.io.log_times import EARLY, FAR, Place, place_of, remark, stamp_of
+from hiros_mcap.summary import quantity
+
+
+class LiveLogTimes:
+    """Gives messages right log times in the order in which they come."""
+
+    def __init__(self, reader: LiveReader) -> None:
+        self._reader = reader
+        self._places: dict[int, Place | None] = {}
+        self._delays: dict[int, int] = {}
+        """Channel -> log time - stamp, ns, of its last message."""
+        self._last = 0
+        """Log time, ns, of the last message with a stamp."""
+        self._mended: Counter[str] = Counter()
+
+    def right(self, message: Message) -> Message:
+        """Return a message with a right log time."""
+        ident, logged = message.channel_id, message.log_time
+        if ident not in self._places:
+            (info,) = (info for info in channels_of(self._reader) if info.id == ident)
+            is_static = info.topic == TF_TOPICS[0]
+            self._places[ident] = None if is_static else place_of(self._reader, info)
+        place = self._places[ident]
+        if place is None:
+            return message
+        stamp = stamp_of(message, place)
+        right = self._judged(ident, logged, stamp) if stamp else self._unstamped(logged)
+        if right == logged:
+            return message
+        self._mended[self._reader.channels[ident].topic] += 1
+        return replace(message, log_time=right)
+
+    def _unstamped(self, logged: int) -> int:
+        return self._last if logged == 0 and self._last > EARLY else logged
+
+    def _judged(self, ident: int, logged: int, stamp: int) -> int:
+        """Return the right log time, ns, of a message with a stamp; remember both."""
+        usual = next(reversed(self._delays.values()), 0)
+        due = max(stamp + self._delays.get(ident, usual), 0)
+        is_known = bool(self._delays)
+        fits = abs(logged - due) <= FAR or not is_known
+        goes_on = abs(logged - self._last) <= FAR and self._last > 0
+        if logged == 0 and due > EARLY:
+            right = due
+        elif fits or goes_on or abs(due - self._last) > FAR:
+            right = logged
+        else:
+            right = due
+        self._delays[ident], self._last = right - stamp, right
+        return right
+
+    def remarks(self) -> Iterator[str]:
+        """Say how many messages were mended."""
+        if self._mended:
+            parts = [f"{quantity(n, 'message')} of {t}" for t, n in sorted(self._mended.items())]
+            yield remark(parts, "at time 0 (1970) or far from all others")

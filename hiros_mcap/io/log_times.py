@@ -1,0 +1,295 @@
+"""Log times that cannot be right, and what the stamps of their messages say instead.
+
+A recorder with use_sim_time logs at time 0 until it hears the first /clock. Others log years away
+from everything else, because their own clock was set meanwhile. The stamps of such messages fit
+those of all others all the same. So the stamp counts: the message gets the log time that a usual
+delivery gives it. From there on the log is read as if it had been logged so.
+
+- **Right.** Most log times lie about as long after their stamps as the others do. Between the first
+  and the last of these the recorder's clock went right.
+- **Wrong.** A log time far outside of that, or 0. What the recorder's clock did between is none of
+  that: it may stall, and deliveries may be late (:mod:`hiros_mcap.io.camera_clock`).
+- **Mended.** Only where the stamp, with the camera's usual delay, gives a time that joins the right
+  ones. Where both times make no sense, both stay. A message without a stamp, as of an empty room,
+  is put beside the message before it in the file.
+
+/tf_static is kept for late listeners, and is rightly logged at any time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from datetime import UTC, datetime
+from typing import NamedTuple
+
+import numpy as np
+
+import hiros_schemas
+from hiros_mcap.io.channels import OUTPUT_PREFIX, TF_TOPICS, TRUTH_PREFIX, ChannelInfo, channels_of
+from hiros_mcap.io.container import McapReader, Records
+from hiros_mcap.io.container.records import Chunk, Message, Schema
+from hiros_mcap.io.log_accounts import LATEST
+from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
+from hiros_mcap.skeletons import Flags, Ints, Stamps
+from hiros_mcap.summary import quantity
+
+FAR = 60_000_000_000
+"""ns: a message that is later is no late one, and a log that pauses longer has two parts."""
+EARLY = 500_000_000
+"""ns: no message is logged so long before its time."""
+_PAUSE = 86_400_000_000_000
+"""ns: nobody looks at every message of a log because it pauses for an hour."""
+_ENOUGH = 10
+"""Messages that are logged near their stamps: then that is what right clocks do."""
+_STAMP_AT = 4
+"""Byte of a message at which its header's stamp begins: behind the encapsulation of CDR, or behind
+the number of a ROS 1 header."""
+_NESTED = 4
+_OURS = f"{OUTPUT_PREFIX}/", f"{TRUTH_PREFIX}/"
+"""Topics that were written later: their times tell nothing of the recorder."""
+
+
+class Place(NamedTuple):
+    """Where the stamps of a channel's messages lie."""
+
+    byte: int
+    """Of the message; beyond all messages if they have none."""
+    has_people: bool
+    """Whether the messages are SkeletonGroups, whose people have times of their own."""
+
+
+_NO_STAMP = Place(1 << 62, has_people=False)
+
+
+def mend_log_times(reader: McapReader) -> None:
+    """Let a reader hand out messages whose log times cannot be right by their stamps.
+
+    ``reader.remarks`` says how many. Raises LogError where the file is damaged.
+    """
+    infos = {info.id: info for info in channels_of(reader) if info.count}
+    stamped = {i: place for i, info in infos.items() if (place := place_of(reader, info))}
+    chunks = sorted(reader.contents.chunks, key=lambda chunk: chunk.offset)
+    if not _is_odd(reader, [chunk for chunk in chunks if chunk.holds(stamped)], stamped):
+        return
+    latched = {i: _NO_STAMP for i, info in infos.items() if info.topic == TF_TOPICS[0]}
+    places = stamped | latched
+    chunks = [chunk for chunk in chunks if chunk.holds(places)]
+    parts = [_read(records, places) for records in reader.ahead(map(reader.load, chunks))]
+    channels, log_times, stamps = np.concatenate(parts).T
+    ours = [i for i in places if infos[i].topic.startswith(_OURS)]
+    right = right_log_times(
+        channels, log_times, stamps, ~np.isin(channels, ours), np.isin(channels, list(latched))
+    )
+    if (right == log_times).all():
+        return
+    cuts = np.cumsum([len(part) for part in parts])[:-1]
+    mended = {}
+    for chunk, old, new in zip(
+        chunks, np.split(log_times, cuts), np.split(right, cuts), strict=True
+    ):
+        if (new != old).any():
+            rows = np.isin(reader.load(chunk).messages[:, CHANNEL], list(places))
+            mended[chunk.offset] = rows, new
+    reader.retime(mended)
+    names = {i: info.topic for i, info in infos.items()}
+    reader.remarks = (*reader.remarks, *_remarks(channels, log_times, right, names))
+
+
+def place_of(reader: McapReader, info: ChannelInfo) -> Place | None:
+    """Return where the stamps of a channel's messages lie; None if they have none to go by."""
+    schema = reader.schema(reader.channels[info.id])
+    if schema is None or info.topic == TF_TOPICS[0]:
+        return None
+    is_group = info.encoding == "cdr" and info.has_type(hiros_schemas.SKELETON_GROUP)
+    place = stamp_place(schema, info.encoding)
+    return Place(place, is_group) if place else None
+
+
+def stamp_place(schema: Schema, encoding: str) -> int:
+    """Byte of a message at which its stamp begins: that of its header, or of its first element's.
+
+    0 if messages do not begin with either. ``encoding`` is that of the messages.
+    """
+    if encoding not in ("cdr", "ros1"):
+        return 0
+    with suppress(hiros_schemas.DefinitionError, UnicodeDecodeError):
+        name, place = hiros_schemas.short_name(schema.name), _STAMP_AT
+        texts = hiros_schemas.parse(name, bytes(schema.data).decode())
+        for _ in range(_NESTED):
+            first = next(iter(texts.get(name, ())), None)
+            if first is None:
+                return 0
+            place += 4 if first.is_sequence else 0
+            if first.type.endswith("/Header") or first.type == "builtin_interfaces/Time":
+                return place
+            name = first.type
+    return 0
+
+
+def _is_odd(reader: McapReader, chunks: Sequence[Chunk], places: Iterable[int]) -> bool:
+    """Whether a log time may be wrong, as far as the chunks tell, of which few are read."""
+    spans = [(chunk.start_time, chunk.end_time) for chunk in chunks]
+    for k in _odd(spans):
+        messages = reader.load(chunks[k]).messages
+        times = messages[np.isin(messages[:, CHANNEL], list(places)), LOG_TIME]
+        if len(times):  # without what is rightly logged at any time
+            spans[k] = int(times.min()), int(times.max())
+    return bool(_odd(spans))
+
+
+def _odd(spans: Sequence[tuple[int, int]]) -> set[int]:
+    """Return which spans of chunks, in the order of the file, make no sense, with their neighbours.
+
+    They begin at 0, are long, or lie far before or behind the one before them.
+    """
+    odd = {k for k, (start, end) in enumerate(spans) if not start or end - start > FAR}
+    odd |= {k for k, (_, end) in enumerate(spans) if end > LATEST}
+    for k in range(1, len(spans)):
+        apart = spans[k][0] - spans[k - 1][1]
+        if apart < -FAR or apart > _PAUSE:
+            odd |= {k - 1, k}
+    return odd
+
+
+def _read(records: Records, places: Mapping[int, Place]) -> Stamps:
+    """(N, 3) channel, log time and stamp, ns, of messages with stamps; a stamp of 0 is none."""
+    messages = records.messages[np.isin(records.messages[:, CHANNEL], list(places))]
+    channels = messages[:, CHANNEL].astype(np.int64)
+    first = np.array([places[i].byte for i in channels.tolist()], np.int64)
+    data = np.frombuffer(records.data, np.uint8)
+    begin, end = messages[:, [START, STOP]].astype(np.int64).T
+    stamps = _times(data, begin + first, end)
+    groups = np.array([places[i].has_people for i in channels.tolist()], np.bool_)
+    for k in np.flatnonzero(groups & (stamps == 0)).tolist():
+        stamps[k] = _source_time(data[begin[k] : end[k]])
+    log_times = np.minimum(messages[:, LOG_TIME], np.uint64(LATEST)).astype(np.int64)
+    return np.stack([channels, log_times, stamps], axis=1)
+
+
+def stamp_of(message: Message, place: Place) -> int:
+    """Return the stamp of a message, ns; 0 if it has none."""
+    data = np.frombuffer(message.data, np.uint8)
+    stamp = int(_times(data, np.array([place.byte]), np.array([len(data)]))[0])
+    return _source_time(data) if place.has_people and not stamp else stamp
+
+
+def _times(data: Ints, at: Stamps, end: Stamps) -> Stamps:
+    """(N,) ns, the times in some places of bytes; 0 where a message ends before, or has none."""
+    times, whole = np.zeros(len(at), np.int64), at + 8 <= end
+    words = data[at[whole, None] + np.arange(8)].view("<u4").astype(np.int64)
+    times[whole] = words[:, 0] * 1_000_000_000 + words[:, 1]
+    return times
+
+
+def _source_time(message: Ints) -> int:
+    """Time, ns, of the first person of a SkeletonGroup; 0 if there is none."""
+    if len(message) < 20:
+        return 0
+    behind_name = 16 + int.from_bytes(message[12:16].tobytes(), "little")
+    place = -(-behind_name // 4) * 4 + 8
+    return int(_times(message, np.array([place]), np.array([len(message)]))[0])
+
+
+def right_log_times(
+    channels: Stamps, log_times: Stamps, stamps: Stamps, counts: Flags, latched: Flags
+) -> Stamps:
+    """(N,) ns, log times of messages in the order of the file, those that are wrong mended.
+
+    Parameters
+    ----------
+    channels, log_times, stamps : (N,) of the messages; ns, a stamp of 0 is none.
+    counts : (N,) which messages tell what is right, if any of them can.
+    latched : (N,) which messages may be older than all others.
+    """
+    known = (stamps > 0) & (log_times > 0) & (log_times < LATEST)
+    teachers = known & counts if (known & counts).any() else known
+    usual, first, last = _recorder(log_times[teachers], stamps[teachers])
+    inside = known & (log_times >= first - FAR) & (log_times <= last + FAR)
+    due = stamps + _delays(channels, log_times - stamps, inside, usual)
+    stamped = stamps > 0
+    far = np.where(stamped, FAR, _PAUSE)
+    is_wrong = (log_times < first - far) | (log_times > last + far)
+    is_wrong |= (log_times == 0) & (np.where(stamped, due, first) > EARLY)
+    is_wrong &= ~latched | (log_times > last)
+    begin, end = _joined(due[is_wrong & stamped], first, last)
+    mended = is_wrong & stamped & (due >= begin) & (due <= end)
+    right = np.where(mended, due, log_times)
+    good, lost = np.flatnonzero(~is_wrong | mended), np.flatnonzero(is_wrong & ~stamped)
+    if len(good):
+        right[lost] = right[good[np.maximum(np.searchsorted(good, lost) - 1, 0)]]
+    return right
+
+
+def _recorder(log_times: Stamps, stamps: Stamps) -> tuple[int, int, int]:
+    """Return the usual log time - stamp of messages, and between which log times it is so; ns."""
+    usual = _usual(log_times - stamps)
+    near = log_times[np.abs(log_times - stamps - usual) <= FAR]
+    return (usual, int(near.min()), int(near.max())) if len(near) else (0, 0, 0)
+
+
+def _delays(channels: Stamps, lags: Stamps, inside: Flags, usual: int) -> Stamps:
+    """(N,) usual log time - stamp, ns, of each message's channel, by those that are ``inside``."""
+    delays = np.full(len(channels), usual)
+    for channel in np.unique(channels[inside]).tolist():
+        delays[channels == channel] = int(np.median(lags[inside & (channels == channel)]))
+    return delays
+
+
+def _usual(lags: Stamps) -> int:
+    """Return the usual log time - stamp, ns, of (N,): about which most lie, or enough near 0."""
+    if not len(lags):
+        return 0
+    ordered = np.sort(lags)
+    usable = ordered[np.abs(ordered) <= FAR]
+    if len(usable) >= _ENOUGH:
+        return int(np.median(usable))
+    within = np.searchsorted(ordered, ordered + FAR, "right") - np.arange(len(ordered))
+    most = int(np.argmax(within))
+    return int(np.median(ordered[most : most + within[most]]))
+
+
+def _joined(times: Stamps, first: int, last: int) -> tuple[int, int]:
+    """Return from when to when times join what is right between ``first`` and ``last``, ns."""
+    if not len(times) or not last:  # nothing is known to be right: the times are all there is
+        return (int(times.min()), int(times.max())) if len(times) else (first, last)
+    for time in np.sort(times[times < first])[::-1].tolist():
+        first = time if first - time <= FAR else first
+    for time in np.sort(times[times > last]).tolist():
+        last = time if time - last <= FAR else last
+    return first, last
+
+
+def _remarks(
+    channels: Stamps, log_times: Stamps, right: Stamps, names: dict[int, str]
+) -> Iterator[str]:
+    """Say how many messages of which channels are logged at which wrong times."""
+    pairs = zip(log_times.tolist(), right.tolist(), strict=True)
+    kinds = np.array([_when(*pair) for pair in pairs])
+    for when in sorted({*kinds.tolist()} - {""}):
+        parts = []
+        for channel in sorted(np.unique(channels[kinds == when]).tolist(), key=names.__getitem__):
+            n = int(((channels == channel) & (kinds == when)).sum())
+            share = max(100 * n / int((channels == channel).sum()), 1)
+            parts.append(f"{share:.0f} % of {names[channel]} ({quantity(n, 'message')})")
+        yield remark(parts, when)
+
+
+def remark(parts: Sequence[str], when: str) -> str:
+    """Say what was logged at a wrong time, and what hiros does."""
+    verb = "was" if len(parts) == 1 else "were"
+    return f"{', '.join(parts)} {verb} logged {when}; the stamps fit, so hiros goes by them"
+
+
+def _when(log_time: int, right: int) -> str:
+    """Say when a message was logged; "" if that is right."""
+    if log_time == right:
+        return ""
+    if log_time == 0:
+        return "at time 0 (1970), as by a recorder with use_sim_time before the first /clock"
+    if log_time == LATEST:
+        return "after the year 2262"
+    year, right_year = (
+        datetime.fromtimestamp(t // 1_000_000_000, UTC).year for t in (log_time, right)
+    )
+    return "far from all others" if year == right_year else f"in {year}, far from all others"
