@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.body.segments import HEAD, NECK, SIDES, TOE
+from hiros_mcap.body.segments import HEAD, LOWER_SPINE, NECK, SIDES, TOE
 from hiros_mcap.body.symmetry import split_side, symmetry_of
 from hiros_mcap.kernels.array_types import J1, J2
 from hiros_mcap.skeletons import SkeletonModel
@@ -36,6 +36,9 @@ class FacingMarkers(NamedTuple):
     slot of the joint that leaves the line forwards (knee) or backwards (elbow)."""
     feet: J2  # (F, 2) ankle and toes
     trunk: J2  # (T, 2) a hip and the shoulder above it: the way of the trunk
+    upper: J2
+    """(U, 3) the way of the trunk in a view without hips: from the middle of the first two markers
+    to the third, the best row first. From the lower spine to the neck, or from neck to head."""
 
     @classmethod
     def of(cls, model: SkeletonModel) -> FacingMarkers:
@@ -62,10 +65,19 @@ class FacingMarkers(NamedTuple):
         symmetry = symmetry_of(model)
         vectors = np.array(list(rows()), np.int32).reshape(-1, 4)
         trunk = [find(_HIP, _SHOULDER, side=side) for side in SIDES]
+        shoulders = [
+            slots[name, side] for name in _SHOULDER for side in SIDES if (name, side) in slots
+        ]
+        neck = [slots[name, ""] for name in NECK if (name, "") in slots]
+        heads = [slots[name, ""] for name in HEAD if (name, "") in slots]
+        upper = [(pair[0], *pair) for pair in [find(LOWER_SPINE, NECK, side="")] if pair]
+        upper += [(slot, slot, head) for slot in neck for head in heads]
+        upper += [(*shoulders, head) for head in heads if len(shoulders) == len(SIDES)]
         return cls(
             symmetry.mirror,
             symmetry.lateral,
             vectors,
             np.ascontiguousarray(vectors[vectors[:, 0] == _TO_TOES, 1:3]),
             np.array([pair for pair in trunk if pair], np.int32).reshape(-1, 2),
+            np.array(upper, np.int32).reshape(-1, 3),
         )

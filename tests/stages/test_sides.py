@@ -421,8 +421,27 @@ def test_nobody_shows_which_way_is_up():
     assert uprightness([x, y, x], [z, x, y]) == [0, 0, 0]  # trunks contradict each other
 
 
-def test_without_hips_the_views_vote():
-    names = [name for name in MODEL.marker_names if not name.startswith("HIP")]
+ARMS = {f"{part}_{side}" for part in ("SHOULDER", "ELBOW", "WRIST") for side in ("LEFT", "RIGHT")}
+
+
+@pytest.mark.parametrize("trunk", [{"SPINE_NAVAL", "NECK"}, {"NECK", "HEAD"}, {"NOSE"}])
+@pytest.mark.parametrize("cameras", [{0, 1}, {1}])
+def test_a_flip_of_somebody_at_a_desk_is_not_believed(trunk, cameras):
+    hidden = [k for k, name in enumerate(MODEL.marker_names) if name not in ARMS | trunk]
+
+    def sit(frame, camera, t):
+        frame = mirror(frame) if 1.5 <= t < 2.8 else frame
+        if camera in cameras:
+            frame.markers[:, hidden] = np.nan
+        return frame
+
+    events = Events()
+    decided(views(5, sit), SidesParams(), events)
+    assert [events.counts["flip", f"c{k}"] for k in (0, 1)] == pytest.approx([39, 39], abs=1)
+
+
+def test_without_a_trunk_the_views_vote():
+    names = [name for name in MODEL.marker_names if name in ARMS]
     assert knows_sides(MODEL) and not knows_sides(SkeletonModel.of(names, []))
 
 

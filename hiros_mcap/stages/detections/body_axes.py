@@ -1,9 +1,10 @@
 """Kernels that carry axes along with a person's body, whatever its posture.
 
-Two axes lie across the trunk, the third along it, from the hips to the shoulders. They turn with
-the trunk the shortest way: whoever lies down, rolls or gets up keeps front and back in them. They
-also turn with the line through shoulders and hips, modulo half a turn, so that whoever spins keeps
-front and back, too. Neither needs to know which way is up, nor which side is left.
+Two axes lie across the trunk, the third along it, from the hips to the shoulders. In a view without
+hips it points from the lower spine to the neck, or from there to the head. They turn with the
+trunk the shortest way: whoever lies down, rolls or gets up keeps front and back in them. They also
+turn with the line through shoulders and hips, modulo half a turn, so that whoever spins keeps front
+and back, too. Neither needs to know which way is up, nor which side is left.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import math
 
 import numpy as np
 
+from hiros_mcap.body.forward_cues import FacingMarkers
 from hiros_mcap.kernels.array_types import F1, F2, F3
 from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.kernels.points import norm3, step_between
@@ -55,6 +57,24 @@ def _sum_of_vectors(positions: Floats, pairs: Ints) -> tuple[float, float, float
 
 
 @kernel
+def _way_without_hips(positions: Floats, markers: FacingMarkers) -> tuple[float, float, float]:
+    """Vector along the first row of ``upper`` that is seen, if the line across the trunk is, too.
+
+    Without that line a view does not show the facing: what was known of it gets old.
+    """
+    x, y, z = _sum_of_vectors(positions, markers.lateral)
+    if x == y == z == 0.0:
+        return x, y, z
+    for a, b, end in markers.upper:
+        ax, ay, az = step_between(positions, a, end)
+        bx, by, bz = step_between(positions, b, end)
+        x, y, z = 0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)
+        if not math.isnan(x + y + z):
+            return x, y, z
+    return 0.0, 0.0, 0.0
+
+
+@kernel
 def left_to_right(positions: Floats, pairs: Ints, axes: Floats) -> tuple[float, float]:
     """Sum of the vectors from left to right shoulders and hips across the trunk, m."""
     x, y, z = _sum_of_vectors(positions, pairs)
@@ -68,14 +88,14 @@ def left_to_right(positions: Floats, pairs: Ints, axes: Floats) -> tuple[float, 
 
 @kernel
 def follow_trunk(
-    positions: Floats, pairs: Ints, seconds: float, mean: Floats, axes: Floats
+    positions: Floats, markers: FacingMarkers, seconds: float, mean: Floats, axes: Floats
 ) -> tuple[bool, bool]:
     """Turn a person's axes to where the trunk points now.
 
     Parameters
     ----------
     positions : (M, 3 or more) of the markers, m.
-    pairs : (T, 2) a hip and the shoulder above it.
+    markers : of which ``trunk`` counts, and ``upper`` where the view shows no hip.
     seconds : since the last sight of the trunk.
     mean : (3,) of the last unit vectors along the trunk; changed.
     axes : (3, 3) changed; NaN while nothing is known of the trunk, or views contradict each other.
@@ -87,7 +107,9 @@ def follow_trunk(
     """
     if seconds > PATIENCE:
         mean[:], axes[:] = 0.0, np.nan
-    x, y, z = _sum_of_vectors(positions, pairs)
+    x, y, z = _sum_of_vectors(positions, markers.trunk)
+    if x == y == z == 0.0:
+        x, y, z = _way_without_hips(positions, markers)
     length = norm3(x, y, z)
     if not length > _SHORTEST:
         return False, False

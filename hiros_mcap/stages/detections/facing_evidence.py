@@ -316,7 +316,7 @@ def _follow_body(
     """Bring a person's axes to a view; return the line through shoulders and hips in them, m."""
     axes = past.axes[row]
     seconds = 1e-9 * max(stamp - past.trunk_stamps[row], 0) if past.starts[row] > 0 else np.inf
-    seen, anew = follow_trunk(positions, markers.trunk, seconds, past.trunks[row], axes)
+    seen, anew = follow_trunk(positions, markers, seconds, past.trunks[row], axes)
     if seen:
         past.trunk_stamps[row] = max(stamp, past.trunk_stamps[row])
     if anew:

@@ -55,9 +55,9 @@ _MOST = 1000  # views that become one block, about: 10 MB
 
 
 def knows_sides(model: SkeletonModel) -> bool:
-    """Whether the names of the markers tell left from right, and where shoulders and hips are."""
+    """Whether the names of the markers tell left from right, and which way the trunk is."""
     markers = FacingMarkers.of(model)
-    return bool(len(markers.lateral) and len(markers.trunk))
+    return bool(len(markers.lateral) and len(markers.trunk) + len(markers.upper))
 
 
 def decide_sides(
