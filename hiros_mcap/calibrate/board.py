@@ -106,7 +106,8 @@ def calibrate_board(
     LogError
         The log has no suitable channels, or cannot be read.
     ConfigError
-        OpenCV is needed and not installed; there is no such dictionary.
+        OpenCV is needed and not installed; there is no such dictionary; ``extrinsics`` lacks a
+        camera.
     RegistrationError
         The board does not tell the pose of a camera. The line says what to record.
     """
@@ -116,10 +117,23 @@ def calibrate_board(
         tree = static_transforms(log)
         chosen = {t: k for t, k in log.types.items() if is_chosen(t, topics)}
         searches = search_images(log, pair_channels(log, chosen), tree, find)
+    if extrinsics is not None:
+        tree = read_extrinsics(extrinsics)
+        _check_names(tree, [search.channels.colour_frame for search in searches])
     try:
-        return _report(searches, tree if extrinsics is None else read_extrinsics(extrinsics))
+        return _report(searches, tree)
     except RegistrationError as error:
         raise RegistrationError(f"{path}: {error}") from None
+
+
+def _check_names(tree: TransformTree, frames: Sequence[str]) -> None:
+    """Raise ConfigError if a file has no pose of the frame of a camera's colour images."""
+    if lacking := [frame for frame in frames if frame.lstrip("/") not in tree.frames]:
+        raise ConfigError(
+            f"{tree.source}: has no pose of the frame {', '.join(lacking)}; the file has "
+            f"{', '.join(tree.frames)}, the colour images of the log are in {', '.join(frames)}. "
+            "Correct the names, or choose other cameras with --topic"
+        )
 
 
 def marker_finder(dictionary: str = DICTIONARY) -> Finder:

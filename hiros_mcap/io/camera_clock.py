@@ -582,12 +582,18 @@ def longest_wait(cameras: Iterable[CameraTimes]) -> float:
 # Words
 
 
+_LONGEST_LOG_S = 1e7
+
+
 def described(fault: ClockFault, start: int) -> str:
     """Return a fault in words; ``start``, ns, is when the log starts."""
-    at = f"{max(0.0, (fault.at_ns - start) * 1e-9):.1f} s after the start"
+    seconds = max(0.0, (fault.at_ns - start) * 1e-9)
+    # A log time of 0 and a stamp of today are no times of one log.
+    is_known = seconds < _LONGEST_LOG_S
+    at = f", {seconds:.1f} s after the start of the log" if is_known else ""
     size, way = fault.size.lstrip("+-"), "ahead" if fault.seconds > 0 else "back"
     if fault.kind == STEP:
-        return f"the clock of {fault.camera} was set {way} by {size}, {at} of the log"
+        return f"the clock of {fault.camera} was set {way} by {size}{at}"
     if fault.kind == DRIFT:
         pace = "fast" if fault.seconds > 0 else "slow"
         return f"the clock of {fault.camera} runs {pace}: {fault.size}"
@@ -596,9 +602,10 @@ def described(fault: ClockFault, start: int) -> str:
         return f"the clock of {fault.camera} is {size} {way} the other cameras"
     if fault.kind == LATE:
         some = quantity(fault.messages, "message")
-        return f"{fault.camera}: {some} arrived up to {size} late, from {at} of the log on"
+        since = at.replace(", ", ", from ") + " on" if at else ""
+        return f"{fault.camera}: {some} arrived up to {size} late{since}"
     some = quantity(fault.messages, "message")
-    return f"{fault.camera}: {some} with a wrong time (by up to {size}), {at} of the log"
+    return f"{fault.camera}: {some} with a wrong time (by up to {size}){at}"
 
 
 def clocks_in_words(verdict: ClockVerdict, start: int) -> tuple[str, ...]:

@@ -29,12 +29,12 @@ def mirrored(frame, mirror):
     return frame.replace(markers=markers, marker_confidences=confidences)
 
 
-def write(path, frames, model, transforms=None):
+def write(path, frames, model, transforms=None, parent="lab"):
     """Write a log, by default without transforms."""
     encoder = Encoder(model)
     with McapWriter(path) as writer:
         if transforms:
-            add_static_poses(writer, transforms, "lab", frames[0].log_time)
+            add_static_poses(writer, transforms, parent, frames[0].log_time)
         channels = {
             name: add_skeleton_channel(writer, f"/{name}/people")
             for name in sorted({frame.source for frame in frames})

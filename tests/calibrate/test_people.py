@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from builders import moved as moved_by
 from rooms import late, mirrored, simulated, write
+from scipy.spatial.transform import Rotation
 
 from hiros_cli.app import run
 from hiros_cli.run_report import _notes
@@ -26,6 +28,7 @@ from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.calibrate.verdict import CalibratedCamera
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.log import open_log
+from hiros_mcap.running.pipeline import process
 
 CLOCKS = {"camera_0": 0.0, "camera_1": 0.8, "camera_2": -1.3}
 """s by which the stamps are late."""
@@ -194,10 +197,49 @@ def test_one_camera_is_refused(scene, tmp_path):
         calibrated(write(tmp_path / "lab.mcap", frames, scene.model))
 
 
-def test_cameras_in_one_frame_are_refused(scene, tmp_path):
-    frames = [frame.replace(frame_id="world") for frame in scene.detections]
-    with pytest.raises(LogError, match="same frame 'world'"):
+def test_cameras_in_one_frame_are_refused_where_people_are_at_one_place_in_it(scene, tmp_path):
+    true = {camera.name: camera.pose for camera in scene.cameras}
+    frames = [
+        moved_by([frame.replace(frame_id="lab")], Rotation.from_quat(pose.xyzw), pose.translation)
+        for frame in scene.detections
+        for pose in [true[frame.source]]
+    ]
+    frames = [frame for some in frames for frame in some]
+    with pytest.raises(LogError, match=r"same frame 'lab', so their poses are already applied"):
         calibrated(write(tmp_path / "lab.mcap", frames, scene.model))
+
+
+@pytest.mark.parametrize("transforms", ["none", "of the frame"])
+def test_cameras_in_one_frame_get_poses_that_process_takes(transforms, scene, tmp_path):
+    """From a log of one frame to right results: the file names the channels."""
+    frames = [frame.replace(frame_id="depth") for frame in scene.detections]
+    given = {"depth": Rigid.identity()} if transforms == "of the frame" else None
+    log, file = write(tmp_path / "lab.mcap", frames, scene.model, given), tmp_path / "rig.toml"
+    assert run(["calibrate", "people", str(log), "-o", str(file)]) == 0
+    assert 'frame = "camera_1/people"' in file.read_text()
+    with open_log(log, extrinsics=file) as opened:
+        poses = [opened.pose_of(camera) for camera in opened.cameras]
+    true = [camera.pose for camera in scene.cameras]
+    for k in (1, 2):
+        found, wanted = (rig[0].inverse() @ rig[k] for rig in (poses, true))
+        metres, degrees = found.apart(wanted)
+        assert metres < 0.04
+        assert degrees < 0.7
+    out = tmp_path / "out.mcap"
+    arguments = ["process", str(log), "-q", "-o", str(out), "--extrinsics", str(file)]
+    assert run([*arguments, "--stages", "T"]) == 0
+
+
+def test_a_camera_that_defines_the_frame_of_others_stays_there(scene, tmp_path):
+    true = {camera.name: camera.pose for camera in scene.cameras}
+    joined = {"camera_1": true["camera_0"].inverse() @ true["camera_1"]}
+    frames = list(scene.detections)
+    log = write(tmp_path / "lab.mcap", frames, scene.model, joined, "camera_0")
+    file = tmp_path / "rig.toml"
+    assert run(["calibrate", "people", str(log), "-o", str(file)]) == 0
+    assert read_extrinsics(file).root("camera_2") == "camera_0"
+    summary = process(log, tmp_path / "out.mcap", stages="T")
+    assert [camera.used for camera in summary.poses] == [True] * 3
 
 
 def test_a_log_without_transforms_is_processed_with_the_poses_found(nothing, tmp_path, capsys):

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid, angle
-from hiros_mcap.calibrate.survey import stretches
+from hiros_mcap.calibrate.survey import in_words, stretches
 from hiros_mcap.calibrate.verdict import UNLINKED, CalibratedCamera, Evidence, verdict_of
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
@@ -219,18 +219,83 @@ def test_clocks_are_found_where_all_detections_are_in_the_room(scene, detections
     assert verdicts(summary) == ["good"] * 3
     (text,) = summary.warnings
     assert re.search("clock of camera_1 is (59|60|61) ms ahead", text)
+    (note,) = [text for text in summary.notes if "same frame" in text]
+    assert note.startswith(
+        "camera_0, camera_1 and camera_2 publish in the same frame 'lab' and see"
+    )
 
 
-@pytest.mark.parametrize("sharing", [NAMES[:2], NAMES])
-def test_detectors_that_write_one_frame_id_are_named(sharing, scene, detections, true, tmp_path):
-    wrong = [
-        frame.replace(frame_id="camera_0") if frame.source in sharing else frame
+def sharing_frames(detections, sharing, frame_id):
+    """Detections in the cameras' own coordinates, of which some name one frame."""
+    return [
+        frame.replace(frame_id=frame_id) if frame.source in sharing else frame
         for frame in detections
     ]
-    summary = process(write(tmp_path / "log.mcap", scene, wrong, true), options=FIRST_STAGE)
+
+
+def true_distances(poses, true):
+    """How far the first two cameras are from each other, against the truth, m."""
+    ways = [rig[0].inverse() @ rig[1] for rig in (poses, [true[name] for name in NAMES[:2]])]
+    return float(np.linalg.norm(ways[0].translation - ways[1].translation))
+
+
+@pytest.mark.parametrize(
+    ("sharing", "frame_id", "given"),
+    [
+        (NAMES, "depth_camera_link", "own"),
+        (NAMES, "depth_camera_link", "shared"),
+        (NAMES, "lab", "own"),  # the fixed frame
+        (NAMES, "camera_0", "none"),
+        (NAMES[:2], "depth_camera_link", "own"),
+        (NAMES[:2], "camera_0", "own"),
+        (NAMES[:2], "depth_camera_link", "none"),
+    ],
+)
+def test_cameras_in_one_frame_get_poses_and_a_frame_for_each_channel(
+    sharing, frame_id, given, scene, detections, true, tmp_path
+):
+    poses = {"own": true, "shared": {frame_id: Rigid.identity()}, "none": {}}[given]
+    log = write(tmp_path / "log.mcap", scene, sharing_frames(detections, sharing, frame_id), poses)
+    out = tmp_path / "out.mcap"
+    summary = process(log, out, options=FIRST_STAGE)
     (warning,) = [text for text in summary.warnings if "same frame" in text]
-    assert warning.startswith(f"{' and '.join(sharing)} publish in the same frame 'camera_0', but")
-    assert " cm" not in warning  # another warning says how far
+    assert warning.startswith(f"{in_words(sharing)} publish in the same frame {frame_id!r}, but")
+    assert "camera_0/people, camera_1/people" in warning
+    with open_log(out, topics=["/camera_*"]) as opened:
+        found = [opened.pose_of(camera) for camera in opened.cameras[:2]]
+    assert true_distances(found, true) < 0.05
+
+
+def test_cameras_in_one_frame_are_an_error_where_the_people_tell_no_poses(
+    scene, detections, true, tmp_path, capsys
+):
+    start = min(frame.log_time for frame in detections)
+    short = [frame for frame in detections if frame.log_time < start + 4 * 10**9]
+    log = write(tmp_path / "log.mcap", scene, sharing_frames(short, NAMES, "camera_0"), true)
+    assert run(["process", str(log), "-o", str(tmp_path / "out.mcap")]) == 2
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert "publish in the same frame 'camera_0', but do not see the same people" in line
+    assert "pass a pose for each topic with --extrinsics FILE" in line
+    assert not (tmp_path / "out.mcap").exists()
+
+
+@pytest.mark.parametrize("system", ["fuse-realtime", "malaguti"])
+def test_a_run_that_cannot_look_first_names_cameras_in_one_frame(
+    system, scene, detections, true, tmp_path
+):
+    wrong = sharing_frames(detections, NAMES, "camera_0")
+    log = write(tmp_path / "log.mcap", scene, wrong, true)
+    options = ProcessOptions(system=system, calibrate="auto" if "real" in system else "off")
+    (warning,) = [t for t in process(log, options=options).warnings if "same frame" in t]
+    assert "but do not see the same people at the same place in it; set header.frame_id" in warning
+
+
+def test_info_names_cameras_in_one_frame(scene, detections, true, tmp_path, capsys):
+    wrong = sharing_frames(detections, NAMES[1:], "camera_1")
+    log = write(tmp_path / "log.mcap", scene, wrong, true)
+    assert run(["info", str(log)]) == 0
+    error = capsys.readouterr().err
+    assert "camera_1 and camera_2 publish in the same frame 'camera_1', but do not see" in error
 
 
 def test_one_pose_for_all_cameras_counts_as_none(tmp_path):

@@ -52,8 +52,12 @@ def _columns_of(entry: CameraEntry) -> tuple[str, str, str]:
     return verdict or "-", errors, "-" if math.isnan(residual) else f"{residual:.0f} mm"
 
 
-def camera_moves(path: Path, file: Path, after: Mapping[str, Rigid]) -> list[CameraMove]:
+def camera_moves(
+    path: Path, file: Path, after: Mapping[str, Rigid], renamed: Mapping[str, str]
+) -> list[CameraMove]:
     """Compare the poses of a log's cameras with those of a file, ``after`` by frame.
+
+    ``renamed`` are the frames of the log that the file calls otherwise, by their names in the file.
 
     A camera that was moved in the middle of the log has a second row, with the file's first pose
     as the one before.
@@ -66,14 +70,15 @@ def camera_moves(path: Path, file: Path, after: Mapping[str, Rigid]) -> list[Cam
     moves: list[CameraMove] = []
     first: dict[str, Rigid] = {}
     for entry in read_camera_entries(file):
-        if entry.frame not in after:
+        name = entry.frame.lstrip("/")
+        name = renamed.get(name, name)
+        if name not in after:
             continue
         if entry.since:
-            seconds, origin = (entry.since - start) / 1e9, first.get(entry.frame)
-            moves.append(CameraMove(entry.frame, origin, entry.pose, entry, seconds))
+            seconds, origin = (entry.since - start) / 1e9, first.get(name)
+            moves.append(CameraMove(name, origin, entry.pose, entry, seconds))
         else:
-            first[entry.frame] = entry.pose
-            name = entry.frame
+            first[name] = entry.pose
             moves.append(CameraMove(name, before.get(name), after[name], entry))
     return moves
 

@@ -179,7 +179,8 @@ class _Replay:
             else:
                 scene.begin(source.cameras, source.later)
             if self.options.calibration is not None and not only_stages:
-                scene.moves(camera_moves(self.path, self.options.calibration, source.cameras))
+                file, renamed = self.options.calibration, log.transforms.renamed
+                scene.moves(camera_moves(self.path, file, source.cameras, renamed))
             self._thin((log.span[1] - log.span[0]) / 1e9)
             log = log.only(self._topics(source, scene.final))
             left_out = {DETECTIONS, "truth"} if only_stages else {"truth"}

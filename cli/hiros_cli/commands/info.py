@@ -133,7 +133,7 @@ def _run(overview: Overview) -> list[str]:
 
 def _frame(row: CameraRow) -> str:
     if row.fault:
-        return f"{row.frame or 'no name'} ({row.fault})"
+        return f"{row.frame or 'none named'} ({row.fault})"
     return f"{row.frame} (resolved)" if row.frame else "none named"
 
 
