@@ -42,6 +42,8 @@ class FrameLayout(NamedTuple):
     """Whole frames between there and the end of the file, with what fills the last block."""
     is_ragged: bool = False
     """Whether the file ends within a frame and within a block."""
+    tells_count: bool = True
+    """Whether nothing follows the frames, so that the size of the file tells their number."""
 
     @property
     def filling(self) -> int:
@@ -59,10 +61,10 @@ def layout_of(path: Path, file: Any, start: int) -> FrameLayout:
     scale = _numbers(parameters, "POINT", "SCALE")
     size = words * (2 if scale and scale[0] > 0 else 4)  # integers, or floats
     end = path.stat().st_size
-    if rotations := _numbers(parameters, "ROTATION", "DATA_START"):
-        end = min(end, _BLOCK * (int(rotations[0]) - 1))
     held, rest = divmod(max(end - start, 0), size)
-    return FrameLayout(start, size, held, is_ragged=bool(rest and end % _BLOCK))
+    # Their place is in 16 bits, too: in a file of more than 32 MiB it tells nothing.
+    rotations = any(_numbers(parameters, "ROTATION", "USED"))
+    return FrameLayout(start, size, held, bool(rest and end % _BLOCK), tells_count=not rotations)
 
 
 def all_points(path: Path, file: Any, layout: FrameLayout, said: int) -> Floats:
@@ -102,7 +104,7 @@ def _count(path: Path, file: Any, layout: FrameLayout, said: int) -> int:
         raise ConfigError(f"{path}: is cut off: it has {layout.held} of {sure} frames")
     # Otherwise these may be those of a longer file, from which this one was cut out.
     count = max(sure, *(frames for frames in longer if frames <= layout.held))
-    if layout.held < MOST_FRAMES:
+    if layout.held < MOST_FRAMES or not layout.tells_count:
         return count
     if layout.held > count and layout.is_ragged:
         raise ConfigError(f"{path}: is cut off: it ends within the frame {layout.held + 1}")

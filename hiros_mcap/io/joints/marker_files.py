@@ -216,7 +216,7 @@ def open_c3d(path: Path) -> Any:
     file["data"]["points"] = all_points(path, file, layout, last - first + 1)
     used, found = file["data"]["points"].shape[1:]
     labels = len(_listed(file["parameters"]["POINT"], "LABELS"))
-    if labels > used and layout.held > found + layout.filling:
+    if labels > used and layout.tells_count and layout.held > found + layout.filling:
         raise ConfigError(
             f"{path}: POINT:LABELS names {labels} points, POINT:USED counts {used}, and its "
             f"{found} frames are too long for them; one of these is damaged"
