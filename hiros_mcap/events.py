@@ -16,6 +16,8 @@ from hiros_mcap.summary import quantity
 
 TOO_LATE = "too late to be merged"
 """Counts messages, by source, that came after their time had been merged."""
+SAME_TIME = "stamped as those merged before"
+"""Counts messages, by source, of a time that has been merged: nobody is shown twice at one time."""
 
 RESIDUAL, COMMON = "residual", "common residual"
 """Histograms by camera: (M, B) of each marker's squared residual over its expected variance; (1, B)

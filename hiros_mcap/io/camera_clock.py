@@ -52,6 +52,7 @@ _LEAST_DRIFTED = 0.01  # s
 _LEAST_SECONDS = 15  # fewer least lags fit a line by chance, where messages are late
 _LARGEST_DRIFT = 0.01  # s/s: what changes less over a pause is no step
 _ROUNDS = 100  # steps of one camera
+_CHANCE = 2  # messages
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,9 +230,10 @@ def _with_limits(correction: ClockCorrection, times: CameraTimes) -> ClockCorrec
 def _judged(times: CameraTimes) -> tuple[Flags, Flags]:
     """(N,) which messages have a right time, and which have one that the others contradict.
 
-    The others leave a gap where such a message was logged. The stamp of a message that was
-    delivered late lies between those logged around it, or they leave no gap there. A message with
-    an odd lag at the begin or end of the log has no others around it, and is neither.
+    The others leave a gap where such a message was logged, and none at its stamp. The stamp of a
+    message that was delivered late lies between those logged around it, or in a gap of its own; at
+    the time when it was logged, others may be lost. A message with an odd lag at the begin or end
+    of the log has no others around it, and is neither.
     """
     stamps, lags = times.stamps, times.lags
     right, wrong = np.ones(len(stamps), np.bool_), np.zeros(len(stamps), np.bool_)
@@ -247,7 +249,18 @@ def _judged(times: CameraTimes) -> tuple[Flags, Flags]:
     gap = (stamps[after] - stamps[before]) * 1e-9
     outside = (stamps[odd] < stamps[before]) | (stamps[odd] > stamps[after])
     wrong[odd] = outside & (gap > period * (after - before - 0.5))
+    suspects = np.flatnonzero(wrong)
+    missed = suspects[_is_missed(np.sort(stamps[usual]), stamps[suspects], period)]
+    if len(missed) <= max(_CHANCE, len(odd) // 2):  # more do not meet a lost message by chance
+        wrong[missed] = False
     return right & ~wrong, wrong
+
+
+def _is_missed(usual: Stamps, stamps: Stamps, period: float) -> Flags:
+    """(K,) whether the usual stamps, increasing, have a gap at some stamps; ns, ``period`` in s."""
+    place = np.clip(np.searchsorted(usual, stamps), 1, len(usual) - 1)
+    nearest = np.minimum(np.abs(stamps - usual[place - 1]), np.abs(usual[place] - stamps))
+    return np.asarray((nearest * 1e-9 > period / 2) & (nearest * 1e-9 < _PAUSE))
 
 
 # Steps

@@ -18,6 +18,7 @@ from hiros_mcap.events import (
     COUNTED,
     MIRROR_SEEN,
     RESIDUAL,
+    SAME_TIME,
     TOO_LATE,
     Event,
     Events,
@@ -46,10 +47,11 @@ from hiros_mcap.summary import (
 )
 from hiros_mcap.systems import Run, sections_of
 
-_IN_TABLES = {"flip", "outlier", TOO_LATE}
+_IN_TABLES = {"flip", "outlier", TOO_LATE, SAME_TIME}
 """Kinds of events that a summary's tables count."""
 _LARGEST_LOSS = 0.05
 _REMEDIES = {
+    SAME_TIME: "let the detector stamp each image with its own time",
     TOO_LATE: "let messages wait longer with --set {wait}, or correct the camera's clock with "
     "--clock CAMERA=SECONDS",
     DAMAGED: "look for the fault at its source",
@@ -150,14 +152,15 @@ class Report:
         sources = sorted(camera.sources.values())
         rates = [hertz[source].hertz for source in sources if source in hertz]
         # Cameras that share messages: the one that lost most, since each lost a part of them.
-        late = max(counts[TOO_LATE, source] for source in sources)
+        lost = {why: max(counts[why, s] for s in sources) for why in (TOO_LATE, SAME_TIME)}
+        lost = {why: n for why, n in lost.items() if n}
         return CameraSummary(
             name=", ".join(sources),
             topic=camera.channel.topic,
             rate_hz=sum(rates) / len(rates) if rates else math.nan,
             messages=account.read,
-            used=account.used - late,
-            skipped={**account.skipped, **({TOO_LATE: late} if late else {})},
+            used=account.used - sum(lost.values()),
+            skipped={**account.skipped, **lost},
             flips=sum(counts["flip", source] for source in sources),
             outliers=sum(counts["outlier", source] for source in sources),
             clock=tuple(fault for fault in self.prepared.clocks.faults if fault.camera in sources),

@@ -289,3 +289,23 @@ def test_the_stamps_of_a_regular_camera_tell_a_step_more_exactly_than_its_delays
     times = camera(seed, rate=5, seconds=60.0, delay=wifi, clock=lambda t: 0.5 * (t > 30.0))
     fault = only(clock_verdict({"a": camera(1, seconds=60.0), "b": times}))
     assert (fault.kind, fault.seconds) == (STEP, pytest.approx(0.5, abs=0.005))
+
+
+@pytest.mark.parametrize("late", [0.63, 0.8, 2.0])
+@pytest.mark.parametrize("n", [1, 2])
+def test_a_late_message_with_a_right_stamp_is_not_called_wrong(late, n):
+    """Where it is logged, the camera has lost another message: that gap is not its own."""
+    times = camera(2)
+    period = 1 / 30
+    sent = (times.stamps - START) * 1e-9
+    k = int(np.searchsorted(sent, 8.0))
+    lost = (sent > sent[k] + late - 1.6 * period) & (sent < sent[k] + late + 1.6 * period)
+    logged = times.log_times.copy()
+    logged[k : k + n] += round(late * 1e9)
+    kept = ~lost
+    order = np.argsort(logged[kept], kind="stable")
+    b = CameraTimes(times.stamps[kept][order], logged[kept][order])
+    cameras = {"a": camera(1), "b": b, "c": camera(3)}
+    verdict = clock_verdict(cameras)
+    assert not [fault for fault in verdict.faults if fault.kind == WRONG]
+    assert (verdict.corrections["b"].apply(b.stamps, b.log_times) == b.stamps).all()

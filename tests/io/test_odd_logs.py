@@ -270,3 +270,23 @@ def test_a_message_logged_at_time_0_needs_no_more_memory(walking, tmp_path):
     overview_of(source)
     assert tracemalloc.get_traced_memory()[1] < 2**27
     tracemalloc.stop()
+
+
+@pytest.mark.parametrize("system", ["fuse", "hiros", "fuse-realtime", "hiros-realtime"])
+@pytest.mark.parametrize("topics", [("/camera_0/*",), ("/camera_0/*", "/camera_1/*")])
+def test_rounded_stamps_show_nobody_twice_at_one_time(walking, tmp_path, system, topics):
+    """A camera at 200 Hz, or one that stamps in steps of 0.1 s: two messages have one stamp."""
+
+    def rounded(frame, n):
+        return frame.replace(
+            stamp=frame.stamp // 10**8 * 10**8, stamps=frame.stamps // 10**8 * 10**8
+        )
+
+    source = changed(walking, tmp_path / "rounded.mcap", rounded)
+    options = ProcessOptions(system, topics=topics)
+    summary = process(source, tmp_path / "out.mcap", options=options)
+    with open_log(tmp_path / "out.mcap", topics=["/hiros/filtered"], output_prefix="/none") as log:
+        stamps = [frame.stamp for frame in log.frames()]
+    assert len(set(stamps)) == len(stamps) > 5
+    assert "stamped as those merged before" in summary.warnings[0]
+    assert command(["export", str(tmp_path / "out.mcap"), "-o", str(tmp_path / "out.trc")]) == 0

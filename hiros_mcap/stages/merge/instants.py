@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hiros_mcap.events import TOO_LATE, Events
+from hiros_mcap.events import SAME_TIME, TOO_LATE, Events
 from hiros_mcap.frames import Block, CameraNumbers, together
 from hiros_mcap.kernels.averaging import Buffers
 from hiros_mcap.skeletons import STATE, UNTRACKED, Flags, Ints, People, SkeletonModel, Stamps
@@ -39,8 +39,9 @@ class Instant:
 class Instants:
     """Gathers one message per camera (Hi-ROS 2023, section 3.2).
 
-    Times of instants never decrease: a message older than the last one is left out. Two have the
-    same time where a camera joins cameras that are triggered together.
+    Times of instants increase: a message that is not younger than the last one is left out. Two
+    messages of a camera have one time where stamps are rounded, or where a detector stamps messages
+    of nobody when it sends them; of two cameras, where one joins others that are triggered with it.
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ class Instants:
         once one of them has sent a second message.
     max_delta_time : s between the oldest and the newest message of an instant (second trigger).
         A second message of the same camera starts a new one, too (first trigger).
-    events : counts "too late to be merged".
+    events : counts "too late to be merged", and "stamped as those merged before".
     in_step : whether a message also starts a new instant where its camera's message before, or one
         that was lost, would have been nearer to the others. Without this, a bad start lasts: of
         cameras that are triggered together, each instant has the next message of one, a period
@@ -84,8 +85,8 @@ class Instants:
         ):
             done.append(self._close(log_time))
             buffer = self._buffer
-        if stamp < self._newest:  # than the instant just closed, or one before
-            self._events.count(TOO_LATE, source)
+        if stamp <= self._newest:  # than the instant just closed, or one before
+            self._events.count(TOO_LATE if stamp < self._newest else SAME_TIME, source)
             return done
         if buffer:
             self._log_time = max(log_time, self._log_time)
