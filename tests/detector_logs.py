@@ -388,3 +388,106 @@ def only(camera, make):
 def together(*makers):
     """Several detectors in one log."""
     return lambda scene: (row for make in makers for row in make(scene))
+
+
+# What drivers send besides: nobody is in view, or a message is of another kind. All is of camera_0.
+
+Odd = Callable[[list[Any]], Iterator[tuple[str, str, int, bytes]]]
+"""Rows of a log in -> rows of a log out."""
+
+
+def markers_of(row):
+    return ROS2.deserialize_cdr(row[3], MARKERS).markers
+
+
+def with_markers(row, markers):
+    data = ROS2.serialize_cdr(ROS2.types[MARKERS](list(markers)), MARKERS)
+    return (*row[:3], bytes(data))
+
+
+def with_objects(row, change):
+    message = ROS2.deserialize_cdr(row[3], OBJECTS)
+    change(message)
+    return (*row[:3], bytes(ROS2.serialize_cdr(message, OBJECTS)))
+
+
+def some_rows(change, chosen, camera="camera_0"):
+    """Change some messages of a camera, which are numbered from 0; None leaves one out."""
+
+    def odd(rows):
+        n = 0
+        for row in rows:
+            if row[0].startswith(f"/{camera}/"):
+                n += 1
+                row = change(row) if chosen(n - 1) else row
+            yield row
+
+    return odd
+
+
+def deletes_all(row):
+    """What clears the screen has an empty header, and no id or pose."""
+    return with_markers(row, [default("visualization_msgs/msg/Marker", action=3)])
+
+
+def clears_before(row):
+    deletion = default("visualization_msgs/msg/Marker", action=3)
+    return with_markers(row, [deletion, *markers_of(row)])
+
+
+def no_markers(row):
+    return with_markers(row, [])
+
+
+def one_more(row):
+    return with_markers(row, [*markers_of(row), default("visualization_msgs/msg/Marker", type=9)])
+
+
+def one_less(row):
+    return with_markers(row, [m for m in markers_of(row) if m.id % 100 != 16])
+
+
+def no_objects(row):
+    return with_objects(row, lambda message: setattr(message, "objects", []))
+
+
+def only_things(row):
+    def change(message):
+        for one in message.objects:
+            one.skeleton_available = False
+
+    return with_objects(row, change)
+
+
+def first(n):
+    return lambda k: k < n
+
+
+def middle(k):
+    return k % 5 == 3
+
+
+ODD_AZURE: dict[str, Odd] = {
+    "no markers at first": some_rows(no_markers, first(1)),
+    "nobody for half a second": some_rows(no_markers, first(8)),
+    "no markers in between": some_rows(no_markers, middle),
+    "a deletion at first": some_rows(deletes_all, first(3)),
+    "deletions in between": some_rows(deletes_all, middle),
+    "a deletion in every message": some_rows(clears_before, lambda k: True),
+    "one marker more": some_rows(one_more, middle),
+    "one joint less": some_rows(one_less, middle),
+    "nobody in the whole log": some_rows(no_markers, lambda k: True),
+}
+ODD_ZED: dict[str, Odd] = {
+    "nobody at first": some_rows(no_objects, first(1)),
+    "nobody for half a second": some_rows(no_objects, first(8)),
+    "nobody in between": some_rows(no_objects, middle),
+    "no skeletons at first": some_rows(only_things, first(3)),
+    "no skeletons in between": some_rows(only_things, middle),
+    "nobody in the whole log": some_rows(no_objects, lambda k: True),
+}
+
+
+def write_odd(path, scene, make, odd):
+    """Write a scene's log with some odd messages."""
+    return write_ros2(path, scene, lambda scene: odd(list(make(scene))))

@@ -24,6 +24,7 @@ NOTES = (
     "hiros_mcap/evaluate/match.py",
     "hiros_mcap/io/camera_clock.py",
     "hiros_mcap/events.py",
+    "hiros_mcap/io/log_accounts.py",
 )
 """Modules that say something only as a warning or a note."""
 NO_MESSAGE = {

@@ -17,6 +17,7 @@ from array import array
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -371,6 +372,13 @@ class TransformTree:
         self._fixed.clear()
         self.renamed[old] = new
 
+    @property
+    def only_root(self) -> str:
+        """The one frame that everything hangs on; "" if there are several or none."""
+        with suppress(LogError):
+            return self.common_root(self.frames)
+        return ""
+
     def lookup(self, frame: str, fixed: str, stamp: int, log_time: int | None = None) -> Rigid:
         """Return the pose of ``frame`` in ``fixed`` at ``stamp``, ns, as logged by ``log_time``.
 
@@ -705,11 +713,14 @@ class Mover:
         is_moving = np.array([name != self._fixed for name in block.names])[block.frame_ids]
         if not is_moving.any():
             return block
-        people, poses, frames = block.people.copy(), list[PoseArrays](), np.flatnonzero(is_moving)
+        # Who is nowhere needs no transform: a message of nobody may name any frame, or none.
+        frames = np.flatnonzero(is_moving & (block.sizes > 0))
+        people, poses = block.people.copy(), list[PoseArrays]()
         for i in frames.tolist():
             stamp, log_time = int(block.stamps[i]), int(block.log_times[i])
             poses.append(self._pose(block.names[block.frame_ids[i]], stamp, log_time))
-        move_messages(joined(poses), block.rows[frames], people)
+        if poses:
+            move_messages(joined(poses), block.rows[frames], people)
         names, fixed = (*block.names, self._fixed), np.full(len(block), len(block.names))
         return replace(block, people=people, names=names, frame_ids=fixed)
 

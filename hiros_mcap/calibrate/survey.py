@@ -185,10 +185,13 @@ class FixedCamera(NamedTuple):
 
 
 def camera_faults(log: Log) -> dict[str, str]:
-    """Name -> reason of each camera whose pose cannot be compared with the others'."""
+    """Name -> reason of each camera whose pose cannot be compared with the others'.
+
+    A camera that shows nobody is in nobody's way.
+    """
     faults: dict[str, str] = {}
     owners = Counter(frame for camera in log.cameras for frame in camera.frames)
-    for camera in log.cameras:
+    for camera in filter(_shows_people, log.cameras):
         frames = camera.frames
         shared = len(frames) != 1 or len(camera.sources) != 1 or owners[frames[0]] > 1
         if shared or moves(log, frames[0]):
@@ -196,10 +199,14 @@ def camera_faults(log: Log) -> dict[str, str]:
     return faults
 
 
+def _shows_people(camera: CameraChannel) -> bool:
+    return bool(camera.frames)
+
+
 def fixed_cameras(log: Log, faults: Mapping[str, str]) -> Iterator[FixedCamera]:
-    """Yield the cameras; those with faults are not movable."""
+    """Yield the cameras that show people; those with faults are not movable."""
     fixed = log.fixed_frame
-    for camera in log.cameras:
+    for camera in filter(_shows_people, log.cameras):
         for name in camera.sources.values():
             if name in faults:
                 yield FixedCamera(name, fixed, Rigid.identity(), movable=False)

@@ -41,10 +41,10 @@ def warnings_of(
 
 
 def notes_of(truth: Truth, results: Mapping[str, ChannelResult]) -> list[str]:
-    """Return what the scores leave out."""
+    """Return what the scores leave out, and what was taken as meant."""
     result = list(results.values())[-1]
     scores = result.scores
-    notes = [] if truth.alignment is None else [truth.alignment.text]
+    notes = [*truth.notes, *([] if truth.alignment is None else [truth.alignment.text])]
     notes += filter(None, [other_clock([each.scores for each in results.values()])])
     absent = [name for name in result.model.marker_names if name not in scores.joints]
     if absent and scores.joints:

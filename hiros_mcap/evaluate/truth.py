@@ -72,6 +72,8 @@ class Truth:
     """What brought it to the result; None if it is where the file has it."""
     from_begin: bool = False
     """Whether its times may count from the log's start, as those of motion capture files do."""
+    notes: tuple[str, ...] = ()
+    """What was taken as meant when it was read."""
 
     @classmethod
     def of(cls, frames: Iterable[Frame], model: SkeletonModel | None = None) -> Truth:

@@ -6,7 +6,9 @@ docs/evaluating.md describes the CSV layout, joints and link orientations, for i
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +18,11 @@ from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.truth import MAX_GAP_NS, Truth
 from hiros_mcap.io.channels import TRUTH_PREFIX
 from hiros_mcap.io.container import McapReader
+from hiros_mcap.io.detectors.body_models import joints_of
 from hiros_mcap.io.joints.marker_files import MARKER_FILES
 from hiros_mcap.io.joints.text_tables import METRES, SECONDS, number_of, read_table, seconds_of
 from hiros_mcap.io.log import Source, open_log
+from hiros_mcap.io.log_accounts import zeros_in_words
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
 _LAST_TIME = 9e9
@@ -28,6 +32,8 @@ _LARGEST_M, _SMALLEST_M = 10.0, 0.02
 _ENOUGH_MARKERS = 2
 _UNIT_LENGTH = 0.02
 """By which the length of a quaternion may differ from 1: files round."""
+_ROOT = "pelvis", ""
+"""The joint from which positions count in a file that is relative to a person."""
 _LINK = ("parent", "child")
 _QUATERNION = ("qx", "qy", "qz", "qw")
 
@@ -48,10 +54,13 @@ def load_truth(path: Source, topic: str = f"{TRUTH_PREFIX}/*") -> Truth:
         return read(name)
     with open_log(path, topics=[topic], output_prefix="/none") as log:
         check_only(name, topic, [camera.channel.topic for camera in log.cameras])
-        frames = list(log.detections())
+        reading = log.read()
+        frames = list(reading.frames())
         if not frames:
             raise LogError("holds no true skeletons", path=name, topic=topic)
-        return Truth.of(frames, log.model)
+        accounts = reading.accounts.values()
+        notes = [text for one in accounts for text in one.notes(log.model.marker_names)]
+        return replace(Truth.of(frames, log.model), notes=tuple(notes))
 
 
 def check_only(path: Path | str, topic: str, matching: Sequence[str]) -> None:
@@ -173,9 +182,29 @@ def _truth(
             f"{path}: the instants are {step:g} s apart, more than {MAX_GAP_NS / 1e9:g} s; times "
             "are seconds, neither milliseconds nor numbers of frames"
         )
+    positions, notes = _without_zeros(path, positions, model.marker_names)
     _check_unit(path, positions)
     stamps = np.rint(times * 1e9).astype(np.int64)
-    return Truth(stamps, positions, orientations, people, model, from_begin=True)
+    return Truth(stamps, positions, orientations, people, model, from_begin=True, notes=notes)
+
+
+def _without_zeros(
+    path: Path, positions: Floats, names: Sequence[str]
+) -> tuple[Floats, tuple[str, ...]]:
+    """Return positions (T, N, M, 3) with NaN in place of 0 0 0, and a note of how often that was.
+
+    Programs write 0 0 0 for a joint that they do not know. A pelvis that is there whenever its
+    person is, is meant: the positions count from it.
+    """
+    zeros = (positions == 0.0).all(axis=-1)
+    is_there = (~zeros & ~np.isnan(positions).any(axis=-1)).any(axis=-1)
+    roots = [m for m, joint in enumerate(joints_of(names)) if joint == _ROOT]
+    relative = [m for m in roots if is_there.any() and zeros[is_there][:, m].all()]
+    zeros[:, :, relative] = False
+    counts = zeros[is_there].sum(axis=0)
+    text = zeros_in_words(Counter(dict(zip(names, counts.tolist(), strict=True))), is_there.sum())
+    notes = (f"{path}: {text}",) if text else ()
+    return np.where(zeros[..., None], np.nan, positions), notes
 
 
 def _check_unit(path: Path, positions: Floats) -> None:

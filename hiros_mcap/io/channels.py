@@ -83,12 +83,14 @@ class CameraChannel:
     sources: Mapping[str, str]
     """The name that each of its cameras goes by; usually there is one camera."""
     frames: tuple[str, ...]
-    """Coordinate frames of its detections."""
+    """Coordinate frames of its detections; none if nobody is on it."""
     size: float = math.nan
     """Size of the first people on it, m; NaN if nobody is."""
     own_frame: str = ""
     """The frame that its detections are taken to be in, whatever frame its messages name; "" for
     the frame that they name."""
+    lag: int = 0
+    """Log time minus stamp, ns, of its first people with a stamp; 0 if there are none."""
 
     @property
     def topic_frame(self) -> str:

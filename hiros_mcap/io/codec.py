@@ -216,6 +216,8 @@ class Decoded(NamedTuple):
     """Of each message: one, none if it cannot be decoded, several if several cameras share it."""
     cleaned: Mapping[int, Mapping[str, int]]
     """Message -> how many numbers were taken out, by kind; no entry if none were."""
+    zeros: Mapping[int, npt.NDArray[np.int64]]
+    """Message -> (M,) of how many people a marker was at exactly 0 0 0; no entry if of nobody."""
     faults: Mapping[int, str]
     """Message -> why it cannot be decoded."""
     until: int | None
@@ -231,7 +233,8 @@ class Decoder:
     layouts : of the messages, by channel; the published one if not given.
     poses : people whose message names one of these frames are moved to the fixed frame.
     exact : keep every bit. By default numbers that cannot be true are taken out
-        (see :func:`hiros_mcap.kernels.batch.clean`), and a person's time before 1970 becomes 0.
+        (see :func:`hiros_mcap.kernels.batch.clean`), and so are markers at exactly 0 0 0 and people
+        without any marker; a person's time before 1970 becomes 0.
     slim : leave out the columns of velocities and accelerations until a message holds one.
     own_frames : channel -> the frame of its detections, whatever frame its messages name.
     """
@@ -307,6 +310,7 @@ class Decoder:
             reports[:, cdr.HEADER_STAMP].tolist(),
             list(self._parts(data, people, results, faults, own)),
             _by_kind(results.cleaned),
+            {i: results.zeros[i] for i in np.flatnonzero(results.zeros.any(axis=1)).tolist()},
             faults,
             batch.until,
         )
@@ -314,10 +318,11 @@ class Decoder:
     def read_times(self, batch: Batch) -> npt.NDArray[np.int64]:
         """(N, 4) of each message with a header: channel, log time, header.stamp and src_time, ns.
 
-        src_time is that of the first person. A time is 0 if there is none. Messages whose log time
-        is beyond int64 are left out.
+        src_time is that of the first person. A time is 0 if there is none, or nobody: an empty
+        message may have any stamp. Messages whose log time is beyond int64 are left out.
         """
-        rows, has_header, _ = self._times(batch)
+        rows, has_header, shows = self._times(batch)
+        rows[~shows, 2] = 0
         return rows[has_header]
 
     def spaced(
@@ -336,6 +341,7 @@ class Decoder:
         for channel in np.unique(rows[:, 0]).tolist():
             stamped = np.flatnonzero(has_header & (rows[:, 0] == channel))
             chosen[stamped] = kept(channel, times[stamped], logged[stamped], shows[stamped])
+        rows[~shows, 2] = 0  # as in read_times
         ends = np.cumsum([len(records.messages) for records in batch.records])[:-1]
         parts = zip(batch.records, np.split(chosen, ends), strict=True)
         records = [r._replace(messages=r.messages[flags]) for r, flags in parts]
@@ -380,6 +386,7 @@ class Decoder:
             np.array(poses, np.int64),
             np.zeros((n, batch_kernels.COUNTS), np.int64),
             np.empty((n_people, 2), np.int64),
+            np.zeros((n, self.model.n_markers), np.int64),
         )
         for section in sections:
             is_whole = batch_kernels.decode_messages(
@@ -405,6 +412,7 @@ class Decoder:
         columns = [cdr.FRAME, cdr.FRAME_END, cdr.SOURCE, cdr.SOURCE_END, cdr.MIXED]
         reports, first = results.reports[:, columns].tolist(), results.first.tolist()
         texts: dict[bytes, str] = {}
+        nobodies = results.cleaned[:, batch_kernels.NOBODY].tolist()
         for i, code in enumerate(results.codes.tolist()):
             if code != cdr.OK:
                 faults.setdefault(i, _fault(code, results.reports[i].tolist(), data[i]))
@@ -414,6 +422,11 @@ class Decoder:
             spans = [(start, stop), source]
             if is_mixed:
                 spans[1:] = results.sources[begin:end].tolist()
+            if nobodies[i]:
+                somebody = _put_in_front(people, begin, end)
+                end = begin + len(somebody)
+                if is_mixed:
+                    spans[1:] = [spans[1 + k] for k in somebody] or spans[1:2]
             try:
                 frame_id, *sources = [_text(bytes(data[i][a:b]), texts) for a, b in spans]
             except UnicodeDecodeError:
@@ -494,6 +507,14 @@ def _by_source(
     for name, group in groups.items():
         yield name, begin, begin + len(group)
         begin += len(group)
+
+
+def _put_in_front(people: People, begin: int, end: int) -> list[int]:
+    """Put those of whom a marker is there before the others; return which they were."""
+    is_there = ~np.isnan(people.markers[begin:end, :, 0]).all(axis=1)
+    somebody, nobody = np.flatnonzero(is_there).tolist(), np.flatnonzero(~is_there).tolist()
+    people.reorder(begin, somebody + nobody)
+    return somebody
 
 
 def _by_kind(counts: cdr.Table) -> dict[int, Mapping[str, int]]:

@@ -71,6 +71,8 @@ class LiveReading(Reading):
         self._faulty: dict[str, str] = {}
         """Topic of no camera yet -> why its first message could not be read."""
         super().__init__(log, **how)
+        self._blind = {camera.channel.id for camera in log.cameras if not camera.frames}
+        """Channels that have shown nobody yet, so that their frame is not known."""
         self._refused: dict[int, str] = {}
         """Channel -> why it is not read, "" for what holds no detections."""
         self._spaced: dict[int, bool] = {}
@@ -110,7 +112,7 @@ class LiveReading(Reading):
     def _hear(self, message: Message) -> None:
         """Learn from a message before it is handed out: transforms, new cameras."""
         ident = message.channel_id
-        if ident in self._inputs or ident in self._refused:
+        if ident in self._refused or (ident in self._inputs and ident not in self._blind):
             return
         topic = self.log.reader.channels[ident].topic
         if topic in TF_TOPICS or self._is_transforms(ident):
@@ -137,20 +139,23 @@ class LiveReading(Reading):
         log = self.log
         log.reader.preface = [message]
         try:
-            (camera,), model, _ = skeletons_of(log.reader, log.transforms, [escape(info.topic)])
+            (camera,), _, _ = skeletons_of(log.reader, log.transforms, [escape(info.topic)])
         except LogError as error:
             self._refused[info.id] = f"{info.topic}: not used: {error.fault}"
             return
-        if not model.n_markers:
+        if not camera.frames:
             return
         try:
             for frame in camera.frames:
                 log.transforms.lookup(frame, log.fixed_frame, 0)
         except LogError:
             self._waiting[info.topic] += 1
+            self._inputs.pop(info.id, None)
             return
         del self._waiting[info.topic]
-        taken = {name for other in log.cameras for name in other.sources.values()}
+        self._blind.discard(info.id)
+        others = [other for other in log.cameras if other.channel.id != info.id]
+        taken = {name for other in others for name in other.sources.values()}
         if taken & set(camera.sources.values()):
             names = {source: f"{info.topic}:{source}" for source in camera.sources}
             camera = replace(camera, sources=names)
@@ -189,8 +194,12 @@ class LiveLog(Log):
         return (*remarks, f"{n} from before the first person neither read nor copied")
 
     def joined_by(self, camera: CameraChannel) -> Self:
-        """Return the log with one camera more; results stay in the frame in which they began."""
-        return self._but(keep=["fixed_frame"], cameras=(*self.cameras, camera))
+        """Return the log with a camera more, or one that has shown nobody until now.
+
+        Results stay in the frame in which they began.
+        """
+        others = (other for other in self.cameras if other.channel.id != camera.channel.id)
+        return self._but(keep=["fixed_frame"], cameras=(*others, camera))
 
 
 def takes(info: ChannelInfo, topics: Sequence[str] | None) -> bool:
@@ -243,8 +252,9 @@ def open_live(
         except OtherSkeletonError:
             reader.preface = conversion.unite(reader.preface)
             parts = skeletons_of(reader, tree, topics)
+        cameras, model, transforms = parts
         return LiveLog(
-            *(reader, *parts, fixed_frame),
+            *(reader, cameras, conversion.known(model), transforms, fixed_frame),
             conversion=conversion,
             log_times=log_times,
             topics=topics,
@@ -253,7 +263,12 @@ def open_live(
     listener = _Listener(reader, attempt)
     reader.listen(listener.has_heard_enough, _MOST, is_transform_topic)
     with naming(reader.path):
-        log = listener.log or attempt()
+        try:
+            log = listener.log or attempt()
+        except LogError:
+            if conversion.hint:
+                raise LogError(conversion.hint) from None
+            raise
     conversion.target = log.model  # of cameras of other detectors that come later
     return log
 
@@ -279,7 +294,7 @@ class _Listener:
         self._next = now + int(_AGAIN_S * 1e9)
         try:
             log = self._attempt()
-            if not log.model.n_markers:
+            if not any(camera.frames for camera in log.cameras):
                 return False
             self._people_since = self._people_since or now
             log.fixed_frame  # noqa: B018  # raises if transforms are missing

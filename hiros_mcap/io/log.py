@@ -319,25 +319,36 @@ def _camera(
     layout: Layout,
     first: Message,
 ) -> CameraChannel:
-    """Find out the names of a channel's cameras and frames from the first skeletons on it."""
-    seen: list[Frame] = []
+    """Find out the names of a channel's cameras and frames from the first people on it.
+
+    A message that shows nobody may name another frame, or none.
+    """
+    shown: list[Frame] = []
+    empty: list[Frame] = []
     failed: LogError | None = None
     for message in _after(first, reader):
         try:
-            decoded = decoder.decode_message(message.data, channel=info.id)
+            decoded = decoder.decode_message(message.data, message.log_time, channel=info.id)
         except LogError as error:
             failed = failed or error
             continue
-        if not seen or any(frame.n_people for frame in decoded):
-            seen = decoded
-        if any(frame.n_people for frame in seen):
+        shown += (frame for frame in decoded if frame.n_people)
+        empty = empty or decoded
+        if any(frame.frame_id for frame in shown) or len(shown) > _NAMELESS:
             break
-    if not seen and failed is not None:
+    if failed is not None and not (shown or empty):
         raise LogError(failed.fault, topic=info.topic)
-    sources = {frame.source: frame.source for frame in seen}
-    frames = tuple({frame.frame_id.lstrip("/"): 0 for frame in seen})
-    size = body_size(np.concatenate([frame.positions for frame in seen])) if seen else math.nan
-    return CameraChannel(info, layout, sources, frames, size)
+    named = [frame for frame in shown if frame.frame_id] or shown[:1]
+    sources = {frame.source: frame.source for frame in named or empty}
+    frames = tuple({frame.frame_id.lstrip("/"): 0 for frame in named})
+    size = body_size(np.concatenate([frame.positions for frame in named])) if named else math.nan
+    stamps = ((f.log_time, max(*f.stamps.tolist(), 0) or f.stamp) for f in named)
+    lag = next((logged - stamp for logged, stamp in stamps if stamp > 0), 0)
+    return CameraChannel(info, layout, sources, frames, size, lag)
+
+
+_NAMELESS = 100
+"""People without a coordinate frame, after whom a channel is taken to name none."""
 
 
 def _after(first: Message, reader: McapReader) -> Iterator[Message]:
@@ -349,14 +360,18 @@ def _after(first: Message, reader: McapReader) -> Iterator[Message]:
 
 
 def _name_cameras(seen: Sequence[CameraChannel]) -> list[CameraChannel]:
-    """Name each camera by what its messages call it, or by its topic where that is not unique."""
-    owners = Counter(source for camera in seen for source in camera.sources)
+    """Name each camera by what its messages call it, or by its topic where that is not unique.
+
+    Those that show nobody come last: the others are called as if they were not there.
+    """
+    owners = Counter(source for camera in seen if camera.frames for source in camera.sources)
+    blind = Counter(source for camera in seen if not camera.frames for source in camera.sources)
     named = []
     for camera in seen:
         topic, alone = camera.channel.topic, len(camera.sources) == 1
         names = {
             source: source
-            if source and owners[source] == 1
+            if source and owners[source] + (not camera.frames) * blind[source] == 1
             else topic
             if alone
             else f"{topic}:{source}"

@@ -11,11 +11,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hiros_mcap.events import counted
 from hiros_mcap.io.camera_clock import CameraTimes
 from hiros_mcap.io.channels import OUTPUT_PREFIX, CameraChannel
 from hiros_mcap.io.codec import Decoded, Decoder
 from hiros_mcap.io.container import Batch
 from hiros_mcap.skeletons import Flags, Frame, People, Stamps, widened
+from hiros_mcap.summary import quantity
 
 STALE = "repeat the one before"
 DAMAGED = "cannot be decoded"
@@ -23,6 +25,10 @@ FAR_FUTURE = "log time after the year 2262"
 """Frames count ns in 63 bits; MCAP has 64."""
 LATEST = 2**63 - 1
 _NO_TIME = frozenset([0])
+_ODD_NS = 3600 * 10**9
+"""A stamp of nobody that is farther from those of the people means nothing."""
+_NAMED = 3
+"""Joints at 0 0 0 that a note names."""
 
 
 @dataclass(slots=True)
@@ -38,10 +44,43 @@ class Account:
     """Skeletons left out of used messages because the camera had sent exactly them before."""
     cleaned: Counter[str] = field(default_factory=Counter)
     """Numbers taken out because they cannot be true, by kind (see kernels.batch)."""
+    people: int = 0
+    """Skeletons with a joint."""
+    empty_at_first: int = 0
+    """Messages before the first that shows somebody."""
+    zeros: Counter[int] = field(default_factory=Counter)
+    """Skeletons with a joint at exactly 0 0 0, which is taken as not seen; by the marker's slot."""
     untimed: int = 0
-    """Frames without a time of their own, to which the log time was given."""
+    """Frames of people without a time of their own, to which the log time was given."""
     first_error: str = ""
     """What was wrong with the first message that could not be decoded."""
+
+    def notes(self, joints: Sequence[str]) -> Iterator[str]:
+        """Yield what was odd in the messages; ``joints`` are the names of the markers."""
+        if self.stale:
+            skeletons = quantity(self.stale, "repeated skeleton")
+            yield f"{self.topic}: {skeletons} ignored, in messages that also show somebody anew"
+        for kind, n in sorted(self.cleaned.items()):
+            yield f"{self.topic}: {counted(kind, n)}"
+        named = Counter({joints[slot]: n for slot, n in self.zeros.items()})
+        if text := zeros_in_words(named, self.people):
+            yield f"{self.topic}: {text}"
+        if self.untimed:
+            yield (
+                f"{self.topic}: {quantity(self.untimed, 'message')} without a time, or with one "
+                "before 1970; hiros uses the log time instead"
+            )
+
+
+def zeros_in_words(zeros: Counter[str], people: int) -> str:
+    """Return which joints were at exactly 0 0 0, in which part of the skeletons; "" if none was."""
+    often = [(joint, 100 * n / people) for joint, n in zeros.most_common() if n]
+    if not often:
+        return ""
+    shares = (f"{'<1' if part < 1 else round(part)} % of {joint}" for joint, part in often[:_NAMED])
+    others = quantity(len(often) - _NAMED, "other joint")
+    more = f" (and {others}, not more often)" if len(often) > _NAMED else ""
+    return f"{', '.join(shares)} at exactly 0 0 0, taken as not seen{more}"
 
 
 Row = tuple[str, int, int, str, str, int, int]
@@ -59,6 +98,11 @@ class CameraInput:
         self.topic = camera.channel.topic
         self._names = dict(camera.sources)
         self._only = next(iter(self._names)) if len(self._names) == 1 else ""
+        self._frame = camera.frames[0] if len(camera.frames) == 1 else ""
+        self._lag = camera.lag
+        """Log time minus stamp, ns, of the latest people with a stamp."""
+        self._latest = 0
+        """Their stamp, ns; 0 before there were any."""
         self._account = account
         self._previous: dict[str, _Sent] = {}
 
@@ -80,14 +124,21 @@ class CameraInput:
             return []
         if i in decoded.cleaned:
             account.cleaned.update(decoded.cleaned[i])
+        if i in decoded.zeros:
+            account.zeros.update(dict(enumerate(decoded.zeros[i].tolist())))
         rows: list[Row] = []
         stale = 0
         for source, frame_id, begin, end in decoded.parts[i]:
             # A message without people does not name its camera.
             sent, camera = times[begin:end], source if end > begin else self._only or source
             stamp = max(sent, default=0) or max(0, decoded.stamps[i])
-            if not stamp:
+            account.people += end - begin
+            if sent and stamp:
+                self._lag, self._latest = log_time - stamp, stamp
+            elif sent:
                 account.untimed += 1
+            else:
+                stamp = self._stamp_of_nobody(stamp, log_time)
             last, n_fresh = self._previous.get(camera), end - begin
             if last is not None and not set(sent).difference(_NO_TIME).isdisjoint(last[0]):
                 n_fresh = _repeats_last(people, begin, sent, last)
@@ -96,16 +147,26 @@ class CameraInput:
             stale += end - begin - n_fresh
             if n_fresh or not sent:  # else the camera sent all of it before
                 name = self._names.get(camera, camera or self.topic)
-                frame = frame_id.lstrip("/")
+                frame = frame_id.lstrip("/") or self._frame
                 rows.append(
                     (self.topic, stamp or log_time, log_time, name, frame, begin, begin + n_fresh)
                 )
+        account.empty_at_first += not account.people
         if rows:
             account.used += 1
             account.stale += stale
         else:
             account.skipped[STALE] += 1
         return rows
+
+    def _stamp_of_nobody(self, stamp: int, log_time: int) -> int:
+        """Return the time, ns, of a message that shows nobody and needs no stamp, or no right one.
+
+        The camera's clock may be another one than the recorder's.
+        """
+        likely = max(log_time - self._lag, 0)
+        near = any(abs(stamp - time) <= _ODD_NS for time in (likely, self._latest) if time)
+        return stamp if stamp and near else likely
 
 
 def _repeats_last(people: People, begin: int, times: Sequence[int], last: _Sent) -> int:

@@ -243,9 +243,9 @@ class Log:
         Raises LogError if the cameras' frames are not all joined to it.
         """
         frames = [name for camera in self.cameras for name in camera.frames]
-        if not frames:  # no camera sent anything
-            return self.wanted_frame or ""
         self.check_fixed_frame()
+        if not frames:  # no camera shows anybody
+            return self.wanted_frame or self.transforms.only_root
         self._check_names()
         with naming(self.path):
             fixed = self.wanted_frame or self.transforms.common_root(frames)
@@ -331,8 +331,10 @@ class Log:
 
     def _remarks(self) -> Iterator[str]:
         yield from self.transforms.remarks
-        if self.model.n_markers == 0 and self._sent:
+        if self._sent and not any(camera.frames for camera in self.cameras):
             yield "the room is empty: no camera sees anybody"
+        elif blind := [c.channel.topic for c in self.cameras if c.channel.count and not c.frames]:
+            yield f"{', '.join(blind)}: nobody is in view in the whole log"
         if topics := [camera.channel.topic for camera in self.cameras if "" in camera.frames]:
             unused = " and does not use the log's transforms" if len(self.transforms) else ""
             yield (

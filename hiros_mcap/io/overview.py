@@ -33,7 +33,7 @@ from hiros_mcap.io.detectors.conversion import Selection
 from hiros_mcap.io.log import Log, Reading, open_log, open_reader
 from hiros_mcap.io.result import stored_parameters, stored_report, values_of
 from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
-from hiros_mcap.summary import plain
+from hiros_mcap.summary import plain, quantity
 
 _GAP_S = 1.0
 _STAMP = struct.Struct("<iI")  # seconds, nanoseconds
@@ -232,10 +232,19 @@ def _with_cameras(overview: Overview, log: Log) -> Overview:
         markers=log.model.marker_names,
         links=log.model.link_names,
         warnings=log.warnings if fixed else (),
-        remarks=log.remarks,
+        remarks=(*log.remarks, *_notes(reading)),
         skipped={t: dict(account.skipped) for t, account in reading.accounts.items()},
         clocks=clocks_in_words(clock_verdict(log.times()), start),
     )
+
+
+def _notes(reading: Reading) -> Iterator[str]:
+    """Yield what was odd in the messages."""
+    for account in reading.accounts.values():
+        if account.people and account.empty_at_first:
+            n = quantity(account.empty_at_first, "message")
+            yield f"{account.topic}: nobody is in view at the beginning, for {n}"
+        yield from account.notes(reading.log.model.marker_names)
 
 
 def _of_bag(path: Path, kind: str, fault: str) -> Overview:
@@ -428,13 +437,16 @@ def _camera_rows(reading: Reading, fixed: str) -> Iterator[CameraRow]:
     seen: dict[str, list[tuple[int, int]]] = {name: [] for name in topics}  # stamp, people
     logged: dict[str, tuple[int, int]] = {}  # first and last
     for frame in reading.frames():
-        topics.setdefault(frame.source, ("", frame.frame_id))
+        topic, named = topics.get(frame.source, ("", ""))
+        topics[frame.source] = topic, named or frame.frame_id
         seen.setdefault(frame.source, []).append((frame.stamp, frame.n_people))
         first, _ = logged.get(frame.source, (frame.log_time, 0))
         logged[frame.source] = first, frame.log_time
     begin, end = log.span
     for name, (topic, frame_id) in topics.items():
         people = [n for _, n in seen[name]]
+        if (fault := _unresolved(log, frame_id, fixed)) and not any(people):
+            frame_id = fault = ""  # of a camera that shows nobody, nothing depends on its frame
         steps = [(b - a) / 1e9 for (a, _), (b, _) in pairwise(sorted(seen[name])) if b > a]
         steady = [step for step in steps if step <= _GAP_S]
         # A camera may begin late, or stop: what other cameras' log times show.
@@ -444,7 +456,7 @@ def _camera_rows(reading: Reading, fixed: str) -> Iterator[CameraRow]:
             name=name,
             topic=topic,
             frame=frame_id,
-            fault=_unresolved(log, frame_id, fixed),
+            fault=fault,
             frames=len(people),
             rate_hz=len(steady) / sum(steady) if steady else math.nan,
             longest_gap_s=max(steps, default=math.nan),

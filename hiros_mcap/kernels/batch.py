@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -11,11 +12,13 @@ from hiros_mcap.kernels.cdr import (
     COUNT,
     FRAME,
     FRAME_END,
+    LINK_ENDS_AT,
     OK,
     TOO_NARROW,
     Tables,
     decode,
     read_header,
+    slot_of,
 )
 from hiros_mcap.kernels.compile import entry, kernel, rows_of
 from hiros_mcap.kernels.people_rows import PoseArrays, move
@@ -29,11 +32,11 @@ START, STOP = 0, 1
 LIMIT = 1e4  # largest believable number: m, m/s, rad/s, m/s2, rad/s2
 
 # Elements of the counts.
-COUNTS = 6
-ABSURD, INCOMPLETE, NO_ROTATION, NOT_UNIT, ABOVE_ONE, NEGATIVE = range(COUNTS)
+COUNTS = 7
+ABSURD, INCOMPLETE, NO_ROTATION, NOT_UNIT, ABOVE_ONE, NEGATIVE, NOBODY = range(COUNTS)
 KINDS = (
     "absurd number", "incomplete vector", "quaternion of length 0", "quaternion normalised",
-    "confidence above 1", "negative confidence",
+    "confidence above 1", "negative confidence", "nobody",
 )  # fmt: skip
 """What the counts are called in reports."""
 
@@ -104,6 +107,58 @@ def _confidence(confidences: Floats, k: int, counts: Stamps) -> None:
 
 
 @kernel
+def _is_zero(states: Floats, p: int, n: int) -> bool:
+    """Whether the position of state (p, n) is exactly 0 0 0."""
+    return states[p, n, 0] == 0.0 and states[p, n, 1] == 0.0 and states[p, n, 2] == 0.0
+
+
+@kernel
+def _unset(states: Floats, p: int, n: int, confidences: Floats) -> None:
+    """Make state (p, n) absent."""
+    for k in range(states.shape[2]):
+        states[p, n, k] = np.nan
+    confidences[p, n] = np.nan
+
+
+@kernel
+def take_out_zeros(people: People, tables: Tables, zeros: Stamps) -> None:
+    """Make markers at exactly 0 0 0 absent, in place: detectors write so what they did not see.
+
+    No joint is where the camera is, to the last bit. The confidence does not matter. A link is
+    absent, too, if one of its ends is: its numbers were made of the 0 0 0. ``zeros`` (M,) are added
+    to, but not for a person with no other marker, who is nobody.
+    """
+    markers = people.markers
+    for person in range(len(people.ids)):
+        found, shown = 0, False
+        for slot in range(markers.shape[1]):
+            if _is_zero(markers, person, slot):
+                found += 1
+            else:
+                shown |= not math.isnan(markers[person, slot, 0])
+        if not found:
+            continue
+        for link in range(people.links.shape[1]):
+            for end in range(2):
+                slot = slot_of(tables.markers, tables.links[link, LINK_ENDS_AT + end])
+                if slot >= 0 and _is_zero(markers, person, slot):
+                    _unset(people.links, person, link, people.link_confidences)
+        for slot in range(markers.shape[1]):
+            if _is_zero(markers, person, slot):
+                _unset(markers, person, slot, people.marker_confidences)
+                zeros[slot] += shown
+
+
+@kernel
+def _is_somebody(markers: Floats, person: int) -> bool:
+    """Whether any marker of a person is there."""
+    for slot in range(markers.shape[1]):
+        if not math.isnan(markers[person, slot, 0]):
+            return True
+    return False
+
+
+@kernel
 def clean(people: People, counts: Stamps) -> None:
     """Take out numbers that cannot be true, in place; ``counts`` (COUNTS,) are added to.
 
@@ -113,7 +168,8 @@ def clean(people: People, counts: Stamps) -> None:
     - NOT_UNIT: a quaternion's length was off by more than 1e-3. It becomes 1, also after smaller
       errors, which are not counted;
     - ABOVE_ONE: a confidence becomes 1; an infinite one is absurd;
-    - NEGATIVE: a confidence becomes NaN, since detectors mean by -1 that they give none.
+    - NEGATIVE: a confidence becomes NaN, since detectors mean by -1 that they give none;
+    - NOBODY: a person without any marker, who stays here and is left out by whoever decodes.
     """
     for person in range(len(people.ids)):
         _confidence(people.confidences, person, counts)
@@ -125,6 +181,7 @@ def clean(people: People, counts: Stamps) -> None:
         for slot in range(people.links.shape[1]):
             _confidence(people.link_confidences[person], slot, counts)
             _state(people.links[person, slot], counts)
+        counts[NOBODY] += not _is_somebody(people.markers, person)
 
 
 # All messages of some chunks.
@@ -141,6 +198,8 @@ class Results(NamedTuple):
     cleaned: I2  # (N, COUNTS) numbers that were taken out, by kind (KINDS)
     sources: I2
     """(P, 2) first byte of each person's src_frame in its message, and the one after the last."""
+    zeros: I2
+    """(N, M) people of each message, of whom it has a marker at exactly 0 0 0."""
 
 
 # As short as it is, giving up the GIL would take longer.
@@ -181,6 +240,7 @@ def decode_messages(
             return False
         if results.codes[i] != OK or exact:
             continue
+        take_out_zeros(mine, tables, results.zeros[i])
         clean(mine, results.cleaned[i])
         if results.pose_of[i] >= 0:
             move(poses, results.pose_of[i], mine)

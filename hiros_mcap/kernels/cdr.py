@@ -314,7 +314,7 @@ def _same_name(data: Bytes, start: int, end: int, words: Words, row: Table) -> b
 
 
 @kernel
-def _slot(table: Table, wanted: int) -> int:
+def slot_of(table: Table, wanted: int) -> int:
     """Return the row of an id by bisection, -1 if it has none."""
     low, high = 0, len(table)
     while low < high:
@@ -344,7 +344,7 @@ def _identify(
     fault, after = _element(data, at, swap, report)
     if fault != OK:
         return fault, -1, after
-    slot = _slot(table, report[ID])
+    slot = slot_of(table, report[ID])
     if slot < 0:
         return UNKNOWN_MARKER, -1, after
     if not _same_name(data, report[NAME], report[NAME_END], words, table[slot]):
@@ -408,7 +408,7 @@ def _markers(
 @kernel
 def _is_end(marker: int, expected: int, marker_table: Table) -> bool:
     """Whether a link's parent or child is the marker that the model has there."""
-    return marker == expected or (expected > _INT32_MAX and _slot(marker_table, marker) < 0)
+    return marker == expected or (expected > _INT32_MAX and slot_of(marker_table, marker) < 0)
 
 
 @kernel

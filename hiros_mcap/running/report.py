@@ -25,7 +25,7 @@ from hiros_mcap.events import (
     counted,
 )
 from hiros_mcap.io.channels import OUTPUT_PREFIX
-from hiros_mcap.io.log import DAMAGED, FAR_FUTURE, STALE, Account, CameraChannel, Log, Reading
+from hiros_mcap.io.log import DAMAGED, FAR_FUTURE, STALE, CameraChannel, Log, Reading
 from hiros_mcap.running.clock_alignment import clock_notes, clock_warnings
 from hiros_mcap.running.observe import Observer, Presence
 from hiros_mcap.running.preparation import Prepared
@@ -311,7 +311,7 @@ class Report:
         yield from self._displaced_for_a_while()
         yield from self.reading.remarks
         for account in self.reading.accounts.values():
-            yield from _input_notes(account)
+            yield from account.notes(self.log.model.marker_names)
         total = self.run.events.total
         for kind in sorted({kind for kind, _ in self.run.events.counts} - _IN_TABLES):
             yield f"{counted(kind, total(kind))}{self._by_camera(kind)}"
@@ -335,21 +335,6 @@ def _loss(camera: CameraSummary, lost: Mapping[str, int], wait: str) -> str:
         f"{camera.topic}: {share} of {quantity(camera.messages, 'message')} not used ({reasons}); "
         f"{_REMEDIES[worst].format(wait=wait)}"
     )
-
-
-def _input_notes(account: Account) -> Iterator[str]:
-    """Yield what was odd in the messages of a topic."""
-    topic = account.topic
-    if account.stale:
-        skeletons = quantity(account.stale, "repeated skeleton")
-        yield f"{topic}: {skeletons} ignored, in messages that also show somebody anew"
-    for kind, n in sorted(account.cleaned.items()):
-        yield f"{topic}: {counted(kind, n)}"
-    if account.untimed:
-        yield (
-            f"{topic}: {quantity(account.untimed, 'message')} without a time, or with one before "
-            "1970; hiros uses the log time instead"
-        )
 
 
 def scatter_of(events: Events) -> float:

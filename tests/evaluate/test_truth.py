@@ -34,7 +34,7 @@ TRC = (
 )
 
 TINY = "time,marker,x,y,z\n" + "".join(
-    f"{time},{name},0,{y},0\n"
+    f"{time},{name},0,{y},1\n"
     for time in (0, 0.1)
     for name, y in (("A", 0), ("B", 0.001), ("C", 0.002))
 )

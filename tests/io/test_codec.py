@@ -475,7 +475,7 @@ def clean(frame):
 
 
 def test_a_frame_with_nothing_wrong_stays_as_it_is():
-    for frame in (full(stick(), 3), Frame.empty(2, stick(), source="a", frame_id="b")):
+    for frame in (full(stick(), 3), Frame.empty(0, stick(), source="b", frame_id="b")):
         cleaned, counts = clean(frame)
         assert gen.same(cleaned, frame)
         assert counts == {}

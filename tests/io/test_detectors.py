@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 import tempfile
+from dataclasses import replace
 from importlib.metadata import EntryPoint
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -116,7 +117,10 @@ def test_every_reader_declines_what_is_not_its_own(reader):
             "/costmap", "visualization_msgs/MarkerArray", 0, bytes(empty),
             lambda data: made.ROS2.deserialize_cdr(data, made.MARKERS),
         )  # fmt: skip
-        assert reader().read(decoded) is None
+        assert reader().read(decoded) == []  # it may be of any use
+        arrow = made.ROS2.types[made.MARKERS]([made.default("visualization_msgs/msg/Marker")])
+        data = bytes(made.ROS2.serialize_cdr(arrow, made.MARKERS))
+        assert reader().read(replace(decoded, cdr=data)) is None
     assert list(reader().rest()) == []
     assert message.fields is None
 
@@ -422,3 +426,110 @@ def test_a_reader_that_cannot_be_loaded_is_named(monkeypatch):
     with pytest.raises(ConfigError, match=r"detector reader lab \(nowhere.reader:Lab\)"):
         detector_readers()
     detectors._installed.cache_clear()
+
+
+# Azure Kinect: which markers are bodies
+
+
+OLD_SDK = [j for j in range(32) if j not in (8, 9, 10, 15, 16, 17)]
+"""Joints of today's SDK in the order of the first SDKs."""
+
+
+def with_spheres(kept, topic="body_tracking_data"):
+    """MarkerArrays with some of the spheres; ``kept`` is the new number of each joint."""
+
+    def make(scene):
+        for row in azure(scene):
+            spheres = made.markers_of(row)
+            for one in spheres:
+                one.id = one.id - one.id % 100 + kept.get(one.id % 100, -1)
+            some = [one for one in spheres if one.id % 100 != 99]
+            name = row[0].replace("body_tracking_data", topic)
+            yield (name, *made.with_markers(row, some)[1:])
+
+    return make
+
+
+TRUSTED = [0, 1, 2, 3, 5, 12, 18, 22, 26]
+FEWER = {
+    "an old SDK": ({j: k for k, j in enumerate(OLD_SDK)}, "body_tracking_data", 26),
+    "an old SDK, renamed": ({j: k for k, j in enumerate(OLD_SDK)}, "people", 26),
+    "no head": ({j: j for j in range(26)}, "body_tracking_data", 26),
+    "no hands": ({j: j for j in OLD_SDK}, "people", 26),
+    "trusted": ({j: j for j in TRUSTED}, "body_tracking_data", 9),
+}
+
+
+@pytest.mark.parametrize("case", FEWER)
+def test_fewer_joints_are_told_by_their_ids(case, logs, scene, tmp_path):
+    kept, topic, n = FEWER[case]
+    path = write_ros2(tmp_path / "log.mcap", scene, with_spheres(kept, topic))
+    with open_log(path) as log, open_log(logs["azure kinect"]) as whole:
+        assert log.model.n_markers == n
+        slots = [whole.model.marker_names.index(name) for name in log.model.marker_names]
+        for frame, other in zip(log.detections(), whole.detections(), strict=True):
+            np.testing.assert_array_equal(frame.positions, other.positions[:, slots])
+        assert any("joints" in text and "/camera_0/" in text for text in log.remarks)
+
+
+def test_too_few_spheres_are_counted_in_the_error(scene, tmp_path, capsys):
+    kept = {j: j for j in TRUSTED}
+    path = write_ros2(tmp_path / "log.mcap", scene, with_spheres(kept, "spheres"))
+    with pytest.raises(LogError, match=r"/camera_0/spheres: .*: 9 markers a body, 32 are read"):
+        open_log(path)
+    assert run(["info", str(path)]) == 0
+    assert "9 markers a body, 32 are read" in " ".join(capsys.readouterr().out.split())
+    assert run(["process", str(path), "-o", str(tmp_path / "out.mcap")]) == 2
+    assert not (tmp_path / "out.mcap").exists()
+
+
+def test_ids_in_a_row_are_no_joints(scene, tmp_path):
+    def in_a_row(scene):
+        for row in azure(scene):
+            spheres = made.markers_of(row)
+            for k, one in enumerate(spheres):
+                one.id = k
+            yield made.with_markers(row, spheres)
+
+    path = write_ros2(tmp_path / "log.mcap", scene, in_a_row)
+    with pytest.raises(LogError, match=r"ids should be body \* 100 \+ joint"):
+        open_log(path)
+
+
+# ZED and ROS4HRI: what cannot be true
+
+
+def test_a_body_that_the_zed_only_guesses_is_not_trusted(scene, tmp_path):
+    def change(message):
+        for one in message.objects[:1]:
+            one.tracking_state, one.label_id = 2, -5
+
+    def guessed(scene):
+        return (made.with_objects(row, change) for row in zed("zed-38")(scene))
+
+    with open_log(write_ros2(tmp_path / "log.mcap", scene, guessed)) as log:
+        frames = [frame for frame in log.detections() if frame.n_people == 2]
+    assert len(frames) > 20
+    for frame in frames:
+        assert frame.ids[0] == -1
+        assert frame.confidences.tolist() == pytest.approx([0.0, 0.8])
+        assert not np.isnan(frame.positions[0]).all()
+        assert np.nanmax(frame.marker_confidences[0]) == 0.0
+
+
+def test_a_long_chain_of_frames_is_read(scene, tmp_path):
+    names = body_model("ros4hri").marker_names
+    chain = ["body", *(f"f{k}" for k in range(3000))]
+    rows = [("camera_0", "body_x", (0, 0, 3), (0, 0, 0, 1))]
+    rows += [(f"{a}_x", f"{b}_x", (0, 0, 0.001), (0, 0, 0, 1)) for a, b in pairwise(chain)]
+    rows += [(f"{chain[-1]}_x", f"{name}_x", (k, 0, 0), (0, 0, 0, 1)) for k, name in
+             enumerate(names) if name != "body"]  # fmt: skip
+
+    def humans(scene):
+        for t in range(5):
+            stamp = 1_700_000_000_000_000_000 + t * 100_000_000
+            yield "/tf", made.TF, stamp, made.tf_message(stamp, rows)
+
+    with open_log(write_ros2(tmp_path / "log.mcap", scene, humans)) as log:
+        (frame, *_) = [frame for frame in log.frames() if frame.n_people]
+    assert frame.positions[0, 5, 2] == pytest.approx(6.0)

@@ -346,7 +346,8 @@ def _later_poses(log: Log, camera: CameraChannel) -> dict[float, Rigid]:
 def _camera_name(camera: CameraChannel, source: str, cameras: list[CameraChannel]) -> str:
     """Return the coordinate frame's name if that is enough to tell cameras apart."""
     shared = sum(camera.frames == other.frames for other in cameras) > 1
-    return source if shared or len(camera.sources) > 1 else camera.frames[0]
+    is_enough = len(camera.sources) == len(camera.frames) == 1 and not shared
+    return camera.frames[0] if is_enough else source
 
 
 def kind_of(topic: str) -> str:

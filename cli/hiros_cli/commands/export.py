@@ -198,6 +198,9 @@ def import_(
     prepare(quiet=quiet)
     from hiros_mcap.io.joints.importing import import_joints
 
-    written = import_joints(sources, output, mapping, warn)
+    notes: list[str] = []
+    written = import_joints(sources, output, mapping, warn, notes.append)
     if not quiet:
         print(f"wrote {sum(written.values())} messages on {len(written)} channels to {output}")
+        for text in notes:
+            print(f"note: {text}")

@@ -134,6 +134,12 @@ class LiveReader(McapReader):
             self.counts[message.channel_id] += 1
             yield message
 
+    def hide(self, ident: int) -> None:
+        """Forget a channel whose messages become those of another one, also in the preface."""
+        if ident not in self.hidden:
+            self.hidden.add(ident)
+            self.preface = [m for m in self.preface if m.channel_id != ident]
+
     def define(self, *records: Channel | Schema) -> None:
         """Take definitions of what messages become."""
         for record in records:

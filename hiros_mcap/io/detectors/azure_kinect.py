@@ -1,16 +1,20 @@
 """Bodies of the Azure Kinect ROS driver: one sphere per joint in a MarkerArray.
 
 The driver publishes a message per capture on ``body_tracking_data``, with the positions in metres
-in the frame of the depth camera. The id of a marker is the body's id times 100 plus the joint's
-number in the Body Tracking SDK (``K4AROSDevice::getBodyMarker`` in src/k4a_ros_device.cpp). There
-are no confidences. Forks for ROS 2 publish the same.
+in the frame of the depth camera; one without markers if it sees nobody. The id of a marker is the
+body's id times 100 plus the joint's number in the Body Tracking SDK
+(``K4AROSDevice::getBodyMarker`` in src/k4a_ros_device.cpp). There are no confidences. Forks for
+ROS 2 publish the same; some leave out joints that they do not trust, or delete the markers of the
+capture before. Old SDKs have 26 joints: the same without hands, hand tips and thumbs, numbered
+without gaps (``k4abt_joint_id_t`` in k4abttypes.h).
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
-from typing import Any
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,17 +25,42 @@ from hiros_mcap.io.detectors.detector_reader import (
     DetectorMessage,
     DetectorReader,
     SeenPeople,
+    nanoseconds,
     seen_people,
 )
 from hiros_mcap.skeletons import ORIENTATION, Floats, Stamps
+from hiros_mcap.summary import quantity
 
 TOPIC = "body_tracking_data"
 _SPHERE, _ADD = 2, 0
+_DELETIONS = (2, 3)
+"""Actions that take away a marker, or all."""
 _LITTLE = b"\0\1"
 _FIRST = 8  # byte of the first marker, behind the encapsulation and the number of markers
 _LONGEST = 256  # bytes of a marker's namespace
 _FACTOR = 100
 """Between the ids of two bodies."""
+_FEWEST = 20
+"""Joints of a body, on a topic of any name, that tell it from other spheres."""
+_HANDS = np.array([8, 9, 10, 15, 16, 17])
+_OLD = np.setdiff1d(np.arange(32), _HANDS)
+"""Joint of today's SDK by its number in an SDK of 26 joints."""
+_TELLING = 10
+"""Links of which both ends are there, that tell the SDKs apart."""
+
+
+class Spheres(NamedTuple):
+    """N markers of a capture."""
+
+    stamp: int
+    """ns."""
+    frame_id: str
+    ids: Stamps
+    """(N,)."""
+    kinds: Stamps
+    """(N, 2) types and actions."""
+    poses: Floats
+    """(N, 7) positions, m, and orientations x y z w."""
 
 
 class AzureKinectMarkers(DetectorReader):
@@ -41,55 +70,132 @@ class AzureKinectMarkers(DetectorReader):
 
     def __init__(self) -> None:
         self._model = body_model("azure-kinect")
-        self._frames: dict[str, str] = {}
+        self._known: set[str] = set()
+        """Topics that have shown bodies."""
+        self._old: dict[str, bool] = {}
+        """Topic -> whether its joints are numbered as those of an SDK of 26."""
+        self._bodies: Counter[str] = Counter()
+        self._fewer: Counter[str] = Counter()
+        """Bodies by topic: all, and those with fewer joints than the SDK has."""
 
     def read(self, message: DetectorMessage) -> Iterable[SeenPeople] | None:
-        """Group the markers by body; an empty message names no frame, so the last one counts.
+        """Group the markers by body; a message without markers is of a camera that sees nobody.
 
-        Raises LogError for a message that is cut off.
+        On a topic that may be of any use it tells nothing. Raises LogError for a message that is
+        cut off.
         """
         data = bytes(message.cdr)
+        known = message.topic in self._known or message.topic.rpartition("/")[2] == TOPIC
+        nobody = [self._nobody(message)] if known else []
         if data[4:_FIRST] == bytes(4):  # no markers
-            named = message.topic.rpartition("/")[2] == TOPIC
-            return [self._nobody(message)] if named else None
-        gathered = _gathered(data)
-        if gathered is None:
-            _ = message.fields  # says that it is damaged; otherwise it has other markers
+            return nobody
+        spheres = _added(_gathered(data) or _decoded(message.fields.markers))
+        if not len(spheres.ids):
+            return nobody
+        if not self._are_joints(spheres, 1 if known else _FEWEST):
+            self.hint = self.hint or _hint(message.topic, spheres)
             return None
-        stamp, frame_id, ids, kinds, poses = gathered
-        if not self._are_joints(ids) or (kinds != (_SPHERE, _ADD)).any():
-            return None
-        self._frames[message.topic] = frame_id
-        bodies, rows = np.unique(ids // _FACTOR, return_inverse=True)
-        joints = np.full((len(bodies), self._model.n_markers, 7), np.nan)
-        joints[rows, ids % _FACTOR] = poses
+        bodies, joints = self._joints(message.topic, spheres)
         people = seen_people(
             self._model,
             message,
-            frame_id,
+            spheres.frame_id,
             joints[:, :, :3],
-            stamp=stamp,
+            stamp=spheres.stamp,
             ids=bodies.tolist(),
         )
         turned = (joints[:, :, 3:] != 0).any(axis=-1)
         people.frame.markers[turned, ORIENTATION] = joints[turned, 3:]
         return [people]
 
-    def _are_joints(self, ids: Stamps) -> bool:
-        n = self._model.n_markers
-        whole = len(ids) % n == 0 and len(np.unique(ids)) == len(ids)
-        return bool(whole and (ids >= 0).all() and (ids % _FACTOR < n).all())
+    def _are_joints(self, spheres: Spheres, fewest: int) -> bool:
+        """Whether markers are spheres with the ids of joints, and a body has ``fewest`` of them."""
+        ids, n_bodies = spheres.ids, len(np.unique(spheres.ids // _FACTOR))
+        return bool(
+            (spheres.kinds == (_SPHERE, _ADD)).all()
+            and len(ids) >= fewest * n_bodies
+            and len(np.unique(ids)) == len(ids)
+            and (ids >= 0).all()
+            and (ids % _FACTOR < self._model.n_markers).all()
+        )
+
+    def _joints(self, topic: str, spheres: Spheres) -> tuple[Stamps, Floats]:
+        """Ids of the bodies (P,), and the poses of their joints (P, M, 7); NaN where one lacks."""
+        bodies, rows = np.unique(spheres.ids // _FACTOR, return_inverse=True)
+        joints = np.full((len(bodies), self._model.n_markers, 7), np.nan)
+        joints[rows, spheres.ids % _FACTOR] = spheres.poses
+        self._known.add(topic)
+        self._bodies[topic] += len(bodies)
+        self._fewer[topic] += int(np.isnan(joints[:, :, 0]).any(axis=1).sum())
+        renumbered = np.full_like(joints, np.nan)
+        renumbered[:, _OLD] = joints[:, : len(_OLD)]
+        if not np.isnan(joints[:, len(_OLD) :]).all():
+            self._old[topic] = False
+        elif topic not in self._old:
+            # By wrong numbers, links join joints that are far from each other.
+            new, old = (self._lengths(each[:, :, :3]) for each in (joints, renumbered))
+            if min(len(new), len(old)) < _TELLING:
+                return bodies, joints
+            self._old[topic] = bool(old.mean() < new.mean())
+        return bodies, renumbered if self._old[topic] else joints
+
+    def _lengths(self, positions: Floats) -> Floats:
+        """(K,) lengths of the links of which both ends are there, m."""
+        parents, children = self._model.links.T
+        lengths = np.linalg.norm(positions[:, parents] - positions[:, children], axis=-1).ravel()
+        return np.asarray(lengths[~np.isnan(lengths)])
+
+    def remarks(self) -> Iterator[str]:
+        """Say which bodies have fewer joints than the SDK knows."""
+        for topic, n in self._fewer.items():
+            if self._old.get(topic):
+                yield f"{topic}: {len(_OLD)} joints a body, as old SDKs number them, without hands"
+            elif n:
+                yield (
+                    f"{topic}: {quantity(n, 'skeleton')} of {self._bodies[topic]} with fewer than "
+                    f"{self._model.n_markers} joints; the others are taken as not seen"
+                )
 
     def _nobody(self, message: DetectorMessage) -> SeenPeople:
-        empty = np.empty((0, self._model.n_markers, 3))
-        return seen_people(self._model, message, self._frames.get(message.topic, ""), empty)
+        return seen_people(self._model, message, "", np.empty((0, self._model.n_markers, 3)))
 
 
-def _gathered(data: bytes) -> tuple[int, str, Stamps, Stamps, Floats] | None:
-    """Find the N markers of a capture, which all have one header; None where that does not hold.
+def _hint(topic: str, spheres: Spheres) -> str:
+    """Return why spheres are no bodies; "" if there are none."""
+    is_sphere = (spheres.kinds == (_SPHERE, _ADD)).all(axis=1)
+    n, n_bodies = int(is_sphere.sum()), len(np.unique(spheres.ids[is_sphere] // _FACTOR))
+    if not n:
+        return ""
+    return (
+        f"{topic}: no bodies of the Azure Kinect driver: {n / n_bodies:.0f} markers a body, 32 are "
+        f"read, or {_FEWEST} and more; ids should be body * {_FACTOR} + joint, the joint 0 to 31. "
+        f"Fewer are read on a topic that ends in {TOPIC}"
+    )
 
-    Returns the stamp, ns; the frame_id; the ids, (N,); types and actions, (N, 2); positions, m, and
-    orientations x y z w, (N, 7).
+
+def _added(spheres: Spheres) -> Spheres:
+    """Leave out the markers that only take others away."""
+    kept = ~np.isin(spheres.kinds[:, 1], _DELETIONS)
+    return spheres._replace(
+        ids=spheres.ids[kept], kinds=spheres.kinds[kept], poses=spheres.poses[kept]
+    )
+
+
+def _decoded(markers: Sequence[Any]) -> Spheres:
+    """Return the markers of a capture; the header is that of the first that adds something."""
+    header = next((one.header for one in markers if one.action == _ADD), markers[0].header)
+    places = ((one.pose.position, one.pose.orientation) for one in markers)
+    return Spheres(
+        nanoseconds(header.stamp),
+        header.frame_id,
+        np.array([one.id for one in markers], np.int64),
+        np.array([(one.type, one.action) for one in markers], np.int64),
+        np.array([(p.x, p.y, p.z, q.x, q.y, q.z, q.w) for p, q in places], np.float64),
+    )
+
+
+def _gathered(data: bytes) -> Spheres | None:
+    """Find the markers of a capture, which all have one header; None where that does not hold.
 
     The header's bytes show where each marker begins. What stands behind the pose differs between
     the versions of ROS and is passed over. Decoding the fields takes fifty times as long.
@@ -118,7 +224,7 @@ def _gathered(data: bytes) -> tuple[int, str, Stamps, Stamps, Floats] | None:
     heads = _numbers(content, ids, "<i4", 3).astype(np.int64)
     frame_id = str(header[12 : 11 + length], "utf-8", "replace")
     stamp = sec * NANO + nanosec
-    return stamp, frame_id, heads[:, 0], heads[:, 1:], _numbers(content, poses, "<f8", 7)
+    return Spheres(stamp, frame_id, heads[:, 0], heads[:, 1:], _numbers(content, poses, "<f8", 7))
 
 
 def _numbers(content: npt.NDArray[np.uint8], places: Stamps, kind: str, n: int) -> Any:

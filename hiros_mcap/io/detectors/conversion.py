@@ -7,7 +7,7 @@ in memory. From there on it is read as any log.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from itertools import chain
@@ -115,7 +115,9 @@ def converted(reader: McapReader, selection: Selection) -> McapReader:
     sources = _sources(reader, selection)
     if selection.is_usual and not any(source.needs_conversion for source in sources):
         return reader
-    layouts = _probe(reader, sources)
+    layouts, hints = _probe(reader, sources)
+    if hints and not layouts and not any(s.type == SKELETONS and s.selected for s in sources):
+        raise LogError(hints[0])
     chosen = [
         s._replace(selected=s.selected and s.info.topic in layouts)
         for s in sources
@@ -214,8 +216,10 @@ def _read(
 
 def _probe(
     reader: McapReader, sources: Iterable[InputChannel]
-) -> dict[str, dict[str, SkeletonModel]]:
+) -> tuple[dict[str, dict[str, SkeletonModel]], list[str]]:
     """Look at the beginning of the channels: topic -> output topic -> model of its skeletons.
+
+    Also return why messages that look like skeletons are none.
 
     A channel is not in there if no message of its first _PROBED bytes shows people; transforms
     are looked at to their end.
@@ -224,17 +228,21 @@ def _probe(
     groups = [[s] for s in selected if s.type != TRANSFORMS]
     transforms = [s for s in selected if s.type == TRANSFORMS]
     layouts: dict[str, dict[str, SkeletonModel]] = {}
+    hints: list[str] = []
     for group in [*groups, transforms] if transforms else groups:
-        models = _models_of(reader, group)
+        readers = [kind() for kind in detector_readers()]
+        models = _models_of(reader, group, readers)
+        hints += (each.hint for each in readers if each.hint)
         if models:
             layouts |= {source.info.topic: models for source in group}
-    return layouts
+    return layouts, hints
 
 
-def _models_of(reader: McapReader, group: Iterable[InputChannel]) -> dict[str, SkeletonModel]:
+def _models_of(
+    reader: McapReader, group: Iterable[InputChannel], readers: Sequence[DetectorReader]
+) -> dict[str, SkeletonModel]:
     """Return the models that channels show, by output topic."""
     sources = {source.info.id: source for source in group}
-    readers = [kind() for kind in detector_readers()]
     models: dict[str, SkeletonModel] = {}
     size = 0
     for message in reader.messages(sources):
@@ -318,6 +326,22 @@ class Conversion:
             self._declined[topic] += 1
         yield from self._groups(people or ())
 
+    @property
+    def hint(self) -> str:
+        """Why messages that look like skeletons are none, if no channel shows any; else ""."""
+        hints = (reader.hint for reader in self._readers if reader.hint)
+        return "" if self._models else next(hints, "")
+
+    def known(self, model: SkeletonModel) -> SkeletonModel:
+        """Return the detector's model, or the target, that has all of ``model``; itself if none.
+
+        Joints that nobody has shown yet may come.
+        """
+        for whole in filter(None, (self.target, *self._models.values())):
+            if set(_named_slots(model)) <= set(_named_slots(whole)):
+                return whole
+        return model
+
     def rest(self) -> Iterator[RosMessage]:
         """Yield what is held back until the end of the log."""
         for reader in self._readers:
@@ -371,6 +395,8 @@ class Conversion:
                 f"{quantity(len(missing), 'joint')}, left out of "
                 f"{quantity(max(missing.values()), 'message')}: {names}"
             )
+        for reader in self._readers:
+            yield from reader.remarks()
         for topic, n in self._declined.items():
             if n:
                 yield f"{topic}: {quantity(n, 'message')} without skeletons left out"
@@ -394,6 +420,12 @@ class Conversion:
 def _is_of_one_body(transforms: Any) -> bool:
     """Whether all frames of a message belong to one human, so that no camera needs them."""
     return len({t.child.rpartition("_")[2] for t in parse_tf(transforms)}) == 1
+
+
+def _named_slots(model: SkeletonModel) -> Iterator[tuple[int, str]]:
+    """Yield id and name of each marker and each link."""
+    yield from zip(model.marker_ids, model.marker_names, strict=True)
+    yield from zip(model.link_ids, model.link_names, strict=True)
 
 
 def _named(model: SkeletonModel) -> str:

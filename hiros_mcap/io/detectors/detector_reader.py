@@ -25,7 +25,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from hiros_mcap.skeletons import POSITION, Flags, Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import POSITION, Floats, Frame, SkeletonModel
 
 NANO = 1_000_000_000
 
@@ -69,9 +69,11 @@ class DetectorReader(ABC):
     Attributes
     ----------
     types : the message types that it is asked about, ``pkg/Type``.
+    hint : why messages were declined that look like the reader's own; "" if none does.
     """
 
     types: ClassVar[Sequence[str]]
+    hint: str = ""
 
     @abstractmethod
     def read(self, message: DetectorMessage) -> Iterable[SeenPeople] | None:
@@ -83,6 +85,10 @@ class DetectorReader(ABC):
 
     def rest(self) -> Iterable[SeenPeople]:
         """Return what is still held back at the end of the log."""
+        return ()
+
+    def remarks(self) -> Iterable[str]:
+        """Return what a user should know of the messages that were read."""
         return ()
 
 
@@ -129,8 +135,3 @@ def add_links(frame: Frame, model: SkeletonModel) -> None:
 def nanoseconds(stamp: Any) -> int:
     """Return the time, ns, of a ``builtin_interfaces/Time``."""
     return int(stamp.sec) * NANO + int(stamp.nanosec)
-
-
-def is_seen(positions: Floats) -> Flags:
-    """(...) which points (..., 3) are there: finite and not (0, 0, 0), which stands for none."""
-    return np.asarray(np.isfinite(positions).all(axis=-1) & positions.any(axis=-1))

@@ -34,6 +34,8 @@ _LEAST = 6
 
 _SAME_NS = 5_000_000
 """Frames whose stamps differ by less belong to one instant: several nodes publish them."""
+_BACK_NS = 1_000_000_000
+"""A stamp that is earlier by less comes late; otherwise the one before was wrong."""
 
 
 @dataclass(slots=True)
@@ -93,7 +95,7 @@ class HumanFrames(DetectorReader):
         camera = body.camera
         instant, _ = self._instants.get(camera, (0, message))
         done: list[SeenPeople] = []
-        if stamp > instant + _SAME_NS:
+        if not instant - _BACK_NS <= stamp <= instant + _SAME_NS:
             done += self._finish(camera)
             instant = stamp
         body.stamp = instant
@@ -130,14 +132,13 @@ class HumanFrames(DetectorReader):
 
 
 def _pose(body: _Human, part: str, name: str, poses: dict[str, Rigid]) -> Rigid:
-    """Pose of a frame in the camera's frame; ``poses`` has those that are known."""
-    if part in poses:
-        return poses[part]
-    transform = body.frames[part]
-    pose = Rigid(np.array(transform.xyzw), np.array(transform.translation))
-    poses[part] = pose  # ends a loop of a faulty tree
-    parent = transform.parent.lstrip("/").removesuffix(f"_{name}")
-    if part != "body" and parent in body.frames:
-        pose = _pose(body, parent, name, poses) @ pose
-    poses[part] = pose
-    return pose
+    """Pose of a frame in the camera's frame; ``poses`` has those that are known, and gets more."""
+    chain: dict[str, Rigid] = {}  # upwards; a loop of a faulty tree ends where it began
+    while part in body.frames and part not in chain and part not in poses:
+        transform = body.frames[part]
+        chain[part] = Rigid(np.array(transform.xyzw), np.array(transform.translation))
+        part = "" if part == "body" else transform.parent.lstrip("/").removesuffix(f"_{name}")
+    above = poses.get(part, Rigid.identity())
+    for part, pose in reversed(chain.items()):
+        above = poses[part] = above @ pose
+    return above

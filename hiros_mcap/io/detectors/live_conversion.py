@@ -67,12 +67,13 @@ class LiveConversion(Conversion):
             return
         topic = source.info.topic
         before = self._declined[topic]
-        for one in self.rewritten(source, message):
-            yield self._message(one, message, source)
-        if self._declined[topic] > before:
+        made = [self._message(one, message, source) for one in self.rewritten(source, message)]
+        yield from made
+        # Nobody needs the original of a channel that has become another one, as in a file.
+        if not made and not source.is_native and message.channel_id not in self._live.hidden:
             yield message
-            if before >= _PROBED and topic not in self._layouts:
-                self._read_as[message.channel_id] = None
+        if self._declined[topic] > max(before, _PROBED) and topic not in self._layouts:
+            self._read_as[message.channel_id] = None
 
     def held_back(self) -> Iterator[Message]:
         """Yield what waited for another message when the input ended."""
@@ -117,7 +118,7 @@ class LiveConversion(Conversion):
             self._layouts[source.info.topic] = {**known, one.topic: self._models[one.topic]}
         ident = message.channel_id if keeps_channel else self._channel_of(one)
         if source is not None and not keeps_channel and source.type != TRANSFORMS:
-            self._live.hidden.add(message.channel_id)
+            self._live.hide(message.channel_id)
         if source is not None and not keeps_channel and source.type == TRANSFORMS:
             self._human.add(ident)
         return replace(message, channel_id=ident, log_time=one.log_time, data=bytes(one.data))

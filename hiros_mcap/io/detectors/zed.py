@@ -3,7 +3,8 @@
 Every object has a fixed array ``skeleton_3d`` of 70 keypoints, m. Its ``body_format`` says how
 many count: 0 = 18, 1 = 34, 2 = 38, 3 = 70 (zed_msgs/msg/Object.msg). The package was called
 ``zed_interfaces`` before, whose oldest messages have 18 keypoints and no ``body_format``.
-Confidences go from 0 to 100. A keypoint that was not seen is NaN.
+Confidences go from 0 to 100. A keypoint that was not seen is NaN, or 0 0 0. ``tracking_state`` 2 is
+of an object that nobody sees: where it might be. ``label_id`` -1 is no id.
 """
 
 from __future__ import annotations
@@ -19,19 +20,22 @@ from hiros_mcap.io.detectors.detector_reader import (
     DetectorMessage,
     DetectorReader,
     SeenPeople,
-    is_seen,
     nanoseconds,
     seen_people,
 )
-from hiros_mcap.skeletons import Floats
+from hiros_mcap.skeletons import UNTRACKED, Floats
 
 FORMATS = ("zed-18", "zed-34", "zed-38", "zed-70")
 """Models by ``body_format``."""
 _HIGHEST = 100.0
+_SEARCHING = 2
 
 
 class ZedBodies(DetectorReader):
-    """Objects without a skeleton are left out; a message of nothing else is declined."""
+    """Objects without a skeleton are left out; a message of nothing else is declined.
+
+    A camera that sees nobody before its format is known waits for somebody.
+    """
 
     types = ("zed_msgs/ObjectsStamped", "zed_interfaces/ObjectsStamped")
 
@@ -44,21 +48,26 @@ class ZedBodies(DetectorReader):
         people = [one for one in objects if one.skeleton_available]
         if people:
             self._formats[message.topic] = self._format(people, message.topic)
-        elif objects or message.topic not in self._formats:
+        elif objects:
             return None
+        elif message.topic not in self._formats:
+            return []
         header = message.fields.header
         model = body_model(self._formats[message.topic])
-        return [
-            seen_people(
-                model,
-                message,
-                header.frame_id,
-                _positions(people, model.n_markers),
-                stamp=nanoseconds(header.stamp),
-                ids=[int(one.label_id) for one in people],
-                confidences=[float(one.confidence) / _HIGHEST for one in people],
-            )
-        ]
+        seen = seen_people(
+            model,
+            message,
+            header.frame_id,
+            _positions(people, model.n_markers),
+            stamp=nanoseconds(header.stamp),
+            ids=[max(int(one.label_id), UNTRACKED) for one in people],
+            confidences=[float(one.confidence) / _HIGHEST for one in people],
+        )
+        for row, one in enumerate(people):
+            if getattr(one, "tracking_state", 0) == _SEARCHING:  # guessed, so not trusted
+                seen.frame.confidences[row] = 0.0
+                seen.frame.marker_confidences[row] = 0.0
+        return [seen]
 
     def _format(self, people: Sequence[Any], topic: str) -> str:
         number = int(getattr(people[0], "body_format", 0))
@@ -69,10 +78,10 @@ class ZedBodies(DetectorReader):
 
 
 def _positions(people: Sequence[Any], n: int) -> Floats:
-    """(P, n, 3) m; NaN where a keypoint was not seen."""
+    """(P, n, 3) m, as they are in the objects."""
     points = np.full((len(people), n, 3), np.nan)
     for row, one in zip(points, people, strict=True):
         keypoints = one.skeleton_3d.keypoints[:n]
         row[: len(keypoints)] = [point.kp for point in keypoints]
-    points[~is_seen(points)] = np.nan
+    points[~np.isfinite(points).all(axis=-1)] = np.nan
     return points

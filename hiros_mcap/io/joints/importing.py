@@ -6,6 +6,7 @@ import heapq
 import math
 import os
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
@@ -39,6 +40,7 @@ from hiros_mcap.io.joints.text_tables import (
     seconds_of,
     text_of,
 )
+from hiros_mcap.io.log_accounts import zeros_in_words
 from hiros_mcap.outside import parse
 from hiros_mcap.skeletons import POSITION, Frame, SkeletonModel
 
@@ -383,8 +385,6 @@ def _row(
     confidence: float,
     mapping: FileMapping,
 ) -> JointRow:
-    if confidence == 0 and not any(position):  # OpenPose: this joint was not triangulated
-        position = _NOWHERE
     factor = METRES[mapping.unit]
     x, y, z = position
     sure = confidence / mapping.certain
@@ -404,6 +404,7 @@ def import_joints(
     target: str | os.PathLike[str],
     mapping: str | os.PathLike[str] | None = None,
     warn: Warn = lambda text: None,
+    note: Warn = lambda text: None,
 ) -> dict[str, int]:
     """Write files of joint positions as a log; return its messages by topic.
 
@@ -412,7 +413,7 @@ def import_joints(
     sources : CSV, TRC, C3D, JSON or numpy files, or folders of JSON files, one for each camera.
     target : MCAP log to write.
     mapping : TOML file that says what the files mean, or a detector; see :mod:`.mapping`.
-    warn : is called with what makes the log doubtful.
+    warn : is called with what makes the log doubtful. note : with what was taken as meant.
 
     Raises
     ------
@@ -423,7 +424,8 @@ def import_joints(
     """
     paths = [Path(source) for source in sources]
     meanings = read_mapping(None if mapping is None else Path(mapping), paths)
-    read = [s for each in zip(paths, meanings, strict=True) for s in _series(*each, warn)]
+    each = zip(paths, meanings, strict=True)
+    read = [s for path, one in each for s in _series(path, one, warn, note)]
     _check_names([series.camera for series in read], paths)
     for path in filter(_may_be_cut, paths):
         warn(f"{path}: its last line has no end; if a number in it is cut off, it is wrong")
@@ -457,7 +459,7 @@ def _check_names(names: Sequence[str], paths: Sequence[Path]) -> None:
         )
 
 
-def _series(path: Path, mapping: FileMapping, warn: Warn) -> Iterator[Series]:
+def _series(path: Path, mapping: FileMapping, warn: Warn, note: Warn) -> Iterator[Series]:
     """Yield what each camera of a file saw."""
     cameras: dict[str, list[JointRow]] = {}
     for row in read_rows(path, mapping, warn):
@@ -465,11 +467,16 @@ def _series(path: Path, mapping: FileMapping, warn: Warn) -> Iterator[Series]:
     if not cameras:
         raise ConfigError(f"{path}: holds no joint in 3D")
     for name, rows in cameras.items():
-        yield _seen(path, name or mapping.camera or path.stem, rows, mapping)
+        yield _seen(path, name or mapping.camera or path.stem, rows, mapping, note)
 
 
-def _seen(path: Path, camera: str, rows: Iterable[JointRow], mapping: FileMapping) -> Series:
-    """Return what a camera saw, by its rows."""
+def _seen(
+    path: Path, camera: str, rows: Iterable[JointRow], mapping: FileMapping, note: Warn
+) -> Series:
+    """Return what a camera saw, by its rows.
+
+    A joint at exactly 0 0 0 was not seen; ``note`` is called with how often that was.
+    """
     instants: dict[float, dict[str, dict[str, JointRow]]] = {}
     slots: dict[str, int] = {}
     ids: dict[str, int] = {}
@@ -497,12 +504,14 @@ def _seen(path: Path, camera: str, rows: Iterable[JointRow], mapping: FileMappin
     start = _start(path, min(instants), max(instants), mapping.time)
     frame_id = mapping.frame.replace("{camera}", camera)
     frames = []
+    zeros: Counter[str] = Counter()
     for time in sorted(instants):
-        people = {
-            who: joints
-            for who, joints in instants[time].items()
-            if not all(any(map(math.isnan, row.position)) for row in joints.values())
-        }
+        people: dict[str, dict[str, JointRow]] = {}
+        for who, joints in instants[time].items():
+            seen = {joint: row for joint, row in joints.items() if any(row.position)}
+            if not all(any(map(math.isnan, row.position)) for row in seen.values()):
+                people[who] = seen
+                zeros.update(joint for joint in joints if joint not in seen)
         stamp = round((start + time) * 1e9)
         frame = Frame.empty(len(people), model, stamp=stamp, source=camera, frame_id=frame_id)
         frame.ids[:] = [ids[who] for who in people]
@@ -514,6 +523,8 @@ def _seen(path: Path, camera: str, rows: Iterable[JointRow], mapping: FileMappin
         add_links(frame, model)
         frames.append(frame)
     _check_size(path, frames, mapping)
+    if text := zeros_in_words(zeros, sum(frame.n_people for frame in frames)):
+        note(f"{path}: {text}")
     return Series(camera, model, frames)
 
 
