@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import re
 import secrets
+import shutil
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from multiprocessing import parent_process
 from pathlib import Path
-from typing import Literal
+from typing import BinaryIO, Literal
 
 from hiros_mcap.errors import LogError
 
@@ -39,6 +41,7 @@ _SCORES = re.compile(rb"(Log,)?(Channel|System|Left out|Cameras),[^\n]*\(mm\)")
 
 HEAD = 1 << 16
 """Bytes at the start of a file within which every mark lies, but that of Parquet at its end."""
+_RESERVE = 256 << 20  # bytes of the disk that a temporary copy leaves free
 _MCAP = b"\x89MCAP0\r\n"
 
 
@@ -177,6 +180,17 @@ _IS_OURS: Mapping[Kind, Callable[[bytes], bool]] = {
         or EXPORT_MARK.encode() in head
     ),
 }
+
+
+def add_block(copy: BinaryIO, block: bytes, name: object) -> None:
+    """Append to a temporary copy of an input as long as the disk has room; raises LogError."""
+    if shutil.disk_usage(Path(copy.name).parent).free < len(block) + _RESERVE:
+        raise LogError(
+            f"there is no room for a copy in {tempfile.gettempdir()}; name a folder with TMPDIR, "
+            "or use fewer --jobs",
+            path=name,
+        )
+    copy.write(block)
 
 
 def temporary_name(target: Path) -> Path:

@@ -12,15 +12,18 @@ version is 8, since the releases from Humble on can read it.
 from __future__ import annotations
 
 import os
-import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import hiros_schemas
 from hiros_mcap._version import __version__
 from hiros_mcap.errors import LogError
+from hiros_mcap.io.bag_files import METADATA, files_of, kind_of, unpacked_name
+from hiros_mcap.io.bag_tables import Bag, append_bag, open_bag, recover_bag
 from hiros_mcap.io.channels import (
     LATCHED_QOS,
     OTHER_FILES,
@@ -35,19 +38,28 @@ from hiros_mcap.io.container import (
     RecoveringReader,
     Recovery,
 )
+from hiros_mcap.io.container.file import MAX_WINDOW, LogFile
 from hiros_mcap.io.container.reader import MEMORY
 from hiros_mcap.io.container.salvage import RECOVERY_METADATA, Damage, Lost, joined
 from hiros_mcap.io.detectors import detector_readers
-from hiros_mcap.io.ros_cdr import ros2_types, types_of
-from hiros_mcap.outputs import BAG_MARK, bag_files, check_outputs, target_kind, write_text
+from hiros_mcap.io.ros_cdr import ros2_types
+from hiros_mcap.outputs import (
+    BAG_MARK,
+    add_block,
+    bag_files,
+    check_outputs,
+    target_kind,
+    write_text,
+)
+from hiros_mcap.summary import quantity
 
-if TYPE_CHECKING:
-    from rosbags.interfaces import Connection
-
-
-_MAGIC = {b"#ROSBAG V2.0": "a ROS 1 bag", b"SQLite format 3": "a SQLite bag"}
-_FOLDER = "metadata.yaml"  # what makes a folder a rosbag2 recording
 _HUMANS = "hri_msgs/"  # its bodies are on /tf
+_BLOCK = 1 << 12  # bytes: zstd may make 100 MB of them
+_LISTED = 6
+PACKED_FILES = (
+    "its files are compressed with zstd (ros2 bag record --compression-mode file); hiros reads "
+    "temporary copies"
+)
 
 
 def _wanted() -> set[str]:
@@ -55,72 +67,62 @@ def _wanted() -> set[str]:
     return {name for reader in detector_readers() for name in reader.types}
 
 
+def _short(name: str) -> str:
+    """Return a type as ``pkg/Type``, "" for a name that is none."""
+    try:
+        return hiros_schemas.short_name(name)
+    except hiros_schemas.DefinitionError:
+        return ""
+
+
 def _shows_people(name: str) -> bool:
     """Whether a type may hold skeletons, or says that transforms do."""
-    short = hiros_schemas.short_name(name)
+    short = _short(name)
     transforms = ("tf2_msgs/TFMessage", "tf/tfMessage")
     return short.startswith(_HUMANS) or (short in _wanted() and short not in transforms)
 
 
-def kind_of(path: Path) -> str:
-    """Return what kind of bag a path is; "" for a file that is none, such as an MCAP."""
-    if path.is_dir():
-        return "a rosbag2 folder" if (path / _FOLDER).is_file() else ""
-    if not path.is_file():  # opening a pipe would wait for its writer
-        return ""
-    try:
-        with path.open("rb") as file:
-            start = file.read(16)
-    except OSError:
-        return ""
-    return next((kind for magic, kind in _MAGIC.items() if start.startswith(magic)), "")
+@contextmanager
+def open_part(path: Path, *, recover: bool = False) -> Iterator[McapReader | Bag]:
+    """Open a file of a recording: an MCAP, a SQLite or ROS 1 bag; or one compressed with zstd.
 
-
-def parts_of(path: Path, *, recover: bool = False) -> list[Path]:
-    """Return the MCAP files of a recording in their order; empty for a bag of another kind.
-
-    A rosbag2 folder lists them in metadata.yaml. After a power loss this file is missing or empty.
-    With ``recover``, all MCAP files of the folder are then taken, in the order of their numbers.
-
-    Raises LogError for a folder without a list of files.
+    Raises LogError.
     """
-    if not path.is_dir():
-        return [] if kind_of(path) else [path]
-    inside = sorted(path.glob("*.mcap"), key=_numbered)
-    listed = _listed(path / _FOLDER)
-    if listed is not None and not recover:
-        return [path / name for name in listed] if len(listed) > 1 else inside[:1]
-    if recover and inside:
-        return sorted({*inside, *(path / name for name in listed or ())}, key=_numbered)
-    if len(inside) == 1 or (path / _FOLDER).is_file():
-        return inside[:1] if len(inside) == 1 else []
-    raise LogError(
-        f"is a folder with {len(inside)} MCAP files; name one"
-        + (", or join them by `hiros recover FOLDER -o OUT`" if inside else ""),
-        path=path,
-    )
+    kind, file = kind_of(path), path
+    with ExitStack() as stack:
+        if "zstd" in kind:
+            file = stack.enter_context(_unzipped(path, kind, recover=recover))
+            kind = kind_of(file)
+        if kind:
+            yield stack.enter_context(open_bag(file, kind, path))
+            return
+        log_file = LogFile(file)
+        log_file.path = path
+        yield stack.enter_context((RecoveringReader if recover else McapReader)(log_file))
 
 
-def _numbered(path: Path) -> tuple[list[tuple[int, str]], str]:
-    """Key that puts bag_2 before bag_10."""
-    parts = re.findall(r"\d+|\D+", path.stem)
-    return [(int(p), "") if p.isdecimal() else (-1, p) for p in parts], path.name
+@contextmanager
+def _unzipped(path: Path, kind: str, *, recover: bool) -> Iterator[Path]:
+    """Yield a temporary copy of what is in a zstd file, as much as there is with ``recover``."""
+    import zstandard
 
-
-def _listed(metadata: Path) -> list[str] | None:
-    """Return the names of plain MCAP files in a metadata.yaml; None if it lists none."""
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
-    try:
-        text = metadata.read_text(encoding="utf-8")
-        info = YAML(typ="safe").load(text)["rosbag2_bagfile_information"]
-        names = [Path(name).name for name in info["relative_file_paths"]]
-        compressed = (info.get("compression_mode") or "none").lower() != "none"
-    except (OSError, YAMLError, TypeError, KeyError, ValueError, AttributeError):
-        return None
-    plain = names and not compressed and all(name.endswith(".mcap") for name in names)
-    return names if plain else None
+    with tempfile.TemporaryDirectory(prefix="hiros-") as folder:
+        target = Path(folder) / unpacked_name(path.name)
+        unpacker = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW)
+        frame = unpacker.decompressobj()
+        try:
+            with path.open("rb") as packed, target.open("wb") as copy:
+                while block := packed.read(_BLOCK):
+                    while block:
+                        frame = unpacker.decompressobj() if frame.eof else frame
+                        add_block(copy, frame.decompress(block), path)
+                        block = frame.unused_data
+            fault = "" if frame.eof else "it ends within a frame"
+        except (zstandard.ZstdError, OSError) as error:
+            fault = str(error)
+        if fault and not recover:
+            raise LogError(f"is {kind} that cannot be read: {fault}", path=path)
+        yield target
 
 
 class MemoryReader(McapReader):
@@ -150,114 +152,130 @@ class MemoryReader(McapReader):
         return self.checked
 
 
-def _takes(wanted: str, topic: str, name: str) -> bool:
-    """Whether messages of a topic and a type are taken over: of people, or the wanted topic."""
-    return topic == wanted if wanted else hiros_schemas.short_name(name) in _wanted()
+class _Choice:
+    """Which messages of a recording are taken over: those of people, or a wanted topic.
 
-
-def read_bag(path: Path, kind: str, *, memory: int = MEMORY, topic: str = "") -> McapReader:
-    """Read the skeletons and transforms of a bag, or the named topic, as an MCAP in memory.
-
-    Raises LogError if the bag is damaged, or holds no skeletons and no topic was named.
+    Attributes
+    ----------
+    left_out : type and number of messages of the other topics, see :class:`McapReader`.
+    checked : whether checksums cover every message. remarks : of the files.
+    counts : messages of each topic. shows_people : whether any may.
     """
-    left_out: dict[str, tuple[str, int]] = {}
 
-    def write(writer: McapWriter) -> None:
-        with open_bag(path, kind) as bag:
-            taken = [c for c in bag.connections if _takes(topic, c.topic, c.msgtype)]
-            for connection in bag.connections:
-                if connection not in taken:
-                    _, n = left_out.get(connection.topic, ("", 0))
-                    left_out[connection.topic] = (connection.msgtype, n + connection.msgcount)
-            if not topic and not any(_shows_people(c.msgtype) for c in bag.connections):
-                topics = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in bag.connections}))
-                fault = f"has no SkeletonGroup topic; {OTHER_FILES}; it has {topics or 'none'}"
-                raise LogError(fault, path=path)
-            if taken:  # else rosbags would yield all messages
-                _convert(bag, taken, writer)
+    def __init__(self, topic: str) -> None:
+        self._topic = topic
+        self.left_out: dict[str, tuple[str, int]] = {}
+        self.counts: Counter[str] = Counter()
+        self.remarks: dict[str, None] = {}
+        self.checked, self.shows_people = True, bool(topic)
+        self._listed: dict[str, None] = {}
 
-    reader = MemoryReader(path, write, memory)
-    reader.left_out = left_out
-    return reader
+    def of(self, part: McapReader | Bag) -> list[int]:
+        """Return the ids of a file's channels, or topics, that are taken over."""
+        taken = []
+        self.checked &= isinstance(part, McapReader) and part.has_checksums
+        for ident, topic, name, n in _topics(part):
+            self.counts[topic] += n
+            self.shows_people |= isinstance(part, McapReader) or _shows_people(name)
+            self._listed[f"{topic} ({name or 'no type'})"] = None
+            if name and (topic == self._topic if self._topic else _short(name) in _wanted()):
+                taken.append(ident)
+            else:
+                _, before = self.left_out.get(topic, ("", 0))
+                self.left_out[topic] = name or "no type", before + n
+        return taken
 
-
-def _convert(bag: Any, taken: Sequence[Connection], writer: McapWriter) -> None:
-    """Write the messages of some connections of a bag."""
-    texts = {connection.msgtype: connection.msgdef.data for connection in taken}
-    store = bag.typestore if bag.is2 else types_of(texts)
-    channels: dict[tuple[str, str], int] = {}
-    schemas: dict[str, int] = {}
-    for connection in taken:
-        name = connection.msgtype
-        if name not in schemas:
-            text = store.generate_msgdef(name, ros_version=2)[0]
-            schemas[name] = writer.add_schema(name, text.encode())
-        key = connection.topic, name
-        if key not in channels:
-            channels[key] = writer.add_channel(
-                connection.topic, schemas[name], metadata=_metadata(connection)
-            )
-    for connection, time, data in bag.messages(taken):
-        channel = channels[connection.topic, connection.msgtype]
-        cdr = data if bag.is2 else store.ros1_to_cdr(data, connection.msgtype)
-        writer.write(channel, time, bytes(cdr))
+    def check(self, path: Path) -> None:
+        """Raise LogError if nothing can show people."""
+        if not self.shows_people:
+            topics = ", ".join(sorted(self._listed)) or "none"
+            fault = f"has no SkeletonGroup topic; {OTHER_FILES}; it has {topics}"
+            raise LogError(fault, path=path)
 
 
-def read_parts(
-    path: Path,
-    parts: list[Path],
-    *,
-    recover: bool = False,
-    memory: int = MEMORY,
-    topic: str = "",
+def _topics(part: McapReader | Bag) -> Iterator[tuple[int, str, str, int]]:
+    """Yield the id, topic, type and number of messages of each channel of a file."""
+    if not isinstance(part, McapReader):
+        yield from ((topic.id, topic.name, topic.type, topic.count) for topic in part.topics)
+        return
+    for channel in part.channels.values():
+        schema = part.schema(channel)
+        yield channel.id, channel.topic, schema.name if schema else "", part.counts[channel.id]
+
+
+def open_recording(
+    path: Path, *, recover: bool = False, memory: int = MEMORY, topic: str = ""
 ) -> McapReader:
-    """Read the skeletons and transforms of several MCAP files that are one recording.
+    """Open the files of a recording of any kind as one MCAP.
+
+    One MCAP file is read as it is. Of anything else, the skeletons and transforms become an MCAP in
+    memory.
 
     Parameters
     ----------
-    path : the folder.
-    parts : its files.
+    path : a file or a folder.
     recover : take what can be read of damaged files; ``recovery`` says what is lost.
     memory : bytes that reading may take. topic : what to take instead of skeletons.
+
+    Raises LogError if a file is missing or damaged, or holds no skeletons and no topic was named.
     """
-    left_out: dict[str, tuple[str, int]] = {}
-    checked, recovery = True, Recovery()
-
-    def wanted(part: McapReader) -> Collection[int]:
-        """Return the channels of a part that are taken over; note the others."""
-        nonlocal checked
-        checked &= part.has_checksums
-        taken = set()
-        for channel in part.channels.values():
-            schema = part.schema(channel)
-            name, n = schema.name if schema else "no type", part.counts.get(channel.id, 0)
-            if schema and _takes(topic, channel.topic, name):
-                taken.add(channel.id)
-            else:
-                n += left_out.get(channel.topic, ("", 0))[1]
-                left_out[channel.topic] = name, n
-        return taken
-
-    def write(writer: McapWriter) -> None:
-        nonlocal recovery
-        recovery = join(parts, writer, recover=recover, wanted=wanted)
-
-    reader = MemoryReader(path, write, memory)
-    reader.checked, reader.left_out = checked, left_out
-    reader.recovery = recovery if recover else None
+    files = files_of(path, recover=recover)
+    if len(files.parts) == 1 and not kind_of(files.parts[0]):
+        reader = (RecoveringReader if recover else McapReader)(files.parts[0], memory=memory)
+        topics = {i: channel.topic for i, channel in reader.channels.items()}
+        counts: Counter[str] = Counter()
+        for ident, n in reader.counts.items():
+            counts[topics[ident]] += n
+    else:
+        reader, counts = _read_parts(path, files.parts, recover, memory, topic)
+    reader.remarks = (*reader.remarks, *files.remarks)
+    reader.warnings = tuple(_missing(files.promised, counts))
     return reader
 
 
+def _read_parts(
+    path: Path, parts: Sequence[Path], recover: bool, memory: int, topic: str
+) -> tuple[McapReader, Counter[str]]:
+    """Read a recording into memory; return also how many messages its topics have."""
+    choice, recovery = _Choice(topic), Recovery()
+
+    def write(writer: McapWriter) -> None:
+        nonlocal recovery
+        recovery = join(parts, writer, recover=recover, choice=choice)
+        choice.check(path)
+
+    reader = MemoryReader(path, write, memory)
+    reader.checked, reader.left_out = choice.checked, choice.left_out
+    reader.remarks = tuple(choice.remarks)
+    reader.recovery = recovery if recover else None
+    return reader, choice.counts
+
+
+def _missing(promised: Mapping[str, int], counts: Mapping[str, int]) -> Iterator[str]:
+    """Yield a warning if there are fewer messages than metadata.yaml counts."""
+    lost = {t: n - counts.get(t, 0) for t, n in promised.items() if t and n > counts.get(t, 0)}
+    total, found = sum(promised.values()), sum(counts.values())
+    if not lost and total <= found:
+        return
+    shown = [f"{promised[t] - n} of {promised[t]} of {t}" for t, n in sorted(lost.items())]
+    more = f" and {len(shown) - _LISTED} more topics" if len(shown) > _LISTED else ""
+    listing = f" ({', '.join(shown[:_LISTED])}{more})" if shown else ""
+    yield (
+        f"{METADATA} counts {quantity(total, 'message')}, and the recording holds {found}"
+        f"{listing}; copy the recording again if it is not complete"
+    )
+
+
 def join(
-    parts: list[Path],
+    parts: Sequence[Path],
     writer: McapWriter,
     *,
     recover: bool = False,
-    wanted: Callable[[McapReader], Collection[int]] | None = None,
+    choice: _Choice | None = None,
 ) -> Recovery:
     """Write the content of files, in this order; return what is lost.
 
-    ``wanted`` chooses channels of a file; without it, everything is written, attachments and
+    ``choice`` chooses channels of a file; without it, everything is written, attachments and
     metadata too. Raises LogError, which names the file, if one is damaged; with ``recover``, only
     if nothing can be read of any.
     """
@@ -266,53 +284,38 @@ def join(
     for path in parts:
         name = path.name if len(parts) > 1 else ""
         try:
-            part = RecoveringReader(path) if recover else McapReader(path)
+            with open_part(path, recover=recover) as part:
+                chosen = choice.of(part) if choice else [ident for ident, *_ in _topics(part)]
+                found = _append(part, chosen, writer, recover=recover)
+                if choice is None and isinstance(part, McapReader):
+                    writer.append_extras(part)
+                if choice:
+                    packed = [PACKED_FILES] if "zstd" in kind_of(path) else []
+                    choice.remarks.update(dict.fromkeys([*packed, *part.remarks]))
+                recoveries.append((name, found))
         except LogError as error:
-            if not recover:
+            if not recover or error.path != path:
                 raise
             failed = failed or error
             size = path.stat().st_size if path.is_file() else 0
             recoveries.append((name, Recovery((Damage(0, size, error.fault, Lost.REST),))))
-            continue
-        with part:
-            writer.append(part, wanted(part) if wanted else part.channels)
-            if wanted is None:
-                writer.append_extras(part)
-            if part.recovery is not None:
-                recoveries.append((name, part.recovery))
     if failed is not None and not any(recovery.recovered for _, recovery in recoveries):
         raise failed
     return joined(recoveries)
 
 
-@contextmanager
-def open_bag(path: Path, kind: str) -> Iterator[Any]:
-    """Open a bag; whatever rosbags has to say against it becomes one LogError."""
-    from rosbags.highlevel import AnyReader
-
-    # SQLite bags of before 2023 do not say what their messages look like.
-    names = (
-        hiros_schemas.SKELETON_GROUP,
-        hiros_schemas.STAMPED_SKELETON,
-        hiros_schemas.OBJECTS_STAMPED,
-    )
-    types = ros2_types({name: hiros_schemas.text(name) for name in names})
-    try:
-        with AnyReader([path], default_typestore=types) as bag:
-            yield bag
-    except LogError:
-        raise
-    except Exception as error:  # noqa: BLE001 - dozens of kinds, down to those of sqlite
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise LogError(f"is {kind} that cannot be read: {reason}", path=path) from None
-
-
-def _metadata(connection: Connection) -> dict[str, str]:
-    """Quality of service as rosbag2 keeps it in a channel, "" where the bag says nothing."""
-    from rosbags.rosbag2.metadata import dump_qos_v8
-
-    profiles = getattr(connection.ext, "offered_qos_profiles", [])
-    return {"offered_qos_profiles": dump_qos_v8(profiles)}
+def _append(
+    part: McapReader | Bag, chosen: Sequence[int], writer: McapWriter, *, recover: bool
+) -> Recovery:
+    """Write some channels of a file; return what is lost of it."""
+    if isinstance(part, McapReader):
+        writer.append(part, chosen)
+        return part.recovery or Recovery()
+    topics = [topic for topic in part.topics if topic.id in chosen]
+    if not recover:
+        append_bag(part, topics, writer)
+        return Recovery()
+    return recover_bag(part, topics, writer)
 
 
 def recover(
@@ -325,7 +328,7 @@ def recover(
 
     Parameters
     ----------
-    source : an MCAP file, or a folder with the files of one recording.
+    source : an MCAP file, a SQLite bag, or a folder with the files of one recording.
     target : the output.
     force : replace a file that hiros did not write.
 
@@ -335,9 +338,9 @@ def recover(
         nothing can be read; ``source`` is a bag of another kind; ``target`` cannot be written.
     """
     path, out = Path(source), Path(target)
-    parts = parts_of(path, recover=True)
-    if not parts:
-        raise LogError(f"is {kind_of(path)}; hiros recovers MCAP files", path=path)
+    parts = files_of(path, recover=True).parts
+    if (kind := kind_of(path)) == "a ROS 1 bag":
+        raise LogError(f"is {kind}; hiros recovers MCAP files and SQLite bags", path=path)
     check_outputs([(out, "log")], [path], force=force)
     with McapWriter(out, inputs=parts) as writer:
         recovery = join(parts, writer, recover=True)
@@ -425,7 +428,7 @@ def write_bag_metadata(mcap: Path) -> None:
 
     Raises LogError if it cannot be written.
     """
-    write_text(mcap.with_name("metadata.yaml"), _as_yaml(bag_metadata(mcap)))
+    write_text(mcap.with_name(METADATA), _as_yaml(bag_metadata(mcap)))
 
 
 def bag_metadata(mcap: Path) -> dict[str, Any]:

@@ -308,6 +308,5 @@ class _Listener:
 
     def _holds_skeletons(self, message: Message) -> bool:
         schema = self._reader.schema(self._reader.channels[message.channel_id])
-        return schema is not None and hiros_schemas.short_name(
-            schema.name
-        ) == hiros_schemas.short_name(hiros_schemas.SKELETON_GROUP)
+        name = hiros_schemas.SKELETON_GROUP
+        return schema is not None and schema.name in (name, hiros_schemas.short_name(name))

@@ -27,7 +27,7 @@ import numpy as np
 
 from hiros_mcap.body.transforms import TransformTree, read_extrinsics
 from hiros_mcap.errors import LogError, naming
-from hiros_mcap.io.bags import kind_of, parts_of, read_bag, read_parts
+from hiros_mcap.io.bags import open_recording
 from hiros_mcap.io.camera_frames import (
     as_file_says,
     as_transforms_say,
@@ -43,7 +43,7 @@ from hiros_mcap.io.channels import (
     select_skeletons,
 )
 from hiros_mcap.io.codec import Decoder, ModelBuilder, OtherSkeletonError
-from hiros_mcap.io.container import Batch, McapReader, Message, Records, RecoveringReader
+from hiros_mcap.io.container import Batch, McapReader, Message, Records
 from hiros_mcap.io.container.reader import MEMORY
 from hiros_mcap.io.detectors.body_size import body_size
 from hiros_mcap.io.detectors.conversion import (
@@ -263,22 +263,13 @@ def open_reader(
     Of a bag and of a split recording, it has the skeletons and transforms, or the named topic. Log
     times that cannot be right are mended, see :mod:`.log_times`.
     """
-    reader = _open_reader(Path(path), recover=recover, memory=memory, topic=topic)
+    reader = open_recording(Path(path), recover=recover, memory=memory, topic=topic)
     try:
         mend_log_times(reader)
     except BaseException:
         reader.close()
         raise
     return reader
-
-
-def _open_reader(path: Path, *, recover: bool, memory: int, topic: str) -> McapReader:
-    parts = parts_of(path, recover=recover)
-    if len(parts) > 1:
-        return read_parts(path, parts, recover=recover, memory=memory, topic=topic)
-    if not parts:
-        return read_bag(path, kind_of(path), memory=memory, topic=topic)
-    return (RecoveringReader if recover else McapReader)(parts[0], memory=memory)
 
 
 @contextmanager

@@ -295,6 +295,7 @@ class Log:
 
     def _warnings(self) -> Iterator[str]:
         fixed = self.fixed_frame
+        yield from self.reader.warnings
         if self.cameras and not self._sent:
             yield "the room is empty: the cameras sent no message; check the detectors"
         frames = sorted({name for camera in self.cameras for name in camera.frames} - {fixed})

@@ -15,7 +15,8 @@ import numpy as np
 
 import hiros_schemas
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.io.bags import kind_of, open_bag, parts_of
+from hiros_mcap.io.bag_files import files_of, kind_of
+from hiros_mcap.io.bags import open_part
 from hiros_mcap.io.camera_clock import clock_verdict, clocks_in_words
 from hiros_mcap.io.channels import (
     EVENTS_ATTACHMENT,
@@ -187,11 +188,12 @@ def overview_of(
     except LogError as error:
         if topics is not None:
             raise
-        kind = kind_of(Path(path))
-        if kind and not parts_of(Path(path)):
-            return _of_bag(Path(path), kind, error.fault)
+        parts = files_of(Path(path)).parts
+        if any(kind_of(part) for part in parts):
+            return _of_bag(Path(path), parts, error.fault)
         with open_reader(path) as reader:
-            return replace(_of_file(path, reader), fault=error.fault)
+            overview = replace(_of_file(path, reader), fault=error.fault)
+            return replace(overview, warnings=tuple(reader.warnings), remarks=tuple(reader.remarks))
     with log:
         return _with_cameras(_of_file(path, log.reader), log)
 
@@ -247,15 +249,25 @@ def _notes(reading: Reading) -> Iterator[str]:
         yield from account.notes(reading.log.model.marker_names)
 
 
-def _of_bag(path: Path, kind: str, fault: str) -> Overview:
+def _of_bag(path: Path, parts: Iterable[Path], fault: str) -> Overview:
     """Report on a bag without skeletons to process; raises LogError if it cannot be read."""
     stamps: dict[tuple[str, str], list[int]] = {}
-    with open_bag(path, kind) as bag:
-        for connection in bag.connections:
-            stamps.setdefault((connection.topic, connection.msgtype), [])
-        for connection, time, _ in bag.messages():
-            stamps[connection.topic, connection.msgtype].append(time)
-        encoding = "cdr" if bag.is2 else "ros1"
+    encoding = "cdr"
+    for name in parts:
+        with open_part(name) as part:
+            if isinstance(part, McapReader):
+                topics = {info.id: (info.topic, info.schema) for info in channels_of(part)}
+                found = ((topics[m.channel_id], m.log_time) for m in part.messages())
+                known = [*topics.values()]
+            else:
+                encoding = part.encoding
+                known = [(topic.name, topic.type) for topic in part.topics]
+                rows = part.messages(part.topics)
+                found = (((topic.name, topic.type), time) for topic, time, _ in rows)
+            for topic in known:
+                stamps.setdefault(topic, [])
+            for topic, time in found:
+                stamps[topic].append(time)
     times = [time for each in stamps.values() for time in each]
     return Overview(
         path=str(path),

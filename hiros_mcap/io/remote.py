@@ -10,7 +10,6 @@ from __future__ import annotations
 import glob
 import os
 import re
-import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -18,11 +17,10 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.outputs import HEAD, Kind, check_outputs, may_replace, write_text
+from hiros_mcap.outputs import HEAD, Kind, add_block, check_outputs, may_replace, write_text
 
 _ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 _BLOCK = 8 << 20  # bytes
-_RESERVE = 256 << 20  # bytes of the disk that a copy leaves free
 _WHOLE = frozenset({"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "memory"})
 """Protocols of stores where a file appears only when all of it has arrived."""
 
@@ -168,13 +166,7 @@ def _fetch(system: Any, path: str, target: Path, address: str) -> None:
         target.open("wb") as copy,
     ):
         while block := source.read(_BLOCK):
-            if shutil.disk_usage(target.parent).free < len(block) + _RESERVE:
-                raise LogError(
-                    f"there is no room for a copy in {tempfile.gettempdir()}; name a folder with "
-                    "TMPDIR, or use fewer --jobs",
-                    path=address,
-                )
-            copy.write(block)
+            add_block(copy, block, address)
         if copy.tell() < (source.size or 0):
             raise LogError(f"is cut off: {copy.tell()} of {source.size} bytes came", path=address)
 

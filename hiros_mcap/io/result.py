@@ -28,7 +28,7 @@ from hiros_mcap.body.segments import LinkAxes, link_axes
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.events import Event, events_from_json
-from hiros_mcap.io.bags import kind_of
+from hiros_mcap.io.bag_files import kind_of
 from hiros_mcap.io.channels import (
     CONFIG_ATTACHMENT,
     EVENTS_ATTACHMENT,

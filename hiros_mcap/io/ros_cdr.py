@@ -6,7 +6,8 @@ Skeletons have a faster road, :mod:`hiros_mcap.io.codec`.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -58,6 +59,23 @@ def exact_types(texts: Mapping[str, str]) -> Typestore:
     return _with_types(get_typestore(Stores.EMPTY), texts)
 
 
+def idl_types(name: str, text: str) -> Typestore:
+    """Types of a complete definition in IDL, as rosbag2 stores it; raises LogError for other text.
+
+    Files follow each other, each below a line of 80 ``=`` and its name.
+    """
+    from rosbags.typesys import Stores, get_types_from_idl, get_typestore
+
+    store = get_typestore(Stores.EMPTY)
+    line = "=" * 80 + "\nIDL: "
+    files = [file.partition("\n")[2] for file in text.split(line)[1:]] or [text]
+    with _parsing(name):
+        for file in files:
+            types = get_types_from_idl(file)
+            store.register({k: v for k, v in types.items() if k not in store.fielddefs})
+    return store
+
+
 def ros2_types(texts: Mapping[str, str]) -> Typestore:
     """Types of ``texts`` on top of ROS 2's standard ones, whose Header has no ``seq``.
 
@@ -72,13 +90,19 @@ def _with_types(store: Typestore, texts: Mapping[str, str]) -> Typestore:
     from rosbags.typesys import get_types_from_msg
 
     for name, text in texts.items():
-        try:
+        with _parsing(name):
             types = get_types_from_msg(text, long_name(name))
             store.register({k: v for k, v in types.items() if k not in store.fielddefs})
-        except Exception as error:  # noqa: BLE001 - its parser raises many kinds
-            reason = " ".join(str(error).split())[:80]
-            raise LogError(f"the definition of {name} cannot be parsed: {reason}") from None
     return store
+
+
+@contextmanager
+def _parsing(name: str) -> Iterator[None]:
+    try:
+        yield
+    except Exception as error:  # noqa: BLE001 - its parser raises many kinds
+        reason = " ".join(str(error).split())[:80]
+        raise LogError(f"the definition of {name} cannot be parsed: {reason}") from None
 
 
 def decoder_of(store: Typestore, name: str) -> Callable[[Bytes], Any]:

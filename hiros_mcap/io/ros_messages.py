@@ -15,9 +15,12 @@ import numpy.typing as npt
 
 import hiros_schemas
 from hiros_mcap.errors import ConfigError, LogError, naming
-from hiros_mcap.io.bags import kind_of, open_bag, parts_of
+from hiros_mcap.io.bag_files import files_of
+from hiros_mcap.io.bag_tables import Bag
+from hiros_mcap.io.bags import open_part
+from hiros_mcap.io.channels import channels_of
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.ros_cdr import RosMessage, decoder_of, ros2_types
+from hiros_mcap.io.ros_cdr import Bytes, RosMessage, decoder_of, ros2_types
 from hiros_mcap.skeletons import Floats
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -53,40 +56,42 @@ class RosMessages:
             return decoder_of(self._store, message.type)(message.data)
 
 
-def _of_files(parts: Sequence[McapReader], store: Any) -> RosMessages:
-    """Return those of one MCAP file, or of the files of a split recording."""
+def _of_files(parts: Sequence[McapReader | Bag], store: Any) -> RosMessages:
+    """Return those of the files of a recording, in their order."""
     kinds = {name: kind for kind in KINDS for name in (kind, kind.replace("/msg/", "/"))}
     types = {}
     for part in parts:
-        for channel in part.channels.values():
-            schema = part.schema(channel)
-            if schema and schema.name in kinds and channel.message_encoding == "cdr":
-                types[channel.topic] = kinds[schema.name]
+        for info in channels_of(part) if isinstance(part, McapReader) else ():
+            if info.encoding == "cdr" and info.schema in kinds:
+                types[info.topic] = kinds[info.schema]
+        for topic in () if isinstance(part, McapReader) else part.topics:
+            if topic.type in KINDS:
+                types[topic.name] = topic.type
 
     def read(topics: Collection[str]) -> Iterator[RosMessage]:
         for part in parts:
-            wanted = {c.id: c.topic for c in part.channels.values() if c.topic in topics}
-            for message in part.messages(wanted):
-                topic = wanted[message.channel_id]
-                yield RosMessage(topic, types[topic], message.log_time, message.data)
+            rows = _in_file if isinstance(part, McapReader) else _in_bag
+            for topic, time, data in rows(part, topics, store):
+                yield RosMessage(topic, types[topic], time, data)
 
     return RosMessages(types, read, store)
 
 
-def _of_bag(bag: Any, store: Any) -> RosMessages:
-    """Return those of a ROS 1 bag or a SQLite bag."""
+_Row = tuple[str, int, Bytes]
+"""Topic, log time and CDR of a message."""
 
-    def read(topics: Collection[str]) -> Iterator[RosMessage]:
-        taken = [c for c in bag.connections if c.topic in topics]
-        if not taken:  # rosbags takes an empty list for all
-            return
-        for connection, time, data in bag.messages(taken):
-            kind = connection.msgtype
-            cdr = data if bag.is2 else store.ros1_to_cdr(data, kind)
-            yield RosMessage(connection.topic, kind, time, cdr)
 
-    types = {c.topic: c.msgtype for c in bag.connections if c.msgtype in KINDS}
-    return RosMessages(types, read, store)
+def _in_file(part: Any, topics: Collection[str], _store: Any) -> Iterator[_Row]:
+    wanted = {c.id: c.topic for c in part.channels.values() if c.topic in topics}
+    for message in part.messages(wanted):
+        yield wanted[message.channel_id], message.log_time, message.data
+
+
+def _in_bag(part: Any, topics: Collection[str], store: Any) -> Iterator[_Row]:
+    taken = [topic for topic in part.topics if topic.name in topics]
+    for topic, time, data in part.messages(taken):
+        is_old = part.encoding == "ros1"
+        yield topic.name, time, store.ros1_to_cdr(data, topic.type) if is_old else data
 
 
 @contextmanager
@@ -100,14 +105,12 @@ def open_messages(path: Path | McapReader) -> Iterator[RosMessages]:
     with ExitStack() as stack:
         if isinstance(path, McapReader):
             yield _of_files([path], store)
-        elif parts := parts_of(path):
-            readers = [stack.enter_context(McapReader(part)) for part in parts]
-            yield _of_files(readers, store)
         else:
-            yield _of_bag(stack.enter_context(open_bag(path, kind_of(path))), store)
+            parts = [stack.enter_context(open_part(part)) for part in files_of(path).parts]
+            yield _of_files(parts, store)
 
 
-Bytes = npt.NDArray[np.uint8]
+Pixels = npt.NDArray[np.uint8]
 
 _CHANNELS = {
     "bgr8": (0, 1, 2),
@@ -186,7 +189,7 @@ def is_colour(message: Any) -> bool:
     return not is_depth(message) and not grey
 
 
-def colour_image(message: Any) -> Bytes:
+def colour_image(message: Any) -> Pixels:
     """(H, W, 3) blue, green, red; raises LogError for a damaged image."""
     if not hasattr(message, "encoding"):
         return _picture(message.data, colour=True)
@@ -236,7 +239,7 @@ def _pixels(message: Any, kind: np.dtype[Any], channels: int) -> npt.NDArray[Any
     return np.ascontiguousarray(rows).view(kind).reshape(height, width, channels)
 
 
-def _picture(data: Bytes, *, colour: bool) -> npt.NDArray[Any]:
+def _picture(data: Pixels, *, colour: bool) -> npt.NDArray[Any]:
     import cv2
 
     flag = cv2.IMREAD_COLOR if colour else cv2.IMREAD_UNCHANGED

@@ -170,6 +170,32 @@ def unpack_chunk(packed: Bytes, compression: str, size: int, crc: int) -> ChunkR
     return data, messages, definitions
 
 
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+"""First bytes of a zstd frame. No message in CDR begins so: its first byte is 0."""
+
+
+def is_packed(message: Bytes) -> bool:
+    """Whether a message in CDR is a zstd frame, as ``ros2 bag record --compression-mode message``
+    stores it (rosbag2_compression_zstd/zstd_compressor.cpp)."""
+    return message[: len(ZSTD_MAGIC)] == ZSTD_MAGIC
+
+
+def unpack_message(message: Bytes, most: int = MAX_CHUNK) -> bytes:
+    """Return what is in a zstd frame, or raise FormatError if that is more than ``most`` bytes."""
+    import zstandard
+
+    try:
+        size = zstandard.frame_content_size(message)
+        if size > most:
+            raise FormatError(f"its messages claim {size} bytes uncompressed; the limit is {most}")
+        plain = _unzstd(message, most if size < 0 else size)
+    except zstandard.ZstdError as error:
+        raise FormatError(f"zstd: {error}") from None
+    if len(plain) != size and (size >= 0 or len(plain) > most):
+        raise FormatError("a message does not decompress to the bytes that it claims")
+    return plain
+
+
 def compress(data: Bytes, compression: str) -> Bytes:
     """Compress a chunk; zstd at the fast level -3.
 

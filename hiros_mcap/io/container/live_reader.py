@@ -8,14 +8,16 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 
 from hiros_mcap.errors import LogError
+from hiros_mcap.io.container.file import is_packed, unpack_message
 from hiros_mcap.io.container.live_input import LiveInput
-from hiros_mcap.io.container.reader import Batch, LogOrder, McapReader, Records
-from hiros_mcap.io.container.records import Channel, Message, Schema
+from hiros_mcap.io.container.reader import PACKED_MESSAGES, Batch, LogOrder, McapReader, Records
+from hiros_mcap.io.container.records import Channel, FormatError, Message, Schema
 from hiros_mcap.io.container.walk import Contents
 from hiros_mcap.kernels.record_index import COLUMNS
 
@@ -127,7 +129,7 @@ class LiveReader(McapReader):
                 fault = f"damaged: a message belongs to channel {record.channel_id}, not defined"
                 raise LogError(fault, path=self.path)
             self.counts[record.channel_id] += 1
-            for message in self.convert(record):
+            for message in self.convert(self._unpacked(record)):
                 self.counts[message.channel_id] += message.channel_id != record.channel_id
                 yield message
         for message in self.rest():
@@ -139,6 +141,17 @@ class LiveReader(McapReader):
         if ident not in self.hidden:
             self.hidden.add(ident)
             self.preface = [m for m in self.preface if m.channel_id != ident]
+
+    def _unpacked(self, message: Message) -> Message:
+        """Return a message as it was before rosbag2 compressed it; raises LogError for damage."""
+        channel = self._contents.channels[message.channel_id]
+        if channel.message_encoding != "cdr" or not is_packed(message.data):
+            return message
+        self.remarks = (PACKED_MESSAGES,)
+        try:
+            return replace(message, data=unpack_message(message.data))
+        except FormatError as error:
+            raise LogError(f"damaged: {error}", path=self.path, topic=channel.topic) from None
 
     def define(self, *records: Channel | Schema) -> None:
         """Take definitions of what messages become."""

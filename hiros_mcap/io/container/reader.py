@@ -1,7 +1,8 @@
 """Messages of an MCAP file, chunk by chunk or in order; a damaged file is an error.
 
 What the reader promises: every message of the chosen channels is handed out exactly once with
-exactly its bytes, or a LogError says what is wrong and where. Checksums are always compared,
+exactly its bytes, or a LogError says what is wrong and where. Messages that rosbag2 compressed one
+by one are handed out as they were before. Checksums are always compared,
 nothing is taken from an index that the data contradict, and memory is bounded: a file whose chunks
 overlap so much in time that they would take more is refused.
 """
@@ -24,9 +25,16 @@ import numpy as np
 import numpy.typing as npt
 
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.container.file import LogFile, Table, read_chunk
+from hiros_mcap.io.container.file import (
+    ZSTD_MAGIC,
+    LogFile,
+    Table,
+    read_chunk,
+    unpack_message,
+)
 from hiros_mcap.io.container.records import (
     HEAD,
+    MAX_CHUNK,
     AttachmentIndex,
     Bytes,
     Channel,
@@ -103,6 +111,10 @@ _TOGETHER = 8 * 2**20
 Recorders' chunks are of 0.75 to 4 MiB, ours of a little more than 2."""
 _COLUMNS = [LOG_TIME, START]
 _ATTACHMENT_FIXED = 32  # bytes before the data of an attachment, besides its names
+PACKED_MESSAGES = (
+    "its messages are compressed one by one with zstd (ros2 bag record --compression-mode message); "
+    "hiros unpacks them"
+)
 
 
 class Records(NamedTuple):
@@ -137,6 +149,32 @@ class Records(NamedTuple):
         messages[:, STOP] = np.cumsum(lengths)
         messages[:, START] = messages[:, STOP] - lengths
         return self._replace(data=data, messages=messages)
+
+    def packed(self, channels: Collection[int]) -> list[int]:
+        """Return which messages of some channels, which are in CDR, are zstd frames instead."""
+        starts = self.messages[:, START]
+        data = np.frombuffer(self.data, np.uint8)
+        could = self.messages[:, STOP] - starts >= len(ZSTD_MAGIC)
+        for k, byte in enumerate(ZSTD_MAGIC):
+            could[could] = data[starts[could] + np.uint64(k)] == byte
+        rows = np.flatnonzero(could)
+        return rows[np.isin(self.messages[rows, CHANNEL], list(channels))].tolist()
+
+    def unpacked(self, rows: Collection[int]) -> Records:
+        """Return the messages with what is in some of them, which are zstd frames.
+
+        Raises FormatError for damaged frames, and for what is larger than a chunk may be.
+        """
+        view, parts, at = memoryview(self.data), [], 0
+        chosen, messages = set(rows), self.messages.copy()
+        for k, (start, stop) in enumerate(self.messages[:, [START, STOP]].tolist()):
+            part: Bytes = view[start:stop]
+            if k in chosen:
+                part = unpack_message(part, MAX_CHUNK - at)
+            parts.append(part)
+            messages[k, [START, STOP]] = at, at + len(part)
+            at += len(part)
+        return self._replace(data=b"".join(parts), messages=messages)
 
     def at(self, rows: Sequence[int]) -> Iterator[Message]:
         """Yield some messages; their data are views, which are valid as long as they are held."""
@@ -180,13 +218,14 @@ class McapReader:
     ----------
     recovery : what is lost of a damaged file; None if such a file is refused.
     left_out : type and number of messages of the topics of a recording that the file lacks.
-    remarks : what was converted for the file.
+    remarks : what was converted for the file. warnings : what is missing of it.
     faults : by topic, how many messages could not be converted, and why the first one could not.
     """
 
     recovery: Recovery | None = None
     left_out: Mapping[str, tuple[str, int]] = MappingProxyType({})
     remarks: Sequence[str] = ()
+    warnings: Sequence[str] = ()
     faults: Mapping[str, tuple[int, str]] = MappingProxyType({})
 
     def __init__(self, path: str | os.PathLike[str] | LogFile, *, memory: int = MEMORY) -> None:
@@ -200,6 +239,7 @@ class McapReader:
             largest = max((chunk.size for chunk in self._contents.chunks), default=0)
             self._depth = min(_AHEAD, _AHEAD_BYTES // max(largest, _TOGETHER))
             self._checked: dict[int, frozenset[int]] = {}
+            self._packed: set[int] = set()
             size = sum(chunk.size for chunk in self._contents.chunks)
             self._keeps = size <= min(_KEPT, memory // 8)
             self._kept: dict[int, Records] = {}
@@ -378,7 +418,12 @@ class McapReader:
         try:
             data, messages, definitions = read_chunk(self._file, chunk)
             defined = self._define(data, definitions)
-            messages = self._accepted(chunk, messages)
+            records = Records(data, self._accepted(chunk, messages), chunk.offset)
+            in_cdr = [i for i, c in self.channels.items() if c.message_encoding == "cdr"]
+            if packed := records.packed(in_cdr):
+                records = records.unpacked(packed)
+                self._packed.add(chunk.offset)
+                self.remarks = tuple(dict.fromkeys((*self.remarks, PACKED_MESSAGES)))
         except (FormatError, struct.error, ValueError, OverflowError) as fault:
             where_from = "messages" if chunk.loose else "chunk"
             raise LogError(
@@ -388,7 +433,6 @@ class McapReader:
         except MemoryError:
             raise LogError("is too large for the memory", path=self.path) from None
         self._checked[chunk.offset] = defined
-        records = Records(data, messages, chunk.offset)
         return _with_times(records, self._retimed[chunk.offset]) if chunk.retimed else records
 
     def _chosen(self, records: Records, channels: Collection[int] | None) -> Records:
@@ -402,6 +446,13 @@ class McapReader:
         if chunk.offset not in self._checked:
             self.load(chunk)
         return self._checked[chunk.offset]
+
+    def has_packed_messages(self, chunk: Chunk) -> bool:
+        """Whether messages of a chunk are compressed one by one, so that it is not copied as it is.
+
+        It is known of chunks that were read.
+        """
+        return chunk.offset in self._packed
 
     def _define(self, data: Bytes, definitions: Table) -> frozenset[int]:
         defined = set()

@@ -215,13 +215,15 @@ class McapWriter:
 
         A chunk of which everything is kept is checked and copied in its compressed form. Of any
         other chunk, the messages are added one by one; so they are where the reader has given them
-        other log times (:meth:`McapReader.retime`), which are copied.
+        other log times (:meth:`McapReader.retime`), which are copied, and where the messages are
+        compressed themselves.
         """
         counts = {i: n for i, n in (chunk.counts or {}).items() if n}
         if not any(i in self.channels for i in counts):
             return
         whole = counts.keys() | reader.definitions_in(chunk) <= self.channels.keys()
-        if whole and chunk.index_end > chunk.end and not chunk.retimed:
+        as_it_is = not (chunk.retimed or reader.has_packed_messages(chunk))
+        if whole and chunk.index_end > chunk.end and as_it_is:
             self.counts.update(counts)
             self._submit(self._emit_copy, chunk, reader)
             return

@@ -131,7 +131,7 @@ def converted(reader: McapReader, selection: Selection) -> McapReader:
     new = MemoryReader(Path(reader.path), conversion.write, reader.memory)
     new.checked, new.recovery = reader.has_checksums, reader.recovery
     new.left_out = {**reader.left_out, **conversion.left_out}
-    new.remarks = (*reader.remarks, *conversion.remarks())
+    new.remarks, new.warnings = (*reader.remarks, *conversion.remarks()), reader.warnings
     new.faults = {t: (n, conversion.first[t]) for t, n in conversion.faulty.items()}
     return new
 

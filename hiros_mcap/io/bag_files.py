@@ -1,0 +1,221 @@
+"""Which files are one recording of rosbag2: what metadata.yaml lists, else what their names say.
+
+The recorder names the parts of ``lab`` ``lab_0.mcap``, ``lab_1.mcap``, since ROS 2 Lyrical
+``0_lab_2026_11_27-10_00_00.mcap`` (rosbag2, pull request 2265). Of SQLite they end in ``.db3``, and
+``--compression-mode file`` adds ``.zstd`` to each. When it ends, it writes metadata.yaml.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path, PurePath
+from typing import NamedTuple
+
+from hiros_mcap.errors import LogError
+from hiros_mcap.io.container.file import ZSTD_MAGIC
+from hiros_mcap.summary import quantity
+
+METADATA = "metadata.yaml"
+STORAGES = (".mcap", ".db3")
+SUFFIXES = (*STORAGES, ".bag")
+_PACKED = (".zstd", ".zst")
+_RECORDED = "rosbag2_bagfile_information"
+_DATE = r"_\d{4}_\d\d_\d\d-\d\d_\d\d_\d\d"
+_MAGIC = {
+    b"#ROSBAG V2.0": "a ROS 1 bag",
+    b"SQLite format 3": "a SQLite bag",
+    ZSTD_MAGIC: "a file compressed with zstd",
+}
+_NAMED = 4
+
+
+class Files(NamedTuple):
+    """The files of a recording."""
+
+    parts: Sequence[Path]
+    """In their order."""
+    promised: Mapping[str, int] = {}
+    """Messages of each topic that metadata.yaml counts; of "", those of no topic that it names."""
+    remarks: Sequence[str] = ()
+    """What was guessed."""
+
+
+def kind_of(path: Path) -> str:
+    """Return what kind of bag a path is; "" for a file that is none, such as an MCAP."""
+    if path.is_dir():
+        return "a rosbag2 folder" if (path / METADATA).is_file() else ""
+    if not path.is_file():  # opening a pipe would wait for its writer
+        return ""
+    try:
+        with path.open("rb") as file:
+            start = file.read(16)
+    except OSError:
+        return ""
+    return next((kind for magic, kind in _MAGIC.items() if start.startswith(magic)), "")
+
+
+def unpacked_name(name: str) -> str:
+    """Return a file's name without the suffix of zstd."""
+    path = PurePath(name)
+    return path.stem if path.suffix.lower() in _PACKED else name
+
+
+def is_log_name(name: str, suffixes: Sequence[str] = SUFFIXES) -> bool:
+    """Whether a name is that of a log, perhaps compressed."""
+    return unpacked_name(name).lower().endswith(tuple(suffixes))
+
+
+def is_recording(folder: Path) -> bool:
+    """Whether a folder is one recording of ROS 2.
+
+    It has a metadata.yaml of rosbag2. Without it, such as after a power loss, its logs have the
+    names that rosbag2 gives the parts of a recording.
+    """
+    try:
+        with (folder / METADATA).open(encoding="utf-8", errors="replace") as file:
+            if is_metadata(file.read(4096)):
+                return True
+    except OSError:
+        pass
+    try:
+        return are_splits(folder.name, [path.name for path in _inside(folder)])
+    except OSError:
+        return False
+
+
+def is_metadata(text: str) -> bool:
+    """Whether a metadata.yaml is of rosbag2."""
+    return _RECORDED in text
+
+
+def are_splits(folder: str, names: Iterable[str]) -> bool:
+    """Whether logs in a folder have the names that rosbag2 gives all parts of a recording."""
+    plain = {unpacked_name(name) for name in names}
+    parts = [_part(folder, name) for name in plain]
+    numbers = {part[0] for part in parts if part}
+    titles = {part[1:] for part in parts if part}
+    return len(plain) > 1 and len(titles) == 1 and numbers == set(range(len(plain)))
+
+
+def _part(folder: str, name: str) -> tuple[int, str, str] | None:
+    """Return the number of a part, its title and suffix; None for any other name."""
+    stem, suffix = PurePath(name).stem, PurePath(name).suffix.lower()
+    if suffix not in STORAGES:
+        return None
+    if match := re.fullmatch(rf"{re.escape(folder)}_(\d+)", stem):
+        return int(match[1]), folder, suffix
+    # The date tells them from somebody's own names, so that the folder may have another name.
+    match = re.fullmatch(rf"(\d+)_(.*){_DATE}", stem)
+    return (int(match[1]), match[2], suffix) if match else None
+
+
+def files_of(path: Path, *, recover: bool = False) -> Files:
+    """Return the files of a recording in their order.
+
+    A rosbag2 folder lists them in metadata.yaml. After a power loss this file is missing or empty;
+    the names of all parts then tell, too. With ``recover``, all files of the folder are taken, in
+    the order of their numbers.
+
+    Raises LogError if files that are listed are missing, or nothing says what a folder holds.
+    """
+    about = _described(path if path.is_dir() else path.parent) if path.exists() else None
+    if not path.is_dir():
+        is_whole = about is not None and [unpacked_name(name) for name in about.names] == [
+            unpacked_name(path.name)
+        ]
+        return Files([path], about.counts if about is not None and is_whole else {})
+    inside = _inside(path)
+    if about is not None and about.names:
+        listed = [_found(path / name) for name in about.names]
+        if recover:
+            return Files(sorted({*inside, *listed}, key=_numbered), about.counts)
+        return Files(_complete(path, listed, inside), about.counts)
+    if len(inside) == 1 or (recover and inside):
+        return Files(inside)
+    if are_splits(path.name, [part.name for part in inside]):
+        remark = (
+            f"{METADATA} is missing; by their names, the {len(inside)} files of the folder are one "
+            "recording"
+        )
+        return Files(inside, remarks=[remark])
+    raise LogError(
+        f"is a folder with {quantity(len(inside), 'file')} of a recording and no {METADATA}; name "
+        "one" + (", or join them by `hiros recover FOLDER -o OUT`" if inside else ""),
+        path=path,
+    )
+
+
+def _complete(folder: Path, listed: list[Path], inside: list[Path]) -> list[Path]:
+    """Return the files that are listed, under other names if all have others; raises LogError."""
+    missing = [part.name for part in listed if not part.is_file()]
+    if missing == [part.name for part in listed] and len(inside) == len(listed):
+        return inside
+    if missing:
+        more = f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else ""
+        raise LogError(
+            f"{METADATA} lists {', '.join(missing[:_NAMED])}{more}, which the folder lacks; copy "
+            "the recording again, or join what is there by `hiros recover FOLDER -o OUT`",
+            path=folder,
+        )
+    return listed
+
+
+def _found(path: Path) -> Path:
+    """Return a file that is listed, or the one that was unpacked or packed from it since."""
+    plain = path.with_name(unpacked_name(path.name))
+    names = (path, plain, *(plain.with_name(plain.name + suffix) for suffix in _PACKED))
+    return next((name for name in names if name.is_file()), path)
+
+
+def _inside(folder: Path) -> list[Path]:
+    """Return the files of a recording in a folder; of a file and its compressed copy, the file."""
+    paths = [p for p in folder.iterdir() if is_log_name(p.name, STORAGES) and not p.is_dir()]
+    plain = {path.name for path in paths} & {unpacked_name(path.name) for path in paths}
+    kept = (p for p in paths if p.name in plain or unpacked_name(p.name) not in plain)
+    return sorted(kept, key=_numbered)
+
+
+def _numbered(path: Path) -> tuple[list[tuple[int, str]], str]:
+    """Key that puts bag_2 before bag_10."""
+    parts = re.findall(r"\d+|\D+", path.stem)
+    return [(int(p), "") if p.isdecimal() else (-1, p) for p in parts], path.name
+
+
+class _Description(NamedTuple):
+    """What metadata.yaml says."""
+
+    names: Sequence[str]
+    counts: Mapping[str, int]
+
+
+def _described(folder: Path) -> _Description | None:
+    """Read metadata.yaml; None if there is none, or it cannot be understood.
+
+    Raises LogError for a compression that only a plugin of rosbag2 can undo.
+    """
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        text = (folder / METADATA).read_text(encoding="utf-8")
+        info = YAML(typ="safe").load(text)[_RECORDED]
+        names = [PurePath(name).name for name in info["relative_file_paths"]]
+        kind = str(info.get("compression_format") or "zstd")
+        if str(info.get("compression_mode") or "none").lower() == "none":
+            kind = "zstd"
+        counts = Counter({"": int(info.get("message_count") or 0)})
+        for topic in info.get("topics_with_message_count") or ():
+            n = int(topic["message_count"])
+            counts += Counter({topic["topic_metadata"]["name"]: n})
+            counts[""] = max(0, counts[""] - n)
+    except (OSError, YAMLError, TypeError, KeyError, ValueError, AttributeError, RecursionError):
+        return None
+    if kind != "zstd":
+        raise LogError(
+            f"is compressed by {kind!r}, which hiros cannot undo; convert it with `ros2 bag "
+            "convert`, or record with --compression-format zstd",
+            path=folder,
+        )
+    return _Description(names, counts)

@@ -1,0 +1,291 @@
+"""Bags that are no MCAP: the tables of a SQLite bag, and ROS 1 bags by the rosbags library.
+
+Only the types of messages that are read are parsed: a recorder also stores types whose definition
+it did not find (rosbag2_cpp/local_message_definition_source.cpp: encoding "unknown", or empty),
+services, and types that nobody but their owner understands.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import hiros_schemas
+from hiros_mcap.errors import LogError
+from hiros_mcap.io.container import McapWriter, Recovery
+from hiros_mcap.io.container.file import is_packed, unpack_message
+from hiros_mcap.io.container.reader import PACKED_MESSAGES
+from hiros_mcap.io.container.salvage import ChannelLoss, Damage, Lost, merged
+from hiros_mcap.io.ros_cdr import exact_types, idl_types, ros2_types, types_of
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+
+class BagTopic(NamedTuple):
+    """A topic of a bag."""
+
+    id: int
+    name: str
+    type: str
+    """``pkg/msg/Type``."""
+    count: int
+    """Messages."""
+    profiles: str = ""
+    """Quality of service, as YAML."""
+
+
+class Bag(Protocol):
+    """An open bag.
+
+    Attributes
+    ----------
+    path : the file. encoding : of its messages, as an MCAP would call it.
+    remarks : what was done to messages that were read.
+    """
+
+    path: Path
+    encoding: str
+    remarks: Sequence[str]
+
+    @property
+    def topics(self) -> Sequence[BagTopic]:
+        """What it holds; a topic with several publishers of ROS 1 comes several times."""
+
+    def messages(self, topics: Collection[BagTopic]) -> Iterator[tuple[BagTopic, int, bytes]]:
+        """Yield the messages of some topics with their log times, ns, which increase.
+
+        Raises LogError if the bag is damaged.
+        """
+
+    def types(self, topics: Collection[BagTopic]) -> Mapping[str, Typestore]:
+        """Return the types of some topics by their names, and what they contain.
+
+        Raises LogError for a definition that is missing or cannot be parsed.
+        """
+
+
+@contextmanager
+def open_bag(path: Path, kind: str, name: Path) -> Iterator[Bag]:
+    """Open a bag of a kind that :func:`hiros_mcap.io.bag_files.kind_of` tells.
+
+    ``name`` is what errors call it. Raises LogError.
+    """
+    with _one_error(kind, name):
+        bag = _SqliteBag(path, name) if "SQLite" in kind else _Ros1Bag(path, name)
+    try:
+        yield bag
+    finally:
+        bag.close()
+
+
+@contextmanager
+def _one_error(kind: str, path: Path) -> Iterator[None]:
+    """Make one LogError of whatever rosbags or SQLite have to say against a bag."""
+    try:
+        yield
+    except LogError:
+        raise
+    except Exception as error:  # noqa: BLE001 - dozens of kinds
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise LogError(f"is {kind} that cannot be read: {reason}", path=path) from None
+
+
+def append_bag(bag: Bag, topics: Sequence[BagTopic], writer: McapWriter) -> None:
+    """Write the messages of some topics of a bag as those of ROS 2; raises LogError."""
+    stores = bag.types(topics)
+    channels = {topic.id: _channel(topic, stores[topic.type], writer) for topic in topics}
+    for topic, time, data in bag.messages(topics):
+        cdr = data
+        if bag.encoding == "ros1":
+            with _one_error("a ROS 1 bag", bag.path):
+                cdr = bytes(stores[topic.type].ros1_to_cdr(data, topic.type))
+        writer.write(channels[topic.id], time, cdr)
+
+
+def _channel(topic: BagTopic, store: Typestore, writer: McapWriter) -> int:
+    """Return the channel of a topic and its type; it is added unless a former part has it."""
+    text = store.generate_msgdef(topic.type, ros_version=2)[0].encode()
+    schemas = writer.schemas.values()
+    same = (s.id for s in schemas if s.name == topic.type and s.data == text)
+    schema = next(same, None) or writer.add_schema(topic.type, text)
+    for ident, channel in writer.channels.items():
+        if channel.topic == topic.name and channel.schema_id == schema:
+            return ident
+    metadata = {"offered_qos_profiles": _profiles(topic)}
+    return writer.add_channel(topic.name, schema, metadata=metadata)
+
+
+def recover_bag(bag: Bag, topics: Sequence[BagTopic], writer: McapWriter) -> Recovery:
+    """Write what can be read of a bag; return what is lost."""
+    known, damages = [], []
+    for topic in topics:
+        with suppress(LogError):
+            bag.types([topic])
+            known.append(topic)
+    before = writer.counts.copy()
+    try:
+        append_bag(bag, known, writer)
+    except LogError as error:
+        if error.path != bag.path:
+            raise
+        damages = [Damage(0, bag.path.stat().st_size, error.fault, Lost.REST)]
+    kept: Counter[str] = Counter()
+    for ident, n in (writer.counts - before).items():
+        kept[writer.channels[ident].topic] += n
+    counts: Counter[str] = Counter()
+    for topic in topics:
+        counts[topic.name] += topic.count
+    losses = (ChannelLoss(topic, kept[topic], n - kept[topic]) for topic, n in counts.items())
+    return Recovery(tuple(damages), merged(losses))
+
+
+def _profiles(topic: BagTopic) -> str:
+    """Quality of service as releases from Humble on read it, "" where the bag says nothing."""
+    from rosbags.rosbag2.errors import ReaderError
+    from rosbags.rosbag2.metadata import dump_qos_v8, parse_qos
+
+    try:
+        return dump_qos_v8(parse_qos(topic.profiles))
+    except (ReaderError, KeyError, TypeError, ValueError, AttributeError):
+        return ""
+
+
+class _SqliteBag:
+    """The tables of rosbag2_storage_sqlite3, versions 1 to 4."""
+
+    encoding = "cdr"
+    remarks: Sequence[str] = ()
+    _KIND = "a SQLite bag"
+
+    def __init__(self, path: Path, name: Path) -> None:
+        self.path = name
+        address = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
+        self._tables = sqlite3.connect(address, uri=True, check_same_thread=False)
+        try:
+            self._tables.text_factory = lambda data: data.decode(errors="replace")
+            self.topics = self._topics()
+        except BaseException:
+            self._tables.close()
+            raise
+
+    def close(self) -> None:
+        """Close the file."""
+        self._tables.close()
+
+    def _columns(self, table: str) -> set[str]:
+        return {str(row[1]) for row in self._tables.execute(f"PRAGMA table_info({table})")}
+
+    def _topics(self) -> Sequence[BagTopic]:
+        columns = self._columns("topics")
+        if not columns or not self._columns("messages"):
+            raise LogError("is a SQLite database without the tables of a bag", path=self.path)
+        profiles = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
+        query = "SELECT topic_id, count(*) FROM messages GROUP BY topic_id"
+        counts = dict(self._tables.execute(query))
+        rows = self._tables.execute(f"SELECT id, name, type, {profiles} FROM topics ORDER BY id")
+        return [
+            BagTopic(int(i), str(name), str(kind), counts.get(i, 0), str(qos))
+            for i, name, kind, qos in rows
+        ]
+
+    def messages(self, topics: Collection[BagTopic]) -> Iterator[tuple[BagTopic, int, bytes]]:
+        """Yield the messages of some topics, see :class:`Bag`."""
+        wanted = {topic.id: topic for topic in topics}
+        marks = ",".join("?" * len(wanted))
+        query = (
+            f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) "
+            "ORDER BY timestamp, id"
+        )
+        with _one_error(self._KIND, self.path):
+            for ident, time, data in self._tables.execute(query, list(wanted)):
+                if not 0 <= time < 1 << 63:
+                    raise ValueError(f"a message has no such time: {time}")
+                plain = memoryview(data).tobytes()
+                if is_packed(plain):
+                    self.remarks, plain = [PACKED_MESSAGES], unpack_message(plain)
+                yield wanted[ident], time, plain
+
+    def types(self, topics: Collection[BagTopic]) -> Mapping[str, Typestore]:
+        """Return the types of some topics, see :class:`Bag`.
+
+        Bags of before 2023 have no definitions, and a recorder may not have found one; then those
+        of ROS 2 Humble and of hiros count.
+        """
+        with _one_error(self._KIND, self.path):
+            return {name: self._store(name) for name in {topic.type for topic in topics}}
+
+    def _store(self, name: str) -> Typestore:
+        encoding, text = self._definition(name)
+        if text and encoding == "ros2idl":
+            return idl_types(name, text)
+        if text and encoding == "ros2msg":
+            return exact_types({name: text})
+        known = (
+            hiros_schemas.SKELETON_GROUP,
+            hiros_schemas.STAMPED_SKELETON,
+            hiros_schemas.OBJECTS_STAMPED,
+        )
+        store = ros2_types({known_name: hiros_schemas.text(known_name) for known_name in known})
+        if name not in store.fielddefs:
+            raise LogError(
+                f"holds messages of {name} without their definition; record them with the package "
+                f"of {name} installed",
+                path=self.path,
+            )
+        return store
+
+    def _definition(self, name: str) -> tuple[str, str]:
+        """Return how the definition of a type is written, and its text; "" if there is none."""
+        if not self._columns("message_definitions"):
+            return "", ""
+        query = (
+            "SELECT encoding, encoded_message_definition FROM message_definitions "
+            "WHERE topic_type = ? ORDER BY id"
+        )
+        encoding, text = next(self._tables.execute(query, [name]), ("", ""))
+        return str(encoding), str(text)
+
+
+class _Ros1Bag:
+    """A bag of ROS 1, read by the rosbags library."""
+
+    encoding = "ros1"
+    remarks: Sequence[str] = ()
+    _KIND = "a ROS 1 bag"
+
+    def __init__(self, path: Path, name: Path) -> None:
+        from rosbags.rosbag1 import Reader
+
+        self.path = name
+        self._reader = Reader(path)
+        self._reader.open()
+        self._connections: dict[int, Any] = dict(enumerate(self._reader.connections))
+        self.topics: Sequence[BagTopic] = [
+            BagTopic(i, c.topic, c.msgtype, c.msgcount) for i, c in self._connections.items()
+        ]
+
+    def close(self) -> None:
+        """Close the file."""
+        self._reader.close()
+
+    def messages(self, topics: Collection[BagTopic]) -> Iterator[tuple[BagTopic, int, bytes]]:
+        """Yield the messages of some topics, see :class:`Bag`."""
+        wanted = {self._connections[topic.id].id: topic for topic in topics}
+        connections = [self._connections[topic.id] for topic in topics]
+        if not connections:  # rosbags takes none for all
+            return
+        with _one_error(self._KIND, self.path):
+            for connection, time, data in self._reader.messages(connections):
+                yield wanted[connection.id], time, data
+
+    def types(self, topics: Collection[BagTopic]) -> Mapping[str, Typestore]:
+        """Return the types of some topics, see :class:`Bag`; their Header is that of ROS 2."""
+        texts = {t.type: self._connections[t.id].msgdef.data for t in topics}
+        with _one_error(self._KIND, self.path):
+            store = types_of(texts)
+        return dict.fromkeys(texts, store)
