@@ -14,7 +14,7 @@ Anything else that escapes is a bug of ours and exits with 70.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 
@@ -61,3 +61,9 @@ def naming(path: object, topic: str | None = None) -> Iterator[None]:
         if error.path is not None:
             raise
         raise type(error)(error.fault, path=path, topic=error.topic or topic) from None
+
+
+def explained(error: LogError, reasons: Sequence[str]) -> LogError:
+    """Return an error with what is known to be wrong with the log anyway."""
+    fault = "; ".join([error.fault, *reasons])
+    return type(error)(fault, path=error.path, topic=error.topic) if reasons else error

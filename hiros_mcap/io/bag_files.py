@@ -111,6 +111,17 @@ def _part(folder: str, name: str) -> tuple[int, str, str] | None:
     return (int(match[1]), match[2], suffix) if match else None
 
 
+def other_parts(name: str, names: Iterable[str]) -> list[str]:
+    """Return which files of a folder may be parts of the same recording as one of them.
+
+    Their names differ in numbers only; the recorder writes the first part first.
+    """
+    like = re.sub(r"\d+", "#", unpacked_name(name))
+    same = (n for n in names if n != name and re.sub(r"\d+", "#", unpacked_name(n)) == like)
+    logs = (other for other in same if is_log_name(other, STORAGES))
+    return sorted(logs, key=lambda other: _numbered(Path(other)))
+
+
 def files_of(path: Path, *, recover: bool = False) -> Files:
     """Return the files of a recording in their order.
 

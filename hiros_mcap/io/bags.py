@@ -22,7 +22,16 @@ from typing import Any
 import hiros_schemas
 from hiros_mcap._version import __version__
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.bag_files import METADATA, files_of, kind_of, unpacked_name
+from hiros_mcap.io.bag_files import (
+    METADATA,
+    STORAGES,
+    files_of,
+    is_log_name,
+    is_recording,
+    kind_of,
+    other_parts,
+    unpacked_name,
+)
 from hiros_mcap.io.bag_tables import Bag, append_bag, open_bag, recover_bag
 from hiros_mcap.io.channels import (
     LATCHED_QOS,
@@ -56,6 +65,7 @@ from hiros_mcap.summary import quantity
 _HUMANS = "hri_msgs/"  # its bodies are on /tf
 _BLOCK = 1 << 12  # bytes: zstd may make 100 MB of them
 _LISTED = 6
+_LOOKED_INTO = 20
 PACKED_FILES = (
     "its files are compressed with zstd (ros2 bag record --compression-mode file); hiros reads "
     "temporary copies"
@@ -264,6 +274,25 @@ def _missing(promised: Mapping[str, int], counts: Mapping[str, int]) -> Iterator
         f"{METADATA} counts {quantity(total, 'message')}, and the recording holds {found}"
         f"{listing}; copy the recording again if it is not complete"
     )
+
+
+def transforms_beside(path: Path) -> str:
+    """Return where a part of a recording that has no /tf_static finds it; "" if nowhere.
+
+    Publishers send it once, so that the recorder writes it into one part only.
+    """
+    if not path.is_file() or not is_log_name(path.name, STORAGES):
+        return ""
+    names = [other.name for other in path.parent.iterdir()]
+    for name in other_parts(path.name, names)[:_LOOKED_INTO]:
+        with suppress(LogError), open_part(path.with_name(name)) as part:
+            if any(n and topic.endswith("/tf_static") for _, topic, _, n in _topics(part)):
+                return f"{name} beside it has /tf_static, as one part of a split recording does: " + (
+                    f"name the folder {path.parent} instead"
+                    if is_recording(path.parent)
+                    else "move its parts to a folder and join them by `hiros recover FOLDER -o OUT`"
+                )
+    return ""
 
 
 def join(

@@ -26,8 +26,8 @@ from threading import Event
 import numpy as np
 
 from hiros_mcap.body.transforms import TransformTree, read_extrinsics
-from hiros_mcap.errors import LogError, naming
-from hiros_mcap.io.bags import open_recording
+from hiros_mcap.errors import LogError, explained, naming
+from hiros_mcap.io.bags import open_recording, transforms_beside
 from hiros_mcap.io.camera_frames import (
     as_file_says,
     as_transforms_say,
@@ -208,6 +208,8 @@ def open_log(
             with naming(file.path):
                 reader = converted(file, selection._replace(several=True))
             contents = skeletons_of(reader, tree, topics, output_prefix)
+        except LogError as error:
+            raise explained(error, file.warnings) from None
         if tree is not None:
             note_unused(tree, contents[0])
         encodings = ("cdr",) if reader is file else ENCODINGS
@@ -215,7 +217,21 @@ def open_log(
         owns_file = reader is not path
         if reader is file:
             stack.pop_all()
-        return Log(reader, *contents, fixed_frame, unread, owns_file=owns_file)
+        log = Log(reader, *contents, fixed_frame, unread, owns_file=owns_file)
+        if tree is None:
+            _look_beside(log)
+        return log
+
+
+def _look_beside(log: Log) -> None:
+    """Let the log warn if it lacks transforms that another part of its recording has."""
+    try:
+        _ = log.fixed_frame
+    except LogError:
+        topics = (info.topic for info in log.channels if info.count)
+        if not any(topic.endswith("/tf_static") for topic in topics):
+            hint = transforms_beside(Path(log.path))
+            log.reader.warnings = (*log.reader.warnings, *filter(None, [hint]))
 
 
 def skeletons_of(

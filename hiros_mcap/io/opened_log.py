@@ -15,7 +15,7 @@ import numpy as np
 import hiros_schemas
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import Mover, PoseChange, TimedPoses, TransformTree, same_place
-from hiros_mcap.errors import LogError, naming
+from hiros_mcap.errors import LogError, explained, naming
 from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.io.camera_clock import CameraTimes
 from hiros_mcap.io.channels import (
@@ -247,10 +247,13 @@ class Log:
         if not frames:  # no camera shows anybody
             return self.wanted_frame or self.transforms.only_root
         self._check_names()
-        with naming(self.path):
+        try:
             fixed = self.wanted_frame or self.transforms.common_root(frames)
             for name in frames:
                 self.transforms.lookup(name, fixed, 0)
+        except LogError as error:
+            fault = explained(error, self.reader.warnings).fault
+            raise LogError(fault, path=self.path, topic=error.topic) from None
         return fixed
 
     def _check_names(self) -> None:

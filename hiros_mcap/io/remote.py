@@ -21,6 +21,7 @@ from hiros_mcap.outputs import HEAD, Kind, add_block, check_outputs, may_replace
 
 _ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 _BLOCK = 8 << 20  # bytes
+_TEXT = 1 << 20  # bytes of a text that is small
 _WHOLE = frozenset({"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "memory"})
 """Protocols of stores where a file appears only when all of it has arrived."""
 
@@ -104,6 +105,18 @@ def find(address: str) -> list[str]:
             return sorted(before + name for name in system.glob(path))
         system.ls(path)  # `find` says nothing of a bucket that does not exist
         return sorted(before + name for name in system.find(path))
+
+
+def names_in(folder: str) -> list[str]:
+    """Return the names of the files in a folder behind an address; raises LogError."""
+    with reached(folder) as (system, path):
+        return [PurePosixPath(row["name"]).name for row in files_in(system, path)]
+
+
+def text_of(address: str) -> str:
+    """Return what a small file of text behind an address says; raises LogError."""
+    with reached(address) as (system, path):
+        return bytes(system.cat_file(path, end=_TEXT)).decode(errors="replace")
 
 
 def size_and_date(address: str) -> tuple[int, str]:

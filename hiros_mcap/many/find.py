@@ -11,17 +11,22 @@ from pathlib import Path, PurePosixPath
 
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io import remote
+from hiros_mcap.io.bag_files import (
+    METADATA,
+    STORAGES,
+    are_splits,
+    is_log_name,
+    is_metadata,
+    is_recording,
+)
 
-SUFFIXES = frozenset({".mcap", ".bag", ".db3"})
-_METADATA = "metadata.yaml"
-_RECORDED = "rosbag2_bagfile_information"
-_RESULT = re.compile(r"(\.hiros)?\.(mcap|bag|db3)$", re.IGNORECASE)
+_RESULT = re.compile(r"(\.hiros)?\.(mcap|bag|db3)(\.zstd?)?$", re.IGNORECASE)
 
 
 def are_many(named: Sequence[str]) -> bool:
     """Whether a command was given more than one log: several names, a folder of logs or a glob.
 
-    A folder with nothing but one MCAP file is that log.
+    A folder with nothing but one MCAP or SQLite file is that log.
 
     Raises ConfigError if no file matches a glob.
     """
@@ -104,14 +109,16 @@ def _below(folder: Path, leave_out: Path | None) -> Iterator[str]:
 
 
 def _is_single(folder: Path) -> bool:
-    """Whether there is one MCAP file in a folder, and no other log in it or below."""
+    """Whether there is one MCAP or SQLite file in a folder, and no other log in it or below."""
     first = [Path(log) for log in islice(_below(folder, None), 2)]
-    return len(first) == 1 and first[0].parent == folder and first[0].suffix == ".mcap"
+    return (
+        len(first) == 1 and first[0].parent == folder and is_log_name(first[0].name, STORAGES)
+    )
 
 
 def _is_log(path: Path) -> bool:
     """Whether a name is that of a log. What cannot be read fails by name, and is not left out."""
-    return path.suffix.lower() in SUFFIXES and not path.is_dir()
+    return is_log_name(path.name) and not path.is_dir()
 
 
 def _remote(text: str) -> Iterator[str]:
@@ -125,34 +132,20 @@ def _remote(text: str) -> Iterator[str]:
         folder, _, name = address.rpartition("/")
         folders.setdefault(folder, []).append(name)
     for folder, names in folders.items():
-        title = PurePosixPath(folder).name
-        parts = [name for name in names if name.startswith(f"{title}_")]
-        logs = [name for name in names if PurePosixPath(name).suffix.lower() in SUFFIXES]
-        if (_METADATA in names and parts) or are_splits(title, logs):
+        logs = [name for name in names if is_log_name(name)]
+        # A glob may name some files of a folder only.
+        inside = remote.names_in(folder) if logs and glob.has_magic(text) else names
+        if logs and _is_remote_recording(folder, inside):
             yield folder
         else:
             yield from (f"{folder}/{name}" for name in logs)
 
 
-def is_recording(folder: Path) -> bool:
-    """Whether a folder is one recording of ROS 2.
-
-    It has a metadata.yaml of rosbag2. After a power loss that is missing; then the files have the
-    names that rosbag2 gives them: ``lab/lab_0.mcap``, ``lab/lab_1.mcap``.
-    """
-    try:
-        with (folder / _METADATA).open(encoding="utf-8", errors="replace") as file:
-            if _RECORDED in file.read(4096):
-                return True
-    except OSError:
-        pass
-    return are_splits(folder.name, [path.name for path in folder.glob("*.mcap")])
-
-
-def are_splits(folder: str, names: Sequence[str]) -> bool:
-    """Whether files in a folder have the names that rosbag2 gives the parts of a recording."""
-    wanted = {f"{folder}_{k}.mcap" for k in range(len(names))}
-    return len(names) > 1 and wanted == set(names)
+def _is_remote_recording(folder: str, names: Sequence[str]) -> bool:
+    """Whether a folder behind an address is one recording, see :func:`is_recording`."""
+    if METADATA in names and is_metadata(remote.text_of(f"{folder}/{METADATA}")):
+        return True
+    return are_splits(PurePosixPath(folder).name, [name for name in names if is_log_name(name)])
 
 
 def base_name(log: str) -> str:
