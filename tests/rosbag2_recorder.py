@@ -61,6 +61,10 @@ def sample(n=150):
     return found[:n]
 
 
+SINCE_LYRICAL = "{k}_{folder}_2026_11_27-10_0{k}_00"
+"""Names of the parts since ROS 2 Lyrical."""
+
+
 def record(
     folder, messages, *, storage="mcap", parts=1, mode="none", names="{folder}_{k}", metadata=True
 ):

@@ -14,12 +14,14 @@ import urllib.request
 
 import fsspec
 import pytest
+from rosbag2_recorder import SINCE_LYRICAL, record, sample
 
 from hiros_cli.app import run
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io import remote
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.remote import local_copy
+from hiros_mcap.many.find import find_logs
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +119,40 @@ def test_foreign_files_in_the_store_are_kept(store):
     command = ["process", "s3://lab/in/mon/walk.mcap", "-o", "s3://lab/out", "-q"]
     assert run(command) == 2
     assert store.cat_file("lab/out/walk.hiros.mcap") == b"mine"
+
+
+@pytest.mark.parametrize("names", ["{folder}_{k}", SINCE_LYRICAL])
+@pytest.mark.parametrize("options", [{}, {"metadata": False}, {"storage": "sqlite3", "mode": "file"}])
+def test_the_parts_of_a_recording_in_the_store_are_one_log(store, names, options, tmp_path):
+    folder = record(tmp_path / "lab", sample(), parts=3, names=names, **options)
+    for path in folder.iterdir():
+        store.put_file(str(path), f"lab/bags/lab/{path.name}")
+    store.put_file(str(next(folder.glob("*0*"))), "lab/bags/other.mcap.txt")
+    for text in ("s3://lab/bags/", "s3://lab/bags/*/*", "s3://lab/bags/lab/*1*"):
+        assert find_logs([text]) == ["s3://lab/bags/lab"]
+    command = ["process", "s3://lab/bags/", "-o", str(tmp_path / "out"), "--jobs", "1", "-q"]
+    assert run(command) == 0
+    assert [path.name for path in (tmp_path / "out").glob("*.mcap")] == ["lab.hiros.mcap"]
+
+
+def test_files_whose_metadata_is_not_of_rosbag2_are_logs_of_their_own(store):
+    store.pipe_file("lab/in/mon/metadata.yaml", b"title: our data")
+    assert len(find_logs(["s3://lab/in/"])) == 2
+    store.pipe_file("lab/in/mon/metadata.yaml", b"rosbag2_bagfile_information: {}")
+    assert find_logs(["s3://lab/in/"]) == ["s3://lab/in/mon", "s3://lab/in/tue/walk.mcap"]
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_part_in_the_store_names_its_neighbours(store, storage, tmp_path, capsys):
+    folder = record(tmp_path / "lab", sample(), parts=3, storage=storage)
+    for path in folder.iterdir():
+        store.put_file(str(path), f"lab/bags/lab/{path.name}")
+    (part,) = folder.glob("lab_1.*")
+    address = f"s3://lab/bags/lab/{part.name}"
+    assert run(["process", address, "-o", str(tmp_path / "out.mcap")]) == 2
+    text = capsys.readouterr().err
+    assert f"{part.name.replace('1', '0')} and 1 more file beside it" in text
+    assert "name the folder s3://lab/bags/lab instead" in text
 
 
 def test_a_bag_folder_of_the_store_is_one_log(store, walking, tmp_path):

@@ -12,12 +12,14 @@ import os
 import re
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.io.bag_files import other_parts
 from hiros_mcap.outputs import HEAD, Kind, add_block, check_outputs, may_replace, write_text
+from hiros_mcap.summary import quantity
 
 _ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 _BLOCK = 8 << 20  # bytes
@@ -154,7 +156,8 @@ def local_copy(log: str) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="hiros-") as temporary:
         target = Path(temporary) / PurePosixPath(log.rstrip("/")).name
         with reached(log) as (system, path):
-            if system.isdir(path):
+            is_folder = system.isdir(path)
+            if is_folder:
                 target.mkdir()
                 for row in files_in(system, path):
                     _fetch(system, row["name"], target / PurePosixPath(row["name"]).name, log)
@@ -163,13 +166,27 @@ def local_copy(log: str) -> Iterator[Path]:
         try:
             yield target
         except LogError as error:
+            hint = "" if is_folder or "/tf_static" not in error.fault else _beside(log)
             raise type(error)(
-                error.fault.replace(str(target), log),
+                error.fault.replace(str(target), log) + hint,
                 path=str(error.path or log).replace(str(target), log),
                 topic=error.topic,
             ) from None
         except ConfigError as error:
             raise ConfigError(str(error).replace(str(target), log)) from None
+
+
+def _beside(log: str) -> str:
+    """Say which files of the same folder may be parts of the same recording; "" for none."""
+    folder, _, name = log.rpartition("/")
+    with suppress(LogError):
+        if others := other_parts(name, names_in(folder)):
+            more = f" and {quantity(len(others) - 1, 'more file')}" if len(others) > 1 else ""
+            return (
+                f"; {others[0]}{more} beside it may be parts of the same recording, one of which "
+                f"has /tf_static: name the folder {folder} instead"
+            )
+    return ""
 
 
 def _fetch(system: Any, path: str, target: Path, address: str) -> None:

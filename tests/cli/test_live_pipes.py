@@ -102,6 +102,28 @@ def test_a_file_that_grows_is_read_to_its_end(walking, tmp_path):
     assert messages_of(out).items() >= messages_of(walking).items()
 
 
+@pytest.mark.parametrize("change", ["cut short", "begun anew", "replaced"])
+def test_a_file_that_cannot_grow_any_more_ends_with_a_warning(change, walking, tmp_path):
+    growing, other = tmp_path / "growing.mcap", tmp_path / "other.mcap"
+    data = walking.read_bytes()
+    growing.write_bytes(data[: len(data) // 2])
+    command = [*HIROS, "process", str(growing), "--follow", "-o", str(tmp_path / "out.mcap")]
+    run = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    assert run.stderr is not None
+    while "running" not in run.stderr.readline():
+        pass
+    time.sleep(1)
+    if change == "replaced":
+        other.write_bytes(data)
+        other.replace(growing)
+    else:
+        growing.write_bytes(data[:1000] if change == "begun anew" else b"")
+    _, text = run.communicate(timeout=120)
+    assert run.returncode == 0
+    assert "warning: the file was cut short or replaced by another while it was followed" in text
+    assert messages_of(tmp_path / "out.mcap")
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_the_input(number, crossing, tmp_path):
     growing, out = tmp_path / "growing.mcap", tmp_path / "out.mcap"

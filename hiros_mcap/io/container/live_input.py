@@ -123,7 +123,7 @@ class McapInput:
         except EndOfFile:
             if not begun:
                 raise LogError("is empty or not MCAP", path=self.name) from None
-            if not self._stopped:
+            if not (self._stopped or self.fault):
                 self.fault = (
                     "the input ended without its end mark; if its writer was not stopped on "
                     "purpose, look for the fault there"
@@ -171,10 +171,28 @@ class McapInput:
             if self._follow:
                 if data := os.read(self._descriptor, _BLOCK):
                     return data
+                if self._is_replaced():
+                    self.fault = (
+                        "the file was cut short or replaced by another while it was followed; what "
+                        "came before was used: follow the new file in another run"
+                    )
+                    break
                 time.sleep(_PAUSE)
             elif select.select([self._descriptor], [], [], _PATIENCE)[0]:
                 return os.read(self._descriptor, _BLOCK)
         return b""
+
+
+    def _is_replaced(self) -> bool:
+        """Whether nothing more can come: the file is shorter, or its name is another file's."""
+        state = os.fstat(self._descriptor)
+        if state.st_size < os.lseek(self._descriptor, 0, os.SEEK_CUR):
+            return True
+        try:
+            named = os.stat(self.name)
+        except OSError:  # it was removed; whoever writes may go on
+            return False
+        return not os.path.samestat(state, named)
 
 
 def _unpacked(chunk: Chunk) -> Iterator[McapRecord]:
