@@ -156,8 +156,6 @@ def _sqlite(path, messages, declared):
         database.execute("INSERT INTO message_definitions VALUES (?, ?, ?, ?, '')", (k, *row))
     numbers = {topic: k for k, (topic, _) in enumerate(topics, 1)}
     rows = [(numbers[m.topic], m.time, m.data) for m in messages]
-    database.executemany(
-        "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", rows
-    )
+    database.executemany("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", rows)
     database.commit()
     database.close()

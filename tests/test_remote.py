@@ -122,7 +122,9 @@ def test_foreign_files_in_the_store_are_kept(store):
 
 
 @pytest.mark.parametrize("names", ["{folder}_{k}", SINCE_LYRICAL])
-@pytest.mark.parametrize("options", [{}, {"metadata": False}, {"storage": "sqlite3", "mode": "file"}])
+@pytest.mark.parametrize(
+    "options", [{}, {"metadata": False}, {"storage": "sqlite3", "mode": "file"}]
+)
 def test_the_parts_of_a_recording_in_the_store_are_one_log(store, names, options, tmp_path):
     folder = record(tmp_path / "lab", sample(), parts=3, names=names, **options)
     for path in folder.iterdir():

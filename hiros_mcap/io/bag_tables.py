@@ -7,6 +7,7 @@ services, and types that nobody but their owner understands.
 
 from __future__ import annotations
 
+import json
 import sqlite3
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -33,8 +34,7 @@ class BagTopic(NamedTuple):
     name: str
     type: str
     """``pkg/msg/Type``."""
-    count: int
-    """Messages."""
+    n_messages: int
     profiles: str = ""
     """Quality of service, as YAML."""
 
@@ -139,7 +139,7 @@ def recover_bag(bag: Bag, topics: Sequence[BagTopic], writer: McapWriter) -> Rec
         kept[writer.channels[ident].topic] += n
     counts: Counter[str] = Counter()
     for topic in topics:
-        counts[topic.name] += topic.count
+        counts[topic.name] += topic.n_messages
     losses = (ChannelLoss(topic, kept[topic], n - kept[topic]) for topic, n in counts.items())
     return Recovery(tuple(damages), merged(losses))
 
@@ -178,31 +178,36 @@ class _SqliteBag:
         self._tables.close()
 
     def _columns(self, table: str) -> set[str]:
-        return {str(row[1]) for row in self._tables.execute(f"PRAGMA table_info({table})")}
+        rows = self._tables.execute("SELECT name FROM pragma_table_info(?)", [table])
+        return {str(name) for (name,) in rows}
 
     def _topics(self) -> Sequence[BagTopic]:
-        columns = self._columns("topics")
-        if not columns or not self._columns("messages"):
+        if not self._columns("topics") or not self._columns("messages"):
             raise LogError("is a SQLite database without the tables of a bag", path=self.path)
-        profiles = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
         query = "SELECT topic_id, count(*) FROM messages GROUP BY topic_id"
         counts = dict(self._tables.execute(query))
-        rows = self._tables.execute(f"SELECT id, name, type, {profiles} FROM topics ORDER BY id")
+        rows = self._tables.execute("SELECT * FROM topics ORDER BY id")
+        named = [dict(zip((d[0] for d in rows.description), row, strict=True)) for row in rows]
         return [
-            BagTopic(int(i), str(name), str(kind), counts.get(i, 0), str(qos))
-            for i, name, kind, qos in rows
+            BagTopic(
+                int(row["id"]),
+                str(row["name"]),
+                str(row["type"]),
+                counts.get(row["id"], 0),
+                str(row.get("offered_qos_profiles", "")),
+            )
+            for row in named
         ]
 
     def messages(self, topics: Collection[BagTopic]) -> Iterator[tuple[BagTopic, int, bytes]]:
         """Yield the messages of some topics, see :class:`Bag`."""
         wanted = {topic.id: topic for topic in topics}
-        marks = ",".join("?" * len(wanted))
         query = (
-            f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) "
-            "ORDER BY timestamp, id"
+            "SELECT topic_id, timestamp, data FROM messages "
+            "WHERE topic_id IN (SELECT value FROM json_each(?)) ORDER BY timestamp, id"
         )
         with _one_error(self._KIND, self.path):
-            for ident, time, data in self._tables.execute(query, list(wanted)):
+            for ident, time, data in self._tables.execute(query, [json.dumps([*wanted])]):
                 if not 0 <= time < 1 << 63:
                     raise ValueError(f"a message has no such time: {time}")
                 plain = memoryview(data).tobytes()

@@ -206,7 +206,7 @@ class _Choice:
 def _topics(part: McapReader | Bag) -> Iterator[tuple[int, str, str, int]]:
     """Yield the id, topic, type and number of messages of each channel of a file."""
     if not isinstance(part, McapReader):
-        yield from ((topic.id, topic.name, topic.type, topic.count) for topic in part.topics)
+        yield from ((topic.id, topic.name, topic.type, topic.n_messages) for topic in part.topics)
         return
     for channel in part.channels.values():
         schema = part.schema(channel)
@@ -287,10 +287,12 @@ def transforms_beside(path: Path) -> str:
     for name in other_parts(path.name, names)[:_LOOKED_INTO]:
         with suppress(LogError), open_part(path.with_name(name)) as part:
             if any(n and topic.endswith("/tf_static") for _, topic, _, n in _topics(part)):
-                return f"{name} beside it has /tf_static, as one part of a split recording does: " + (
-                    f"name the folder {path.parent} instead"
-                    if is_recording(path.parent)
-                    else "move its parts to a folder and join them by `hiros recover FOLDER -o OUT`"
+                place = f"name the folder {path.parent} instead"
+                if not is_recording(path.parent):
+                    place = "join its parts in a folder by `hiros recover FOLDER -o OUT`"
+                return (
+                    f"{name} beside it has /tf_static, as one part of a split recording does: "
+                    f"{place}"
                 )
     return ""
 

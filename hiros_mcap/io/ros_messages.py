@@ -20,7 +20,8 @@ from hiros_mcap.io.bag_tables import Bag
 from hiros_mcap.io.bags import open_part
 from hiros_mcap.io.channels import channels_of
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.ros_cdr import Bytes, RosMessage, decoder_of, ros2_types
+from hiros_mcap.io.ros_cdr import Bytes as Cdr
+from hiros_mcap.io.ros_cdr import RosMessage, decoder_of, ros2_types
 from hiros_mcap.skeletons import Floats
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -77,7 +78,7 @@ def _of_files(parts: Sequence[McapReader | Bag], store: Any) -> RosMessages:
     return RosMessages(types, read, store)
 
 
-_Row = tuple[str, int, Bytes]
+_Row = tuple[str, int, Cdr]
 """Topic, log time and CDR of a message."""
 
 
@@ -110,7 +111,7 @@ def open_messages(path: Path | McapReader) -> Iterator[RosMessages]:
             yield _of_files(parts, store)
 
 
-Pixels = npt.NDArray[np.uint8]
+Bytes = npt.NDArray[np.uint8]
 
 _CHANNELS = {
     "bgr8": (0, 1, 2),
@@ -189,7 +190,7 @@ def is_colour(message: Any) -> bool:
     return not is_depth(message) and not grey
 
 
-def colour_image(message: Any) -> Pixels:
+def colour_image(message: Any) -> Bytes:
     """(H, W, 3) blue, green, red; raises LogError for a damaged image."""
     if not hasattr(message, "encoding"):
         return _picture(message.data, colour=True)
@@ -239,7 +240,7 @@ def _pixels(message: Any, kind: np.dtype[Any], channels: int) -> npt.NDArray[Any
     return np.ascontiguousarray(rows).view(kind).reshape(height, width, channels)
 
 
-def _picture(data: Pixels, *, colour: bool) -> npt.NDArray[Any]:
+def _picture(data: Bytes, *, colour: bool) -> npt.NDArray[Any]:
     import cv2
 
     flag = cv2.IMREAD_COLOR if colour else cv2.IMREAD_UNCHANGED

@@ -111,9 +111,7 @@ def _below(folder: Path, leave_out: Path | None) -> Iterator[str]:
 def _is_single(folder: Path) -> bool:
     """Whether there is one MCAP or SQLite file in a folder, and no other log in it or below."""
     first = [Path(log) for log in islice(_below(folder, None), 2)]
-    return (
-        len(first) == 1 and first[0].parent == folder and is_log_name(first[0].name, STORAGES)
-    )
+    return len(first) == 1 and first[0].parent == folder and is_log_name(first[0].name, STORAGES)
 
 
 def _is_log(path: Path) -> bool:

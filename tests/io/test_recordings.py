@@ -81,7 +81,9 @@ def test_a_frame_that_is_damaged_is_an_error(messages, tmp_path):
     cut = [m._replace(data=zstandard.compress(m.data)) for m in messages]
     cut[40] = cut[40]._replace(data=cut[40].data[:-9])
     folder = record(tmp_path / "lab", cut)
-    with pytest.raises(LogError, match=r"lab_0.mcap: damaged chunk at byte \d+: a message does not"):
+    with pytest.raises(
+        LogError, match=r"lab_0.mcap: damaged chunk at byte \d+: a message does not"
+    ):
         list(open_log(folder).detections())
     with pytest.raises(LogError, match="is a SQLite bag that cannot be read: a message does not"):
         open_log(record(tmp_path / "x", cut, storage="sqlite3"))
@@ -135,7 +137,12 @@ ODD = {
     "bounded": ("/b", "acme_msgs/msg/B", "string<=5[<=3] names\nfloat128 q\n", "ros2msg"),
     "no type": ("/n", "thing", "", "unknown"),
     "no text": ("/j", "acme_msgs/msg/J", "}{ $$\n= = =\n", "ros2msg"),
-    "IDL": ("/i", "acme_msgs/msg/I", f"{'=' * 80}\nIDL: acme_msgs/msg/I\nmodule acme {{", "ros2idl"),
+    "IDL": (
+        "/i",
+        "acme_msgs/msg/I",
+        f"{'=' * 80}\nIDL: acme_msgs/msg/I\nmodule acme {{",
+        "ros2idl",
+    ),
 }
 
 

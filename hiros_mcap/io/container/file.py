@@ -175,8 +175,11 @@ ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 def is_packed(message: Bytes) -> bool:
-    """Whether a message in CDR is a zstd frame, as ``ros2 bag record --compression-mode message``
-    stores it (rosbag2_compression_zstd/zstd_compressor.cpp)."""
+    """Whether a message in CDR is a zstd frame instead.
+
+    So stores it ``ros2 bag record --compression-mode message`` (rosbag2_compression_zstd,
+    zstd_compressor.cpp).
+    """
     return message[: len(ZSTD_MAGIC)] == ZSTD_MAGIC
 
 

@@ -8,6 +8,7 @@ import select
 import struct
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from hiros_mcap.errors import LogError
@@ -182,14 +183,13 @@ class McapInput:
                 return os.read(self._descriptor, _BLOCK)
         return b""
 
-
     def _is_replaced(self) -> bool:
         """Whether nothing more can come: the file is shorter, or its name is another file's."""
         state = os.fstat(self._descriptor)
         if state.st_size < os.lseek(self._descriptor, 0, os.SEEK_CUR):
             return True
         try:
-            named = os.stat(self.name)
+            named = Path(self.name).stat()
         except OSError:  # it was removed; whoever writes may go on
             return False
         return not os.path.samestat(state, named)

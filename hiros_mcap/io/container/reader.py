@@ -112,8 +112,8 @@ Recorders' chunks are of 0.75 to 4 MiB, ours of a little more than 2."""
 _COLUMNS = [LOG_TIME, START]
 _ATTACHMENT_FIXED = 32  # bytes before the data of an attachment, besides its names
 PACKED_MESSAGES = (
-    "its messages are compressed one by one with zstd (ros2 bag record --compression-mode message); "
-    "hiros unpacks them"
+    "its messages are compressed one by one with zstd (ros2 bag record --compression-mode "
+    "message); hiros unpacks them"
 )
 
 
@@ -158,7 +158,8 @@ class Records(NamedTuple):
         for k, byte in enumerate(ZSTD_MAGIC):
             could[could] = data[starts[could] + np.uint64(k)] == byte
         rows = np.flatnonzero(could)
-        return rows[np.isin(self.messages[rows, CHANNEL], list(channels))].tolist()
+        chosen = np.isin(self.messages[rows, CHANNEL], list(channels))
+        return [int(row) for row in rows[chosen]]
 
     def unpacked(self, rows: Collection[int]) -> Records:
         """Return the messages with what is in some of them, which are zstd frames.
