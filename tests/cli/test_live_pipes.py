@@ -103,10 +103,10 @@ def test_a_file_that_grows_is_read_to_its_end(walking, tmp_path):
 
 
 @pytest.mark.parametrize("change", ["cut short", "begun anew", "replaced"])
-def test_a_file_that_cannot_grow_any_more_ends_with_a_warning(change, walking, tmp_path):
+def test_a_file_that_cannot_grow_any_more_ends_with_a_warning(change, crossing, tmp_path):
     growing, other = tmp_path / "growing.mcap", tmp_path / "other.mcap"
-    data = walking.read_bytes()
-    growing.write_bytes(data[: len(data) // 2])
+    data = crossing.read_bytes()
+    growing.write_bytes(data[:-100])  # the end mark is still to come
     command = [*HIROS, "process", str(growing), "--follow", "-o", str(tmp_path / "out.mcap")]
     run = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     assert run.stderr is not None
