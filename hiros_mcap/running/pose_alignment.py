@@ -369,11 +369,19 @@ def _separated(
         return None
 
 
-def shared_wrongly(log: Log, rig: Iterable[CalibratedCamera]) -> dict[str, list[str]]:
-    """Frame -> the cameras in it, where people whom they share are not at one place in it."""
+def shared_wrongly(
+    log: Log, rig: Sequence[CalibratedCamera], *, or_alone: bool = False
+) -> dict[str, list[str]]:
+    """Frame -> the cameras in it, where people whom they share are not at one place in it.
+
+    ``or_alone`` : also where no two of them share anybody.
+    """
     wrong = {one.name for one in rig if not one.fits}
+    alone = {one.name for one in rig if or_alone and one.reason == UNLINKED}
     shared = {frame: names_of(cameras) for frame, cameras in shared_frames(log).items()}
-    return {frame: names for frame, names in shared.items() if wrong & set(names)}
+    return {
+        frame: names for frame, names in shared.items() if wrong & set(names) or alone >= set(names)
+    }
 
 
 def _agreements(log: Log, rig: Sequence[CalibratedCamera]) -> tuple[str, ...]:
@@ -478,7 +486,7 @@ def pose_faults(log: Log) -> list[str]:
     if len(cameras) < 2:
         return []
     posed = _refined(Survey(log, CHECKED_S), {}, cameras, {})
-    if wrong := shared_wrongly(log, posed.rig):
+    if wrong := shared_wrongly(log, posed.rig, or_alone=True):
         give = "hiros process and hiros calibrate people give each channel a frame of its own"
         return [f"{said(one)}. {give}, if the people tell the poses" for one in wrong.items()]
     named = []

@@ -215,7 +215,8 @@ class PoseFollower:
         views = [in_own_frame(camera, self._view(camera)) for camera in cameras]
         poses, stay = [camera.pose for camera in cameras], [False] * len(cameras)
         rig, _ = refine_poses(views, poses, self._mirror, None, stay, moves=False, effort=_EFFORT)
-        self._alignment.contradictions = tuple(map(said, shared_wrongly(log, rig).items()))
+        wrong = shared_wrongly(log, rig, or_alone=True)
+        self._alignment.contradictions = tuple(map(said, wrong.items()))
 
     def _view(self, camera: FixedCamera) -> CameraView:
         """Return what a camera sees, where the log's poses put it."""
