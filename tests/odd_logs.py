@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from mcap_logs import tf_bytes
+
+import hiros_schemas
+from hiros_mcap.body.transforms import parse_tf
+from hiros_mcap.io.channels import add_ros_channel
 from hiros_mcap.io.codec import Decoder, Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_log
@@ -54,3 +59,30 @@ def believed(frame, confidence):
     confidences = frame.marker_confidences.copy()
     confidences[:] = confidence
     return frame.replace(marker_confidences=confidences)
+
+
+def poses_of(path):
+    """Parent, child, translation and rotation of every static transform."""
+    with open_log(path) as log:
+        (ident,) = (info.id for info in log.channels if info.topic == "/tf_static")
+        every = [t for m in log.reader.messages([ident]) for t in parse_tf(m.data)]
+    return [(t.parent, t.child, t.translation, t.xyzw) for t in every]
+
+
+def published(source, target, topics, frame=None):
+    """Copy a log with other transforms, by topic, and other frames of the cameras, by topic."""
+    if frame is not None:
+        source = changed(
+            source, target.with_suffix(".frames"), lambda f, _: f.replace(frame_id=frame(f.source))
+        )
+    with open_log(source) as log, McapWriter(target) as writer:
+        others = {i: c for i, c in log.reader.channels.items() if c.topic != "/tf_static"}
+        writer.copy_definitions(log.reader, others)
+        for topic, rows in topics.items():
+            channel = add_ros_channel(writer, topic, hiros_schemas.TF_MESSAGE)
+            data = tf_bytes(*((0, *row) for row in rows))
+            writer.write(channel, log.span[0], data)
+        for message in log.reader.messages(others):
+            writer.write(message.channel_id, message.log_time, bytes(message.data))
+        writer.commit()
+    return target

@@ -36,7 +36,9 @@ from detector_logs import (
 from mcap.reader import NonSeekingReader
 from mcap.records import Channel
 from mcap.stream_reader import StreamReader
+from odd_logs import poses_of, published
 
+import hiros_schemas
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.channels import add_ros_channel
@@ -229,6 +231,15 @@ def test_transforms_may_come_later(crossing, by_file):
     _, out = run_live(send(crossing, [*others[:120], *tf, *others[120:]]))
     found = results(out)
     assert [m for _, m in found["/hiros/filtered"]] == [m for _, m in by_file["/hiros/filtered"]]
+
+
+def test_transforms_may_come_in_a_namespace(crossing, by_file, tmp_path):
+    topics = {f"/{row[1]}/tf_static": [row] for row in poses_of(crossing)}
+    log = published(crossing, tmp_path / "log.mcap", topics)
+    summary, out = run_live(send(log, recorded(log)))
+    assert results(out) == by_file
+    assert any("/camera_1/tf_static" in note for note in summary.notes)
+    assert subscription(LIVE)("/robot1/tf_static", hiros_schemas.TF_MESSAGE)
 
 
 def test_without_transforms_it_gives_up_with_the_remedy(crossing):
