@@ -50,7 +50,7 @@ _OURS = f"{OUTPUT_PREFIX}/", f"{TRUTH_PREFIX}/"
 """Topics that were written later: their times tell nothing of the recorder."""
 
 
-class Place(NamedTuple):
+class StampPlace(NamedTuple):
     """Where the stamps of a channel's messages lie."""
 
     byte: int
@@ -59,7 +59,7 @@ class Place(NamedTuple):
     """Whether the messages are SkeletonGroups, whose people have times of their own."""
 
 
-_NO_STAMP = Place(1 << 62, has_people=False)
+_NO_STAMP = StampPlace(1 << 62, has_people=False)
 
 
 def mend_log_times(reader: McapReader) -> None:
@@ -96,14 +96,14 @@ def mend_log_times(reader: McapReader) -> None:
     reader.remarks = (*reader.remarks, *_remarks(channels, log_times, right, names))
 
 
-def place_of(reader: McapReader, info: ChannelInfo) -> Place | None:
+def place_of(reader: McapReader, info: ChannelInfo) -> StampPlace | None:
     """Return where the stamps of a channel's messages lie; None if they have none to go by."""
     schema = reader.schema(reader.channels[info.id])
     if schema is None or info.topic == TF_TOPICS[0]:
         return None
     is_group = info.encoding == "cdr" and info.has_type(hiros_schemas.SKELETON_GROUP)
     place = stamp_place(schema, info.encoding)
-    return Place(place, is_group) if place else None
+    return StampPlace(place, is_group) if place else None
 
 
 def stamp_place(schema: Schema, encoding: str) -> int:
@@ -152,7 +152,7 @@ def _odd(spans: Sequence[tuple[int, int]]) -> set[int]:
     return odd
 
 
-def _read(records: Records, places: Mapping[int, Place]) -> Stamps:
+def _read(records: Records, places: Mapping[int, StampPlace]) -> Stamps:
     """(N, 3) channel, log time and stamp, ns, of messages with stamps; a stamp of 0 is none."""
     messages = records.messages[np.isin(records.messages[:, CHANNEL], list(places))]
     channels = messages[:, CHANNEL].astype(np.int64)
@@ -167,7 +167,7 @@ def _read(records: Records, places: Mapping[int, Place]) -> Stamps:
     return np.stack([channels, log_times, stamps], axis=1)
 
 
-def stamp_of(message: Message, place: Place) -> int:
+def stamp_of(message: Message, place: StampPlace) -> int:
     """Return the stamp of a message, ns; 0 if it has none."""
     data = np.frombuffer(message.data, np.uint8)
     stamp = int(_times(data, np.array([place.byte]), np.array([len(data)]))[0])
