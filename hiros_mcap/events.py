@@ -44,7 +44,7 @@ COUNTED: Mapping[str, tuple[str, str]] = {
     "distorted": ("detection", "ignored: limbs of a wrong length, and somebody else in front"),
     "implausible marker": ("marker", "trusted less: the person's limbs have another length"),
     "hidden": ("marker", "trusted less: behind somebody else"),
-    "impossible posture": ("marker", "trusted less: no body bends so"),
+    "impossible posture": ("marker", "trusted less: in a posture that no body takes"),
     "duplicate": ("detection", "ignored: the same camera had already reported the person"),
     "too few markers": ("detection", "started no track: fewer markers than track.min_markers"),
     "swap": ("pair", "of joints re-arranged: left and right were swapped"),

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 DIFFERENT, BAD_INPUT, BUG = 1, 2, 70
 _LAST_ROWS = 8
 _ALL_ROWS = 40
+_LONGEST_REASON = 200
 """Logs up to which the table has a row for each."""
 
 
@@ -249,7 +250,7 @@ def _show(job: Job, records: Sequence[LogRecord], folder: str) -> None:
 
     columns = [name for name in columns_of(records) if name in shown_columns(job.command)]
     good = ("done", "equal")
-    named = zip(_without_common([r.log for r in records]), records, strict=True)
+    named = [*zip(_without_common([r.log for r in records]), records, strict=True)]
     rows = [
         (log, r.verdict, *(_cell(r.values.get(name)) for name in columns))
         for log, r in named
@@ -268,6 +269,9 @@ def _show(job: Job, records: Sequence[LogRecord], folder: str) -> None:
     lines: list[str | Text] = [Text(f"{quantity(len(records), 'log')}: {counts}", style="bold")]
     if shown < len(records):
         lines.append("the table has those that are not simply done; --csv and --json have all")
+    for log, r in named:
+        if r.verdict == "failed":
+            lines.append(f"{printable(log)}: {printable(r.error, _LONGEST_REASON)}")
     if folder:
         lines.append(f"manifest: {folder.rstrip('/')}/hiros-{job.command}.json")
     page((), table("Log", "Verdict", *titles, rows=rows), lines)

@@ -217,7 +217,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     "demo": ("hiros demo", "hiros process demo.mcap", "hiros view demo.hiros.mcap"),
     "simulate": ("hiros simulate lab.mcap --people 2 --action cross --seconds 10",),
     "plan": (
-        "hiros plan --room 6x5 --cameras 4 --people 2 -o cameras.toml --picture floor.png",
+        "hiros plan --room 6x5 --cameras 4 --people 2 --picture floor.png",
         "hiros plan --room 6x5 --cameras cameras.toml",
     ),
     "config": ("hiros config --system lee > lee.toml",),

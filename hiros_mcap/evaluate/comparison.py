@@ -101,10 +101,8 @@ class MeanDifference:
 
     @property
     def line(self) -> str:
-        """Return it with the other system and the time in common."""
-        if self.seconds < 2:
-            return f"not compared with {self.against}: less than two seconds in common"
-        return f"against {self.against}, mm: {self} in {self.seconds} s"
+        """Return it, unless there is too little time in common."""
+        return "-: less than 2 s in common" if self.seconds < 2 else str(self)
 
     def __str__(self) -> str:
         ends = sorted((abs(self.low), abs(self.high)))

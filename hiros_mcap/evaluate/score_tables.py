@@ -155,9 +155,16 @@ def comparison_sheets(outcomes: Sequence[Outcome]) -> list[Sheet]:
     ]
 
 
-def differences_of(outcomes: Sequence[Outcome]) -> list[str]:
-    """Return a line per system of one log: whether it is nearer than the first one."""
-    return [f"{o.name}: {o.difference.line}" for o in outcomes if o.difference is not None]
+def with_differences(sheet: Sheet) -> Table:
+    """Header and rows of one log, and in words whether a system is nearer than the first one."""
+    titles, rows = text_of(sheet)
+    found = [outcome.difference for _, outcome in sheet.rows if isinstance(outcome, Outcome)]
+    first = next((difference.against for difference in found if difference is not None), None)
+    if first is None:
+        return titles, rows
+    cells = ["-" if difference is None else difference.line for difference in found]
+    longer = [(*row, cell) for row, cell in zip(rows, cells, strict=True)]
+    return (*titles, f"Against {first}, mm"), longer
 
 
 def notes_on(outcomes: Sequence[Outcome]) -> list[str]:

@@ -182,7 +182,7 @@ def page_of(curves: Curves) -> Page:
         page.heading(f"Person {person}, {span}")
         for line in in_words(body.marks):
             page.text(line)
-        caption = "Joint angles, degrees. docs/angles.md defines their signs."
+        caption = "Joint angles, degrees. Flexion, abduction and inward rotation are positive."
         page.figure(grid_of(curves, body, "angles"), caption)
         if limb_links(curves.model):
             page.figure(grid_of(curves, body, "limbs"), "Limb lengths, mm")
@@ -206,8 +206,9 @@ def verdict(curves: Curves) -> str:
 def summary_row(frames: Sequence[Frame], model: SkeletonModel) -> str:
     """One line about the channel: people, limb constancy, jitter."""
     scores = consistency(frames, model)
+    n = len(scores.people)
     return (
-        f"{len(scores.people)} people, limb lengths vary by "
+        f"{n} {'person' if n == 1 else 'people'}, limb lengths vary by "
         f"{number(scores.limb_variation, 4)} (CV), jitter {number(scores.jitter, 1)} mm"
     )
 

@@ -18,10 +18,10 @@ from hiros_mcap.evaluate.measures import text_of
 from hiros_mcap.evaluate.score_tables import (
     best_first,
     camera_sheet,
-    differences_of,
     has_truth,
     notes_on,
-    system_table,
+    system_sheets,
+    with_differences,
 )
 from hiros_mcap.skeletons import Floats
 from hiros_mcap.summary import number
@@ -172,19 +172,19 @@ def comparison_page(outcomes: Sequence[Outcome], study: str | None) -> Page:
         return page
     for log in dict.fromkeys(o.log for o in outcomes):
         group = [o for o in outcomes if o.log == log]
+        (sheet,) = system_sheets(group)
+        compared = with_differences(sheet)
         page.heading(log)
         if has_truth(group):
             best = best_first(group)[0]
             page.text(f"Least error: {best.name}, {number(best.error, 1, ' mm')}.")
-            page.table(*system_table(group), "Least error first; mm, degrees, ms")
+            page.table(*compared, "Least error first; mm, degrees, ms")
             page.figure(_error_bars(group), "Mean joint error; the line is its standard deviation")
         else:
-            page.table(*system_table(group), "Distances and jitter in mm")
+            page.table(*compared, "Distances and jitter in mm")
             for text in notes_on(group):
                 page.text(text)
             page.figure(_self_bars(group), "Systems in the order in which they were named")
-        for line in differences_of(group):
-            page.text(line)
     return page
 
 

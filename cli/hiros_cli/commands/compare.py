@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tempfile
 from contextlib import ExitStack
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -63,8 +62,8 @@ def compare(
 
     With a truth, they are ranked by joint error. Without one, they are not ranked: the table shows
     how far each camera is from the result of the others, on the same detections for all systems,
-    jitter, limb lengths and ids. Below, each system is compared with the first one named: better or
-    worse by so many mm, or no difference, by the 95 % interval over blocks of a second.
+    jitter, limb lengths and ids. The last column compares each system with the first one named:
+    better or worse by so many mm, or no difference, by the 95 % interval over blocks of a second.
     """
     paths = list(logs or ())
     for path in paths:
@@ -154,14 +153,10 @@ def _sheets(outcomes: list[Outcome], study: str | None) -> list[Sheet]:
 def _show(outcomes: list[Outcome], study: str | None) -> None:
     from hiros_cli.run_report import page
     from hiros_mcap.evaluate.measures import text_of
-    from hiros_mcap.evaluate.score_tables import differences_of, notes_on, system_sheets
+    from hiros_mcap.evaluate.score_tables import notes_on, system_sheets, with_differences
 
-    sheets = _sheets(outcomes, study) if study == "cameras" else system_sheets(outcomes)
-    parts = [
-        (
-            (sheet.title, text_of(sheet)),
-            differences_of([o for o in outcomes if o.log == sheet.log]) or None,
-        )
-        for sheet in sheets
-    ]
-    page((), *chain.from_iterable(parts), notes=notes_on(outcomes))
+    if study == "cameras":
+        tables = [(sheet.title, text_of(sheet)) for sheet in _sheets(outcomes, study)]
+    else:
+        tables = [(sheet.title, with_differences(sheet)) for sheet in system_sheets(outcomes)]
+    page((), *tables, notes=notes_on(outcomes))
