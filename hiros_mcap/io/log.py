@@ -351,7 +351,7 @@ def _camera(
     size = body_size(np.concatenate([frame.positions for frame in named])) if named else math.nan
     stamps = ((f.log_time, max(*f.stamps.tolist(), 0) or f.stamp) for f in named)
     lag = next((logged - stamp for logged, stamp in stamps if stamp > 0), 0)
-    return CameraChannel(info, layout, sources, frames, size, lag)
+    return CameraChannel(info, layout, sources, frames, size, lag=lag)
 
 
 _NAMELESS = 100
