@@ -75,13 +75,13 @@ def _run(arguments: list[str]) -> int:
     open_missing_streams()
     for variable in SINGLE_THREADED:
         os.environ.setdefault(variable, "1")
-    from hiros_cli.common_options import split
+    from hiros_cli.common_options import of_ros, split
     from hiros_cli.compiling import importing
 
     with importing():
         from hiros_cli.commands import dispatch
 
-    chosen, rest = split(arguments)
+    chosen, rest = split(of_ros(arguments))
     with chosen.in_effect(arguments):
         code = dispatch(rest)
     sys.stdout.flush()

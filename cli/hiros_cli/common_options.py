@@ -80,6 +80,22 @@ def split(arguments: Sequence[str]) -> tuple[CommonOptions, list[str]]:
     return CommonOptions("--verbose" in given, Path(file) if file else None, color), rest
 
 
+def of_ros(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments with those of ROS 2 each as the value of an option --ros-args.
+
+    As in any node, they reach from ``--ros-args`` to ``--`` or to the end.
+    """
+    joined, inside = [], False
+    for argument in arguments:
+        if argument == "--ros-args":
+            inside = True
+        elif inside and argument == "--":
+            inside = False
+        else:
+            joined.append(f"--ros-args={argument}" if inside else argument)
+    return joined
+
+
 class _Steps(logging.Handler):
     """Prints on stderr what the library does; its warnings are printed anyway."""
 

@@ -1,4 +1,4 @@
-"""``hiros process -`` and ``hiros process --follow``: input that is still being written."""
+"""``hiros process -``, ``--follow``, ``ws://`` and ``ros2://``: input that is still being written."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from hiros_cli.output import printable
+from hiros_cli.output import printable, warn
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.outputs import target_kind
 from hiros_mcap.running.progress_bar import bar
@@ -20,67 +20,91 @@ if TYPE_CHECKING:
     from hiros_mcap.io.container.file import Sink
     from hiros_mcap.io.container.live_input import LiveInput
     from hiros_mcap.io.live_log import LiveLog
+    from hiros_mcap.io.ros_node import RosNode
     from hiros_mcap.running.process_options import ProcessOptions, Watcher
     from hiros_mcap.summary import Summary
 
 STREAM = "-"
 """Stands for the standard input and the standard output."""
 SOCKETS = ("ws://", "wss://")
+GRAPH = "ros2://"
 
 
-def is_live(logs: Sequence[str], output: str | None, *, follow: bool) -> bool:
-    """Whether the input is still being written, or somebody reads the output meanwhile."""
-    return follow or not (output is None or is_file(output)) or not all(map(is_file, logs))
+def is_live(logs: Sequence[str], outputs: Sequence[str], *, follow: bool) -> bool:
+    """Whether the input is still being written, or somebody reads an output meanwhile."""
+    return follow or not all(map(is_file, (*logs, *outputs)))
 
 
 def is_file(source: str) -> bool:
-    """Whether an input or an output is a file or a folder, neither a pipe nor a server."""
-    return source != STREAM and not source.startswith(SOCKETS)
+    """Whether an input or an output is a file or a folder, no pipe, no server, and no graph."""
+    return source != STREAM and not source.startswith(SOCKETS) and not is_graph(source)
 
 
-def check_live(logs: Sequence[str], output: str | None, *, follow: bool) -> None:
+def is_graph(source: str) -> bool:
+    """Whether an input or an output is the graph of ROS 2; raises ConfigError for a part of it."""
+    if source.startswith(GRAPH) and source != GRAPH:
+        raise ConfigError(
+            f"{source}: the ROS 2 graph is named {GRAPH}; --topic chooses its topics, and "
+            "ROS_DOMAIN_ID another graph"
+        )
+    return source == GRAPH
+
+
+def check_live(logs: Sequence[str], outputs: Sequence[str], *, follow: bool) -> None:
     """Raise ConfigError for an input or an output that cannot be live."""
     if len(logs) > 1:
         raise ConfigError("live input is one log; name one")
     (source,) = logs
     if is_file(source) and not follow:
+        output = next(name for name in outputs if not is_file(name))
         raise ConfigError(
             f"-o {output}: only live input goes to a pipe or a server; add --follow, or read a "
             f"pipe: hiros process - -o {output} < {source}"
         )
+    if len(set(outputs)) < len(outputs):
+        raise ConfigError(f"-o {' -o '.join(outputs)}: an output is named twice")
     if not is_file(source) and follow:
         raise ConfigError(f"{source}: --follow is for a file; this input is live anyway")
     if is_file(source) and not Path(source).exists():
         raise ConfigError(f"{source}: does not exist yet; start the recording first")
     if is_file(source) and not Path(source).is_file():
         raise ConfigError(f"{source}: only an MCAP file can be followed")
-    if not is_file(source) and output is None:
-        raise ConfigError(f"{source}: name the output: -o FILE, -o - or -o ws://HOST:PORT")
+    if not is_file(source) and not outputs:
+        raise ConfigError(
+            f"{source}: name the output: -o FILE, -o -, -o ws://HOST:PORT or -o {GRAPH}"
+        )
     # Python knows the streams that were closed when it started.
     if source == STREAM and sys.__stdin__ is None:
         raise ConfigError("-: the standard input is closed; pipe an MCAP into hiros")
-    if output == STREAM and sys.__stdout__ is None:
+    if STREAM in outputs and sys.__stdout__ is None:
         raise ConfigError("-o -: the standard output is closed; pipe it into a program")
     if source == STREAM and sys.stdin.isatty():
         raise ConfigError("-: the standard input is a terminal; pipe an MCAP into hiros")
-    if output == STREAM and sys.stdout.isatty():
+    if STREAM in outputs and sys.stdout.isatty():
         raise ConfigError(
             "-o -: the standard output is a terminal; pipe it into a program, or name a file"
         )
-    if output is not None and is_file(output) and target_kind(output) != "log":
-        raise ConfigError(f"{output}: live input gives an MCAP file or a pipe, not a bag's folder")
+    for output in outputs:
+        if is_file(output) and target_kind(output) != "log":
+            raise ConfigError(
+                f"{output}: live input gives an MCAP file or a pipe, not a bag's folder"
+            )
 
 
 def run_live(
     source: str,
-    wanted: str,
+    wanted: Sequence[str],
     config: Config,
     options: ProcessOptions,
     watcher: Watcher | None,
     *,
+    ros: Sequence[str] = (),
     quiet: bool,
 ) -> Summary:
-    """Process until the input ends; see :func:`hiros_mcap.running.process_live.process_live`."""
+    """Process until the input ends; see :func:`hiros_mcap.running.process_live.process_live`.
+
+    ``ros`` are arguments of ROS 2.
+    """
     from hiros_mcap.running.process_live import process_live
 
     def started(log: LiveLog) -> None:
@@ -89,14 +113,18 @@ def run_live(
 
     if not quiet:
         print(f"hiros: listening to {printable(_name(source))}", file=sys.stderr, flush=True)
-    with (
-        _output(wanted, quiet=quiet) as target,
-        _input(source, options) as stream,
-        bar("live", quiet=quiet, live=True) as shown,
-    ):
+    with contextlib.ExitStack() as stack:
+        node = None
+        if any(map(is_graph, (source, *wanted))):
+            node = stack.enter_context(_node(ros))
+        targets = [
+            stack.enter_context(_output(name, node, options, quiet=quiet)) for name in wanted
+        ]
+        stream = stack.enter_context(_input(source, node, options))
+        shown = stack.enter_context(bar("live", quiet=quiet, live=True))
         return process_live(
             stream,
-            target,
+            targets,
             config=config,
             options=options,
             watcher=watcher,
@@ -106,8 +134,26 @@ def run_live(
 
 
 @contextlib.contextmanager
-def _output(wanted: str, *, quiet: bool) -> Iterator[int | Path | Sink]:
+def _node(arguments: Sequence[str]) -> Iterator[RosNode]:
+    from hiros_mcap.io.ros_node import RosNode
+
+    with contextlib.closing(RosNode(arguments)) as node:
+        yield node
+
+
+@contextlib.contextmanager
+def _output(
+    wanted: str, node: RosNode | None, options: ProcessOptions, *, quiet: bool
+) -> Iterator[int | Path | Sink]:
     """Yield where the results go; a server is open from here on."""
+    if node is not None and is_graph(wanted):
+        from hiros_mcap.io.ros_output import RosOutput
+
+        output = RosOutput(node, others=options.markers)
+        if output.note:
+            warn(output.note)
+        yield output
+        return
     if not wanted.startswith(SOCKETS):
         yield sys.__stdout__.fileno() if sys.__stdout__ and wanted == STREAM else Path(wanted)
         return
@@ -122,11 +168,12 @@ def _output(wanted: str, *, quiet: bool) -> Iterator[int | Path | Sink]:
 
 
 def _name(source: str) -> str:
-    return "the standard input" if source == STREAM else source
+    names = {STREAM: "the standard input", GRAPH: "the ROS 2 graph"}
+    return names.get(source, source)
 
 
 @contextlib.contextmanager
-def _input(source: str, options: ProcessOptions) -> Iterator[LiveInput]:
+def _input(source: str, node: RosNode | None, options: ProcessOptions) -> Iterator[LiveInput]:
     """Yield the input; the first Ctrl-C or SIGTERM ends it.
 
     What was read by then is processed and written. A second signal stops the program.
@@ -140,6 +187,11 @@ def _input(source: str, options: ProcessOptions) -> Iterator[LiveInput]:
             from hiros_mcap.running.process_live import subscription
 
             stream = FoxgloveInput(source, subscription(options), int(options.memory * LARGEST))
+        elif node is not None and is_graph(source):
+            from hiros_mcap.io.ros_input import RosInput
+            from hiros_mcap.running.process_live import necessity, subscription
+
+            stream = RosInput(node, subscription(options), necessity(options))
         elif source == STREAM:
             stream = McapInput(sys.stdin.fileno(), _name(source))
         else:

@@ -35,7 +35,7 @@ _TF_NAMES = tuple(topic.strip("/") for topic in TF_TOPICS)
 _LISTED = 20
 # The quality of service that rosbag2 offers when it plays a channel: reliable, volatile, keep
 # last 10, no deadlines. Numbers, because Humble cannot read the names that later versions write.
-_QOS = """\
+RELIABLE_QOS = """\
 - history: 1
   depth: 10
   reliability: 1
@@ -51,7 +51,7 @@ _QOS = """\
     sec: 9223372036
     nsec: 854775807
   avoid_ros_namespace_conventions: false"""
-LATCHED_QOS = _QOS.replace("depth: 10", "depth: 1").replace("durability: 2", "durability: 1")
+LATCHED_QOS = RELIABLE_QOS.replace("depth: 10", "depth: 1").replace("durability: 2", "durability: 1")
 """The same for /tf_static, which late subscribers need, too: transient local."""
 
 
@@ -243,7 +243,7 @@ def add_static_poses(
     writer.write(channel, stamp, out.finish())
 
 
-def add_ros_channel(writer: McapWriter, topic: str, name: str, qos: str = _QOS) -> int:
+def add_ros_channel(writer: McapWriter, topic: str, name: str, qos: str = RELIABLE_QOS) -> int:
     """Declare a channel of one of hiros_schemas' types as rosbag2 would, return its id."""
     text = hiros_schemas.text(name).encode()
     idents = (s.id for s in writer.schemas.values() if s.name == name and s.data == text)

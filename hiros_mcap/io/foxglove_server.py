@@ -8,24 +8,14 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterable, Iterator
 from threading import Thread
 from types import SimpleNamespace
 from typing import Any
 
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.channels import is_static_topic
-from hiros_mcap.io.container.file import Sink
-from hiros_mcap.io.container.records import (
-    HEAD,
-    MAGIC,
-    MESSAGE_HEAD,
-    Bytes,
-    Channel,
-    Cursor,
-    Opcode,
-    Schema,
-)
+from hiros_mcap.io.container.live_output import MessageSink
+from hiros_mcap.io.container.records import Channel, Schema
 from hiros_mcap.io.foxglove import split_address
 
 _LOOPBACK, _PORT = "127.0.0.1", 8765
@@ -36,7 +26,7 @@ _LATCHED = 1000
 _FAREWELL_S = 0.5  # for clients to take what is left
 
 
-class FoxgloveServer(Sink):
+class FoxgloveServer(MessageSink):
     """Takes the records of an MCAP and sends their messages to whoever subscribed.
 
     A client that comes later gets the static transforms again.
@@ -61,7 +51,6 @@ class FoxgloveServer(Sink):
         for name in ("foxglove", "foxglove_py"):
             logging.getLogger(name).addHandler(logging.NullHandler())
         self._context = foxglove.Context()
-        self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Any] = {}
         self._static: dict[tuple[int, bytes], None] = {}
         """Messages with static transforms, each once, in order."""
@@ -101,21 +90,8 @@ class FoxgloveServer(Sink):
             if (ours := self._channels[ident]).id() == channel:
                 ours.log(data, log_time=self._time)
 
-    def _put(self, parts: Iterable[Bytes]) -> None:
-        """Send what is in whole records."""
-        for opcode, content in _records(b"".join(parts)):
-            if opcode == Opcode.SCHEMA:
-                schema = Schema.read(Cursor(content))
-                self._schemas[schema.id] = schema
-            elif opcode == Opcode.CHANNEL:
-                self._advertise(Channel.read(Cursor(content)))
-            elif opcode == Opcode.MESSAGE:
-                self._send(content)
-
-    def _advertise(self, channel: Channel) -> None:
-        if channel.id in self._channels:
-            return
-        schema = self._schemas.get(channel.schema_id)
+    def _open(self, channel: Channel, schema: Schema | None) -> None:
+        """Advertise a channel."""
         self._channels[channel.id] = self._library.Channel(
             channel.topic,
             message_encoding=channel.message_encoding,
@@ -125,9 +101,8 @@ class FoxgloveServer(Sink):
             context=self._context,
         )
 
-    def _send(self, content: memoryview) -> None:
-        ident, _, log_time, _ = MESSAGE_HEAD.unpack_from(content)
-        channel, data = self._channels[ident], bytes(content[MESSAGE_HEAD.size :])
+    def _send(self, ident: int, log_time: int, data: bytes) -> None:
+        channel = self._channels[ident]
         if is_static_topic(channel.topic()):
             self._static.pop((ident, data), None)
             self._static[ident, data] = None
@@ -143,13 +118,3 @@ def _address(url: str) -> tuple[str, int]:
     if parts.scheme != "ws" or parts.path not in ("", "/") or parts.query:
         raise ConfigError(f"{url}: results are served at ws://HOST:PORT")
     return parts.hostname or _LOOPBACK, _PORT if parts.port is None else parts.port
-
-
-def _records(data: bytes) -> Iterator[tuple[int, memoryview]]:
-    """Yield opcode and content of the records in some bytes, which may begin with the mark."""
-    at, view = len(MAGIC) if data.startswith(MAGIC) else 0, memoryview(data)
-    while at + HEAD.size <= len(data):
-        opcode, size = HEAD.unpack_from(data, at)
-        at += HEAD.size
-        yield opcode, view[at : at + size]
-        at += size

@@ -40,7 +40,13 @@ from hiros_mcap.running.process_options import (
 )
 from hiros_mcap.running.progress_bar import Bar, bar
 from hiros_mcap.running.report import Report
-from hiros_mcap.running.write import LogOutput, NoOutput, kept_channels, open_output
+from hiros_mcap.running.write import (
+    LogOutput,
+    NoOutput,
+    SeveralOutputs,
+    kept_channels,
+    open_output,
+)
 from hiros_mcap.summary import Summary
 from hiros_mcap.systems import LETTERS, Run, chain_of
 
@@ -49,7 +55,7 @@ __all__ = ["ProcessOptions", "Progress", "Watcher", "open_input", "process"]
 _log = logging.getLogger(__name__)
 Sink = Callable[[str, Block], None]
 """Takes what went into the first stage, or came out of any, by channel."""
-Output = Callable[[Prepared, Run], AbstractContextManager[NoOutput | LogOutput]]
+Output = Callable[[Prepared, Run], AbstractContextManager[NoOutput | LogOutput | SeveralOutputs]]
 """Opens what a run writes."""
 
 

@@ -8,8 +8,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -22,6 +22,7 @@ from hiros_mcap.io.channels import LATCHED_QOS, ChannelInfo, channels_of, is_tra
 from hiros_mcap.io.container import McapWriter, Message
 from hiros_mcap.io.container.file import Pipe, Sink
 from hiros_mcap.io.container.live_input import LiveInput
+from hiros_mcap.io.container.live_output import MessageSink
 from hiros_mcap.io.container.writer import LiveWriter
 from hiros_mcap.io.detectors.conversion import HUMANS
 from hiros_mcap.io.live_log import LiveLog, may_be_read, open_live, takes
@@ -29,14 +30,17 @@ from hiros_mcap.running.observe import Stopwatch
 from hiros_mcap.running.pipeline import check_limbs, conclude, run_log
 from hiros_mcap.running.preparation import Prepared, prepare
 from hiros_mcap.running.process_options import ProcessOptions, Progress, Watcher
-from hiros_mcap.running.write import LogOutput, NoOutput, is_kept
+from hiros_mcap.running.write import LogOutput, NoOutput, SeveralOutputs, is_kept
 from hiros_mcap.summary import Summary
 from hiros_mcap.systems import Run
 
 
+Target = int | Path | Sink
+
+
 def process_live(
     source: LiveInput,
-    target: int | Path | Sink | None,
+    target: Target | Sequence[Target] | None,
     *,
     config: Config | None = None,
     options: ProcessOptions | None = None,
@@ -54,7 +58,8 @@ def process_live(
     ----------
     source : the input.
     target : descriptor of a pipe; a file, which appears when the input ends; a
-        :class:`~hiros_mcap.io.foxglove_server.FoxgloveServer`; None for no output.
+        :class:`~hiros_mcap.io.foxglove_server.FoxgloveServer` or a
+        :class:`~hiros_mcap.io.ros_output.RosOutput`; several of these; None for no output.
     config, options, watcher, progress : as of :func:`hiros_mcap.running.pipeline.process`; the
         default system is ``fuse-realtime``. Clocks are corrected as the messages come.
     started : is called with the log when the first messages are read.
@@ -83,8 +88,11 @@ def process_live(
         if started is not None:
             started(log)
         prepared = prepare(log, config, options, watch)
-        report = run_log(prepared, partial(_open_output, target, source, log), watcher, progress)
-        return conclude(report, str(target) if isinstance(target, Path) else None)
+        single = () if target is None else (target,)
+        targets = tuple(target) if isinstance(target, Sequence) else single
+        report = run_log(prepared, partial(_open_outputs, targets, source, log), watcher, progress)
+        files = [str(one) for one in targets if isinstance(one, Path)]
+        return conclude(report, files[0] if files else None)
 
 
 def subscription(options: ProcessOptions) -> Callable[[str, str], bool]:
@@ -98,6 +106,17 @@ def subscription(options: ProcessOptions) -> Callable[[str, str], bool]:
         return reads or needed or is_kept(info, options, is_read=False)
 
     return wanted
+
+
+def necessity(options: ProcessOptions) -> Callable[[str, str], bool]:
+    """Return what tells from topic and type whether a run cannot do without a channel."""
+
+    def needed(topic: str, kind: str) -> bool:
+        info = ChannelInfo(0, topic, kind, "cdr", 1, {})
+        is_pose = topic in TF_TOPICS and options.extrinsics is None
+        return is_pose or may_be_read(info, options.topics or None)
+
+    return needed
 
 
 def _causal(config: Config, options: ProcessOptions) -> Config:
@@ -116,28 +135,37 @@ def _causal(config: Config, options: ProcessOptions) -> Config:
 
 
 @contextmanager
-def _open_output(
-    target: int | Path | Sink | None,
-    source: LiveInput,
-    log: LiveLog,
-    prepared: Prepared,
-    run: Run,
-) -> Iterator[NoOutput | LogOutput]:
+def _open_outputs(
+    targets: Sequence[Target], source: LiveInput, log: LiveLog, prepared: Prepared, run: Run
+) -> Iterator[NoOutput | LogOutput | SeveralOutputs]:
     """Yield the output; pipes and servers get what is written before the input is waited for."""
-    if target is None:
+    if not targets:
         yield NoOutput()
         return
     compression = prepared.options.compression
-    stream = Pipe(target, "standard output") if isinstance(target, int) else target
-    with (
-        LiveWriter(stream)
-        if isinstance(stream, Sink)
-        else McapWriter(stream, compression=compression)
-    ) as writer:
-        if isinstance(writer, LiveWriter):
-            source.before_waiting = writer.flush
-        _copy_as_read(log, writer, prepared.options)
-        yield LogOutput(writer, None, prepared, run, source.digest)
+    with ExitStack() as stack:
+        # What somebody waits for goes first.
+        outputs, live = [], []
+        for target in sorted(targets, key=lambda one: isinstance(one, Path)):
+            stream = Pipe(target, "standard output") if isinstance(target, int) else target
+            writer = (
+                LiveWriter(stream)
+                if isinstance(stream, Sink)
+                else McapWriter(stream, compression=compression)
+            )
+            stack.enter_context(writer)
+            if isinstance(writer, LiveWriter):
+                live.append(writer)
+            if not isinstance(stream, MessageSink) or stream.takes_input:
+                _copy_as_read(log, writer, prepared.options)
+            outputs.append(LogOutput(writer, None, prepared, run, source.digest))
+
+        def flush() -> None:
+            for writer in live:
+                writer.flush()
+
+        source.before_waiting = flush
+        yield outputs[0] if len(outputs) == 1 else SeveralOutputs(outputs)
 
 
 def _copy_as_read(log: LiveLog, writer: McapWriter, options: ProcessOptions) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -53,6 +53,28 @@ class NoOutput:
 
     def commit(self, summary: Summary) -> None:
         """Do nothing."""
+
+
+class SeveralOutputs:
+    """A run that is written to several places."""
+
+    def __init__(self, outputs: Sequence[LogOutput]) -> None:
+        self._outputs = outputs
+
+    @property
+    def cpu_s(self) -> float:
+        """CPU time of the writers' threads, s."""
+        return sum(output.cpu_s for output in self._outputs)
+
+    def write(self, channel: str, block: Block) -> None:
+        """Write the frames of a stage to each."""
+        for output in self._outputs:
+            output.write(channel, block)
+
+    def commit(self, summary: Summary) -> None:
+        """Finish each."""
+        for output in self._outputs:
+            output.commit(summary)
 
 
 @contextmanager

@@ -13,7 +13,7 @@ import typer
 
 from hiros_cli.compiling import importing, prepare
 from hiros_cli.completing import topics
-from hiros_cli.live_run import STREAM, check_live, is_file, is_live, run_live
+from hiros_cli.live_run import STREAM, check_live, is_file, is_graph, is_live, run_live
 from hiros_cli.many_logs import ManyLogs, one_log
 from hiros_cli.many_logs import run as run_many
 from hiros_cli.options import (
@@ -80,6 +80,9 @@ class InputOptions:
     follow: bool = flag(
         "--follow", "Process a log while it is being written; Ctrl-C ends it.", panel=INPUT
     )
+    ros_args: list[str] | None = option(
+        "ARGS", "With ros2://: all that follows, up to --, is for ROS 2.", "--ros-args", panel=INPUT
+    )
     memory: float = option(
         "GIB",
         "Memory for a log whose chunks overlap in time, GiB; a message of a server may take a "
@@ -134,10 +137,11 @@ class LimbOptions:
 class OutputOptions:
     """Options on what is written and shown."""
 
-    output: str | None = option(
+    output: list[str] | None = option(
         "OUT",
         f"Output file, DIR/ for a ROS 2 bag, - for a pipe, ws://HOST:PORT to serve live "
-        f"results; with many logs, the folder for all. Default: LOG's name with {SUFFIX}.",
+        f"results, ros2:// to publish them; may be repeated for these; with many logs, the folder "
+        f"for all. Default: LOG's name with {SUFFIX}.",
         "--output",
         "-o",
         panel=OUTPUT,
@@ -156,6 +160,13 @@ class OutputOptions:
     )
     view: bool = flag("--view", "Show the run live in the Rerun viewer.", panel=OUTPUT)
 
+    @property
+    def one(self) -> str | None:
+        """The only output of a run of files; None is the default one."""
+        if len(self.output or ()) > 1:
+            raise ConfigError("several -o are for live input; choose one")
+        return self.output[0] if self.output else None
+
 
 class _Run(NamedTuple):
     """What the user asked for, whatever the logs are."""
@@ -172,11 +183,11 @@ class _Run(NamedTuple):
         named = {**self.reading.parameters(), **self.limbs.parameters()}
         return self.parameters.settings(named, live=live)
 
-    def target(self, source: Path, settings: Settings) -> str:
+    def target(self, source: Path, settings: Settings, named: str | None) -> str:
         """Return where the result of one log goes; refuses what must not be written."""
         from hiros_mcap.outputs import target_kind
 
-        wanted = self.writing.output or str(beside(source, SUFFIX))
+        wanted = named or str(beside(source, SUFFIX))
         kind, target = target_kind(wanted), Path(wanted)
         inputs = (source, settings.file, self.reading.extrinsics, self.limbs.limbs)
         saved = self.limbs.save_limbs
@@ -237,11 +248,13 @@ def process(
     The output holds the input channels and the results: /hiros/tracked, /hiros/merged,
     /hiros/optimized and /hiros/filtered. The command prints a summary.
     """
-    run, output = _Run(parameters, stages, reading, limbs, writing, many), writing.output
-    if is_live(logs, output, follow=reading.follow):
+    run, outputs = _Run(parameters, stages, reading, limbs, writing, many), writing.output or ()
+    if reading.ros_args and not any(map(is_graph, (*logs, *outputs))):
+        raise ConfigError("--ros-args: they are for ros2://, as input or as output")
+    if is_live(logs, outputs, follow=reading.follow):
         many.refuse_alone()
         _live(run, logs)
-    elif many.wanted(logs, output or "", view=writing.view, save_limbs=limbs.save_limbs):
+    elif many.wanted(logs, writing.one or "", view=writing.view, save_limbs=limbs.save_limbs):
         _many(run, logs)
     else:
         _one(run, one_log(context, logs[0]), logs[0])
@@ -253,9 +266,10 @@ def _one(run: _Run, source: Path, named: str) -> None:
 
     settings, many = run.settings(), run.many
     settings = settings_of(named, settings) if many.quiet else settings.of(named)
-    target = run.target(Path(source.name) if is_remote(named) else source, settings)
+    wanted = run.writing.one
+    target = run.target(Path(source.name) if is_remote(named) else source, settings, wanted)
     options = run.options(settings)
-    if run.writing.output is None:
+    if wanted is None:
         _refuse_result(source)
     from hiros_mcap.running.pipeline import process
 
@@ -279,7 +293,8 @@ def _one(run: _Run, source: Path, named: str) -> None:
 
 def _many(run: _Run, logs: Sequence[str]) -> None:
     """Process many logs, each with the parameters of its own folder."""
-    if run.writing.output is None:
+    folder = run.writing.one
+    if folder is None:
         raise ConfigError("with many logs, name a folder for the results: -o FOLDER")
     settings = run.settings()
     options = run.options(settings)
@@ -293,23 +308,27 @@ def _many(run: _Run, logs: Sequence[str]) -> None:
     }
     if settings.file is not None:
         settings = replace(settings, file=settings.file.absolute())
-    run_many(ProcessJob(settings, replace(options, **files)), logs, run.many, run.writing.output)
+    run_many(ProcessJob(settings, replace(options, **files)), logs, run.many, folder)
 
 
 def _live(run: _Run, logs: Sequence[str]) -> None:
     """Process input that is still being written."""
-    source, output, many = logs[0], run.writing.output, run.many
-    check_live(logs, output, follow=run.reading.follow)
+    source, wanted, many = logs[0], run.writing.output or [None], run.many
+    check_live(logs, run.writing.output or (), follow=run.reading.follow)
     settings = run.settings(live=True)
     settings = settings_of(source, settings) if many.quiet else settings.of(source)
-    target = run.target(Path(source), settings) if output is None or is_file(output) else output
+    targets = [
+        run.target(Path(source), settings, name) if name is None or is_file(name) else name
+        for name in wanted
+    ]
     options = run.options(settings)
     config = settings.load()
     with ExitStack() as stack:
-        watcher = _viewer(Path(source), target, stack) if run.writing.view else None
-        if target == STREAM:  # what is printed must not go into the output
+        watcher = _viewer(Path(source), targets[0], stack) if run.writing.view else None
+        if STREAM in targets:  # what is printed must not go into the output
             stack.enter_context(redirect_stdout(sys.stderr))
-        summary = run_live(source, target, config, options, watcher, quiet=many.quiet)
+        ros = tuple(run.reading.ros_args or ())
+        summary = run_live(source, targets, config, options, watcher, ros=ros, quiet=many.quiet)
         _show(summary, json=many.json, quiet=many.quiet)
 
 

@@ -1,0 +1,234 @@
+"""Live messages of a ROS 2 graph: subscribe to what may show people, and pass on the bytes.
+
+Topics are taken as they appear, with the quality of service of their publishers. A message's log
+time is when the middleware received it, or the time of /clock with ``use_sim_time``.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+from hiros_mcap.errors import LogError
+from hiros_mcap.io.channels import LATCHED_QOS, RELIABLE_QOS, TF_TOPICS
+from hiros_mcap.io.container.records import Channel, McapRecord, Message, Schema
+from hiros_mcap.io.ros_node import RosNode, definition_of, message_class, not_installed
+from hiros_mcap.summary import quantity
+
+_PATIENCE = 0.1  # s: how soon a request to stop is heard
+_LOOK_S = 0.2
+"""Between looks at the graph."""
+_QUEUED = 1000
+"""Messages of a topic that wait for a busy run; then the oldest ones are lost, and counted."""
+_LISTED = 20
+
+Wanted = Callable[[str, str], bool]
+"""Tells from topic and message type whether to subscribe, or whether a run needs it."""
+
+
+class _Quality(NamedTuple):
+    """The quality of service of a subscription; publishers that offer more fit, too."""
+
+    reliable: bool
+    latched: bool
+
+
+class RosInput:
+    """The topics of a graph: a :class:`~hiros_mcap.io.container.live_input.LiveInput`.
+
+    Parameters
+    ----------
+    node : of this program.
+    wanted : which topics to subscribe to.
+    needed : which of them a run cannot do without: their message package has to be installed.
+    """
+
+    def __init__(self, node: RosNode, wanted: Wanted, needed: Wanted = lambda *_: False) -> None:
+        self.name = node.graph
+        self.before_waiting: Callable[[], None] = lambda: None
+        self._node, self._wanted, self._needed = node, wanted, needed
+        self._stopped = False
+        self._names = node.remapped()
+        self._simulated = bool(node.node.get_parameter("use_sim_time").value)
+        self._subscriptions: dict[tuple[str, str, bool], tuple[_Quality, Any]] = {}
+        """Topic in the graph, type, and whether for latched messages alone -> subscription."""
+        self._ids: dict[tuple[str, str], int] = {}
+        """Topic in the graph and type -> our number of the channel."""
+        self._counts: dict[int, int] = {}
+        """Channel -> messages so far."""
+        self._waiting: deque[Message] = deque()
+        self._refused: dict[tuple[str, str], str] = {}
+        """Topic in the graph and type -> why it is not read."""
+        self._lost: dict[str, int] = {}
+        """Topic -> messages that were lost on the way."""
+        self._found: list[str] = []
+        """Topics of the graph."""
+
+    @property
+    def fault(self) -> str:
+        """What was not read, "" if nothing."""
+        lost = (f"{topic}: {quantity(n, 'message')} lost on the way" for topic, n in self._lost.items())
+        return "; ".join([*self._refused.values(), *lost])
+
+    def stop(self) -> None:
+        """End the input here; a signal handler may call it."""
+        self._stopped = True
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._node.close()
+
+    def digest(self) -> str:
+        """Return "": what came cannot be had again."""
+        return ""
+
+    def records(self) -> Iterator[McapRecord]:
+        """Subscribe to what is there and to what comes, and yield it until somebody stops it.
+
+        Raises LogError if nobody has published people by then, or a message package is missing.
+        """
+        due = 0.0
+        while not self._stopped:
+            if time.monotonic() >= due:
+                yield from self._look()
+                due = time.monotonic() + _LOOK_S
+            self.before_waiting()
+            self._node.spin(_PATIENCE)
+            while self._waiting:
+                yield self._waiting.popleft()
+        if not self._counts:
+            listed = ", ".join(self._found[:_LISTED]) or "none"
+            clock = "" if self._now() is None or self._now() else "nobody publishes /clock; "
+            raise LogError(
+                f"no topic that may show people was found; {clock}is ROS_DOMAIN_ID that of the "
+                f"cameras, and do they run? topics: {listed}",
+                path=self.name,
+            )
+
+    def _now(self) -> int | None:
+        """Time of /clock, ns, 0 before it came; None without ``use_sim_time``."""
+        return int(self._node.node.get_clock().now().nanoseconds) if self._simulated else None
+
+    def _look(self) -> Iterator[McapRecord]:
+        """Subscribe to the topics that are new in the graph, and yield their definitions."""
+        node = self._node.node
+        topics = [(t, kind) for t, kinds in node.get_topic_names_and_types() for kind in kinds]
+        self._found = [topic for topic, _ in topics]
+        if self._now() == 0:  # no message has a time yet
+            return
+        for topic, kind in topics:
+            name = self._names.get(topic, topic)
+            # What a rule gives another topic's name cannot be subscribed to.
+            hidden = topic == name and topic in self._names.values()
+            if hidden or (topic, kind) in self._refused or not self._wanted(name, kind):
+                continue
+            publishers = [
+                p
+                for p in node.get_publishers_info_by_topic(topic)
+                if p.topic_type == kind and not self._node.owns(p)
+            ]
+            if publishers and (reason := _refusal(kind)):
+                self._refuse(topic, kind, f"{name}: not read: {reason}")
+            elif publishers:
+                yield from self._take(topic, name, kind, publishers)
+
+    def _refuse(self, topic: str, kind: str, reason: str) -> None:
+        """Go on without a topic; raises LogError for one that is needed, before a run begins."""
+        self._refused[topic, kind] = reason
+        if self._needed(self._names.get(topic, topic), kind) and not any(self._counts.values()):
+            raise LogError(f"{reason}; --topic chooses other cameras", path=self.name)
+
+    def _take(
+        self, topic: str, name: str, kind: str, publishers: Sequence[Any]
+    ) -> Iterator[McapRecord]:
+        """Subscribe as the publishers offer; yield the definitions when a topic is new."""
+        offered = [_offered(publisher.qos_profile) for publisher in publishers]
+        quality = _Quality(*map(all, zip(*offered, strict=True)))
+        if (topic, kind) not in self._ids:
+            ident = self._ids[topic, kind] = len(self._ids) + 1
+            self._counts[ident] = 0
+            text = definition_of(kind).encode()
+            yield Schema(id=ident, name=kind, encoding="ros2msg", data=text)
+            yield Channel(ident, name, "cdr", _metadata(quality, publishers[0]), ident)
+        self._subscribe(topic, kind, quality, latched=False)
+        if name in TF_TOPICS and not quality.latched and any(one.latched for one in offered):
+            self._subscribe(topic, kind, _Quality(True, True), latched=True)
+
+    def _subscribe(self, topic: str, kind: str, quality: _Quality, *, latched: bool) -> None:
+        """Subscribe, or anew where a publisher has come that offers less.
+
+        ``latched`` is a second subscription, for what was sent before: publishers that do not keep
+        it make the first one do without.
+        """
+        before, old = self._subscriptions.get((topic, kind, latched), (None, None))
+        if before is not None:
+            quality = _Quality(*(a and b for a, b in zip(before, quality, strict=True)))
+        if before == quality:
+            return
+        from rclpy.event_handler import SubscriptionEventCallbacks
+
+        callbacks = SubscriptionEventCallbacks(
+            message_lost=partial(self._count_lost, topic), use_default_callbacks=False
+        )
+        subscription = self._node.node.create_subscription(
+            message_class(kind),
+            self._names.get(topic, topic),
+            partial(self._receive, self._ids[topic, kind]),
+            _profile(quality),
+            raw=True,
+            event_callbacks=callbacks,
+        )
+        self._subscriptions[topic, kind, latched] = quality, subscription
+        if old is not None:
+            self._node.node.destroy_subscription(old)
+
+    def _count_lost(self, topic: str, status: Any) -> None:
+        self._lost[topic] = self._lost.get(topic, 0) + status.total_count_change
+
+    def _receive(self, ident: int, data: bytes, info: Any) -> None:
+        self._counts[ident] += 1
+        log_time = self._now()
+        if log_time is None:
+            log_time = info["received_timestamp"] or time.time_ns()
+        sent = info["source_timestamp"] or log_time
+        self._waiting.append(Message(ident, log_time, data, sent, self._counts[ident]))
+
+
+def _refusal(kind: str) -> str:
+    """Return why messages of a type cannot be read, "" if they can."""
+    try:
+        return "" if message_class(kind) else not_installed(kind)
+    except LogError as error:
+        return error.fault
+
+
+def _offered(profile: Any) -> _Quality:
+    """Return what a publisher offers."""
+    from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+
+    return _Quality(
+        profile.reliability == ReliabilityPolicy.RELIABLE,
+        profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
+    )
+
+
+def _profile(quality: _Quality) -> Any:
+    from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=_QUEUED,
+        reliability=[ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE][quality.reliable],
+        durability=[DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL][quality.latched],
+    )
+
+
+def _metadata(quality: _Quality, publisher: Any) -> dict[str, str]:
+    """Return what rosbag2 keeps beside a channel."""
+    qos = LATCHED_QOS if quality.latched else RELIABLE_QOS
+    if not quality.reliable:
+        qos = qos.replace("reliability: 1", "reliability: 2")
+    return {"offered_qos_profiles": qos, "topic_type_hash": str(publisher.topic_type_hash)}
