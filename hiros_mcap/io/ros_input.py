@@ -23,6 +23,8 @@ _LOOK_S = 0.2
 """Between looks at the graph."""
 _QUEUED = 1000
 """Messages of a topic that wait for a busy run; then the oldest ones are lost, and counted."""
+_SILENT = 3
+"""Looks without a message, after which all is taken that has arrived."""
 _LISTED = 20
 
 Wanted = Callable[[str, str], bool]
@@ -50,7 +52,8 @@ class RosInput:
         self.name = node.graph
         self.before_waiting: Callable[[], None] = lambda: None
         self._node, self._wanted, self._needed = node, wanted, needed
-        self._stopped = False
+        self._stopped = 0
+        """When somebody asked to stop, ns; 0 = go on."""
         self._names = node.remapped()
         self._simulated = bool(node.node.get_parameter("use_sim_time").value)
         self._subscriptions: dict[tuple[str, str, bool], tuple[_Quality, Any]] = {}
@@ -62,20 +65,28 @@ class RosInput:
         self._waiting: deque[Message] = deque()
         self._refused: dict[tuple[str, str], str] = {}
         """Topic in the graph and type -> why it is not read."""
-        self._lost: dict[str, int] = {}
-        """Topic -> messages that were lost on the way."""
+        self._alone: dict[int, bool] = {}
+        """Channel -> whether it has a single publisher."""
+        self._numbers: dict[tuple[int, bytes], int] = {}
+        """Channel and publisher -> number of its latest message."""
+        self._lost: dict[int, int] = {}
+        """Channel -> messages that were lost on the way."""
         self._found: list[str] = []
         """Topics of the graph."""
 
     @property
     def fault(self) -> str:
         """What was not read, "" if nothing."""
-        lost = (f"{topic}: {quantity(n, 'message')} lost on the way" for topic, n in self._lost.items())
+        topics = {ident: self._names.get(topic, topic) for (topic, _), ident in self._ids.items()}
+        lost = (
+            f"{topics[ident]}: {quantity(n, 'message')} lost on the way"
+            for ident, n in self._lost.items()
+        )
         return "; ".join([*self._refused.values(), *lost])
 
     def stop(self) -> None:
         """End the input here; a signal handler may call it."""
-        self._stopped = True
+        self._stopped = time.time_ns()
 
     def close(self) -> None:
         """Leave the graph."""
@@ -90,15 +101,21 @@ class RosInput:
 
         Raises LogError if nobody has published people by then, or a message package is missing.
         """
-        due = 0.0
-        while not self._stopped:
-            if time.monotonic() >= due:
+        due, silent = 0.0, 0
+        # A busy run has not taken all that arrived before it was stopped.
+        while not self._stopped or silent < _SILENT:
+            if not self._stopped and time.monotonic() >= due:
                 yield from self._look()
                 due = time.monotonic() + _LOOK_S
             self.before_waiting()
-            self._node.spin(_PATIENCE)
+            self._node.spin(0.0 if self._stopped else _PATIENCE)
+            silent = 0 if self._waiting else silent + self._stopped
             while self._waiting:
-                yield self._waiting.popleft()
+                message = self._waiting.popleft()
+                if not self._stopped or message.publish_time < self._stopped:
+                    yield message
+                else:
+                    silent = _SILENT
         if not self._counts:
             listed = ", ".join(self._found[:_LISTED]) or "none"
             clock = "" if self._now() is None or self._now() else "nobody publishes /clock; "
@@ -153,6 +170,7 @@ class RosInput:
             text = definition_of(kind).encode()
             yield Schema(id=ident, name=kind, encoding="ros2msg", data=text)
             yield Channel(ident, name, "cdr", _metadata(quality, publishers[0]), ident)
+        self._alone[self._ids[topic, kind]] = len(publishers) == 1
         self._subscribe(topic, kind, quality, latched=False)
         if name in TF_TOPICS and not quality.latched and any(one.latched for one in offered):
             self._subscribe(topic, kind, _Quality(True, True), latched=True)
@@ -168,28 +186,34 @@ class RosInput:
             quality = _Quality(*(a and b for a, b in zip(before, quality, strict=True)))
         if before == quality:
             return
-        from rclpy.event_handler import SubscriptionEventCallbacks
-
-        callbacks = SubscriptionEventCallbacks(
-            message_lost=partial(self._count_lost, topic), use_default_callbacks=False
-        )
         subscription = self._node.node.create_subscription(
             message_class(kind),
             self._names.get(topic, topic),
             partial(self._receive, self._ids[topic, kind]),
             _profile(quality),
             raw=True,
-            event_callbacks=callbacks,
         )
         self._subscriptions[topic, kind, latched] = quality, subscription
         if old is not None:
             self._node.node.destroy_subscription(old)
 
-    def _count_lost(self, topic: str, status: Any) -> None:
-        self._lost[topic] = self._lost.get(topic, 0) + status.total_count_change
+    def _count_lost(self, ident: int, info: Any) -> None:
+        """Count what is missing between two messages of a publisher.
+
+        The event ``message_lost`` says nothing of messages for which the queue has no place.
+        """
+        publisher = (info.get("publisher_gid") or {}).get("data", b"")
+        number = info.get("publication_sequence_number")
+        if not number or not (publisher or self._alone[ident]):  # whose number it is is unknown
+            return
+        before = self._numbers.get((ident, publisher), number)
+        self._numbers[ident, publisher] = number
+        if number > before + 1:
+            self._lost[ident] = self._lost.get(ident, 0) + number - before - 1
 
     def _receive(self, ident: int, data: bytes, info: Any) -> None:
         self._counts[ident] += 1
+        self._count_lost(ident, info)
         log_time = self._now()
         if log_time is None:
             log_time = info["received_timestamp"] or time.time_ns()
