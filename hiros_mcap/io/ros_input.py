@@ -65,6 +65,8 @@ class RosInput:
         self._waiting: deque[Message] = deque()
         self._refused: dict[tuple[str, str], str] = {}
         """Topic in the graph and type -> why it is not read."""
+        self._hashes: dict[str, Any] = {}
+        """Type -> hash of its definition."""
         self._alone: dict[int, bool] = {}
         """Channel -> whether it has a single publisher."""
         self._numbers: dict[tuple[int, bytes], int] = {}
@@ -109,7 +111,7 @@ class RosInput:
                 due = time.monotonic() + _LOOK_S
             self.before_waiting()
             self._node.spin(0.0 if self._stopped else _PATIENCE)
-            silent = 0 if self._waiting else silent + self._stopped
+            silent = 0 if self._waiting else silent + bool(self._stopped)
             while self._waiting:
                 message = self._waiting.popleft()
                 if not self._stopped or message.publish_time < self._stopped:
@@ -172,8 +174,25 @@ class RosInput:
             yield Channel(ident, name, "cdr", _metadata(quality, publishers[0]), ident)
         self._alone[self._ids[topic, kind]] = len(publishers) == 1
         self._subscribe(topic, kind, quality, latched=False)
+        if any(p.topic_type_hash != self._hash(topic, kind) for p in publishers):
+            self._node.node.destroy_subscription(self._subscriptions.pop((topic, kind, False))[1])
+            self._refuse(
+                topic,
+                kind,
+                f"{name}: not read: its publisher has another definition of {kind} than the "
+                "message package installed here; build both from one version",
+            )
+            return
         if name in TF_TOPICS and not quality.latched and any(one.latched for one in offered):
             self._subscribe(topic, kind, _Quality(True, True), latched=True)
+
+    def _hash(self, topic: str, kind: str) -> Any:
+        """Return the hash of the type as it is installed here."""
+        if kind not in self._hashes:
+            endpoints = self._node.node.get_subscriptions_info_by_topic(topic)
+            ours = [e for e in endpoints if self._node.owns(e) and e.topic_type == kind]
+            self._hashes[kind] = ours[0].topic_type_hash
+        return self._hashes[kind]
 
     def _subscribe(self, topic: str, kind: str, quality: _Quality, *, latched: bool) -> None:
         """Subscribe, or anew where a publisher has come that offers less.

@@ -31,7 +31,7 @@ class RosOutput(MessageSink):
     Raises LogError if nothing can be published.
     """
 
-    takes_input = False
+    results_only = True
 
     def __init__(self, node: RosNode, *, others: bool = False) -> None:
         super().__init__(ADDRESS)

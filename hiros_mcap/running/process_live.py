@@ -25,6 +25,7 @@ from hiros_mcap.io.container.live_input import LiveInput
 from hiros_mcap.io.container.live_output import MessageSink
 from hiros_mcap.io.container.writer import LiveWriter
 from hiros_mcap.io.detectors.conversion import HUMANS
+from hiros_mcap.io.export.run_summary import SummaryExport
 from hiros_mcap.io.live_log import LiveLog, may_be_read, open_live, takes
 from hiros_mcap.running.observe import Stopwatch
 from hiros_mcap.running.pipeline import check_limbs, conclude, run_log
@@ -156,9 +157,13 @@ def _open_outputs(
             stack.enter_context(writer)
             if isinstance(writer, LiveWriter):
                 live.append(writer)
-            if not isinstance(stream, MessageSink) or stream.takes_input:
+            results_only = isinstance(stream, MessageSink) and stream.results_only
+            if not results_only:
                 _copy_as_read(log, writer, prepared.options)
-            outputs.append(LogOutput(writer, None, prepared, run, source.digest))
+            output = LogOutput(writer, None, prepared, run, source.digest)
+            if results_only:
+                output.exports.append(SummaryExport(writer, run.events))
+            outputs.append(output)
 
         def flush() -> None:
             for writer in live:

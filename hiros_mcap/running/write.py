@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import hiros_schemas
 from hiros_mcap._version import __version__
@@ -41,6 +42,10 @@ from hiros_mcap.running.preparation import Prepared
 from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.summary import Summary
 from hiros_mcap.systems import LETTERS, Run, chain_of, merging_order, sections_of
+
+if TYPE_CHECKING:
+    from hiros_mcap.io.export.markers import MarkerExport
+    from hiros_mcap.io.export.run_summary import SummaryExport
 
 
 class NoOutput:
@@ -145,11 +150,14 @@ class LogOutput:
         self._given, self._digest = _given(options), digest
         self._input_messages = log.reader.counts
         self._recovery = log.recovery_mark
-        self._export = None
+        self.exports: list[MarkerExport | SummaryExport] = []
+        """What the frames of the last stage become, too."""
         if options.markers:
             from hiros_mcap.io.export.markers import MarkerExport
 
-            self._export = MarkerExport(writer, log.model, run.events, by_stamp=self._by_stamp)
+            self.exports.append(
+                MarkerExport(writer, log.model, run.events, by_stamp=self._by_stamp)
+            )
 
     @property
     def cpu_s(self) -> float:
@@ -167,8 +175,8 @@ class LogOutput:
         self._writer.write_each(self._channels[channel], times.tolist(), messages)
         if block.uncertainty is not None and channel == self._chain[-1]:
             self._write_uncertainty(block, times.tolist())
-        if self._export is not None and channel == self._chain[-1]:
-            self._export.write(block)
+        for export in self.exports if channel == self._chain[-1] else ():
+            export.write(block)
 
     def _write_uncertainty(self, block: Block, times: list[int]) -> None:
         """Write how well the markers are known beside the poses."""

@@ -2,6 +2,7 @@
 
 The nine ``.msg`` files lie in the folder ``hiros_skeleton_msgs`` beside this module, which is a
 complete ROS 2 interface package: put it (or a link to it) into a workspace and ``colcon build``.
+Beside the wheels of ROS 2, :mod:`hiros_schemas.ros2_packages` builds it.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from hiros_schemas.definitions import (
 )
 
 __all__ = [
+    "DIAGNOSTICS",
     "JOINT_STATE",
     "LOG",
     "MARKER_ARRAY",
@@ -71,6 +73,7 @@ TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 MARKER_ARRAY = "visualization_msgs/msg/MarkerArray"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 LOG = "rcl_interfaces/msg/Log"
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
 DELIMITER = "=" * 80
 
@@ -85,6 +88,7 @@ _TYPE_IDS = {
     "float32": 10,
     "float64": 11,
     "bool": 15,
+    "byte": 16,
     "string": 17,
 }
 
@@ -94,7 +98,7 @@ def text(name: str) -> str:
     """Return the schema text that MCAP's ``ros2msg`` wants: the type, then all that it uses.
 
     Takes ``pkg/msg/Type`` or ``pkg/Type`` of any of :data:`NAMES`, of TFMessage, MarkerArray,
-    JointState, Log or ObjectsStamped, or of what these are made of. Comments are left out: the
+    JointState, Log, DiagnosticArray or ObjectsStamped, or of what these are made of. Comments are left out: the
     text goes into every log.
 
     Raises :class:`KeyError` for another name.

@@ -174,6 +174,14 @@ STANDARD = {
         "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\n"
         "string file\nstring function\nuint32 line\n"
     ),
+    "diagnostic_msgs/KeyValue": "string key\nstring value\n",
+    "diagnostic_msgs/DiagnosticStatus": (
+        "byte level\nstring name\nstring message\nstring hardware_id\n"
+        "diagnostic_msgs/KeyValue[] values\n"
+    ),
+    "diagnostic_msgs/DiagnosticArray": (
+        "std_msgs/Header header\ndiagnostic_msgs/DiagnosticStatus[] status\n"
+    ),
     "visualization_msgs/UVCoordinate": "float32 u\nfloat32 v\n",
     "visualization_msgs/MeshFile": "string filename\nuint8[] data\n",
     "visualization_msgs/Marker": (

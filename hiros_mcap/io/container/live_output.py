@@ -23,10 +23,10 @@ class MessageSink(Sink):
 
     Attributes
     ----------
-    takes_input : whether the input is copied here, too.
+    results_only : whether it gets the results and a summary of them, without the input.
     """
 
-    takes_input = True
+    results_only = False
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
