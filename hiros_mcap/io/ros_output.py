@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections import deque
 from typing import Any
 
 import hiros_schemas
@@ -13,6 +15,9 @@ from hiros_mcap.io.ros_node import ADDRESS, RosNode, definition_of, message_clas
 
 _DEPTH = 10
 _FAREWELL_S = 0.5  # for subscribers to take what is left
+_WELCOME_S, _LOOK_S = 0.5, 0.005
+_BURST_S, _PAUSE_S = 0.02, 0.05
+"""Time of as many messages as wait for a subscriber, and how long to wait for it then."""
 
 
 class RosOutput(MessageSink):
@@ -37,6 +42,9 @@ class RosOutput(MessageSink):
         super().__init__(ADDRESS)
         self._node = node
         self._publishers: dict[int, Any] = {}
+        self._recent: dict[int, deque[float]] = {}
+        """Channel -> when its latest messages were published, s."""
+        self._patience = 0.0
         self.note = ""
         if message_class(hiros_schemas.SKELETON_GROUP) is None:
             self.note = f"skeletons are not published: {not_installed(hiros_schemas.SKELETON_GROUP)}"
@@ -47,8 +55,10 @@ class RosOutput(MessageSink):
         """Give reliable subscribers a moment to take what is left."""
         from rclpy.duration import Duration
 
+        latest = time.monotonic() + _FAREWELL_S
         for publisher in self._publishers.values():
-            publisher.wait_for_all_acked(Duration(seconds=_FAREWELL_S))
+            left = max(0.0, latest - time.monotonic())
+            publisher.wait_for_all_acked(Duration(seconds=left))
 
     def discard(self) -> None:
         """Leave the graph."""
@@ -65,13 +75,36 @@ class RosOutput(MessageSink):
             depth=1 if latched else _DEPTH,
             durability=[DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL][latched],
         )
+        self._recent[channel.id] = deque(maxlen=_DEPTH)
+        self._patience = time.monotonic() + _WELCOME_S
         self._publishers[channel.id] = self._node.node.create_publisher(
             message_class(schema.name), channel.topic.removeprefix("/"), quality
         )
 
     def _send(self, ident: int, log_time: int, data: bytes) -> None:
-        if ident in self._publishers:
-            self._publishers[ident].publish(data)
+        publisher = self._publishers.get(ident)
+        if publisher is None:
+            return
+        recent, now = self._recent[ident], time.monotonic()
+        if not recent:
+            self._welcome(publisher)
+        elif len(recent) == _DEPTH and now - recent[0] < _BURST_S:
+            self._pause(publisher, recent)
+        recent.append(now)
+        publisher.publish(data)
+
+    def _pause(self, publisher: Any, recent: deque[float]) -> None:
+        """Let the subscribers take a burst, which would overwrite itself."""
+        from rclpy.duration import Duration
+
+        publisher.wait_for_all_acked(Duration(seconds=_PAUSE_S))
+        recent.extend([0.0] * _DEPTH)
+
+    def _welcome(self, publisher: Any) -> None:
+        """Wait for subscribers that are in the graph already: they find a new publisher soon."""
+        count = self._node.node.count_subscribers(publisher.topic_name)
+        while publisher.get_subscription_count() < count and time.monotonic() < self._patience:
+            time.sleep(_LOOK_S)
 
 
 def _check_definition(kind: str) -> None:

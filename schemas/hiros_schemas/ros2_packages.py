@@ -2,11 +2,11 @@
 
 ::
 
-    python -m hiros_schemas.ros2_packages
+    python -m hiros_schemas.ros2_packages [PACKAGE ...]
 
 Where ROS 2 is installed, it has tf2_msgs, and colcon builds hiros_skeleton_msgs. Beside the wheels
 of ROS 2 (``pip install ".[ros2-messages]"``), this builds both with CMake and a compiler. It takes a
-minute.
+minute. Other packages of which hiros knows the definitions, such as zed_msgs, are built by name.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -39,13 +40,13 @@ endforeach()
 _SKELETONS, _TRANSFORMS = ROS_PACKAGE.name, short_name(TF_MESSAGE).split("/")[0]
 
 
-def main() -> int:
+def main(packages: Sequence[str] = ()) -> int:
     """Build what is missing; return 0, or 1 if a tool is missing or fails."""
     for tool in ("cmake", "c++"):
         if shutil.which(tool) is None:
             print(f"{tool} is not there; install cmake and a C++ compiler", file=sys.stderr)
             return 1
-    for package in (_TRANSFORMS, _SKELETONS):
+    for package in packages or (_TRANSFORMS, _SKELETONS):
         if find_spec(package) is not None:
             print(f"{package} is there")
             continue
@@ -54,15 +55,15 @@ def main() -> int:
         if code:
             print(f"{package} was not built; see above", file=sys.stderr)
             return 1
-        print(f"{package} was built into {sys.prefix}")
+        print(f"{package} was built into {sys.prefix}", flush=True)
     return 0
 
 
 def _build(package: str, folder: Path) -> int:
     source = folder / package
     shutil.copytree(ROS_PACKAGE, source)
-    if package == _TRANSFORMS:
-        _turn_into_transforms(source)
+    if package != _SKELETONS:
+        _turn_into(package, source)
     first, built = folder / "first.cmake", folder / "build"
     first.write_text(_FIRST)
     # The generators and the bridge to Python are found as a sourced setup would let them be.
@@ -92,19 +93,20 @@ def _build(package: str, folder: Path) -> int:
     return 0
 
 
-def _turn_into_transforms(source: Path) -> None:
-    """Make tf2_msgs of a copy of our package: the same files, of one message."""
+def _turn_into(package: str, source: Path) -> None:
+    """Make another package of a copy of ours: the same files, with its messages."""
+    texts = {k.split("/")[1]: text for k, text in STANDARD.items() if k.split("/")[0] == package}
     for path in (source / "package.xml", source / "CMakeLists.txt"):
-        text = path.read_text(encoding="utf-8").replace(_SKELETONS, _TRANSFORMS)
-        lines = [line for line in text.splitlines() if '"msg/' not in line]
-        at = next((k for k, line in enumerate(lines) if "rosidl_generate_interfaces" in line), 0)
-        if at:
-            lines.insert(at + 1, '  "msg/TFMessage.msg"')
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        text = path.read_text(encoding="utf-8").replace(_SKELETONS, package)
+        lines = [line for line in text.splitlines(keepends=True) if '"msg/' not in line]
+        at = next((k for k, s in enumerate(lines, 1) if "rosidl_generate_interfaces" in s), 0)
+        lines[at:at] = [f'  "msg/{name}.msg"\n' for name in texts] if at else []
+        path.write_text("".join(lines), encoding="utf-8")
     shutil.rmtree(source / "msg")
     (source / "msg").mkdir()
-    (source / "msg" / "TFMessage.msg").write_text(STANDARD[short_name(TF_MESSAGE)])
+    for name, text in texts.items():
+        (source / "msg" / f"{name}.msg").write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

@@ -41,7 +41,7 @@ def main() -> None:
         if not late:
             publishers[topic] = open_publisher(node, topic, kind, how[topic])
     clock = open_publisher(node, "/clock", "rosgraph_msgs/msg/Clock", {}) if how["/clock"] else None
-    await_subscribers(node, publishers)
+    await_subscribers(publishers, lambda: clock and clock.publish(clock_message(begin)))
     print("begins", flush=True)
     start, ticked = time.monotonic(), 0.0
     for topic, kind, message in messages:
@@ -57,7 +57,7 @@ def main() -> None:
             if at < float(options["late"]):
                 continue
             publishers[topic] = open_publisher(node, topic, kind, options)
-            await_subscribers(node, {topic: publishers[topic]})
+            await_subscribers({topic: publishers[topic]})
         publishers[topic].publish(message.data)
     for publisher in publishers.values():
         publisher.wait_for_all_acked(Duration(seconds=5))
@@ -79,11 +79,12 @@ def open_publisher(node, topic: str, kind: str, options: dict):
     return node.create_publisher(getattr(import_module(f"{package}.msg"), name), topic, quality)
 
 
-def await_subscribers(node, publishers: dict) -> None:
-    """Wait until somebody subscribed to every topic but truths and what is for nobody."""
+def await_subscribers(publishers: dict, meanwhile=lambda: None) -> None:
+    """Wait until somebody subscribed to every topic but truths."""
     latest = time.monotonic() + PATIENCE_S
     for topic, publisher in publishers.items():
-        while not publisher.get_subscription_count() and not topic.startswith(("/truth", "/odd")):
+        while not publisher.get_subscription_count() and not topic.startswith("/truth"):
+            meanwhile()
             if time.monotonic() > latest:
                 sys.exit(f"nobody subscribed to {topic}")
             time.sleep(0.02)
