@@ -1,4 +1,4 @@
-"""``hiros process -``, ``--follow``, ``ws://`` and ``ros2://``: input that is still being written."""
+"""``hiros process`` with input that is still being written, or results that somebody waits for."""
 
 from __future__ import annotations
 
@@ -111,8 +111,6 @@ def run_live(
         cameras = ", ".join(sorted(n for c in log.cameras for n in c.sources.values()))
         print(f"hiros: running on {cameras}; Ctrl-C ends the input", file=sys.stderr, flush=True)
 
-    if not quiet:
-        print(f"hiros: listening to {printable(_name(source))}", file=sys.stderr, flush=True)
     with contextlib.ExitStack() as stack:
         node = None
         if any(map(is_graph, (source, *wanted))):
@@ -121,6 +119,8 @@ def run_live(
             stack.enter_context(_output(name, node, options, quiet=quiet)) for name in wanted
         ]
         stream = stack.enter_context(_input(source, node, options))
+        if not quiet:
+            print(f"hiros: listening to {printable(_name(source))}", file=sys.stderr, flush=True)
         shown = stack.enter_context(bar("live", quiet=quiet, live=True))
         return process_live(
             stream,

@@ -51,7 +51,9 @@ RELIABLE_QOS = """\
     sec: 9223372036
     nsec: 854775807
   avoid_ros_namespace_conventions: false"""
-LATCHED_QOS = RELIABLE_QOS.replace("depth: 10", "depth: 1").replace("durability: 2", "durability: 1")
+LATCHED_QOS = RELIABLE_QOS.replace("depth: 10", "depth: 1").replace(
+    "durability: 2", "durability: 1"
+)
 """The same for /tf_static, which late subscribers need, too: transient local."""
 
 

@@ -7,7 +7,6 @@ time is when the middleware received it, or the time of /clock with ``use_sim_ti
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -23,8 +22,8 @@ _LOOK_S = 0.2
 """Between looks at the graph."""
 _QUEUED = 1000
 """Messages of a topic that wait for a busy run; then the oldest ones are lost, and counted."""
-_SILENT = 3
-"""Looks without a message, after which all is taken that has arrived."""
+_IDLE = 2
+"""Times in a row that nothing is ready, until nothing is there: rclpy ends each round with one."""
 _LISTED = 20
 
 Wanted = Callable[[str, str], bool]
@@ -62,7 +61,8 @@ class RosInput:
         """Topic in the graph and type -> our number of the channel."""
         self._counts: dict[int, int] = {}
         """Channel -> messages so far."""
-        self._waiting: deque[Message] = deque()
+        self._waiting: list[tuple[int, Message]] = []
+        """Messages that are not handed out yet, and their times of arrival, ns."""
         self._refused: dict[tuple[str, str], str] = {}
         """Topic in the graph and type -> why it is not read."""
         self._hashes: dict[str, Any] = {}
@@ -103,21 +103,19 @@ class RosInput:
 
         Raises LogError if nobody has published people by then, or a message package is missing.
         """
-        due, silent = 0.0, 0
-        # A busy run has not taken all that arrived before it was stopped.
-        while not self._stopped or silent < _SILENT:
+        due, goes_on = 0.0, True
+        while goes_on:
             if not self._stopped and time.monotonic() >= due:
                 yield from self._look()
                 due = time.monotonic() + _LOOK_S
             self.before_waiting()
-            self._node.spin(0.0 if self._stopped else _PATIENCE)
-            silent = 0 if self._waiting else silent + bool(self._stopped)
-            while self._waiting:
-                message = self._waiting.popleft()
-                if not self._stopped or message.publish_time < self._stopped:
+            arrived = self._arrived()
+            # A busy run has not taken all that came before it was stopped.
+            goes_on = not self._stopped or any(at < self._stopped for at, _ in arrived)
+            for at, message in arrived:
+                if not self._stopped or at < self._stopped:
+                    self.before_waiting()
                     yield message
-                else:
-                    silent = _SILENT
         if not self._counts:
             listed = ", ".join(self._found[:_LISTED]) or "none"
             clock = "" if self._now() is None or self._now() else "nobody publishes /clock; "
@@ -126,6 +124,19 @@ class RosInput:
                 f"cameras, and do they run? topics: {listed}",
                 path=self.name,
             )
+
+    def _arrived(self) -> list[tuple[int, Message]]:
+        """Wait for a message; return all that are there with their times of arrival, by these.
+
+        Each topic has a queue of its own, and they are emptied one after the other.
+        """
+        self._node.spin(0.0 if self._stopped else _PATIENCE)
+        n, idle = len(self._waiting), 0
+        while idle < _IDLE and n:
+            self._node.spin(0.0)
+            n, idle = len(self._waiting), 0 if len(self._waiting) > n else idle + 1
+        arrived, self._waiting = self._waiting, []
+        return sorted(arrived, key=lambda row: row[0])
 
     def _now(self) -> int | None:
         """Time of /clock, ns, 0 before it came; None without ``use_sim_time``."""
@@ -233,11 +244,11 @@ class RosInput:
     def _receive(self, ident: int, data: bytes, info: Any) -> None:
         self._counts[ident] += 1
         self._count_lost(ident, info)
-        log_time = self._now()
-        if log_time is None:
-            log_time = info["received_timestamp"] or time.time_ns()
-        sent = info["source_timestamp"] or log_time
-        self._waiting.append(Message(ident, log_time, data, sent, self._counts[ident]))
+        at = info["received_timestamp"] or time.time_ns()
+        now = self._now()
+        log_time = at if now is None else now
+        sent = (now is None and info["source_timestamp"]) or log_time
+        self._waiting.append((at, Message(ident, log_time, data, sent, self._counts[ident])))
 
 
 def _refusal(kind: str) -> str:

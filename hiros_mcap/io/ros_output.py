@@ -47,7 +47,9 @@ class RosOutput(MessageSink):
         self._patience = 0.0
         self.note = ""
         if message_class(hiros_schemas.SKELETON_GROUP) is None:
-            self.note = f"skeletons are not published: {not_installed(hiros_schemas.SKELETON_GROUP)}"
+            self.note = (
+                f"skeletons are not published: {not_installed(hiros_schemas.SKELETON_GROUP)}"
+            )
             if not others:
                 raise LogError(f"{self.note}; or publish --markers", path=ADDRESS)
 

@@ -35,7 +35,6 @@ from hiros_mcap.running.write import LogOutput, NoOutput, SeveralOutputs, is_kep
 from hiros_mcap.summary import Summary
 from hiros_mcap.systems import Run
 
-
 Target = int | Path | Sink
 
 

@@ -28,7 +28,9 @@ def main() -> None:
     how = defaultdict(dict)
     for text in sys.argv[3:]:
         topic, _, names = text.partition("=")
-        how[topic] = {name: value for name, _, value in (n.partition(":") for n in names.split(","))}
+        how[topic] = {
+            name: value for name, _, value in (n.partition(":") for n in names.split(","))
+        }
     rclpy.init()
     node = rclpy.create_node("player", start_parameter_services=False)
     with open(log, "rb") as file:  # noqa: PTH123

@@ -13,6 +13,7 @@ import time
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 from detector_logs import azure, humans, scene, write_ros2
 
@@ -152,11 +153,12 @@ def test_a_graph_gives_what_a_file_gives_and_gets_the_results(crossing, graph, t
         assert out[topic] == padded(sent)
     taken = graph.heard(heard, "heard.json")
     assert taken == {topic: padded(out[topic]) for topic in ("/hiros/filtered", "/hiros/markers")}
-    (summary,) = graph.heard(late, "late.json")["/hiros/summary"]
-    assert b"2 people" in summary
+    assert b"2 people" in graph.heard(late, "late.json")["/hiros/summary"][-1]
     process(tmp_path / "out.mcap", tmp_path / "again.mcap", config=AS_KNOWN, options=LIVE)
-    assert messages(tmp_path / "again.mcap")["/hiros/filtered"] == out["/hiros/filtered"]
-    assert sorted(open_result(tmp_path / "out.mcap").motions) == [0, 1]
+    live, again = (open_result(tmp_path / name).motions for name in ("out.mcap", "again.mcap"))
+    assert sorted(live) == sorted(again) == [0, 1]
+    for person, motion in live.items():
+        assert np.nanmax(np.abs(motion.positions - again[person].positions)) < 1e-3
 
 
 @pytest.mark.parametrize("make", [azure, humans])
@@ -252,7 +254,6 @@ def test_a_message_package_that_is_missing_is_named(crossing, graph, tmp_path):
 
 def test_a_graph_without_people(graph):
     run = graph.hiros("-o", "out.mcap")
-    time.sleep(1)
     run.send_signal(signal.SIGINT)
     _, err = run.communicate(timeout=60)
     assert run.returncode == 2
