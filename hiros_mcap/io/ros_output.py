@@ -46,10 +46,9 @@ class RosOutput(MessageSink):
         """Channel -> when its latest messages were published, s."""
         self._patience = 0.0
         self.note = ""
-        if message_class(hiros_schemas.SKELETON_GROUP) is None:
-            self.note = (
-                f"skeletons are not published: {not_installed(hiros_schemas.SKELETON_GROUP)}"
-            )
+        kind = hiros_schemas.SKELETON_GROUP
+        if message_class(kind) is None:
+            self.note = f"skeletons are not published: {not_installed(kind)}"
             if not others:
                 raise LogError(f"{self.note}; or publish --markers", path=ADDRESS)
 

@@ -88,8 +88,11 @@ def process_live(
         if started is not None:
             started(log)
         prepared = prepare(log, config, options, watch)
-        single = () if target is None else (target,)
-        targets = tuple(target) if isinstance(target, Sequence) else single
+        targets: Sequence[Target]
+        if isinstance(target, Sequence):
+            targets = target
+        else:
+            targets = [] if target is None else [target]
         report = run_log(prepared, partial(_open_outputs, targets, source, log), watcher, progress)
         files = [str(one) for one in targets if isinstance(one, Path)]
         return conclude(report, files[0] if files else None)
@@ -145,7 +148,8 @@ def _open_outputs(
     compression = prepared.options.compression
     with ExitStack() as stack:
         # What somebody waits for goes first.
-        outputs, live = [], []
+        outputs: list[LogOutput] = []
+        live: list[LiveWriter] = []
         for target in sorted(targets, key=lambda one: isinstance(one, Path)):
             stream = Pipe(target, "standard output") if isinstance(target, int) else target
             writer = (

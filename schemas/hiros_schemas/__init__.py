@@ -98,8 +98,8 @@ def text(name: str) -> str:
     """Return the schema text that MCAP's ``ros2msg`` wants: the type, then all that it uses.
 
     Takes ``pkg/msg/Type`` or ``pkg/Type`` of any of :data:`NAMES`, of TFMessage, MarkerArray,
-    JointState, Log, DiagnosticArray or ObjectsStamped, or of what these are made of. Comments are left out: the
-    text goes into every log.
+    JointState, Log, DiagnosticArray or ObjectsStamped, or of what these are made of. Comments are
+    left out: the text goes into every log.
 
     Raises :class:`KeyError` for another name.
     """

@@ -5,7 +5,7 @@
     python -m hiros_schemas.ros2_packages [PACKAGE ...]
 
 Where ROS 2 is installed, it has tf2_msgs, and colcon builds hiros_skeleton_msgs. Beside the wheels
-of ROS 2 (``pip install ".[ros2-messages]"``), this builds both with CMake and a compiler. It takes a
+of ROS 2 (the extra ``ros2-messages``), this builds both with CMake and a compiler. It takes a
 minute. Other packages of which hiros knows the definitions, such as zed_msgs, are built by name.
 """
 

@@ -8,6 +8,7 @@ arrival (ns), and the message in hexadecimal.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 import threading
@@ -45,10 +46,8 @@ def main() -> None:
 
     threading.Thread(target=end).start()
     print("listens", flush=True)
-    try:
+    with contextlib.suppress(ExternalShutdownException):
         rclpy.spin(node)
-    except ExternalShutdownException:
-        pass
     with open(sys.argv[1], "w") as file:  # noqa: PTH123
         json.dump([(topic, at, data.hex()) for topic, at, data in rows], file)
 

@@ -313,13 +313,13 @@ def _many(run: _Run, logs: Sequence[str]) -> None:
 
 def _live(run: _Run, logs: Sequence[str]) -> None:
     """Process input that is still being written."""
-    source, wanted, many = logs[0], run.writing.output or [None], run.many
+    source, many = logs[0], run.many
     check_live(logs, run.writing.output or (), follow=run.reading.follow)
     settings = run.settings(live=True)
     settings = settings_of(source, settings) if many.quiet else settings.of(source)
     targets = [
         run.target(Path(source), settings, name) if name is None or is_file(name) else name
-        for name in wanted
+        for name in run.writing.output or (None,)
     ]
     options = run.options(settings)
     config = settings.load()

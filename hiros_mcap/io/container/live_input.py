@@ -48,7 +48,10 @@ class LiveInput(Protocol):
 
     name: str
     before_waiting: Callable[[], None]
-    fault: str
+
+    @property
+    def fault(self) -> str:
+        """See above."""
 
     def records(self) -> Iterator[McapRecord]:
         """Yield definitions, messages and metadata in their order; raises LogError for damage."""
