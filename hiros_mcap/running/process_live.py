@@ -88,11 +88,8 @@ def process_live(
         if started is not None:
             started(log)
         prepared = prepare(log, config, options, watch)
-        targets: Sequence[Target]
-        if isinstance(target, Sequence):
-            targets = target
-        else:
-            targets = [] if target is None else [target]
+        single = [] if target is None or isinstance(target, Sequence) else [target]
+        targets: Sequence[Target] = target if isinstance(target, Sequence) else single
         report = run_log(prepared, partial(_open_outputs, targets, source, log), watcher, progress)
         files = [str(one) for one in targets if isinstance(one, Path)]
         return conclude(report, files[0] if files else None)

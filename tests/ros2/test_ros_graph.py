@@ -36,6 +36,8 @@ _domains = itertools.count(os.getpid() % 90 + 1, 7)
 def ros_python():
     """Return a Python with ROS 2 and hiros; skips where there is none."""
     python = os.environ.get("HIROS_ROS2_PYTHON", sys.executable)
+    if not Path(python).exists():
+        return python, f"{python} is not there"
     found = subprocess.run(
         [python, "-c", f"import {PACKAGES}"], capture_output=True, text=True, check=False
     )
