@@ -3,10 +3,11 @@
     python benchmarks/ros_graph.py delay [SECONDS [PEOPLE [CAMERAS]]]
     python benchmarks/ros_graph.py soak [MINUTES [SPEED [PEOPLE [CAMERAS [RATE]]]]]
 
-Needs rclpy and hiros_skeleton_msgs. ``delay`` plays a simulated log at its speed, and takes how long
-after its last needed message a result reaches another process, through the graph and through a
-Foxglove server. ``soak`` plays a minute forwards and backwards with a clock of its own, and prints for
-each minute the memory of hiros, the results, and the ids; at the end, what was lost.
+Needs rclpy and hiros_skeleton_msgs. ``delay`` plays a simulated log at its speed, and takes how
+long after its last needed message a result reaches another process, through the graph and through
+a Foxglove server. ``soak`` plays a minute forwards and backwards with a clock of its own, and
+prints for each minute how long it took, how far the results are behind, s, the memory of hiros, MB,
+and the results by id; at the end, what was lost.
 """
 
 from __future__ import annotations
@@ -64,9 +65,8 @@ def await_line(stream, text: str) -> str:
 
 def delay(seconds: float = 30.0, people: float = 4, cameras: float = 5) -> None:
     """Print quantiles of the delay, ms, by way and channel."""
-    print(
-        f"{people:g} people, {cameras:g} cameras, {os.cpu_count()} cores, load {os.getloadavg()[0]:.0f}"
-    )
+    load = f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.0f}"
+    print(f"{people:g} people, {cameras:g} cameras, {load}")
     print("delay in ms: median, 95 %, 99 %")
     for way in ("ros2://", "ws://:0"):
         with tempfile.TemporaryDirectory() as name:
@@ -87,9 +87,8 @@ def delay(seconds: float = 30.0, people: float = 4, cameras: float = 5) -> None:
                 if kind == topic and known.get(data, 0) > begin
             ]
             shown = " ".join(f"{q:7.1f}" for q in np.quantile(late, [0.5, 0.95, 0.99]))
-            print(
-                f"{way:8} {topic:16} {len(late):6} of {sum(t > begin for t in known.values())} {shown}"
-            )
+            n = sum(t > begin for t in known.values())
+            print(f"{way:8} {topic:16} {len(late):6} of {n} {shown}")
         print(*lines, sep="\n")
 
 
@@ -215,7 +214,7 @@ def soak(
                 counts.clear()
         time.sleep(2)
         run.send_signal(signal.SIGINT)
-        code = run.wait(120)
+        code = run.wait(600)
         with McapReader(folder / "out.mcap") as reader:
             topics = {i: c.topic for i, c in reader.channels.items()}
             by_topic = {topics[i]: n for i, n in reader.counts.items()}
