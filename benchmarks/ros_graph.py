@@ -191,9 +191,8 @@ def soak(
             clock.publish(tick(first))
             time.sleep(0.1)
         begin, sent, minute = time.monotonic(), 0, 1
-        print(
-            f"{minutes:g} min of {people:g} people and {cameras:g} cameras at {speed:g} times the speed"
-        )
+        scene = f"{people:g} people and {cameras:g} cameras"
+        print(f"{minutes:g} min of {scene} at {speed:g} times the speed")
         print(f"{'minute':>6} {'took':>6} {'behind':>6} {'MB':>6}  ids", flush=True)
         since = begin
         for topic, frame in repeated(rows, first, int(minutes)):

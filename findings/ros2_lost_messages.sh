@@ -2,8 +2,8 @@
 # A subscription of ROS 2 that loses messages for want of a place in its queue is never told.
 #
 # Guess:     the event message_lost of a subscription counts the messages that it will not get.
-# Version:   ROS 2 Kilted as wheels: rclpy 9.1.2, rmw_fastrtps_cpp 9.3.3, Fast DDS 3.2.3. The numbers
-#            of messages are the same with those of Jazzy (rclpy 7.1.6).
+# Version:   ROS 2 Kilted as wheels: rclpy 9.1.2, rmw_fastrtps_cpp 9.3.3, Fast DDS 3.2.3. Others
+#            were not tried.
 # Source:    rclpy.event_handler.SubscriptionEventCallbacks(message_lost=...);
 #            https://docs.ros.org: "Message lost" among the events of quality of service.
 # Behaviour: of 500 messages to a queue of 100 places, a listener that was busy takes 100. Its
