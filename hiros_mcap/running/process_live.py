@@ -113,7 +113,7 @@ def necessity(options: ProcessOptions) -> Callable[[str, str], bool]:
 
     def needed(topic: str, kind: str) -> bool:
         info = ChannelInfo(0, topic, kind, "cdr", 1, {})
-        is_pose = topic in TF_TOPICS and options.extrinsics is None
+        is_pose = is_transform_topic(topic) and options.extrinsics is None
         return is_pose or may_be_read(info, options.topics or None)
 
     return needed
