@@ -23,6 +23,8 @@ NOTES = (
     "hiros_mcap/evaluate/remarks.py",
     "hiros_mcap/evaluate/match.py",
     "hiros_mcap/io/camera_clock.py",
+    "hiros_mcap/io/log_times.py",
+    "hiros_mcap/io/live_log_times.py",
     "hiros_mcap/events.py",
     "hiros_mcap/io/log_accounts.py",
 )

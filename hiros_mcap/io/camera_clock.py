@@ -40,6 +40,7 @@ _LASTING = 10.0  # s: a lag that has not lasted so long may be a late delivery
 IRREGULAR = 0.025  # s: an interval between stamps that differs so much from the usual one is odd
 _LEAST_STEP = 0.03  # s
 _PARTED = 0.3  # share of a step by which all lags next to it lie on their side
+_SURE = 6.0  # standard errors: lags may be mixed next to a step that is so much longer
 _PAUSE = 1.0  # s: whoever pauses longer may do so for any time
 _LATENESS = 0.5  # s
 _REMARKABLE = 0.05  # s
@@ -317,8 +318,8 @@ def _largest_step(stamps: Floats, logged: Floats) -> Step | None:
     odd = odd[(odd >= LEAST_AFTER) & (odd <= len(lags) - LEAST_AFTER)]
     least = _LEAST_STEP + _LARGEST_DRIFT * np.maximum(intervals[odd - 1], 0.0)
     falls, rises = _gaps(lags, odd)
-    # Most that is odd are lost messages, beside which the lags are mixed.
-    parts = np.maximum(falls, rises) > _PARTED * least
+    # Most that is odd are lost messages, beside which the lags are alike.
+    parts = _change(lags, odd) > _PARTED * least
     if not parts.any():
         return None
     noise = 1.48 * float(np.median(np.abs(intervals - period)))
@@ -331,8 +332,9 @@ def _largest_step(stamps: Floats, logged: Floats) -> Step | None:
         shift = float(np.median(before) - np.median(after))
         at_once = abs(jumps[k - 1] - shift) <= max(0.3 * abs(shift), 4 * jitter, 0.02)
         is_apart = (falls_by if shift > 0 else rises_by) > _PARTED * abs(shift)
-        if abs(shift) >= smallest and at_once and is_apart:
-            error = float(np.hypot(_error(before), _error(after)))
+        error = float(np.hypot(_error(before), _error(after)))
+        is_sure = min(len(before), len(after)) == _STEP_SIDE and abs(shift) > _SURE * error
+        if abs(shift) >= smallest and at_once and (is_apart or is_sure):
             seconds = _explained(float(intervals[k - 1]), shift, (period, noise, error))
             if seconds:
                 steps.append((abs(seconds), (k, seconds)))
@@ -347,6 +349,13 @@ def _gaps(lags: Floats, places: Stamps) -> tuple[Floats, Floats]:
     near = lags[places[:, None] + np.arange(-LEAST_AFTER, LEAST_AFTER)]
     before, after = near[:, :LEAST_AFTER], near[:, LEAST_AFTER:]
     return before.min(axis=1) - after.max(axis=1), after.min(axis=1) - before.max(axis=1)
+
+
+def _change(lags: Floats, places: Stamps) -> Floats:
+    """(K,) Difference of the mean lags next to some messages, before and behind, s."""
+    near = lags[places[:, None] + np.arange(-LEAST_AFTER, LEAST_AFTER)]
+    before, after = near[:, :LEAST_AFTER], near[:, LEAST_AFTER:]
+    return np.asarray(np.abs(before.mean(axis=1) - after.mean(axis=1)))
 
 
 def _period(stamps: Floats) -> float:
@@ -369,8 +378,9 @@ def _explained(interval: float, shift: float, usual: tuple[float, float, float])
     period, noise, error = usual
     if abs(shift) < 4 * error:
         return 0.0
-    spread = max(0.004, noise, error)
-    if _oddity(interval, period, spread) - _oddity(interval - shift, period, spread) < 1.5:
+    spread = max(0.004, noise)
+    left = _oddity(interval - shift, period, float(np.hypot(spread, error)))
+    if _oddity(interval, period, spread) - left < 1.5:
         return 0.0
     n = max(1, round((interval - shift) / period))
     near = n < 10 and abs(interval - shift - n * period) < period / 3 and error < period / 8

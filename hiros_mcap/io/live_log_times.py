@@ -13,7 +13,7 @@ from dataclasses import replace
 from hiros_mcap.io.channels import TF_TOPICS, channels_of
 from hiros_mcap.io.container.live_reader import LiveReader
 from hiros_mcap.io.container.records import Message
-from hiros_mcap.io.log_times import EARLY, FAR, Place, place_of, remark, stamp_of
+from hiros_mcap.io.log_times import EARLY, FAR, StampPlace, place_of, remark, stamp_of
 from hiros_mcap.summary import quantity
 
 
@@ -22,7 +22,7 @@ class LiveLogTimes:
 
     def __init__(self, reader: LiveReader) -> None:
         self._reader = reader
-        self._places: dict[int, Place | None] = {}
+        self._places: dict[int, StampPlace | None] = {}
         self._delays: dict[int, int] = {}
         """Channel -> log time - stamp, ns, of its last message."""
         self._last = 0

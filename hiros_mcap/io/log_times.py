@@ -24,6 +24,7 @@ from datetime import UTC, datetime
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 import hiros_schemas
 from hiros_mcap.io.channels import OUTPUT_PREFIX, TF_TOPICS, TRUTH_PREFIX, ChannelInfo, channels_of
@@ -31,7 +32,7 @@ from hiros_mcap.io.container import McapReader, Records
 from hiros_mcap.io.container.records import Chunk, Message, Schema
 from hiros_mcap.io.log_accounts import LATEST
 from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
-from hiros_mcap.skeletons import Flags, Ints, Stamps
+from hiros_mcap.skeletons import Flags, Stamps
 from hiros_mcap.summary import quantity
 
 FAR = 60_000_000_000
@@ -46,6 +47,7 @@ _STAMP_AT = 4
 """Byte of a message at which its header's stamp begins: behind the encapsulation of CDR, or behind
 the number of a ROS 1 header."""
 _NESTED = 4
+Bytes = npt.NDArray[np.uint8]
 _OURS = f"{OUTPUT_PREFIX}/", f"{TRUTH_PREFIX}/"
 """Topics that were written later: their times tell nothing of the recorder."""
 
@@ -174,7 +176,7 @@ def stamp_of(message: Message, place: StampPlace) -> int:
     return _source_time(data) if place.has_people and not stamp else stamp
 
 
-def _times(data: Ints, at: Stamps, end: Stamps) -> Stamps:
+def _times(data: Bytes, at: Stamps, end: Stamps) -> Stamps:
     """(N,) ns, the times in some places of bytes; 0 where a message ends before, or has none."""
     times, whole = np.zeros(len(at), np.int64), at + 8 <= end
     words = data[at[whole, None] + np.arange(8)].view("<u4").astype(np.int64)
@@ -182,7 +184,7 @@ def _times(data: Ints, at: Stamps, end: Stamps) -> Stamps:
     return times
 
 
-def _source_time(message: Ints) -> int:
+def _source_time(message: Bytes) -> int:
     """Time, ns, of the first person of a SkeletonGroup; 0 if there is none."""
     if len(message) < 20:
         return 0

@@ -90,6 +90,25 @@ def test_a_step_is_found_at_its_message_and_corrected(seconds):
     assert not verdicts.corrections["a"].changes(cameras["a"])
 
 
+def uneven(rng, sent):
+    """Usual delays of 20 to 60 ms: next to a step of 40 ms they are mixed."""
+    return rng.uniform(0.02, 0.06, len(sent))
+
+
+@pytest.mark.parametrize("ms", [-60, -40, 40, 60])
+@pytest.mark.parametrize("rate", [15.0, 60.0])
+def test_a_small_step_is_found_among_uneven_deliveries(rate, ms):
+    found = []
+    for seed in range(8):
+        a, c = (camera(100 + 3 * seed + k, rate=rate, delay=uneven) for k in (0, 2))
+        clock = lambda t: np.where(t > 10, ms / 1000, 0.0)  # noqa: E731
+        b = camera(101 + 3 * seed, rate=rate, delay=uneven, clock=clock)
+        found += [f for f in clock_verdict({"a": a, "b": b, "c": c}).faults if f.camera == "b"]
+    assert len(found) >= 7
+    assert {fault.kind for fault in found} == {STEP}
+    assert np.abs([1000 * fault.seconds - ms for fault in found]).max() < 15
+
+
 def test_a_step_is_found_behind_random_delays():
     cameras = {name: camera(k, delay=wifi) for k, name in enumerate("ac")}
     cameras["b"] = camera(7, delay=wifi, clock=lambda t: np.where(t > 10, 0.5, 0.0))
