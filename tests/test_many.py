@@ -471,6 +471,7 @@ def test_the_table_of_many_logs_as_csv(recordings, tmp_path, capsys):
     assert run(["info", str(recordings), "--jobs", "1", "--csv", str(table)]) == 2
     said = capsys.readouterr()
     assert "4 logs: 3 done, 1 failed" in said.out
+    assert "cut.mcap: truncated" in said.out  # the reason stands below the table, too
     with table.open() as file:
         rows = {Path(row["log"]).name: row for row in csv.DictReader(file)}
     assert (rows["walk.mcap"]["verdict"], rows["walk.mcap"]["cameras"]) == ("done", "3")

@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 import tomllib
 from importlib import import_module
 from itertools import chain
@@ -21,12 +22,13 @@ from typing import Any
 
 import pytest
 
+from hiros_cli import compiling
 from hiros_cli.app import run
 from hiros_cli.commands import program
 from hiros_cli.commands.simulate import simulate_params
 from hiros_cli.compiling import importing, independent, prepare
 from hiros_cli.options import EXAMPLES
-from hiros_mcap import __version__, kernels
+from hiros_mcap import __version__, kernels, workers
 from hiros_mcap.config import load_config
 from hiros_mcap.defaults import SYSTEM_NAMES
 from hiros_mcap.errors import ConfigError
@@ -133,6 +135,39 @@ def test_config_prints_the_sections_of_the_system(capsys):
     sections = tomllib.loads(capsys.readouterr().out).keys()
     assert [*sections] == ["input", "output", "associate", "kalman", "straighten"]
     assert run(["config", "--system", "nobody"]) == 2
+
+
+def test_config_takes_the_system_as_its_argument(capsys):
+    printed = []
+    for arguments in (["lee"], ["--system", "lee"], ["lee", "--system", "lee"]):
+        assert run(["config", *arguments]) == 0
+        printed.append(capsys.readouterr().out)
+    assert printed[0] == printed[1] == printed[2] != ""
+    assert run(["config", "lee", "--system", "fuse"]) == 2
+    assert "name one system: lee or --system fuse" in capsys.readouterr().err
+
+
+def test_a_long_compilation_without_a_bar_says_each_while_that_it_goes_on(monkeypatch, capsys):
+    monkeypatch.setattr(compiling, "_SILENCE_S", 0.0)
+    monkeypatch.setattr(compiling, "_POLL_S", 0.01)
+    files = {"hiros_mcap.kernels.cdr": [Path("ready"), Path("other")]}
+    monkeypatch.setattr(workers, "run_tasks", lambda *_: (time.sleep(t) for t in (0.3, 0.0)))
+    compiling._compile(files, quiet=False)
+    assert "hiros: compiling kernels: 0 of 2 after 0 s" in capsys.readouterr().err
+    compiling._compile(files, quiet=True)
+    assert capsys.readouterr().err == ""
+
+
+def test_several_files_of_a_person_and_a_comma_in_a_name(short, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run(["process", str(short), "-o", "lab.mcap", "-q"]) == 0
+    arguments = ["export", "lab.mcap", "--person", "0", "--mass", "70", "-q", "-o"]
+    assert run([*arguments, "lab.osim,lab.trc,lab.xml"]) == 0
+    assert run([*arguments, "a,b.csv"]) == 0
+    assert run([*arguments, "new.osim,new.abc"]) == 2
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "lab.mcap", "lab.osim", "lab.trc", "lab.xml", "a,b.csv",
+    }  # fmt: skip
 
 
 def test_config_shows_advanced_parameters_if_asked_or_changed(capsys):

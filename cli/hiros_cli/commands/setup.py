@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import typer
 
@@ -26,6 +27,7 @@ def systems() -> None:
 
 @grouped
 def config(
+    name: str | None = argument("SYSTEM", "As --system.", None),
     parameters: Parameters = GROUP,
     everything: bool = flag("--all", "Also print the advanced parameters."),
 ) -> None:
@@ -34,7 +36,9 @@ def config(
     from hiros_mcap.config import to_toml
     from hiros_mcap.systems import sections_of
 
-    settings = parameters.settings()
+    if name is not None and parameters.system not in (None, name):
+        raise ConfigError(f"name one system: {name} or --system {parameters.system}")
+    settings = replace(parameters, system=name or parameters.system).settings()
     sections = sections_of(settings.system)
     print(to_toml(settings.load(), sections, everything=everything, fixed=False), end="")
 
