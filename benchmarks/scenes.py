@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from hiros_mcap.io.channels import add_skeleton_channel, add_static_poses
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.simulate import SimulateParams, simulate
-from hiros_mcap.simulate.simulation import TRUTH_TOPIC
+from hiros_mcap.simulate.simulation import TRUTH_TOPIC, write_log
 from hiros_mcap.skeletons import Frame, SkeletonModel
 
 
@@ -114,3 +115,23 @@ def _push(degrees: float, metres: float) -> Rigid:
     half, axis = np.radians(degrees) / 2, np.array([1.0, 2.0, 2.0]) / 3
     shift = metres * np.array([2.0, 1.0, -2.0]) / 3
     return Rigid(np.array([*(np.sin(half) * axis), np.cos(half)]), shift)
+
+
+REALISTIC: Mapping[str, Any] = {
+    "people": 2,
+    "cameras": 2,
+    "action": "pass",
+    "seconds": 30.0,
+    "detector": {"kind": "kinect"},
+    "rig": {"apart": 45.0, "radius": 2.7, "height": 1.5, "pause": 5.0},
+}
+"""The scene of real recordings by two Kinect v2: people who stand .8 m apart, face the cameras and
+pass each other; cameras that stand 45 degrees apart and 2.7 m away, and pause once for all."""
+
+
+def realistic(path: Path, seed: int, **changes: Any) -> Path:
+    """Write a log of a realistic scene and detector, or with other parameters of a simulation."""
+    rig = {**REALISTIC["rig"], **changes.pop("rig", {})}
+    params = {**REALISTIC, **changes, "rig": rig, "seed": seed}
+    write_log(path, SimulateParams.model_validate(params))
+    return path

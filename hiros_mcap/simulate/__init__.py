@@ -6,7 +6,8 @@
 
 Bodies with constant limb lengths (:mod:`body`) perform the actions of the Hi-ROS evaluation
 (:mod:`actions`); cameras with clocks of their own (:mod:`cameras`) see them as far as nothing is in
-the way (:mod:`occlusion`), and a body tracker errs about them (:mod:`detector`). Every fault is a
+the way (:mod:`occlusion`), and a body tracker errs about them, by joints (:mod:`detector`) or by
+whole limbs (:mod:`limb_errors`). Every fault is a
 parameter (:class:`SimulateParams`), and the same seed gives the same bytes.
 """
 

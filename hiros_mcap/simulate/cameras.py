@@ -6,7 +6,7 @@ The file is that of ``--extrinsics``, with a table ``[room]``.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -72,6 +72,8 @@ def build_cameras(params: SimulateParams) -> list[SimulatedCamera]:
         return [_camera(params, k, pose, to_matrix(pose.xyzw)) for k, pose in enumerate(poses)]
     turn = stream(params.seed, "rig").uniform(0, 2 * np.pi)
     step = 2 * np.pi / max(params.cameras, 4 if params.cameras == 2 else 1)
+    if params.rig.apart is not None:
+        step = np.radians(params.rig.apart)
     return [_on_circle(params, index, turn + index * step) for index in range(params.cameras)]
 
 
@@ -103,6 +105,7 @@ def _camera(params: SimulateParams, index: int, pose: Rigid, matrix: Floats) -> 
     captured = params.start + _nanoseconds(seconds)
     logged = np.maximum.accumulate(captured + _nanoseconds(delay))
     clock = _nanoseconds(np.array(offset))
+    paused = np.abs(seconds - params.seconds / 2) < rig.pause / 2
     return SimulatedCamera(
         index=index,
         matrix=matrix,
@@ -112,8 +115,15 @@ def _camera(params: SimulateParams, index: int, pose: Rigid, matrix: Floats) -> 
         stamped=captured + clock,
         sent=logged + clock,
         logged=logged,
-        kept=rng.random(n) >= min(1.0, params.dropouts * rig.lost_frames),
+        kept=(rng.random(n) >= min(1.0, params.dropouts * rig.lost_frames)) & ~paused,
     )
+
+
+def bearing_of(cameras: Sequence[SimulatedCamera]) -> float:
+    """Direction, deg, from the middle of the room to most of the cameras; all around: the first."""
+    places = np.array([camera.pose.translation[:2] for camera in cameras])
+    x, y = places.sum(axis=0) + 1e-3 * places[0]
+    return float(np.degrees(np.arctan2(y, x)))
 
 
 def _with_calibration_error(pose: Rigid, params: SimulateParams, index: int) -> Rigid:

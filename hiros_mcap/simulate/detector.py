@@ -14,6 +14,8 @@ import numpy as np
 from hiros_mcap.body.rotations import conjugate, from_matrix, from_vector, multiply, rotate
 from hiros_mcap.simulate.body_model import LINK_SEGMENTS, MARKERS, MODEL, SLOT, SYMMETRY, BodyModel
 from hiros_mcap.simulate.cameras import SimulatedCamera, seconds_since, stream
+from hiros_mcap.simulate.chance import coloured, episodes, runs
+from hiros_mcap.simulate.limb_errors import View, errors_of, exchanged, lost
 from hiros_mcap.simulate.motion import Person, standing
 from hiros_mcap.simulate.occlusion import Mask, Sight, sight_of
 from hiros_mcap.simulate.paths import Spot
@@ -85,6 +87,9 @@ def detect(
 ) -> SimulatedDetections:
     """Return everything that a camera reports, in its nominal frames."""
     detections = observe(people, camera, params)
+    if params.detector.kind == "kinect":
+        _fit(detections, camera, params)
+        return detections.beside(phantoms(detections, camera, params))
     _hide(detections, params)
     _flip(detections, camera, params)
     _disturb(detections, camera, params)
@@ -120,6 +125,33 @@ def _hide(detections: SimulatedDetections, params: SimulateParams) -> None:
         if detector.invents:
             detections.confidences[:] = 1.0
             detections.invented[:] = sight.covered
+
+
+def _fit(detections: SimulatedDetections, camera: SimulatedCamera, params: SimulateParams) -> None:
+    """Report bodies as a detector does that fits them whole; see :mod:`limb_errors`."""
+    limbs, rate = params.detector.limbs, params.rig.rate
+    sight = sight_of(detections.positions, params.rig, solid=params.occlusion > 0)
+    detections.present &= sight.framed.mean(-1) >= _SHARE_INSIDE
+    detections.confidences[:] = 1.0
+    for person in range(detections.present.shape[1]):
+        rng = stream(params.seed, "limbs", camera.index, person)
+        positions = detections.positions[:, person]
+        hidden = sight.covered[:, person] | (~sight.framed[:, person] & (params.occlusion > 0))
+        view = View(positions.copy(), hidden, rate)
+        scales = {"noise": params.noise, "guesses": params.occlusion}
+        errors = errors_of(rng, view, limbs, **scales)
+        errors.bend(positions, detections.orientations[:, person])
+        share = min(params.flips * limbs.exchanged, 1.0)
+        for start, stop in runs(exchanged(rng, view, share, limbs.exchanged_seconds)):
+            swap_sides(detections, slice(start, stop), person)
+            reverse_facing(detections, slice(start, stop), person)
+        if params.dropouts > 0:
+            detections.present[:, person] &= ~lost(rng, view, limbs)
+    rng = stream(params.seed, "limb bias", camera.index)
+    lasts = float(np.exp(-1 / (rate * params.detector.bias_seconds)))
+    bias = params.noise * params.detector.bias
+    detections.positions += bias * coloured(rng, detections.positions.shape, lasts)
+    _lose(detections, camera, params)
 
 
 def is_detected(sight: Sight, detector: DetectorParams) -> Mask:
@@ -310,29 +342,3 @@ def _standing_phantom(
     turned = multiply(conjugate(camera.pose.xyzw), from_matrix(rotations))
     phantom.orientations[:] = turned[:, None, LINK_SEGMENTS]
     return phantom
-
-
-def coloured(rng: np.random.Generator, shape: tuple[int, ...], correlation: float) -> Floats:
-    """Stationary first-order autoregression over the first axis: SD 1, lag-1 ``correlation``."""
-    series = rng.standard_normal(shape)
-    innovation = np.sqrt(1 - correlation**2)
-    for k in range(1, shape[0]):
-        series[k] = correlation * series[k - 1] + innovation * series[k]
-    return series
-
-
-def episodes(
-    rng: np.random.Generator, n: int, per_frame: float, frames: tuple[float, float]
-) -> list[tuple[int, int]]:
-    """Half-open frame intervals of events that start at random.
-
-    They start in one of ``n`` frames with probability ``per_frame`` and last between the given
-    numbers of frames, log-uniformly: short ones are common, long ones happen.
-    """
-    starts = np.flatnonzero(rng.random(n) < per_frame)
-    low, high = np.log(frames)
-    lengths = np.maximum(1, np.round(np.exp(rng.uniform(low, high, len(starts))))).astype(int)
-    return [
-        (int(start), int(min(start + length, n)))
-        for start, length in zip(starts, lengths, strict=True)
-    ]

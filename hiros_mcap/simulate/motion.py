@@ -8,7 +8,7 @@ at once, twice continuously differentiable, so that velocities and accelerations
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -60,6 +60,7 @@ class Gait:
 
 
 WALK = Gait(0.92, 0.58, 0.05, 0.6, 0.058, 0.014, 0.42, 0.35, 0.03)
+STROLL = Gait(0.80, 0.65, 0.03, 0.25, 0.020, 0.006, 0.10, 0.25, 0.0)  # aside and backwards, too
 MARCH = Gait(0.85, 0.60, 0.18, 0.7, 0.012, 0.006, 0.35, 0.35, 0.0)  # on the spot: knees up
 JOG = Gait(1.30, 0.36, 0.16, 0.8, 0.045, -0.035, 0.55, 1.50, 0.14)
 CRAWL = Gait(0.60, 0.62, 0.03, 0.0, 0.0, 0.005, 0.0, 0.0, 1.45)  # on hands and knees
@@ -230,6 +231,28 @@ def standing(body: BodyModel, path: Path, t: Floats) -> Posture:
         foot_heading=np.repeat(heading[:, None], 2, axis=1),
         foot_pitch=np.zeros((len(t), 2)),
         foot_turn=np.zeros((len(t), 2)),
+    )
+
+
+def between(first: Posture, second: Posture, share: Floats) -> Posture:
+    """Posture at the ``share`` (n,) of the way from the first to the second, heading alike."""
+
+    def mixed(a: Floats, b: Floats) -> Floats:
+        weight = share.reshape(-1, *[1] * (a.ndim - 1))
+        return a + weight * (b - a)
+
+    none = np.zeros((len(share), 3))
+    return replace(
+        first,
+        pelvis=mixed(first.pelvis, second.pelvis),
+        toes=mixed(first.toes, second.toes),
+        foot_heading=mixed(first.foot_heading, second.foot_heading),
+        foot_pitch=mixed(first.foot_pitch, second.foot_pitch),
+        foot_turn=mixed(first.foot_turn, second.foot_turn),
+        angles={
+            name: mixed(first.angles.get(name, none), second.angles.get(name, none))
+            for name in first.angles | second.angles
+        },
     )
 
 

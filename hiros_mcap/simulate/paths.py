@@ -143,7 +143,46 @@ class Rounds:
         return unwrapped(np.arctan2(north, east), near=u + np.pi / 2)
 
 
-Path = Spot | Ellipse | Eight | Rounds
+@dataclass(frozen=True, slots=True)
+class Passing:
+    """Standing beside somebody, and now and then walking round to the other side, facing one way.
+
+    Every ``period`` seconds, half a turn of ``radius`` around ``centre`` takes ``seconds``: behind
+    the other, and the next time in front. Who only stands has the radius 0.
+    """
+
+    centre: tuple[float, float]
+    facing: float
+    radius: float
+    period: float
+    seconds: float
+    start: float
+    """Time, s, of the first half turn."""
+
+    def _rounds(self, t: Floats) -> tuple[Floats, Floats]:
+        """Half turns that were begun before, and how much of the next one is over, 0 to 1."""
+        rounds = (t - self.start) / self.period
+        count = np.floor(rounds)
+        return count, np.clip((rounds - count) * self.period / self.seconds, 0.0, 1.0)
+
+    def position(self, t: Floats) -> Floats:
+        """See :data:`Path`."""
+        count, share = self._rounds(t)
+        u = self.facing + np.pi / 2 + np.pi * (count + smoothstep(share))
+        off = self.radius * np.stack([np.cos(u), np.sin(u)], axis=-1)
+        place: Floats = np.array(self.centre) + off
+        return place
+
+    def heading(self, t: Floats) -> Floats:
+        """See :data:`Path`."""
+        return np.full(t.shape, self.facing)
+
+    def walking(self, t: Floats) -> Floats:
+        """(...) 0 while standing, 1 while walking."""
+        return hold(self._rounds(t)[1], 0.0, 0.15, 0.85, 1.0) if self.radius else np.zeros(t.shape)
+
+
+Path = Spot | Ellipse | Eight | Rounds | Passing
 """Where somebody is on the ground at any time, and which way he faces.
 
 ``position(t)`` gives (..., 2) places, m, at times ``t``, s; ``heading(t)`` the (...) direction of

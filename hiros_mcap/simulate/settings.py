@@ -52,6 +52,7 @@ ActionName = Literal[
     "circle",
     "cross",
     "in_out",
+    "pass",
     "eight",
     "roam",
     "lunge",
@@ -81,6 +82,11 @@ class RigParams(Params):
         "default: on a circle.",
     )
 
+    apart: Angle | None = advanced(
+        None,
+        description="Angle between one camera and the next, deg; default: evenly all around, two "
+        "at right angles.",
+    )
     radius: PositiveFloat = advanced(3.6, description="Distance from the middle of the room, m.")
     height: PositiveFloat = advanced(2.0, description="Height of the cameras, m.")
     aim_height: float = advanced(1.0, description="Height that they look at in the middle, m.")
@@ -99,6 +105,9 @@ class RigParams(Params):
     delay: Range = advanced(
         (0.020, 0.040), description="Least and greatest time from the frame to its message, s."
     )
+    pause: NonNegativeFloat = advanced(
+        0.0, description="Time, s, for which all cameras pause in the middle of the log."
+    )
     lost_frames: Share = advanced(0.015, description="Share of frames that never arrive.")
     position_error: NonNegativeFloat = advanced(
         0.004, description="SD of a camera's published position, per axis, m."
@@ -108,8 +117,113 @@ class RigParams(Params):
     )
 
 
+class LimbErrorParams(Params):
+    """The errors of the detector "kinect", as two Kinect v2 were measured to make them.
+
+    They were measured on 32 minutes of views in 19 recordings by two cameras each: lengths against
+    the person's own, positions between the cameras and against the fused result. A mistake is a
+    slip or a guess; its size is log-normal, and the SDs below are those of the median size.
+    """
+
+    shift: NonNegativeFloat = advanced(
+        0.008,
+        description="SD of the shift of the whole body, per axis, m. Measured between two cameras: "
+        "23 to 28 mm at the median, errors of the poses included.",
+    )
+    direction: NonNegativeFloat = advanced(
+        2.3,
+        description="SD of the direction of an upper arm or a thigh, per axis, deg. Elbows differ "
+        "by 39 to 49 mm between two cameras.",
+    )
+    length: NonNegativeFloat = advanced(
+        0.025, description="Relative SD of a limb's length (robust SD of all errors: .03 to .07)."
+    )
+    slide: NonNegativeFloat = advanced(
+        0.04,
+        description="Relative SD by which a knee slides along the leg: the lengths of thigh and "
+        "shank correlate by -.35 to -.64.",
+    )
+    aside: NonNegativeFloat = advanced(
+        1.0,
+        description="How much larger these are in views from the side and from behind (.3 to 2).",
+    )
+    seconds: PositiveFloat = advanced(
+        0.6, description="Mean time for which they hold, s (autocorrelation 1/e at .4 to 1.4 s)."
+    )
+    lasting: Share = advanced(
+        0.3, description="Share of their variance that lasts (autocorrelation .2 to .5 after 1 s)."
+    )
+    lasting_seconds: PositiveFloat = advanced(
+        20.0, description="Time over which the lasting part changes, s (recordings: 15 to 100 s)."
+    )
+    slips_per_minute: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat] = advanced(
+        (1.5, 40.0, 50.0),
+        description="How often a limb slips, per minute and view: from the front, from the side, "
+        "from behind. Wrists and ankles are off by more than .25 m 10 to 20 times.",
+    )
+    slip_seconds: PositiveFloat = advanced(
+        0.4, description="Mean time of a slip, s (above .25 m: median .1, 90 % .45)."
+    )
+    slip_angle: NonNegativeFloat = advanced(
+        17.0, description="SD of a segment's direction in a slip, per axis, deg (peaks of .34 m)."
+    )
+    slip_length: NonNegativeFloat = advanced(
+        0.12, description="SD of the log of its length (99 % of lengths are off by 17 to 34 %)."
+    )
+    slip_shift: NonNegativeFloat = advanced(
+        0.025,
+        description="SD of the shift of the whole body in a slip, per axis, m (99 % of second "
+        "differences of a trunk: 36 to 82 mm).",
+    )
+    guess_angle: NonNegativeFloat = advanced(
+        22.0,
+        description="SD of a covered segment's direction, per axis, deg (covered joints are off by "
+        "91 to 155 mm at the median, 390 to 600 at 90 %).",
+    )
+    guess_odds: NonNegativeFloat = advanced(
+        3.0, description="Probability of a wrong guess to the covered share of the body."
+    )
+    guess_length: NonNegativeFloat = advanced(
+        0.15, description="SD of the log of its length (whole bodies: 15 % at the median)."
+    )
+    guess_shift: NonNegativeFloat = advanced(
+        0.2,
+        description="SD of the shift of a body to its covered share, per axis, m "
+        "(shift at .25 to .45: median 50 to 59, 90 % 138 to 180 mm).",
+    )
+    guess_seconds: PositiveFloat = advanced(
+        0.8,
+        description="Mean time for which a guess holds, s (95 % of second differences of covered "
+        "trunks: 65 to 133 mm).",
+    )
+    loses_at: Range = advanced(
+        (0.2, 1.0),
+        description="Share of a body that others cover when it is lost: least, most. Reported are "
+        "80 % of those who are covered by .1 to .25, 25 % by .45 to .7.",
+    )
+    finds_after: PositiveFloat = advanced(
+        0.3, description="Mean time after which who is uncovered is found again, s (.3 to 1.8)."
+    )
+    exchanged: Annotated[float, Field(ge=0, le=1)] = advanced(
+        0.45, description="Share of the views from behind with exchanged sides (measured: .45)."
+    )
+    exchanged_seconds: PositiveFloat = advanced(
+        0.5, description="Mean time between two decisions on the sides, s (exchanges: median .7)."
+    )
+
+
 class DetectorParams(Params):
-    """The errors of one camera's detector, as real depth cameras make them."""
+    """The errors of one camera's detector, as real depth cameras make them.
+
+    All but ``kind``, ``limbs``, losses, phantoms and ids belong to the detector "ideal".
+    """
+
+    kind: Literal["ideal", "kinect"] = Field(
+        "ideal",
+        description="ideal: every joint errs by itself, and the detector knows what it guesses. "
+        "kinect: whole limbs err together, and all joints are as sure (detector.limbs).",
+    )
+    limbs: LimbErrorParams = Field(LimbErrorParams(), description="Errors of kinect.")
 
     coloured: NonNegativeFloat = advanced(
         0.013, description="SD of the slow part of a trunk joint's error at 3.5 m, per axis, m."
@@ -213,7 +327,7 @@ class SimulateParams(Params):
     facing: Annotated[float, Field(ge=-360, le=360)] | None = advanced(
         None,
         description="Direction that everybody on a spot faces, deg from x to y; default: at "
-        "random.",
+        "random, with the action pass to the cameras.",
     )
     area: Area = advanced(
         ROOM,

@@ -17,7 +17,13 @@ from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.simulate.actions import ACTIONS
 from hiros_mcap.simulate.body_model import LINK_SEGMENTS, MODEL, BodyModel
-from hiros_mcap.simulate.cameras import SimulatedCamera, build_cameras, seconds_since, stream
+from hiros_mcap.simulate.cameras import (
+    SimulatedCamera,
+    bearing_of,
+    build_cameras,
+    seconds_since,
+    stream,
+)
 from hiros_mcap.simulate.detector import SimulatedDetections, detect
 from hiros_mcap.simulate.motion import Person
 from hiros_mcap.simulate.occlusion import Mask
@@ -75,7 +81,10 @@ class Simulation:
         motion = stream(params.seed, "motion")
         if params.motion:
             return perform_files(params, bodies, motion)
-        return ACTIONS[params.action].inside(params.area).perform(bodies, motion, params.facing)
+        facing = params.facing
+        if facing is None and params.action == "pass":
+            facing = bearing_of(self.cameras)
+        return ACTIONS[params.action].inside(params.area).perform(bodies, motion, facing)
 
     @cached_property
     def cameras(self) -> list[SimulatedCamera]:

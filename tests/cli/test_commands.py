@@ -84,6 +84,7 @@ def test_simulate_twice_gives_the_same_bytes_and_a_readable_log(tmp_path):
     [
         (["--people", "99"], "--people: should be less than or equal to 10, is 99"),
         (["--action", "fly"], "--action: should be 'walk', 'squat'"),
+        (["--detector", "radar"], "--detector: should be 'ideal' or 'kinect', is 'radar'"),
         (["--rate", "0"], "--rate: should be greater than 0"),
         (["--seconds", "many"], "Invalid value for '--seconds'"),
         (["--seconds", "inf"], "--seconds: should be less than or equal to 86400, is inf"),
@@ -107,8 +108,9 @@ def test_the_help_of_simulate_states_the_defaults_that_hold(capsys):
     assert float(stated.pop("rate")) == defaults.rig.rate
     for name, value in stated.items():
         default = getattr(defaults, name.replace("-", "_"))
+        default = getattr(default, "kind", default)
         assert value == default or float(value) == default
-    assert len(stated) == 12
+    assert len(stated) == 13
 
 
 def test_the_help_of_simulate_states_the_bounds_that_hold(capsys):

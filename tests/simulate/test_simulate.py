@@ -14,7 +14,7 @@ from hiros_mcap.io.log import open_log
 from hiros_mcap.simulate import DetectorParams, RigParams, SimulateParams, simulate
 from hiros_mcap.simulate.actions import ACTIONS
 from hiros_mcap.simulate.body_model import SLOT
-from hiros_mcap.simulate.detector import coloured, episodes
+from hiros_mcap.simulate.chance import coloured, episodes
 from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.skeletons import (
     ACCELERATION,
@@ -204,6 +204,109 @@ def test_four_cameras_in_the_corners_beside_motion_capture_of_another_rate():
     for camera in simulation.transforms:
         assert sum(f.source == camera for f in simulation.detections) == pytest.approx(90, abs=1)
     assert max(frame.n_people for frame in simulation.detections) == 2
+
+
+def test_pairs_stand_face_the_cameras_and_now_and_then_change_places():
+    rig = {"apart": 45.0}
+    scene = perfect(action="pass", people=2, seconds=40.0, rig=rig, seed=3)
+    poses = np.stack([frame.positions for frame in scene.truth])  # (T, 2, M, 3)
+    apart = np.diff(poses[:, :, SLOT["PELVIS"], :2], axis=1)[:, 0]
+    assert np.linalg.norm(apart, axis=-1) == pytest.approx(0.8, abs=0.1)
+    across = poses[:, :, SLOT["HIP_LEFT"], :2] - poses[:, :, SLOT["HIP_RIGHT"], :2]
+    beside = np.sign((apart * across[:, 0]).sum(-1))[np.abs(apart @ [0, 1]) > 0]
+    assert {-1.0, 1.0} <= set(beside)  # each of the two is on the left for a time
+    ahead = across.mean(axis=(0, 1)) @ [[0, -1], [1, 0]]
+    places = np.stack([pose.translation[:2] for pose in scene.transforms.values()])
+    assert unit(ahead) @ unit(places.mean(axis=0)) > 0.7
+    steps = np.linalg.norm(np.diff(poses[:, :, SLOT["PELVIS"]], axis=0), axis=-1).max(axis=1) * 30
+    assert 0.3 < np.mean(steps < 0.1) < 0.8
+
+
+def test_all_cameras_pause_in_the_middle_of_the_log():
+    simulation = perfect(seconds=6.0, cameras=3, rig={"pause": 2.0})
+    stamps = np.array([frame.stamps[0] for frame in simulation.detections if frame.n_people])
+    assert np.diff(np.sort(stamps)).max() * 1e-9 == pytest.approx(2.0, abs=0.05)
+
+
+KINECT = {"kind": "kinect"}
+
+
+def kinect(**changes):
+    """(n, M, 3) errors in the room and (n, M, 3) truth of everybody whom a Kinect sees."""
+    scene = {"detector": KINECT, "cameras": 1, "rig": {"fov": (150.0, 150.0)}, **changes}
+    pairs = zip(in_room(perfect(**scene)), in_room(perfect(**{**scene, "noise": 0.0})), strict=True)
+    seen = [(a[0] - b[0], b[0]) for (_, a), (_, b) in pairs if len(a) and len(b)]
+    return tuple(np.stack(parts) for parts in zip(*seen, strict=True))
+
+
+def test_a_kinect_without_faults_sees_the_truth_and_is_sure_of_it():
+    for ideal, frame in zip(perfect().detections, perfect(detector=KINECT).detections, strict=True):
+        assert frame.positions == pytest.approx(ideal.positions, abs=1e-9)
+        assert frame.orientations == pytest.approx(ideal.orientations, abs=1e-9)
+        assert (frame.marker_confidences == 1.0).all()
+
+
+def test_a_kinect_errs_by_whole_limbs_not_by_joints():
+    errors, _ = kinect(noise=1.0, action="free_static", seconds=60.0)
+    errors -= np.median(errors, axis=0)
+
+    def together(a, b):
+        return np.corrcoef(errors[:, SLOT[a]].ravel(), errors[:, SLOT[b]].ravel())[0, 1]
+
+    assert together("WRIST_LEFT", "HAND_LEFT") > 0.85
+    assert together("ANKLE_LEFT", "FOOT_LEFT") > 0.7
+    assert abs(together("WRIST_LEFT", "WRIST_RIGHT")) < 0.4
+
+
+def test_a_kinect_keeps_to_a_pose_and_then_changes_its_mind():
+    errors, _ = kinect(noise=1.0, action="pass", seconds=60.0)
+    steps = 1000 * np.linalg.norm(np.diff(errors, 2, axis=0), axis=-1)[:, SLOT["HAND_RIGHT"]]
+    assert np.median(steps) < 6
+    assert np.quantile(steps, 0.99) > 60
+
+
+def test_a_kinect_turns_links_with_their_limbs():
+    scene = {"action": "free_static", "seconds": 5.0, "noise": 1.0, "cameras": 1}
+    scene["detector"] = {**KINECT, "bias": 0.0}
+    model = perfect().model
+    link = model.link_names.index("ELBOW_LEFT")
+    a, b = model.links[link]
+    for frame in perfect(**scene).detections:
+        if frame.n_people:
+            turn = Rotation.from_quat(frame.orientations[0, link])
+            bone = turn.inv().apply(frame.positions[0, b] - frame.positions[0, a])
+            assert unit(bone) == pytest.approx([0, -1, 0], abs=1e-6)
+
+
+@pytest.mark.parametrize(("facing", "least", "most"), [(0.0, 0.0, 0.0), (180.0, 0.35, 0.55)])
+def test_a_kinect_takes_backs_for_fronts(facing, least, most):
+    """One camera on the x axis; the person faces it or turns the back to it."""
+    rig = {"poses": ((3.5, 0.0, 1.5, -0.5, -0.5, 0.5, 0.5),)}
+    scene = {"action": "free_static", "seconds": 120.0, "facing": facing, "cameras": 1, "rig": rig}
+    across = [
+        frame.positions[0, SLOT["HIP_RIGHT"], 0] - frame.positions[0, SLOT["HIP_LEFT"], 0]
+        for frame in perfect(flips=1.0, detector=KINECT, **scene).detections
+        if frame.n_people
+    ]
+    as_if_from_behind = np.mean(np.array(across) > 0)
+    exchanged = as_if_from_behind if facing == 0.0 else 1 - as_if_from_behind
+    assert least <= exchanged <= most
+
+
+def test_a_kinect_loses_and_misjudges_who_is_covered():
+    scene = {"action": "pass", "people": 2, "seconds": 60.0, "rig": {"apart": 45.0}}
+    whole = list(perfect(**scene, detector=KINECT).detections)
+    faulty = list(perfect(**scene, detector=KINECT, occlusion=1.0, dropouts=1.0).detections)
+    missing = sum(f.n_people for f in whole) - sum(f.n_people for f in faulty)
+    assert 0.01 < missing / sum(f.n_people for f in whole) < 0.15
+    by_stamp = {(f.source, f.stamp): f for f in whole}
+    off = [
+        np.linalg.norm(f.positions - by_stamp[f.source, f.stamp].positions, axis=-1).max()
+        for f in faulty
+        if f.n_people == 2
+    ]
+    assert np.median(off) == 0.0
+    assert np.max(off) > 0.2
 
 
 def test_the_truth_moves_at_its_own_velocities():

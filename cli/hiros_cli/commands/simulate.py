@@ -41,6 +41,11 @@ def simulate(
     skeleton: list[Path] | None = option(
         "FILE", "ASF skeleton of the AMC files: one for all, or one each."
     ),
+    detector: str | None = option(
+        "NAME",
+        "ideal: each joint errs by itself, and the detector knows what it guesses. kinect: whole "
+        "limbs err together, and it is sure of all, as Kinect v2s were measured. Default: ideal.",
+    ),
     seconds: float | None = _number("Length of the log, s, at most 86400.", "10"),
     rate: float | None = _number("Frames per second, at most 1000.", "30"),
     seed: int | None = _number("The same seed gives the same bytes.", "0"),
@@ -62,6 +67,7 @@ def simulate(
     given = {
         "people": people,
         "action": action,
+        "detector": None if detector is None else {"kind": detector},
         "motion": [str(path) for path in motion] if motion else None,
         "skeleton": [str(path) for path in skeleton] if skeleton else None,
         "seconds": seconds,
