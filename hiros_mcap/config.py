@@ -25,7 +25,7 @@ from hiros_mcap.defaults import DEFAULT_SYSTEM, NO_PRESET, takes_presets
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.remote import is_remote
 from hiros_mcap.outside import parse, read_toml
-from hiros_mcap.params import Params, Seconds, advanced, explain, is_advanced, is_fixed
+from hiros_mcap.params import Params, Seconds, advanced, explain, fixed, is_advanced, is_fixed
 from hiros_mcap.stages.detections.detection_params import PlausibleParams, SidesParams
 from hiros_mcap.stages.filter.filter_params import FilterParams
 from hiros_mcap.stages.fuse.fuse_params import ConstrainParams, FuseParams
@@ -83,6 +83,7 @@ class InputParams(Params):
         "ones are used (--calibrate). given: those of the log or of --extrinsics, as published "
         "methods take them.",
     )
+    moved: bool = fixed(True, "Look for cameras that were moved in the middle of the log.")
 
 
 _MOST_S = 4e9

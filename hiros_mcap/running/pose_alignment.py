@@ -256,7 +256,7 @@ def align_cameras(
         poses = _compared(survey, clocks)
         kept = PoseAlignment(contradictions=poses.contradictions, agreements=poses.agreements)
     else:
-        poses = _refined_poses(survey, clocks, mode)
+        poses = _refined_poses(survey, clocks, mode, moved=config.input.moved)
     if clocks.times:
         poses = replace(poses, cameras=clocks.take_offsets(poses.cameras))
     poses.note_errors()
@@ -287,7 +287,9 @@ def _compared(survey: Survey, clocks: ClockAlignment) -> PoseAlignment:
     )
 
 
-def _refined_poses(survey: Survey, clocks: ClockAlignment, mode: Calibration) -> PoseAlignment:
+def _refined_poses(
+    survey: Survey, clocks: ClockAlignment, mode: Calibration, *, moved: bool
+) -> PoseAlignment:
     """Compare the log's poses with those that the people give; use the better ones."""
     log = survey.log
     faults = camera_faults(log)
@@ -299,7 +301,7 @@ def _refined_poses(survey: Survey, clocks: ClockAlignment, mode: Calibration) ->
         return separated
     if not free and mode != "require" and all(one.reason == UNLINKED for one in posed.rig):
         return PoseAlignment()  # nothing tells a pose, and none is used: all are in one frame
-    posed = split_moved(survey, clocks, posed)
+    posed = split_moved(survey, clocks, posed) if moved else posed
     alike = [] if faults else same_place({camera.name: camera.pose for camera in posed.cameras})
     if not faults and (anew := _found_anew(survey, clocks, mode, posed, alike)):
         return anew

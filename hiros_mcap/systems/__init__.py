@@ -114,13 +114,14 @@ def fuse(run: Run) -> Stages:
         cameras=run.cameras, noise=noise,
     )  # fmt: skip
     bodies = run.stage(constrain_blocks, config.constrain, limbs=run.limbs)
+    align = partial(align_blocks, model=run.model) if config.constrain.align else iter
     derivatives = run.stage(filter_blocks, config.filter, keep_positions=True)
     return {
         "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),
         # smoothed positions
         "merged": lambda blocks: fusion(mended(blocks)),
         # lengths and prior; links along the bones
-        "optimized": lambda blocks: align_blocks(bodies(blocks), run.model),
+        "optimized": lambda blocks: align(bodies(blocks)),
         # velocities and accelerations
         "filtered": derivatives,
     }

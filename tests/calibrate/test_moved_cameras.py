@@ -10,6 +10,7 @@ from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid, angle, from_vector
 from hiros_mcap.body.transforms import pose_arrays
 from hiros_mcap.calibrate import survey
+from hiros_mcap.config import load_config
 from hiros_mcap.events import events_from_json
 from hiros_mcap.io.channels import EVENTS_ATTACHMENT
 from hiros_mcap.io.log import open_log
@@ -78,6 +79,12 @@ def test_each_part_of_the_log_gets_its_own_pose(log, done, scene, healthy, tmp_p
     process(logged(tmp_path / "lab.mcap", scene, healthy), never)
     process(log, off, options=ProcessOptions(calibrate="off"))
     assert distance(done[1], never) < 0.003 < 0.005 < distance(off, never)
+
+
+def test_a_run_that_does_not_look_for_moved_cameras_finds_none(log, tmp_path):
+    config = load_config(named={"test": {"input": {"moved": False}}})
+    found = process(log, tmp_path / "out.mcap", config=config, options=FIRST_STAGE)
+    assert all(np.isnan([pose.since_s, pose.until_s]).all() for pose in found.poses)
 
 
 def test_the_summary_names_camera_and_time(done):

@@ -202,6 +202,14 @@ def test_a_camera_that_was_moved_hardly_harms_the_result(params):
 
 
 @pytest.mark.parametrize("params", [{"window": 5.0}, REALTIME])
+def test_a_camera_keeps_its_weight_where_that_is_off(params):
+    with_it, _ = error({"b": 0.15}, **params)
+    without, events = error({"b": 0.15}, **params, displaced=False)
+    assert without > 1.5 * with_it
+    assert not [e for e in events.log if e.kind == CAMERA_DISPLACED]
+
+
+@pytest.mark.parametrize("params", [{"window": 5.0}, REALTIME])
 def test_a_camera_of_an_uncertain_pose_keeps_its_weight(params):
     _, events = error({"b": 0.15}, pose_error=0.06, **params)
     assert not [e for e in events.log if e.kind == CAMERA_DISPLACED]

@@ -42,6 +42,9 @@ class FuseParams(Params):
         "Degrees of freedom of the noise (Student's t). With fewer, outliers count less. 4 to "
         "20 differ by 0 to 4 %.",
     )
+    displaced: bool = fixed(
+        True, "Views of a camera that shows people elsewhere than the others lose their weight."
+    )
     pose_angle: float = advanced(
         0.3,
         ge=0,
@@ -71,4 +74,5 @@ class ConstrainParams(Params):
         "for it. In fuse-realtime, which does not wait, 5.",
     )
     rigid: bool = fixed(True, "Keep the distances within head, thorax and pelvis, too.")
+    align: bool = fixed(True, "Turn links with the bones, as far as the markers are surer.")
     prior: bool = fixed(True, "Use the motion of the person in the window as a prior of each pose.")

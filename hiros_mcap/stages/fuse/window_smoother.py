@@ -22,6 +22,7 @@ from hiros_mcap.skeletons import (
 )
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.fuse.displaced_views import (
+    LIMIT,
     DisplacedViews,
     excess_of,
     limits_of,
@@ -157,9 +158,11 @@ class WindowSmoother:
     def _without_displaced(self, window: FusionWindow, of_views: Stamps) -> FusedPoses:
         """Smooth a window. Cameras that prove to be displaced lose their weight."""
         views, white = window.views, window.variances
-        limits = limits_of(self._names, self._noise.pose_errors)
+        least = LIMIT if self._params.displaced else math.inf
+        limits = limits_of(self._names, self._noise.pose_errors, least)
         ahead = self._params.window > 0
-        excess = np.zeros(len(white)) if ahead else self.displaced.expected(views)
+        known = not ahead and self._params.displaced
+        excess = self.displaced.expected(views) if known else np.zeros(len(white))
         for again in range(1 + _ROUNDS):
             before = self._bank.past
             if ahead:
