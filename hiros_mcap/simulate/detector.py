@@ -15,7 +15,7 @@ from hiros_mcap.body.rotations import conjugate, from_matrix, from_vector, multi
 from hiros_mcap.simulate.body_model import LINK_SEGMENTS, MARKERS, MODEL, SLOT, SYMMETRY, BodyModel
 from hiros_mcap.simulate.cameras import SimulatedCamera, seconds_since, stream
 from hiros_mcap.simulate.chance import coloured, episodes, runs
-from hiros_mcap.simulate.limb_errors import View, errors_of, exchanged, lost
+from hiros_mcap.simulate.limb_errors import TrueView, errors_of, exchanged, lost
 from hiros_mcap.simulate.motion import Person, standing
 from hiros_mcap.simulate.occlusion import Mask, Sight, sight_of
 from hiros_mcap.simulate.paths import Spot
@@ -137,7 +137,7 @@ def _fit(detections: SimulatedDetections, camera: SimulatedCamera, params: Simul
         rng = stream(params.seed, "limbs", camera.index, person)
         positions = detections.positions[:, person]
         hidden = sight.covered[:, person] | (~sight.framed[:, person] & (params.occlusion > 0))
-        view = View(positions.copy(), hidden, rate)
+        view = TrueView(positions.copy(), hidden, rate)
         scales = {"noise": params.noise, "guesses": params.occlusion}
         errors = errors_of(rng, view, limbs, **scales)
         errors.bend(positions, detections.orientations[:, person])

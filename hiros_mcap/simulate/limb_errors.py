@@ -94,7 +94,7 @@ _GROUPS = (_LEFT_ARM, _RIGHT_ARM, _LEFT_LEG, _RIGHT_LEG, _WIDTHS, _HEAD, _BODY)
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class TrueView:
     """A camera's true view of a person in n frames."""
 
     positions: Floats
@@ -154,7 +154,7 @@ class LimbErrors:
         orientations[:] = multiply(rotation[:, _OF_LINK], orientations)
 
 
-def lost(rng: np.random.Generator, view: View, params: LimbErrorParams) -> Mask:
+def lost(rng: np.random.Generator, view: TrueView, params: LimbErrorParams) -> Mask:
     """(n,) whether the detector has lost somebody because of others in front."""
     share = view.covered.mean(axis=-1)
     gone = np.zeros(len(share), bool)
@@ -166,7 +166,7 @@ def lost(rng: np.random.Generator, view: View, params: LimbErrorParams) -> Mask:
     return gone
 
 
-def exchanged(rng: np.random.Generator, view: View, share: float, seconds: float) -> Mask:
+def exchanged(rng: np.random.Generator, view: TrueView, share: float, seconds: float) -> Mask:
     """(n,) whether the sides of a person are exchanged, in a ``share`` of the views from behind."""
     decision = held(rng, len(view.positions), view.rate, seconds)
     odds = share * np.interp(view.facing, (45.0, 100.0, 140.0), (0.0, 0.04, 1.0))
@@ -175,7 +175,12 @@ def exchanged(rng: np.random.Generator, view: View, share: float, seconds: float
 
 
 def errors_of(
-    rng: np.random.Generator, view: View, params: LimbErrorParams, *, noise: float, guesses: float
+    rng: np.random.Generator,
+    view: TrueView,
+    params: LimbErrorParams,
+    *,
+    noise: float,
+    guesses: float,
 ) -> LimbErrors:
     """Draw the errors of a view; ``noise`` and ``guesses`` scale them."""
     errors = _small_errors(rng, view, params, noise)
@@ -185,7 +190,7 @@ def errors_of(
 
 
 def _small_errors(
-    rng: np.random.Generator, view: View, params: LimbErrorParams, noise: float
+    rng: np.random.Generator, view: TrueView, params: LimbErrorParams, noise: float
 ) -> LimbErrors:
     """Return what every segment is off by all the time."""
     sideways = np.interp(view.facing, _FROM_DEG[:2], (0.0, 1.0))
@@ -203,7 +208,7 @@ def _small_errors(
     return LimbErrors(more[..., None] * turn, more * scale, shift)
 
 
-def _drawn(rng: np.random.Generator, view: View, params: LimbErrorParams, k: int) -> Floats:
+def _drawn(rng: np.random.Generator, view: TrueView, params: LimbErrorParams, k: int) -> Floats:
     """(n, G, k) numbers of SD 1 that hold for a time; a part of the variance lasts."""
     n, memory = len(view.positions), float(np.exp(-1 / (view.rate * params.lasting_seconds)))
     quick = np.empty((n, len(SEGMENTS), k))
@@ -217,7 +222,11 @@ def _drawn(rng: np.random.Generator, view: View, params: LimbErrorParams, k: int
 
 
 def _slip(
-    rng: np.random.Generator, errors: LimbErrors, view: View, params: LimbErrorParams, noise: float
+    rng: np.random.Generator,
+    errors: LimbErrors,
+    view: TrueView,
+    params: LimbErrorParams,
+    noise: float,
 ) -> None:
     """Let limbs, the widths, and the whole body be somewhere else for a while."""
     n = len(view.positions)
@@ -235,7 +244,11 @@ def _slip(
 
 
 def _guess(
-    rng: np.random.Generator, errors: LimbErrors, view: View, params: LimbErrorParams, scale: float
+    rng: np.random.Generator,
+    errors: LimbErrors,
+    view: TrueView,
+    params: LimbErrorParams,
+    scale: float,
 ) -> None:
     """Guess what others cover."""
     decision = held(rng, len(view.positions), view.rate, params.guess_seconds)
