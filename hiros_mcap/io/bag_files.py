@@ -14,7 +14,6 @@ from pathlib import Path, PurePath
 from typing import NamedTuple
 
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.container.file import ZSTD_MAGIC
 from hiros_mcap.summary import quantity
 
 METADATA = "metadata.yaml"
@@ -23,6 +22,8 @@ SUFFIXES = (*STORAGES, ".bag")
 _PACKED = (".zstd", ".zst")
 _RECORDED = "rosbag2_bagfile_information"
 _DATE = r"_\d{4}_\d\d_\d\d-\d\d_\d\d_\d\d"
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+"""First bytes of a zstd frame. No message in CDR begins so: its first byte is 0."""
 _MAGIC = {
     b"#ROSBAG V2.0": "a ROS 1 bag",
     b"SQLite format 3": "a SQLite bag",

@@ -401,8 +401,9 @@ def _agreements(log: Log, rig: Sequence[CalibratedCamera]) -> tuple[str, ...]:
 def said(frame: tuple[str, Sequence[str]]) -> str:
     """Say that a frame of several cameras is no frame of what they all see."""
     name, cameras = frame
+    where = f"publish in the same frame {name!r}" if name else "name no frame"
     return (
-        f"{in_words(cameras)} publish in the same frame {name!r}, but do not see the same people "
+        f"{in_words(cameras)} {where}, but do not see the same people "
         "at the same place in it; set header.frame_id to each camera's own frame, pass a pose for "
         "each topic with --extrinsics FILE, or calibrate the poses that were applied before"
     )

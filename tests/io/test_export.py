@@ -92,13 +92,14 @@ def test_instants_without_a_rate_are_refused_and_others_are_put_in_order(stamps,
             channel = add_skeleton_channel(writer, "/hiros/tracked")
             for log_time, stamp in enumerate(times):
                 frame = Frame.empty(1, MODEL, stamp=(100 + stamp) * 10**8, frame_id="world")
-                frame.ids[:], frame.markers[..., :3] = 0, stamp if name == "late" else log_time
+                place = 1 + (stamp if name == "late" else log_time)
+                frame.ids[:], frame.markers[..., :3] = 0, place
                 writer.write(channel, log_time, encoder.encode(frame))
             writer.commit()
     with pytest.raises(ConfigError, match=words):
         steady(open_result(tmp_path / "odd"))
     late = steady(open_result(tmp_path / "late")).motions[0]
-    np.testing.assert_allclose(late.positions[:, 0, 0], [0, 1, 2, 3], atol=1e-9)
+    np.testing.assert_allclose(late.positions[:, 0, 0], [1, 2, 3, 4], atol=1e-9)
 
 
 def test_parts_can_be_selected(result):

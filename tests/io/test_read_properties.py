@@ -52,6 +52,7 @@ def test_people_survive_writing_and_reading_to_the_bit(model, n_people, seed):
 @given(models().filter(lambda m: m.n_markers and m.n_links), st.floats(0, 1))
 def test_a_marker_or_link_with_only_a_confidence_is_not_lost(model, confidence):
     frame = Frame.empty(1, model, source="camera", frame_id="map")
+    frame.markers[0, 0, :3] = 1.0  # somebody
     frame.marker_confidences[0, -1] = frame.link_confidences[0, 0] = confidence
     (decoded,) = Decoder(model).decode_message(Encoder(model).encode(frame))
     assert gen.same(decoded, frame)

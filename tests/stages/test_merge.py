@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from stick_figures import MIRROR, MODEL, PERIOD, SECOND, START, at, person, seen
 
 from hiros_mcap.config import load_config
-from hiros_mcap.events import Events
+from hiros_mcap.events import SAME_TIME, Events
 from hiros_mcap.frames import Block, by_frame, frames_of, join
 from hiros_mcap.stages.merge import merging
 from hiros_mcap.stages.merge.instants import by_instants
@@ -709,10 +709,12 @@ def test_bridging_stops_moving_after_a_fifth_of_a_second_and_keeps_the_rest():
     assert (last.confidences[0], last.marker_confidences[0, 3]) == pytest.approx((0.7, 0.8))
 
 
-def test_without_bridging_nobody_is_made_up_at_a_time_that_comes_twice():
+def test_a_message_stamped_as_those_merged_before_is_left_out():
     frames = [seen([person()], at(0), c, ids=[k]) for k, c in enumerate("ab")]
-    merged = list(merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 1})))
-    assert [frame.ids.tolist() for frame in merged] == [[0], [1]]
+    events = Events()
+    merged = list(merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 1}), events))
+    assert [frame.ids.tolist() for frame in merged] == [[0]]
+    assert events.counts[SAME_TIME, "b"] == 1
 
 
 def test_a_guess_moves_an_offset_less_than_a_sighting():

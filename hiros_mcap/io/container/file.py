@@ -22,6 +22,7 @@ import numpy.typing as npt
 from isal.isal_zlib import crc32
 
 from hiros_mcap.errors import LogError
+from hiros_mcap.io.bag_files import ZSTD_MAGIC
 from hiros_mcap.io.container.records import MAX_CHUNK, Bytes, Chunk, FormatError
 from hiros_mcap.kernels.record_index import (
     FORBIDDEN,
@@ -168,10 +169,6 @@ def unpack_chunk(packed: Bytes, compression: str, size: int, crc: int) -> ChunkR
     if status != OK:
         raise FormatError(f"{_FAULTS[int(status)]} (byte {where} in the chunk)")
     return data, messages, definitions
-
-
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-"""First bytes of a zstd frame. No message in CDR begins so: its first byte is 0."""
 
 
 def is_packed(message: Bytes) -> bool:

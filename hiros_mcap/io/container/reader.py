@@ -25,8 +25,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hiros_mcap.errors import LogError
+from hiros_mcap.io.bag_files import ZSTD_MAGIC
 from hiros_mcap.io.container.file import (
-    ZSTD_MAGIC,
     LogFile,
     Table,
     read_chunk,

@@ -66,7 +66,7 @@ class Instants:
         self._sources: dict[str, deque[int]] = {}
         """Source to the stamps of its latest messages."""
         self._all_known = False
-        self._newest = 0
+        self._newest = -1
         self._first = self._last = 0
         """Times of the oldest and the newest message in the buffer."""
         self._log_time = 0
