@@ -424,16 +424,16 @@ def import_joints(
     """
     paths = [Path(source) for source in sources]
     meanings = read_mapping(None if mapping is None else Path(mapping), paths)
-    each = zip(paths, meanings, strict=True)
-    read = [s for path, one in each for s in _series(path, one, warn, note)]
+    pairs = zip(paths, meanings, strict=True)
+    read = [s for path, meaning in pairs for s in _series(path, meaning, warn, note)]
     _check_names([series.camera for series in read], paths)
     for path in filter(_may_be_cut, paths):
         warn(f"{path}: its last line has no end; if a number in it is cut off, it is wrong")
     with McapWriter(target) as writer:
         encoders = [Encoder(series.model) for series in read]
         channels = [add_skeleton_channel(writer, f"/{s.camera}/skeletons") for s in read]
-        each = ([(f.log_time, i, f) for f in series.frames] for i, series in enumerate(read))
-        for log_time, i, frame in heapq.merge(*each, key=lambda item: item[:2]):
+        timed = ([(f.log_time, i, f) for f in series.frames] for i, series in enumerate(read))
+        for log_time, i, frame in heapq.merge(*timed, key=lambda item: item[:2]):
             writer.write(channels[i], log_time, encoders[i].encode(frame))
         writer.commit()
         return {writer.channels[ident].topic: n for ident, n in sorted(writer.counts.items())}
@@ -506,7 +506,7 @@ def _seen(
     frames = []
     zeros: Counter[str] = Counter()
     for time in sorted(instants):
-        people: dict[str, dict[str, JointRow]] = {}
+        people = {}
         for who, joints in instants[time].items():
             seen = {joint: row for joint, row in joints.items() if any(row.position)}
             if not all(any(map(math.isnan, row.position)) for row in seen.values()):
