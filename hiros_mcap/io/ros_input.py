@@ -12,7 +12,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.channels import LATCHED_QOS, RELIABLE_QOS, TF_TOPICS
+from hiros_mcap.io.channels import LATCHED_QOS, RELIABLE_QOS, is_transform_topic
 from hiros_mcap.io.container.records import Channel, McapRecord, Message, Schema
 from hiros_mcap.io.ros_node import RosNode, definition_of, message_class, not_installed
 from hiros_mcap.summary import quantity
@@ -194,7 +194,7 @@ class RosInput:
                 "message package installed here; build both from one version",
             )
             return
-        if name in TF_TOPICS and not quality.latched and any(one.latched for one in offered):
+        if is_transform_topic(name) and not quality.latched and any(one.latched for one in offered):
             self._subscribe(topic, kind, _Quality(True, True), latched=True)
 
     def _hash(self, topic: str, kind: str) -> Any:
