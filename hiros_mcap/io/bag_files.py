@@ -14,7 +14,6 @@ from pathlib import Path, PurePath
 from typing import NamedTuple
 
 from hiros_mcap.errors import LogError
-from hiros_mcap.summary import quantity
 
 METADATA = "metadata.yaml"
 STORAGES = (".mcap", ".db3")
@@ -152,9 +151,10 @@ def files_of(path: Path, *, recover: bool = False) -> Files:
             "recording"
         )
         return Files(inside, remarks=[remark])
+    kinds = {"SQLite" if ".db3" in part.name.lower() else "MCAP" for part in inside} or {"MCAP"}
     raise LogError(
-        f"is a folder with {quantity(len(inside), 'file')} of a recording and no {METADATA}; name "
-        "one" + (", or join them by `hiros recover FOLDER -o OUT`" if inside else ""),
+        f"is a folder with {len(inside)} {' and '.join(sorted(kinds))} files; name one"
+        + (", or join them by `hiros recover FOLDER -o OUT`" if inside else ""),
         path=path,
     )
 

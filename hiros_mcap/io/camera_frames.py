@@ -67,7 +67,8 @@ def is_read(info: ChannelInfo) -> bool:
 
 def _look_alikes(reader: McapReader, read: set[str]) -> Iterator[str]:
     """Yield the topics, with their types, that look like transforms and are not ``read``."""
-    kinds = {info.topic: info.schema for info in channels_of(reader)}
+    # A part of a split recording declares /tf_static, and another part has it.
+    kinds = {info.topic: info.schema for info in channels_of(reader) if not is_read(info)}
     kinds |= {topic: kind for topic, (kind, _) in reader.left_out.items()}
     for topic, kind in kinds.items():
         name = kind.replace(".", "/").rpartition("/")[2]

@@ -247,7 +247,9 @@ def test_a_part_without_transforms_names_the_one_that_has_them(
     assert run(["info", str(part)]) == 0
     assert hint in capsys.readouterr().out
     assert run(["process", str(part), "-o", str(tmp_path / "out.mcap")]) == 2
-    assert f"{hint} folder {folder} instead" in capsys.readouterr().err
+    text = capsys.readouterr().err
+    assert f"{hint} folder {folder} instead" in text
+    assert "look like transforms" not in text  # the part declares /tf_static
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
