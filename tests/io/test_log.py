@@ -614,7 +614,7 @@ def test_a_damaged_transform_is_fatal(path):
 def test_a_rosbag2_folder_with_one_log_is_that_log(two_cameras, tmp_path):
     assert len(frames_of(tmp_path)[0]) == 10
     (tmp_path / "second.mcap").write_bytes(two_cameras.read_bytes())
-    with pytest.raises(LogError, match="folder with 2 files of a recording and no metadata.yaml"):
+    with pytest.raises(LogError, match="folder with 2 MCAP files; name one, or join them"):
         open_log(tmp_path)
 
 
