@@ -37,10 +37,10 @@ from hiros_mcap.evaluate.leave_one_out import leave_one_out
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.process_options import Calibration
+from hiros_mcap.running.summary import Summary
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.skeletons import Frame
-from hiros_mcap.summary import Summary
 
 WRONG_DEG, WRONG_M, WRONG_S = 3.0, 0.15, 0.1
 """A pose or clock that is further off and passes for good is silently wrong."""

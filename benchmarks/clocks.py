@@ -30,10 +30,10 @@ from hiros_mcap.io.log import open_log
 from hiros_mcap.running.observe import Stopwatch
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.preparation import prepare
+from hiros_mcap.running.summary import Summary
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.skeletons import Frame
-from hiros_mcap.summary import Summary
 
 SECOND = 10**9
 Change = Callable[[Frame, int, int], tuple[Frame, int]]

@@ -35,8 +35,8 @@ from typing import Any
 import numpy as np
 
 from hiros_mcap.running.pipeline import process
+from hiros_mcap.running.summary import Summary
 from hiros_mcap.skeletons import People
-from hiros_mcap.summary import Summary
 
 ORDERING = {"argsort", "lexsort", "sort", "sorted", "heappush", "heappop", "heapreplace", "merge"}
 HOLDING = ("HeldFrames.add", "TimeOrder.push", "Delay.push", "LogOrder.push", "LookAhead.add")

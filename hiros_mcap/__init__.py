@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from hiros_mcap.io.log import open_log
     from hiros_mcap.io.result import Motion, Result, open_result
     from hiros_mcap.running.pipeline import ProcessOptions, process
+    from hiros_mcap.running.summary import Summary
     from hiros_mcap.skeletons import Frame, SkeletonModel
-    from hiros_mcap.summary import Summary
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())
 
@@ -33,7 +33,7 @@ _HOMES = {
     "io.result": ("Motion", "Result", "open_result"),
     "running.pipeline": ("ProcessOptions", "process"),
     "skeletons": ("Frame", "SkeletonModel"),
-    "summary": ("Summary",),
+    "running.summary": ("Summary",),
 }
 
 

@@ -12,7 +12,7 @@ from typing import Annotated
 from pydantic import Field, TypeAdapter
 
 from hiros_mcap.skeletons import Stamps
-from hiros_mcap.summary import quantity
+from hiros_mcap.wording import quantity
 
 TOO_LATE = "too late to be merged"
 """Counts messages, by source, that came after their time had been merged."""

@@ -23,11 +23,11 @@ from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.export.files import load_marker_set
 from hiros_mcap.io.foxglove import FoxgloveInput
 from hiros_mcap.io.joints.importing import import_joints
-from hiros_mcap.io.overview import overview_of
 from hiros_mcap.io.result import stored_events, stored_report
 from hiros_mcap.regression.differences import limbs_of
 from hiros_mcap.regression.quantities import load_tolerances
 from hiros_mcap.regression.suite import load_metrics, load_suite
+from hiros_mcap.running.overview import overview_of
 from hiros_mcap.skeletons import SkeletonModel
 
 DEEP = 200_000

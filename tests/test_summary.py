@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 
-from hiros_mcap.summary import CameraSummary, PersonSummary, StageTime, Summary
+from hiros_mcap.running.summary import CameraSummary, PersonSummary, StageTime, Summary
 
 
 def a_summary():

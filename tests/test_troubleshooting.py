@@ -32,6 +32,7 @@ NOTES = (
 NO_MESSAGE = {
     "filter: time not increasing",  # the keys of what is counted, not what a user reads
     "predict: time not increasing",
+    "... ms per s",  # the size of a drift, in messages that the page has
 }
 
 

@@ -10,7 +10,7 @@ from paper_report import Rows, Table
 from published import ANGLES, TIMES, Pair
 
 from hiros_mcap.evaluate import Scores
-from hiros_mcap.summary import number
+from hiros_mcap.wording import number
 
 CONFIGURATIONS = ("T", "TMF", "TMOF")
 STEPS = ("tracked", "merged", "optimized", "filtered")

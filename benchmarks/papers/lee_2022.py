@@ -39,7 +39,7 @@ from hiros_mcap.evaluate.comparison import (
 from hiros_mcap.evaluate.statistics import PARTS, part_of
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.simulation import write_log
-from hiros_mcap.summary import number
+from hiros_mcap.wording import number
 
 ENTRIES = {
     "variants": ("lee-a1", "lee-a2", "lee-a3", "lee-a4", "lee"),

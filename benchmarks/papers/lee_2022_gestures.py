@@ -11,7 +11,7 @@ from published import LEE_COLUMNS, LEE_GESTURES, Pair, lee_appendix
 
 from hiros_mcap.evaluate.comparison import Entry, Outcome, Task, comparison
 from hiros_mcap.evaluate.statistics import PARTS, part_of
-from hiros_mcap.summary import number
+from hiros_mcap.wording import number
 
 DIRECTIONS = (0, 90, 180, 270)
 """Of facing, deg; four cameras stand in the corners (Fig. 8)."""

@@ -72,7 +72,7 @@ def _compile(missing: Mapping[str, Sequence[Path]], *, quiet: bool) -> None:
     """Compile modules in several processes, and show how many of their kernels are ready."""
     from hiros_mcap.errors import HirosError
     from hiros_mcap.kernels import load, sources
-    from hiros_mcap.running.progress_bar import bar
+    from hiros_mcap.progress import bar
     from hiros_mcap.workers import run_tasks
 
     files, over = [file for paths in missing.values() for file in paths], threading.Event()

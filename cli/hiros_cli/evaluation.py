@@ -15,7 +15,7 @@ from hiros_mcap.evaluate.logs import ChannelResult
 from hiros_mcap.evaluate.measures import text_of, write_table
 from hiros_mcap.evaluate.remarks import notes_of
 from hiros_mcap.evaluate.truth import Alignment
-from hiros_mcap.summary import number, plain, plain_value
+from hiros_mcap.wording import number, plain, plain_value
 
 
 @dataclass(frozen=True, slots=True)

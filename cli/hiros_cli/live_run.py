@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from hiros_cli.output import printable, warn
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.outputs import target_kind
-from hiros_mcap.running.progress_bar import bar
+from hiros_mcap.progress import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.config import Config
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from hiros_mcap.io.live_log import LiveLog
     from hiros_mcap.io.ros_node import RosNode
     from hiros_mcap.running.process_options import ProcessOptions, Watcher
-    from hiros_mcap.summary import Summary
+    from hiros_mcap.running.summary import Summary
 
 STREAM = "-"
 """Stands for the standard input and the standard output."""

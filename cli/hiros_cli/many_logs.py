@@ -127,7 +127,7 @@ def run(job: Job, named: Sequence[str], many: ManyLogs, folder: str = "") -> NoR
 def _name_settings(job: Job, logs: Sequence[str]) -> None:
     """Say on stderr which files hiros.toml count, and for how many logs."""
     from hiros_mcap.config import settings_beside
-    from hiros_mcap.summary import quantity
+    from hiros_mcap.wording import quantity
 
     if job.settings is None or job.settings.file is not None:
         return
@@ -212,7 +212,7 @@ class _Follower:
         from rich.text import Text
 
         from hiros_cli.run_report import table
-        from hiros_mcap.summary import duration
+        from hiros_mcap.wording import duration
 
         n, seconds = sum(self._counts.values()), time.monotonic() - self._start
         counts = ", ".join(f"{k} {verdict}" for verdict, k in self._counts.items())
@@ -246,7 +246,7 @@ def _show(job: Job, records: Sequence[LogRecord], folder: str) -> None:
 
     from hiros_cli.run_report import page, table
     from hiros_mcap.many.run_logs import column_totals, columns_of
-    from hiros_mcap.summary import quantity
+    from hiros_mcap.wording import quantity
 
     columns = [name for name in columns_of(records) if name in shown_columns(job.command)]
     good = ("done", "equal")

@@ -17,15 +17,14 @@ from rich.table import Table
 from rich.text import Text
 
 from hiros_cli.output import LINE_LIMIT, printable
-from hiros_mcap.summary import (
+from hiros_mcap.running.summary import (
     CameraSummary,
     DelaySummary,
     LimbSummary,
     PersonSummary,
     Summary,
-    number,
-    quantity,
 )
+from hiros_mcap.wording import number, quantity
 
 if TYPE_CHECKING:
     from hiros_mcap.calibrate.ball_poses import BallCalibration

@@ -18,7 +18,7 @@ from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.calibrate.verdict import CameraResult, Verdict
 from hiros_mcap.errors import RegistrationError
 from hiros_mcap.skeletons import Flags, Floats, Stamps
-from hiros_mcap.summary import plain
+from hiros_mcap.wording import plain
 
 LEAST_CENTRES = 20
 """Two cameras need so many centres at common times."""

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.joint_refinement import (
     GATES_M,
     Points,
+    Refinement,
     common_motion,
     refine,
 )
@@ -29,9 +29,6 @@ from hiros_mcap.calibrate.sampling import Rig, group, lines_of, placed, sample
 from hiros_mcap.calibrate.verdict import Evidence
 from hiros_mcap.kernels.rig_equations import RigResiduals
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
-
-if TYPE_CHECKING:
-    from hiros_mcap.calibrate.refinement import Refinement
 
 WHOLE = 8
 """Bodies are compared by at least so many joints."""

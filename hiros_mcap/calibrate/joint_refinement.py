@@ -62,6 +62,34 @@ class Points(NamedTuple):
     """(C, P) 0 where a camera does not see it."""
 
 
+class Refinement(NamedTuple):
+    """C cameras, refined together."""
+
+    views: Sequence[CameraView]
+    start: Rig
+    rig: Rig
+    """The first camera stands at the origin."""
+    instants: Floats
+    points: Points
+    residuals: RigResiduals
+    free: Flags
+    """(C, 8) which unknowns were refined."""
+    errors: Floats
+    """(C, 8) standard errors of the unknowns, see :func:`standard_errors`;
+    infinite where too little is seen."""
+    people: float
+    """How far the poses' errors move the mean of the cameras' joints, m: root mean square."""
+    timed: Flags
+    """(C,) whether motion tells the camera's clock."""
+
+    @property
+    def clocks(self) -> Floats:
+        """(C,) s to add to the stamps, against the median clock; NaN if no motion tells it."""
+        clocks = self.rig.clocks + np.array([view.shift for view in self.views])
+        clocks[~self.timed] = np.nan
+        return np.asarray(clocks - (np.nanmedian(clocks) if self.timed.any() else 0.0))
+
+
 def refine(
     views: Sequence[CameraView],
     rig: Rig,

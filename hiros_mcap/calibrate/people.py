@@ -27,6 +27,7 @@ from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
 from hiros_mcap.calibrate.evidence import camera_distances, full_evidence
 from hiros_mcap.calibrate.gauge import find_floor, moved, on_floor, on_transforms
+from hiros_mcap.calibrate.joint_refinement import Refinement
 from hiros_mcap.calibrate.pair_pose import (
     Fits,
     Pair,
@@ -38,7 +39,6 @@ from hiros_mcap.calibrate.pair_pose import (
 from hiros_mcap.calibrate.refinement import (
     FROM_PAIRS,
     FittingRig,
-    Refinement,
     cameras_of,
     fit_together,
     refine_together,
@@ -71,7 +71,7 @@ from hiros_mcap.io.camera_clock import CameraTimes, ClockCorrection
 from hiros_mcap.io.channels import CameraChannel
 from hiros_mcap.io.log import Log
 from hiros_mcap.skeletons import Floats, Ints, SkeletonModel
-from hiros_mcap.summary import plain
+from hiros_mcap.wording import plain
 
 PAIR_INSTANTS = 100
 """Instants at which two cameras are compared."""

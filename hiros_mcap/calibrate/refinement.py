@@ -27,6 +27,7 @@ from hiros_mcap.calibrate.joint_refinement import (
     CAUCHY,
     GATES_M,
     Points,
+    Refinement,
     common_motion,
     common_points,
     free_unknowns,
@@ -48,7 +49,7 @@ from hiros_mcap.calibrate.verdict import (
     verdict_of,
     weakness_of,
 )
-from hiros_mcap.kernels.rig_equations import CLOCK, RigResiduals
+from hiros_mcap.kernels.rig_equations import CLOCK
 from hiros_mcap.skeletons import Flags, Floats, Ints
 
 DRIFT_S = 120.0
@@ -82,34 +83,6 @@ class Effort(NamedTuple):
 FROM_PAIRS = Effort(400, sys.maxsize, GATES_M, drifts=True)
 FROM_GIVEN = Effort(60, 6000, (0.5, 0.25), drifts=False)
 """Who is who, by poses that are about right, and by better ones."""
-
-
-class Refinement(NamedTuple):
-    """C cameras, refined together."""
-
-    views: Sequence[CameraView]
-    start: Rig
-    rig: Rig
-    """The first camera stands at the origin."""
-    instants: Floats
-    points: Points
-    residuals: RigResiduals
-    free: Flags
-    """(C, 8) which unknowns were refined."""
-    errors: Floats
-    """(C, 8) standard errors of the unknowns, see :func:`.joint_refinement.standard_errors`;
-    infinite where too little is seen."""
-    people: float
-    """How far the poses' errors move the mean of the cameras' joints, m: root mean square."""
-    timed: Flags
-    """(C,) whether motion tells the camera's clock."""
-
-    @property
-    def clocks(self) -> Floats:
-        """(C,) s to add to the stamps, against the median clock; NaN if no motion tells it."""
-        clocks = self.rig.clocks + np.array([view.shift for view in self.views])
-        clocks[~self.timed] = np.nan
-        return np.asarray(clocks - (np.nanmedian(clocks) if self.timed.any() else 0.0))
 
 
 def refine_together(

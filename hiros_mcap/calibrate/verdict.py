@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple, get_args
 
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.summary import plain
+from hiros_mcap.wording import plain
 
 Verdict = Literal["good", "improved", "usable", "doubtful", "impossible"]
 GRADES: tuple[Verdict, ...] = get_args(Verdict)

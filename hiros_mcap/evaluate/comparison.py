@@ -31,9 +31,9 @@ from hiros_mcap.evaluate.scores import Scores
 from hiros_mcap.evaluate.statistics import ErrorStats, block_interval, blocks_of, mean_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.io.channels import OUTPUT_PREFIX
+from hiros_mcap.progress import Bar, Progress
 from hiros_mcap.running.preparation import preparation_key
-from hiros_mcap.running.process_options import ProcessOptions, Progress
-from hiros_mcap.running.progress_bar import Bar
+from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.running.recording import Recording
 from hiros_mcap.skeletons import Flags, Frame, Stamps
 from hiros_mcap.systems import chain_of

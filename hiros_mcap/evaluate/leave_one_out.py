@@ -28,8 +28,8 @@ from hiros_mcap.evaluate.statistics import (
 )
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.io.log import Source
-from hiros_mcap.running.process_options import ProcessOptions, Progress
-from hiros_mcap.running.progress_bar import Bar
+from hiros_mcap.progress import Bar, Progress
+from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.running.recording import Recording
 from hiros_mcap.skeletons import Flags, Floats, Frame, Ints, SkeletonModel, Stamps, nearest_stamps
 

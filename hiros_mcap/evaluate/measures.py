@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.statistics import PARTS
 from hiros_mcap.outputs import EXPORT_MARK, write_text
-from hiros_mcap.summary import number
+from hiros_mcap.wording import number
 
 Rows = list[tuple[str, ...]]
 Table = tuple[tuple[str, ...], Rows]

@@ -15,7 +15,7 @@ from hiros_mcap.evaluate.remarks import other_clock
 from hiros_mcap.evaluate.scores import Scores
 from hiros_mcap.evaluate.side_scores import SideScores
 from hiros_mcap.evaluate.statistics import AngleStats, ErrorStats
-from hiros_mcap.summary import number
+from hiros_mcap.wording import number
 
 TWO_CAMERAS = (
     "With two cameras, a camera left out is compared with the result of a single one: this tests "

@@ -19,8 +19,8 @@ import hiros_schemas
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import McapWriter, Recovery
 from hiros_mcap.io.container.file import is_packed, unpack_message
+from hiros_mcap.io.container.losses import ChannelLoss, Damage, Lost, merged
 from hiros_mcap.io.container.reader import PACKED_MESSAGES
-from hiros_mcap.io.container.salvage import ChannelLoss, Damage, Lost, merged
 from hiros_mcap.io.ros_cdr import exact_types, idl_types, ros2_types, types_of
 
 if TYPE_CHECKING:

@@ -48,8 +48,8 @@ from hiros_mcap.io.container import (
     Recovery,
 )
 from hiros_mcap.io.container.file import MAX_WINDOW, LogFile
+from hiros_mcap.io.container.losses import RECOVERY_METADATA, Damage, Lost, joined
 from hiros_mcap.io.container.reader import MEMORY
-from hiros_mcap.io.container.salvage import RECOVERY_METADATA, Damage, Lost, joined
 from hiros_mcap.io.detectors import detector_readers
 from hiros_mcap.io.ros_cdr import ros2_types
 from hiros_mcap.outputs import (
@@ -60,7 +60,7 @@ from hiros_mcap.outputs import (
     target_kind,
     write_text,
 )
-from hiros_mcap.summary import quantity
+from hiros_mcap.wording import quantity
 
 _HUMANS = "hri_msgs/"  # its bodies are on /tf
 _BLOCK = 1 << 12  # bytes: zstd may make 100 MB of them

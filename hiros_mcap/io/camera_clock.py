@@ -28,7 +28,7 @@ from itertools import pairwise
 import numpy as np
 
 from hiros_mcap.skeletons import Flags, Floats, Stamps
-from hiros_mcap.summary import ClockFault, quantity
+from hiros_mcap.wording import duration, quantity
 
 STEP, DRIFT, OFFSET = "clock step", "clock drift", "clock offset"
 LATE, WRONG = "late delivery", "wrong time"
@@ -54,6 +54,36 @@ _LEAST_SECONDS = 15  # fewer least lags fit a line by chance, where messages are
 _LARGEST_DRIFT = 0.01  # s/s: what changes less over a pause is no step
 _ROUNDS = 100  # steps of one camera
 _CHANCE = 2  # messages
+
+
+@dataclass(frozen=True, slots=True)
+class ClockFault:
+    """Something wrong with the times of a camera's messages."""
+
+    camera: str
+    kind: str
+    """"clock step", "clock drift", "clock offset", "late delivery" or "wrong time"."""
+    seconds: float
+    """By how much the clock went or is ahead, s (a drift: s per s; a late delivery: the delay)."""
+    at_ns: int
+    """Corrected stamp of the first message that it concerns, ns since the epoch."""
+    corrected: bool
+    """Whether the results are free of it."""
+    messages: int = 0
+    """Messages that were late."""
+    reason: str = ""
+    """Why the stamps stay, if they do."""
+
+    @property
+    def size(self) -> str:
+        """How large it is, with sign and unit: +2.00 s, -105 ms, +1.2 ms per s."""
+        if self.kind == "clock drift":
+            return f"{1000 * self.seconds:+.1f} ms per s"
+        if abs(self.seconds) < 0.9995:
+            return f"{1000 * self.seconds:+.0f} ms"
+        sign = "-" if self.seconds < 0 else "+"
+        long = abs(self.seconds) >= 3600
+        return f"{sign}{duration(abs(self.seconds))}" if long else f"{self.seconds:+.2f} s"
 
 
 @dataclass(frozen=True, slots=True)

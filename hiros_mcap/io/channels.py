@@ -13,7 +13,7 @@ from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.layout import Layout
 from hiros_mcap.io.ros_cdr import CdrWriter
-from hiros_mcap.summary import quantity
+from hiros_mcap.wording import quantity
 
 OUTPUT_PREFIX = "/hiros"
 OUTPUT_TOPICS = tuple(

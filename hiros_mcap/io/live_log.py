@@ -46,7 +46,7 @@ from hiros_mcap.io.live_log_times import LiveLogTimes
 from hiros_mcap.io.log import skeletons_of
 from hiros_mcap.io.log_accounts import DAMAGED
 from hiros_mcap.io.opened_log import Log, Reading
-from hiros_mcap.summary import quantity
+from hiros_mcap.wording import quantity
 
 LISTEN_S = 1.0
 """s of the log's own time: a camera sends several messages in it."""

@@ -14,7 +14,7 @@ from hiros_mcap.io.channels import TF_TOPICS, channels_of
 from hiros_mcap.io.container.live_reader import LiveReader
 from hiros_mcap.io.container.records import Message
 from hiros_mcap.io.log_times import EARLY, FAR, StampPlace, place_of, remark, stamp_of
-from hiros_mcap.summary import quantity
+from hiros_mcap.wording import quantity
 
 
 class LiveLogTimes:

@@ -17,7 +17,7 @@ from hiros_mcap.io.channels import OUTPUT_PREFIX, CameraChannel
 from hiros_mcap.io.codec import Decoded, Decoder
 from hiros_mcap.io.container import Batch
 from hiros_mcap.skeletons import Flags, Frame, People, Stamps, widened
-from hiros_mcap.summary import quantity
+from hiros_mcap.wording import quantity
 
 STALE = "repeat the one before"
 DAMAGED = "cannot be decoded"

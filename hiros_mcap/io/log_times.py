@@ -33,7 +33,7 @@ from hiros_mcap.io.container.records import Chunk, Message, Schema
 from hiros_mcap.io.log_accounts import LATEST
 from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
 from hiros_mcap.skeletons import Flags, Stamps
-from hiros_mcap.summary import quantity
+from hiros_mcap.wording import quantity
 
 FAR = 60_000_000_000
 """ns: a message that is later is no late one, and a log that pauses longer has two parts."""

@@ -28,7 +28,7 @@ from hiros_mcap.io.channels import (
 )
 from hiros_mcap.io.codec import Decoded, Decoder, RestPoses
 from hiros_mcap.io.container import LogOrder, McapReader, Recovery
-from hiros_mcap.io.container.salvage import RECOVERY_METADATA
+from hiros_mcap.io.container.losses import RECOVERY_METADATA
 from hiros_mcap.io.detectors.body_size import unit_warning
 from hiros_mcap.io.layout import Layout
 from hiros_mcap.io.log_accounts import (
@@ -42,7 +42,7 @@ from hiros_mcap.io.log_accounts import (
     times_of,
 )
 from hiros_mcap.skeletons import Frame, SkeletonModel, Stamps
-from hiros_mcap.summary import quantity
+from hiros_mcap.wording import quantity
 
 Spans = Sequence[tuple[int, int]]
 """Log times, ns: first and last of each part of a log."""

@@ -19,7 +19,7 @@ from typing import Any
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.bag_files import other_parts
 from hiros_mcap.outputs import HEAD, Kind, add_block, check_outputs, may_replace, write_text
-from hiros_mcap.summary import quantity
+from hiros_mcap.wording import quantity
 
 _ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 _BLOCK = 8 << 20  # bytes

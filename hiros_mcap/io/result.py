@@ -456,7 +456,7 @@ class _CameraReport(BaseModel):
 
 
 class StoredReport(BaseModel):
-    """What is read of the summary of a run, :class:`hiros_mcap.summary.Summary`."""
+    """What is read of the summary of a run, :class:`hiros_mcap.running.summary.Summary`."""
 
     warnings: tuple[str, ...] = ()
     cameras: list[_CameraReport] = []

@@ -15,7 +15,7 @@ from hiros_mcap.errors import LogError
 from hiros_mcap.io.channels import LATCHED_QOS, RELIABLE_QOS, is_transform_topic
 from hiros_mcap.io.container.records import Channel, McapRecord, Message, Schema
 from hiros_mcap.io.ros_node import RosNode, definition_of, message_class, not_installed
-from hiros_mcap.summary import quantity
+from hiros_mcap.wording import quantity
 
 _PATIENCE = 0.1  # s: how soon a request to stop is heard
 _LOOK_S = 0.2

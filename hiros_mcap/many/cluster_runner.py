@@ -115,7 +115,7 @@ def _check_workers(client: Any, paths: Sequence[str]) -> None:
 
 def _seen(paths: Sequence[str]) -> tuple[str, list[str]]:
     """Return the version of a worker, and the paths that it does not see."""
-    from hiros_mcap import __version__ as version
+    from hiros_mcap._version import __version__ as version
 
     return version, [path for path in paths if not Path(path).exists()]
 

@@ -38,8 +38,8 @@ from hiros_mcap.io.result import is_result, is_truth, open_result
 from hiros_mcap.many.find import base_name
 from hiros_mcap.many.manifest import Verdict
 from hiros_mcap.outputs import Kind
+from hiros_mcap.progress import Progress
 from hiros_mcap.running.pipeline import ProcessOptions, process, skeletons_read
-from hiros_mcap.running.process_options import Progress
 
 if TYPE_CHECKING:
     from hiros_mcap.regression.quantities import Tolerances
@@ -327,7 +327,7 @@ class InfoJob(Job):
 
     def run(self, log: Path, target: Path) -> Finding:
         """Look at a log."""
-        from hiros_mcap.io.overview import overview_of
+        from hiros_mcap.running.overview import overview_of
 
         skeletons = skeletons_read(self.settings.load())
         overview = overview_of(

@@ -18,7 +18,7 @@ from pydantic import AfterValidator, TypeAdapter, ValidationError
 from hiros_mcap._version import __version__
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.remote import Place
-from hiros_mcap.summary import plain
+from hiros_mcap.wording import plain
 
 Verdict = Literal["done", "doubtful", "recovered", "equal", "different", "skipped", "failed"]
 """done; doubtful: done, with warnings; recovered: done, with losses; equal and different: from a

@@ -38,7 +38,7 @@ from hiros_mcap.many.find import base_name, distinct_names
 from hiros_mcap.many.jobs import Job
 from hiros_mcap.many.manifest import Identity, LogRecord, Manifest
 from hiros_mcap.outputs import remove_parts
-from hiros_mcap.summary import plain, plain_value
+from hiros_mcap.wording import plain, plain_value
 from hiros_mcap.workers import run_tasks
 
 Runner = Callable[..., Iterator[tuple[int, LogRecord]]]

@@ -27,7 +27,7 @@ from hiros_mcap.simulate.body_model import MARKERS, MODEL, SLOT
 from hiros_mcap.simulate.cameras import aimed
 from hiros_mcap.simulate.settings import Area, SimulateParams
 from hiros_mcap.skeletons import Flags, Floats, Stamps
-from hiros_mcap.summary import plain_value
+from hiros_mcap.wording import plain_value
 
 _CELLS, _FACINGS = 320, 8  # of the result
 UNSEEN_M = 0.5

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 from hiros_mcap.evaluate.measures import BRIEF, MEASURES, markdown_text
 from hiros_mcap.outputs import JUNIT_MARK, MARKDOWN_MARK
 from hiros_mcap.regression.suite import CaseResult
-from hiros_mcap.summary import plain
+from hiros_mcap.wording import plain
 
 _MARKS = {"equal": "✅ equal", "different": "❌ different", "error": "⚠️ error"}
 

@@ -48,6 +48,7 @@ from hiros_mcap.io.log import open_reader
 from hiros_mcap.outputs import check_outputs, write_text
 from hiros_mcap.outside import parse, read_text, read_toml
 from hiros_mcap.params import Params
+from hiros_mcap.progress import Bar, Progress
 from hiros_mcap.regression.differences import (
     Difference,
     Divergence,
@@ -57,8 +58,7 @@ from hiros_mcap.regression.differences import (
 )
 from hiros_mcap.regression.metrics import Threshold, metrics_of, worse
 from hiros_mcap.regression.quantities import Tolerances, beside, validated
-from hiros_mcap.running.pipeline import ProcessOptions, Progress, process
-from hiros_mcap.running.progress_bar import Bar
+from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Floats, Frame
 from hiros_mcap.workers import run_tasks
 

@@ -27,6 +27,7 @@ from hiros_mcap.io.camera_clock import (
     OFFSET,
     CameraTimes,
     ClockCorrection,
+    ClockFault,
     clock_verdict,
     described,
     longest_wait,
@@ -34,9 +35,9 @@ from hiros_mcap.io.camera_clock import (
 )
 from hiros_mcap.io.log import Log
 from hiros_mcap.running.clock_follower import ClockFollower
+from hiros_mcap.running.summary import PoseSummary
 from hiros_mcap.skeletons import Stamps
 from hiros_mcap.stages.time_order import in_time_order
-from hiros_mcap.summary import ClockFault, PoseSummary
 
 _WORTH_A_WARNING = 0.05  # s
 _LIKELY_NO_DELAY = 0.2  # s: deliveries of cameras usually differ by less

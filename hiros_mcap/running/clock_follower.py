@@ -25,11 +25,11 @@ from hiros_mcap.io.camera_clock import (
     OFFSET,
     STEP,
     CameraTimes,
+    ClockFault,
     find_drifts,
     find_steps,
     middle_of,
 )
-from hiros_mcap.summary import ClockFault
 
 _FIRST = 1_000_000_000  # ns: from the first message on, until all clocks are compared
 _CONFIRMED = 30  # messages after an odd interval, until a clock counts as set back

@@ -30,16 +30,16 @@ from hiros_mcap.io.bags import output_file, refuse_foreign_encodings
 from hiros_mcap.io.detectors.conversion import Selection
 from hiros_mcap.io.log import DAMAGED, Log, Reading, Source, open_log
 from hiros_mcap.outputs import check_outputs, target_kind
+from hiros_mcap.progress import Bar, Progress, bar
 from hiros_mcap.running.observe import DETECTIONS, Observer, Stopwatch
 from hiros_mcap.running.preparation import Prepared, prepare, set_up, stages_of
 from hiros_mcap.running.process_options import (
     ProcessChoices,
     ProcessOptions,
-    Progress,
     Watcher,
 )
-from hiros_mcap.running.progress_bar import Bar, bar
 from hiros_mcap.running.report import Report
+from hiros_mcap.running.summary import Summary
 from hiros_mcap.running.write import (
     LogOutput,
     NoOutput,
@@ -47,10 +47,9 @@ from hiros_mcap.running.write import (
     kept_channels,
     open_output,
 )
-from hiros_mcap.summary import Summary
 from hiros_mcap.systems import LETTERS, Run, chain_of
 
-__all__ = ["ProcessOptions", "Progress", "Watcher", "open_input", "process"]
+__all__ = ["ProcessOptions", "Watcher", "open_input", "process"]
 
 _log = logging.getLogger(__name__)
 Sink = Callable[[str, Block], None]

@@ -54,8 +54,8 @@ from hiros_mcap.io.log import Log
 from hiros_mcap.running.clock_alignment import ClockAlignment, align_clocks
 from hiros_mcap.running.moved_cameras import Move, PosedViews, placed, split_moved
 from hiros_mcap.running.process_options import Calibration
+from hiros_mcap.running.summary import PoseSummary
 from hiros_mcap.stages.track.likeness import DISPLACED
-from hiros_mcap.summary import PoseSummary
 
 if TYPE_CHECKING:
     from hiros_mcap.calibrate.people import PeopleCalibration

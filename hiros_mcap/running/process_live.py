@@ -27,12 +27,13 @@ from hiros_mcap.io.container.writer import LiveWriter
 from hiros_mcap.io.detectors.conversion import HUMANS
 from hiros_mcap.io.export.run_summary import SummaryExport
 from hiros_mcap.io.live_log import LiveLog, may_be_read, open_live, takes
+from hiros_mcap.progress import Progress
 from hiros_mcap.running.observe import Stopwatch
 from hiros_mcap.running.pipeline import check_limbs, conclude, run_log
 from hiros_mcap.running.preparation import Prepared, prepare
-from hiros_mcap.running.process_options import ProcessOptions, Progress, Watcher
+from hiros_mcap.running.process_options import ProcessOptions, Watcher
+from hiros_mcap.running.summary import Summary
 from hiros_mcap.running.write import LogOutput, NoOutput, SeveralOutputs, is_kept
-from hiros_mcap.summary import Summary
 from hiros_mcap.systems import Run
 
 Target = int | Path | Sink

@@ -105,13 +105,6 @@ class ProcessChoices(TypedDict, total=False):
     compression: Literal["zstd", "lz4", ""]
 
 
-class Progress(Protocol):
-    """Follows how far a run is."""
-
-    def update(self, done: int, total: int) -> None:
-        """Take note that ``done`` of ``total`` ns of the log are done."""
-
-
 class Watcher(Protocol):
     """Sees every frame while a run goes on, such as a live view."""
 

@@ -29,11 +29,7 @@ from hiros_mcap.io.log import DAMAGED, FAR_FUTURE, STALE, CameraChannel, Log, Re
 from hiros_mcap.running.clock_alignment import clock_notes, clock_warnings
 from hiros_mcap.running.observe import Observer, Presence
 from hiros_mcap.running.preparation import Prepared
-from hiros_mcap.running.write import unmatched_globs
-from hiros_mcap.skeletons import SkeletonModel
-from hiros_mcap.stages.fuse.residuals import FEWEST, medians, ratios
-from hiros_mcap.stages.track.likeness import DISPLACED
-from hiros_mcap.summary import (
+from hiros_mcap.running.summary import (
     CameraSummary,
     DelaySummary,
     LimbSummary,
@@ -43,9 +39,13 @@ from hiros_mcap.summary import (
     ScatterSummary,
     StageTime,
     Summary,
-    quantity,
 )
+from hiros_mcap.running.write import unmatched_globs
+from hiros_mcap.skeletons import SkeletonModel
+from hiros_mcap.stages.fuse.residuals import FEWEST, medians, ratios
+from hiros_mcap.stages.track.likeness import DISPLACED
 from hiros_mcap.systems import Run, sections_of
+from hiros_mcap.wording import quantity
 
 _IN_TABLES = {"flip", "outlier", TOO_LATE, SAME_TIME}
 """Kinds of events that a summary's tables count."""

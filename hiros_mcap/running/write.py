@@ -34,13 +34,13 @@ from hiros_mcap.io.channels import (
 )
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import ChunkCopier, McapWriter
-from hiros_mcap.io.container.salvage import RECOVERY_METADATA
+from hiros_mcap.io.container.losses import RECOVERY_METADATA
 from hiros_mcap.io.log import Log, digest_of
 from hiros_mcap.io.marker_uncertainty import UNCERTAINTY_TOPIC, uncertainty_messages
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.running.preparation import Prepared
 from hiros_mcap.running.process_options import ProcessOptions
-from hiros_mcap.summary import Summary
+from hiros_mcap.running.summary import Summary
 from hiros_mcap.systems import LETTERS, Run, chain_of, merging_order, sections_of
 
 if TYPE_CHECKING:

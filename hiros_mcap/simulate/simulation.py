@@ -7,7 +7,6 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from hiros_mcap.body.rotations import Rigid, conjugate, from_matrix, multiply, t
 from hiros_mcap.io.channels import add_skeleton_channel, add_static_poses
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
+from hiros_mcap.progress import Progress
 from hiros_mcap.simulate.actions import ACTIONS
 from hiros_mcap.simulate.body_model import LINK_SEGMENTS, MODEL, BodyModel
 from hiros_mcap.simulate.cameras import (
@@ -43,9 +43,6 @@ from hiros_mcap.skeletons import (
     SkeletonModel,
     Stamps,
 )
-
-if TYPE_CHECKING:
-    from hiros_mcap.running.process_options import Progress
 
 WORLD, TRUTH_TOPIC = "world", "/truth/skeletons"
 _STEP = 1e-3  # s, of the central differences that give the truth's velocities

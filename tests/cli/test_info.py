@@ -14,8 +14,8 @@ from hiros_cli.app import run
 from hiros_mcap.config import load_config
 from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.log import open_log
-from hiros_mcap.io.overview import overview_of
 from hiros_mcap.regression.suite import write_golden
+from hiros_mcap.running.overview import overview_of
 from hiros_mcap.running.pipeline import ProcessOptions, process
 
 FEATURES = (

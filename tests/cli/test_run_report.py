@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from hiros_cli.run_report import show_table
-from hiros_mcap.summary import number
+from hiros_mcap.wording import number
 
 HEADER = ("Channel", "Mean error", "Upper limbs", "Lower limbs")
 ROWS = [("/hiros/optimized", "25.1", "32.7", "30.4"), ("/hiros/filtered", "20.2", "26.7", "23.7")]

@@ -41,8 +41,8 @@ from hiros_mcap.io.log import open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.simulation import write_log
-from hiros_mcap.summary import plain
 from hiros_mcap.systems import SYSTEMS, System
+from hiros_mcap.wording import plain
 
 
 def test_entries_are_read_and_checked():

@@ -22,7 +22,7 @@ from hiros_mcap.evaluate.measures import (
     table_of,
 )
 from hiros_mcap.regression.metrics import worse
-from hiros_mcap.summary import plain
+from hiros_mcap.wording import plain
 
 DOCS = Path(__file__).parents[2] / "docs"
 SCORES = dict.fromkeys((*ERRORS, *MOTION, *PEOPLE))

@@ -26,7 +26,7 @@ from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.export.tables import export_topic
 from hiros_mcap.io.log import open_log
-from hiros_mcap.io.overview import overview_of
+from hiros_mcap.running.overview import overview_of
 from hiros_mcap.running.pipeline import process
 
 SKELETONS, TF = hiros_schemas.SKELETON_GROUP, hiros_schemas.TF_MESSAGE

@@ -16,13 +16,13 @@ from hiros_mcap.io.camera_clock import (
     STEP,
     WRONG,
     CameraTimes,
+    ClockFault,
     _judged,
     clock_verdict,
     clocks_in_words,
     find_drifts,
 )
 from hiros_mcap.skeletons import Floats
-from hiros_mcap.summary import ClockFault
 
 START = 1_700_000_000 * 10**9
 Delay = Callable[[np.random.Generator, Floats], Floats]

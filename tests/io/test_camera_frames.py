@@ -10,9 +10,8 @@ from odd_logs import changed, poses_of, published
 
 from hiros_cli.app import run as command
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.io.camera_clock import LATE, described
+from hiros_mcap.io.camera_clock import LATE, ClockFault, described
 from hiros_mcap.io.log import open_log
-from hiros_mcap.summary import ClockFault
 
 NAMES = ("camera_0", "camera_1", "camera_2")
 TOPICS = tuple(f"/{name}/skeletons" for name in NAMES)

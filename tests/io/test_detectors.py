@@ -30,7 +30,7 @@ from hiros_mcap.io.detectors.conversion import Selection
 from hiros_mcap.io.detectors.detector_reader import DetectorMessage
 from hiros_mcap.io.detectors.model_fitting import union_of
 from hiros_mcap.io.log import open_log
-from hiros_mcap.io.overview import overview_of
+from hiros_mcap.running.overview import overview_of
 from hiros_mcap.running.pipeline import process
 
 EXACT = {"skeleton groups", "stamped skeletons", "ros1 in mcap"}

@@ -13,7 +13,7 @@ from hiros_mcap.io.container.records import Schema
 from hiros_mcap.io.live_log import open_live
 from hiros_mcap.io.log import open_log, open_reader
 from hiros_mcap.io.log_times import right_log_times, stamp_place
-from hiros_mcap.io.overview import overview_of
+from hiros_mcap.running.overview import overview_of
 from hiros_mcap.running.pipeline import process
 
 SECOND = 1_000_000_000

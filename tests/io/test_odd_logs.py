@@ -17,7 +17,7 @@ from hiros_mcap.config import load_config
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import Channel, McapReader, McapWriter
 from hiros_mcap.io.log import open_log
-from hiros_mcap.io.overview import overview_of
+from hiros_mcap.running.overview import overview_of
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.systems import SYSTEMS
 

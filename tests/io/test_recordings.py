@@ -19,8 +19,8 @@ from hiros_mcap.errors import LogError
 from hiros_mcap.io.bag_files import are_splits
 from hiros_mcap.io.bags import recover
 from hiros_mcap.io.log import open_log
-from hiros_mcap.io.overview import overview_of
 from hiros_mcap.many.find import are_many, find_logs
+from hiros_mcap.running.overview import overview_of
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from hiros_mcap.io.codec import Decoder, Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.joints.importing import import_joints
 from hiros_mcap.io.log import open_log
-from hiros_mcap.io.overview import overview_of
+from hiros_mcap.running.overview import overview_of
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.skeletons import POSITION, People
 

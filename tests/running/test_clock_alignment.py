@@ -20,13 +20,13 @@ from hiros_mcap.io.channels import EVENTS_ATTACHMENT, add_static_poses
 from hiros_mcap.io.codec import Decoder, Encoder
 from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.log import open_log
-from hiros_mcap.io.overview import overview_of
 from hiros_mcap.running.clock_alignment import ClockAlignment
+from hiros_mcap.running.overview import overview_of
 from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.running.summary import PoseSummary
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.skeletons import Frame
-from hiros_mcap.summary import PoseSummary
 
 S = 10**9
 HALF = 75  # messages of a camera before the middle

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from hiros_mcap.frames import Block
-from hiros_mcap.io.camera_clock import DRIFT, OFFSET
+from hiros_mcap.io.camera_clock import DRIFT, OFFSET, ClockFault
 from hiros_mcap.running.clock_follower import ClockFollower
 from hiros_mcap.skeletons import Frame, SkeletonModel
-from hiros_mcap.summary import ClockFault
 
 MODEL = SkeletonModel.of(["HIP"], [])
 START = 1_700_000_000 * 10**9

@@ -9,7 +9,7 @@ from odd_logs import changed, later
 from test_live import AS_KNOWN, LIVE, recorded, results, run_live, send
 
 from hiros_mcap.io.log import open_log
-from hiros_mcap.io.overview import overview_of
+from hiros_mcap.running.overview import overview_of
 from hiros_mcap.running.pipeline import process
 
 ODD = [("azure", name) for name in made.ODD_AZURE] + [("zed", name) for name in made.ODD_ZED]

@@ -31,8 +31,9 @@ from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.running.preparation import Prepared
 from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.running.report import Report
-from hiros_mcap.summary import LimbSummary, duration, number, quantity
+from hiros_mcap.running.summary import LimbSummary
 from hiros_mcap.systems import Run
+from hiros_mcap.wording import duration, number, quantity
 
 MS, S = 1_000_000, 1_000_000_000
 

@@ -25,8 +25,8 @@ from hiros_mcap.running.observe import Stopwatch
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.running.preparation import prepare, set_up
+from hiros_mcap.running.summary import PoseSummary
 from hiros_mcap.simulate import SimulateParams, simulate
-from hiros_mcap.summary import PoseSummary
 
 NAMES = ("camera_0", "camera_1", "camera_2")
 FIRST_STAGE = ProcessOptions(stages="T")

@@ -13,6 +13,7 @@ from hiros_mcap.calibrate.camera_views import sightings_of
 from hiros_mcap.calibrate.refinement import refine_poses
 from hiros_mcap.calibrate.survey import SPACING_NS
 from hiros_mcap.frames import Block, frames_of, join
+from hiros_mcap.io.camera_clock import ClockFault
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running import pose_follower
 from hiros_mcap.running.clock_follower import ClockFollower
@@ -21,7 +22,6 @@ from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.running.pose_follower import PoseFollower
 from hiros_mcap.simulate import RigParams, SimulateParams, simulate
 from hiros_mcap.simulate.simulation import write_log
-from hiros_mcap.summary import ClockFault
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from hiros_mcap.io.log import open_reader
 from hiros_mcap.io.result import stored_report
 from hiros_mcap.regression.differences import Provenance
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
-from hiros_mcap.summary import number, quantity
+from hiros_mcap.wording import number, quantity
 from hiros_viewer.figures import (
     RESULT,
     SPREAD,

@@ -18,7 +18,7 @@ from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.events import Event, hidden_times
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel
-from hiros_mcap.summary import number
+from hiros_mcap.wording import number
 
 MARKED = {"hidden": "#f0b429", "predicted": "#d64545", "gap": "#9aa4af"}
 """Of the bands, which lie below the curves."""

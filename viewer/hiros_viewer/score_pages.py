@@ -24,7 +24,7 @@ from hiros_mcap.evaluate.score_tables import (
     with_differences,
 )
 from hiros_mcap.skeletons import Floats
-from hiros_mcap.summary import number
+from hiros_mcap.wording import number
 from hiros_viewer.curves import about
 from hiros_viewer.figures import (
     OTHERS,

@@ -21,7 +21,7 @@ from hiros_cli.options import (
 )
 from hiros_cli.output import check_outputs, print_json, warn
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.running.progress_bar import bar
+from hiros_mcap.progress import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.calibrate.ball_poses import BallCalibration
@@ -184,7 +184,7 @@ def noise(
     from hiros_mcap.calibrate.noise import measure_noise, measure_noise_model
     from hiros_mcap.running.pipeline import ProcessOptions, open_input
     from hiros_mcap.stages.malaguti.associate import associate
-    from hiros_mcap.summary import number
+    from hiros_mcap.wording import number
 
     config = settings_of(log).load()
     with (
@@ -217,7 +217,7 @@ def noise(
     for text in warnings:
         warn(text)
     if json:
-        from hiros_mcap.summary import plain
+        from hiros_mcap.wording import plain
 
         print_json("calibrate.noise", {**plain(model), "white": plain(white)}, warnings)
         return

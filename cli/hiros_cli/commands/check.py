@@ -17,7 +17,7 @@ from hiros_cli.many_logs import ManyLogs, one_log, run
 from hiros_cli.options import GROUP, argument, flag, grouped, option
 from hiros_cli.output import check_outputs, error_line, print_json, printable
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.running.progress_bar import bar
+from hiros_mcap.progress import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.many.jobs import CheckJob

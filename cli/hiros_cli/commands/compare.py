@@ -20,7 +20,7 @@ from hiros_cli.options import (
 )
 from hiros_cli.output import check_outputs, print_json
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.running.progress_bar import bar
+from hiros_mcap.progress import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.evaluate.comparison import Outcome
@@ -107,7 +107,7 @@ def compare(
         write_table(table, _sheets(outcomes, study))
     if json:
         from hiros_mcap.evaluate.score_tables import notes_on
-        from hiros_mcap.summary import plain
+        from hiros_mcap.wording import plain
 
         data = {"outcomes": [plain(o) for o in outcomes], "notes": notes_on(outcomes)}
         print_json("compare", data)

@@ -13,7 +13,7 @@ from hiros_cli.options import FORCE, GROUP, MANY, QUIET, argument, flag, grouped
 from hiros_cli.output import check_outputs, print_json, warn
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.running.progress_bar import bar
+from hiros_mcap.progress import bar
 
 
 @grouped

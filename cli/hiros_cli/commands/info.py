@@ -15,7 +15,7 @@ from hiros_cli.options import CAMERAS, EXTRINSICS, GROUP, argument, grouped, set
 from hiros_cli.output import print_json, warn
 
 if TYPE_CHECKING:
-    from hiros_mcap.io.overview import CameraRow, ChannelRow, Overview
+    from hiros_mcap.running.overview import CameraRow, ChannelRow, Overview
 
 
 @grouped
@@ -38,7 +38,7 @@ def info(
 
         run(InfoJob(tuple(topic or ()), extrinsics and extrinsics.absolute()), logs, many)
     source = one_log(context, logs[0])
-    from hiros_mcap.io.overview import overview_of
+    from hiros_mcap.running.overview import overview_of
     from hiros_mcap.running.pipeline import ProcessOptions, open_input, skeletons_read
 
     config = settings_of(logs[0]).load()
@@ -61,7 +61,7 @@ def info(
 
 def _show(overview: Overview) -> None:
     from hiros_cli.run_report import listing, page
-    from hiros_mcap.summary import number
+    from hiros_mcap.wording import number
 
     kind = "log" if overview.kind == "other" else overview.kind
     size = _size(overview.megabytes)
@@ -109,7 +109,7 @@ def _type(row: ChannelRow) -> str:
 
 
 def _people(row: CameraRow) -> str:
-    from hiros_mcap.summary import number
+    from hiros_mcap.wording import number
 
     return f"{row.least_people} to {row.most_people} ({number(row.mean_people, 2)})"
 

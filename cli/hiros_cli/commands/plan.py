@@ -127,7 +127,7 @@ def _show(plan: RoomPlan, written: Iterable[Path], *, joints: bool) -> None:
     """Print the cameras, what is expected with all, with one less and with one more."""
     from hiros_cli.run_report import listing, page
     from hiros_mcap.evaluate.measures import text_of
-    from hiros_mcap.summary import number, quantity
+    from hiros_mcap.wording import number, quantity
 
     x0, y0, x1, y1 = plan.params.area
     people = plan.params.people

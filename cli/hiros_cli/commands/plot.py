@@ -11,7 +11,7 @@ from hiros_cli.completing import topics
 from hiros_cli.options import FORCE, QUIET, argument, option
 from hiros_cli.output import beside, check_outputs
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.running.progress_bar import bar
+from hiros_mcap.progress import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.outputs import Kind

@@ -34,13 +34,13 @@ from hiros_cli.options import (
 )
 from hiros_cli.output import beside, check_outputs, print_json, warn
 from hiros_mcap.errors import ConfigError, HirosError
-from hiros_mcap.running.progress_bar import bar
+from hiros_mcap.progress import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.config import Settings, Table
     from hiros_mcap.running.pipeline import Watcher
     from hiros_mcap.running.process_options import Calibration, ProcessOptions
-    from hiros_mcap.summary import Summary
+    from hiros_mcap.running.summary import Summary
 
 LIMBS = "Limb lengths"
 BAGS = frozenset({".db3", ".bag"})

@@ -10,7 +10,7 @@ import typer
 from hiros_cli.compiling import prepare
 from hiros_cli.options import FORCE, JSON, LOSSES, QUIET, argument, option
 from hiros_cli.output import beside, check_outputs, print_json, warn
-from hiros_mcap.running.progress_bar import bar
+from hiros_mcap.progress import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.io.container import Recovery
@@ -51,7 +51,7 @@ def recover(
 
 def _show(recovery: Recovery, target: Path) -> None:
     from hiros_cli.run_report import listing, page
-    from hiros_mcap.summary import quantity
+    from hiros_mcap.wording import quantity
 
     lines = []
     for damage in recovery.damages:

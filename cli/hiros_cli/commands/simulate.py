@@ -10,7 +10,7 @@ from hiros_cli.compiling import prepare
 from hiros_cli.options import FORCE, QUIET, argument, option
 from hiros_cli.output import check_outputs
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.running.progress_bar import bar
+from hiros_mcap.progress import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.simulate import SimulateParams

@@ -19,7 +19,7 @@ from hiros_cli.options import (
 )
 from hiros_cli.output import check_outputs
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.running.progress_bar import bar
+from hiros_mcap.progress import bar
 
 if TYPE_CHECKING:
     from rerun import RecordingStream

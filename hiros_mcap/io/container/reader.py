@@ -19,7 +19,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Self, TypeVar
+from typing import Any, Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +32,7 @@ from hiros_mcap.io.container.file import (
     read_chunk,
     unpack_message,
 )
+from hiros_mcap.io.container.losses import Recovery
 from hiros_mcap.io.container.records import (
     HEAD,
     MAX_CHUNK,
@@ -45,9 +46,6 @@ from hiros_mcap.io.container.records import (
 )
 from hiros_mcap.io.container.walk import Contents, remedy, scan
 from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
-
-if TYPE_CHECKING:
-    from hiros_mcap.io.container.salvage import Recovery
 
 Keys = npt.NDArray[np.uint64]
 """(N, 3) log time, ns; first byte of the message's chunk in the file; its first byte in the chunk.

@@ -29,7 +29,7 @@ from hiros_mcap.io.detectors.detector_reader import (
     seen_people,
 )
 from hiros_mcap.skeletons import ORIENTATION, Floats, Stamps
-from hiros_mcap.summary import quantity
+from hiros_mcap.wording import quantity
 
 TOPIC = "body_tracking_data"
 _SPHERE, _ADD = 2, 0

@@ -38,7 +38,7 @@ from hiros_mcap.io.detectors.model_fitting import UNION, Fit, chosen_model
 from hiros_mcap.io.layout import Layout, check_schema
 from hiros_mcap.io.ros_cdr import RosMessage, cdr_of, decoder_of, types_of
 from hiros_mcap.skeletons import SkeletonModel
-from hiros_mcap.summary import quantity
+from hiros_mcap.wording import quantity
 
 Unit = Literal["m", "cm", "mm"]
 METRES: Mapping[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}

@@ -10,7 +10,7 @@ from hiros_mcap.frames import Block
 from hiros_mcap.io.channels import LATCHED_QOS, OUTPUT_PREFIX, add_ros_channel
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.ros_cdr import CdrWriter
-from hiros_mcap.summary import quantity
+from hiros_mcap.wording import quantity
 
 SUMMARY = f"{OUTPUT_PREFIX}/summary"
 EVERY_NS = 1_000_000_000

@@ -7,20 +7,28 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.progress import Progress, TaskID
+    from rich.progress import Progress as RichProgress
+    from rich.progress import TaskID
 
 _NOTEBOOK_WIDTH = 80
+
+
+class Progress(Protocol):
+    """Follows how far a run is."""
+
+    def update(self, done: int, total: int) -> None:
+        """Take note that ``done`` of ``total`` is done, in whatever unit; of a log, ns."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bar:
     """Shows how far a run is; a bar without ``progress`` shows nothing."""
 
-    progress: Progress | None = None
+    progress: RichProgress | None = None
     task: TaskID | None = None
     live: bool = False
     """Whether a log has no end yet: then it shows how much of it has come."""

@@ -8,44 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hiros_mcap.errors import ConfigError
-
-if TYPE_CHECKING:
-    from hiros_mcap.io.result import Result
-
-
-@dataclass(frozen=True, slots=True)
-class ClockFault:
-    """Something wrong with the times of a camera's messages."""
-
-    camera: str
-    kind: str
-    """"clock step", "clock drift", "clock offset", "late delivery" or "wrong time"."""
-    seconds: float
-    """By how much the clock went or is ahead, s (a drift: s per s; a late delivery: the delay)."""
-    at_ns: int
-    """Corrected stamp of the first message that it concerns, ns since the epoch."""
-    corrected: bool
-    """Whether the results are free of it."""
-    messages: int = 0
-    """Messages that were late."""
-    reason: str = ""
-    """Why the stamps stay, if they do."""
-
-    @property
-    def size(self) -> str:
-        """How large it is, with sign and unit: +2.00 s, -105 ms, +1.2 ms per s."""
-        if self.kind == "clock drift":
-            return f"{1000 * self.seconds:+.1f} ms per s"
-        if abs(self.seconds) < 0.9995:
-            return f"{1000 * self.seconds:+.0f} ms"
-        sign = "-" if self.seconds < 0 else "+"
-        long = abs(self.seconds) >= 3600
-        return f"{sign}{duration(abs(self.seconds))}" if long else f"{self.seconds:+.2f} s"
+from hiros_mcap.io.camera_clock import ClockFault
+from hiros_mcap.io.result import Result, open_result
+from hiros_mcap.wording import plain, plain_value, quantity
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,11 +214,9 @@ class Summary:
 
         Raises ConfigError if the run wrote nothing.
         """
-        import hiros_mcap
-
         if self.target is None:
             raise ConfigError("the run wrote no log to open; give it a target")
-        return hiros_mcap.open_result(self.target, channel)
+        return open_result(self.target, channel)
 
     @property
     def times_real_time(self) -> float:
@@ -276,39 +244,3 @@ class Summary:
         """
         varying = {"source", "target", "settings", "wall_s", "times_real_time", "stages"}
         return {key: value for key, value in self.to_dict().items() if key not in varying}
-
-
-def quantity(n: int, noun: str) -> str:
-    """Return a number of things: 1 detection, 14 detections."""
-    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
-
-
-def number(value: float, digits: int, unit: str = "") -> str:
-    """Return a number with its unit, a dash for NaN; what rounds to 0 has no sign."""
-    return "-" if math.isnan(value) else f"{value:z.{digits}f}{unit}"
-
-
-def duration(seconds: float) -> str:
-    """Return a time in the unit that fits: 3.2 s, 100.0 s, 1.0 hours, 3.2 years."""
-    for unit, length in (("years", 31_557_600.0), ("days", 86_400.0), ("hours", 3_600.0)):
-        if seconds >= length:
-            return f"{seconds / length:.1f} {unit}"
-    return f"{seconds:.1f} s"
-
-
-def plain(record: Any) -> dict[str, Any]:
-    """Return a dataclass as JSON data; tuples become lists, what is not finite becomes None."""
-    return {item.name: plain_value(getattr(record, item.name)) for item in fields(record)}
-
-
-def plain_value(value: object) -> object:
-    """Return one value as JSON data; see :func:`plain`."""
-    if is_dataclass(value):
-        return plain(value)
-    if isinstance(value, Mapping):
-        return {str(key): plain_value(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain_value(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

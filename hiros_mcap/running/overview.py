@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 import hiros_schemas
+from hiros_mcap.config import load_config, presets_of, to_toml, without_constants
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.bag_files import files_of, kind_of
 from hiros_mcap.io.bags import open_part
@@ -34,7 +35,8 @@ from hiros_mcap.io.detectors.conversion import Selection
 from hiros_mcap.io.log import Log, Reading, open_log, open_reader
 from hiros_mcap.io.result import stored_parameters, stored_report, values_of
 from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
-from hiros_mcap.summary import plain, quantity
+from hiros_mcap.systems import SYSTEMS, sections_of
+from hiros_mcap.wording import plain, quantity
 
 _GAP_S = 1.0
 _STAMP = struct.Struct("<iI")  # seconds, nanoseconds
@@ -400,9 +402,6 @@ def _stored_warnings(reader: McapReader) -> tuple[str, ...]:
 
 def _changed(values: Mapping[str, str], system: str) -> tuple[str, tuple[ParameterRow, ...]]:
     """Find the preset that is nearest to the parameters of a run, and what differs from it."""
-    from hiros_mcap.config import load_config, presets_of, to_toml, without_constants
-    from hiros_mcap.systems import SYSTEMS, sections_of
-
     if not values or system not in SYSTEMS:
         return "", ()
     rows: dict[str, tuple[ParameterRow, ...]] = {}
