@@ -39,6 +39,7 @@ from hiros_mcap.running.preparation import camera_positions
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, Stamps
+from hiros_mcap.stages.known_cameras import KnownCameras
 from hiros_mcap.systems import SYSTEMS, Run
 
 ACTIONS = ("circle", "walk", "cross", "eight", "wave", "jog", "free_dynamic")
@@ -116,7 +117,7 @@ class Scene:
 def run(scene: Scene, frames: Sequence[Frame], config: Config) -> tuple[list[Frame], list[Frame]]:
     """Track and merge; return the frames of both."""
     stages = SYSTEMS["hiros"].stages(
-        Run(scene.model, config, Events(), cameras=scene.cameras, fixed_frame="world")
+        Run(scene.model, config, Events(), known=KnownCameras(scene.cameras), fixed_frame="world")
     )
     tracked = list(by_frame(stages["tracked"])(frames))
     return tracked, list(by_frame(stages["merged"])(tracked))
@@ -138,7 +139,7 @@ class Recording:
 
     def _track(self, frames: Sequence[Frame]) -> list[Frame]:
         """Return the frames with ids."""
-        run = Run(self.model, self._config, cameras=self.cameras, fixed_frame="world")
+        run = Run(self.model, self._config, known=KnownCameras(self.cameras), fixed_frame="world")
         return list(by_frame(SYSTEMS["hiros"].stages(run)["tracked"])(frames))
 
     def begins(self) -> list[int]:

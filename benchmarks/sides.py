@@ -31,6 +31,7 @@ from hiros_mcap.simulate.motion import Person
 from hiros_mcap.simulate.performer import Performer
 from hiros_mcap.simulate.simulation import Simulation
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel, nearest_stamps
+from hiros_mcap.stages.known_cameras import KnownCameras
 from hiros_mcap.systems import Run, system
 
 VOTE = ("sides.over_time=false",)
@@ -197,7 +198,13 @@ def score(simulation: Simulation, frames: Sequence[Frame], way: str, change: str
     system_name, overrides = WAYS[way]
     config = load_config(None, overrides, system=system_name)
     places = {name: pose.translation for name, pose in simulation.transforms.items()}
-    run = Run(simulation.model, config, cameras=places, fixed_frame="world", system=system_name)
+    run = Run(
+        simulation.model,
+        config,
+        known=KnownCameras(places),
+        fixed_frame="world",
+        system=system_name,
+    )
     blocks: Iterable[Block] = map(Block.of, frames)
     for stage in system(system_name).stages(run).values():
         blocks = stage(blocks)

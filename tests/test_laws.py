@@ -19,6 +19,7 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, by_frame, frames_of, join
 from hiros_mcap.skeletons import UNTRACKED, Frame, People, SkeletonModel
 from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.known_cameras import KnownCameras
 from hiros_mcap.stages.merge.merge import MergeParams, merge_blocks
 from hiros_mcap.stages.time_order import in_time_order
 from hiros_mcap.stages.track.track import track_blocks
@@ -43,7 +44,9 @@ def crossing():
 def table(name, where):
     """Stages of a system, set up for a new run."""
     config = load_config(system=name)
-    run = Run(where.model, config, cameras=where.cameras, fixed_frame="world", system=name)
+    run = Run(
+        where.model, config, known=KnownCameras(where.cameras), fixed_frame="world", system=name
+    )
     return SYSTEMS[name].stages(run)
 
 

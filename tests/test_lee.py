@@ -15,6 +15,7 @@ from hiros_mcap.evaluate import evaluate
 from hiros_mcap.evaluate.logs import read_channel
 from hiros_mcap.frames import by_frame
 from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.stages.known_cameras import KnownCameras
 from hiros_mcap.stages.lee.cluster import cluster_blocks
 from hiros_mcap.systems import SYSTEMS, Run, chain_of
 
@@ -32,7 +33,9 @@ def pair():
 
 @cache
 def tracked():
-    stages = SYSTEMS["lee"].stages(Run(pair().model, cameras=pair().cameras, fixed_frame="world"))
+    stages = SYSTEMS["lee"].stages(
+        Run(pair().model, known=KnownCameras(pair().cameras), fixed_frame="world")
+    )
     return list(at_once(stages["tracked"])(pair().frames))
 
 

@@ -9,6 +9,7 @@ from builders import at_once, room
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.skeletons import SkeletonModel
+from hiros_mcap.stages.known_cameras import KnownCameras
 from hiros_mcap.stages.merge.merge import MergeParams
 from hiros_mcap.systems import LETTERS, SYSTEMS, Run, chain_of, merging_order, system
 
@@ -35,7 +36,7 @@ def test_an_unknown_system_is_named_with_those_that_exist():
 
 
 def test_a_stage_gets_what_the_run_has():
-    run = Run(MODEL, cameras={"a": np.zeros(3)}, fixed_frame="world")
+    run = Run(MODEL, known=KnownCameras({"a": np.zeros(3)}), fixed_frame="world")
     for name in SYSTEMS:
         for stage in system(name).stages(run).values():
             assert callable(stage)
@@ -49,7 +50,7 @@ def test_links_are_not_aligned_where_that_is_off():
     turned = {}
     for on in (True, False):
         config = load_config(named={"test": {"constrain": {"align": on}}}, system="fuse")
-        stages = system("fuse").stages(Run(scene.model, config, cameras=scene.cameras))
+        stages = system("fuse").stages(Run(scene.model, config, known=KnownCameras(scene.cameras)))
         frames = scene.frames
         for channel in ("tracked", "merged", "optimized"):
             before, frames = frames, list(at_once(stages[channel])(frames))
@@ -67,7 +68,7 @@ def test_the_optimizer_of_the_published_presets_acts(preset):
     run = Run(
         scene.model,
         load_config(preset=preset, system="hiros"),
-        cameras=scene.cameras,
+        known=KnownCameras(scene.cameras),
         fixed_frame="world",
     )
     stages, spread = system("hiros").stages(run), {}

@@ -23,6 +23,7 @@ from hiros_mcap.running.pose_alignment import PoseAlignment, align_cameras
 from hiros_mcap.running.pose_follower import PoseFollower
 from hiros_mcap.running.process_options import Calibration, ProcessOptions
 from hiros_mcap.skeletons import Floats
+from hiros_mcap.stages.known_cameras import KnownCameras
 from hiros_mcap.stages.merge.instants import by_instants
 from hiros_mcap.stages.time_order import Lateness, in_time_order
 from hiros_mcap.systems import LETTERS, Run, Stages, chain_of, sections_of, system
@@ -114,13 +115,15 @@ def set_up(
         model=log.model,
         config=config,
         limbs=LimbTable.load(options.limbs_in) if options.limbs_in else LimbTable(),
-        cameras=camera_positions(log),
+        known=KnownCameras(
+            camera_positions(log),
+            prepared.poses.to_given,
+            prepared.poses.pose_errors,
+            () if prepared.clocks.given else prepared.clocks.offsets,
+        ),
         fixed_frame=log.fixed_frame,
         system=options.system,
         noise=_given_noise(log, config, options),
-        to_given=prepared.poses.to_given,
-        pose_errors=prepared.poses.pose_errors,
-        clocks=() if prepared.clocks.given else prepared.clocks.offsets,
     )
     _calibrate_first(run, chain_of(options.system, options.stages), read)
     return run

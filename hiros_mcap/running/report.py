@@ -142,7 +142,7 @@ class Report:
         """Return how uncertain the placement of the rig is."""
         if len(self.prepared.poses.cameras) < 2 or self.prepared.poses.from_nothing:
             return None
-        error = placement_error(self.run.cameras, self.run.to_given)
+        error = placement_error(self.run.cameras, self.run.known.to_given)
         return PlacementSummary(1000.0 * error.metres, error.degrees) if error else None
 
     def _camera(self, camera: CameraChannel) -> CameraSummary:

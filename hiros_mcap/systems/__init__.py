@@ -10,13 +10,12 @@ its one. The variants A1 to A5 of section 3.1 are the same stages with other par
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from hiros_mcap.body.limb_table import LimbTable
-from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.config import Config
 from hiros_mcap.defaults import DEFAULT_SYSTEM
 from hiros_mcap.errors import ConfigError
@@ -24,6 +23,7 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import BlockStage, by_block
 from hiros_mcap.params import Params
 from hiros_mcap.skeletons import Floats, SkeletonModel
+from hiros_mcap.stages.known_cameras import KnownCameras
 from hiros_mcap.stages.merge.merge_params import MergeParams
 
 if TYPE_CHECKING:
@@ -42,20 +42,18 @@ class Run:
     events: Events = field(default_factory=Events)
     limbs: LimbTable = field(default_factory=LimbTable)
     """Limb lengths known from before; filled on the way."""
-    cameras: Mapping[str, Floats] = field(default_factory=dict)
-    """Source -> (3,) position of the camera in the fixed frame, m."""
+    known: KnownCameras = field(default_factory=KnownCameras)
+    """Where the cameras stand and how their clocks go."""
     fixed_frame: str = ""
     system: str = DEFAULT_SYSTEM
     """Name of the system that is run."""
     noise: FusionNoise | None = None
     """What a first pass has shown of cameras and joints; None = there was none."""
-    to_given: Mapping[str, Rigid] = field(default_factory=dict)
-    """Source -> what takes its people back to the pose that was given, where it was refined."""
-    pose_errors: Mapping[str, float] = field(default_factory=dict)
-    """Source -> standard error, m, of a pose that the people gave; causal runs go on finding."""
-    clocks: Sequence[tuple[int, str, float]] = ()
-    """From which stamp on, ns, which camera's clock was ahead of the middle one by how many s;
-    causal runs go on finding."""
+
+    @property
+    def cameras(self) -> Mapping[str, Floats]:
+        """Camera -> (3,) position in the fixed frame, m."""
+        return self.known.places
 
     def stage(self, stage: Callable[..., Any], params: Params, **more: Any) -> partial[Any]:
         """Return a stage with what every stage takes (model, parameters, events), and more."""
@@ -102,16 +100,14 @@ def fuse(run: Run) -> Stages:
     from hiros_mcap.stages.filter.filter import filter_blocks
     from hiros_mcap.stages.fuse.align_links import align_blocks
     from hiros_mcap.stages.fuse.constrain import constrain_blocks
-    from hiros_mcap.stages.fuse.fuse import fuse_blocks, noise_of
+    from hiros_mcap.stages.fuse.fuse import fuse_blocks
     from hiros_mcap.stages.track.track import track_blocks
 
     config = run.config
     mended, merging = _mended_views(run, guesses=False)
-    noise = noise_of(run.model, config.fuse, run.noise)
-    noise = replace(noise, to_given=run.to_given, pose_errors=run.pose_errors, clocks=run.clocks)
     fusion = run.stage(
-        fuse_blocks, config.fuse, merging=merging, fixed_frame=run.fixed_frame,
-        cameras=run.cameras, noise=noise,
+        fuse_blocks, config.fuse, merging=merging, fixed_frame=run.fixed_frame, known=run.known,
+        noise=run.noise,
     )  # fmt: skip
     bodies = run.stage(constrain_blocks, config.constrain, limbs=run.limbs)
     align = partial(align_blocks, model=run.model) if config.constrain.align else iter

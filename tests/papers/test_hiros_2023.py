@@ -27,6 +27,7 @@ from hiros_mcap.evaluate import Truth, evaluate
 from hiros_mcap.simulate.body_model import SYMMETRY
 from hiros_mcap.simulate.settings import ActionName
 from hiros_mcap.skeletons import ORIENTATION
+from hiros_mcap.stages.known_cameras import KnownCameras
 from hiros_mcap.systems import Run, hiros
 
 _FRAME = [seen([person()], at(0), ids=[0])]
@@ -141,7 +142,7 @@ def test_a_flip_that_stays_hurts_the_tracker_and_not_the_merger():
         frames = where.frames
         if action == "free_static":
             frames = [turned_round(f) if f.source == "camera_1" else f for f in frames]
-        table = hiros(Run(where.model, cameras=where.cameras, fixed_frame="world"))
+        table = hiros(Run(where.model, known=KnownCameras(where.cameras), fixed_frame="world"))
         stages = {name: at_once(stage) for name, stage in table.items()}
         tracked = list(stages["tracked"](frames))
         filtered = stages["filtered"](stages["merged"](tracked))

@@ -337,7 +337,7 @@ def test_a_usable_rig_is_used_and_a_warning_says_how_exact_it_is(tmp_path):
     # The test of displaced cameras allows for it.
     with open_log(log) as unposed:
         config, options = load_config(), ProcessOptions()
-        errors = set_up(prepare(unposed, config, options, Stopwatch())).pose_errors
+        errors = set_up(prepare(unposed, config, options, Stopwatch())).known.errors
     assert errors == pytest.approx({c.name: c.error_mm / 1000 for c in summary.poses})
     with open_log(tmp_path / "out.mcap") as result:
         one, other = (result.transforms.lookup(name, result.fixed_frame, 0) for name in NAMES[:2])

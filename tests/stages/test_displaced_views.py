@@ -18,8 +18,9 @@ from hiros_mcap.stages.fuse.displaced_views import (
     excess_of,
     limits_of,
 )
-from hiros_mcap.stages.fuse.fuse import FuseParams, fuse_blocks, noise_of
+from hiros_mcap.stages.fuse.fuse import FuseParams, fuse_blocks
 from hiros_mcap.stages.fuse.fusing import Sightings
+from hiros_mcap.stages.known_cameras import KnownCameras
 
 fuse = at_once(fuse_blocks)
 
@@ -177,12 +178,11 @@ def detections(shift):
 
 def error(shift, left_out="", pose_error=0.0, **params):
     """Mean error, m, in the last 8 s."""
-    noise = noise_of(BODY, FuseParams(**params))
-    noise.pose_errors = {"b": pose_error}
+    known = KnownCameras(errors={"b": pose_error})
     frames = [f for f in detections(shift) if f.source != left_out or f.stamp < 11 * SECOND]
     events = Events()
     errors = []
-    for frame in fuse(frames, BODY, FuseParams(**params), events, noise=noise):
+    for frame in fuse(frames, BODY, FuseParams(**params), events, known=known):
         t = frame.stamp * 1e-9 - 1
         if t > 12:
             true = 0.4 * np.sin(t + np.arange(24.0).reshape(8, 3))

@@ -26,7 +26,6 @@ from hiros_mcap.stages.fuse.fusing import (
     Sightings,
     Steps,
 )
-from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 from hiros_mcap.stages.fuse.pair_lengths import (
     RATE,
     LastMinute,
@@ -42,6 +41,7 @@ from hiros_mcap.stages.fuse.pose_prior import (
     shrink_noise,
 )
 from hiros_mcap.stages.fuse.window_smoother import FusionWindow, StepWork, smooth_people
+from hiros_mcap.stages.known_cameras import KnownCameras
 from hiros_mcap.systems import Run, system
 
 fuse = at_once(fuse_blocks)
@@ -449,7 +449,7 @@ def walk():
 def fused(where, **changes):
     stages = system("fuse").stages(run_of(where))
     frames = list(at_once(stages["tracked"])(where.frames))
-    return list(fuse(frames, where.model, FuseParams(**changes), cameras=where.cameras))
+    return list(fuse(frames, where.model, FuseParams(**changes), known=KnownCameras(where.cameras)))
 
 
 def tracked_of(where):
@@ -459,7 +459,9 @@ def tracked_of(where):
 
 def run_of(where, name="fuse"):
     config = load_config(system=name)
-    return Run(where.model, config, cameras=where.cameras, fixed_frame="world", system=name)
+    return Run(
+        where.model, config, known=KnownCameras(where.cameras), fixed_frame="world", system=name
+    )
 
 
 def result(where, name):
@@ -502,7 +504,11 @@ def test_clocks_that_were_corrected_make_whoever_moves_less_certain():
     clocks = [(0, name, seconds) for name, seconds in ahead]
     run = run_of(where)
     plain, corrected = (
-        frames_of(system("fuse").stages(replace(run, clocks=c))["merged"](tracked_of(where)))
+        frames_of(
+            system("fuse").stages(replace(run, known=KnownCameras(where.cameras, clocks=c)))[
+                "merged"
+            ](tracked_of(where))
+        )
         for c in ([], clocks)
     )
     one, other = list(plain)[60], list(corrected)[60]
@@ -516,12 +522,12 @@ def test_clocks_that_were_corrected_make_whoever_moves_less_certain():
 def test_the_common_time_is_within_a_standard_deviation_as_often_as_it_says():
     """A thousand rigs of four clocks, of which the middle counts as right."""
     rng, names = np.random.default_rng(5), ("a", "b", "c", "d")
-    noise, within = FusionNoise.default(POINT), []
+    within = []
     for _ in range(1000):
         ahead = rng.normal(0, 0.05, 4)
         middle = np.median(ahead)
         off = zip(names, ahead - middle, strict=True)
-        clocks = replace(noise, clocks=[(1, name, seconds) for name, seconds in off])
+        clocks = KnownCameras(clocks=[(1, name, seconds) for name, seconds in off])
         assert clocks.time_variance(names, 0) == 0.0, "not known yet"
         within.append(abs(middle) < np.sqrt(clocks.time_variance(names, 1)))
     assert 0.6 < np.mean(within) < 0.75

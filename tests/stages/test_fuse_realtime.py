@@ -26,6 +26,7 @@ from hiros_mcap.stages.fuse.fusing import (
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise, RunningNoise
 from hiros_mcap.stages.fuse.pair_lengths import RunningLengths, measured_lengths
 from hiros_mcap.stages.fuse.pose_prior import RecentMotion
+from hiros_mcap.stages.known_cameras import KnownCameras
 from hiros_mcap.systems import Run, system
 
 MS = 1_000_000
@@ -38,7 +39,9 @@ def walk(cameras=4):
 
 def result(where, frames, name="fuse-realtime"):
     config = load_config(system=name)
-    run = Run(where.model, config, cameras=where.cameras, fixed_frame="world", system=name)
+    run = Run(
+        where.model, config, known=KnownCameras(where.cameras), fixed_frame="world", system=name
+    )
     stages = system(name).stages(run)
     for channel in ("tracked", "merged", "optimized", "filtered"):
         frames = list(at_once(stages[channel])(frames)) if channel in stages else frames

@@ -28,6 +28,7 @@ from hiros_mcap.stages.fuse.fusion_noise import FusionNoise, RunningNoise
 from hiros_mcap.stages.fuse.pose_error import PoseError
 from hiros_mcap.stages.fuse.residuals import ResidualMeter
 from hiros_mcap.stages.fuse.window_smoother import WindowSmoother
+from hiros_mcap.stages.known_cameras import KnownCameras
 from hiros_mcap.stages.merge.instants import InstantMerger
 from hiros_mcap.stages.merge.merge import ViewMerger
 from hiros_mcap.stages.merge.merge_params import MergeParams
@@ -39,7 +40,7 @@ _NEAREST = 0.3  # m; noise is not assumed to fall any further nearer to a camera
 def fuse_blocks(
     blocks: Iterable[Block], model: SkeletonModel, params: FuseParams | None = None,
     events: Events | None = None, *, merging: MergeParams | None = None, fixed_frame: str = "",
-    cameras: Mapping[str, Floats] | None = None, noise: FusionNoise | None = None,
+    known: KnownCameras | None = None, noise: FusionNoise | None = None,
 ) -> Iterator[Block]:  # fmt: skip
     """Fuse the tracked skeletons of all cameras.
 
@@ -49,8 +50,7 @@ def fuse_blocks(
     model, params : the skeleton; see :class:`FuseParams`.
     events : counts as :func:`hiros_mcap.stages.merge.merge.merge_blocks` does.
     merging : how instants are made and sides corrected.
-    cameras : source -> (3,) position, m, as far as known.
-    noise : of cameras and joints; None = the defaults.
+    known : of the cameras. noise : of cameras and joints; None = the defaults.
 
     Yields
     ------
@@ -59,22 +59,19 @@ def fuse_blocks(
     """
     events = Events() if events is None else events
     params = params or FuseParams()
+    known = known or KnownCameras()
     noise = noise or noise_of(model, params)
     if params.follow_noise:
         noise = RunningNoise.of(noise)
     # variances, filters, smoother, confidences
     angle = math.radians(params.pose_angle)
-    pose_error = PoseError(
-        angle, params.pose_shift, cameras or {}, noise.to_given, noise.pose_errors
-    )
-    smoother = WindowSmoother(model, params, noise, pose_error)
-    causal = params.window == 0
-    residuals = ResidualMeter(noise, events, causal=causal)
+    pose_error = PoseError(angle, params.pose_shift, known.places, known.to_given, known.errors)
+    smoother = WindowSmoother(model, params, noise, known, pose_error)
+    residuals = ResidualMeter(noise, known.errors, events, causal=params.window == 0)
 
     merging = merging or MergeParams()
-    gathered = merged_sightings(blocks, model, merging, events, cameras or {}, fixed_frame)
+    gathered = merged_sightings(blocks, model, merging, events, known.places, fixed_frame)
     for block, sightings, names in gathered:  # instants and sides
-        residuals.expect(len(block), sightings, names)
         yield from residuals.compared(smoother.update(block, sightings, names))
     yield from residuals.compared(smoother.rest())
     residuals.finish()

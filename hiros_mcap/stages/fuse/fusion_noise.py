@@ -9,7 +9,6 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.calibrate.noise import GUESSED_BELOW, GUESSED_SHARE, USUAL_POWER
 from hiros_mcap.errors import ConfigError
@@ -22,7 +21,6 @@ FREEDOM = 4
 _EXTREMITIES = ("wrist", "hand", "handtip", "hand_tip", "thumb", "ankle", "foot", "toe", "bigtoe")
 _WHITE = 0.007  # m; these and the next: median over simulated logs
 _EXTREMITY_FACTOR = 1.7
-_WITHIN_ONE_SD = 0.8413  # probability below the mean and one standard deviation
 
 # Of RunningNoise.
 _STRETCH = 2_000_000_000  # ns that give one factor of each camera
@@ -44,13 +42,6 @@ class FusionNoise:
     """Source -> factor of the variances of this camera; 1 where it is missing."""
     power: float = USUAL_POWER  # the standard deviation grows with this power of the distance
     guessed: float = 8.0  # factor of the standard deviation where the detector guesses
-    to_given: Mapping[str, Rigid] = field(default_factory=dict)
-    """Source -> what takes its people back to the pose that was given, where it was refined."""
-    pose_errors: Mapping[str, float] = field(default_factory=dict)
-    """Source -> standard error, m, of a pose that the people gave."""
-    clocks: Sequence[tuple[int, str, float]] = ()
-    """From which stamp on, ns, which camera's clock was ahead of the middle one by how many s. The
-    middle one counts as right."""
 
     @classmethod
     def default(
@@ -104,22 +95,6 @@ class FusionNoise:
         scale = cameras * (distances / REFERENCE) ** (2 * self.power)
         factors = np.where(guessed, self.guessed**2, 1.0)
         return np.asarray(self.joints * factors * scale[..., None])
-
-    def time_variance(self, names: Sequence[str], stamp: int) -> float:
-        """Return the variance, s2, of the common time of the cameras ``names`` at ``stamp``, ns.
-
-        No stamp tells the right time of clocks that differ. The middle one is as wrong as the
-        median of a normal sample, whose variance is pi / 2 of that of the mean. How much clocks
-        differ is known from a few of them, so Student's t takes the place of the normal law.
-        """
-        if not self.clocks or len(names) < 2:
-            return 0.0
-        from scipy.special import stdtrit
-
-        found = {name: seconds for since, name, seconds in self.clocks if since <= stamp}
-        ahead, n = [found.get(name, 0.0) for name in names], len(names)
-        quantile = stdtrit(n - 1, _WITHIN_ONE_SD)
-        return float(quantile**2 * np.pi / 2 * np.var(ahead, ddof=1) / n)
 
     def variances(self, views: Sightings, names: Sequence[str]) -> Floats:
         """(N, M) Variance of every measurement along each axis, m2.

@@ -25,7 +25,7 @@ the standard deviations.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -38,8 +38,9 @@ from hiros_mcap.frames import Block, together
 from hiros_mcap.kernels.array_types import chosen
 from hiros_mcap.skeletons import POSITION, VELOCITY, Floats, Stamps
 from hiros_mcap.stages.fuse.displaced_views import excess_of, limits_of
-from hiros_mcap.stages.fuse.fusing import Sightings, joined_out_of, rows_of
+from hiros_mcap.stages.fuse.fusing import Sightings, joined_out_of
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
+from hiros_mcap.stages.fuse.window_smoother import Smoothed
 
 FEWEST = 50  # residuals that give a median
 _EVERY = 3  # moments; neighbours tell much the same, and views take much memory
@@ -60,44 +61,41 @@ class ResidualMeter:
 
     Parameters
     ----------
-    noise : what the fuser assumes.
+    noise : what the fuser assumes. pose_errors : those of :func:`.displaced_views.limits_of`.
     events : gets a histogram of every camera. causal : whether the poses are those of a filter.
     """
 
-    def __init__(self, noise: FusionNoise, events: Events, *, causal: bool = False) -> None:
+    def __init__(
+        self, noise: FusionNoise, pose_errors: Mapping[str, float], events: Events, *,
+        causal: bool = False,
+    ) -> None:  # fmt: skip
         self._is_causal = causal
-        self._noise, self._events = noise, events
-        self._names: tuple[str, ...] = ()
-        self._views: list[Sightings] = []
-        """Not yet compared; instants are numbered through the log."""
-        self._fused: list[Block] = []
+        self._noise, self._pose_errors, self._events = noise, pose_errors, events
+        self._held: list[Smoothed] = []
+        """Not yet compared."""
         self._recent: dict[str, Floats] = {}
         """Camera -> histogram of its residuals, of which the old ones count less."""
         self._ratios: dict[str, float] = {}
         """Camera -> size of these as a multiple of the expected one."""
         self._last: int | None = None
-        self._seen = self._first = self._waiting = 0
-        """Instants so far, those that were compared, and frames in ``_fused``."""
+        self._waiting = 0
+        """Frames in ``_held``."""
 
-    def expect(self, n_instants: int, views: Sightings, names: tuple[str, ...]) -> None:
-        """Take the views of some instants, which are to be fused."""
-        self._names = names
-        views = views._replace(instants=views.instants + self._seen)
-        self._views.append(chosen(views, views.stamps // _MOMENT % _EVERY == 0))
-        self._seen += n_instants
-
-    def compared(self, windows: Iterable[Block]) -> Iterator[Block]:
+    def compared(self, windows: Iterable[Smoothed]) -> Iterator[Block]:
         """Take the next frames, one for each instant; yield them as :meth:`scaled`.
 
         Frames that a filter gives one by one are joined: later stages cost a call per block.
         """
         some: list[Block] = []
-        for fused in windows:
+        for smoothed in windows:
+            fused = smoothed.frames
             ends_batch = self._waiting + len(fused) >= _BATCH
             if ends_batch and some:  # they are scaled by what the batches before have shown
                 yield self.scaled(together(some))
                 some = []
-            self._fused.append(fused)
+            used = (smoothed.rows >= 0) & (smoothed.views.stamps // _MOMENT % _EVERY == 0)
+            views, rows = chosen(smoothed.views, used), smoothed.rows[used]
+            self._held.append(smoothed._replace(views=views, rows=rows))
             self._waiting += len(fused)
             if ends_batch:
                 self.finish()
@@ -105,7 +103,7 @@ class ResidualMeter:
                 some.append(fused)
                 continue
             yield self.scaled(fused)
-            del fused  # else it lies in memory until the next one is made
+            del fused, smoothed  # else they lie in memory until the next ones are made
         if some:
             yield self.scaled(together(some))
 
@@ -113,12 +111,12 @@ class ResidualMeter:
         """Count what was fused so far."""
         if not self._waiting:
             return
-        fused = together(self._fused)
-        views = joined_out_of(self._views)
-        done = views.instants < self._first + len(fused)
-        self._views, self._fused = [chosen(views, ~done)], []
-        self._count(fused, chosen(views, done))
-        self._first, self._waiting = self._first + len(fused), 0
+        held, self._held, self._waiting = self._held, [], 0
+        people = np.cumsum([0, *(part.frames.sizes.sum() for part in held)])
+        rows = [part.rows + first for part, first in zip(held, people[:-1], strict=True)]
+        views = joined_out_of([part.views for part in held])
+        fused = together([part.frames for part in held])
+        self._count(fused, views, np.concatenate(rows), held[-1].names)
 
     def scaled(self, fused: Block) -> Block:
         """Return a block whose uncertainty allows for how much the cameras scatter.
@@ -135,24 +133,21 @@ class ResidualMeter:
         factor = np.where(count > 0, total / np.maximum(count, 1), factors.mean())
         return restated(fused, factor * (uncertainty.deviations**2 - uncertainty.shared**2))
 
-    def _count(self, fused: Block, views: Sightings) -> None:
-        """Add the residuals of views to the histograms of their cameras."""
-        instants = self._first + np.repeat(np.arange(len(fused)), np.diff(fused.rows).ravel())
-        rows = rows_of(views, instants, fused.people.ids)
-        views, rows = chosen(views, rows >= 0), rows[rows >= 0]
+    def _count(self, fused: Block, views: Sightings, rows: Stamps, names: tuple[str, ...]) -> None:
+        """Add the residuals of views of people, by ``rows``, to the histograms of the cameras."""
         uncertainty = fused.uncertainty
         if uncertainty is None or not len(rows):
             return
-        sees = self._noise.sees(views, self._names)  # before positions become residuals
+        sees = self._noise.sees(views, names)  # before positions become residuals
         residuals = _residuals(views, fused, rows)
         posterior = uncertainty.deviations[rows] ** 2 - uncertainty.shared[rows] ** 2
-        white = self._noise.variances(views, self._names)
+        white = self._noise.variances(views, names)
         variances = white + self._noise.offsets**2 - posterior
         # An estimate that no measurement supports is as uncertain as the measurement.
         variances[variances <= 0.1 * white] = np.nan
         squares = (residuals**2).sum(axis=2)
         common = _common_share(residuals, squares)
-        for k, name in enumerate(self._names):
+        for k, name in enumerate(names):
             of_camera = views.cameras == k
             counts = histograms((squares[of_camera] / variances[of_camera]).T)
             self._events.tally(RESIDUAL, name, counts)
@@ -161,7 +156,7 @@ class ResidualMeter:
             whole = np.where(~np.isnan(squares)[:, :, None], residuals, 0.0).sum(axis=1)
             whole /= (~np.isnan(squares)).sum(axis=1)[:, None]
         # The result does not rest on displaced cameras.
-        excess = excess_of(views, whole, limits_of(self._names, self._noise.pose_errors))
+        excess = excess_of(views, whole, limits_of(names, self._pose_errors))
         weights = 1 / (white + self._noise.offsets**2 + excess[:, None])
         there = ~np.isnan(views.positions[:, :, 0])
         total = np.zeros((rows.max() + 1, weights.shape[1]))
@@ -169,9 +164,12 @@ class ResidualMeter:
         shares = np.where(there, weights, np.nan) / np.where(total > 0, total, np.nan)[rows]
         expected = posterior * (1 / shares - 1)
         expected[~sees | (shares > _ALONE) | (excess > 0)[:, None]] = np.nan
-        self._remember(views, residuals, expected, int(fused.stamps[-1]))
+        self._remember(views, residuals, expected, int(fused.stamps[-1]), names)
 
-    def _remember(self, views: Sightings, residuals: Floats, expected: Floats, stamp: int) -> None:
+    def _remember(
+        self, views: Sightings, residuals: Floats, expected: Floats, stamp: int,
+        names: tuple[str, ...],
+    ) -> None:  # fmt: skip
         """Add the means of residuals (N, M, 3) over a moment to the cameras' histograms.
 
         ``expected`` (N, M), m2, are their variances; where it is NaN, a residual does not count.
@@ -194,7 +192,7 @@ class ResidualMeter:
         passed = stamp - (stamp if self._last is None else self._last)
         keep = float(np.exp(-max(passed, 0) * 1e-9 / _MEMORY))
         self._last = stamp
-        for k, name in enumerate(self._names):
+        for k, name in enumerate(names):
             counts = histograms(squares[keys[0] == k].reshape(1, -1))[0]
             recent = self._recent[name] = counts + keep * self._recent.get(name, np.zeros(1))
             self._ratios[name] = float(ratios(recent[None])[0])

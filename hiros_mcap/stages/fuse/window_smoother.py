@@ -42,6 +42,7 @@ from hiros_mcap.stages.fuse.fusing import (
 )
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 from hiros_mcap.stages.fuse.pose_error import PoseError
+from hiros_mcap.stages.known_cameras import KnownCameras
 from hiros_mcap.stages.look_ahead import LookAhead
 from hiros_mcap.threads import give_back, run_each
 
@@ -56,22 +57,33 @@ of a joint's remembered place."""
 _ROUNDS = 3  # of smoothing again without displaced cameras; the first finds nearly all
 
 
+class Smoothed(NamedTuple):
+    """Fused frames, and what the cameras saw of the people in them."""
+
+    frames: Block
+    views: Sightings
+    rows: Stamps  # (N,) the row of each view among the people; -1 = none
+    names: tuple[str, ...]  # of the cameras
+
+
 class WindowSmoother:
     """Smooths window after window; the filters go on from one to the next.
 
     Parameters
     ----------
     model, params, noise : the skeleton; how long results wait; what is assumed of the cameras.
+    known : where the cameras stand and how their clocks go, and how well that is known.
     pose_error : what the cameras' poses add.
     """
 
     def __init__(
-        self, model: SkeletonModel, params: FuseParams, noise: FusionNoise, pose_error: PoseError
-    ) -> None:
-        self._params, self._noise = params, noise
+        self, model: SkeletonModel, params: FuseParams, noise: FusionNoise, known: KnownCameras,
+        pose_error: PoseError,
+    ) -> None:  # fmt: skip
+        self._params, self._noise, self._known = params, noise, known
         self._motion = noise.motion(params.freedom)
         self._pose_error = pose_error
-        self.displaced = DisplacedViews(noise.pose_errors)
+        self.displaced = DisplacedViews(known.errors)
         self._names: tuple[str, ...] = ()
         self._ahead = LookAhead()
         self._views: list[Sightings] = []
@@ -84,7 +96,7 @@ class WindowSmoother:
         m = model.n_markers
         self._bank: Bank[JointStates] = Bank(JointStates.unknown(0, m, 0), _FORGET)
 
-    def update(self, block: Block, views: Sightings, names: tuple[str, ...]) -> Iterator[Block]:
+    def update(self, block: Block, views: Sightings, names: tuple[str, ...]) -> Iterator[Smoothed]:
         """Add instants; yield those whose window is complete."""
         self._make_room(names)
         patience = round((self._params.window + self._params.lookahead) * 1e9)
@@ -107,7 +119,7 @@ class WindowSmoother:
                 yield self._smooth(first + round(self._params.window * 1e9), log_time, known)
         self._views.append(chosen(views, slice(taken, None)))
 
-    def rest(self) -> Iterator[Block]:
+    def rest(self) -> Iterator[Smoothed]:
         """Yield what is left at the end of the log."""
         if known := len(self._ahead):
             last = int(self._ahead.stamps[-1])
@@ -128,7 +140,7 @@ class WindowSmoother:
             covariances[:, :, k, k] = np.where(seen_before, self._noise.offsets**2, 0.0)
         self._bank.past = past._replace(means=means, covariances=covariances)
 
-    def _smooth(self, end: int, log_time: int, known: int) -> Block:
+    def _smooth(self, end: int, log_time: int, known: int) -> Smoothed:
         """Smooth the instants before ``end``, ns, or at least one, by those that are ``known``."""
         stamps = self._ahead.stamps[:known]
         n = max(int(np.searchsorted(stamps, end)), 1)
@@ -152,14 +164,14 @@ class WindowSmoother:
         # The filters have taken over what is before the boundary.
         self._taken = boundary
         self._views = [chosen(views, (views.stamps >= boundary) | (views.instants >= first + n))]
-        del views, window
-        return self._finished(out, log_time, poses, seen)
+        fused = self._finished(out, log_time, poses, seen)
+        return Smoothed(fused, views, of_views, self._names)
 
     def _without_displaced(self, window: FusionWindow, of_views: Stamps) -> FusedPoses:
         """Smooth a window. Cameras that prove to be displaced lose their weight."""
         views, white = window.views, window.variances
         least = LIMIT if self._params.displaced else math.inf
-        limits = limits_of(self._names, self._noise.pose_errors, least)
+        limits = limits_of(self._names, self._known.errors, least)
         ahead = self._params.window > 0
         known = not ahead and self._params.displaced
         excess = self.displaced.expected(views) if known else np.zeros(len(white))
@@ -200,7 +212,7 @@ class WindowSmoother:
     def _finished(self, out: Block, log_time: int, poses: FusedPoses, seen: Stamps) -> Block:
         """Write poses, confidences and uncertainty."""
         shared = self._pose_error.variances(poses.positions, seen, self._names)
-        if late := self._noise.time_variance(self._names, int(out.stamps[-1])):
+        if late := self._known.time_variance(self._names, int(out.stamps[-1])):
             shared = shared + late / 3 * (poses.velocities**2).sum(axis=-1)
         deviations = np.empty_like(shared)
         write_fused(poses, shared, _MAX_DEVIATION, HALF_CONFIDENCE, out.people, deviations)
