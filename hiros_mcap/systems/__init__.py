@@ -85,8 +85,8 @@ def hiros(run: Run) -> Stages:
     from hiros_mcap.stages.track.track import track_blocks
 
     config = run.config
-    mended, merging = _mended_views(run, guesses=True)
-    merge = run.stage(merge_blocks, merging, fixed_frame=run.fixed_frame, cameras=run.cameras)
+    mended = _mended_views(run, guesses=True)
+    merge = run.stage(merge_blocks, _merging(run), fixed_frame=run.fixed_frame, cameras=run.cameras)
     return {
         "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),  # 3.1
         "merged": lambda blocks: merge(mended(blocks)),  # 3.2
@@ -104,10 +104,10 @@ def fuse(run: Run) -> Stages:
     from hiros_mcap.stages.track.track import track_blocks
 
     config = run.config
-    mended, merging = _mended_views(run, guesses=False)
+    mended = _mended_views(run, guesses=False)
     fusion = run.stage(
-        fuse_blocks, config.fuse, merging=merging, fixed_frame=run.fixed_frame, known=run.known,
-        noise=run.noise,
+        fuse_blocks, config.fuse, merging=config.merge, fixed_frame=run.fixed_frame,
+        known=run.known, noise=run.noise,
     )  # fmt: skip
     bodies = run.stage(constrain_blocks, config.constrain, limbs=run.limbs)
     align = partial(align_blocks, model=run.model) if config.constrain.align else iter
@@ -123,27 +123,32 @@ def fuse(run: Run) -> Stages:
     }
 
 
-def _mended_views(run: Run, *, guesses: bool) -> tuple[BlockStage, MergeParams]:
-    """Return what comes between tracker and merger, and the merger's parameters.
+def _mended_views(run: Run, *, guesses: bool) -> BlockStage:
+    """Return what comes between the tracker and the merger or fuser.
 
     Detections that contradict the person's own body count less; then left and right are decided;
     then joints that a camera does not see count less. With ``guesses``, so do those that its
-    detector guesses by its own word. Where left and right are decided, the merger does not vote
-    on them (section 3.2).
+    detector guesses by its own word.
     """
     from hiros_mcap.stages.detections.hidden import mend_hidden_blocks
     from hiros_mcap.stages.detections.plausible import drop_implausible_blocks
-    from hiros_mcap.stages.detections.sides import decide_sides, knows_sides
+    from hiros_mcap.stages.detections.sides import decide_sides
 
-    merging = run.config.merge
-    if run.config.sides.over_time and knows_sides(run.model):
-        merging = merging.model_copy(update={"max_facing_delta": 0.0})
     bodies = run.stage(drop_implausible_blocks, run.config.plausible, cameras=run.cameras)
     decide = run.stage(decide_sides, run.config.sides)
     hidden = run.stage(
         mend_hidden_blocks, run.config.plausible, cameras=run.cameras, guesses=guesses
     )
-    return lambda blocks: hidden(decide(bodies(blocks))), merging
+    return lambda blocks: hidden(decide(bodies(blocks)))
+
+
+def _merging(run: Run) -> MergeParams:
+    """Return the merger's parameters: it does not vote on sides that are decided (section 3.2)."""
+    from hiros_mcap.stages.detections.sides import knows_sides
+
+    if run.config.sides.over_time and knows_sides(run.model):
+        return run.config.merge.model_copy(update={"max_facing_delta": 0.0})
+    return run.config.merge
 
 
 def merging_order(params: MergeParams) -> tuple[str, ...]:

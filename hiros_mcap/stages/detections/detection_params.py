@@ -42,9 +42,9 @@ class SidesParams(Params):
     over_time: bool = Field(
         True,
         description="Decide over time which way each person faces, by labels, body cues and "
-        "walking direction, and exchange left and right of views that contradict it. false: of "
-        "each instant, views whose pelvis faces another way than most are left out (Hi-ROS 2023, "
-        "section 3.2).",
+        "walking direction, and exchange left and right of views that contradict it. false: labels "
+        "stay; hiros leaves out the views of an instant whose pelvis faces another way than most "
+        "(Hi-ROS 2023, section 3.2), fuse does not.",
     )
     lookahead: float = Field(
         1.0,

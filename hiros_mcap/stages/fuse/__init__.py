@@ -1,6 +1,7 @@
 """Our own system: one estimate from all views of a person in a window of time.
 
 fuse.py              the page
+gathering.py         views by instants, and what their orientations come to
 window_smoother.py   the estimate; fusing.py is its compiled loop
 pose_error.py        how well each camera's pose is known
 fusion_noise.py      how well each camera sees; residuals.py

@@ -143,7 +143,7 @@ def by_instants(
 
 MergeKernel = Callable[[Buffers, People, int, People, Stamps], None]
 """Merges ``buffers`` of messages that show ``people``, at most so many views of one person, into
-the people whose ids a third argument holds, and adds to (2, C) counts by camera."""
+the people whose ids a third argument holds, and adds to counts (N, C) of N kinds by camera."""
 
 
 class InstantMerger:
@@ -165,7 +165,7 @@ class InstantMerger:
 
     def __init__(
         self, model: SkeletonModel, kernel: MergeKernel, bank: Bank[Any], events: Events,
-        fixed_frame: str, counted: tuple[str, str], unseen: Unseen | None = None,
+        fixed_frame: str, counted: tuple[str, ...] = (), unseen: Unseen | None = None,
         widths: tuple[int, int] = (STATE, STATE),
     ) -> None:  # fmt: skip
         self._model, self._kernel, self._bank = model, kernel, bank
@@ -219,7 +219,7 @@ class InstantMerger:
         out.stamps[:] = np.repeat(stamps, sizes)
         out.confidences.fill(np.nan)
         out.boxes.fill(np.nan)
-        counts = np.zeros((2, len(self._cameras)), np.int64)
+        counts = np.zeros((len(self._counted), len(self._cameras)), np.int64)
         first = 0
         for plan in plans:
             part = out.at(slice(first, first + len(plan.ids)))

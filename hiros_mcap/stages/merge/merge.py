@@ -25,7 +25,7 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
 from hiros_mcap.kernels.array_types import settings_of
 from hiros_mcap.kernels.averaging import Buffers, Views
-from hiros_mcap.skeletons import POSE, STATE, VELOCITY, Floats, People, SkeletonModel, Stamps
+from hiros_mcap.skeletons import Floats, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.detections.hidden_joints import HONEST
 from hiros_mcap.stages.merge import merging
@@ -68,25 +68,14 @@ def merge_blocks(
 
 
 class ViewMerger:
-    """The compiled merger, with its settings, scratch and what it remembers of people.
+    """The compiled merger, with its settings, scratch and what it remembers of people."""
 
-    ``only_orientations``: positions and velocities come from elsewhere, as in the fuser. Markers
-    are merged only where they have orientations, and other derivatives are left out.
-    """
-
-    def __init__(
-        self, model: SkeletonModel, params: MergeParams, *, only_orientations: bool = False
-    ) -> None:
+    def __init__(self, model: SkeletonModel, params: MergeParams) -> None:
         self._slots = model.n_markers, model.n_links
         self._settings = settings_of(
-            merging.MergerSettings, params,
-            pelvis_link=_pelvis_link(model), only_orientations=only_orientations,
-        )  # fmt: skip
-        self.widths = (VELOCITY.stop, POSE) if only_orientations else (STATE, STATE)
-        """Columns of merged markers and links."""
-        self.bank = Bank(merging.MergerPast.empty(*self._slots, self.widths))
-        self.flipped = np.zeros(0, np.bool_)
-        """Which views of the last call were dropped; see :func:`merging.merge_buffers`."""
+            merging.MergerSettings, params, pelvis_link=_pelvis_link(model)
+        )
+        self.bank = Bank(merging.MergerPast.empty(*self._slots))
         self._make_room(0)
 
     def _make_room(self, views: int) -> None:
@@ -104,11 +93,9 @@ class ViewMerger:
         while counts.shape[1] > offsets.shape[1]:
             offsets = np.concatenate([offsets, np.zeros_like(offsets)], axis=1)
         self.bank.past = self.bank.past._replace(camera_offsets=offsets)
-        self.flipped = np.zeros(len(people.ids), np.bool_)
         merging.merge_buffers(
-            buffers, people, self._views, self.bank.past, self._settings, out, counts, self.flipped,
-            self._work,
-        )  # fmt: skip
+            buffers, people, self._views, self.bank.past, self._settings, out, counts, self._work
+        )
 
 
 def weighted_by_sight(people: People, hidden: Floats) -> People:

@@ -9,8 +9,6 @@ import numpy as np
 
 from hiros_mcap.kernels.array_types import B1, F1, F2, F3, F4, I1, I2, arrays
 from hiros_mcap.kernels.averaging import (
-    BEGIN,
-    END,
     ORIENTATION,
     POSITION,
     VELOCITY,
@@ -26,7 +24,7 @@ from hiros_mcap.kernels.averaging import (
 from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.kernels.points import norm3, step_between
 from hiros_mcap.kernels.quaternions import angle_of
-from hiros_mcap.skeletons import Flags, Floats, People, Stamps
+from hiros_mcap.skeletons import STATE, Flags, Floats, People, Stamps
 
 OUTLIERS, FLIPS = 0, 1
 """Rows of ``counts``: votes that a camera lost, and its views that faced the wrong way."""
@@ -53,8 +51,6 @@ class MergerSettings(NamedTuple):
     pelvis_link: int  # slot; -1 = there is none
     past_votes: bool
     compensate_motion: bool
-    only_orientations: bool
-    """Whether positions are of no use: markers are merged only where they have orientations."""
 
 
 class MergerPast(NamedTuple):
@@ -69,10 +65,10 @@ class MergerPast(NamedTuple):
     camera_offsets: F4  # (S, C, M, 3) slow offset of each camera's markers from the merged ones, m
 
     @classmethod
-    def empty(cls, n_markers: int, n_links: int, widths: tuple[int, int]) -> MergerPast:
-        """Return arrays with no rows; ``widths`` are the columns of markers and links."""
+    def empty(cls, n_markers: int, n_links: int) -> MergerPast:
+        """Return arrays with no rows."""
         m, n = (0, n_markers), (0, n_links)
-        return arrays(cls, 0, 0, (*m, widths[0]), m, (*n, widths[1]), n, (0, 4, n_markers, 3))
+        return arrays(cls, 0, 0, (*m, STATE), m, (*n, STATE), n, (0, 4, n_markers, 3))
 
 
 class MergerWork(NamedTuple):
@@ -87,13 +83,12 @@ class MergerWork(NamedTuple):
     link_weights: F2  # (K, M) and (K, L)
     past_positions: F2
     past_orientations: F2  # (M, 3) and (L, 4)
-    flipped: B1  # (K,) views that were dropped because they face the wrong way
 
     @classmethod
     def of(cls, views: int, n_markers: int, n_links: int) -> MergerWork:
         """Make room."""
         k, m, n = views, n_markers, n_links
-        return arrays(cls, (k + 1, 4), (k + 1) ** 2, k, k, k, (k, m), (k, n), (m, 3), (n, 4), k)
+        return arrays(cls, (k + 1, 4), (k + 1) ** 2, k, k, k, (k, m), (k, n), (m, 3), (n, 4))
 
 
 class _Slots(NamedTuple):
@@ -118,16 +113,14 @@ def _merge_person(
     _drop_flipped(views, has_past, settings, counts, work)
     offsets = past.camera_offsets[row]
     blank_person(out, p)
-    with_markers = not settings.only_orientations or _have_orientations(views.markers)
-    if with_markers:
-        _subtract_offsets(views, offsets)
-        _merge_slots(  # outliers by Euclidean distance, then eq 12
-            _Slots(
-                views.markers, views.marker_confidences, views.confidences, work.marker_weights,
-                work.past_positions, out.markers[p], out.marker_confidences[p],
-            ),
-            False, settings.max_position_delta, settings, views.cameras, counts, work,
-        )  # fmt: skip
+    _subtract_offsets(views, offsets)
+    _merge_slots(  # outliers by Euclidean distance, then eq 12
+        _Slots(
+            views.markers, views.marker_confidences, views.confidences, work.marker_weights,
+            work.past_positions, out.markers[p], out.marker_confidences[p],
+        ),
+        False, settings.max_position_delta, settings, views.cameras, counts, work,
+    )  # fmt: skip
     _merge_slots(  # outliers by eq 10, then eq 12
         _Slots(
             views.links, views.link_confidences, views.confidences, work.link_weights,
@@ -136,22 +129,11 @@ def _merge_person(
         True, settings.max_orientation_delta, settings, views.cameras, counts, work,
     )  # fmt: skip
     mean_person(stamp, views, settings.compensate_motion, out, p)
-    if with_markers:
-        _learn_offsets(
-            views, work.marker_weights, out.markers[p], _rate(stamp, past, row, settings), offsets
-        )
+    _learn_offsets(
+        views, work.marker_weights, out.markers[p], _rate(stamp, past, row, settings), offsets
+    )
     past.seen[row] = stamp
     copy_pose(past, row, out, p)
-
-
-@kernel
-def _have_orientations(markers: Floats) -> bool:
-    """Whether any marker of the views (K, M, 19) has an orientation."""
-    for k in range(len(markers)):
-        for m in range(markers.shape[1]):
-            if not math.isnan(markers[k, m, ORIENTATION]):
-                return True
-    return False
 
 
 @kernel
@@ -298,7 +280,6 @@ def _drop_flipped(
     """
     n, limit, pelvis = len(views.stamps), settings.max_facing_delta, settings.pelvis_link
     size = n + 1 if has_past else n
-    work.flipped[:n] = False
     if limit <= 0.0 or pelvis < 0:
         return
     for c in range(4):
@@ -313,7 +294,6 @@ def _drop_flipped(
     best = largest_group(distances, confidences, has_past, limit)
     for k in range(n if best >= 0 else 0):
         if distances[best, k] >= limit:
-            work.flipped[k] = True
             counts[FLIPS, views.cameras[k]] += 1
             for m in range(views.markers.shape[1]):
                 views.markers[k, m, POSITION] = np.nan
@@ -560,23 +540,10 @@ def _learn_offsets(
                     offsets[views.cameras[k], m, c] += share * difference
 
 
-@kernel
-def _note_flipped(
-    buffers: Buffers, q: int, people: People, person: int, flipped: Flags, out: Flags
-) -> None:
-    """Write which of a person's views were dropped to their rows of ``people``."""
-    n = 0
-    for k in range(buffers.message_ends[q], buffers.message_ends[q + 1]):
-        for i in range(buffers.messages[k, BEGIN], buffers.messages[k, END]):
-            if people.ids[i] == person:
-                out[i] = flipped[n]
-                n += 1
-
-
 @entry
 def merge_buffers(
     buffers: Buffers, people: People, scratch: Views, past: MergerPast, settings: MergerSettings,
-    out: People, counts: I2, flipped: B1, work: MergerWork,
+    out: People, counts: I2, work: MergerWork,
 ) -> None:  # fmt: skip
     """Merge buffer after buffer.
 
@@ -588,7 +555,6 @@ def merge_buffers(
     out : (P,) the merged people. ``ids`` say whom to merge; ``stamps`` hold the merged times. Who
         is in no message of a buffer is carried on from the past.
     counts : (2, C) outliers and flips by camera; added to.
-    flipped : whether each row of ``people`` was dropped, since it faces the wrong way.
     """
     for q in range(len(buffers.stamps)):
         for p in range(buffers.people_ends[q], buffers.people_ends[q + 1]):
@@ -598,4 +564,3 @@ def merge_buffers(
                 _bridge(buffers.stamps[q], past, row, settings, out, p)
                 continue
             _merge_person(buffers.stamps[q], views, past, row, settings, out, p, counts, work)
-            _note_flipped(buffers, q, people, out.ids[p], work.flipped, flipped)
