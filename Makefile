@@ -33,7 +33,7 @@ types: $(VENV)/.installed-dev
 	$(BIN)/mypy
 
 tests: $(VENV)/.installed-dev
-	$(BIN)/hiros warmup
+	$(BIN)/hiros warmup --all
 	$(BIN)/pytest -n auto --dist worksteal
 
 docs: $(VENV)/.installed-docs

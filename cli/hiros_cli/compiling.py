@@ -32,13 +32,15 @@ def importing() -> Iterator[None]:
         gc.enable()
 
 
-def prepare(*, quiet: bool) -> None:
+def prepare(*, quiet: bool, system: str | None = None, everything: bool = False) -> None:
     """Compile the kernels that are missing. Call before anything imports kernels.
 
-    None are missing where the installation brings them. Raises MemoryError if a limit leaves too
-    little.
+    None are missing where the installation brings them. Those that only other systems than the
+    default need are compiled for such a ``system``, or with ``everything``. Raises MemoryError if
+    a limit leaves too little.
     """
     from hiros_mcap import kernels
+    from hiros_mcap.defaults import DEFAULT_SYSTEM, LIVE_SYSTEM
     from hiros_mcap.kernels import shipped
     from hiros_mcap.threads import share_heap
 
@@ -47,7 +49,8 @@ def prepare(*, quiet: bool) -> None:
     if shipped.usable():
         return
     lasts = _ensure_writable()
-    missing = kernels.missing()
+    others = system not in (None, DEFAULT_SYSTEM, LIVE_SYSTEM)
+    missing = kernels.missing(everything=everything or others)
     if missing and not quiet:
         print(f"hiros: {kernels.NOTICE}", file=sys.stderr, flush=True)
     if missing and lasts:

@@ -25,21 +25,30 @@ from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 
-NOTICE = "compiling kernels for this machine, once (3 to 4 minutes of CPU time)"
+NOTICE = "compiling kernels for this machine, once (2 to 3 minutes of CPU time)"
 
 # A kernel that Python calls; the others are compiled into their callers.
 _ENTRY = re.compile(r"^@entry\b.*\ndef (\w+)", re.MULTILINE)
 _IMPORT = re.compile(r"^from (hiros_mcap[\w.]*) import (?:\(([^)]*)\)|(.*)$)", re.MULTILINE)
 _PACKAGE = Path(__file__).parent.parent
+_OF_OTHERS = (
+    *("stages.filter.butterworth", "stages.lee.clustering", "stages.merge.merging"),
+    *("stages.optimize.energy", "stages.optimize.optimizing"),
+)
+"""Below hiros_mcap: what neither fuse nor fuse-realtime runs."""
 _PLACES = ("kernels/*.py", "calibrate/*.py", "stages/*.py", "stages/*/*.py")
 
 
-def sources() -> Mapping[str, str]:
-    """Name -> source of every module that is compiled when it is imported."""
+def sources(*, everything: bool = True) -> Mapping[str, str]:
+    """Name -> source of every module that is compiled when it is imported.
+
+    Without ``everything``, those that ``fuse`` and ``fuse-realtime`` have no use for are left out.
+    """
     texts = {}
     for path in sorted(path for place in _PLACES for path in _PACKAGE.glob(place)):
-        parts = path.relative_to(_PACKAGE.parent).with_suffix("").parts
-        texts[".".join(parts)] = path.read_text()
+        name = ".".join(path.relative_to(_PACKAGE).with_suffix("").parts)
+        if everything or name not in _OF_OTHERS:
+            texts[f"hiros_mcap.{name}"] = path.read_text()
     return {name: text for name, text in texts.items() if _ENTRY.search(text)}
 
 
@@ -96,11 +105,11 @@ def is_private(folder: Path) -> bool:
     return all(s.st_uid in (0, os.geteuid()) and not s.st_mode & 0o022 for s in states)
 
 
-def missing() -> dict[str, list[Path]]:
+def missing(*, everything: bool = True) -> dict[str, list[Path]]:
     """Return module -> files of its kernels that no former run on this machine has compiled."""
     files = {
         module: [folder_of(module) / f"{module}.{name}" for name in _ENTRY.findall(source)]
-        for module, source in sources().items()
+        for module, source in sources(everything=everything).items()
     }
     absent = {module: [f for f in paths if not f.exists()] for module, paths in files.items()}
     return {module: paths for module, paths in absent.items() if paths}

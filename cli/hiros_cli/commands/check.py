@@ -72,7 +72,7 @@ def check(
         if value:
             raise ConfigError(f"--{name} has no effect on {what} (see hiros check --help)")
     target = Path() if is_many else one_log(context, targets[0])
-    prepare(quiet=many.quiet or many.json)
+    prepare(quiet=many.quiet or many.json, everything=True)
     if is_suite:
         results = _run_suite(target, many, junit, markdown, bless=bless, only=only or (), keep=keep)
         return _show(results, json=many.json, quiet=many.quiet)

@@ -80,7 +80,7 @@ def compare(
     for path in paths:
         check_recording(path)
         settings_of(path)
-    prepare(quiet=quiet or json)
+    prepare(quiet=quiet or json, everything=True)
     from hiros_mcap.evaluate.comparison import DEFAULT, Entry, Task, camera_subsets, comparison
 
     with ExitStack() as stack:

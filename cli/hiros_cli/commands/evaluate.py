@@ -123,7 +123,7 @@ def evaluate(
     log = one_log(context, logs[0])
     inputs = (log, scoring.truth, parameters.config)
     check_outputs((html, "HTML page"), (table, "table of scores"), inputs=inputs, force=many.force)
-    prepare(quiet=many.quiet or many.json)
+    prepare(quiet=many.quiet or many.json, system=parameters.system)
     from hiros_cli.evaluation import Output
 
     settings = settings_of(logs[0], parameters.settings())
@@ -170,7 +170,7 @@ def _many(
     scoring: Scoring, parameters: Parameters, logs: Sequence[str], many: ManyLogs, folder: str
 ) -> NoReturn:
     """Score many logs, each with the parameters of its own folder."""
-    prepare(quiet=many.quiet or many.json)
+    prepare(quiet=many.quiet or many.json, system=parameters.system)
     settings, truth = parameters.settings(), scoring.truth
     if settings.file is not None:
         settings = replace(settings, file=settings.file.absolute())
