@@ -43,7 +43,9 @@ def answer(command: Any) -> int:
 
 def systems(incomplete: str) -> list[str]:
     """Names for --system."""
-    return _starting(incomplete, SYSTEM_NAMES)
+    from hiros_mcap.plugins import SYSTEMS, names
+
+    return _starting(incomplete, (*SYSTEM_NAMES, *names(SYSTEMS)))
 
 
 def presets(incomplete: str) -> list[str]:

@@ -235,11 +235,15 @@ class HelpfulCommand(TyperCommand):
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write one section per group: the command's own options come before shared ones."""
+        from hiros_mcap.plugins import SYSTEMS, names
+
         groups: dict[str, list[tuple[str, str]]] = {}
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx)
             if record is not None:
                 name, text = record
+                if parameter.name == "system" and (others := names(SYSTEMS)):
+                    text += f" Packages bring {', '.join(others)}."
                 groups.setdefault(_group_of(parameter), []).append((name, _plain(text)))
         titles = sorted(groups, key=lambda title: title != "Arguments")
         titles.remove(_REST)

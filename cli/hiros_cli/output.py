@@ -112,9 +112,13 @@ def printable(text: object, limit: int = LIMIT) -> str:
 def error_line(error: BaseException, *, bug: bool = False) -> str:
     """One line that says what is wrong, ``hiros: error: ...``."""
     if bug:
+        from hiros_mcap.plugins import SYSTEMS, names
+
         what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        others = ", ".join(names(SYSTEMS))
+        whose = f"hiros, or of the system {others} of a package" if others else "hiros"
         return printable(
-            f"hiros: bug: {what} (this is a fault of hiros, not of your input; please report it "
+            f"hiros: bug: {what} (this is a fault of {whose}, not of your input; please report it "
             "with the output of --debug)",
             LINE_LIMIT,
         )

@@ -48,7 +48,7 @@ from hiros_mcap.io.marker_uncertainty import (
 from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.running.recording import Recording
 from hiros_mcap.skeletons import Frame, SkeletonModel
-from hiros_mcap.systems import SYSTEMS
+from hiros_mcap.systems import system_names
 
 _FIRST_MESSAGES = 100
 """Cameras of a channel that take turns are all among them."""
@@ -415,8 +415,11 @@ def settings_of(
     with reading(log) as reader:
         facts = dict(reader.contents.metadata).get(PROVENANCE, {})
         name = facts.get("system", "")
-        if asked or name not in SYSTEMS:
+        if asked or not name:
             return config, ProcessOptions(system)
+        if name not in system_names():
+            fault = f"its system {name} is not installed here; install it, or name a --system"
+            raise LogError(fault, path=reader.path)
         text = (reader.attachment(CONFIG_ATTACHMENT) or b"").decode(errors="replace")
         try:
             table = tomllib.loads(text)

@@ -35,7 +35,7 @@ from hiros_mcap.io.detectors.conversion import Selection
 from hiros_mcap.io.log import Log, Reading, open_log, open_reader
 from hiros_mcap.io.result import stored_parameters, stored_report, values_of
 from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
-from hiros_mcap.systems import SYSTEMS, sections_of
+from hiros_mcap.systems import sections_of
 from hiros_mcap.wording import plain, quantity
 
 _GAP_S = 1.0
@@ -401,8 +401,11 @@ def _stored_warnings(reader: McapReader) -> tuple[str, ...]:
 
 
 def _changed(values: Mapping[str, str], system: str) -> tuple[str, tuple[ParameterRow, ...]]:
-    """Find the preset that is nearest to the parameters of a run, and what differs from it."""
-    if not values or system not in SYSTEMS:
+    """Find the preset that is nearest to the parameters of a run, and what differs from it.
+
+    Raises ConfigError if the system is not installed here.
+    """
+    if not values:
         return "", ()
     rows: dict[str, tuple[ParameterRow, ...]] = {}
     for preset in presets_of(system):

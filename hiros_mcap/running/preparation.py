@@ -144,8 +144,15 @@ def camera_positions(log: Log) -> dict[str, Floats]:
 
 
 def stages_of(run: Run, chain: Sequence[str]) -> Stages:
-    """Return the stages of a run by their output channels, in order."""
+    """Return the stages of a run by their output channels, in order.
+
+    Raises ConfigError if a package's system lacks a channel that its chains name.
+    """
     table = system(run.system).stages(run)
+    if missing := [name for name in chain if name not in table]:
+        raise ConfigError(
+            f"system {run.system} fills no channel {missing[0]!r}, which its chains name"
+        )
     return {name: table[name] for name in chain}
 
 

@@ -6,17 +6,22 @@ have its association by centroids (III-A). Lee follows one person with cameras t
 synchronises. Here the tracker of Hi-ROS comes first, and every person is merged as the paper merges
 its one. The variants A1 to A5 of section 3.1 are the same stages with other parameters
 (``systems/presets``).
+
+Packages bring others by an entry point of the group ``hiros.systems``, which names a
+:class:`System`; docs/own-system.md shows one.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
+from hiros_mcap import plugins
 from hiros_mcap.body.limb_table import LimbTable
-from hiros_mcap.config import Config
+from hiros_mcap.config import PRESETS, Config
 from hiros_mcap.defaults import DEFAULT_SYSTEM
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.events import Events
@@ -270,11 +275,42 @@ SYSTEMS: dict[str, System] = {
 }
 
 
+def system_names() -> tuple[str, ...]:
+    """Return the names of all systems, ours first; ConfigError if two packages bring one name."""
+    others = plugins.installed(plugins.SYSTEMS)
+    return (*SYSTEMS, *(name for name in others if name not in SYSTEMS))
+
+
 def system(name: str) -> System:
-    """Return a system by its name; raises ConfigError if there is none."""
+    """Return a system by its name.
+
+    Raises ConfigError if there is none, two have this name, or the package that brings it is
+    faulty.
+    """
+    if name in plugins.installed(plugins.SYSTEMS):
+        return _installed(name)
     if name not in SYSTEMS:
-        raise ConfigError(f"no system {name!r} (there are: {', '.join(SYSTEMS)})")
+        raise ConfigError(f"no system {name!r} (there are: {', '.join(system_names())})")
     return SYSTEMS[name]
+
+
+@cache
+def _installed(name: str) -> System:
+    point = plugins.installed(plugins.SYSTEMS)[name]
+    if name in SYSTEMS or name in PRESETS:
+        raise plugins.faulty(point, "has the name of a system or preset of hiros")
+    found = plugins.load(point)
+    if not isinstance(found, System):
+        raise plugins.faulty(point, "is no hiros_mcap.systems.System")
+    unknown = [section for section in found.sections if section not in Config.model_fields]
+    if unknown:
+        raise plugins.faulty(point, f"reads {unknown[0]!r}, which is no section of parameters")
+    if not (found.chains and all(re.fullmatch("TM?O?F?", chain) for chain in found.chains)):
+        chains = ", ".join(found.chains) or "of no stage"
+        raise plugins.faulty(
+            point, f"has the chains {chains}; T, M, O and F are right, in this order"
+        )
+    return found
 
 
 def sections_of(name: str) -> tuple[str, ...]:

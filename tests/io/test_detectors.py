@@ -18,6 +18,7 @@ from mcap.writer import Writer
 
 import hiros_schemas
 from hiros_cli.app import run
+from hiros_mcap import plugins
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate import evaluate, load_truth
@@ -419,13 +420,23 @@ def test_the_reader_of_the_documentation_reads(tmp_path, scene, monkeypatch):
         np.testing.assert_allclose(a.positions, b.positions[:, slots], atol=1e-5)
 
 
-def test_a_reader_that_cannot_be_loaded_is_named(monkeypatch):
-    point = EntryPoint("lab", "nowhere.reader:Lab", detectors.GROUP)
-    monkeypatch.setattr(detectors, "entry_points", lambda group: [point])
-    detectors._installed.cache_clear()
-    with pytest.raises(ConfigError, match=r"detector reader lab \(nowhere.reader:Lab\)"):
+@pytest.mark.parametrize(
+    ("value", "fault"),
+    [
+        ("nowhere.reader:Lab", "cannot be loaded: No module named 'nowhere'"),
+        ("os:path", "is no DetectorReader"),
+    ],
+)
+def test_a_reader_that_cannot_be_loaded_is_named(value, fault, monkeypatch):
+    point = EntryPoint("lab", value, plugins.DETECTORS)
+    monkeypatch.setattr(plugins, "entry_points", lambda group: [point])
+    for cached in (plugins.installed, detectors._installed):
+        cached.cache_clear()
+    words = f"the detector reader lab ({value}) of a package without a name {fault}; install"
+    with pytest.raises(ConfigError, match=re.escape(words)):
         detector_readers()
-    detectors._installed.cache_clear()
+    for cached in (plugins.installed, detectors._installed):
+        cached.cache_clear()
 
 
 # Azure Kinect: which markers are bodies

@@ -16,12 +16,12 @@ def systems() -> None:
     """List the systems for --system, their stages and variants."""
     prepare(quiet=False)
     from hiros_cli.run_report import page, table
-    from hiros_mcap.systems import SYSTEMS
+    from hiros_mcap.systems import system, system_names
 
-    rows = []
-    for base in (name for name, system in SYSTEMS.items() if not system.of):
-        rows.append((base, SYSTEMS[base].text, ", ".join(SYSTEMS[base].chains)))
-        rows += [(f"  {name}", row.text, "") for name, row in SYSTEMS.items() if row.of == base]
+    table_of, rows = {name: system(name) for name in system_names()}, []
+    for base in (name for name, row in table_of.items() if row.of not in table_of):
+        rows.append((base, table_of[base].text, ", ".join(table_of[base].chains)))
+        rows += [(f"  {name}", row.text, "") for name, row in table_of.items() if row.of == base]
     page((), table("System", "What it is", "Stages", rows=rows))
 
 

@@ -10,9 +10,7 @@ the group ``hiros.detectors``::
 from __future__ import annotations
 
 from functools import cache
-from importlib.metadata import entry_points
 
-from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.detectors.azure_kinect import AzureKinectMarkers
 from hiros_mcap.io.detectors.body_models import body_model, linked
 from hiros_mcap.io.detectors.detector_reader import (
@@ -25,6 +23,7 @@ from hiros_mcap.io.detectors.detector_reader import (
 from hiros_mcap.io.detectors.human_frames import HumanFrames
 from hiros_mcap.io.detectors.skeleton_groups import SkeletonGroups
 from hiros_mcap.io.detectors.zed import ZedBodies
+from hiros_mcap.plugins import DETECTORS, faulty, installed, load
 
 __all__ = [
     "DetectorMessage",
@@ -37,7 +36,6 @@ __all__ = [
     "seen_people",
 ]
 
-GROUP = "hiros.detectors"
 _READERS: list[type[DetectorReader]] = [SkeletonGroups, AzureKinectMarkers, ZedBodies, HumanFrames]
 
 
@@ -51,7 +49,7 @@ def register_detector(reader: type[DetectorReader]) -> type[DetectorReader]:
 def detector_readers() -> tuple[type[DetectorReader], ...]:
     """Return all readers in the order in which they are asked.
 
-    Raises ConfigError for an entry point that cannot be loaded.
+    Raises ConfigError for an entry point that cannot be loaded, or is no reader.
     """
     return (*_READERS, *(r for r in _installed() if r not in _READERS))
 
@@ -59,11 +57,9 @@ def detector_readers() -> tuple[type[DetectorReader], ...]:
 @cache
 def _installed() -> tuple[type[DetectorReader], ...]:
     readers = []
-    for point in entry_points(group=GROUP):
-        try:
-            readers.append(point.load())
-        except Exception as error:  # anything can go wrong in it
-            raise ConfigError(
-                f"the detector reader {point.name} ({point.value}) cannot be loaded: {error}"
-            ) from error
+    for point in installed(DETECTORS).values():
+        reader = load(point)
+        if not (isinstance(reader, type) and issubclass(reader, DetectorReader)):
+            raise faulty(point, "is no DetectorReader")
+        readers.append(reader)
     return tuple(readers)
