@@ -160,7 +160,7 @@ def _output(
     from hiros_mcap.io.foxglove_server import FoxgloveServer
 
     with contextlib.ExitStack() as stack:
-        server = FoxgloveServer(wanted)
+        server = FoxgloveServer(wanted, warn)
         stack.callback(server.discard)
         if not quiet:
             print(f"hiros: serving the results at {server.url}", file=sys.stderr, flush=True)
