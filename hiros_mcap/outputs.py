@@ -7,8 +7,9 @@ import re
 import secrets
 import shutil
 import tempfile
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing import parent_process
 from pathlib import Path
 from typing import BinaryIO, Literal
@@ -194,10 +195,26 @@ def add_block(copy: BinaryIO, block: bytes, name: object) -> None:
 
 
 def temporary_name(target: Path) -> Path:
-    """Return a new name beside ``target``; it holds the number of the run's first process."""
+    """Return a new name beside ``target``: the number of the run's first process, and the time.
+
+    The time is for whoever finds what a run has left that was killed.
+    """
     parent = parent_process()
     run = os.getpid() if parent is None else parent.pid
-    return target.with_name(f".hiros-{run}-{secrets.token_hex(6)}.tmp")
+    now = time.strftime("%Y-%m-%d-%H%M%S")
+    return target.with_name(f".hiros-{run}-{now}-{secrets.token_hex(6)}.tmp")
+
+
+def sync_folder(folder: Path) -> None:
+    """Write the names of a folder's files to the disk, where the system can do that."""
+    if not hasattr(os, "O_DIRECTORY"):
+        return
+    with suppress(OSError):  # some network drives refuse it
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 def remove_parts(folder: Path) -> None:

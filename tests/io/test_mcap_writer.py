@@ -1,7 +1,10 @@
 import os
 import random
 import resource
+import signal
 import stat
+import subprocess
+import sys
 import threading
 import time
 from dataclasses import replace
@@ -193,6 +196,32 @@ def test_without_a_commit_nothing_appears(out):
         writer.write(writer.add_channel("/a", 0), 1, b"x")
         assert [p.suffix for p in out.parent.iterdir()] == [".tmp"]
     assert list(out.parent.iterdir()) == []
+
+
+def test_the_new_name_is_on_the_disk_when_a_log_is_finished(out, monkeypatch):
+    synced, fsync = [], os.fsync
+
+    def spy(descriptor):
+        synced.append((os.fstat(descriptor).st_ino, out.exists()))
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", spy)
+    write(out, [(1, 1, b"x")])
+    assert synced == [(out.stat().st_ino, False), (out.parent.stat().st_ino, True)]
+
+
+def test_what_a_killed_run_leaves_tells_when_it_began(out):
+    program = (
+        "import os, signal, sys; from hiros_mcap.io.container import McapWriter\n"
+        "writer = McapWriter(sys.argv[1]); os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    process = subprocess.Popen([sys.executable, "-c", program, out])
+    assert process.wait() == -signal.SIGKILL
+    (left,) = out.parent.iterdir()
+    prefix = f".hiros-{process.pid}-"
+    assert left.name.startswith(prefix)
+    began = time.mktime(time.strptime(left.name.removeprefix(prefix)[:17], "%Y-%m-%d-%H%M%S"))
+    assert 0 <= time.time() - began < 120
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])

@@ -31,7 +31,7 @@ from hiros_mcap.kernels.record_index import (
     SHORT_MESSAGE,
     index_records,
 )
-from hiros_mcap.outputs import temporary_name
+from hiros_mcap.outputs import sync_folder, temporary_name
 
 if TYPE_CHECKING:
     import zstandard
@@ -330,6 +330,7 @@ class OutputFile(Sink):
             os.fsync(self._file.fileno())
             self._file.close()
             self.temp.replace(self._target)
+            sync_folder(self._target.parent)  # else a power cut may undo the new name
         except (OSError, ValueError) as error:
             raise self._error(error) from None
 
