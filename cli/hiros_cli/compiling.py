@@ -46,11 +46,11 @@ def prepare(*, quiet: bool, system: str | None = None, everything: bool = False)
 
     _ensure_memory()
     share_heap()
-    if shipped.usable():
+    everything |= system not in (None, DEFAULT_SYSTEM, LIVE_SYSTEM)
+    if shipped.usable() or _is_complete(everything=everything):
         return
     lasts = _ensure_writable()
-    others = system not in (None, DEFAULT_SYSTEM, LIVE_SYSTEM)
-    missing = kernels.missing(everything=everything or others)
+    missing = kernels.missing(everything=everything)
     if missing and not quiet:
         print(f"hiros: {kernels.NOTICE}", file=sys.stderr, flush=True)
     if missing and lasts:
@@ -116,6 +116,17 @@ def _ensure_memory() -> None:
         raise MemoryError(
             f"the process may take {limit >> 20} MiB (ulimit -v), and needs {_ADDRESSES >> 20} MiB"
         )
+
+
+def _is_complete(*, everything: bool) -> bool:
+    """Whether the cache, which may be read-only, has the kernels, from this user or root."""
+    from hiros_mcap import kernels
+
+    try:
+        absent = kernels.missing(everything=everything)
+        return not absent and kernels.is_private(kernels.cache_folder())
+    except OSError:  # it is closed to this user
+        return False
 
 
 def _ensure_writable() -> bool:

@@ -316,14 +316,40 @@ def test_nothing_is_collected_while_a_command_imports():
     gc.unfreeze()
 
 
-def test_where_the_disk_is_full_kernels_go_to_a_folder_of_the_process(tmp_path, monkeypatch):
+@pytest.fixture
+def full_cache(tmp_path, monkeypatch):
+    """A folder for kernels that takes none: it is read-only, and for root the disk is full."""
     monkeypatch.setenv("HIROS_KERNELS", "compile")
     shipped.usable.cache_clear()
+    kernels.is_private.cache_clear()
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels"))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1 << 20))
-    prepare(quiet=True)
+    files = [file for paths in kernels.missing().values() for file in paths]
+    folder = kernels.cache_folder()
+    folder.mkdir(mode=0o755, parents=True)
+    for file in files:
+        file.parent.mkdir(mode=0o755, exist_ok=True)
+        file.touch()
+    yield files
+    folder.chmod(0o755)
     shipped.usable.cache_clear()
+    kernels.is_private.cache_clear()
+
+
+def test_a_complete_cache_is_used_where_nothing_can_be_written(full_cache, tmp_path):
+    kernels.cache_folder().chmod(0o555)
+    prepare(quiet=True)
+    assert os.environ["NUMBA_CACHE_DIR"] == str(tmp_path / "kernels")
+
+
+@pytest.mark.parametrize("fault", ["one is missing", "others may write there"])
+def test_else_kernels_go_to_a_folder_of_the_process(fault, full_cache):
+    if fault == "one is missing":
+        full_cache[7].unlink()
+    else:
+        kernels.cache_folder().chmod(0o777)
+    prepare(quiet=True)
     folder = Path(os.environ["NUMBA_CACHE_DIR"])
     assert folder.name.startswith("hiros-kernels-")
     assert folder.is_dir()
