@@ -198,6 +198,8 @@ class TransformTree:
         count for frames of which nothing else is known."""
         self.look_alikes: Sequence[str] = ()
         """Topics that may hold transforms, and are not read."""
+        self.unheard = ""
+        """What is to be said of static transforms that nobody kept, "" if nothing is."""
         self.source = ""
         """The file that the poses are from, "" if they are the log's."""
         self.clocks: Mapping[str, float] = {}
@@ -315,7 +317,9 @@ class TransformTree:
                 )
 
     def _unread(self) -> Iterator[str]:
-        """Yield which topics look like transforms and are not read."""
+        """Yield which topics have static transforms that nobody kept, or are not read."""
+        if self.unheard:
+            yield self.unheard
         if self.look_alikes:
             yield (
                 f"Not read, though they look like transforms: {', '.join(self.look_alikes)}; hiros "

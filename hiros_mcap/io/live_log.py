@@ -32,6 +32,7 @@ from hiros_mcap.io.channels import (
     ChannelInfo,
     channels_of,
     is_selected,
+    is_static_topic,
     is_transform_topic,
     not_used,
     select_skeletons,
@@ -253,6 +254,7 @@ def open_live(
             reader.preface = conversion.unite(reader.preface)
             parts = skeletons_of(reader, tree, topics)
         cameras, model, transforms = parts
+        transforms.unheard = _unheard(reader)
         return LiveLog(
             *(reader, cameras, conversion.known(model), transforms, fixed_frame),
             conversion=conversion,
@@ -271,6 +273,18 @@ def open_live(
             raise
     conversion.target = log.model  # of cameras of other detectors that come later
     return log
+
+
+def _unheard(reader: LiveReader) -> str:
+    """Say which static transforms are advertised, and came before anybody listened; "" if none."""
+    infos = [i for i in channels_of(reader) if is_read(i) and is_static_topic(i.topic)]
+    topics = sorted(info.topic for info in infos if not info.count)
+    if not topics:
+        return ""
+    return (
+        f"No message of {', '.join(topics)} has come: it was sent before hiros listened, and the "
+        "server keeps nothing for those who come later; publish it again, or start hiros first"
+    )
 
 
 class _Listener:

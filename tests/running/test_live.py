@@ -485,9 +485,14 @@ def test_a_file_is_followed_to_its_end_mark(kind, shown, tmp_path):
     check_same(kind, results(out.read_bytes()), by_file)
 
 
-def test_a_foxglove_server_gives_what_a_file_gives(crossing, by_file, tmp_path):
+@contextmanager
+def foxglove_server(path, early=()):
+    """Yield the address of a server that publishes a log as soon as all channels have a reader.
+
+    It has sent the topics that are ``early`` before, when nobody was there.
+    """
     foxglove = pytest.importorskip("foxglove")
-    subscribed, sent = threading.Semaphore(0), recorded(crossing)
+    subscribed, sent = threading.Semaphore(0), recorded(path)
 
     class Listener(foxglove.ServerListener):
         def on_subscribe(self, client, channel):
@@ -497,7 +502,7 @@ def test_a_foxglove_server_gives_what_a_file_gives(crossing, by_file, tmp_path):
     server = foxglove.start_server(
         port=0, message_backlog_size=100_000, server_listener=Listener(), context=context
     )
-    with McapReader(crossing) as reader:
+    with McapReader(path) as reader:
         channels = {
             channel.topic: foxglove.Channel(
                 channel.topic,
@@ -511,29 +516,54 @@ def test_a_foxglove_server_gives_what_a_file_gives(crossing, by_file, tmp_path):
             if (schema := reader.schema(channel))
         }
 
-    def publish():
-        for _ in channels:
-            assert subscribed.acquire(timeout=60)
-        for topic, message in sent:
+    def publish(messages):
+        for topic, message in messages:
             channels[topic].log(message.data, log_time=message.log_time)
 
-    class UntilAll(FoxgloveInput):
-        def records(self):
-            taken = 0
-            for record in super().records():
-                yield record
-                taken += isinstance(record, Message)
-                if taken == len(sent):
-                    self.stop()
+    def publish_to_readers():
+        for _ in channels:
+            assert subscribed.acquire(timeout=60)
+        publish((topic, message) for topic, message in sent if topic not in early)
 
-    thread = threading.Thread(target=publish)
+    publish((topic, message) for topic, message in sent if topic in early)
+    thread = threading.Thread(target=publish_to_readers)
     thread.start()
-    out = tmp_path / "out.mcap"
-    url = f"ws://127.0.0.1:{server.port}"
-    process_live(UntilAll(url, lambda topic, kind: True), out, options=LIVE)
+    yield f"ws://127.0.0.1:{server.port}"
     thread.join()
     server.stop()
+
+
+class FirstMessages(FoxgloveInput):
+    """All channels of a server, up to a number of messages."""
+
+    def __init__(self, url, number):
+        super().__init__(url, lambda topic, kind: True)
+        self._number = number
+
+    def records(self):
+        taken = 0
+        for record in super().records():
+            yield record
+            taken += isinstance(record, Message)
+            if taken == self._number:
+                self.stop()
+
+
+def test_a_foxglove_server_gives_what_a_file_gives(crossing, by_file, tmp_path):
+    out = tmp_path / "out.mcap"
+    with foxglove_server(crossing) as url:
+        process_live(FirstMessages(url, len(recorded(crossing))), out, options=LIVE)
     assert results(out.read_bytes()) == by_file
+
+
+def test_transforms_that_came_too_early_are_told_with_the_remedy(crossing, tmp_path):
+    later = [topic for topic, _ in recorded(crossing) if topic != "/tf_static"]
+    with foxglove_server(crossing, early=["/tf_static"]) as url, pytest.raises(LogError) as error:
+        process_live(FirstMessages(url, len(later)), tmp_path / "out.mcap", options=LIVE)
+    text = str(error.value)
+    assert "the camera poses are unknown; pass them with --extrinsics" in text
+    assert "No message of /tf_static has come: it was sent before hiros listened" in text
+    assert text.endswith("publish it again, or start hiros first")
 
 
 def test_a_server_that_does_not_answer_is_named():
