@@ -147,6 +147,8 @@ def _headline(summary: Summary) -> tuple[str, str]:
     speed = number(summary.times_real_time, 1)
     system = f" with {summary.system}" if summary.system else ""
     times = f"{number(summary.log_s, 1)} s of log in {number(summary.wall_s, 2)} s"
+    if summary.waited_s:
+        times += f", {number(summary.waited_s, 2)} s of them waiting for the input,"
     settings = f"; parameters of {summary.settings}" if summary.settings else ""
     return f"{summary.source}{target}", f"{times}{system}: {speed} times real time{settings}"
 

@@ -96,6 +96,7 @@ class Report:
             target=target,
             log_s=(end - start) * 1e-9,
             wall_s=time.perf_counter() - watch.started,
+            waited_s=self.log.reader.waited_s,
             system=self.run.system,
             settings=str(self.prepared.options.settings or ""),
             delay=self._delay(),

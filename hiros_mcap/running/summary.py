@@ -172,6 +172,8 @@ class Summary:
     """Time from the first to the last message of the cameras, s."""
     wall_s: float
     """Time that the run took, s."""
+    waited_s: float = 0.0
+    """Part of it in which live input was waited for, s."""
     system: str = ""
     """Name of the system that was run."""
     settings: str = ""
@@ -221,7 +223,8 @@ class Summary:
     @property
     def times_real_time(self) -> float:
         """Seconds of log per second of work; NaN when no time was measured."""
-        return self.log_s / self.wall_s if self.wall_s > 0 else math.nan
+        work = self.wall_s - self.waited_s
+        return self.log_s / work if work > 0 else math.nan
 
     @property
     def skipped(self) -> int:
@@ -242,5 +245,13 @@ class Summary:
 
         This is what an output file may hold: the same input gives the same bytes.
         """
-        varying = {"source", "target", "settings", "wall_s", "times_real_time", "stages"}
+        varying = {
+            "source",
+            "target",
+            "settings",
+            "wall_s",
+            "waited_s",
+            "times_real_time",
+            "stages",
+        }
         return {key: value for key, value in self.to_dict().items() if key not in varying}

@@ -39,6 +39,7 @@ from mcap.stream_reader import StreamReader
 from odd_logs import poses_of, published
 
 import hiros_schemas
+from hiros_cli.run_report import _headline
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.channels import add_ros_channel
@@ -447,6 +448,19 @@ def test_a_reader_that_goes_away_ends_the_run(crossing):
     with piped(send(crossing, recorded(crossing))) as source, pytest.raises(BrokenPipeError):
         process_live(source, begin, options=LIVE)
     os.close(begin)
+
+
+def test_what_was_waited_for_is_no_work(crossing):
+    def write(descriptor):
+        time.sleep(3)
+        send(crossing, recorded(crossing))(descriptor)
+
+    summary, _ = run_live(write)
+    assert 2.9 < summary.waited_s < summary.wall_s
+    work = summary.wall_s - summary.waited_s
+    assert summary.times_real_time == pytest.approx(summary.log_s / work)
+    waited = f"{summary.waited_s:.2f} s of them waiting for the input, with hiros-realtime: "
+    assert f"{waited}{summary.log_s / work:.1f} times real time" in _headline(summary)[1]
 
 
 def test_stopping_ends_the_input(crossing, tmp_path):

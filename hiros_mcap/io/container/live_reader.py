@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
+from time import perf_counter, thread_time
 from typing import TypeVar
 
 import numpy as np
@@ -17,7 +18,7 @@ from hiros_mcap.errors import LogError
 from hiros_mcap.io.container.file import is_packed, unpack_message
 from hiros_mcap.io.container.live_input import LiveInput
 from hiros_mcap.io.container.reader import PACKED_MESSAGES, Batch, LogOrder, McapReader, Records
-from hiros_mcap.io.container.records import Channel, FormatError, Message, Schema
+from hiros_mcap.io.container.records import Channel, FormatError, McapRecord, Message, Schema
 from hiros_mcap.io.container.walk import Contents
 from hiros_mcap.kernels.record_index import COLUMNS
 
@@ -41,6 +42,7 @@ class LiveReader(McapReader):
         self.path = source.name
         self.source = source
         self.cpu_s = 0.0
+        self.waited_s = 0.0
         self.counts: Counter[int] = Counter()
         self.preface: list[Message] = []
         self.forgotten = 0
@@ -121,7 +123,7 @@ class LiveReader(McapReader):
 
     def _read(self, source: LiveInput) -> Iterator[Message]:
         """Yield the messages; note the definitions and the metadata on the way."""
-        for record in source.records():
+        for record in self._awaited(source.records()):
             if not isinstance(record, Message):
                 self._note(record)
                 continue
@@ -135,6 +137,18 @@ class LiveReader(McapReader):
         for message in self.rest():
             self.counts[message.channel_id] += 1
             yield message
+
+    def _awaited(self, records: Iterator[McapRecord]) -> Iterator[McapRecord]:
+        """Yield the records; add up the time in which there was nothing to do but wait."""
+        while True:
+            began, worked = perf_counter(), thread_time()
+            try:
+                record = next(records)
+            except StopIteration:
+                return
+            finally:
+                self.waited_s += perf_counter() - began - (thread_time() - worked)
+            yield record
 
     def hide(self, ident: int) -> None:
         """Forget a channel whose messages become those of another one, also in the preface."""

@@ -219,6 +219,7 @@ class McapReader:
     left_out : type and number of messages of the topics of a recording that the file lacks.
     remarks : what was converted for the file. warnings : what is missing of it.
     faults : by topic, how many messages could not be converted, and why the first one could not.
+    waited_s : time in which more of the file was waited for.
     """
 
     recovery: Recovery | None = None
@@ -226,6 +227,7 @@ class McapReader:
     remarks: Sequence[str] = ()
     warnings: Sequence[str] = ()
     faults: Mapping[str, tuple[int, str]] = MappingProxyType({})
+    waited_s = 0.0
 
     def __init__(self, path: str | os.PathLike[str] | LogFile, *, memory: int = MEMORY) -> None:
         self._file = path if isinstance(path, LogFile) else LogFile(path)
