@@ -8,6 +8,7 @@ services, and types that nobody but their owner understands.
 from __future__ import annotations
 
 import json
+import os
 import sqlite3
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -155,6 +156,10 @@ def _profiles(topic: BagTopic) -> str:
         return ""
 
 
+_NO_LOCKS = "win32-none" if os.name == "nt" else "unix-none"
+"""SQLite's access to files without locks (sqlite.org/vfs.html)."""
+
+
 class _SqliteBag:
     """The tables of rosbag2_storage_sqlite3, versions 1 to 4."""
 
@@ -164,9 +169,16 @@ class _SqliteBag:
 
     def __init__(self, path: Path, name: Path) -> None:
         self.path = name
-        address = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
+        wal = path.with_name(f"{path.name}-wal")
+        waits = wal.is_file() and wal.stat().st_size > 0
+        # Nothing beside the bag is written: SQLite makes no lock, and no index of what waits.
+        access = f"vfs={_NO_LOCKS}" if waits else "immutable=1"
+        address = f"{path.absolute().as_uri()}?mode=ro&{access}"
         self._tables = sqlite3.connect(address, uri=True, check_same_thread=False)
         try:
+            if waits:
+                self._tables.execute("PRAGMA locking_mode=EXCLUSIVE")
+                self.remarks = [f"{wal.name}, which the recorder did not finish, is read, too"]
             self._tables.text_factory = lambda data: data.decode(errors="replace")
             self.topics = self._topics()
         except BaseException:
@@ -212,7 +224,8 @@ class _SqliteBag:
                     raise ValueError(f"a message has no such time: {time}")
                 plain = memoryview(data).tobytes()
                 if is_packed(plain):
-                    self.remarks, plain = [PACKED_MESSAGES], unpack_message(plain)
+                    self.remarks = [*dict.fromkeys([*self.remarks, PACKED_MESSAGES])]
+                    plain = unpack_message(plain)
                 yield wanted[ident], time, plain
 
     def types(self, topics: Collection[BagTopic]) -> Mapping[str, Typestore]:

@@ -273,6 +273,34 @@ def test_a_damaged_sqlite_part_costs_what_is_in_it(messages, tmp_path):
     assert [damage.file for damage in recovery.damages] == ["lab_1.db3"]
 
 
+KILLED = """
+import os, signal, sqlite3, sys
+database = sqlite3.connect(sys.argv[1])
+database.execute("PRAGMA journal_mode=WAL")
+database.execute("ATTACH ? AS whole", sys.argv[2:])
+database.execute("INSERT INTO messages SELECT * FROM whole.messages WHERE id > 50")
+database.commit()
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.parametrize("given", ["folder", "file"])
+def test_what_a_killed_recorder_left_beside_a_sqlite_bag_is_read(given, messages, tmp_path):
+    """ros2 bag record --storage-preset-profile resilient; nothing in the folder is changed."""
+    (whole,) = record(tmp_path / "whole", messages, storage="sqlite3", metadata=False).iterdir()
+    folder = record(tmp_path / "lab", messages[:50], storage="sqlite3", metadata=False)
+    (file,) = folder.iterdir()
+    subprocess.run([sys.executable, "-c", KILLED, file, whole], check=False)
+    (folder / "lab_0.db3-shm").unlink()
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert before.keys() == {"lab_0.db3", "lab_0.db3-wal"}
+    with open_log(folder if given == "folder" else file) as log:
+        assert sum(log.reader.counts.values()) == len(messages)
+        note = "lab_0.db3-wal, which the recorder did not finish, is read, too"
+        assert any(note in remark for remark in log.remarks)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
 @pytest.mark.parametrize("kept", [1, 40, 149])
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 def test_metadata_that_counts_more_than_there_is_warns(storage, kept, messages, tmp_path, capsys):
