@@ -13,7 +13,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import count, pairwise
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -73,6 +73,22 @@ class ModelBuilder:
         self._links: dict[int, tuple[tuple[str, int, int], str]] = {}
         self._max_markers = 0
         self._max_links = 0
+
+    @classmethod
+    def of(cls, model: SkeletonModel) -> Self:
+        """Return a builder that knows a model already."""
+        builder, ids = cls(), (*model.marker_ids, -1)
+        names = zip(model.marker_ids, model.marker_names, strict=True)
+        builder._markers = {ident: (name, "") for ident, name in names}
+        ends = zip(model.link_parents, model.link_children, strict=True)
+        rows = zip(model.link_ids, model.link_names, ends, strict=True)
+        builder._links = {
+            ident: ((name, ids[parent], ids[child]), "")
+            for ident, name, (parent, child) in rows
+            if parent >= 0 <= child
+        }
+        builder._max_markers, builder._max_links = model.max_markers, model.max_links
+        return builder
 
     def add(self, data: Bytes, topic: str, layout: Layout = PUBLISHED) -> None:
         """Take note of a message's markers and links.

@@ -37,16 +37,18 @@ from hiros_mcap.io.channels import (
     not_used,
     select_skeletons,
 )
-from hiros_mcap.io.codec import OtherSkeletonError, RestPoses
+from hiros_mcap.io.codec import Decoder, OtherSkeletonError, RestPoses
 from hiros_mcap.io.container import Message
 from hiros_mcap.io.container.live_input import LiveInput
 from hiros_mcap.io.container.live_reader import LiveReader
 from hiros_mcap.io.detectors.conversion import is_of_other_detector
 from hiros_mcap.io.detectors.live_conversion import LiveConversion
+from hiros_mcap.io.live_decoder import LiveDecoder
 from hiros_mcap.io.live_log_times import LiveLogTimes
 from hiros_mcap.io.log import skeletons_of
 from hiros_mcap.io.log_accounts import DAMAGED
 from hiros_mcap.io.opened_log import Log, Reading
+from hiros_mcap.skeletons import SkeletonModel
 from hiros_mcap.wording import quantity
 
 LISTEN_S = 1.0
@@ -69,6 +71,8 @@ class LiveReading(Reading):
 
     def __init__(self, log: LiveLog, **how: Any) -> None:
         log = replace(log, transforms=deepcopy(log.transforms))
+        self._live: LiveDecoder | None = None
+        """What reads the messages, from the first one on."""
         self._faulty: dict[str, str] = {}
         """Topic of no camera yet -> why its first message could not be read."""
         super().__init__(log, **how)
@@ -93,7 +97,20 @@ class LiveReading(Reading):
         )
         faults = (*self._refused.values(), self.log.reader.source.fault)
         faulty = (f"{topic}: not used: {fault}" for topic, fault in self._faulty.items())
-        return (*super().warnings, *waiting, *filter(None, faults), *faulty)
+        late = self._late_joints()
+        return (*super().warnings, *waiting, *filter(None, faults), *faulty, *late)
+
+    def _late_joints(self) -> Iterator[str]:
+        """Yield which joints came too late for the results."""
+        if names := self._live.left_out if self._live else []:
+            yield (
+                f"joints that nobody had shown when the results began, and that are not in them: "
+                f"{', '.join(names)}; start hiros while somebody is seen whole"
+            )
+
+    def _decoder(self, model: SkeletonModel, **options: Any) -> Decoder:
+        self._live = LiveDecoder(model, **options)
+        return self._live
 
     def _blocks(self, poses: RestPoses | None) -> Iterator[tuple[Sequence[str], Block]]:
         """Account for the messages that could not be converted meanwhile."""

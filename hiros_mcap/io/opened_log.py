@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import chain
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -113,7 +113,7 @@ class Reading:
     def _blocks(self, poses: RestPoses | None) -> Iterator[tuple[Sequence[str], Block]]:
         """Yield the messages, those of cameras at rest moved to ``poses``."""
         reader, times = self.log.reader, self._times
-        decoder = Decoder(
+        decoder = self._decoder(
             self.log.model,
             layouts=self._layouts,
             poses=poses,
@@ -131,6 +131,10 @@ class Reading:
             order.add(some, some.keys)
             for part, messages in order.before(some.until):
                 yield from self._accounted(part, messages)
+
+    def _decoder(self, model: SkeletonModel, **options: Any) -> Decoder:
+        """Return what reads the messages; see :class:`Decoder`."""
+        return Decoder(model, **options)
 
     def _use(self, camera: CameraChannel) -> None:
         """Read the messages of a camera from here on."""

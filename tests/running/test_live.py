@@ -36,7 +36,7 @@ from detector_logs import (
 from mcap.reader import NonSeekingReader
 from mcap.records import Channel
 from mcap.stream_reader import StreamReader
-from odd_logs import poses_of, published
+from odd_logs import changed, poses_of, published
 
 import hiros_schemas
 from hiros_cli.run_report import _headline
@@ -49,6 +49,7 @@ from hiros_mcap.io.container.file import Pipe
 from hiros_mcap.io.container.live_input import McapInput
 from hiros_mcap.io.container.writer import LiveWriter
 from hiros_mcap.io.foxglove import FoxgloveInput
+from hiros_mcap.io.log import open_log
 from hiros_mcap.io.result import open_result
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.process_live import process_live, subscription
@@ -419,6 +420,45 @@ def test_other_markers_are_copied_and_no_camera(crossing, by_file):
     assert results(out) == by_file
     copied = NonSeekingReader(io.BytesIO(out)).iter_messages(topics=["/robot/markers"])
     assert {message.data for _, _, message in copied} == {data}
+
+
+def without(joint, model):
+    """Return what takes a joint, and all that ends there, out of a frame."""
+    k = model.marker_names.index(joint)
+    ends = zip(model.link_parents, model.link_children, strict=True)
+    links = [i for i, pair in enumerate(ends) if k in pair]
+
+    def cut(frame):
+        people = frame.people.copy()
+        for states, slots in ((people.markers, k), (people.links, links)):
+            states[:, slots] = np.nan
+        people.marker_confidences[:, k] = people.link_confidences[:, links] = np.nan
+        return frame.replace(people=people)
+
+    return cut
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_a_joint_that_is_seen_late_costs_no_message(alone, crossing, tmp_path):
+    """Results have begun without it; ``alone``: at last somebody shows nothing else."""
+    with open_log(crossing) as log:
+        model = log.model
+    cut, k = without("WRIST_LEFT", model), model.marker_names.index("WRIST_LEFT")
+
+    def change(frame, sent):
+        if sent < 40 or not alone:
+            return cut(frame) if sent < 40 else frame
+        people = frame.people.copy()
+        people.markers[:, [i for i in range(model.n_markers) if i != k]] = np.nan
+        return frame.replace(people=people)
+
+    log = changed(crossing, tmp_path / "late.mcap", change)
+    summary, out = run_live(send(log, recorded(log)))
+    assert [c.used for c in summary.cameras] == [c.messages for c in summary.cameras]
+    (warning,) = [w for w in summary.warnings if "WRIST_LEFT" in w]
+    assert warning.startswith("joints that nobody had shown when the results began")
+    frames = len(results(out)["/hiros/filtered"])
+    assert frames > (40 if alone else 55)
 
 
 def test_skeletons_in_another_encoding_are_left_out_with_a_warning(crossing, by_file):
