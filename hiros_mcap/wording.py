@@ -14,8 +14,8 @@ def quantity(n: int, noun: str) -> str:
 
 
 def number(value: float, digits: int, unit: str = "") -> str:
-    """Return a number with its unit, a dash for NaN; what rounds to 0 has no sign."""
-    return "-" if math.isnan(value) else f"{value:z.{digits}f}{unit}"
+    """Return a number with its unit, a dash for what is unknown; what rounds to 0 has no sign."""
+    return f"{value:z.{digits}f}{unit}" if math.isfinite(value) else "-"
 
 
 def duration(seconds: float) -> str:

@@ -71,7 +71,7 @@ def _camera(camera: CameraResult, pose: Rigid, parent: str) -> list[str]:
         lines.append(f"reason = {_text(camera.reason)}")
     for key, comment in _ERRORS.items():
         value = getattr(camera, key)
-        if not math.isnan(value) and camera.verdict != "impossible":
+        if math.isfinite(value) and camera.verdict != "impossible":
             lines.append(f"{key} = {value:.2f}  # {comment}")
     if since:
         lines.append(f"since = {since}  # ns since 1970, log time: the camera was moved then")

@@ -9,6 +9,7 @@ mean of what the cameras see. Without it the normal equations are ``sum w J'J - 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -41,6 +42,10 @@ RIDGE = 1e-9
 """Added to the scaled Hessian, whose diagonal is 1."""
 SOME_JOINTS = 500
 """Enough for a mean."""
+UNKNOWN = 1.0
+"""Standard error, rad, m or s, from which on an unknown is not known at all."""
+_LOST = 1e3
+"""A step that is longer, rad, m or s, is rounding: no data tell the unknown any more."""
 BLOCK_S, BLOCKS = 2.0, 10
 """Errors that are further apart in time are taken for independent; more in a long log."""
 
@@ -253,6 +258,8 @@ def standard_errors(
 ) -> tuple[Floats, float]:
     """(C, 8) standard errors of the unknowns, and how far the poses' errors move people, m.
 
+    A standard error is infinite where all that tells an unknown lies in one cluster.
+
     Poses are against the camera to which the others are known best; its own error is the least of
     them. Clocks are against the first camera; its own is the largest. People are the means of the
     cameras' joints; it is the root mean square.
@@ -271,14 +278,16 @@ def standard_errors(
     errors = np.sqrt(sum(map(jackknife, tables)))
     errors[0] = errors.max(axis=0)
     poses = np.sqrt(sum(jackknife(_against_each(table, rig.shifts)) for table in tables))
-    sizes = np.linalg.norm(poses[:, :, :3], axis=2)
+    # A camera that is lost without a cluster differs from all others, whichever they are.
+    sizes = np.minimum(np.linalg.norm(poses[:, :, :3], axis=2), UNKNOWN)
     reference = int(sizes.sum(axis=1).argmin())
     errors[:, :CLOCK] = poses[reference]
     others = np.delete(np.arange(len(free)), reference)
     errors[reference, :CLOCK] = poses[reference, others[sizes[reference, others].argmin()]]
     shares = (_joint_steps(residuals, table, rig.shifts, reference) for table in tables)
     people = np.sqrt(sum(jackknife(each).sum(axis=1).mean() for each in shares))
-    return errors, float(people)
+    known = np.where(errors < UNKNOWN, errors, np.inf)
+    return known, float(people) if people < UNKNOWN else math.inf
 
 
 def _without_each(residuals: RigResiduals, points: Points, free: Flags, clusters: Stamps) -> Floats:
@@ -290,7 +299,7 @@ def _without_each(residuals: RigResiduals, points: Points, free: Flags, clusters
     hessian = np.sum([part for part, _ in equations], axis=0)
     steps = np.zeros((len(equations), *free.shape))
     steps[:, free] = [_solution(hessian - part, slope) for part, slope in equations]
-    return steps
+    return np.clip(steps, -_LOST, _LOST)
 
 
 def _against_each(steps: Floats, places: Floats) -> Floats:

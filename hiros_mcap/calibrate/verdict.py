@@ -155,6 +155,8 @@ def fault(e: Evidence) -> str:
 
 
 def _uncertain(e: Evidence, limits: Limits) -> str:
+    if not math.isfinite(e.error_deg + e.error_m):
+        return "the standard error is unknown: a moment or a joint tells all of the pose"
     if e.error_deg > limits.error_deg or e.error_m > limits.error_m:
         return f"the standard error is {e.error_deg:.1f} degrees and {100 * e.error_m:.0f} cm"
     return ""

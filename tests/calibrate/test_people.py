@@ -25,10 +25,11 @@ from hiros_mcap.calibrate.joint_refinement import (
 )
 from hiros_mcap.calibrate.people import calibrate_people
 from hiros_mcap.calibrate.sampling import Rig
-from hiros_mcap.calibrate.verdict import CalibratedCamera
+from hiros_mcap.calibrate.verdict import GOOD, CalibratedCamera, Evidence, weakness_of
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.pipeline import process
+from hiros_mcap.wording import number
 
 CLOCKS = {"camera_0": 0.0, "camera_1": 0.8, "camera_2": -1.3}
 """s by which the stamps are late."""
@@ -173,6 +174,27 @@ def test_standard_errors_hold_where_errors_last():
         errors = standard_errors(residuals, points, free, rig)[0]
         ratios.append(step / errors[free])
     assert 0.5 < np.sqrt(np.mean(np.square(ratios))) < 1.3
+
+
+def test_a_camera_that_a_moment_tells_has_no_standard_error():
+    """Without that moment nothing tells its pose; rounding gave 1e20 mm."""
+    rng = np.random.default_rng(0)
+    seconds, joints = np.repeat(np.arange(60) / 2.0, 20), np.tile(np.arange(20), 60)
+    seen = rng.uniform([-1.0, -1.0, 2.0], [1.0, 1.0, 4.0], (1200, 3))
+    seen = seen + rng.normal(0, 0.01, (3, 1200, 3))
+    weights = np.ones((3, 1200))
+    weights[2, seconds > 1.9] = 0.0
+    points = Points(seconds, joints * 0, joints, seen, np.zeros_like(seen), weights)
+    rig, free = Rig.alone(3), free_unknowns(3, clocks=False)
+    errors, people = standard_errors(residuals_of(points, rig), points, free, rig)
+    assert (errors[:2, :6] < 0.005).all()
+    assert np.isinf(errors[2, :6]).all()
+    assert np.isinf(people)
+    assert number(1000.0 * errors[2, 3], 0) == "-"
+    sure = Evidence(share=1.0, residual=0.03, seconds=60.0, spread=1.0)
+    assert weakness_of(sure, GOOD) == ""
+    evidence = replace(sure, error_deg=np.inf, error_m=np.inf)
+    assert "standard error is unknown" in weakness_of(evidence, GOOD)
 
 
 def test_somebody_who_stands_still_tells_no_clock(scene, tmp_path):

@@ -48,7 +48,7 @@ def _columns_of(entry: CameraEntry) -> tuple[str, str, str]:
     """Return verdict, standard errors and residual; "-" where the file has none."""
     verdict = f"{entry.verdict} ({entry.reason})" if entry.reason else entry.verdict
     degrees, error, residual = entry.errors
-    errors = "-" if math.isnan(degrees + error) else f"{degrees:.2f}°, {error:.0f} mm"
+    errors = "-" if not math.isfinite(degrees + error) else f"{degrees:.2f}°, {error:.0f} mm"
     return verdict or "-", errors, "-" if math.isnan(residual) else f"{residual:.0f} mm"
 
 
