@@ -191,7 +191,7 @@ def _input(source: str, node: RosNode | None, options: ProcessOptions) -> Iterat
             from hiros_mcap.io.ros_input import RosInput
             from hiros_mcap.running.process_live import necessity, subscription
 
-            stream = RosInput(node, subscription(options), necessity(options))
+            stream = RosInput(node, subscription(options), necessity(options), warn)
         elif source == STREAM:
             stream = McapInput(sys.stdin.fileno(), _name(source))
         else:

@@ -57,7 +57,6 @@ class FoxgloveInput:
         self.fault = ""
         self._largest = largest
         self._connection: Any = None
-        self.before_waiting: Callable[[], None] = lambda: None
         self._wanted = wanted
         self._stopped = False
         self._ids: dict[int, int] = {}
@@ -80,7 +79,7 @@ class FoxgloveInput:
         """Return "": what came cannot be had again."""
         return ""
 
-    def records(self) -> Iterator[McapRecord]:
+    def records(self) -> Iterator[McapRecord | None]:
         """Subscribe, and yield what comes until the server closes the connection.
 
         Raises LogError if there is no such server, or it does not speak the protocol.
@@ -123,13 +122,16 @@ class FoxgloveInput:
                 path=self.name,
             ) from None
 
-    def _received(self, connection: Any) -> Iterator[McapRecord]:
+    def _received(self, connection: Any) -> Iterator[McapRecord | None]:
+        patience = 0.0
         while not self._stopped:
-            self.before_waiting()
             try:
-                data = connection.recv(timeout=_PATIENCE)
+                data = connection.recv(timeout=patience)
             except TimeoutError:
+                yield None
+                patience = _PATIENCE
                 continue
+            patience = 0.0
             if isinstance(data, bytes):
                 yield from self._message(data)
             else:

@@ -1,14 +1,14 @@
 """Live messages of a ROS 2 graph: subscribe to what may show people, and pass on the bytes.
 
 Topics are taken as they appear, with the quality of service of their publishers. A message's log
-time is when the middleware received it, or the time of /clock with ``use_sim_time``.
+time is when the middleware received it, or what /clock said then with ``use_sim_time``.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from itertools import chain
 from typing import Any, NamedTuple
 
 from hiros_mcap.errors import LogError
@@ -22,9 +22,11 @@ _LOOK_S = 0.2
 """Between looks at the graph."""
 _QUEUED = 1000
 """Messages of a topic that wait for a busy run; then the oldest ones are lost, and counted."""
-_IDLE = 2
-"""Times in a row that nothing is ready, until nothing is there: rclpy ends each round with one."""
+_BEHIND, _TOLERATED = 2 * 10**9, 10**10
+"""ns that messages may wait, and how long they may do so until the user is told."""
 _LISTED = 20
+_CLOCK_TYPE, _CLOCK = "rosgraph_msgs/msg/Clock", 0
+"""Of /clock: its type, and what stands for the number of a channel."""
 
 Wanted = Callable[[str, str], bool]
 """Tells from topic and message type whether to subscribe, or whether a run needs it."""
@@ -37,6 +39,15 @@ class _Quality(NamedTuple):
     latched: bool
 
 
+class _Row(NamedTuple):
+    """What was taken: time of arrival, ns, our number of the channel, message, and what is told."""
+
+    at: int
+    ident: int
+    data: Any
+    info: dict[str, Any]
+
+
 class RosInput:
     """The topics of a graph: a :class:`~hiros_mcap.io.container.live_input.LiveInput`.
 
@@ -45,24 +56,36 @@ class RosInput:
     node : of this program.
     wanted : which topics to subscribe to.
     needed : which of them a run cannot do without: their message package has to be installed.
+    warn : is told once if the run is too slow.
     """
 
-    def __init__(self, node: RosNode, wanted: Wanted, needed: Wanted = lambda *_: False) -> None:
+    def __init__(
+        self,
+        node: RosNode,
+        wanted: Wanted,
+        needed: Wanted = lambda *_: False,
+        warn: Callable[[str], None] = lambda _: None,
+    ) -> None:
         self.name = node.graph
-        self.before_waiting: Callable[[], None] = lambda: None
-        self._node, self._wanted, self._needed = node, wanted, needed
+        self._node, self._wanted, self._needed, self._warn = node, wanted, needed, warn
         self._stopped = 0
         """When somebody asked to stop, ns; 0 = go on."""
         self._names = node.remapped()
-        self._simulated = bool(node.node.get_parameter("use_sim_time").value)
+        self._clock: Any = None
+        """Subscription to /clock."""
+        self._time: int | None = None
+        """Of /clock, ns, 0 before it came; None without ``use_sim_time``."""
+        if node.node.get_parameter("use_sim_time").value:
+            self._clock, self._time = (
+                self._subscribed("/clock", _CLOCK_TYPE, _Quality(False, False), raw=False),
+                0,
+            )
         self._subscriptions: dict[tuple[str, str, bool], tuple[_Quality, Any]] = {}
         """Topic in the graph, type, and whether for latched messages alone -> subscription."""
         self._ids: dict[tuple[str, str], int] = {}
         """Topic in the graph and type -> our number of the channel."""
         self._counts: dict[int, int] = {}
         """Channel -> messages so far."""
-        self._waiting: list[tuple[int, Message]] = []
-        """Messages that are not handed out yet, and their times of arrival, ns."""
         self._refused: dict[tuple[str, str], str] = {}
         """Topic in the graph and type -> why it is not read."""
         self._hashes: dict[str, Any] = {}
@@ -73,8 +96,8 @@ class RosInput:
         """Channel and publisher -> number of its latest message."""
         self._lost: dict[int, int] = {}
         """Channel -> messages that were lost on the way."""
-        self._found: list[str] = []
-        """Topics of the graph."""
+        self._in_time = time.time_ns()
+        """When no message had to wait for long, ns."""
 
     @property
     def fault(self) -> str:
@@ -98,7 +121,7 @@ class RosInput:
         """Return "": what came cannot be had again."""
         return ""
 
-    def records(self) -> Iterator[McapRecord]:
+    def records(self) -> Iterator[McapRecord | None]:
         """Subscribe to what is there and to what comes, and yield it until somebody stops it.
 
         Raises LogError if nobody has published people by then, or a message package is missing.
@@ -108,47 +131,75 @@ class RosInput:
             if not self._stopped and time.monotonic() >= due:
                 yield from self._look()
                 due = time.monotonic() + _LOOK_S
-            self.before_waiting()
             arrived = self._arrived()
+            self._in_time = self._in_time if arrived else time.time_ns()
             # A busy run has not taken all that came before it was stopped.
-            goes_on = not self._stopped or any(at < self._stopped for at, _ in arrived)
-            for at, message in arrived:
-                if not self._stopped or at < self._stopped:
-                    self.before_waiting()
-                    yield message
+            goes_on = not self._stopped or any(row.at < self._stopped for row in arrived)
+            for row in arrived:
+                if row.ident == _CLOCK:
+                    self._time = row.data.clock.sec * 10**9 + row.data.clock.nanosec
+                elif not self._stopped or row.at < self._stopped:
+                    yield self._message(row)
+            yield None
         if not self._counts:
-            listed = ", ".join(self._found[:_LISTED]) or "none"
-            clock = "" if self._now() is None or self._now() else "nobody publishes /clock; "
+            found = [topic for topic, _ in self._node.node.get_topic_names_and_types()]
+            listed = ", ".join(found[:_LISTED]) or "none"
+            clock = "nobody publishes /clock; " if self._time == 0 else ""
             raise LogError(
                 f"no topic that may show people was found; {clock}is ROS_DOMAIN_ID that of the "
                 f"cameras, and do they run? topics: {listed}",
                 path=self.name,
             )
 
-    def _arrived(self) -> list[tuple[int, Message]]:
-        """Wait for a message; return all that are there with their times of arrival, by these.
+    def _arrived(self) -> list[_Row]:
+        """Wait for a message; return all that are there, as they arrived.
 
-        Each topic has a queue of its own, and they are emptied one after the other.
+        Each topic has a queue of its own.
         """
-        self._node.spin(0.0 if self._stopped else _PATIENCE)
-        n, idle = len(self._waiting), 0
-        while idle < _IDLE and n:
-            self._node.spin(0.0)
-            n, idle = len(self._waiting), 0 if len(self._waiting) > n else idle + 1
-        arrived, self._waiting = self._waiting, []
-        return sorted(arrived, key=lambda row: row[0])
+        queues = [(self._ids[key[:2]], s) for key, (_, s) in self._subscriptions.items()]
+        if self._clock is not None:
+            queues.append((_CLOCK, self._clock))
+        self._node.wait([s for _, s in queues], 0.0 if self._stopped else _PATIENCE)
+        return sorted(chain(*(self._taken(*queue) for queue in queues)), key=lambda row: row.at)
 
-    def _now(self) -> int | None:
-        """Time of /clock, ns, 0 before it came; None without ``use_sim_time``."""
-        return int(self._node.node.get_clock().now().nanoseconds) if self._simulated else None
+    def _taken(self, ident: int, subscription: Any) -> Iterator[_Row]:
+        """Yield the messages of a queue in its order, of which a repeated one arrived late."""
+        latest = 0
+        for _ in range(_QUEUED):
+            taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+            if taken is None:
+                break
+            latest = max(latest, taken[1]["received_timestamp"] or time.time_ns())
+            yield _Row(latest, ident, *taken)
+
+    def _message(self, row: _Row) -> Message:
+        """Return a message as a file has it."""
+        self._counts[row.ident] += 1
+        self._count_lost(row.ident, row.info)
+        self._watch(row.at)
+        sent = row.info["source_timestamp"] or row.at
+        log_time, sent = (row.at, sent) if self._time is None else (self._time, self._time)
+        return Message(row.ident, log_time, row.data, sent, self._counts[row.ident])
+
+    def _watch(self, at: int) -> None:
+        """Tell the user when a run does not catch up with its messages."""
+        now = time.time_ns()
+        if now - at < _BEHIND:
+            self._in_time = now
+        elif now - self._in_time > _TOLERATED and not self._stopped:
+            self._warn(
+                f"too slow for {len(self._counts)} topics: messages wait for "
+                f"{(now - at) * 1e-9:.0f} s by now, and are lost if it goes on; name fewer cameras "
+                "(--topic), lower their rate, or use a faster computer"
+            )
+            self._warn = lambda _: None
 
     def _look(self) -> Iterator[McapRecord]:
         """Subscribe to the topics that are new in the graph, and yield their definitions."""
+        if self._time == 0:  # no message has a time yet
+            return
         node = self._node.node
         topics = [(t, kind) for t, kinds in node.get_topic_names_and_types() for kind in kinds]
-        self._found = [topic for topic, _ in topics]
-        if self._now() == 0:  # no message has a time yet
-            return
         for topic, kind in topics:
             name = self._names.get(topic, topic)
             # What a rule gives another topic's name cannot be subscribed to.
@@ -216,16 +267,16 @@ class RosInput:
             quality = _Quality(*(a and b for a, b in zip(before, quality, strict=True)))
         if before == quality:
             return
-        subscription = self._node.node.create_subscription(
-            message_class(kind),
-            self._names.get(topic, topic),
-            partial(self._receive, self._ids[topic, kind]),
-            _profile(quality),
-            raw=True,
-        )
+        subscription = self._subscribed(self._names.get(topic, topic), kind, quality)
         self._subscriptions[topic, kind, latched] = quality, subscription
         if old is not None:
             self._node.node.destroy_subscription(old)
+
+    def _subscribed(self, name: str, kind: str, quality: _Quality, *, raw: bool = True) -> Any:
+        """Return a subscription whose messages are taken, so that it calls nothing."""
+        return self._node.node.create_subscription(
+            message_class(kind), name, lambda _: None, _profile(quality), raw=raw
+        )
 
     def _count_lost(self, ident: int, info: Any) -> None:
         """Count what is missing between two messages of a publisher.
@@ -240,15 +291,6 @@ class RosInput:
         self._numbers[ident, publisher] = number
         if number > before + 1:
             self._lost[ident] = self._lost.get(ident, 0) + number - before - 1
-
-    def _receive(self, ident: int, data: bytes, info: Any) -> None:
-        self._counts[ident] += 1
-        self._count_lost(ident, info)
-        at = info["received_timestamp"] or time.time_ns()
-        now = self._now()
-        log_time = at if now is None else now
-        sent = (now is None and info["source_timestamp"]) or log_time
-        self._waiting.append((at, Message(ident, log_time, data, sent, self._counts[ident])))
 
 
 def _refusal(kind: str) -> str:

@@ -170,7 +170,7 @@ def _open_outputs(
             for writer in live:
                 writer.flush()
 
-        source.before_waiting = flush
+        log.reader.done = flush
         yield outputs[0] if len(outputs) == 1 else SeveralOutputs(outputs)
 
 

@@ -47,6 +47,7 @@ from hiros_mcap.io.codec import Decoder, ModelBuilder
 from hiros_mcap.io.container import McapReader, Message
 from hiros_mcap.io.container.file import Pipe
 from hiros_mcap.io.container.live_input import McapInput
+from hiros_mcap.io.container.live_reader import LiveReader
 from hiros_mcap.io.container.writer import LiveWriter
 from hiros_mcap.io.foxglove import FoxgloveInput
 from hiros_mcap.io.log import open_log
@@ -119,7 +120,22 @@ def send(path, messages, *, commit=True):
     return write
 
 
-def run_live(write, options=LIVE, config=None):
+class OneByOne:
+    """An input whose messages come after pauses."""
+
+    def __init__(self, source):
+        self._source = source
+
+    def __getattr__(self, name):
+        return getattr(self._source, name)
+
+    def records(self):
+        for record in self._source.records():
+            yield record
+            yield None
+
+
+def run_live(write, options=LIVE, config=None, paced=lambda source: source):
     """Run with a pipe at both ends."""
     taken: list[bytes] = []
     end, begin = os.pipe()
@@ -133,7 +149,7 @@ def run_live(write, options=LIVE, config=None):
     thread.start()
     try:
         with piped(write) as source:
-            summary = process_live(source, begin, config=config, options=options)
+            summary = process_live(paced(source), begin, config=config, options=options)
     finally:
         os.close(begin)
         thread.join()
@@ -147,11 +163,21 @@ def by_file(crossing, tmp_path_factory):
     return results(out.read_bytes())
 
 
-def test_a_pipe_gives_what_a_file_gives(crossing, by_file):
-    summary, out = run_live(send(crossing, recorded(crossing)))
+@pytest.mark.parametrize("paced", [lambda source: source, OneByOne], ids=["at once", "one by one"])
+def test_a_pipe_gives_what_a_file_gives(paced, crossing, by_file):
+    summary, out = run_live(send(crossing, recorded(crossing)), paced=paced)
     assert results(out) == by_file
     assert [person.id for person in summary.people] == [0, 1]
     assert summary.warnings == ()
+
+
+@pytest.mark.parametrize(("paced", "most"), [(lambda source: source, 32), (OneByOne, 1)])
+def test_what_came_while_a_run_was_busy_is_handed_out_together(paced, most, crossing):
+    with crossing.open("rb") as file:
+        reader = LiveReader(paced(McapInput(file.fileno(), "pipe")))
+        n = [sum(len(part.messages) for part in batch.records) for batch in reader.batches()]
+    assert max(n) == most
+    assert sum(n) == sum(reader.counts.values()) == len(recorded(crossing))
 
 
 def test_a_recording_in_chunks_gives_the_same(crossing, by_file):
@@ -203,7 +229,7 @@ def test_where_nothing_is_merged_no_message_waits_for_other_cameras(crossing):
     options = ProcessOptions(system="hiros-realtime", stages="T")
     at_once = ["input.max_delay=0", "track.reorder=0"]
     config = load_config(None, at_once, system="hiros-realtime")
-    _, out = run_live(send(crossing, recorded(crossing)), options, config)
+    _, out = run_live(send(crossing, recorded(crossing)), options, config, OneByOne)
     topics, order = {}, []
     for record in StreamReader(io.BytesIO(out)).records:
         if isinstance(record, Channel):

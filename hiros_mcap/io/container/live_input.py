@@ -7,13 +7,14 @@ import os
 import select
 import struct
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container.file import unpack_chunk
 from hiros_mcap.io.container.records import (
+    HEAD,
     MAX_CHUNK,
     Channel,
     Cursor,
@@ -42,19 +43,20 @@ class LiveInput(Protocol):
     Attributes
     ----------
     name : what errors and summaries call it.
-    before_waiting : is called before more is awaited.
     fault : what was odd about its end, "" if nothing was.
     """
 
     name: str
-    before_waiting: Callable[[], None]
 
     @property
     def fault(self) -> str:
         """See above."""
 
-    def records(self) -> Iterator[McapRecord]:
-        """Yield definitions, messages and metadata in their order; raises LogError for damage."""
+    def records(self) -> Iterator[McapRecord | None]:
+        """Yield definitions, messages and metadata in their order, and None before it waits.
+
+        Raises LogError for damage.
+        """
 
     def stop(self) -> None:
         """End the input here; a signal handler may call it."""
@@ -78,7 +80,6 @@ class McapInput:
     def __init__(self, descriptor: int, name: str, *, follow: bool = False) -> None:
         self.name = name
         self.fault = ""
-        self.before_waiting: Callable[[], None] = lambda: None
         self._descriptor = descriptor
         self._follow = follow
         self._stopped = False
@@ -96,10 +97,11 @@ class McapInput:
         """SHA-256 of all bytes so far, in hexadecimal."""
         return self._digest.hexdigest()
 
-    def records(self) -> Iterator[McapRecord]:
+    def records(self) -> Iterator[McapRecord | None]:
         """Yield the records as soon as they are complete, those of a chunk when the chunk is.
 
-        Raises LogError for damage. A record that the end cuts off is left out.
+        None means that no other one is complete. Raises LogError for damage. A record that the end
+        cuts off is left out.
         """
         from mcap.exceptions import EndOfFile, InvalidMagic, McapError
         from mcap.records import Chunk
@@ -119,6 +121,8 @@ class McapInput:
                     yield from _unpacked(record)
                 else:
                     yield record
+                if not self._has_record():
+                    yield None
             if self._goes_on():
                 self.fault = (
                     "the input goes on behind its end mark, perhaps with another recording; that "
@@ -157,34 +161,50 @@ class McapInput:
         if not 0 <= size <= _LARGEST_RECORD:
             raise FormatError(f"a field claims {size} bytes; the limit is {_LARGEST_RECORD}")
         while len(self._buffer) < size:
-            self.before_waiting()
-            try:
-                data = self._wait()
-            except OSError as error:
-                raise LogError(f"cannot be read: {error.strerror}", path=self.name) from None
-            if not data:
+            if not self._fetch(_PATIENCE):
                 return b""
-            self._digest.update(data)
-            self._buffer += data
         taken = bytes(self._buffer[:size])
         del self._buffer[:size]
         return taken
 
-    def _wait(self) -> bytes:
-        while not self._stopped:
-            if self._follow:
-                if data := os.read(self._descriptor, _BLOCK):
-                    return data
-                if self._is_replaced():
-                    self.fault = (
-                        "the file was cut short or replaced by another while it was followed; what "
-                        "came before was used: follow the new file in another run"
-                    )
-                    break
-                time.sleep(_PAUSE)
-            elif select.select([self._descriptor], [], [], _PATIENCE)[0]:
-                return os.read(self._descriptor, _BLOCK)
-        return b""
+    def _has_record(self) -> bool:
+        """Whether a whole record has arrived."""
+        return self._holds_record() or (self._fetch(0.0) and self._holds_record())
+
+    def _holds_record(self) -> bool:
+        if len(self._buffer) < HEAD.size:
+            return False
+        size: int = HEAD.unpack_from(self._buffer)[1]
+        return len(self._buffer) >= HEAD.size + size
+
+    def _fetch(self, patience: float) -> bool:
+        """Take what has arrived, or arrives within some time, s; return whether more may come."""
+        if self._stopped:
+            return False
+        try:
+            data = self._arrived(patience)
+        except OSError as error:
+            raise LogError(f"cannot be read: {error.strerror}", path=self.name) from None
+        if data:
+            self._digest.update(data)
+            self._buffer += data
+        return data != b""
+
+    def _arrived(self, patience: float) -> bytes | None:
+        """Return what there is to read, nothing at the end; None if nothing came in time."""
+        if not self._follow:
+            ready = select.select([self._descriptor], [], [], patience)[0]
+            return os.read(self._descriptor, _BLOCK) if ready else None
+        if data := os.read(self._descriptor, _BLOCK):
+            return data
+        if self._is_replaced():
+            self.fault = (
+                "the file was cut short or replaced by another while it was followed; what "
+                "came before was used: follow the new file in another run"
+            )
+            return b""
+        time.sleep(min(patience, _PAUSE))
+        return None
 
     def _is_replaced(self) -> bool:
         """Whether nothing more can come: the file is shorter, or its name is another file's."""
