@@ -9,18 +9,25 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-from detector_logs import azure, humans, scene, write_ros2
+from detector_logs import azure, humans, scene, write_ros2, zed
+from mcap_logs import tf_bytes
+from odd_logs import changed, poses_of
+from scipy.spatial.transform import Rotation
 
 import hiros_schemas
 from hiros_cli.app import run as hiros
 from hiros_mcap.config import load_config
-from hiros_mcap.io.container import McapReader
+from hiros_mcap.io.channels import TF_TOPICS, add_ros_channel
+from hiros_mcap.io.container import McapReader, McapWriter
+from hiros_mcap.io.log import open_log
 from hiros_mcap.io.result import open_result
 from hiros_mcap.running.pipeline import ProcessOptions, process
 
@@ -33,13 +40,13 @@ _domains = itertools.count(os.getpid() % 90 + 1, 7)
 
 
 @cache
-def ros_python():
-    """Return a Python with ROS 2 and hiros; skips where there is none."""
+def ros_python(packages=PACKAGES):
+    """Return a Python with ROS 2 and hiros, and which of some packages it lacks, "" for none."""
     python = os.environ.get("HIROS_ROS2_PYTHON", sys.executable)
     if not Path(python).exists():
         return python, f"{python} is not there"
     found = subprocess.run(
-        [python, "-c", f"import {PACKAGES}"], capture_output=True, text=True, check=False
+        [python, "-c", f"import {packages}"], capture_output=True, text=True, check=False
     )
     lines = found.stderr.splitlines()
     return python, lines[-1] if found.returncode else ""
@@ -137,6 +144,13 @@ def padded(rows):
     return [row + bytes(-len(row) % 4) for row in rows]
 
 
+def log_times(path):
+    """Of the messages of a camera, ns."""
+    with McapReader(path) as reader:
+        chosen = [i for i, c in reader.channels.items() if c.topic == "/camera_0/skeletons"]
+        return np.array([m.log_time for m in reader.messages(chosen)])
+
+
 def by_camera(found):
     return {topic: rows for topic, rows in found.items() if topic.startswith("/camera")}
 
@@ -163,9 +177,11 @@ def test_a_graph_gives_what_a_file_gives_and_gets_the_results(crossing, graph, t
         assert np.nanmax(np.abs(motion.positions - again[person].positions)) < 1e-3
 
 
-@pytest.mark.parametrize("make", [azure, humans])
+@pytest.mark.parametrize("make", [azure, humans, zed("zed-38")])
 def test_other_detectors_are_read(make, graph, tmp_path):
-    """MarkerArrays of an Azure Kinect, and the frames of ROS4HRI on /tf."""
+    """MarkerArrays of an Azure Kinect, the frames of ROS4HRI on /tf, and bodies of a ZED."""
+    if make not in (azure, humans) and (missing := ros_python("zed_msgs.msg")[1]):
+        pytest.skip(f"no zed_msgs here: {missing}")
     made = scene(tmp_path / "scene.mcap", people=1, cameras=2, seconds=2)
     log = write_ros2(tmp_path / "log.mcap", made, make)
     run = graph.hiros("-o", "out.mcap")
@@ -192,6 +208,104 @@ def test_a_camera_may_come_late_die_and_return(whole_crossing, graph, tmp_path):
     assert 90 < len(got["/camera_0/skeletons"]) < len(sent["/camera_0/skeletons"])
     assert 110 < len(got["/camera_2/skeletons"]) < len(sent["/camera_2/skeletons"])
     assert "lost on the way" not in err
+
+
+def written(source, target, *, static, moving=(), since=0):
+    """Copy a log from some ns on with other transforms; the moving ones are (stamp, ...)."""
+    with McapReader(source) as reader, McapWriter(target) as writer:
+        others = {i: c for i, c in reader.channels.items() if not c.topic.startswith("/tf")}
+        writer.copy_definitions(reader, others)
+        rows = list(reader.messages(others))
+        begin = rows[0].log_time + since
+        fixed = add_ros_channel(writer, "/tf_static", hiros_schemas.TF_MESSAGE)
+        writer.write(fixed, begin, tf_bytes(*((0, *row) for row in static)))
+        for stamp, *row in moving:
+            tf = add_ros_channel(writer, "/tf", hiros_schemas.TF_MESSAGE)
+            writer.write(tf, stamp, tf_bytes((stamp, *row)))
+        for message in rows:
+            if message.log_time >= begin:
+                writer.write(message.channel_id, message.log_time, bytes(message.data))
+        writer.commit()
+    return target
+
+
+def test_a_camera_that_starts_five_seconds_later_counts_from_then_on(graph, tmp_path):
+    """Its transform is as late as itself: it comes from another node."""
+    made = scene(tmp_path / "scene.mcap", people=1, cameras=3, seconds=8).path
+    poses = poses_of(made)
+    first = written(made, tmp_path / "first.mcap", static=poses[:-1])
+    later = written(made, tmp_path / "later.mcap", static=poses[-1:], since=5 * 10**9)
+    run = graph.hiros("-o", "out.mcap")
+    early = graph.player(first, "/camera_2/skeletons=off")
+    assert early.stdout.readline() == "begins\n"
+    time.sleep(5)
+    graph.play(later, *(f"{t}=off" for t in by_camera(messages(made)) if "camera_2" not in t))
+    time.sleep(1)
+    stopped(run)
+    out, sent = messages(tmp_path / "out.mcap"), messages(later)
+    assert out["/camera_2/skeletons"] == padded(sent["/camera_2/skeletons"])
+    assert len(out["/hiros/tracked"]) == sum(map(len, by_camera(out).values()))
+
+
+def test_a_camera_that_moves_is_followed(crossing, graph, tmp_path):
+    """It rides 30 cm to and fro, once in two seconds. /tf says so, and no other camera helps."""
+    poses = {row[1]: row for row in poses_of(crossing)}
+    world, frame, at, xyzw = poses.pop(min(poses))
+
+    def place(stamp):
+        return np.array([0.3 * np.sin(np.pi * stamp * 1e-9), 0.0, 0.0])
+
+    def ride(seen, _):
+        markers = seen.markers.copy()
+        if seen.frame_id == frame:
+            markers[:, :, :3] -= Rotation.from_quat(xyzw).inv().apply(place(seen.stamp))
+        return seen.replace(markers=markers)
+
+    ridden = changed(crossing, tmp_path / "ridden.mcap", ride)
+    with McapReader(ridden) as reader:
+        times = sorted(m.log_time for m in reader.messages())
+    still = (0.0, 0.0, 0.0, 1.0)
+    steps = range(times[0], times[-1], 20_000_000)
+    moved = written(
+        ridden, tmp_path / "log.mcap", static=[*poses.values(), ("dolly", frame, at, xyzw)],
+        moving=[(t, world, "dolly", place(t), still) for t in steps],
+    )  # fmt: skip
+    with open_log(crossing) as log:
+        (topic,) = (c.channel.topic for c in log.cameras if frame in c.frames)
+    run = graph.hiros("-o", "out.mcap", "--topic", topic)
+    graph.play(moved, *(f"{t}=off" for t in messages(moved) if t not in (topic, *TF_TOPICS)))
+    time.sleep(1)
+    stopped(run)
+    alone = replace(LIVE, topics=[topic])
+    process(crossing, tmp_path / "still.mcap", config=AS_KNOWN, options=alone)
+    live, fixed = (open_result(tmp_path / name).motions for name in ("out.mcap", "still.mcap"))
+    assert sorted(live) == sorted(fixed) == [0, 1]
+    for person, motion in live.items():
+        mine, theirs = (np.round(m.times - m.times[-1], 3) for m in (motion, fixed[person]))
+        _, i, k = np.intersect1d(mine, theirs, return_indices=True)
+        apart = motion.positions[i] - fixed[person].positions[k]
+        assert np.nanmedian(np.linalg.norm(apart, axis=-1)) < 0.02
+
+
+def test_a_run_that_is_held_up_keeps_the_times_of_the_clock_and_says_so(crossing, graph, tmp_path):
+    """Messages have the time of /clock when they came, not when they were taken."""
+    sim_time = "--ros-args", "-p", "use_sim_time:=true"
+    run = graph.hiros("-o", "-", "-o", "out.mcap", *sim_time)
+    graph.play(crossing, "/clock=on")
+    time.sleep(12)  # nobody reads the pipe
+    threading.Thread(target=drained, args=(run.stdout.fileno(),)).start()
+    time.sleep(3)
+    run.send_signal(signal.SIGINT)
+    assert run.wait(60) == 0
+    assert "too slow for 5 topics: messages wait for 1" in run.stderr.read()
+    sent, got = (log_times(path) for path in (crossing, tmp_path / "out.mcap"))
+    assert np.abs(got - sent).max() < 0.3e9
+
+
+def drained(descriptor):
+    """Read a pipe to its end."""
+    while os.read(descriptor, 1 << 16):
+        pass
 
 
 def test_arguments_of_ros(crossing, graph, tmp_path):
