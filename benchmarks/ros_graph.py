@@ -7,7 +7,7 @@ Needs rclpy and hiros_skeleton_msgs. ``delay`` plays a simulated log at its spee
 long after its last needed message a result reaches another process, through the graph and through
 a Foxglove server. ``soak`` plays a minute forwards and backwards with a clock of its own, and
 prints for each minute how long it took, how far the results are behind, s, the memory of hiros, MB,
-and the results by id; at the end, what was lost.
+its share of one core, and the results by id; at the end, what was lost.
 """
 
 from __future__ import annotations
@@ -56,6 +56,11 @@ def started(*command: object, folder: Path) -> subprocess.Popen:
     return subprocess.Popen([str(part) for part in command], text=True, cwd=folder, **pipes)
 
 
+def machine() -> str:
+    """What a figure depends on."""
+    return f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}"
+
+
 def await_line(stream, text: str) -> str:
     """Read until a line has a text; return it."""
     while text not in (line := stream.readline()):
@@ -65,8 +70,7 @@ def await_line(stream, text: str) -> str:
 
 def delay(seconds: float = 30.0, people: float = 4, cameras: float = 5) -> None:
     """Print quantiles of the delay, ms, by way and channel."""
-    load = f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.0f}"
-    print(f"{people:g} people, {cameras:g} cameras, {load}")
+    print(f"{people:g} people, {cameras:g} cameras, {machine()}")
     print("delay in ms: median, 95 %, 99 %")
     for way in ("ros2://", "ws://:0"):
         with tempfile.TemporaryDirectory() as name:
@@ -144,6 +148,7 @@ def soak(
     """Print memory, results and ids by minute."""
     import rclpy
     from hiros_skeleton_msgs.msg import SkeletonGroup
+    from live import cpu_of
     from rclpy.qos import DurabilityPolicy, QoSProfile
     from rosgraph_msgs.msg import Clock
     from soak import memory_of, repeated
@@ -192,9 +197,9 @@ def soak(
             time.sleep(0.1)
         begin, sent, minute = time.monotonic(), 0, 1
         scene = f"{people:g} people and {cameras:g} cameras"
-        print(f"{minutes:g} min of {scene} at {speed:g} times the speed")
-        print(f"{'minute':>6} {'took':>6} {'behind':>6} {'MB':>6}  ids", flush=True)
-        since = begin
+        print(f"{minutes:g} min of {scene} at {speed:g} times the speed, {machine()}")
+        print(f"{'minute':>6} {'took':>6} {'behind':>6} {'MB':>6} {'CPU':>5}  ids", flush=True)
+        since, cpu = begin, cpu_of(run.pid)
         for topic, frame in repeated(rows, first, int(minutes)):
             at = (frame.log_time - first) / 1e9
             time.sleep(max(0.0, begin + at / speed - time.monotonic()))
@@ -205,11 +210,14 @@ def soak(
                 now = time.monotonic()
                 behind = (frame.stamp - heard[-1]) / 1e9 if heard else float("nan")
                 ids = ", ".join(f"{person} ({n})" for person, n in sorted(counts.items()))
-                memory = memory_of(run.pid)
+                memory, used = memory_of(run.pid), cpu_of(run.pid)
+                share = 100 * (used - cpu) / (now - since)
                 print(
-                    f"{minute:6} {now - since:6.1f} {behind:6.2f} {memory:6.0f}  {ids}", flush=True
+                    f"{minute:6} {now - since:6.1f} {behind:6.2f} {memory:6.0f} {share:3.0f} %  "
+                    f"{ids}",
+                    flush=True,
                 )
-                since, minute = now, minute + 1
+                since, minute, cpu = now, minute + 1, used
                 counts.clear()
         time.sleep(2)
         run.send_signal(signal.SIGINT)
