@@ -59,7 +59,10 @@ class FoxgloveServer(MessageSink):
         """Messages with static transforms, each once, in order."""
         self._time = 0
         """Log time of the latest message, ns."""
-        greeter = SimpleNamespace(on_subscribe=lambda _, channel: self.greet(channel.id))
+        greeter = SimpleNamespace(
+            on_subscribe=lambda _, channel: self.greet(channel.id),
+            on_unsubscribe=lambda *_: None,
+        )
         listener: Any = greeter
         try:
             self._server: Any = foxglove.start_server(

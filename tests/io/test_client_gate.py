@@ -133,6 +133,14 @@ def test_what_waits_at_the_end_is_taken():
         assert got == 20
 
 
+def test_a_client_that_goes_is_no_fault(caplog):
+    with server([]) as (made, _), ExitStack() as stack:
+        leaving = subscribed(stack, made.url)
+        leaving.send(json.dumps({"op": "unsubscribe", "subscriptionIds": [1]}))
+        time.sleep(0.5)
+    assert "Callback failed" not in caplog.text
+
+
 def test_a_page_of_any_origin_may_connect():
     """The docs say so."""
     with server([]) as (made, _), ExitStack() as stack:
