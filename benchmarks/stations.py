@@ -108,7 +108,6 @@ STATIONS: Mapping[str, Station] = {
     "displaced views": Station({"fuse": {"displaced": False}}, ("stages/fuse/displaced_views.py",)),
     "pose prior": Station({"constrain": {"prior": False}}, ("stages/fuse/pose_prior.py",)),
     "rigid groups": Station({"constrain": {"rigid": False}}),
-    "links along bones": Station({"constrain": {"align": False}}, ("stages/fuse/align_links.py",)),
 }
 Numbers = Mapping[str, float]
 COUNTS = ("ids", "switches", "false", "missing", "leaps")

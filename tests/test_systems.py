@@ -45,22 +45,6 @@ def test_a_stage_gets_what_the_run_has():
     assert bound == {**expected, "cameras": run.cameras}
 
 
-def test_links_are_not_aligned_where_that_is_off():
-    scene = room(people=1, cameras=3, seconds=4, seed=3)
-    turned = {}
-    for on in (True, False):
-        config = load_config(named={"test": {"constrain": {"align": on}}}, system="fuse")
-        stages = system("fuse").stages(Run(scene.model, config, known=KnownCameras(scene.cameras)))
-        frames = scene.frames
-        for channel in ("tracked", "merged", "optimized"):
-            before, frames = frames, list(at_once(stages[channel])(frames))
-        turned[on] = max(
-            float(np.nanmax(np.abs(a.orientations - b.orientations), initial=0.0))
-            for a, b in zip(before, frames, strict=True)
-        )
-    assert turned[False] == 0.0 < turned[True]
-
-
 @pytest.mark.parametrize("preset", ["paper", "upstream"])
 def test_the_optimizer_of_the_published_presets_acts(preset):
     """Good detections pass the paper's quality gate; then the lengths vary three times less."""

@@ -103,7 +103,6 @@ def hiros(run: Run) -> Stages:
 def fuse(run: Run) -> Stages:
     """All cameras fused by one smoother per joint: output channel -> the stage that fills it."""
     from hiros_mcap.stages.filter.filter import filter_blocks
-    from hiros_mcap.stages.fuse.align_links import align_blocks
     from hiros_mcap.stages.fuse.constrain import constrain_blocks
     from hiros_mcap.stages.fuse.fuse import fuse_blocks
     from hiros_mcap.stages.track.track import track_blocks
@@ -114,17 +113,14 @@ def fuse(run: Run) -> Stages:
         fuse_blocks, config.fuse, merging=config.merge, fixed_frame=run.fixed_frame,
         known=run.known, noise=run.noise,
     )  # fmt: skip
-    bodies = run.stage(constrain_blocks, config.constrain, limbs=run.limbs)
-    align = partial(align_blocks, model=run.model) if config.constrain.align else iter
-    derivatives = run.stage(filter_blocks, config.filter, keep_positions=True)
     return {
         "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),
         # smoothed positions
         "merged": lambda blocks: fusion(mended(blocks)),
-        # lengths and prior; links along the bones
-        "optimized": lambda blocks: align(bodies(blocks)),
+        # lengths and prior
+        "optimized": run.stage(constrain_blocks, config.constrain, limbs=run.limbs),
         # velocities and accelerations
-        "filtered": derivatives,
+        "filtered": run.stage(filter_blocks, config.filter, keep_positions=True),
     }
 
 

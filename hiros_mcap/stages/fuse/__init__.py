@@ -7,6 +7,5 @@ pose_error.py        how well each camera's pose is known
 fusion_noise.py      how well each camera sees; residuals.py
 displaced_views.py   views of a camera that is not where its pose says
 constrain.py         constant lengths afterwards; pair_lengths.py, pose_prior.py
-align_links.py       orientations of the links
 fuse_params.py       the parameters
 """

@@ -74,5 +74,4 @@ class ConstrainParams(Params):
         "for it. In fuse-realtime, which does not wait, 5.",
     )
     rigid: bool = fixed(True, "Keep the distances within head, thorax and pelvis, too.")
-    align: bool = fixed(True, "Turn links with the bones, as far as the markers are surer.")
     prior: bool = fixed(True, "Use the motion of the person in the window as a prior of each pose.")
