@@ -39,7 +39,7 @@ class Block:
     """Of the same rows; None = no stage has said anything."""
     hidden: Floats | None = None
     """(P, M) m2, by which the variance of a detection's marker is larger, because its camera cannot
-    see it; None = no stage has looked."""
+    see it or it contradicts the body; None = no stage has looked."""
 
     def __repr__(self) -> str:
         return f"<Block {len(self)} frames, {int(self.sizes.sum())} people>"

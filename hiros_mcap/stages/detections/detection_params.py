@@ -26,8 +26,8 @@ class PlausibleParams(Params):
     )
     max_deviation: ClassVar[float] = 3.0
     """Deviation of the links of a marker from the person's lengths, in standard deviations of
-    these, up to which it keeps its confidence. Beyond, the confidence falls with the square. With
-    3, below 1 % of the markers of simulated logs lose some."""
+    these, up to which it counts as it is. Beyond, its variance grows with the square. With 3, that
+    is so for below 1 % of the markers of simulated logs."""
     enough: ClassVar[float] = 5.0
     """Seconds that a person must have been seen before lengths are compared. A few seconds in one
     pose do not show how much they vary."""

@@ -123,6 +123,8 @@ class _HiddenPeople:
         ))  # fmt: skip
         unrated = ~work.rates[rows]  # what a detector guesses is hidden by nobody
         self._note(block, rows[unrated], owners[unrated], work)
+        if block.hidden is not None:  # limbs of another length
+            work.variances[:] += block.hidden
         if not work.variances.any():
             return replace(block, hidden=work.variances)
         markers, moved = people.markers.copy(), ~np.isnan(work.places[:, :, 0])

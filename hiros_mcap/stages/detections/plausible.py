@@ -7,8 +7,7 @@ way. Then
 1. a view whose limbs contradict them while somebody else stands in front of the person is left
    out, if no other camera shows the person, and the detector is sure of every joint: it has no
    marker from here on, and the person is carried on (merge.carry).
-2. a marker whose limbs contradict them loses confidence. The merger gives it less weight, and the
-   fuser a larger variance.
+2. a marker whose limbs contradict them has a larger variance.
 
 Lengths do not depend on how fast somebody moves, nor on sides that a detector has exchanged.
 Nothing is changed while too little is known of a person.
@@ -21,8 +20,12 @@ general (scaled inverse chi square, Gelman et al. 2013, section 2.6):
 
 The deviation of a view is the root mean square of z over its links. A marker contradicts by the
 second largest z^2 of its links, or by that of its only link; the view counts like some more. So, of
-the two ends of a link, the one that contradicts more of its links is at fault. A view is left out
-if its deviation is larger than
+the two ends of a link, the one that contradicts more of its links is at fault. Its standard
+deviation grows as the contradiction y does, from MAX_DEVIATION on: its variance is larger by
+
+    HONEST^2 (y^2 / MAX_DEVIATION^2 - 1).
+
+A view is left out if its deviation is larger than
 
     sqrt(1 + SURE sqrt(2 / N)) + PER_METRE d,
 
@@ -50,6 +53,7 @@ from hiros_mcap.kernels.points import norm3, point_distance
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.detections.detection_params import PlausibleParams
+from hiros_mcap.stages.detections.hidden_joints import HONEST
 
 DISTORTED, CONTRADICTORY = "distorted", "implausible marker"
 """Kinds of events: views that are left out, and markers that count less."""
@@ -76,19 +80,19 @@ def drop_implausible_blocks(
     blocks: Iterable[Block], model: SkeletonModel, params: PlausibleParams | None = None,
     events: Events | None = None, cameras: Mapping[str, Floats] | None = None,
 ) -> Iterator[Block]:  # fmt: skip
-    """Lower the weight of detections that contradict the limb lengths of their person.
+    """Find detections that contradict the limb lengths of their person; they count less.
 
     Parameters
     ----------
     blocks : tracked frames in the fixed frame, in the order of time.
     model, params : the skeleton; see :class:`PlausibleParams`.
     events : counts "distorted" (views without markers from here on) and "implausible marker"
-        (markers with less confidence), by camera.
+        (markers with a larger variance), by camera.
     cameras : source -> (3,) position in the fixed frame, m. Without it no view is left out.
 
     Yields
     ------
-    The same frames at once.
+    The same frames at once, with ``hidden``: by how much the variance of each marker is larger.
     """
     params, events = params or PlausibleParams(), Events() if events is None else events
     if not params.limbs:
@@ -105,8 +109,6 @@ def drop_implausible_blocks(
             seen = np.pad(bank.past.seen, ((0, 0), (0, new)))
             bank.past = bank.past._replace(seen=seen)
         work = PlausibleWork.of(len(people.ids), len(places), people.markers.shape[1])
-        # What is not written is shared: the tracker may still write into others of the arrays.
-        people = people._replace(marker_confidences=people.marker_confidences.copy())
         find_implausible(
             messages, people, rows, places, links, bank.past, params.max_deviation, params.enough,
             params.patience, work,
@@ -116,7 +118,7 @@ def drop_implausible_blocks(
                 events.count(kind, source, n)
         if work.left_out.any():
             people = _without(people, work.left_out)
-        yield replace(block, people=people) if work.counts.any() else block
+        yield replace(block, people=people, hidden=work.doubts)
 
 
 def _without(people: People, left_out: Flags) -> People:
@@ -165,6 +167,7 @@ class PlausibleWork(NamedTuple):
     """What is found out about P people, and scratch for a view."""
 
     left_out: B1  # (P,) whether a view is distorted
+    doubts: F2  # (P, M) m2, to be added to the variance of a marker
     counts: I2  # (2, C) views left out and markers that are trusted less, by camera
 
     largest: F1
@@ -176,7 +179,7 @@ class PlausibleWork(NamedTuple):
     def of(cls, n_people: int, n_cameras: int, n_markers: int) -> PlausibleWork:
         """Make room; nobody is left out yet."""
         p, m = n_people, n_markers
-        return arrays(cls, p, (2, n_cameras), m, m, (p, 3), 1)
+        return arrays(cls, p, (p, m), (2, n_cameras), m, m, (p, 3), 1)
 
 
 @inlined
@@ -235,23 +238,17 @@ def _compare(
 
 
 @kernel
-def _lower(
-    people: People, p: int, deviation: float, max_deviation: float, work: PlausibleWork
-) -> int:
-    """Lower the confidences of contradictory markers of a view; return how many they are."""
+def _doubt(deviation: float, max_deviation: float, doubts: Floats, work: PlausibleWork) -> int:
+    """Write the variances (M,) that contradictory markers of a view have more; return how many."""
     n = 0
-    for m in range(people.markers.shape[1]):
+    for m in range(len(doubts)):
         square = work.second[m] if work.second[m] >= 0.0 else work.largest[m]
         if square < 0.0:
             continue
         mean = (square + _SHARED * deviation * deviation) / (1.0 + _SHARED)
-        ratio = max_deviation**2 / mean
-        if ratio < 1.0:
-            given = people.marker_confidences[p, m]
-            whole = people.confidences[p]
-            if math.isnan(given):
-                given = 1.0 if math.isnan(whole) else whole
-            people.marker_confidences[p, m] = ratio * given
+        more = mean / max_deviation**2 - 1.0
+        if more > 0.0:
+            doubts[m] = HONEST * HONEST * more
             n += 1
     return n
 
@@ -310,11 +307,11 @@ def find_implausible(
     messages: CameraMessages, people: People, rows: I1, places: F2, links: LimbLinks,
     past: LimbPast, max_deviation: float, enough: float, patience: float, work: PlausibleWork,
 ) -> None:  # fmt: skip
-    """Find distorted views, and lower the confidences of contradictory markers.
+    """Find distorted views and contradictory markers.
 
     Parameters
     ----------
-    people : confidences of markers are written. work : tells which views are to be left out.
+    work : tells which views are to be left out, and by how much variances are larger.
     rows : (P,) row of each person in what is remembered; -1 = nobody's.
     places : (C, 3) positions of the cameras, m; NaN = unknown.
     past : brought to the last message.
@@ -345,4 +342,6 @@ def find_implausible(
                 work.left_out[p] = True
                 work.counts[OUT, camera] += 1
             else:
-                work.counts[MARKERS, camera] += _lower(people, p, deviation, max_deviation, work)
+                work.counts[MARKERS, camera] += _doubt(
+                    deviation, max_deviation, work.doubts[p], work
+                )

@@ -257,6 +257,8 @@ class _Sides:
         facing.exchange_sides(
             block.people, views[swapped], directions, axes[swapped], self._markers
         )
+        if block.hidden is not None:
+            block.hidden[views[swapped]] = block.hidden[views[swapped]][:, self._markers.mirror]
         angles = facings.turns[turned]
         facing.turn_trunks(block.people, views[turned], angles, axes[turned], self._markers)
         by_camera = np.bincount(measured.cameras[swapped], minlength=len(self._cameras))
