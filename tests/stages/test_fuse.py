@@ -49,7 +49,7 @@ constrain = at_once(constrain_blocks)
 
 START = 1_700_000_000_000_000_000  # ns
 POINT = SkeletonModel.of(["A"], [])
-NOISE = JointNoise(np.array([5.0]), np.array([0.02**2]), 2.0, 10**9)
+NOISE = JointNoise(np.array([5.0]), np.array([0.02**2]), 2.0, 10**9, 0.0)
 
 
 def numbered(times, cameras, positions, variances):
@@ -198,7 +198,7 @@ def moving(x):
         np.repeat(z, 2, axis=0)[:, None],
         np.full((len(times), 1), 0.01**2),
     )
-    noise = JointNoise(np.array([3.0]), np.array([1e-6]), 2.0, 4)
+    noise = JointNoise(np.array([3.0]), np.array([1e-6]), 2.0, 4, 0.3)
     work, out = FusionWork.of(len(times), 3), FusedPoses.absent(len(x), 1)
     fusing.smooth_joints(steps, 0, noise, JointStates.unknown(1, 1, 1), 0, out, work)
     return np.asarray(np.abs(out.positions[:, 0, 0] - x)), work.factors[::2]
@@ -222,6 +222,21 @@ def test_one_outlier_is_no_fast_motion():
     errors, factors = moving(z)
     assert factors[30:].max() < 20
     assert errors[[58, 59, 61, 62]].max() < 0.05
+
+
+@pytest.mark.parametrize("wrong", [0, 1])
+def test_a_joint_that_one_of_two_cameras_sees_elsewhere_stays(wrong):
+    """For half a second, whichever camera sends first: that is no fast motion."""
+    rng, n = np.random.default_rng(5), 90
+    times = np.repeat(np.arange(n) / 30, 3) + np.tile([0.0, 0.005, 0.006], n)
+    cameras = np.tile([0, 1, POSE], n)
+    z = rng.normal(0, 0.01, (3 * n, 1, 3))
+    z[(cameras == wrong) & (times > 1.5) & (times < 2), 0, 2] += 0.5
+    steps = numbered(times, cameras, z, np.full((3 * n, 1), 0.01**2))
+    noise = JointNoise(np.array([3.0]), np.array([0.01**2]), 1.7, 4, 0.3)
+    work, out = FusionWork.of(3 * n, 4), FusedPoses.absent(n, 1)
+    fusing.smooth_joints(steps, 0, noise, JointStates.unknown(1, 1, 2), 0, out, work)
+    assert np.abs(out.positions).max() < 0.1
 
 
 def test_smoothing_reduces_the_error_and_knows_its_size():

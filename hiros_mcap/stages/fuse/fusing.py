@@ -5,9 +5,10 @@ The state of a joint is [x, v, b_1 ... b_C]: position, velocity and the slow off
     b' = e^(-dt/tau) b, driven so that its variance stays the same (Gauss-Markov)
 A joint that no camera has seen for _GOES_ON s slows down: v' = e^(-dt/_STOPS) v.
     z = x + b_c + white noise, at the camera's own time
-The three axes share the covariance. Measurements have the weights of Student's t. The smoother is
-modified Bryson-Frazier (Bierman 1977, section X.4): it carries back an adjoint of the innovations
-and its covariance, and needs no inverse.
+The three axes share the covariance. The noise is Student's t, and of some measurements it is
+uniform: they may lie anywhere. So a joint that two cameras see at two places stays where it was.
+The smoother is modified Bryson-Frazier (Bierman 1977, section X.4): it carries back an adjoint of
+the innovations and its covariance, and needs no inverse.
 """
 
 from __future__ import annotations
@@ -98,6 +99,7 @@ class JointNoise(NamedTuple):
     offsets: F1  # (M,) variance of a camera's offset, m2
     time: float  # time constant of the offsets, s
     freedom: int  # degrees of freedom of Student's t
+    elsewhere: float  # density of outliers, 1/m3, but for the factor of :func:`_likelihood`
 
 
 class JointStates(NamedTuple):
@@ -247,16 +249,18 @@ def _likelihood(scaled: float, variance: float, freedom: int) -> float:
 
 
 @inlined
-def _excess(scaled: float, freedom: int) -> float:
+def _excess(scaled: float, likelihood: float, noise: JointNoise) -> float:
     """Return the factor by which an outlier adds to its noise's variance, by its scaled square.
 
-    It is 1 / w - 1, where w is the weight that Student's t gives the measurement, at most 1.
+    It is 1 / (w p) - 1, where w is the weight that Student's t gives the measurement, at most 1,
+    and p the probability that it is of the joint at all.
     """
-    return max((freedom + scaled) / (freedom + 3), 1.0) - 1.0
+    doubt = 1.0 + noise.elsewhere / max(likelihood, 1e-30)
+    return doubt * max((noise.freedom + scaled) / (noise.freedom + 3), 1.0) - 1.0
 
 
 @inlined
-def _correct(steps: Steps, t: int, m: int, freedom: int, work: FusionWork) -> None:
+def _correct(steps: Steps, t: int, m: int, noise: JointNoise, work: FusionWork) -> None:
     """Correct the state by a measurement."""
     x, p, h = work.mean, work.covariance, work.row
     n, k, row = len(x), OFFSETS + steps.cameras[t], steps.rows[t]
@@ -269,7 +273,8 @@ def _correct(steps: Steps, t: int, m: int, freedom: int, work: FusionWork) -> No
         work.innovations[t, c] = y
         square += y * y
     scaled = square / variance
-    information = 1.0 / (variance + steps.variances[row, m] * _excess(scaled, freedom))
+    excess = _excess(scaled, _likelihood(scaled, variance, noise.freedom), noise)
+    information = 1.0 / (variance + steps.variances[row, m] * excess)
     work.information[t] = information
     for i in range(n):
         gain = h[i] * information
@@ -327,8 +332,9 @@ def _rate(
             square += (z[c] - x[c]) ** 2
         variance = xx + noise_variance
         scaled = square / variance
-        work.levels[t, level] = _likelihood(scaled, variance, noise.freedom)
-        variance += noise_variance * _excess(scaled, noise.freedom)
+        likelihood = _likelihood(scaled, variance, noise.freedom)
+        work.levels[t, level] = likelihood + noise.elsewhere
+        variance += noise_variance * _excess(scaled, likelihood, noise)
         gain, gain_of_speed = xx / variance, xv / variance
         for c in range(3):
             innovation = z[c] - x[c]
@@ -441,7 +447,7 @@ def _forward(
             _copy(x[VELOCITY], work.speeds[t])
         else:
             seen = time
-            _correct(steps, t, m, noise.freedom, work)
+            _correct(steps, t, m, noise, work)
     if keep >= len(steps.times) and started:
         _save(states, row, m, (time, seen), work)
 
