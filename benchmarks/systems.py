@@ -4,7 +4,9 @@
     python benchmarks/systems.py LOG TRUTH [LOG TRUTH ...]    these logs after them
     python benchmarks/systems.py --scenes 'floor*' --system fuse
     python benchmarks/systems.py --setting other              other cameras, detectors and seeds
-    python benchmarks/systems.py --seeds 5                    each scene five times, their mean
+    python benchmarks/systems.py --seeds 5                    each scene five times: the mean, and
+                                                              its standard error
+    python benchmarks/systems.py --scenes 'detector*' --seeds 6 --system fuse --system lee
     python benchmarks/systems.py --json before.json           ... change the code ...
     python benchmarks/systems.py --before before.json         "before > now" in each cell
 
@@ -34,7 +36,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from scenes import Scene, knocked, misplaced, published, wrong_stamps
+import numpy as np
+from scenes import REALISTIC, Scene, knocked, misplaced, published, wrong_stamps
 
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate.logs import evaluate_log
@@ -42,6 +45,7 @@ from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.evaluate.truth_files import load_truth
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.running.process_options import Calibration, ProcessOptions
+from hiros_mcap.systems import chain_of
 
 SYSTEMS = ("hiros", "fuse", "hiros-realtime", "fuse-realtime")
 DECIMALS = {
@@ -113,6 +117,12 @@ def crowd(setting: Setting, seed: int, action: str) -> Scene:
     return two(setting, seed, action=action, people=5, cameras=3, area=small, rig=slow)
 
 
+def passing(setting: Setting, seed: int, kind: str, **changes: Any) -> Scene:
+    """Simulate people who stand and pass each other, before a detector of some kind."""
+    params = {**REALISTIC, **changes, "detector": {"kind": kind}}
+    return published(setting.seeds + seed, **params)
+
+
 SCENES: Mapping[str, Callable[[Setting], Scene]] = {
     "upright, walk": partial(two, seed=101, action="walk"),
     "upright, cross": partial(two, seed=102, action="cross"),
@@ -148,6 +158,13 @@ SCENES: Mapping[str, Callable[[Setting], Scene]] = {
     "poses off by 1 deg, left so": partial(
         two, seed=118, action="cross", rig={"orientation_error": 1.0 / 3**0.5}
     ),
+    **{
+        f"detector {kind}, {cameras} cameras": partial(
+            passing, seed=seed, kind=kind, cameras=cameras, people=people
+        )
+        for cameras, people, seed in ((2, 2, 122), (3, 3, 123))
+        for kind in ("ideal", "kinect")
+    },
 }
 """By "kind, what": seeds are arbitrary and fixed."""
 LEFT_SO = "left so"
@@ -170,8 +187,9 @@ def main() -> None:
                     many[system].append(scored(log, truth, system, mode))
             for system, some in many.items():
                 key = f"{name} | {system}"
-                rows[key] = row = mean_of(some)
-                print(f"| {key} | {' | '.join(cells(row, before.get(key)))} |", flush=True)
+                rows[key] = mean_of(some)
+                shown = cells(rows[key], before.get(key), errors_of(some))
+                print(f"| {key} | {' | '.join(shown)} |", flush=True)
                 if given.json:
                     given.json.write_text(json.dumps(rows, indent=1) + "\n")
 
@@ -229,7 +247,8 @@ def scored(log: Path, truth: Truth, system: str, mode: Calibration) -> Row:
         start = time.process_time()
         process(log, out, config=config, options=options)
         seconds = time.process_time() - start
-        (result,) = evaluate_log(out, truth, ["/hiros/filtered"]).values()
+        last = chain_of(system, options.stages)[-1]
+        (result,) = evaluate_log(out, truth, [f"/hiros/{last}"]).values()
     s, held = result.scores, result.coverage
     values = (
         *(s.mean, s.deviation, s.percentile_99, s.mean_at_lag, s.orientation_error, s.jitter),
@@ -249,11 +268,23 @@ def mean_of(rows: Sequence[Row]) -> Row:
     }
 
 
-def cells(row: Row, before: Row | None) -> Iterator[str]:
+def errors_of(rows: Sequence[Row]) -> Row:
+    """Return the standard error of the mean of each column of several logs; None of one."""
+    columns = {column: [row[column] for row in rows] for column in DECIMALS}
+    return {
+        column: None if None in values or len(values) < 2
+        else float(np.std(values, ddof=1)) / len(values) ** 0.5
+        for column, values in columns.items()
+    }  # fmt: skip
+
+
+def cells(row: Row, before: Row | None, errors: Row) -> Iterator[str]:
     for column, decimals in DECIMALS.items():
         now = number(row[column], decimals)
         was = number(before[column], decimals) if before and column in before else now
-        yield now if was == now else f"{was} > {now}"
+        error = number(errors[column], decimals)
+        text = now if was == now else f"{was} > {now}"
+        yield f"{text} ({error})" if error else text
 
 
 def number(value: float | None, decimals: int) -> str:
