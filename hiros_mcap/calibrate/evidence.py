@@ -26,18 +26,26 @@ from hiros_mcap.calibrate.joint_refinement import (
 from hiros_mcap.calibrate.pair_pose import FIT_M
 from hiros_mcap.calibrate.registration import robust_kabsch
 from hiros_mcap.calibrate.sampling import Rig, group, lines_of, placed, sample
-from hiros_mcap.calibrate.verdict import Evidence
+from hiros_mcap.calibrate.verdict import SHARE_VARIANCE, Evidence
 from hiros_mcap.kernels.rig_equations import RigResiduals
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
 WHOLE = 8
 """Bodies are compared by at least so many joints."""
+NEARBY_M = 0.75
+"""A camera that showed somebody within this looks at a place: people go so far between two of the
+instants that are compared."""
 
 
 def shared_view(
-    views: Sequence[CameraView], rig: Rig, instants: Floats, mirror: Ints
+    views: Sequence[CameraView], rig: Rig, instants: Floats, mirror: Ints, *, known: bool = False
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Count what C cameras could have in common, and what they have, at (K,) instants, s.
+
+    Parameters
+    ----------
+    known : whether somebody measured where the cameras stand. Then these have in common only whom
+        both look at. Poses that are to be found would choose for themselves what counts.
 
     Returns
     -------
@@ -54,10 +62,11 @@ def shared_view(
     people = np.zeros((n, len(samples.cameras)), np.bool_)  # camera, first row of a person
     people[samples.cameras, groups.people] = True
     fitting = people.astype(np.float64) @ people.T
-    common = fitting + _could_fit(people, samples.instants)
-    cell = float(np.median(np.diff(instants))) if len(instants) > 1 else 0.0
     weights = samples.lines.weights > 0.0
     middles = (places * weights[:, :, None]).sum(axis=1) / weights.sum(axis=1)[:, None]
+    looks = _looks_at(middles, samples.cameras, n) if known else np.ones_like(people)
+    common = fitting + _could_fit(people, samples.instants, looks)
+    cell = float(np.median(np.diff(instants))) if len(instants) > 1 else 0.0
     seconds, spread, company = np.zeros(n), np.zeros(n), np.zeros(n)
     for c in range(n):
         both = people[c] & (people.sum(axis=0) > 1)
@@ -68,22 +77,39 @@ def shared_view(
     return common, fitting, seconds, spread, company
 
 
-def _could_fit(people: Flags, instants: Stamps) -> Floats:
+def _looks_at(middles: Floats, cameras: Stamps, n_cameras: int) -> Flags:
+    """(C, N) Whether a camera looks at a place: it has shown somebody there, at any time.
+
+    Parameters
+    ----------
+    middles : (N, 3) of the skeletons in the common frame, m. cameras : (N,) that show them.
+    """
+    looks = np.zeros((n_cameras, len(middles)), np.bool_)
+    for c in range(n_cameras):
+        for own in middles[cameras == c]:
+            looks[c] |= np.sum((middles - own) ** 2, axis=1) < NEARBY_M**2
+    return looks
+
+
+def _could_fit(people: Flags, instants: Stamps, looks: Flags) -> Floats:
     """(C, C) Skeletons of two cameras that do not fit, and could be the same person.
 
-    Two people are different if a third camera sees both. Otherwise the fewer of both cameras count.
+    Two people are different if a third camera sees both, or if one of the cameras does not look
+    where the other one sees its person. Otherwise the fewer of both cameras count.
 
     Parameters
     ----------
     people : (C, N) which cameras see a person, at the person's first row; none at other rows.
     instants : (N,) of the rows, never decreasing.
+    looks : (C, N) whether a camera looks where a row's person is.
     """
     left = np.zeros((len(people), len(people)))
     rows = np.flatnonzero(people.any(axis=0))
     starts = np.flatnonzero(np.diff(instants[rows], prepend=-1))
     for at_once in np.split(rows, starts[1:]):
         seen = people[:, at_once].astype(np.float64)
-        alone = seen[:, None] * (1.0 - seen)  # (C, C, G) who is seen by the first, not the second
+        # (C, C, G) who is seen by the first, not by the second, which looks there
+        alone = seen[:, None] * (1.0 - seen) * looks[:, at_once]
         perhaps_same = (seen.T @ seen == 0.0).astype(np.float64)
         partners = np.swapaxes(alone, 0, 1) @ perhaps_same
         count = (alone * (partners > 0.0)).sum(axis=2)
@@ -149,10 +175,13 @@ WINDOW_S = 1.0
 """Paths are compared by their means over it: most of the joints' noise is gone then."""
 
 
-def evidence_of(refined: Refinement, mirror: Ints) -> list[Evidence]:
-    """Gather how well each camera fits the others."""
+def evidence_of(refined: Refinement, mirror: Ints, *, known: bool = False) -> list[Evidence]:
+    """Gather how well each camera fits the others.
+
+    ``known`` : as in :func:`shared_view`.
+    """
     common, fitting, seconds, spread, people = shared_view(
-        refined.views, refined.rig, refined.instants, mirror
+        refined.views, refined.rig, refined.instants, mirror, known=known
     )
     distances = camera_distances(refined.residuals)
     evidence = []
@@ -164,6 +193,7 @@ def evidence_of(refined: Refinement, mirror: Ints) -> list[Evidence]:
         evidence.append(
             Evidence(
                 share=float(fitting[c, others].sum() / most) if most else 0.0,
+                share_error=float(np.sqrt(SHARE_VARIANCE / most)) if most and known else 0.0,
                 residual=float(np.median(apart)) if len(apart) else np.inf,
                 seconds=float(seconds[c]),
                 spread=float(spread[c]),

@@ -22,6 +22,7 @@ from hiros_mcap.calibrate.joint_refinement import (
 )
 from hiros_mcap.calibrate.registration import robust_kabsch
 from hiros_mcap.calibrate.sampling import Rig, Samples, group, instants_of, placed, sample
+from hiros_mcap.calibrate.verdict import WRONG_M
 from hiros_mcap.skeletons import Floats, Ints
 
 FIT_M = 0.25
@@ -251,6 +252,11 @@ LEAST_SHARE = 0.5
 LEAST_FITTING = 10
 NEAR_LAGS = np.arange(-3.0, 3.1, 0.2).tolist()
 """s. Whoever walks is off by 12 cm at half the step, and still fits."""
+PAIR_INSTANTS = 100
+"""Instants at which two cameras are compared."""
+SAME_SHARE, SAME_FITTING, SAME_MOTION = 0.6, 20, 0.65
+"""The best pose that strangers give: at most .59 of what two cameras see fits, or it fits for a
+few instants. The same people: .6 to 1, with velocities that correlate by .7 to .98."""
 RIVAL = 0.8
 """A pose is ambiguous if another one has more than this share of its quality."""
 
@@ -313,6 +319,41 @@ def coarse_clocks(
         fits[a, b] = [best_lag(pair, rig.select([a, b]).anchored(), tried, mirror)]
     tree, _ = spanning_tree(fits, list(range(len(views))))
     return chained(tree, fits, len(views)).clocks
+
+
+def seen_elsewhere(
+    camera: int, views: Sequence[CameraView], given: Rig, landmarks: Landmarks, mirror: Ints
+) -> str:
+    """Return the camera that shows the same people as ``camera``, if this stood elsewhere.
+
+    Cameras that see different people have none ("" then): no pose makes strangers fit for long.
+
+    Parameters
+    ----------
+    views : of all cameras, whose clocks are about right. given : their poses.
+    """
+    signatures = [signatures_of(view, landmarks) for view in views]
+    for other, view in enumerate(views):
+        lags = lag_candidates(signatures[other], signatures[camera]) if other != camera else []
+        at_once = [(lag, pairs) for lag, pairs in lags if abs(lag) < SAME_S]
+        if not at_once:
+            continue
+        pair = [view, views[camera]]
+        fits = register_pair(pair, at_once, instants_of(pair[:1], PAIR_INSTANTS), mirror)
+        there = given.select([other, camera]).anchored()
+        if fits and _proves(fits[0]) and not alike(fits[0].rig, there):
+            return view.name
+    return ""
+
+
+def _proves(fit: PairFit) -> bool:
+    """Whether two cameras see the same people for so long that strangers would not fit."""
+    return (
+        fit.share >= SAME_SHARE
+        and len(fit.distances) >= SAME_FITTING
+        and fit.motion >= SAME_MOTION
+        and fit.residual <= WRONG_M
+    )
 
 
 def links_from(root: int, pairs: Sequence[Pair]) -> list[Pair]:

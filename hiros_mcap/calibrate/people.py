@@ -29,6 +29,7 @@ from hiros_mcap.calibrate.evidence import camera_distances, full_evidence
 from hiros_mcap.calibrate.gauge import find_floor, moved, on_floor, on_transforms
 from hiros_mcap.calibrate.joint_refinement import Refinement
 from hiros_mcap.calibrate.pair_pose import (
+    PAIR_INSTANTS,
     Fits,
     Pair,
     ambiguous,
@@ -73,8 +74,6 @@ from hiros_mcap.io.log import Log
 from hiros_mcap.skeletons import Floats, Ints, SkeletonModel
 from hiros_mcap.wording import plain
 
-PAIR_INSTANTS = 100
-"""Instants at which two cameras are compared."""
 APART_S, CONSTANT_S = 2.0, 0.1
 """Lags that differ by more, and vary by less, show a wrong clock."""
 WORLD, ROOM = "world", "room"

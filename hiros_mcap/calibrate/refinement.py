@@ -251,7 +251,7 @@ def refine_poses(
         free = np.array([movable[c] for c in some])
         shared = points if some == everyone else None
         rig = refine_together([views[c] for c in some], start, mirror, effort, free, shared)
-        return FittingRig(some, rig, evidence_of(rig, mirror))
+        return FittingRig(some, rig, evidence_of(rig, mirror, known=True))
 
     everyone = list(range(len(views)))
     instants = instants_of(views, effort.instants)

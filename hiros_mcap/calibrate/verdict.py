@@ -18,6 +18,9 @@ SURE = (*CONFIRMED, "usable")
 
 LEAST_SHARE = 0.85
 """Of the skeletons that two cameras share, so many fit if their poses are right."""
+SHARE_VARIANCE, SHARE_ERRORS = LEAST_SHARE * (1.0 - LEAST_SHARE), 2.0
+"""Of one skeleton's fitting, where so many do. A measured pose is wrong if a smaller share fits, by
+so many standard errors: of the four skeletons that two cameras of a corridor share, one may not."""
 WRONG_M = 0.12
 """Median distance of the same person in two cameras: 1 to 7 cm if poses are right, 14 to 21 cm if
 they are not."""
@@ -90,6 +93,8 @@ class Evidence:
     """Common view with other cameras, s."""
     spread: float
     """How far the people spread in it: the square root of their variance, m."""
+    share_error: float = 0.0
+    """Standard error of the share, if the pose was measured; otherwise nothing excuses it."""
     size: float = 1.0
     """Size of the people in this camera against the others."""
     wander: float = 0.0
@@ -134,7 +139,7 @@ def verdict_of(evidence: Evidence, *, moved: bool) -> tuple[Verdict, str]:
 
 def misfit(e: Evidence) -> str:
     """Return why a camera does not see the people where the others see them; "" if it does."""
-    if e.share < LEAST_SHARE:
+    if e.share + SHARE_ERRORS * e.share_error < LEAST_SHARE:
         return f"only {e.share:.0%} of what it shares with other cameras fits"
     if e.residual > WRONG_M:
         return f"its people are {100 * e.residual:.0f} cm from the other cameras' people"

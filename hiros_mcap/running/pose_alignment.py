@@ -21,7 +21,7 @@ from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import TimedPoses, same_place
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import landmarks_of
-from hiros_mcap.calibrate.pair_pose import coarse_clocks
+from hiros_mcap.calibrate.pair_pose import coarse_clocks, seen_elsewhere
 from hiros_mcap.calibrate.refinement import refine_poses
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.calibrate.survey import (
@@ -178,11 +178,8 @@ class PoseAlignment:
             events.log.append(self.late)
             events.count(DISPLACED, self.late.source, self.not_used)
 
-    def warnings(self, *, found: bool) -> Iterator[str]:
-        """Yield what makes the poses doubtful, and the remedy.
-
-        Where nobody was ``found``, no view tells whether cameras see the same people.
-        """
+    def warnings(self) -> Iterator[str]:
+        """Yield what makes the poses doubtful, and the remedy."""
         stays = [one for one in self.cameras if not math.isnan(one.since_s)]
         for move in self.moves:
             seconds = next(one.since_s for one in stays if one.name == move.camera)
@@ -211,15 +208,18 @@ class PoseAlignment:
                     f"{camera.name}: its pose does not fit the people ({camera.reason}); hiros "
                     "kept it. Calibrate the camera anew, or pass its pose with --extrinsics FILE"
                 )
-            elif found and self._is_unconfirmed(camera):
-                yield (
-                    f"{camera.name} {camera.reason}; if it should, its pose is wrong, and people "
-                    "may appear twice. hiros calibrate people may find it"
-                )
 
-    def notes(self) -> Iterator[str]:
-        """Yield what was done."""
+    def notes(self, *, found: bool) -> Iterator[str]:
+        """Yield what was done, and what nothing confirms.
+
+        Where nobody was ``found``, no view tells whether cameras see the same people.
+        """
         yield from self.agreements
+        for camera in filter(self._is_unconfirmed, self.cameras if found else ()):
+            yield (
+                f"{camera.name} {camera.reason}; if it should, its pose is wrong, and people "
+                "may appear twice. hiros calibrate people may find it"
+            )
         if self.replaced and not self.from_nothing:
             yield (
                 "hiros moved the cameras to where they see the same people at the same place; "
@@ -302,6 +302,7 @@ def _refined_poses(
     if not free and mode != "require" and all(one.reason == UNLINKED for one in posed.rig):
         return PoseAlignment()  # nothing tells a pose, and none is used: all are in one frame
     posed = split_moved(survey, clocks, posed) if moved else posed
+    posed = posed if posed.moves else _with_strays(survey, clocks, posed)
     alike = [] if faults else same_place({camera.name: camera.pose for camera in posed.cameras})
     if not faults and (anew := _found_anew(survey, clocks, mode, posed, alike)):
         return anew
@@ -321,6 +322,27 @@ def _posed(survey: Survey, clocks: ClockAlignment, cameras: Iterable[FixedCamera
     if len(ordered) < 2:
         return PosedViews([], [], [], [])
     return _refined(survey, clocks.corrections, ordered, clocks.lags)
+
+
+def _with_strays(survey: Survey, clocks: ClockAlignment, posed: PosedViews) -> PosedViews:
+    """Find out who of the cameras that share no view would share one if they stood elsewhere.
+
+    Such a camera does not fit. The others see different people, and nothing is wrong with that.
+    """
+    alone = [k for k, one in enumerate(posed.rig) if one.reason == UNLINKED]
+    if not any(posed.cameras[k].movable for k in alone):
+        return posed
+    model, seen = survey.log.model, survey.many(clocks.corrections)
+    mirror, rig = symmetry_of(model).mirror, list(posed.rig)
+    views = [
+        seen_by(camera, seen.get(camera.name, []), mirror, view.shift)
+        for camera, view in zip(posed.cameras, posed.views, strict=True)
+    ]
+    given = Rig.of([camera.pose for camera in posed.cameras])
+    for k in alone:
+        if other := seen_elsewhere(k, views, given, landmarks_of(model), mirror):
+            rig[k] = replace(rig[k], reason=f"its people are those whom {other} sees elsewhere")
+    return replace(posed, rig=rig)
 
 
 def _found_anew(

@@ -226,7 +226,7 @@ class Report:
         yield from self._distortions(cameras)
         yield from clock_warnings(self.prepared.clocks.faults, self.log.span[0])
         found = bool(self.observer.people)
-        yield from self.prepared.poses.warnings(found=found)
+        yield from self.prepared.poses.warnings()
         yield from self._displaced()
         yield from self.reading.warnings
         if not found:
@@ -308,7 +308,7 @@ class Report:
         """Yield what nobody asked for but should know."""
         yield from unmatched_globs(self.log, self.prepared.options)
         yield from self.observer.pauses.notes(self.log.span[0])
-        yield from self.prepared.poses.notes()
+        yield from self.prepared.poses.notes(found=bool(self.observer.people))
         yield from self._displaced_for_a_while()
         yield from self.reading.remarks
         for account in self.reading.accounts.values():

@@ -212,6 +212,28 @@ def test_two_cameras_could_have_a_person_in_common_unless_a_third_one_sees_two()
     assert common(here, there, still((0, 0)))[0, 1] == 1
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+def test_measured_cameras_have_in_common_whom_both_look_at(axis):
+    def view(*times):
+        """Somebody who is at a place at (begin, end) s, and nowhere else."""
+        tracks = []
+        for place, begin, end in times:
+            (seen,) = still(np.roll([float(place), 0.0], axis)).tracks
+            part = slice(round(30 * begin), round(30 * end))
+            tracks.append(Tracklet(*(np.ascontiguousarray(each[part]) for each in seen)))
+        return CameraView("c", "c", tracks, 0.0, 0.1)
+
+    def shared(*views):
+        instants = np.arange(0.25, 3.5, 0.5)
+        return shared_view(views, Rig.alone(2), instants, SIDES, known=True)[0][0, 1]
+
+    whole, other = view((0, 0, 4)), view((3, 0, 4))
+    assert shared(whole, other) == 0  # strangers at two ends of a corridor
+    # Each was seen where the other one sees somebody now: it would be seen there.
+    assert shared(view((0, 0, 2), (3, 2, 4)), view((3, 0, 2), (0, 2, 4))) == 7
+    assert shared(whole, whole) == 7
+
+
 def test_people_in_common_still_count_beside_those_who_are_not():
     both = still((0, 0), (3, 0))
     assert common(both, still((0, 0)), still((3, 0)), both).tolist() == [
@@ -250,6 +272,8 @@ def test_weights_leave_outliers_out_of_a_rigid_fit():
     [
         ({}, "good", ""),
         ({"share": 0.6}, "doubtful", "60% of what it shares"),
+        ({"share": 0.75, "share_error": 0.04}, "doubtful", "75% of what it shares"),
+        ({"share": 0.75, "share_error": 0.18}, "good", ""),  # three of four
         ({"residual": 0.15}, "impossible", "15 cm"),
         ({"rival": True}, "doubtful", "quite different pose"),
         ({"error_deg": 1.0, "error_m": 0.06}, "usable", "1.0 degrees and 6 cm"),
