@@ -408,7 +408,7 @@ class Copies:
         """Delete a copy, also in messages that are held."""
         if track.confirmed:
             self._events.note(group.stamp, "track withdrawn", person=track.id)
-        self._identities.leave_crowd(track)
+        self._identities.take_back(track)
         self._people.remove(track)
         track.id, track.is_copy = UNTRACKED, True
         for j in [j for j, each in enumerate(group.tracks) if each is track]:

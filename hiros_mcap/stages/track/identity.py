@@ -58,8 +58,8 @@ class Identities:
         self._places: dict[int, tuple[Floats, Floats]] = {}
         """Number of a track to where it was at the last look but one, and at the last, m."""
         self._patience = round(_PATIENCE * params.lookahead * 1e9)
-        self._crowd: set[int] = set()
-        """Numbers of the tracks of as many people as were there at once."""
+        self._people_known: set[int] = set()
+        """Ids of people of whom no two are the same."""
 
     def name(
         self, track: PersonTrack, group: DetectionGroup, scene: Present, *, at_once: bool = False
@@ -68,13 +68,14 @@ class Identities:
 
         ``at_once`` : no more will be known.
         """
-        kind, remark = "track born", ""
+        kind, remark, is_new = "track born", "", True
         if track.former_id == UNTRACKED and self._somebody_absent(track):
             age = math.inf if at_once else group.stamp - track.first
             if age < self._patience:
                 return
             verdict = self._reidentify(track, scene)
-            track.doubtful = verdict.doubtful and age < WAITS * self._patience
+            # Seen from one camera far away, limbs tell little; a moment later they may.
+            track.doubtful = not verdict.accepted and age < WAITS * self._patience
             if track.doubtful:
                 return
             if verdict.accepted:
@@ -82,27 +83,28 @@ class Identities:
                 self._restore(track, verdict.person, scene)
             else:
                 track.stranger, remark = True, f"; not re-identified ({verdict})"
+                is_new = verdict.is_stranger
         track.doubtful = False
         track.id = next(self._ids) if track.former_id == UNTRACKED else track.former_id
         scene.admit(track)
-        there = self._there(scene, group.stamp)
-        self._crowd = max(self._crowd, there, key=len)
+        self._people_known |= {track.id} if is_new else set()
+        self._people_known = max(self._people_known, self._there(scene, group.stamp), key=len)
         self._events.note(
             group.stamp, kind, person=track.id, source=group.source,
             detail=f"seen by {', '.join(sorted(track.reports))}{remark}",
         )  # fmt: skip
 
     def _there(self, scene: Present, stamp: int) -> set[int]:
-        """Return the numbers of the persons who are there."""
-        return {person.number for person in scene.persons if person.is_there(stamp)}
+        """Return the ids of the persons who are there."""
+        return {person.id for person in scene.persons if person.is_there(stamp)}
 
     def leave(self, track: PersonTrack) -> None:
         """Remember a person who was not seen for t_m."""
         self._absent.append(self._cues_of(track))
 
-    def leave_crowd(self, track: PersonTrack) -> None:
+    def take_back(self, track: PersonTrack) -> None:
         """Note that a track was no person, or the same as another one."""
-        self._crowd.discard(track.number)
+        self._people_known -= {track.id, track.former_id}
 
     def _cues_of(self, track: PersonTrack) -> PersonCues:
         past, row = self._people.bank.past, track.row
@@ -198,11 +200,13 @@ class Identities:
             )
             for each in [track, *rivals]
         ]
-        missing = len(self._crowd) - len(self._there(scene, track.seen))
         absent = [
             replace(old, watched=self._watched(old.stamp, track.first) * 1e-9)
             for old in self._absent_before(track, scene)
         ]
+        # Whoever is there, and may be one of those who left, is one of them less to come back.
+        missing = len(self._people_known & {old.person for old in absent})
+        missing -= len(self._there(scene, track.seen) - self._people_known)
         return reidentify(newcomers, absent, missing, self._limbs)[track.number]
 
     def _restore(self, track: PersonTrack, person: int, scene: Present) -> None:

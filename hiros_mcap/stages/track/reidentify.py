@@ -12,9 +12,9 @@ Each newcomer is one of the people who are absent, or a stranger. The model, wit
 - Place and time: a person who left is somewhere about the place where he was lost, on the floor,
   normal with an SD that grows with the time to that of a room. Or he stands there still, if he
   stood before or could not go. A stranger may be anywhere in the room.
-- Number of people: whoever comes while somebody is missing, of as many as were there at once, is
-  probably one of the missing. Who is missing since a moment ago, or since all cameras paused, did
-  not leave: it is nearly certain.
+- Number of people: whoever comes while somebody is missing, as whom nobody who is there may have
+  come back, is probably one of the missing. Who is missing since a moment ago, or since all cameras
+  paused, did not leave: it is nearly certain.
 
 All ways to give several newcomers the absent people's ids are weighed together, so two people who
 left and came back are told apart by each other. Every choice of as many absent people is equally
@@ -159,9 +159,9 @@ class Verdict:
         return self.probability >= THRESHOLD and self.exchanged <= _EXCHANGED
 
     @property
-    def doubtful(self) -> bool:
-        """Whether the newcomer is one of the absent people, but nobody knows which one."""
-        return not self.accepted and self.probability + self.exchanged >= THRESHOLD
+    def is_stranger(self) -> bool:
+        """Whether the newcomer is surely none of the absent people."""
+        return self.probability + self.exchanged <= 1.0 - THRESHOLD
 
 
 def reidentify(
@@ -172,7 +172,7 @@ def reidentify(
     Parameters
     ----------
     newcomers : the most important first. absent : the last to leave last.
-    missing : how many people are missing, of as many as were there at once.
+    missing : how many of the people are missing.
     limbs : how the lengths of their limbs vary, and go together.
     """
     newcomers, absent = newcomers[:_MOST], absent[-_MOST:]
