@@ -70,10 +70,21 @@ def test_a_detection_that_leaps_is_left_out_and_does_not_spoil_the_track():
     assert events.counts["leap", "a"] == 2
 
 
+@pytest.mark.parametrize(("apart", "left_out"), [(0.0, 1), (0.5, 4)])
+def test_what_two_cameras_show_at_once_is_no_leap(apart, left_out):
+    """Somebody starts faster than his track foresees. Or each camera distorts him by itself."""
+    before = standing([person()], 0, 1)
+    shown = {"a": person(0.45), "b": person(0.45 - 2 * apart)}
+    leaps = [seen([shown[name]], at(k, c), name) for k in (30, 31) for c, name in enumerate("ab")]
+    events = Events()
+    list(track([*before, *leaps], MODEL, events=events))
+    assert events.total("leap") == left_out
+
+
 def test_a_camera_that_insists_on_a_leap_is_believed():
-    frames = [*standing([person()], 0, 1), *standing([person(0.45)], 1, 3)]
+    frames = [*standing([person()], 0, 1, "a"), *standing([person(0.45)], 1, 3, "a")]
     found = ids(frames)
-    assert found[60] == [-1]
+    assert found[30] == [-1]
     assert found[-1] == [0]
 
 

@@ -56,13 +56,16 @@ class Tracks(NamedTuple):
     length_counts: F2  # (T, L) detections that the mean length is of
     last_seen: I1  # (T,) time of the last detection, ns
     leaps: I3  # (T, C, 2) times, ns, of the first and last of each camera's latest leaps
+    leapt_to: F3  # (T, C, 3) where the last of them was, m
 
     @classmethod
     def allocate(cls, n_tracks: int, n_markers: int, n_links: int) -> Tracks:
         """Arrays of zeros; of no camera yet."""
         m, n = (n_tracks, n_markers), (n_tracks, n_links)
         markers, links = [(*m, k) for k in (3, 3, 3, 6)], [(*n, k) for k in (4, 3, 3, 6)]
-        return arrays(cls, *markers, m, *links, n, n, n, n_tracks, (n_tracks, 0, 2))
+        return arrays(
+            cls, *markers, m, *links, n, n, n, n_tracks, (n_tracks, 0, 2), (n_tracks, 0, 3)
+        )
 
 
 class TrackSettings(NamedTuple):

@@ -14,7 +14,7 @@ Beyond the paper:
   is not clear who came, messages are held for longer (:mod:`~hiros_mcap.stages.track.identity`).
 - A detection with left and right swapped is compared, and corrects its track, swapped back.
 - A detection that leaps away from its track is left out: a detector distorts people who are about
-  to be hidden. The gate of an unseen track grows.
+  to be hidden. What two cameras show at once is no leap. The gate of an unseen track grows.
 - A detection behind somebody else corrects its track little: what its camera cannot see, the
   detector invents.
 - A camera that shows people elsewhere than the others do brings nobody new

@@ -39,7 +39,7 @@ class TrackParams(Params):
         1.0,
         ge=0,
         description="Time, s, that a message with a tentative track is held, or up to four times "
-        "as long while it is not clear which absent person came back. The person then has the id "
+        "as long while somebody is absent and it is not clear who came. The person then has the id "
         "from the first detection on. 0 = a live system without delay.",
     )
     reidentify: Seconds = Field(
@@ -48,7 +48,7 @@ class TrackParams(Params):
         description="Longest absence, s, after which a person may get the old id back. Limb "
         "lengths, place, time and the number of people must make it probable (90 %). The "
         "decision waits for 0.8 of track.lookahead, and up to four times as long while it is not "
-        "clear which absent person came. 0 = whoever comes back has a new id.",
+        "clear who came. 0 = whoever comes back has a new id.",
     )
     max_jump: float = advanced(
         0.3,
@@ -56,7 +56,7 @@ class TrackParams(Params):
         description="A detection is left out if its markers are on average farther, m, from their "
         "track than this, although the track was just seen (plus 3 m/s for longer intervals). "
         "Detectors distort people who are about to be hidden. A camera that repeats it for half a "
-        "second is believed. inf = off (paper).",
+        "second is believed, and so are two that show the same at once. inf = off (paper).",
     )
     min_distance: float = fixed(
         0.25,

@@ -168,7 +168,8 @@ class TrackedPeople:
             self.cameras.places[:] = places_of(self.names, self._places)
             past = self.bank.past
             leaps = np.pad(past.leaps, ((0, 0), (0, new), (0, 0)), constant_values=NEVER)
-            self.bank.past = past._replace(leaps=leaps)
+            leapt_to = np.pad(past.leapt_to, ((0, 0), (0, new), (0, 0)))
+            self.bank.past = past._replace(leaps=leaps, leapt_to=leapt_to)
         return messages
 
     def known(self, *, certain: bool) -> KnownTracks:

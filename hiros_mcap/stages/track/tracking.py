@@ -15,9 +15,11 @@ from hiros_mcap.frames import CameraMessages
 from hiros_mcap.kernels.array_types import B1, F2, I1, I2, J1, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel, rows_of
 from hiros_mcap.kernels.line_of_sight import hidden_by, outline
+from hiros_mcap.kernels.points import point_distance
 from hiros_mcap.skeletons import Floats, People, Stamps
 from hiros_mcap.stages.detections.hidden_joints import RATES, guess_limit, learn_rating
 from hiros_mcap.stages.track.association import (
+    MOSTLY_HIDDEN,
     Tracks,
     TrackSettings,
     TrackWork,
@@ -32,6 +34,8 @@ FAULTS = "", "no markers", "low confidence", "leap", "duplicate", DISPLACED
 
 INSISTENCE = 500_000_000
 """ns for which a camera's leaps are left out, and for which a silent camera still counts."""
+AT_ONCE = 100_000_000
+"""ns within which cameras show the same moment: two frames of a slow one."""
 NEVER, LAST = -(1 << 61), 1 << 61
 """Times, ns, before and after those of all messages."""
 
@@ -144,6 +148,51 @@ def _is_sudden(stamp: int, leaps: Stamps) -> bool:
 
 
 @inlined
+def _place_seen(j: int, people: People, work: TrackWork, out: Floats) -> None:
+    """Write the mean place (3,), m, of what a detector sees of a person; of all if it sees none."""
+    out[:], n = 0.0, 0
+    for least in (MOSTLY_HIDDEN, np.inf):
+        for m in range(people.markers.shape[1]):
+            if work.hidden[j, m] < least and not math.isnan(people.markers[j, m, 0]):
+                n += 1
+                for c in range(3):
+                    out[c] += people.markers[j, m, c]
+        if n > 0:
+            break
+    for c in range(3):
+        out[c] /= max(n, 1)
+
+
+@inlined
+def _is_agreed(
+    stamp: int, camera: int, leaps: Stamps, places: Floats, settings: TrackSettings
+) -> bool:
+    """Whether another camera has just shown the same leap, of a track, to the same place."""
+    for other in range(len(leaps)):
+        at_once = other != camera and abs(stamp - leaps[other, 1]) <= AT_ONCE
+        if at_once and point_distance(places[camera], places[other]) <= settings.max_jump:
+            return True
+    return False
+
+
+@inlined
+def _is_left_out(
+    stamp: int, camera: int, j: int, row: int, people: People, tracks: Tracks,
+    settings: TrackSettings, work: TrackWork,
+) -> bool:  # fmt: skip
+    """Note a leap of detection ``j`` away from a track; return whether nothing speaks for it.
+
+    A camera that repeats it for long does, and another one that shows the same at once: what a
+    detector distorts, another one sees elsewhere.
+    """
+    _place_seen(j, people, work, tracks.leapt_to[row, camera])
+    is_sudden = _is_sudden(stamp, tracks.leaps[row, camera])
+    return is_sudden and not _is_agreed(
+        stamp, camera, tracks.leaps[row], tracks.leapt_to[row], settings
+    )
+
+
+@inlined
 def _match(
     stamp: int, camera: int, rows: Stamps, leaping: bool, people: People, tracks: Tracks,
     settings: TrackSettings, work: TrackWork,
@@ -160,7 +209,11 @@ def _match(
         i = work.match[j]
         if i < 0:
             continue
-        if leaping and work.broken[j] and _is_sudden(stamp, tracks.leaps[rows[i], camera]):
+        if (
+            leaping
+            and work.broken[j]
+            and _is_left_out(stamp, camera, j, rows[i], people, tracks, settings, work)
+        ):
             work.match[j], work.faults[j] = -1, LEAP
         else:
             work.track_rows[j] = rows[i]
