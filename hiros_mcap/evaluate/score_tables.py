@@ -95,6 +95,9 @@ def notes_without_truth(scores: SelfScores) -> list[str]:
     return [TWO_CAMERAS] if len(scores.cameras) == 2 else []
 
 
+SIGNS = "Signs, no errors: people may walk backwards, and a detector may turn every head aside."
+
+
 def side_table(sides: SideScores) -> Table:
     """Signs that left and right of a result are wrong, a row each."""
     walking = max(sides.walking, 1)

@@ -146,7 +146,7 @@ def test_a_page_says_of_what_it_is_and_how_good(processed, plotted):
         f"<h1>{processed}: /hiros/filtered</h1>",
         "recorded 2023-11-14 22:13 UTC; hiros 0.1.0, system fuse",
         "mean joint error ",
-        "no warnings</p>",
+        "no warnings in the run</p>",
     ):
         assert fact in plotted
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import re
+import shutil
+import subprocess
 
 import numpy as np
 import pytest
@@ -61,6 +64,22 @@ def test_a_page_that_cannot_be_written_leaves_nothing(tmp_path):
     with pytest.raises(LogError, match="folder: cannot be written"):
         page().write(target)
     assert [p.name for p in tmp_path.iterdir()] == ["folder"]
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
+@pytest.mark.parametrize(("width", "cells"), [(390, [[0, 0], [1, 0]]), (1280, [[0, 0], [0, 1]])])
+def test_a_telephone_gets_a_plot_per_row(width, cells):
+    ends = np.array([0.0, 1.0])
+    plot = CurvePlot([Curve("knee", "#1f5fa8", ends, ends)], (0.0, 1.0))
+    result = Page("Knees")
+    result.figure(CurveGrid([[plot, plot]], 3.0, (0.0, 1.0)))
+    script = result.html().split("<script>")[2].split("</script>")[0]
+    shown = (
+        "console.log(JSON.stringify(item.doc.roots[0].attributes.children.map(c => [c[1], c[2]])))"
+    )
+    bokeh = f"globalThis.Bokeh = {{embed: {{embed_item(item) {{ {shown} }}}}}};"
+    command = ["node", "-e", f"globalThis.innerWidth = {width}; {bokeh} {script}"]
+    assert json.loads(subprocess.run(command, capture_output=True, check=True).stdout) == cells
 
 
 def test_a_page_is_dark_where_the_reader_wants_that():

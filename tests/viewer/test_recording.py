@@ -322,10 +322,44 @@ def test_a_camera_near_the_eye_is_not_drawn():
         hidden = [f"- /world/cameras/{name}/**" in room.contents for name in poses]
         assert hidden == [name == "near" for name in poses]
         (eye,) = room.properties["EyeControls3D"].position.as_arrow_array().to_pylist()
-        poses["near"] = Rigid(np.array([0, 0, 0, 1.0]), np.array(eye) + 0.3)
+        place = 0.9 * np.array(eye) + 0.1 * np.array([0.0, 0.0, 0.9])
+        poses["near"] = Rigid(np.array([0, 0, 0, 1.0]), place)
         poses["a"] = Rigid(
             np.array([0, 0, 0, 1.0]), np.array([-8.0, 0.0, 1.0]) - np.array([*eye[:2], 0])
         )
+
+
+def test_a_camera_near_the_eye_is_drawn_if_it_is_not_before_the_people():
+    boxes = np.array([[[1.4, -0.8, 0.0], [3.4, 1.4, 1.7]]])
+    places = {"a": np.array([0.0, 0.0, 1.0]), "b": np.array([0.7, -1.7, 1.0])}
+    poses = {name: Rigid(np.array([0, 0, 0, 1.0]), place) for name, place in places.items()}
+    shown = in_view("overview", Content(["filtered"], [0], list(poses), boxes, poses))
+    assert (np.abs(shown(np.array([*places.values()]))) < 1).all(axis=1).tolist() == [False, True]
+    for stages in (["filtered"], []):
+        room: Any = LAYOUTS["overview"](Content(stages, [0], list(poses), boxes, poses)).contents[0]
+        room = room.contents[0] if stages else room
+        assert not [line for line in room.contents if line.startswith("- /world/cameras")]
+
+
+def test_what_is_below_the_room_grows_with_its_lanes():
+    boxes = np.array([[[-1.0, -1.0, 0.0], [1.0, 1.0, 1.8]]])
+    heights = []
+    for n in (1, 4, 50):
+        lanes = {f"/person_{k}": "person" for k in range(n)}
+        layout: Any = LAYOUTS["overview"](Content(["filtered"], range(n), [], boxes, lanes=lanes))
+        heights.append(layout.row_shares[1] / sum(layout.row_shares))
+    assert 0.06 * 5 > heights[1] > 40 * 4 / 833 > heights[0]  # 40 of 833 pixels each
+    assert heights[2] < 0.4
+
+
+@pytest.mark.parametrize(("n", "has_legend"), [(2, True), (9, False)])
+def test_few_cameras_are_named_beside_their_curves(n, has_legend):
+    boxes = np.array([[[-1.0, -1.0, 0.0], [1.0, 1.0, 1.8]]])
+    content = Content(["filtered"], [0], [f"c{k}" for k in range(n)], boxes)
+    below: Any = cameras(content).contents[-1]
+    (view,) = [v for v in below.contents if v.name == "Distance to the result, mm"]
+    legend = view.properties["PlotLegend"].visible.as_arrow_array().to_pylist()
+    assert legend == [has_legend]
 
 
 @pytest.mark.parametrize(("away", "is_seen"), [(1.0, True), (9.0, False)])
@@ -640,7 +674,7 @@ def test_a_mirrored_view_is_marked_and_listed(processed, tmp_path, monkeypatch):
     wrong = [stamp - start for stamp, strips in bones.items() if len(strips)]
     assert sum(0.8e9 < since < 1.8e9 for since in wrong) >= 25
     assert any("view mirrored camera_1: for" in text for text in texts(target, "/log"))
-    assert "/view_camera_1_mirrored" in entities(target)
+    assert "/wrong_view/camera_1/mirrored" in entities(target)
 
 
 def test_a_time_range(processed, tmp_path):
@@ -721,6 +755,7 @@ def test_two_logs_are_overlaid_with_their_distance(crossing, processed, tmp_path
     ]
     assert np.allclose(mean, expected)
     key = texts(target, "/key", "TextDocument:text")[-1]
+    assert texts(target, "/b/filtered/person_0/name", "Points3D:labels") == ["B 0"]
     first, second, *_ = key.splitlines()  # what is cut off is at the end
     assert first.strip() == f"**A** is orange: {processed.name}."
     assert second.strip() == "**B** is blue: other.mcap."

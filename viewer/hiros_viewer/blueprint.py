@@ -33,6 +33,8 @@ _FARTHER = 1.4  # at most, so that cameras are in the view, too
 _CAMERA_M = 0.5  # so far from a camera are its name and frustum
 _LABEL = np.array([0.0, 0.0, 0.3])  # m, above a head
 _WIDE_ROOMS = 2  # as many rooms side by side have place for names of people
+_NO_LANES, _A_LANE, _MOST_BELOW = 0.09, 0.052, 0.36  # of the height, so that few lanes are cut
+_NAMED_CAMERAS = 4
 _HALF = 0.95  # width by height of a room beside as wide a column
 _BEHIND = 0.1  # of _AHEAD: where the eye is, so that feet near the camera are seen
 
@@ -110,7 +112,7 @@ def overview(content: Content) -> rrb.Container:
         return rrb.Vertical(
             _room(content, "Room", shown=[content.final]),
             _key(),
-            rrb.Horizontal(*moves, _counts(content), *lanes),
+            rrb.Horizontal(*moves, _counts(content, _legend_at(content, "LeftBottom")), *lanes),
             row_shares=[3, 0.25, 1],
         )
     angles = _tabs(content, [_angles(content, person) for person in content.people])
@@ -119,8 +121,11 @@ def overview(content: Content) -> rrb.Container:
         name = "Joint distance between the logs, mm: mean green, largest violet"
         side.append(_series(content, "distance", name))
     side += [_series(content, "speed", "Speed, m/s"), _counts(content)]
+    below = min(_MOST_BELOW, _NO_LANES + _A_LANE * len(content.lanes))
     wide, pairs = side[: len(side) % 2], side[len(side) % 2 :]
-    shares = [1.0 + (len(content.prefixes) == 2), 4, *[2.2] * len(wide), 1.2 * len(pairs)]
+    curves = [4, *[2.2] * len(wide), 1.2 * len(pairs), *[2] * len(moves)]
+    key = (0.145 if len(content.prefixes) == 2 else 0.105) / (1 - below)  # lines have their height
+    shares = [key / (1 - key) * sum(curves), *curves]
     return rrb.Vertical(
         rrb.Horizontal(
             _room(content, "Room", shown=[content.final]),
@@ -130,12 +135,12 @@ def overview(content: Content) -> rrb.Container:
                 *wide,
                 rrb.Grid(*pairs, grid_columns=2),
                 *moves,
-                row_shares=[*shares, *[2] * len(moves)],
+                row_shares=shares,
             ),
             column_shares=[4, 3],
         ),
         rrb.Horizontal(_lanes(content), _events(content), column_shares=[2, 3]),
-        row_shares=[2.8, 1],
+        row_shares=[1 - below, below],
     )
 
 
@@ -199,9 +204,10 @@ def cameras(content: Content) -> rrb.Container:
     ]
     n = len(rooms)
     columns = n if n < 4 else math.isqrt(n - 1) + 1
-    below = [_counts(content)]
+    below = [_counts(content, _legend_at(content, "LeftBottom"))]
     if not content.is_raw:
-        below = [_series(content, "residual", "Distance to the result, mm")]
+        corner = _legend_at(content, "LeftTop")
+        below = [_series(content, "residual", "Distance to the result, mm", corner=corner)]
         if content.lanes:  # else the viewer fills it with advice
             below.append(_lanes(content))
         table = rrb.TextDocumentView(origin=CAMERA_TABLE, name="Cameras in numbers")
@@ -315,12 +321,8 @@ def _room(
         if len(content.cameras) > _WIDE_ROOMS:  # the lanes below name the people's colours
             what += [f"- {path}/name" for stage in shown for path in _paths(content, stage)]
     else:
-        before = _NEAR * float(np.linalg.norm(target - eye))
-        what += [
-            f"- /world/cameras/{name}/**"  # its frustum would hide people
-            for name, pose in content.camera_poses.items()
-            if np.linalg.norm(pose.translation - eye) < before
-        ]
+        # Their frusta would hide people.
+        what += [f"- /world/cameras/{name}/**" for name in _beside_eye(content, eye, target)]
     return rrb.Spatial3DView(
         origin="/",
         contents=what,
@@ -345,6 +347,21 @@ def _thin_styles(
 
 def _paths(content: Content, stage: str) -> list[str]:
     return [f"{p}/{stage}/{person_part(who)}" for p in content.prefixes for who in content.people]
+
+
+def _beside_eye(content: Content, eye: Floats, target: Floats) -> list[str]:
+    """Return the cameras that are near the eye (3,), m, and before the middle of what it sees."""
+    ahead = target - eye
+    distance = float(np.linalg.norm(ahead))
+    names = []
+    for name, pose in content.camera_poses.items():
+        way = pose.translation - eye
+        near = float(np.linalg.norm(way))
+        cosine = float(way @ ahead) / (near * distance) if near > 0 else 1.0
+        aside = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)) - np.arctan2(_CAMERA_M / 2, near))
+        if near < _NEAR * distance and aside < _VERTICAL_VIEW_DEG / 6:
+            names.append(name)
+    return names
 
 
 def _eye(content: Content, aspect: float) -> tuple[Floats, Floats]:
@@ -408,14 +425,14 @@ def _tabs(content: Content, views: Sequence[Any]) -> Any:
     return rrb.Tabs(*views, active_tab=first if first < len(views) else None)
 
 
-def _counts(content: Content) -> Any:
-    return _series(content, "people", "People per camera")
+def _counts(content: Content, corner: Any = None) -> Any:
+    return _series(content, "people", "People per camera", corner=corner)
 
 
-def _series(content: Content, kind: str, name: str, path: str = "") -> Any:
-    """Return a view of curves of a kind without a legend, which would cover them.
+def _series(content: Content, kind: str, name: str, path: str = "", corner: Any = None) -> Any:
+    """Return a view of curves of a kind, with a legend in a ``corner`` where it covers few of them.
 
-    The room and the lanes tell the colours; the viewer names the curve under the pointer.
+    Else the room and the lanes tell the colours; the viewer names the curve under the pointer.
     ``path`` is that of the curves; "" = all of the kind. An axis without a range fits its curves.
     """
     path = path or f"/{kind}/**"
@@ -424,10 +441,15 @@ def _series(content: Content, kind: str, name: str, path: str = "") -> Any:
         origin="/",
         contents=list(dict.fromkeys([path, *_all(content, path)])),
         name=name,
-        plot_legend=rrb.PlotLegend(visible=False),
+        plot_legend=rrb.PlotLegend(corner, visible=corner is not None),
         axis_x=_whole(),
         axis_y=None if values is None else rrb.ScalarAxis(range=values),
     )
+
+
+def _legend_at(content: Content, corner: str) -> Any:
+    """Return where cameras are named in a large plot of their curves: nowhere if they are many."""
+    return rrb.Corner2D[corner] if len(content.cameras) <= _NAMED_CAMERAS else None
 
 
 def _whole() -> Any:
@@ -445,7 +467,7 @@ def _key() -> Any:
 
 
 def _angles(content: Content, who: int) -> Any:
-    return _sides(content, "angles", who, [f"{joint} flexion" for joint in JOINTS], "deg")
+    return _sides(content, "angles", who, [f"{joint} flexion" for joint in JOINTS], "°")
 
 
 def _sides(content: Content, kind: str, who: int, parts: Sequence[str], unit: str) -> Any:

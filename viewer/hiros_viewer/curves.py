@@ -230,5 +230,5 @@ def about(path: Path, *verdict: str) -> tuple[str, str]:
         facts.append(f"hiros {run['version']}, system {run.get('system', '')}")
     with open_reader(path) as reader:
         n = len(stored_report(reader).warnings)
-    warnings = quantity(n, "warning") if n else "no warnings"
+    warnings = f"{quantity(n, 'warning')} in the run" if n else "no warnings in the run"
     return "; ".join(facts), "; ".join([*filter(None, verdict), warnings])

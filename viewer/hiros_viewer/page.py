@@ -47,14 +47,21 @@ th { border-bottom: 2px solid #9aa4af; font-weight: 600; }
 caption, figcaption { text-align: left; color: #57606a; font-size: .9rem; padding: .3rem 0; }
 caption span { display: inline-block; position: sticky; left: 0; max-width: calc(100vw - 3rem); }
 figure { margin: 1rem 0; overflow-x: auto; } figcaption { position: sticky; left: 0; }
-.curves, figure > svg { min-width: 40rem; }
-figure > svg { width: 100%; max-width: 62rem; height: auto; }
+figure > svg { width: 100%; min-width: 40rem; max-width: 62rem; height: auto; }
 .wide { overflow-x: auto; }
 @media (prefers-color-scheme: dark) {
   body { color: #dde3ea; background: #141414; } /* as white inverted, below */
   .about, caption, figcaption { color: #9aa4af; }
   th, td { border-color: #2c333b; } th { border-color: #57606a; }
   figure > svg, .curves { filter: invert(.92) hue-rotate(180deg); }
+}
+"""
+
+_DRAW = """
+function draw(item) {
+  if (innerWidth < 640)  // a plot per row: nobody finds those beside the screen of a telephone
+    item.doc.roots[0].attributes.children.forEach((cell, k) => { [cell[1], cell[2]] = [k, 0]; });
+  Bokeh.embed.embed_item(item);
 }
 """
 
@@ -116,8 +123,8 @@ class Page:
         about = "".join(f'<p class="about">{escape(line)}</p>\n' for line in self.about if line)
         script = ""
         if self._curves:
-            plots = "".join(f"Bokeh.embed.embed_item({each});\n" for each in self._curves.values())
-            script = _script(library()) + _script(plots.replace("</", "<\\/"))
+            plots = "".join(f"draw({each});\n" for each in self._curves.values())
+            script = _script(library()) + _script(_DRAW + plots.replace("</", "<\\/"))
         return (
             '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'

@@ -15,7 +15,7 @@
     /uncertainty/<person>       ellipsoids that hold the true joints with 68 %
     /<person>                   while somebody is tracked;  /log   events
     /marked/<camera>/<fault>    detections that are mirrored or far off
-    /view_<camera>_<fault>      while there are any
+    /wrong_view/<camera>/<fault>   while there are any
     /no_data                    while no camera sends anything;  /world/no_data   so in the room
     /cameras                    numbers of each camera
 
@@ -276,7 +276,7 @@ class Scene:
     def _mark_faults(self, camera: str, spans: Iterable[FaultySpan]) -> None:
         """Show when a camera's view was wrong: a lane, and a line in the list of events."""
         for kind, start, end in spans:
-            path = f"/view_{path_part(camera)}_{fault_part(kind)}"
+            path = f"/wrong_view/{path_part(camera)}/{fault_part(kind)}"
             self._lane(path, Line(f"{camera} {kind}", FAULTY[kind]), kind)
             self._texts[path] += [(start, kind, "INFO"), (end, "gone", "INFO")]
             detail = f"for {(end[0] - start[0]) / 1e9:.2f} s"
@@ -356,7 +356,8 @@ class Scene:
         """Return what is written above somebody; the true person beside the one of the result."""
         if stage == "truth":
             return "" if self.final else f"truth {person}"
-        name = self.layer.named(f"person {person}")
+        # Beside the other log's, who stands in the same place, there is room for little.
+        name = self.layer.named(str(person)) if self.layer.name else f"person {person}"
         if stage != self.final:
             return name
         true = self._true_ids[person].get(stamp) if self.shows_truth else None

@@ -135,7 +135,7 @@ def self_page(log: Path, scores: SelfScores) -> Page:
     )
     page.text("; ".join(score_tables.lines_of(result)))
     page.heading("Left and right of this result")
-    page.table(*score_tables.side_table(scores.sides))
+    page.table(*score_tables.side_table(scores.sides), score_tables.SIGNS)
     return page
 
 
