@@ -35,6 +35,7 @@ _LABEL = np.array([0.0, 0.0, 0.3])  # m, above a head
 _WIDE_ROOMS = 2  # as many rooms side by side have place for names of people
 _NO_LANES, _A_LANE, _MOST_BELOW = 0.09, 0.052, 0.36  # of the height, so that few lanes are cut
 _NAMED_CAMERAS = 4
+_MOST_DETECTIONS = 12  # of a person, around the result
 _HALF = 0.95  # width by height of a room beside as wide a column
 _BEHIND = 0.1  # of _AHEAD: where the eye is, so that feet near the camera are seen
 
@@ -95,6 +96,11 @@ class Content:
         """The earliest stage whose frames have the result's times, else the tracker's."""
         earlier = [stage for stage in self.stages if stage not in ("truth", self.final)]
         return next((stage for stage in earlier if stage != "tracked"), "".join(earlier[:1]))
+
+    @property
+    def hides_detections(self) -> bool:
+        """Whether detections are so many that a result would not be seen among them."""
+        return len(self.cameras) > _MOST_DETECTIONS
 
     @property
     def is_raw(self) -> bool:
@@ -269,12 +275,14 @@ def _room(
     view of this width by height; the result is thin then, so that the camera's own detections are
     seen beside it.
     Of two stages the first one is thin and grey, and its displacement to the second one is drawn.
-    The truth is beside one stage that nobody else covers: detections are left out there.
+    The truth is beside one stage that nobody else covers: detections are left out there, and where
+    those of many cameras would cover everybody.
     """
     what = ["+ /world/**"]
     seen = content.cameras if cameras is None else cameras
     shows_truth = content.shows_truth and len(shown) == 1 and not seen_by
-    kinds = ("marked",) if shows_truth and not content.is_raw else ("detections", "marked")
+    is_covered = shows_truth or (shown and not seen_by and content.hides_detections)
+    kinds = ("marked",) if is_covered and not content.is_raw else ("detections", "marked")
     what += [f"+ /{kind}/{camera}/**" for kind in kinds for camera in seen]
     shown = [stage for stage in shown if stage]
     what += [f"+ {prefix}/{stage}/**" for prefix in content.prefixes for stage in shown]

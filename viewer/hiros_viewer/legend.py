@@ -66,7 +66,7 @@ def _meanings(content: Content, layout: str) -> Iterator[tuple[str, str]]:
         yield "Colour", content.final
         way = f"{MAGNIFIED:.0f} times the way from {content.final} to {content.before}"
         yield "Yellow", f"{way}, at most {LONGEST_M:.1f} m long"
-    elif layout == "cameras" or not content.shows_truth:
+    elif layout == "cameras" or not (content.shows_truth or content.hides_detections):
         yield "Thin lines", "what cameras report"
     if content.has_predicted:
         yield "Faint", "nobody sees the person, who is predicted"
