@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -25,10 +26,9 @@ PATIENCE_S = 120.0
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="kills by a signal")
 
 
-@pytest.fixture(scope="module")
-def cluster(tmp_path_factory):
-    """Start a scheduler and two workers, each below a nanny that replaces it; yield its file."""
-    folder = tmp_path_factory.mktemp("cluster")
+@contextmanager
+def started(folder, workers):
+    """Start a scheduler and workers, each below a nanny that replaces it; yield file, scheduler."""
     file = folder / "scheduler.json"
     path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
     environment = {
@@ -40,7 +40,7 @@ def cluster(tmp_path_factory):
     }
     common = ["--scheduler-file", str(file), "--no-dashboard", "--host", "127.0.0.1"]
     scheduler = ["-m", "distributed.cli.dask_scheduler", *common, "--port", "0"]
-    workers = ["-m", "distributed.cli.dask_worker", *common, "--nworkers", "2", "--nthreads", "1"]
+    worker = ["-m", "distributed.cli.dask_worker", *common, "--nworkers", str(workers)]
     with (folder / "log").open("wb") as log:
         processes = [
             subprocess.Popen(
@@ -51,12 +51,19 @@ def cluster(tmp_path_factory):
                 env=environment,
                 start_new_session=True,
             )
-            for command in (scheduler, workers)
+            for command in (scheduler, [*worker, "--nthreads", "1"])
         ]
-        yield file
+        yield file, processes[0]
         for process in reversed(processes):
-            os.killpg(process.pid, signal.SIGTERM)
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGTERM)
             process.wait(PATIENCE_S)
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    with started(tmp_path_factory.mktemp("cluster"), 2) as (file, _):
+        yield file
 
 
 @pytest.fixture
@@ -103,6 +110,24 @@ def test_a_task_that_kills_workers_is_given_up_and_the_others_are_not(cluster, c
     runner = on_cluster(str(cluster), [])
     answers = dict(runner(die, [(n,) for n in range(4)], lost=lambda k, why: -k))
     assert answers == {0: 0, 1: 1, 2: -2, 3: 3}
+
+
+def test_a_scheduler_that_dies_is_one_line_and_what_is_done_is_kept(walking, tmp_path):
+    (tmp_path / "in").mkdir()
+    for k in range(3):
+        shutil.copy(walking, tmp_path / "in" / f"{k}.mcap")
+    command = [*HIROS, "process", str(tmp_path / "in"), "-o", str(tmp_path / "out"), "--cluster"]
+    command.append(str(tmp_path / "scheduler.json"))
+    with (
+        started(tmp_path, 1) as (_, scheduler),
+        subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as hiros,
+    ):
+        assert next(line for line in hiros.stderr if line.startswith("[1/3]"))
+        os.killpg(scheduler.pid, signal.SIGKILL)
+        said = [line for line in hiros.stderr if not line.startswith("[")]
+    fault = "hiros: error: the connection to the cluster is lost; the same command goes on\n"
+    assert (hiros.returncode, said) == (2, [fault])
+    assert list((tmp_path / "out").glob("*.hiros.mcap"))
 
 
 def test_workers_that_do_not_see_the_logs_are_refused(cluster, capsys):

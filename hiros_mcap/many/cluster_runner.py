@@ -58,8 +58,11 @@ def _client(address: str) -> Iterator[Any]:
         raise ConfigError(
             f'--cluster needs further libraries: pip install "dask[distributed]" ({error})'
         ) from None
-    # The library reports what the caller gets as an answer or an exception, too.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    # The library reports what the caller gets as an answer or an exception, too; some of its
+    # loggers have a level of their own.
+    for name in [*logging.root.manager.loggerDict]:
+        if name.partition(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL)
     keyword = "scheduler_file" if address.endswith(".json") else "address"
     if keyword == "scheduler_file":
         _await(Path(address))
