@@ -21,6 +21,7 @@ from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
 from hiros_mcap.io.export.files import FORMATS, export, files_of, load_marker_set, steady
+from hiros_mcap.io.joints.marker_files import read_c3d
 from hiros_mcap.io.result import Motion, open_result
 from hiros_mcap.regression.suite import write_golden
 from hiros_mcap.running.pipeline import ProcessOptions, process
@@ -281,6 +282,18 @@ def test_warnings_of_export_reach_the_user(log, tmp_path, capsys, monkeypatch):
 
 
 NASTY = "=KNEE\tLEFT\n{"
+
+
+def test_c3d_of_more_people_than_a_byte_counts_angles(tmp_path):
+    """Seven people have 273 angles, and 255 is the most that one parameter names."""
+    write_log(tmp_path / "sim.mcap", SimulateParams(seconds=1, cameras=1, people=7))
+    truth_only(tmp_path / "sim.mcap", tmp_path / "truth.mcap")
+    path = tmp_path / "out.c3d"
+    assert run(["export", str(tmp_path / "truth.mcap"), "-o", str(path), "-q"]) == 0
+    markers = read_c3d(path)
+    assert markers.people == tuple("0123456")
+    assert not [name for name in markers.names if "flexion" in name]
+    assert len(markers.names) == 32
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".trc", ".bvh", ".jsonl", ".c3d"])

@@ -161,6 +161,10 @@ def _bridges(times: Floats, columns: Mapping[str, Floats]) -> list[str]:
     return texts
 
 
+_MOST_TEXTS = 255
+"""Of a parameter in a C3D file: a byte counts them; ANGLES2 continues ANGLES, as LABELS2 LABELS."""
+
+
 def write_c3d(result: Result, target: Path, choices: Choices) -> None:
     """Write everybody's markers, mm, and angles, degrees, z up; a gap has the residual -1.
 
@@ -204,7 +208,9 @@ def write_c3d(result: Result, target: Path, choices: Choices) -> None:
     file["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
     file.add_parameter("MANUFACTURER", "SOFTWARE", [EXPORT_MARK])
     if angle_labels:
-        file.add_parameter("POINT", "ANGLES", angle_labels)
+        for k in range(0, len(angle_labels), _MOST_TEXTS):
+            number = f"{k // _MOST_TEXTS + 1}" if k else ""
+            file.add_parameter("POINT", f"ANGLES{number}", angle_labels[k : k + _MOST_TEXTS])
         file.add_parameter("POINT", "ANGLE_UNITS", ["deg"])
     file["data"]["points"] = np.concatenate([points, np.ones((1, *points.shape[1:]))])
     file["data"]["meta_points"]["residuals"] = np.where(gaps, -1.0, 0.0)[None]
