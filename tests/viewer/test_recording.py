@@ -1030,6 +1030,13 @@ def test_faults_are_one_line_and_leave_no_file(processed, tmp_path, capsys, argu
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_recording_of_the_viewer_says_who_opens_it(processed, tmp_path, capsys):
+    drawn = tmp_path / "drawn.rrd"
+    assert run(["view", str(processed), "--save", str(drawn), "-q"]) == 0
+    assert run(["view", str(drawn), "--save", str(tmp_path / "a.rrd")]) == 2
+    assert f"but a Rerun recording; open it with: rerun {drawn}\n" in capsys.readouterr().err
+
+
 def test_a_file_that_is_no_recording_is_not_replaced(processed, tmp_path):
     precious = tmp_path / "thesis.txt"
     precious.write_text("words")

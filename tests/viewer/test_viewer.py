@@ -284,11 +284,14 @@ def test_the_web_viewer_listens_on_the_loopback_address_until_it_is_stopped(
             addresses = [a for pid in children_of(server.pid) for a in listeners(pid)]
             time.sleep(0.05)
         children = children_of(server.pid)
+        said = "".join(Path(f"/proc/{pid}/cmdline").read_text() for pid in children)
         server.send_signal(sent)
         assert server.wait(timeout=60) == 128 + sent
     assert at_once or len(addresses) >= 2
     assert set(addresses) <= LOOPBACK
     assert children
+    # A server drops the beginning of a log beyond 1 GB, unless it is told otherwise.
+    assert "--server-memory-limit\x0050%" in said
     assert not [pid for pid in children if Path(f"/proc/{pid}").exists()]
 
 

@@ -25,6 +25,7 @@ APPLICATION = "hiros"
 LOOPBACK = "127.0.0.1"
 _PATIENCE_S = 20.0
 MEMORY_LIMIT = "50%"
+"""Of the machine's; a viewer or its server drops what is oldest beyond it."""
 
 Draw = Callable[["rr.RecordingStream"], object]
 """Draws all of a log."""
@@ -172,6 +173,7 @@ def web_server() -> Iterator[tuple[str, str, subprocess.Popen[bytes]]]:
     command = [
         *(str(viewer_binary()), "--serve-web", "--bind", LOOPBACK),
         *("--web-viewer-port", str(page), "--port", str(data)),
+        *("--server-memory-limit", MEMORY_LIMIT),  # beyond, the log's beginning would be dropped
     ]
     with tempfile.TemporaryDirectory(prefix="hiros-view-") as folder:
         server = _start(command, folder, outlives=False)

@@ -27,6 +27,7 @@ MAX_RECORD = 64 * 2**20
 _RUN = 1 << 20
 _AHEAD = 1 << 14
 _NAMES = 1 << 18
+_RERUN = b"RRF"  # files of `hiros view --save`
 _TABLES = (".csv", ".trc", ".c3d", ".json", ".npy")
 """Suffixes of files that `hiros import` reads."""
 _LOOSE = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
@@ -330,6 +331,8 @@ class StrictWalk(Walk):
         if start != r.MAGIC[: len(start)]:
             is_table = str(self.file.path).lower().endswith(_TABLES)
             hint = "; `hiros import` makes a log of files of joints" if is_table else ""
+            if start.startswith(_RERUN):
+                hint = f" but a Rerun recording; open it with: rerun {self.file.path}"
             raise LogError(f"is not an MCAP file{hint}", path=self.file.path)
         self.at = len(r.MAGIC)
         if self.file.size < self.at:
