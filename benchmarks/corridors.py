@@ -23,12 +23,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from hiros_mcap.summary import Summary
 from scenes import Scene, published
 
 from hiros_mcap.body.rotations import Rigid, angle, from_matrix, from_vector, to_matrix
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.running.summary import Summary
 from hiros_mcap.simulate.cameras import aimed
 
 RANGE = 5.5
