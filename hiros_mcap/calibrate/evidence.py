@@ -84,10 +84,12 @@ def _looks_at(middles: Floats, cameras: Stamps, n_cameras: int) -> Flags:
     ----------
     middles : (N, 3) of the skeletons in the common frame, m. cameras : (N,) that show them.
     """
+    from scipy.spatial import KDTree
+
     looks = np.zeros((n_cameras, len(middles)), np.bool_)
-    for c in range(n_cameras):
-        for own in middles[cameras == c]:
-            looks[c] |= np.sum((middles - own) ** 2, axis=1) < NEARBY_M**2
+    for c in np.unique(cameras).tolist():
+        apart, _ = KDTree(middles[cameras == c]).query(middles, distance_upper_bound=NEARBY_M)
+        looks[c] = np.isfinite(apart)
     return looks
 
 

@@ -116,7 +116,9 @@ class LiveView:
             for event in sorted(events.log, key=lambda event: event.stamp):
                 self._scene.event(event)
             self._scene.finish()
-            self._lay_out(content_of([self._scene]))
+            content = content_of([self._scene])
+            self._lay_out(content)
+            explain(self._recording, content, note=self._delay())
             self._recording.flush()
         self._scene = None
 
