@@ -6,6 +6,7 @@ import base64
 import gzip
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -139,6 +140,16 @@ def test_the_page_holds_everybody(plotted):
     assert plotted.count('<div class="curves"') == 6
     assert "Person 0" in plotted
     assert "Person 1" in plotted
+
+
+def test_of_a_crowd_the_page_draws_those_who_are_seen_longest(processed, monkeypatch):
+    collection = collected(processed)
+    monkeypatch.setattr(curves, "MOST_PEOPLE", 1)
+    brief = replace(collection.people[0], seconds=collection.people[0].seconds[:5])
+    page = curves.page_of(replace(collection, people={0: brief, 1: collection.people[1]})).html()
+    assert "Person 1," in page
+    assert "Person 0," not in page
+    assert "Not drawn, because others are seen for longer: person 0." in page
 
 
 def test_a_page_says_of_what_it_is_and_how_good(processed, plotted):

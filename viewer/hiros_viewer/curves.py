@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 KINDS = ("angles", "limbs", "error")
+MOST_PEOPLE = 12  # on a page: the curves of each take some seconds to draw
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,9 +176,18 @@ def grid_of(curves: Curves, body: Body, kind: str) -> CurveGrid:
 
 
 def page_of(curves: Curves) -> Page:
-    """Everything of everybody on one page."""
+    """Everything of everybody on one page; of a crowd, of those who are seen longest."""
     page = Page(curves.title, curves.about)
+    longest = sorted(curves.people, key=lambda person: -len(curves.people[person].seconds))
+    drawn = {*longest[:MOST_PEOPLE]}
+    if left := [f"{person}" for person in curves.people if person not in drawn]:
+        page.text(
+            f"Not drawn, because others are seen for longer: person {', '.join(left)}. "
+            "--person ID with a .png draws one."
+        )
     for person, body in curves.people.items():
+        if person not in drawn:
+            continue
         span = f"{number(body.seconds[0], 1)} to {number(body.seconds[-1], 1)} s"
         page.heading(f"Person {person}, {span}")
         for line in in_words(body.marks):
