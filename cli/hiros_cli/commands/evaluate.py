@@ -123,10 +123,10 @@ def evaluate(
     log = one_log(context, logs[0])
     inputs = (log, scoring.truth, parameters.config)
     check_outputs((html, "HTML page"), (table, "table of scores"), inputs=inputs, force=many.force)
-    prepare(quiet=many.quiet or many.json, system=parameters.system)
+    settings = settings_of(logs[0], parameters.settings())
+    prepare(quiet=many.quiet or many.json, system=settings.system)
     from hiros_cli.evaluation import Output
 
-    settings = settings_of(logs[0], parameters.settings())
     shown = Output(log, html, table, json=many.json, quiet=many.quiet, joints=joints)
     _one(_job(scoring, settings, asked=parameters.asked), shown)
 
@@ -170,8 +170,8 @@ def _many(
     scoring: Scoring, parameters: Parameters, logs: Sequence[str], many: ManyLogs, folder: str
 ) -> NoReturn:
     """Score many logs, each with the parameters of its own folder."""
-    prepare(quiet=many.quiet or many.json, system=parameters.system)
     settings, truth = parameters.settings(), scoring.truth
+    prepare(quiet=many.quiet or many.json, system=settings.system)
     if settings.file is not None:
         settings = replace(settings, file=settings.file.absolute())
     if truth is not None and Path(truth).is_dir():
