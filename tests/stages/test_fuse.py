@@ -14,8 +14,14 @@ from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import evaluate
 from hiros_mcap.frames import Block, by_frame, frames_of, join
 from hiros_mcap.skeletons import VELOCITY, Frame, SkeletonModel
+from hiros_mcap.stages.filter.link_lengths import project_all
 from hiros_mcap.stages.fuse import fusing
-from hiros_mcap.stages.fuse.constrain import ConstrainParams, constrain_blocks
+from hiros_mcap.stages.fuse.constrain import (
+    ConstrainParams,
+    constrain_blocks,
+    left_by_lengths,
+    left_by_prior,
+)
 from hiros_mcap.stages.fuse.fuse import FuseParams, fuse_blocks
 from hiros_mcap.stages.fuse.fusing import (
     POSE,
@@ -316,6 +322,48 @@ def test_the_prior_takes_noise_off_and_keeps_motion():
     noisy = pose + rng.normal(0, 0.02, pose.shape)
     found = shrunk(noisy)
     assert (found - pose).std() < 0.6 * (noisy - pose).std()
+
+
+def test_a_prior_takes_off_as_much_variance_as_its_steps_show():
+    """Three joints that move by 2, 1 and 0 cm, seen with noise of 1 cm."""
+    rng = np.random.default_rng(4)
+    prior, noise = np.array([0.02, 0.01, 1e-9])[:, None], 0.01
+    true = prior * rng.normal(size=(4000, 3, 3))
+    seen = true + noise * rng.normal(size=true.shape)
+    steps = -seen * noise**2 / (prior**2 + noise**2)
+    left = left_by_prior(steps, np.full((4000, 3), noise**2))
+    assert left[:2] == pytest.approx(
+        ((seen + steps - true) ** 2).mean(axis=(0, 2))[:2] / 1e-4, abs=0.03
+    )
+    assert 0 < left[2] < 0.3
+
+
+def test_who_was_not_moved_by_the_prior_keeps_the_variance():
+    assert (left_by_prior(np.zeros((5, 2, 3)), np.full((5, 2), 1e-4)) == 1).all()
+
+
+def test_known_lengths_leave_as_much_variance_as_they_say():
+    """Of a chain of three joints, and of a rigid head of five."""
+    rng = np.random.default_rng(7)
+    body = rng.normal(0, 0.15, (8, 3))
+    head = [(i, j) for i in range(3, 8) for j in range(i + 1, 8)]
+    pairs = np.array([(0, 1), (1, 2), *head], np.int32)
+    lengths = np.ones((1, len(pairs), 2))
+    lengths[0, :, 0] = np.linalg.norm(body[pairs[:, 0]] - body[pairs[:, 1]], axis=1)
+    markers = np.zeros((2000, 8, 19))
+    markers[:, :, :3] = body + rng.normal(0, 0.005, (2000, 8, 3))
+    variances = np.full((2000, 8), 0.005**2)
+    project_all(markers, np.zeros(2000, int), variances, pairs, lengths, 20, 1e-3)
+    left = ((markers[:, :, :3] - body) ** 2).mean(axis=(0, 2)) / 0.005**2
+    stated = left_by_lengths(variances, pairs)[0]
+    np.testing.assert_allclose(stated[:3], left[:3], atol=0.1)
+    assert stated[3:].mean() == pytest.approx(left[3:].mean(), abs=0.1)
+
+
+def test_a_length_to_a_joint_that_is_absent_tells_nothing():
+    pairs = np.array([[0, 1], [1, 2]], np.int32)
+    left = left_by_lengths(np.array([[1e-4, 1e-4, np.nan]]), pairs)[0]
+    assert left[:2] == pytest.approx([5 / 6, 5 / 6])
 
 
 def test_a_minute_tells_slow_errors_from_a_motion_and_some_seconds_do_not():

@@ -5,7 +5,8 @@
 2. Each pose is projected onto them. Uncertain markers move most.
 3. The person's poses of a minute are the prior of each of them
    (:mod:`hiros_mcap.stages.fuse.pose_prior`); then lengths are restored.
-4. Known lengths and the prior take a part of the variance of each marker.
+4. Known lengths and the prior take a part of the variance of each marker: the prior as much as its
+   steps show.
 
 With a window, a pose knows those after it. Without one, lengths run on and the prior is the motion
 of the minute before.
@@ -48,9 +49,11 @@ from hiros_mcap.threads import run_each
 UNKNOWN_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
 _FORGET = 600.0  # s; somebody who returns has the same body
 _PIECE = 256  # poses that are projected together
-_LEFT_BY_PRIOR, _LEFT_BY_RECENT = 0.55, 0.9
-"""Share of the variance that the prior leaves, with a window and without. Simulated logs have 0.47
-to 0.67, and 0.67 to 0.84. The second counts for less: somebody may do something new."""
+_LEFT_BY_RECENT = 0.9
+"""Share of the variance that the prior leaves without a window. Simulated logs have 0.67 to 0.84,
+but somebody may do something new."""
+_LEAST_LEFT = 0.25
+"""Of the variance, by the prior. A longer step says that there was more noise than assumed."""
 _SWEEPS, _TOLERANCE = 20, 1e-3
 """Most sweeps of the projection onto the lengths, and the relative accuracy at which they end."""
 
@@ -140,7 +143,7 @@ class _Bodies:
 
         self._params, self._events = params, events
         symmetry = symmetry_of(model)
-        self._links, self._lateral, self._mirror = model.links, symmetry.lateral, symmetry.mirror
+        self._lateral, self._mirror = symmetry.lateral, symmetry.mirror
         self._pairs = constant_pairs(model, rigid=params.rigid)
         self._limbs = PairLimbs(model, self._pairs, limbs)
         self._people: dict[int, _Body] = {}
@@ -215,14 +218,20 @@ class _Bodies:
             lengths[k, :, 0] = known[k] if known else self._lengths(person)
             which[rows] = k
         self._project(out, which, lengths, variances)  # 2
+        absent = np.isnan(out.people.markers[:, :, POSITION.start])
+        left = left_by_lengths(np.where(absent, np.nan, variances), self._pairs)  # 4
         if self._params.prior:
+            measured = out.people.markers[:, :, POSITION].copy()
             self._shrink(out, people, variances)  # 3
+            steps = out.people.markers[:, :, POSITION] - measured
+            for _, rows in people if self._params.window > 0 else ():
+                left[rows] *= left_by_prior(steps[rows], variances[rows])
             self._project(out, which, lengths, variances)
+            if self._params.window == 0:
+                left *= _LEFT_BY_RECENT
         now = int(out.stamps[-1])
         self._people = {p: b for p, b in self._people.items() if now - b.last <= _FORGET * 1e9}
-        if self._params.prior:
-            variances = variances * (_LEFT_BY_PRIOR if self._params.window > 0 else _LEFT_BY_RECENT)
-        return surer(out, variances, self._links)  # 4
+        return surer(out, variances * left)
 
     def _project(self, out: Block, which: Stamps, lengths: Floats, variances: Floats) -> None:
         from hiros_mcap.stages.filter.link_lengths import project_all
@@ -289,22 +298,34 @@ def unshared_variances(block: Block) -> Floats:
     return np.where(np.isnan(variances), UNKNOWN_DEVIATION**2, np.maximum(variances, 1e-8))
 
 
-def surer(out: Block, variances: Floats, links: Ints) -> Block:
-    """Return a block with the uncertainty after the projection onto ``links``."""
+def surer(out: Block, variances: Floats) -> Block:
+    """Return a block whose markers have variances (P, M), m2, without what all share."""
     if out.uncertainty is None:
         return out
-    left = variances * left_by_lengths(variances, links)
-    return restated(out, np.where(np.isnan(out.uncertainty.deviations), np.nan, left))
+    return restated(out, np.where(np.isnan(out.uncertainty.deviations), np.nan, variances))
 
 
-def left_by_lengths(variances: Floats, links: Ints) -> Floats:
-    """(P, M) Share of the variance that known lengths of ``links`` (L, 2) leave.
+def left_by_prior(steps: Floats, variances: Floats) -> Floats:
+    """(M,) Share of the variance (T, M), m2, that is left after steps (T, M, 3), m, to a prior.
+
+    Of a variance v, an estimate between a prior of variance p and a measurement (Wiener) leaves
+    v p / (p + v). Its steps have the mean square v^2 / (p + v): what it takes off.
+    """
+    squares = (steps**2).sum(axis=2) / 3
+    there = ~np.isnan(squares)
+    took = np.where(there, squares, 0.0).sum(axis=0)
+    had = np.where(there, variances, 0.0).sum(axis=0)
+    return np.asarray(np.clip(1 - took / np.maximum(had, 1e-12), _LEAST_LEFT, 1.0))
+
+
+def left_by_lengths(variances: Floats, pairs: Ints) -> Floats:
+    """(P, M) Share of the variance that known lengths of ``pairs`` (K, 2) leave; NaN = absent.
 
     A length fixes one of three directions. It takes v_a / (v_a + v_b) of the variance of its end a
-    along the link. To first order, the links of a marker add up.
+    along the line. To first order, the lengths of a marker add up: of a rigid head, about a third is left.
     """
-    a, b = links[(links >= 0).all(axis=1)].T
+    a, b = pairs.T
     share = variances[:, a] / (variances[:, a] + variances[:, b])
-    of_marker = np.eye(variances.shape[1])
-    taken = share / 3 @ of_marker[a] + (1 - share) / 3 @ of_marker[b]
+    ends = np.eye(variances.shape[1])
+    taken = np.nan_to_num(share) / 3 @ ends[a] + np.nan_to_num(1 - share) / 3 @ ends[b]
     return np.asarray(1 - np.minimum(taken, 2 / 3))
