@@ -35,6 +35,8 @@ WHOLE = 8
 NEARBY_M = 0.75
 """A camera that showed somebody within this looks at a place: people go so far between two of the
 instants that are compared."""
+_REACH = 3
+"""Cells that it reaches: places are rounded to cells of a third of it, 25 cm."""
 
 
 def shared_view(
@@ -83,13 +85,18 @@ def _looks_at(middles: Floats, cameras: Stamps, n_cameras: int) -> Flags:
     Parameters
     ----------
     middles : (N, 3) of the skeletons in the common frame, m. cameras : (N,) that show them.
-    """
-    from scipy.spatial import KDTree
 
+    Places are compared by cells: to import scipy's tree takes longer than all of this.
+    """
+    cells = np.clip(np.rint(middles * (_REACH / NEARBY_M)), -(2**18), 2**18).astype(np.int64)
+    away = np.arange(-_REACH, _REACH + 1)
+    steps = np.stack(np.meshgrid(away, away, away), axis=-1).reshape(-1, 3)
+    steps = steps[(steps**2).sum(axis=1) <= _REACH**2]
+    keys, further = (c @ np.array([2**40, 2**20, 1]) for c in (cells, steps))
     looks = np.zeros((n_cameras, len(middles)), np.bool_)
     for c in np.unique(cameras).tolist():
-        apart, _ = KDTree(middles[cameras == c]).query(middles, distance_upper_bound=NEARBY_M)
-        looks[c] = np.isfinite(apart)
+        reached = np.unique(keys[cameras == c])[:, None] + further
+        looks[c] = np.isin(keys, reached)
     return looks
 
 

@@ -207,11 +207,14 @@ def _described(folder: Path) -> _Description | None:
 
     Raises LogError for a compression that only a plugin of rosbag2 can undo.
     """
+    try:
+        text = (folder / METADATA).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return None
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
     try:
-        text = (folder / METADATA).read_text(encoding="utf-8")
         info = YAML(typ="safe").load(text)[_RECORDED]
         names = [PurePath(name).name for name in info["relative_file_paths"]]
         kind = str(info.get("compression_format") or "zstd")
@@ -222,7 +225,7 @@ def _described(folder: Path) -> _Description | None:
             n = int(topic["message_count"])
             counts += Counter({topic["topic_metadata"]["name"]: n})
             counts[""] = max(0, counts[""] - n)
-    except (OSError, YAMLError, TypeError, KeyError, ValueError, AttributeError, RecursionError):
+    except (YAMLError, TypeError, KeyError, ValueError, AttributeError, RecursionError):
         return None
     if kind != "zstd":
         raise LogError(
