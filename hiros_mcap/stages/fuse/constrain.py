@@ -322,7 +322,8 @@ def left_by_lengths(variances: Floats, pairs: Ints) -> Floats:
     """(P, M) Share of the variance that known lengths of ``pairs`` (K, 2) leave; NaN = absent.
 
     A length fixes one of three directions. It takes v_a / (v_a + v_b) of the variance of its end a
-    along the line. To first order, the lengths of a marker add up: of a rigid head, about a third is left.
+    along the line. To first order, the lengths of a marker add up: a rigid head keeps
+    about a third.
     """
     a, b = pairs.T
     share = variances[:, a] / (variances[:, a] + variances[:, b])
