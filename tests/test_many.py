@@ -390,6 +390,8 @@ def test_check_of_many_compares_each_with_its_golden_file(results, tmp_path, cap
     rows = printed(capsys, "check", tmp_path / "new", "--golden", golden)
     (row,) = rows.values()
     assert (row["verdict"], row["values"]["differences"] > 0) == ("different", True)
+    assert row["values"]["differences"] > 3
+    assert row["error"].count("; ") == 2  # the first three
     assert run(["check", str(tmp_path / "new"), *command[2:]]) == 1
 
 

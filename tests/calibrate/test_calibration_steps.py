@@ -18,8 +18,9 @@ from hiros_mcap.calibrate.gauge import find_floor, moved, on_transforms
 from hiros_mcap.calibrate.joint_refinement import Points, free_unknowns, refine, residuals_of
 from hiros_mcap.calibrate.pair_pose import PairFit, chained, coarse_clocks, ranked, spanning_tree
 from hiros_mcap.calibrate.people import _only_ambiguous
+from hiros_mcap.calibrate.refinement import FROM_GIVEN, refine_together
 from hiros_mcap.calibrate.registration import kabsch
-from hiros_mcap.calibrate.sampling import Rig, instants_of, lines_of
+from hiros_mcap.calibrate.sampling import Rig, instants_of, lines_of, sample
 from hiros_mcap.calibrate.verdict import Evidence, verdict_of
 from hiros_mcap.kernels.local_line import Tracklet
 
@@ -75,6 +76,12 @@ def test_a_line_gives_position_and_velocity_at_any_time():
     assert lines.velocities[0, 5] == pytest.approx([0.5, -0.2, 0.1])
     assert lines.weights[0, 3] == 0.0
     assert lines.weights[0, 0] > 1.0
+
+
+def test_samples_of_nobody_have_as_many_joints_as_others():
+    samples = sample([view("a", Rotation.identity(), np.zeros(3))], np.array([60.0]), Rig.alone(1))
+    assert samples.lines.positions.shape == (0, 8, 3)
+    assert samples.lines.weights.shape == (0, 8)
 
 
 def test_the_lag_of_two_clocks_needs_no_pose():
@@ -134,6 +141,16 @@ def test_exact_cameras_are_found_exactly(seed):
     assert rig.rotations[1] == pytest.approx(turn.as_matrix(), abs=1e-3)
     assert rig.shifts[1] == pytest.approx(shift, abs=2e-3)
     assert rig.clocks[1] == pytest.approx(0.08, abs=1e-3)
+
+
+@pytest.mark.parametrize("points", [100, 300])
+def test_where_joints_are_many_fewer_instants_are_enough(points):
+    turn, shift = Rotation.from_euler("xyz", [0.3, 1.2, -0.8]), np.array([1.0, 2.0, 3.0])
+    cameras = [view("a", Rotation.identity(), np.zeros(3)), view("b", turn, shift)]
+    start = Rig.alone(2)
+    start.rotations[1], start.shifts[1] = turn.as_matrix(), shift + 0.05
+    found = refine_together(cameras, start, SIDES, FROM_GIVEN._replace(points=points))
+    assert found.rig.shifts[1] == pytest.approx(shift, abs=2e-3)
 
 
 def test_a_rival_is_a_pose_that_is_as_near_not_one_that_also_fits():

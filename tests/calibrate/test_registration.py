@@ -329,6 +329,11 @@ def test_board_pose():
     assert up == pytest.approx([0.0, 0.0, 1.0])
 
 
+def test_three_markers_define_the_board_though_the_fourth_is_hidden():
+    board = np.array([[0.02, 0.3, 0.0], [0.0, 0.0, 0.0], [0.4, 0.0, 0.0], [np.nan, np.nan, np.nan]])
+    assert np.array_equal(board_frame(board).xyzw, board_frame(board[:3]).xyzw)
+
+
 @pytest.mark.parametrize(
     "centres", [np.eye(3)[:2], np.full((4, 3), np.nan), np.outer([1, 2, 3], [1, 1, 0])]
 )

@@ -131,6 +131,16 @@ def test_the_lag_of_somebody_who_stands_is_unknown():
     assert np.isnan(evaluate(still(), Truth.of(still()), MODEL).lag)
 
 
+@pytest.mark.parametrize("part", [slice(None, 3), slice(-3, None)])
+def test_the_lag_is_that_of_instants_with_a_truth_at_all_lags(part):
+    """At the ends of a truth there are fewer lags to compare."""
+    poses = np.array([moving(k - 1.5) for k in range(60)])
+    poses[part] += 0.3
+    result = [seen([pose], at(k), ids=[0]) for k, pose in enumerate(poses)]
+    truth = Truth.of(seen([moving(k)], at(k), ids=[0]) for k in range(60))
+    assert evaluate(result, truth, MODEL).lag == pytest.approx(50, abs=2)
+
+
 @pytest.mark.parametrize("n", [1, 2, 4])
 def test_logs_shorter_than_the_lags_that_are_tried(n):
     truth = Truth.of(seen([moving(k)], at(k), ids=[0]) for k in range(n))

@@ -23,6 +23,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 import hiros_schemas
 from hiros_cli.app import run
 from hiros_mcap.errors import LogError
+from hiros_mcap.io.bags import LATCHED_QOS, needs_latching
+from hiros_mcap.io.channels import ChannelInfo
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.export.tables import export_topic
 from hiros_mcap.io.log import open_log
@@ -184,6 +186,24 @@ def test_quality_of_service_goes_along(tmp_path, messages):
     with open_log(sqlite(tmp_path, messages)) as log:
         for channel in log.channels:
             assert "durability: 1" in channel.metadata["offered_qos_profiles"]  # transient local
+
+
+@pytest.mark.parametrize(
+    ("topic", "profiles", "encoding", "needed"),
+    [
+        ("/tf_static", "", "cdr", True),
+        ("/tf_static", LATCHED_QOS, "cdr", False),
+        ("/tf_static", LATCHED_QOS.replace("durability: 1", "durability: 2"), "cdr", True),
+        ("/tf_static", "no yaml: [", "cdr", True),
+        ("/tf_static", "", "json", False),
+        ("/tf", "", "cdr", False),
+    ],
+)
+def test_static_transforms_that_nobody_keeps_are_kept_in_the_copy(
+    topic, profiles, encoding, needed
+):
+    info = ChannelInfo(1, topic, TF, encoding, 1, {"offered_qos_profiles": profiles})
+    assert needs_latching(info) is needed
 
 
 def test_a_folder_of_several_mcap_files_is_one_recording(tmp_path, messages):

@@ -15,7 +15,7 @@ from hiros_cli.app import run
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.truth_files import load_truth
 from hiros_mcap.io.joints.importing import RELATIVE_START, import_joints
-from hiros_mcap.io.joints.marker_files import read_c3d
+from hiros_mcap.io.joints.marker_files import read_c3d, read_trc
 from hiros_mcap.io.log import open_log
 from hiros_mcap.skeletons import Frame
 
@@ -85,6 +85,13 @@ def test_trc_of_other_programs_is_read(kind, tmp_path):
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     assert_same(imported(path)["a"])
     assert load_truth(path).positions[:, 0] == pytest.approx(POINTS, abs=1e-6)
+
+
+def test_a_trc_file_of_one_instant_without_a_line_of_axes_is_read(tmp_path):
+    path = tmp_path / "one.trc"
+    path.write_text(trc(axes=False, values="30\t30\t1\t3\tmm", rows=[0]))
+    markers = read_trc(path)
+    assert markers.positions[:, 0] == pytest.approx(POINTS[:1], abs=1e-6)
 
 
 def test_trajectories_without_a_name_are_left_out_of_a_trc_file(tmp_path):

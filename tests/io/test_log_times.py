@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from generators import generic_writer, message_of
+from stick_figures import MODEL, person, seen
 
 import hiros_schemas
 from hiros_mcap.evaluate.logs import evaluate_log, find_truth, start_of
-from hiros_mcap.io.container import McapReader, McapWriter
+from hiros_mcap.io.container import McapReader, McapWriter, Message
 from hiros_mcap.io.container.live_input import McapInput
 from hiros_mcap.io.container.records import Schema
 from hiros_mcap.io.live_log import open_live
 from hiros_mcap.io.log import open_log, open_reader
-from hiros_mcap.io.log_times import right_log_times, stamp_place
+from hiros_mcap.io.log_times import StampPlace, right_log_times, stamp_of, stamp_place
 from hiros_mcap.running.overview import overview_of
 from hiros_mcap.running.pipeline import process
 
@@ -125,6 +127,14 @@ def test_a_message_without_a_stamp_goes_beside_its_neighbour():
     right = right_log_times(*same)
     assert right[0] == log_times[1]
     assert right[20] == log_times[19]
+
+
+@pytest.mark.parametrize("frame_id", ["", "a", "ab", "abc", "abcd"])
+def test_where_a_header_has_no_time_that_of_the_first_person_counts(frame_id):
+    group = message_of(seen([person()], 7 * SECOND), MODEL)
+    group["header"] = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": frame_id}
+    message = Message(1, 0, generic_writer()(group), 0, 0)
+    assert stamp_of(message, StampPlace(4, True)) == 7 * SECOND
 
 
 @pytest.mark.parametrize(

@@ -56,6 +56,14 @@ def test_the_model_has_the_lengths_of_the_person(result, tmp_path):
     assert told[0].endswith("since nobody saw them: left foot, right foot")
 
 
+def test_shoulders_are_as_far_apart_as_usual_if_one_of_them_was_never_seen(result, tmp_path):
+    seen = {name: at for name, at in STANDING.items() if name != "shoulder_left"}
+    (path,) = export(stick(result, **seen), tmp_path / "out.osim", warn=len)
+    left, right = (place(model_of(path), f"torso_humerus_{side}") for side in "lr")
+    assert left == pytest.approx(right * [1, 1, -1])
+    assert 0.25 < right[2] - left[2] < 0.45
+
+
 def test_the_soles_are_on_the_floor_while_the_person_stands(result, tmp_path):
     (path,) = export(stick(result, **STANDING), tmp_path / "out.osim", warn=len)
     model = model_of(path)

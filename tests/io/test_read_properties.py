@@ -108,6 +108,13 @@ def test_a_changed_schema_is_an_error_or_a_layout(data):
         assert isinstance(layout, Layout)
 
 
+@pytest.mark.parametrize("until", [None, 5])
+def test_a_chunk_without_messages_hands_out_nothing(until):
+    order = LogOrder[str]()
+    order.add("empty", np.empty((0, 3), np.uint64))
+    assert list(order.before(until)) == []
+
+
 @few
 @given(st.lists(st.lists(st.integers(0, 20), max_size=6), max_size=6), st.integers(0, 2**32))
 def test_messages_of_chunks_in_any_order_come_by_time_and_then_by_place(chunks, seed):

@@ -164,6 +164,16 @@ def test_guesses_change_no_deviation_of_what_others_see(params):
 
 
 @pytest.mark.parametrize("params", [{}, REALTIME])
+def test_joints_that_are_seen_at_times_scatter_as_others_do(params):
+    rng, frames = np.random.default_rng(9), detections({})
+    offsets = rng.normal(0, 0.02, (3, 8, 3))
+    for k, frame in enumerate(frames):
+        frame.markers[0, :, :3] += offsets[k % 3]
+        frame.markers[0, 4 * (k // 3 % 2) :][:4] = np.nan
+    assert 1.4 * usual_deviations(bool(params)) < deviations(frames, **params)
+
+
+@pytest.mark.parametrize("params", [{}, REALTIME])
 def test_the_error_of_a_pose_is_no_scatter(params):
     """What all joints of a view have in common is in the shared part, and counts once."""
     usual = usual_deviations(bool(params))
