@@ -317,6 +317,8 @@ def test_what_cannot_be_read_in_a_folder_is_named(walking, tmp_path, capsys):
     assert "pipe.mcap: is a device or a pipe, not a file of a log" in error
     verdicts = {name: one["verdict"] for name, one in records_of(tmp_path / "out").items()}
     assert verdicts == {"one_person_walking": "done", "lost": "failed", "pipe": "failed"}
+    sizes = {name: one["input"]["size"] for name, one in records_of(tmp_path / "out").items()}
+    assert sizes == {"one_person_walking": walking.stat().st_size, "lost": 0, "pipe": 0}
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs process groups")

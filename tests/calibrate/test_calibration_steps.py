@@ -14,7 +14,7 @@ from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.calibrate.camera_views import CameraView, PeopleFollowed, Sighting, find_tracklets
 from hiros_mcap.calibrate.coarse_clock import correlate, lag_candidates, landmarks_of, signatures_of
 from hiros_mcap.calibrate.evidence import shared_view
-from hiros_mcap.calibrate.gauge import find_floor, moved, on_transforms
+from hiros_mcap.calibrate.gauge import find_floor, moved, on_transforms, placement_error
 from hiros_mcap.calibrate.joint_refinement import Points, free_unknowns, refine, residuals_of
 from hiros_mcap.calibrate.pair_pose import PairFit, chained, coarse_clocks, ranked, spanning_tree
 from hiros_mcap.calibrate.people import _only_ambiguous
@@ -82,6 +82,8 @@ def test_samples_of_nobody_have_as_many_joints_as_others():
     samples = sample([view("a", Rotation.identity(), np.zeros(3))], np.array([60.0]), Rig.alone(1))
     assert samples.lines.positions.shape == (0, 8, 3)
     assert samples.lines.weights.shape == (0, 8)
+    empty = CameraView("a", "a", [], 0.0, 0.1)
+    assert sample([empty], np.array([60.0]), Rig.alone(1)).lines.positions.shape == (0, 0, 3)
 
 
 def test_the_lag_of_two_clocks_needs_no_pose():
@@ -272,6 +274,20 @@ def test_up_is_where_standing_people_point():
     assert floor[0] == pytest.approx(tilt.apply([0, 0, 1]), abs=1e-6)
     assert floor[1] == pytest.approx(0.3, abs=1e-6)
     assert find_floor(MODEL, np.tile(POSE, (3, 1, 1)), np.zeros((3, 8, 3))) is None  # no ankles
+
+
+def test_cameras_far_apart_tell_the_orientation_of_a_rig_better():
+    """Who knows positions to 1 cm knows the turn of a rig of 20 m to less than 0.1 degrees."""
+    directions = {"a": [1, 0, 0], "b": [-1, 0, 0], "c": [0, 1, 0], "d": [0, -1, 0]}
+    near, far = (
+        placement_error(
+            {name: size * np.array(at) for name, at in directions.items()}, {}, 0.1, 0.01
+        )
+        for size in (0.01, 10.0)
+    )
+    assert near.degrees == pytest.approx(np.degrees(0.1 / 2), rel=0.1)
+    assert far.degrees < 0.1
+    assert near.metres == far.metres == pytest.approx(0.01 / 2)
 
 
 def test_weights_leave_outliers_out_of_a_rigid_fit():

@@ -7,8 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.calibrate.camera_change import find_changes, located
+from hiros_mcap.calibrate.camera_change import find_changes, located, second_poses
 from hiros_mcap.calibrate.camera_views import HALF_WIDTH_S, CameraView
+from hiros_mcap.calibrate.joint_refinement import common_points, residuals_of
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.kernels.local_line import Tracklet
 
@@ -43,6 +44,25 @@ def test_the_time_is_that_of_the_camera_that_was_moved():
     change = change_of(2.0)
     assert change.seconds == pytest.approx(2.0, abs=0.15)
     assert change.end - change.begin < 0.2
+
+
+@pytest.mark.parametrize("metres", [0.01, 0.1])
+def test_a_second_pose_takes_away_the_misfit_of_a_camera_that_was_moved(metres):
+    rng, seconds = np.random.default_rng(4), np.arange(0.0, 10.0, 0.1)
+    path = rng.uniform(-0.5, 0.5, (6, 3)) + np.stack([0.2 * seconds] * 3, 1)[:, None]
+    views = []
+    for name in ("one", "other", "moved"):
+        seen = path.copy()
+        if name == "moved":
+            seen[seconds >= 5.0, :, 0] += metres
+        tracks = [Tracklet(seconds, seen, np.ones(path.shape[:2]))]
+        views.append(CameraView(name, name, tracks, 0.0, HALF_WIDTH_S))
+    rig = Rig.alone(3)
+    points = common_points(views, rig, np.arange(0.05, 9.9, 0.1), MIRROR, 0.5)
+    gained = second_poses(residuals_of(points, rig), points)[2]
+    assert gained.share > 0.8
+    assert metres / 2 < gained.metres < metres
+    assert gained.seconds == pytest.approx(5.0, abs=1.0)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from builders import FAULTLESS
 from stick_figures import MODEL, at, person, seen
 
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.evaluate.leave_one_out import leave_one_out
+from hiros_mcap.evaluate.leave_one_out import _disagreement, _Residuals, leave_one_out
 from hiros_mcap.evaluate.logs import consistency
 from hiros_mcap.running.pipeline import ProcessOptions
 from hiros_mcap.simulate import SimulateParams, simulate
@@ -65,6 +65,17 @@ def test_mirrored_detections_count_as_they_are(tmp_path):
         assert each.distance.percentile_95 > 100
         assert each.distance.count > 31 * (each.detections - each.unmatched)
         assert each.median < 15
+
+
+def test_a_camera_that_mirrors_all_it_sees_is_compared_with_none():
+    def residuals(*mirrored):
+        rows = np.arange(len(mirrored))
+        return _Residuals(rows, 0 * rows, np.zeros((len(rows), 2, 3)), np.array(mirrored), 0, rows)
+
+    usual, always, shifted = residuals(False, False), residuals(True, True), residuals(False)
+    shifted.displacement[...] = 0.1
+    assert np.isnan(_disagreement(usual, always)) and np.isnan(_disagreement(always, usual))
+    assert _disagreement(usual, shifted) == pytest.approx(100 * np.sqrt(3))
 
 
 def test_two_cameras_are_needed(walking):

@@ -15,6 +15,7 @@ from stick_figures import MODEL, at, person, seen
 from hiros_cli.run_report import _limbs
 from hiros_mcap import stages
 from hiros_mcap.body.limb_table import Limb, LimbTable
+from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.events import COUNTED, TOO_LATE, counted
 from hiros_mcap.frames import Block
 from hiros_mcap.io.log import Log, Reading
@@ -214,7 +215,7 @@ def test_limb_lengths_are_told_in_words():
 
 def test_frames_in_which_a_person_is_merely_predicted_are_counted():
     observer = Observer(["filtered"])
-    for k, confidence in enumerate([0.8, 0.3, 0.09, 0.02, np.nan]):
+    for k, confidence in enumerate([0.8, LEAST_CONFIDENCE, 0.09, 0.02, np.nan]):
         frame = seen([person()], at(k))
         frame = frame.replace(ids=np.array([4], np.int32), confidences=np.array([confidence]))
         observer.see("filtered", Block.of(frame))

@@ -116,6 +116,17 @@ def test_a_distorted_view_behind_somebody_is_left_out():
     assert events.counts["distorted", "a"] == 1
 
 
+@pytest.mark.parametrize("place", [[0.0, 0.0, 0.0], [5.0, -3.0, 1.0]])
+@pytest.mark.parametrize(("aside", "left_out"), [(0.0, True), (0.8, False), (-0.8, False)])
+def test_who_stands_before_whom_depends_on_no_place_of_the_room(place, aside, left_out):
+    frames = behind([*noisy(KNOWN), squeezed()], aside)
+    for frame in frames:
+        frame.positions[...] += place
+    cameras = {name: at + place for name, at in CAMERAS.items()}
+    last = list(drop_implausible(frames, MODEL, PlausibleParams(), None, cameras))[-1]
+    assert is_blank(last) is left_out
+
+
 @pytest.mark.parametrize("aside", [0.8, -0.8])
 def test_a_distorted_view_beside_somebody_stays(aside):
     frames = behind([*noisy(KNOWN), squeezed()], aside)
