@@ -164,6 +164,10 @@ class OutputParams(Params):
         "bit.",
     )
 
+    def with_derivatives(self, chain: Sequence[str]) -> Sequence[str]:
+        """Return the channels of a chain that hold velocities and accelerations."""
+        return chain if self.derivatives == "all" else chain[-1:]
+
 
 Section = TypeVar("Section", bound=Params)
 

@@ -173,15 +173,17 @@ def places_of(names: Iterable[str], places: Mapping[str, Floats]) -> Floats:
     return np.array([places.get(name, 3 * [np.nan]) for name in names]).reshape(-1, 3)
 
 
-def join(blocks: Sequence[Block], order: Stamps | None = None, width: int = 0) -> Block:
+def join(
+    blocks: Sequence[Block], order: Stamps | None = None, widths: tuple[int, int] = (0, 0)
+) -> Block:
     """Return copies of the frames of blocks, one block behind the other.
 
     ``order`` : which frames, counted through all blocks, come in which order; None = all.
-    ``width`` : columns that markers and links get at least; those that are new are NaN.
+    ``widths`` : columns that markers, and links, get at least; those that are new are NaN.
     """
     widths = (
-        max(width, *(block.people.markers.shape[2] for block in blocks)),
-        max(width, *(block.people.links.shape[2] for block in blocks)),
+        max(widths[0], *(block.people.markers.shape[2] for block in blocks)),
+        max(widths[1], *(block.people.links.shape[2] for block in blocks)),
     )
     is_all = order is None or len(order) == len(blocks[0]) == 1
     if len(blocks) == 1 and is_all and (span := _span_of(blocks[0], widths)):

@@ -79,7 +79,7 @@ def test_held_frames_come_back_with_all_columns(width):
         slim = [np.ascontiguousarray(each[..., :width]) for each in (frame.markers, frame.links)]
         held.add(Block.of(frame.replace(markers=slim[0], links=slim[1])))
     held.keep([0, 2])
-    wide = join([held.take([2, 0])], width=19)
+    wide = join([held.take([2, 0])], widths=(19, 19))
     for frame, number in zip(wide.frames(), (2, 0), strict=True):
         expected = frames[number]
         assert frame.ids.tolist() == expected.ids.tolist()
@@ -104,7 +104,7 @@ def test_a_single_frame_is_copied_with_all_columns(others, width):
     block = join([Block.of(frame) for frame in frames]).select([0])
     markers = np.ascontiguousarray(block.people.markers[:, :, :width])
     block = replace(block, people=block.people._replace(markers=markers))
-    copy = join([block], width=19)
+    copy = join([block], widths=(19, 19))
     assert copy.people.ids.tolist() == [10, 11]
     assert copy.people.markers.shape == (2, 2, 19)
     np.testing.assert_array_equal(copy.people.markers[:, :, :width], markers[:2])

@@ -227,6 +227,8 @@ def run_log(
     for pose in prepared.poses.cameras:
         _log.info("%s: pose of %s: %s", log.path, pose.name, pose.verdict)
     run, chain = set_up(prepared), chain_of(options.system, options.stages)
+    if watcher is not None:
+        run = replace(run, derivatives=None)  # it sees them in every channel
     _log.info("%s: system %s: %s", log.path, options.system, ", ".join(chain))
     observer = Observer(chain)
     reading = log.read(slim=True)

@@ -123,6 +123,7 @@ def set_up(
         ),
         fixed_frame=log.fixed_frame,
         system=options.system,
+        derivatives=config.output.with_derivatives(chain_of(options.system, options.stages)),
         noise=_given_noise(log, config, options),
     )
     _calibrate_first(run, chain_of(options.system, options.stages), read)

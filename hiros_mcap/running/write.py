@@ -138,7 +138,7 @@ class LogOutput:
         self._encoders = {
             name: Encoder(
                 log.model,
-                derivatives=params.derivatives == "all" or name == chain[-1],
+                derivatives=name in params.with_derivatives(chain),
                 precision=params.precision,
                 boxes=True,
             )

@@ -76,4 +76,4 @@ class LookAhead:
                 self._blocks.appendleft(block.select(slice(n, None)))
             parts.append(block.select(slice(n)))
             n -= len(block)
-        return parts[0] if shared and len(parts) == 1 else join(parts, width=width)
+        return parts[0] if shared and len(parts) == 1 else join(parts, widths=(width, width))

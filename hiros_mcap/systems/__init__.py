@@ -14,7 +14,7 @@ Packages bring others by an entry point of the group ``hiros.systems``, which na
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
@@ -27,7 +27,7 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.events import Events
 from hiros_mcap.frames import BlockStage, by_block
 from hiros_mcap.params import Params
-from hiros_mcap.skeletons import Floats, SkeletonModel
+from hiros_mcap.skeletons import STATE, Floats, SkeletonModel
 from hiros_mcap.stages.known_cameras import KnownCameras
 from hiros_mcap.stages.merge.merge_params import MergeParams
 
@@ -52,6 +52,8 @@ class Run:
     fixed_frame: str = ""
     system: str = DEFAULT_SYSTEM
     """Name of the system that is run."""
+    derivatives: Collection[str] | None = None
+    """Channels whose velocities and accelerations somebody takes; None = all."""
     noise: FusionNoise | None = None
     """What a first pass has shown of cameras and joints; None = there was none."""
 
@@ -59,6 +61,11 @@ class Run:
     def cameras(self) -> Mapping[str, Floats]:
         """Camera -> (3,) position in the fixed frame, m."""
         return self.known.places
+
+    def widths(self, channel: str, least: tuple[int, int]) -> tuple[int, int]:
+        """Return the columns of markers, and of links, of a channel; the stages need ``least``."""
+        is_whole = self.derivatives is None or channel in self.derivatives
+        return (STATE, STATE) if is_whole else least
 
     def stage(self, stage: Callable[..., Any], params: Params, **more: Any) -> partial[Any]:
         """Return a stage with what every stage takes (model, parameters, events), and more."""
@@ -105,6 +112,7 @@ def fuse(run: Run) -> Stages:
     from hiros_mcap.stages.filter.filter import filter_blocks
     from hiros_mcap.stages.fuse.constrain import constrain_blocks
     from hiros_mcap.stages.fuse.fuse import fuse_blocks
+    from hiros_mcap.stages.fuse.gathering import VIEW_WIDTHS
     from hiros_mcap.stages.track.track import track_blocks
 
     config = run.config
@@ -113,8 +121,9 @@ def fuse(run: Run) -> Stages:
         fuse_blocks, config.fuse, merging=config.merge, fixed_frame=run.fixed_frame,
         known=run.known, noise=run.noise,
     )  # fmt: skip
+    widths = run.widths("tracked", VIEW_WIDTHS)
     return {
-        "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),
+        "tracked": run.stage(track_blocks, config.track, cameras=run.cameras, widths=widths),
         # smoothed positions
         "merged": lambda blocks: fusion(mended(blocks)),
         # lengths and prior

@@ -376,6 +376,8 @@ def _turn_toes(states: Floats, ankle: int, toes: int, facing: Floats, axes: Floa
     y = (facing[0] * axes[0, 1] + facing[1] * axes[1, 1]) / length
     z = (facing[0] * axes[0, 2] + facing[1] * axes[1, 2]) / length
     for first in (POSITION, VELOCITY):
+        if first >= states.shape[1]:
+            break
         along = x * (states[toes, first] - states[ankle, first])
         along += y * (states[toes, first + 1] - states[ankle, first + 1])
         along += z * (states[toes, first + 2] - states[ankle, first + 2])
@@ -409,6 +411,8 @@ def _turn_pair(a: Floats, b: Floats, turn: float, axes: Floats) -> None:
     """Turn two markers about the line along the trunk through their middle."""
     cosine, sine = math.cos(turn), math.sin(turn)
     for first in (POSITION, VELOCITY, ACCELERATION):
+        if first >= len(a):
+            break
         x, y, z = b[first] - a[first], b[first + 1] - a[first + 1], b[first + 2] - a[first + 2]
         p, q = component(x, y, z, axes, 0), component(x, y, z, axes, 1)
         dp, dq = cosine * p - sine * q - p, sine * p + cosine * q - q

@@ -32,6 +32,8 @@ from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.fuse.fusing import REFERENCE, Sightings
 from hiros_mcap.stages.merge.merge_params import MergeParams
 
+VIEW_WIDTHS = (POSE, ANGULAR_VELOCITY + 3)
+"""Columns that the markers and links of views have at least: links are turned on to the instant."""
 WIDTHS = (VELOCITY.stop, POSE)
 """Columns of fused markers and links."""
 
@@ -296,7 +298,7 @@ def _carry(states: Floats, m: int, n: int, work: GatherWork) -> bool:
             continue
         work.weights[k] = work.weights[k] if total > 0.0 else 1.0
         q = (state[3], state[4], state[5], state[6])
-        if len(state) > POSE and not math.isnan(state[ANGULAR_VELOCITY]):
+        if len(state) > ANGULAR_VELOCITY and not math.isnan(state[ANGULAR_VELOCITY]):
             wx, wy, wz = state[10], state[11], state[12]
             q = multiply(exponential(dt * wx, dt * wy, dt * wz), q)
         for c in range(4):

@@ -318,12 +318,13 @@ def _linear_distance(
     """Eq 8; ``velocities`` (M, 3) of the track."""
     total, common, markers = 0.0, 0, people.markers[j]
     weights, confidences = work.marker_velocities[i], work.marker_confidences[j]
+    weighs_velocities = settings.velocity_weight > 0.0 and markers.shape[1] > _TO_VELOCITY
     for m in range(len(markers)):
         d = point_distance(work.positions[i, m], markers[m])
         if math.isnan(d):
             continue
         common += 1
-        if settings.velocity_weight > 0.0 and not math.isnan(markers[m, _TO_VELOCITY]):
+        if weighs_velocities and not math.isnan(markers[m, _TO_VELOCITY]):
             d += settings.velocity_weight * point_distance(velocities[m], markers[m, _TO_VELOCITY:])
         total += weights[m] * confidences[m] * d
     return total / common  # eq 8
@@ -336,15 +337,15 @@ def _angular_distance(
     """Eq 9, 0 where no link is in common; ``velocities`` (L, 3) of the track."""
     total, common, links = 0.0, 0, people.links[j]
     weights, confidences = work.link_velocities[i], work.link_confidences[j]
+    has_velocities = links.shape[1] > _TO_ANGULAR_VELOCITY
+    weighs_velocities = settings.angular_velocity_weight > 0.0 and has_velocities
     for k in range(len(links)):
         product = dot(quaternion(work.orientations[i, k]), quaternion(links[k, _TO_ORIENTATION:]))
         if math.isnan(product):
             continue
         common += 1
         d = angle_of(product)  # eq 10
-        if settings.angular_velocity_weight > 0.0 and not math.isnan(
-            links[k, _TO_ANGULAR_VELOCITY]
-        ):
+        if weighs_velocities and not math.isnan(links[k, _TO_ANGULAR_VELOCITY]):
             d += settings.angular_velocity_weight * point_distance(
                 velocities[k], links[k, _TO_ANGULAR_VELOCITY:]
             )

@@ -121,8 +121,8 @@ def _correct(
 
 @inlined
 def _write(values: Floats, state: Floats, first: int) -> None:
-    """Copy three numbers to where the detector left them open."""
-    if math.isnan(state[first]):
+    """Copy three numbers to where the detector left them open, if ``state`` has such columns."""
+    if len(state) > first and math.isnan(state[first]):
         for c in range(3):
             state[first + c] = values[c]
 

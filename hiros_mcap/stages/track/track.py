@@ -57,6 +57,7 @@ _Messages = tuple[Block, Sequence[int], Sequence[int]]
 def track_blocks(
     blocks: Iterable[Block], model: SkeletonModel, params: TrackParams | None = None,
     events: Events | None = None, cameras: Mapping[str, Floats] | None = None,
+    widths: tuple[int, int] = (STATE, STATE),
 ) -> Iterator[Block]:  # fmt: skip
     """Give every detection the id of its person (section 3.1.2).
 
@@ -67,6 +68,8 @@ def track_blocks(
     params, events : parameters; where counts and events go.
     cameras : source -> (3,) position of the camera in the fixed frame, m. With it, other cameras
         can contradict a track that only one of them reports.
+    widths : columns of a KinematicState that markers, and links, get at least. The tracks fill in
+        the velocities and accelerations among them.
 
     Yields
     ------
@@ -76,7 +79,7 @@ def track_blocks(
     params = params or TrackParams()
     tracker = _Tracker(model, params, events or Events(), cameras or {})
     for block in blocks:
-        copy = join([block], width=STATE)
+        copy = join([block], widths=widths)
         del block  # else it lies in memory until the next one is made
         copy.people.ids.fill(UNTRACKED)
         yield from _gather(tracker.take(copy))
