@@ -106,21 +106,26 @@ class PoseError:
     def variances(self, positions: Floats, seen: Stamps, names: Sequence[str]) -> Floats:
         """(K, M) Variance along each axis, m2, of results (K, M, 3), m, from the cameras ``seen``.
 
-        ``seen`` (K, M) has a bit for each camera.
+        ``seen`` (K, M) has a bit for each camera. The mean of n cameras has the variance
+
+            (r sum a + sum e^2 / 3 + k^2 s) / n^2,
+
+        where a is assumed of each pose that is as given, r is :attr:`ratio`, e the standard error
+        of each refined pose, and s the variance of the placement of the k cameras with such poses.
         """
-        refined, count = np.zeros(seen.shape, np.int64), np.zeros(seen.shape, np.int64)
-        alone, own, shared = (np.zeros(seen.shape) for _ in range(3))
+        cameras, refined = np.zeros(seen.shape, np.int64), np.zeros(seen.shape, np.int64)
+        given, own, placement = (np.zeros(seen.shape) for _ in range(3))
         places = places_of(names, self._places)
         for k, name in enumerate(names):  # all at once would take much memory
             sees = (seen >> k) & 1
-            count += sees
+            cameras += sees
             if self._placement is not None and name in self._refined:
                 refined += sees
                 own += sees * self._errors.get(name, 0.0) ** 2 / _AXES
             else:
                 distances = np.linalg.norm(positions - places[k], axis=-1)
-                alone += sees * self._assumed(np.nan_to_num(distances, nan=REFERENCE))
+                given += sees * self._assumed(np.nan_to_num(distances, nan=REFERENCE))
         if self._placement is not None:
-            shared = self._placement.variances(positions)
-        total = self.ratio * alone + own + refined**2 * shared
-        return np.asarray(total / np.maximum(count, 1) ** 2)
+            placement = self._placement.variances(positions)
+        total = self.ratio * given + own + refined**2 * placement
+        return np.asarray(total / np.maximum(cameras, 1) ** 2)

@@ -56,8 +56,8 @@ def shrink_noise(
     if len(known) < FEWEST or not some.any():
         return positions
     known = known[:, some]
-    noises = at_most_shown(known, noises[:, some], min(rate, RATE))
-    noise = at_most_shown(positions[:, some], variances[:, some], rate)
+    noises = visible_noise(known, noises[:, some], min(rate, RATE))
+    noise = visible_noise(positions[:, some], variances[:, some], rate)
     out = positions.copy()
     out[:, some] = estimated(motion_of(known, noises), positions[:, some], noise)
     return out
@@ -108,7 +108,7 @@ class RecentMotion:
             self._motion = motion_of(poses, variances)
 
 
-def at_most_shown(positions: Floats, variances: Floats, rate: float) -> Floats:
+def visible_noise(positions: Floats, variances: Floats, rate: float) -> Floats:
     """(T, M) Variances without what the poses (T, M, 3) contradict, m2: noise shows in them.
 
     Errors of detectors depend on the pose: those of a person who stands hardly change. A prior that

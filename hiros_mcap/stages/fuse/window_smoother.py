@@ -141,10 +141,14 @@ class WindowSmoother:
         self._bank.past = past._replace(means=means, covariances=covariances)
 
     def _smooth(self, end: int, log_time: int, known: int) -> Smoothed:
-        """Smooth the instants before ``end``, ns, or at least one, by those that are ``known``."""
+        """Smooth a window: the instants before ``end``, ns, at least one.
+
+        The ``known`` instants, which are more, tell about it. The filters move on to the boundary,
+        the first of the others.
+        """
         stamps = self._ahead.stamps[:known]
         n = max(int(np.searchsorted(stamps, end)), 1)
-        boundary = int(stamps[min(n, known - 1)])  # nothing older is merged any more
+        boundary = int(stamps[min(n, known - 1)])
         views = joined_out_of(self._views)
         first, out = self._ahead.first, self._ahead.release(n)
         if self._params.window > 0:
