@@ -34,6 +34,7 @@ _RENEWED = 500_000_000  # ns; poses stay as they are, so each instant need not b
 _MOST = 25.0
 """Observed over assumed variance of a person in a window. A larger one is a confused identity."""
 _REMEMBERED = 1000  # persons in windows
+_PIECE = 4096  # people whose markers are looked at together: all at once would take much memory
 
 
 class PoseError:
@@ -83,7 +84,7 @@ class PoseError:
             scaled = []
             for camera in np.unique(views.cameras[seen & (views.people == person)]):
                 these = seen & (views.people == person) & (views.cameras == camera)
-                assumed = self._assumed(views.distances[these].mean())
+                assumed = self._assumed(1, views.distances[these].mean() ** 2)
                 scaled.append(offsets[these].mean(axis=0) / np.sqrt(assumed))
             self._count(np.array(scaled))
 
@@ -98,10 +99,13 @@ class PoseError:
             middle = float(np.median(self._observed))
             self.ratio = (_AXES + self._most * middle) / (_AXES + self._most)
 
-    def _assumed(self, distances: Floats) -> Floats:
-        """(...) Assumed variance along each axis, m2, at distances from a camera (...), m."""
+    def _assumed(self, cameras: Floats | float, squares: Floats) -> Floats:
+        """(...) Assumed variances along each axis, m2, in all.
+
+        Of so many ``cameras`` (...), ``squares`` (...) are the sums of their squared distances, m2.
+        """
         # A rotation moves what it sees across two of three axes.
-        return np.asarray(self._shift**2 + 2 / 3 * self._angle**2 * distances**2)
+        return np.asarray(cameras * self._shift**2 + 2 / 3 * self._angle**2 * squares)
 
     def variances(self, positions: Floats, seen: Stamps, names: Sequence[str]) -> Floats:
         """(K, M) Variance along each axis, m2, of results (K, M, 3), m, from the cameras ``seen``.
@@ -113,19 +117,27 @@ class PoseError:
         where a is assumed of each pose that is as given, r is :attr:`ratio`, e the standard error
         of each refined pose, and s the variance of the placement of the k cameras with such poses.
         """
-        cameras, refined = np.zeros(seen.shape, np.int64), np.zeros(seen.shape, np.int64)
-        given, own, placement = (np.zeros(seen.shape) for _ in range(3))
         places = places_of(names, self._places)
-        for k, name in enumerate(names):  # all at once would take much memory
-            sees = (seen >> k) & 1
-            cameras += sees
-            if self._placement is not None and name in self._refined:
-                refined += sees
-                own += sees * self._errors.get(name, 0.0) ** 2 / _AXES
-            else:
-                distances = np.linalg.norm(positions - places[k], axis=-1)
-                given += sees * self._assumed(np.nan_to_num(distances, nan=REFERENCE))
-        if self._placement is not None:
-            placement = self._placement.variances(positions)
-        total = self.ratio * given + own + refined**2 * placement
-        return np.asarray(total / np.maximum(cameras, 1) ** 2)
+        is_placed = ~np.isnan(places[:, 0])
+        places = np.nan_to_num(places)
+        errors = np.array([self._errors.get(name, 0.0) for name in names])
+        is_refined = np.array(
+            [self._placement is not None and name in self._refined for name in names]
+        )
+        out = np.empty(seen.shape)
+        for first in range(0, len(seen), _PIECE):
+            rows = slice(first, first + _PIECE)
+            sees = ((seen[rows, :, None] >> np.arange(len(names))) & 1).astype(np.float64)
+            x = np.nan_to_num(positions[rows])
+            given, refined = sees * ~is_refined, sees @ is_refined
+            placed = given * is_placed
+            # The sum of |x - place|^2.
+            squares = placed.sum(axis=2) * (x**2).sum(axis=2) + placed @ (places**2).sum(axis=1)
+            squares -= 2 * (x * (placed @ places)).sum(axis=2)
+            squares += (given * ~is_placed).sum(axis=2) * REFERENCE**2
+            total = self.ratio * self._assumed(given.sum(axis=2), squares)
+            total += sees @ (is_refined * errors**2) / _AXES
+            if self._placement is not None:
+                total += refined**2 * self._placement.variances(positions[rows])
+            out[rows] = total / np.maximum(sees.sum(axis=2), 1) ** 2
+        return out
