@@ -49,7 +49,7 @@ SETTINGS = "hiros.toml"
 
 
 class InputParams(Params):
-    """What is read, and in which frame the results are."""
+    """How the log is read, and the frame of the results."""
 
     fixed_frame: str = Field(
         "", description="Frame of all results. Empty: the root of the cameras' transforms."
@@ -91,7 +91,7 @@ _MOST_S = 4e9
 
 
 class ClockParams(Params):
-    """What is added to the stamps of cameras, by camera."""
+    """Corrections of the cameras' clocks: seconds to add to their stamps, by camera."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[

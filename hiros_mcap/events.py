@@ -1,4 +1,4 @@
-"""What the stages did besides their output. Whatever they drop is counted here."""
+"""Events of the stages: they note here what they drop, correct or find."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class Event:
 
     @property
     def text(self) -> str:
-        """What happened, to whom, seen by which camera."""
+        """Kind, person, camera and detail, in one line."""
         who = f" person {self.person}" if self.person >= 0 else ""
         where = f" {self.source}" if self.source else ""
         return f"{self.kind}{who}{where}{f': {self.detail}' if self.detail else ''}"

@@ -1,4 +1,4 @@
-"""What installed packages bring, by entry points: readers of detectors, and systems."""
+"""Plugins: detector readers and systems of installed packages, by their entry points."""
 
 from __future__ import annotations
 

@@ -197,7 +197,7 @@ def _of_people(name: str, kind: type[T]) -> T:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """What one SkeletonGroup message holds: when, by which camera, and its people.
+    """A SkeletonGroup message: its times, its camera and its people.
 
     The fields of :class:`People` are also those of the frame: ``frame.markers`` is
     ``frame.people.markers``. A stage never writes into a frame that it was given.

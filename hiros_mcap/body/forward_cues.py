@@ -1,4 +1,4 @@
-"""What of a skeleton shows which way a person faces, whatever its left and right are called.
+"""Cues to the direction that a person faces, whatever its left and right are called.
 
 Heads and toes point forwards, elbows bend backwards and knees forwards. A detector that confuses
 the sides of a person cannot confuse these.

@@ -199,7 +199,7 @@ class TransformTree:
         self.look_alikes: Sequence[str] = ()
         """Topics that may hold transforms, and are not read."""
         self.unheard = ""
-        """What is to be said of static transforms that nobody kept, "" if nothing is."""
+        """Warning that static transforms were sent, but not kept; "" if there is none."""
         self.source = ""
         """The file that the poses are from, "" if they are the log's."""
         self.clocks: Mapping[str, float] = {}
@@ -207,7 +207,7 @@ class TransformTree:
         self.renamed: dict[str, str] = {}
         """Name of a frame in the file -> the frame of the camera that it means."""
         self.remarks: list[str] = []
-        """What was guessed about the frames' names, and what of the file is not used."""
+        """Notes: guesses about the names of frames, and entries of the file that are not used."""
 
     def __len__(self) -> int:
         return len(self._edges)

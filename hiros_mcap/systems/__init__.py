@@ -55,7 +55,7 @@ class Run:
     derivatives: Collection[str] | None = None
     """Channels whose velocities and accelerations somebody takes; None = all."""
     noise: FusionNoise | None = None
-    """What a first pass has shown of cameras and joints; None = there was none."""
+    """Measured noise of cameras and joints; None = not measured before the run."""
 
     @property
     def cameras(self) -> Mapping[str, Floats]:
