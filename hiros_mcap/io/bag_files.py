@@ -39,7 +39,7 @@ class Files(NamedTuple):
     promised: Mapping[str, int] = {}
     """Messages of each topic that metadata.yaml counts; of "", those of no topic that it names."""
     remarks: Sequence[str] = ()
-    """What was guessed."""
+    """Guesses about the files, for notes."""
 
 
 def kind_of(path: Path) -> str:
@@ -196,7 +196,7 @@ def _numbered(path: Path) -> tuple[list[tuple[int, str]], str]:
 
 
 class _Description(NamedTuple):
-    """What metadata.yaml says."""
+    """The content of metadata.yaml: names of the files, and messages of each topic."""
 
     names: Sequence[str]
     counts: Mapping[str, int]

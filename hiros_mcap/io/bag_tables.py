@@ -55,7 +55,7 @@ class Bag(Protocol):
 
     @property
     def topics(self) -> Sequence[BagTopic]:
-        """What it holds; a topic with several publishers of ROS 1 comes several times."""
+        """Topics of the bag; one with several publishers of ROS 1 comes several times."""
 
     def messages(self, topics: Collection[BagTopic]) -> Iterator[tuple[BagTopic, int, bytes]]:
         """Yield the messages of some topics with their log times, ns, which increase.

@@ -1,4 +1,4 @@
-"""What is wrong with a camera's clock, from the times of its messages alone.
+"""Faults of the cameras' clocks, found from the times of their messages alone.
 
 A message has two times: the camera stamps it, and the recorder logs it on its own, one clock. The
 lag is the difference, log time minus stamp: the delay of the delivery minus the error of the
@@ -16,7 +16,7 @@ camera's clock.
   cannot tell a wrong clock from a slow delivery; the people can, with the cameras' poses. Only a
   difference that no delivery explains is taken as one of the clocks.
 
-What all cameras share is the recorder's: it may stall, or its clock may be set.
+A fault that all cameras share is the recorder's: it may stall, or its clock may be set.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class CameraTimes:
 
 @dataclass(frozen=True, slots=True)
 class ClockCorrection:
-    """What is added to the stamps of a camera: steps, and a drift on top of them."""
+    """Correction of a camera's stamps: steps, and a drift on top of them."""
 
     begins: tuple[int, ...] = (-(2**63),)
     """Log times, ns, from which each of ``offsets`` holds."""
@@ -164,7 +164,7 @@ class ClockCorrection:
 
 @dataclass(frozen=True, slots=True)
 class ClockVerdict:
-    """What is known of all clocks of a log."""
+    """Corrections, faults and lags of all clocks of a log."""
 
     corrections: Mapping[str, ClockCorrection] = field(default_factory=dict)
     """By camera."""

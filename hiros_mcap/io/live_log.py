@@ -72,7 +72,7 @@ class LiveReading(Reading):
     def __init__(self, log: LiveLog, **how: Any) -> None:
         log = replace(log, transforms=deepcopy(log.transforms))
         self._live: LiveDecoder | None = None
-        """What reads the messages, from the first one on."""
+        """Decoder of the messages; None until the first."""
         self._faulty: dict[str, str] = {}
         """Topic of no camera yet -> why its first message could not be read."""
         super().__init__(log, **how)
@@ -88,7 +88,7 @@ class LiveReading(Reading):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What makes the result doubtful, with the remedy."""
+        """Reasons to doubt the result, with their remedies."""
         waiting = (
             f"{topic}: {quantity(n, 'message')} not used, since no transform joins their frame to "
             f"{self.log.fixed_frame}; record /tf_static, or pass the camera poses with "
@@ -187,9 +187,9 @@ class LiveLog(Log):
 
     reader: LiveReader
     conversion: LiveConversion = field(kw_only=True)
-    """What makes SkeletonGroups of other detectors' messages."""
+    """Converts messages of other detectors to SkeletonGroups."""
     log_times: LiveLogTimes = field(kw_only=True)
-    """What mends log times that cannot be right."""
+    """Corrects log times that cannot be right."""
     topics: Sequence[str] | None = None
     """Globs of the channels that are wanted."""
 

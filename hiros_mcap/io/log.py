@@ -86,7 +86,7 @@ def learn_model(
 
 
 class _Learner:
-    """What is known of the model after some messages of the channels with ``layouts``."""
+    """Learns the skeleton model from messages of the channels with ``layouts``."""
 
     def __init__(self, layouts: Mapping[int, Layout]) -> None:
         self.builder = ModelBuilder()

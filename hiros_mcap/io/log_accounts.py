@@ -1,6 +1,7 @@
-"""What becomes of every message that is read: its frames, without what was sent before.
+"""Accounts of the messages that are read: every one is used, or skipped for a reason.
 
-Also when the cameras sent their messages, and which messages are a step apart.
+Skeletons that a camera had sent before are left out. The accounts also tell when the cameras sent
+their messages, and which messages are a step apart.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ _NAMED = 3
 
 @dataclass(slots=True)
 class Account:
-    """What became of every message of a topic: read = used + skipped."""
+    """Counts of the messages of a topic: read = used + skipped."""
 
     topic: str
     read: int = 0
@@ -53,7 +54,7 @@ class Account:
     untimed: int = 0
     """Frames of people without a time of their own, to which the log time was given."""
     first_error: str = ""
-    """What was wrong with the first message that could not be decoded."""
+    """Fault of the first message that could not be decoded."""
 
     def notes(self, joints: Sequence[str]) -> Iterator[str]:
         """Yield what was odd in the messages; ``joints`` are the names of the markers."""

@@ -81,7 +81,7 @@ class Reading:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What makes the result doubtful, with the remedy; see :attr:`Log.warnings`."""
+        """Reasons to doubt the result, with their remedies; see :attr:`Log.warnings`."""
         return self.log.warnings
 
     @property
@@ -202,7 +202,7 @@ class Log:
     is_live: ClassVar[bool] = False
     """Whether the log is still being written, so that it is read once."""
     reading: ClassVar[type[Reading]] = Reading
-    """What reads it."""
+    """Class that reads it."""
 
     def __repr__(self) -> str:
         return f"<Log {self.path}: {len(self.cameras)} skeleton channels, {self.model!r}>"
@@ -294,7 +294,7 @@ class Log:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What makes the cameras' messages or poses doubtful, with the remedy.
+        """Reasons to doubt the cameras' messages or poses, with their remedies.
 
         Raises LogError if the cameras' frames are not all joined to the fixed frame.
         """
@@ -362,12 +362,12 @@ class Log:
 
     @property
     def recovery(self) -> Recovery | None:
-        """What is lost of a damaged file; None if the log was opened without ``recover``."""
+        """Losses of a damaged file; None if the log was opened without ``recover``."""
         return self.reader.recovery
 
     @property
     def recovery_mark(self) -> Mapping[str, str]:
-        """What the metadata of a result say of this log's losses, also of earlier ones."""
+        """Metadata that mark a result with the losses of this log, or of an earlier recovery."""
         if self.recovery is not None and self.recovery.damages:
             return self.recovery.metadata()
         marks = (v for name, v in self.reader.contents.metadata if name == RECOVERY_METADATA)
@@ -375,7 +375,7 @@ class Log:
 
     @property
     def losses(self) -> str:
-        """What is lost of the recording, in one line; "" if nothing is."""
+        """Losses of the recording in one line; "" if there are none."""
         return self.recovery_mark.get("loss", "")
 
     # -- another log of the same file ----------------------------------------------------------

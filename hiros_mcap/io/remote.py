@@ -50,7 +50,7 @@ _LIBRARIES = {
     "https": ("aiohttp",),
     "sftp": ("paramiko",),
 }
-"""What fsspec needs for a protocol."""
+"""Protocol -> libraries that fsspec needs for it."""
 
 
 @contextmanager

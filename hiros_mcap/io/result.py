@@ -1,4 +1,4 @@
-"""What hiros wrote, as tables: one motion per person; and the parameters and events of its run.
+"""Results of hiros as tables: one motion per person, and the parameters and events of the run.
 
 ::
 
@@ -456,7 +456,7 @@ class _CameraReport(BaseModel):
 
 
 class StoredReport(BaseModel):
-    """What is read of the summary of a run, :class:`hiros_mcap.running.summary.Summary`."""
+    """Part of a run's summary that is read back, :class:`hiros_mcap.running.summary.Summary`."""
 
     warnings: tuple[str, ...] = ()
     cameras: list[_CameraReport] = []

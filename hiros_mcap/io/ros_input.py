@@ -40,7 +40,7 @@ class _Quality(NamedTuple):
 
 
 class _Row(NamedTuple):
-    """What was taken: time of arrival, ns, our number of the channel, message, and what is told."""
+    """A message with its time of arrival, ns, our number of its channel, and rclpy's info."""
 
     at: int
     ident: int
@@ -101,7 +101,7 @@ class RosInput:
 
     @property
     def fault(self) -> str:
-        """What was not read, "" if nothing."""
+        """Topics that are not read, and messages that were lost; "" if there are none."""
         topics = {ident: self._names.get(topic, topic) for (topic, _), ident in self._ids.items()}
         lost = (
             f"{topics[ident]}: {quantity(n, 'message')} lost on the way"

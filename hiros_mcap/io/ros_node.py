@@ -64,7 +64,7 @@ class RosNode:
 
     @property
     def graph(self) -> str:
-        """What errors and summaries call it."""
+        """Name of the graph in errors and summaries."""
         return f"{ADDRESS} (domain {os.environ.get('ROS_DOMAIN_ID') or 0})"
 
     def wait(self, subscriptions: Sequence[Any], seconds: float) -> None:

@@ -376,7 +376,7 @@ class MemorySink(Sink):
 
     @property
     def file(self) -> MemoryFile:
-        """What was written."""
+        """The file as it was written so far."""
         return MemoryFile(self.path, self._data)
 
     def _put(self, parts: Iterable[Bytes]) -> None:

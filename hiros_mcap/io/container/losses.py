@@ -1,4 +1,4 @@
-"""What is lost of a damaged log, and what could be read of it."""
+"""Damages of a log, and the messages that were lost and recovered."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _NAMED = 6
 
 
 class Lost(StrEnum):
-    """What some damage may have cost; REST: everything that followed in the file."""
+    """Worst loss by a damage; REST: everything that followed in the file."""
 
     NOTHING = "nothing"
     EXTRA = "attachment or metadata"
@@ -59,7 +59,7 @@ class ChannelLoss:
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """What a walk through the files of a damaged log found."""
+    """Damages and losses that a walk through the files of a log found."""
 
     damages: tuple[Damage, ...] = ()
     """In the order of the files; empty for a healthy log."""
@@ -87,7 +87,7 @@ class Recovery:
 
     @property
     def loss(self) -> str:
-        """What is lost, in one line; "" if everything was recovered."""
+        """The losses in one line; "" if everything was recovered."""
         if self.complete:
             return ""
         lost = [str(channel) for channel in self.channels if channel.lost != 0]

@@ -266,7 +266,7 @@ class McapReader:
 
     @property
     def contents(self) -> Contents:
-        """What the walk found: header, definitions, chunks, metadata, statistics."""
+        """The index of the file: header, definitions, chunks, metadata, statistics."""
         return self._contents
 
     @property

@@ -72,7 +72,7 @@ def name_of(opcode: int) -> str:
 
 
 class FormatError(ValueError):
-    """What is wrong with some bytes; whoever knows the file turns it into a LogError."""
+    """A fault of some bytes. The caller, who knows the file, turns it into a LogError."""
 
 
 @dataclass(frozen=True, slots=True)

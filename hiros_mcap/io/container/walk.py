@@ -40,7 +40,7 @@ ends, None if its length is right."""
 
 @dataclass(slots=True)
 class Contents:
-    """What the walk found."""
+    """The index of a file, as the walk builds it."""
 
     profile: str = ""
     library: str = ""

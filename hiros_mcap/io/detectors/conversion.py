@@ -55,7 +55,7 @@ _LISTED = 12
 
 
 class Selection(NamedTuple):
-    """What is read of a log, and which skeletons the results are to have."""
+    """The topics to read, the unit of their positions, and the skeleton of the results."""
 
     model: str = ""
     """As in :func:`hiros_mcap.io.detectors.model_fitting.chosen_model`."""

@@ -1,4 +1,4 @@
-"""What a reader of a detector's messages is.
+"""Base class of the readers of detectors' messages.
 
 A reader takes one message and gives the skeletons in it, or declines::
 

@@ -1,4 +1,4 @@
-"""What a user chooses about an exported file, and how its gaps are named."""
+"""Options of an export, and the warnings about its gaps."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def warn_in_python(text: str) -> None:
 
 
 class Choices(NamedTuple):
-    """What a writer is asked for besides the result and the file."""
+    """Options of a writer, besides the result and the file."""
 
     parts: tuple[str, ...]
     """"joints", "angles"."""

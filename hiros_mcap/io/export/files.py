@@ -42,11 +42,11 @@ class ExportFormat:
     """A kind of file."""
 
     text: str
-    """What it is, for a list."""
+    """Description, for a list."""
     write: Callable[[Result, Path, Choices], None]
     """Writes the parts "joints" and "angles" of a result."""
     parts: tuple[str, ...] = ("joints", "angles")
-    """What it can hold; the first is the default."""
+    """Parts that it can hold; the first is the default."""
     one_person: bool = False
     """Whether it holds one person only."""
     steady: bool = False

@@ -67,7 +67,7 @@ class JointRow(NamedTuple):
 
 
 class Series(NamedTuple):
-    """What one camera saw."""
+    """The detections of one camera."""
 
     camera: str
     model: SkeletonModel

@@ -91,7 +91,7 @@ DETECTOR_FILES: dict[str, dict[str, Any]] = {
     "pose2sim": _Y_UP,
     "opencap": _Y_UP,
 }
-"""What the files of detectors mean: mapping files by name."""
+"""Name of a detector or program -> the mapping of its files."""
 
 
 class TimeMapping(BaseModel):
@@ -162,7 +162,7 @@ class ColumnMapping(BaseModel):
 
 
 class FileMapping(BaseModel):
-    """What one file means."""
+    """How the columns and keys of one file are read."""
 
     model_config = _STRICT
     camera: str = ""

@@ -24,7 +24,7 @@ from hiros_mcap.skeletons import Floats
 
 
 class Markers(NamedTuple):
-    """What a file of motion capture holds."""
+    """The trajectories in a file of motion capture."""
 
     names: list[str]
     times: Floats
@@ -36,7 +36,7 @@ class Markers(NamedTuple):
     unit: str = "m"
     """Of the file."""
     doubt: str = ""
-    """What makes the file doubtful."""
+    """Reason to doubt the file; "" if there is none."""
 
 
 def read_trc(path: Path, unit: str = "") -> Markers:
