@@ -114,7 +114,7 @@ class MeanDifference:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a system made of a log; with a truth, its scores, without one :data:`measures.SELF`."""
+    """The result of a system on a log: with a truth its scores, else :data:`measures.SELF`."""
 
     log: str
     name: str

@@ -58,7 +58,7 @@ class LeftOut:
 
 @dataclass(frozen=True, slots=True)
 class SelfScores:
-    """What a log says about itself."""
+    """Scores of a log that need no truth: consistency, and each camera against the others."""
 
     consistency: Consistency
     """Of the result of all cameras, last stage."""

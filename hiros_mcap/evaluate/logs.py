@@ -65,7 +65,7 @@ class PersonSpan:
 
 @dataclass(frozen=True, slots=True)
 class Consistency:
-    """What a channel says about itself, without any truth; see :data:`measures.CONSISTENCY`."""
+    """Measures of a channel that need no truth, :data:`measures.CONSISTENCY`."""
 
     frames: int
     people: tuple[PersonSpan, ...]
@@ -84,7 +84,7 @@ class Consistency:
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """What stands on a channel of skeletons, in a log or after a run."""
+    """The content of a channel of skeletons, in a log or after a run."""
 
     path: Path | str
     """The log; an address if it is remote."""
@@ -93,7 +93,7 @@ class Channel:
     skipped: Mapping[str, int] = field(default_factory=dict)
     """Messages that gave no frame, by reason."""
     deviations: Deviations = field(default_factory=dict)
-    """What it states of its uncertainty."""
+    """Standard deviations that the channel states for its joints."""
 
 
 @dataclass(frozen=True, slots=True)

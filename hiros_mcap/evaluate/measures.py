@@ -37,7 +37,7 @@ class Measure:
     """Of its column."""
     unit: str
     text: str
-    """What it is."""
+    """Definition, for a legend."""
     floor: float = 0.0
     """Changes up to this never count in a check; 0 for counts, which may not get worse at all."""
     digits: int = 1
@@ -123,7 +123,7 @@ CONSISTENCY = (
     Measure("jitter", "Jitter", "mm",
             "mean norm of the second difference of a joint's positions between frames", 0.1),
 )
-"""What needs no truth."""
+"""Measures that need no truth."""
 _PEOPLE, _FRAMES, _LIMB_CV, _JITTER = CONSISTENCY
 
 ERRORS = (

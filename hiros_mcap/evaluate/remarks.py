@@ -1,4 +1,4 @@
-"""What a reader of scores has to know: what makes them doubtful, and what they leave out."""
+"""Warnings and notes about scores: reasons to doubt them, and joints that they leave out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a result says of left and right without any truth: people seldom walk backwards."""
+"""Left and right in a result, checked without a truth: people seldom walk backwards."""
 
 from __future__ import annotations
 

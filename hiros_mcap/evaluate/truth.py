@@ -1,4 +1,4 @@
-"""What really happened, as arrays over time, and where a result's markers are in it."""
+"""The truth: people's real motion as arrays over time, on the markers of a result."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _Y_TO_Z = np.array([0.5**0.5, 0.0, 0.0, 0.5**0.5])
 
 
 class Alignment(NamedTuple):
-    """What brings a truth to a result; see :func:`hiros_mcap.evaluate.alignment.align`."""
+    """Pose, scale and shift that :func:`hiros_mcap.evaluate.alignment.align` gives a truth."""
 
     pose: Rigid
     """Of the truth's frame in that of the result."""
@@ -35,7 +35,7 @@ class Alignment(NamedTuple):
 
     @property
     def text(self) -> str:
-        """What was found, in words."""
+        """Describe the alignment in words."""
         quaternion = ", ".join(f"{x:.4f}" for x in self.pose.xyzw)
         moved = ", ".join(f"{x:.3f}" for x in self.pose.translation)
         parts = [
@@ -69,11 +69,11 @@ class Truth:
     partial: bool = False
     """Whether there were people besides these, of whom the truth knows nothing."""
     alignment: Alignment | None = None
-    """What brought it to the result; None if it is where the file has it."""
+    """How it was aligned with the result; None if it is as in the file."""
     from_begin: bool = False
     """Whether its times may count from the log's start, as those of motion capture files do."""
     notes: tuple[str, ...] = ()
-    """What was taken as meant when it was read."""
+    """Guesses that were made while it was read."""
 
     @classmethod
     def of(cls, frames: Iterable[Frame], model: SkeletonModel | None = None) -> Truth:

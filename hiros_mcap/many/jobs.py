@@ -1,7 +1,7 @@
-"""What is done with each of many logs, a class per command.
+"""Jobs: the work of a command on one of many logs, a class per command.
 
-A job has the settings of its command. It is sent to the processes that work, with the paths of one
-log after the other. It imports what it needs when it runs.
+A job has the settings of its command. It is sent to the worker processes, with the paths of one log
+after the other. It imports what it needs when it runs.
 """
 
 from __future__ import annotations
@@ -52,17 +52,17 @@ TRUTH_SUFFIXES = (".truth.mcap", ".mcap", ".trc", ".c3d", ".csv")
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a job says of one log."""
+    """Outcome of a job on one log."""
 
     values: Mapping[str, Any] = field(default_factory=dict)
-    """What was measured, by the name of a column; the name has the unit."""
+    """Name of a column, with its unit -> the value that was measured."""
     verdict: Verdict = "done"
     error: str = ""
     """Why the log was skipped, or in what it differs."""
     warnings: tuple[str, ...] = ()
     losses: str = ""
     files: tuple[Path, ...] = ()
-    """What was written."""
+    """Files that were written."""
     sha256: str = ""
     """Of the log, if the job knows it."""
 
@@ -148,7 +148,7 @@ class EvalJob(Job):
     """Scores results, or recordings after a run on them."""
 
     settings: Settings
-    """What recordings are processed with."""
+    """System and parameters by which recordings are processed."""
     truth: str | None = None
     """Folder with a file of the same name for each log, or a channel; None = the log's own."""
     channels: tuple[str, ...] = ()

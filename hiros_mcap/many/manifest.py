@@ -1,4 +1,4 @@
-"""What became of each log, kept in the output folder, so that a second run knows what is done.
+"""The manifest of an output folder: the outcome of each log, so that a second run can resume.
 
 The manifest is one JSON file. It is replaced as a whole, at most once a second, and once more at
 the end; a run that is killed repeats at most the logs of that second.
@@ -51,7 +51,7 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class LogRecord:
-    """What became of one log."""
+    """Outcome of one log."""
 
     log: str
     """Absolute path or address."""
@@ -61,9 +61,9 @@ class LogRecord:
     error: str = ""
     warnings: tuple[str, ...] = ()
     losses: str = ""
-    """What is lost of a damaged log, one line."""
+    """Losses of a damaged log, one line."""
     values: Mapping[str, Any] = field(default_factory=dict)
-    """What was measured: columns of the table of all logs."""
+    """Values that were measured: columns of the table of all logs."""
     files: Mapping[FileName, int] = field(default_factory=dict)
     """Files in the output folder, with their size in bytes."""
     input: Identity = Identity(0, "")
@@ -80,7 +80,7 @@ class LogRecord:
 
 @dataclass(frozen=True, slots=True)
 class _Content:
-    """What the file holds."""
+    """The content of the file."""
 
     schema: Literal["hiros.manifest"]
     version: Literal[1]

@@ -44,7 +44,7 @@ MEAN_OF_NORMAL = 2 * np.sqrt(2 / np.pi) / np.sqrt(3)
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What one camera, or several together, contribute to each joint in scenes (n, P)."""
+    """Contribution of one camera, or of several together, to each joint in scenes (n, P)."""
 
     information: Floats
     """(n, P, J, bands) sum of 1 / S_c, s/m2."""

@@ -31,7 +31,7 @@ from hiros_mcap.wording import plain_value
 
 _CELLS, _FACINGS = 320, 8  # of the result
 UNSEEN_M = 0.5
-"""What a joint that no camera sees counts as."""
+"""Error, m, that stands for a joint that no camera sees."""
 _TRIED_CELLS, _TRIED_FACINGS = 48, 4  # while places are searched
 _JOINTS = [
     *("PELVIS", "NECK", "HEAD", "ELBOW_LEFT", "ELBOW_RIGHT", "WRIST_LEFT", "WRIST_RIGHT"),
@@ -49,7 +49,7 @@ _ENOUGH = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class Outlook:
-    """What is expected of a rig, over people who stand anywhere and face any way."""
+    """Expected error and coverage of a rig, over people who stand anywhere and face any way."""
 
     error_mm: float
     """Mean error of the joints of those whom a camera sees; NaN if none sees anybody."""
@@ -73,7 +73,7 @@ class PlannedCamera:
     tilt_deg: float
     """Of its axis below the horizon."""
     then: Outlook
-    """What the others give without this camera; of a further camera, what they give with it."""
+    """Outlook of the rig without this camera; for a further camera, of the rig with it."""
 
 
 @dataclass(frozen=True, slots=True)

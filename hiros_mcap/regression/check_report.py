@@ -1,4 +1,4 @@
-"""What a suite found, for machines (JSON, JUnit XML) and for a pull request (Markdown)."""
+"""Reports of a suite, for machines (JSON, JUnit XML) and for a pull request (Markdown)."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ class Divergence:
     seconds: float
     """Since the golden channel's first frame."""
     what: str
-    """What differs there: person, joint, by how much."""
+    """The difference there: person, joint, by how much."""
 
 
 @dataclass(slots=True)
@@ -404,7 +404,7 @@ _NONE = "none"
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """What a result was made from, and how."""
+    """Input, version and parameters of a result."""
 
     run: Mapping[str, str] = field(default_factory=dict)
     """Version, system, stages, hash of the input, ..., as the metadata have them."""

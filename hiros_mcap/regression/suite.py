@@ -144,7 +144,7 @@ class CaseResult:
     error: str = ""
     """Why it cannot be compared."""
     differences: tuple[Difference, ...] = ()
-    """What differs; parameters, version and input that changed come first."""
+    """Changes of parameters, version and input come first."""
     first: tuple[tuple[str, Divergence], ...] = ()
     """Channel and first diverging frame."""
     notes: tuple[str, ...] = ()
@@ -218,7 +218,7 @@ def run_suite(
 
 LOG_TIME = "output.log_time"
 LOG_TIMES = f"{LOG_TIME}=causal"
-"""What the cases of a suite are run with, unless they set it themselves."""
+"""Assignment that the cases of a suite are run with, unless they set it themselves."""
 
 
 def run_case(folder: Path, case: Case, bless: bool = False, keep: Path | None = None) -> CaseResult:
@@ -284,7 +284,7 @@ def check_output(output: Path, golden: Golden, *, bless: bool = False) -> CaseRe
 
 @dataclass(frozen=True, slots=True)
 class Golden:
-    """What an output is compared with."""
+    """The golden file that an output is compared with."""
 
     path: Path
     tolerances: Tolerances | None = None
