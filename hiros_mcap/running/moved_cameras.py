@@ -73,9 +73,9 @@ class Move(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class PosedViews:
-    """What cameras see, and what their people tell about their poses.
+    """Views of the cameras, and the poses that follow from the people in them.
 
-    A camera that was moved is there once for each of its poses, in the order of time.
+    A camera that was moved has a row for each of its poses, in the order of time.
     """
 
     cameras: list[FixedCamera]
@@ -83,7 +83,7 @@ class PosedViews:
     views: list[CameraView]
     rig: list[CalibratedCamera]
     gains: list[SecondPose]
-    """What each would gain by a second pose."""
+    """By how much a second pose would explain each camera better."""
     moves: tuple[Move, ...] = ()
     late: Event | None = None
     """A camera that was moved for too short a time to tell a pose."""

@@ -1,4 +1,4 @@
-"""What a log holds, for somebody who sees it for the first time: any MCAP file, any bag."""
+"""Overview of a log for somebody who sees it for the first time: any MCAP file, any bag."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class RunRow:
     """Parameters with other values than in that preset."""
     fixed_frame: str
     warnings: tuple[str, ...]
-    """What the run warned of."""
+    """Warnings of the run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,13 +152,13 @@ class Overview:
     markers: tuple[str, ...] = ()
     links: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
-    """What would make results doubtful, with the remedy."""
+    """Reasons to doubt results of the log, with their remedies."""
     remarks: tuple[str, ...] = ()
     """Notes about the log."""
     skipped: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     """Messages that give nothing, by topic and reason."""
     clocks: tuple[str, ...] = ()
-    """What the times of the messages say about the cameras' clocks."""
+    """Faults of the cameras' clocks, by the times of the messages."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON; numbers that are not finite are None."""

@@ -63,7 +63,7 @@ if TYPE_CHECKING:
 CHECKED_S = 10.0
 """So much of a log is read for a quick check."""
 WRONG_DEG, WRONG_MM = 1.0, 30.0
-"""What a quick check reports: such a pose shows in the results if nobody corrects it."""
+"""Least error of a pose that a quick check reports: it shows in the results if it stays."""
 
 _APART_MM = 60.0
 """Where a clock is wrong by most of a second, people who walk slowly may still fit: they are off by
@@ -90,7 +90,7 @@ class PoseAlignment:
 
     cameras: list[PoseSummary] = field(default_factory=list)
     calibration: PeopleCalibration | None = None
-    """What the people tell, if the poses were found from them alone."""
+    """The calibration by people, if the poses were found from them alone."""
     misfits: frozenset[str] = frozenset()
     """Cameras whose people are not where the others see them."""
     moves: tuple[Move, ...] = ()
@@ -108,9 +108,9 @@ class PoseAlignment:
     own_frames: frozenset[str] = frozenset()
     """Topics whose detections are in a frame that is called as the topic, whatever they name."""
     poses_of: str = "the log"
-    """What has the poses that the people's replaced."""
+    """Source of the poses that the people's replaced."""
     to_given: Mapping[str, Rigid] = field(default_factory=dict)
-    """Camera -> what takes its people back to the log's pose, where the run uses a better one."""
+    """Camera -> motion of its people back to the log's pose, where the run uses a better one."""
     pose_errors: dict[str, float] = field(default_factory=dict)
     """Camera -> standard error, m, of the pose that the people gave it."""
     better: tuple[Mapping[str, TimedPoses], str] | None = None

@@ -1,4 +1,4 @@
-"""What a run has to know before its first stage: where the cameras stand, and how their clocks go.
+"""Preparation of a run: the poses and clocks of its cameras, before the first stage.
 
 Every run is prepared here: of a file, of live input, of one system among several, and of a
 recording that is scored against itself. :func:`prepare` is the order.

@@ -1,4 +1,4 @@
-"""What a run reads and writes, and who follows it."""
+"""Options of a run: its input, its output, and who follows it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ do not confirm every camera's pose."""
 
 @dataclass(frozen=True, slots=True)
 class ProcessOptions:
-    """What is read, run and written, besides the parameters of the stages.
+    """Input, stages and output of a run, besides the parameters of the stages.
 
     A file may be given as text, a single glob without its tuple. Raises ConfigError for a choice
     that does not exist, and for a value of another type.

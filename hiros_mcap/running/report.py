@@ -70,7 +70,7 @@ _TOGETHER = 0.6  # share in common from which the camera as a whole is off
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What is known of a run; it can be asked again while the run goes on."""
+    """Makes the summary of a run; it can be asked again while the run goes on."""
 
     prepared: Prepared
     run: Run

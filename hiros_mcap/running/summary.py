@@ -1,4 +1,4 @@
-"""What a run did: every message accounted for, every person, every rejection, every second.
+"""Summary of a run: every message accounted for, every person, every rejection, every second.
 
 :func:`hiros_mcap.running.pipeline.process` fills it, ``hiros process`` shows it, ``--json`` prints
 :meth:`Summary.to_dict`.
@@ -20,7 +20,7 @@ from hiros_mcap.wording import plain, plain_value, quantity
 
 @dataclass(frozen=True, slots=True)
 class PoseSummary:
-    """What the people in the log say about the pose of one camera."""
+    """Verdict of the people in the log on the pose of one camera."""
 
     name: str
     verdict: str
@@ -35,8 +35,8 @@ class PoseSummary:
     none."""
     moved_deg: float = math.nan
     clock_ms: float = math.nan
-    """What the people say that is to be added to its stamps, besides what the times of its messages
-    have shown; NaN if no motion tells. Offsets that are significant are corrected: see
+    """Offset to add to its stamps by the people's motion, besides that by the times of its
+    messages; NaN if no motion tells. Significant offsets are corrected: see
     :attr:`CameraSummary.clock`."""
     error_mm: float = math.nan
     """Standard error of the people's pose against the other cameras."""
@@ -73,7 +73,7 @@ class DelaySummary:
 
 @dataclass(frozen=True, slots=True)
 class CameraSummary:
-    """What became of the messages of one camera's channel: ``messages`` = used + skipped."""
+    """Counts of the messages of one camera's channel: ``messages`` = used + skipped."""
 
     name: str
     topic: str
@@ -90,7 +90,7 @@ class CameraSummary:
     outliers: int = 0
     """Markers and links left out because the other cameras disagreed."""
     clock: tuple[ClockFault, ...] = ()
-    """What is wrong with the times of its messages."""
+    """Faults of the times of its messages."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +153,7 @@ class PersonSummary:
 
 @dataclass(frozen=True, slots=True)
 class StageTime:
-    """What one step cost. Some steps run at the same time."""
+    """CPU time of one step. Some steps run at the same time."""
 
     name: str
     cpu_s: float
@@ -195,11 +195,11 @@ class Summary:
     written: Mapping[str, int] = field(default_factory=dict)
     """Messages written, by output channel."""
     warnings: tuple[str, ...] = ()
-    """What makes the result doubtful or incomplete, with the remedy, one line each."""
+    """Reasons to doubt the result, or losses, with their remedies, one line each."""
     losses: str = ""
-    """What could not be read of a damaged log, one line; "" if everything was."""
+    """Losses of a damaged log, one line; "" if everything was read."""
     notes: tuple[str, ...] = ()
-    """What else a user should know, one line each."""
+    """Further notes for the user, one line each."""
 
     def __repr__(self) -> str:
         source, target = Path(self.source).name, ""

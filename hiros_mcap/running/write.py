@@ -151,7 +151,7 @@ class LogOutput:
         self._input_messages = log.reader.counts
         self._recovery = log.recovery_mark
         self.exports: list[MarkerExport | SummaryExport] = []
-        """What the frames of the last stage become, too."""
+        """Further outputs that are made of the last stage's frames."""
         if options.markers:
             from hiros_mcap.io.export.markers import MarkerExport
 
