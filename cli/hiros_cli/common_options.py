@@ -21,12 +21,12 @@ _COLOURS: Mapping[str, Mapping[str, str | None]] = {
     "always": {"NO_COLOR": None, "FORCE_COLOR": "1"},
     "never": {"NO_COLOR": "1", "FORCE_COLOR": None},
 }
-"""What each choice sets in the environment, which rich reads."""
+"""Choice of --color -> variables of the environment, which rich reads; None unsets one."""
 
 
 @dataclass(frozen=True, slots=True)
 class CommonOptions:
-    """What the user chose for the whole program."""
+    """Options that every command has."""
 
     verbose: bool = False
     log_file: Path | None = None

@@ -1,4 +1,4 @@
-"""What the shell offers when Tab is pressed: systems, presets, parameters, topics of a log.
+"""Completion in the shell, by Tab: systems, presets, parameters, topics of a log.
 
 A completion must not take longer than a key stroke, so nothing here imports the library's stages,
 which load compiled code. A completion never fails. At worst it offers nothing, and the shell falls

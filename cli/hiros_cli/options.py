@@ -111,7 +111,7 @@ MANY = "Many logs"
 
 @dataclass(frozen=True, slots=True)
 class Parameters:
-    """What the stages are run with."""
+    """The system, and the sources of its parameters."""
 
     system: str | None = option(
         "NAME",

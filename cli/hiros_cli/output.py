@@ -59,8 +59,8 @@ SCHEMA_VERSIONS: Mapping[str, int] = {
     "calibrate.board": 1,
     "plan": 1,
 }
-"""What ``--json`` prints -> version of its fields, docs/json.md. A new field does not change the
-version; a field that goes, or means something else, does."""
+"""Schema of ``--json`` -> version of its fields, docs/json.md. A new field keeps the version. It
+changes if a field goes or means something else."""
 
 
 def print_json(schema: str, data: Mapping[str, object], warnings: Sequence[str] = ()) -> None:

@@ -1,4 +1,4 @@
-"""What people look at: pages with plots, and the Rerun viewer. Heavy imports wait for their use.
+"""Pictures of results: pages with plots, and the Rerun viewer. Heavy imports wait for their use.
 
 ::
 

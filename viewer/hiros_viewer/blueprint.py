@@ -1,4 +1,4 @@
-"""What is shown beside what: the layouts of ``hiros view``."""
+"""Layouts of ``hiros view``: its panes, and where they stand."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _BEHIND = 0.1  # of _AHEAD: where the eye is, so that feet near the camera are s
 
 @dataclass(frozen=True, slots=True)
 class Content:
-    """What a recording holds, as far as a layout must know."""
+    """Facts about a recording that a layout needs."""
 
     stages: Sequence[str]
     """In the order of the chain; the last one is the result."""
@@ -76,7 +76,7 @@ class Content:
 
     @property
     def prefixes(self) -> Sequence[str]:
-        """What the paths of each log begin with."""
+        """Beginning of the entity paths of each log."""
         return [layer.prefix for layer in self.layers]
 
     @property

@@ -27,7 +27,7 @@ class CameraMove:
     after: Rigid
     """By the file."""
     entry: CameraEntry
-    """What the file says about the pose after."""
+    """The file's entry of the pose ``after``."""
     since_s: float = 0.0
     """Seconds from the log's start at which the camera was moved there; 0 = at once."""
 

@@ -70,7 +70,7 @@ class Body:
 
 @dataclass(frozen=True, slots=True)
 class Curves:
-    """What there is to plot of a channel."""
+    """The data of a channel that can be plotted."""
 
     title: str
     """The log and the channel."""

@@ -74,7 +74,7 @@ class Layer:
     number: int = 0
     """Of several logs: that of the colour which everybody in it has."""
     file: str = ""
-    """What it is called outside the viewer, if that is not its name."""
+    """Its name outside the viewer, if that is another one."""
 
     def named(self, text: str) -> str:
         """Return what something is called in this log."""

@@ -1,4 +1,4 @@
-"""What plots of curves show: joint angles, limb lengths and errors over time, and others.
+"""Plots of curves: joint angles, limb lengths and errors over time, and others.
 
 A :class:`CurveGrid` is drawn by Bokeh on a page (``page.py``), where it can be zoomed, and by
 matplotlib as a picture (``pictures.py``).

@@ -1,4 +1,4 @@
-"""What colours mean in a layout: no colour is named that it does not show."""
+"""Legend of a layout: the meaning of the colours that it shows, and of no others."""
 
 from __future__ import annotations
 

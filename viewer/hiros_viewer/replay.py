@@ -46,7 +46,7 @@ LONGEST_STEP_S = 0.2
 LIMB_AXIS_M = 0.25
 """Least length of an axis of limbs: millimetres look small."""
 ANGLE_AXIS_DEG = (0.0, 100.0)
-"""What every axis of angles shows: two numbers stand beside it then."""
+"""Range that every axis of angles shows: two numbers stand beside it then."""
 EMPTY_ROOM = np.array([[-2.0, -2.0, 0.0], [2.0, 2.0, 1.8]])
 """m; what is looked at before anybody is seen."""
 MOST_NUMBERS = {"moved": 6.0, "residual": 6.0, "speed": 5.0, "people": 5.0}
@@ -58,7 +58,7 @@ _NAMES = "AB"
 
 @dataclass(frozen=True, slots=True)
 class ViewOptions:
-    """What of a log is shown, and how."""
+    """Choice of what to show of a log, and how."""
 
     layout: str = "overview"
     """A key of :data:`hiros_viewer.blueprint.LAYOUTS`."""

@@ -82,7 +82,7 @@ STAGES = ("tracked", "merged", "optimized", "filtered", "truth")
 _ALONE = Layer()
 _MOST_BOUNDS = 2000
 PERSON, NO_DATA = "person", "no data"
-"""What a lane shows, if not a fault of a camera's view."""
+"""States of a lane besides the faults of a camera's view."""
 SILENCE_S = 1.0
 """Without any message for longer, there is no data; detectors send several messages a second."""
 SIDED = ("angles", "limbs")
@@ -118,7 +118,7 @@ class Scene:
         self.camera_poses: Mapping[str, Rigid] = {}
         """By name, in the fixed frame."""
         self.truth: Truth | None = None
-        """What to compare the last stage with, on the markers of the model."""
+        """The truth to compare the last stage with, on the markers of the model."""
         self.shows_truth = False
         """Whether the truth is to be seen in the room; its error is plotted in any case."""
         self.uncertainties: Uncertainties | None = None
@@ -538,7 +538,7 @@ class Scene:
 
 @dataclass(slots=True)
 class _Past:
-    """What curves of a person go on from."""
+    """Last row of a person's curves, from which the next rows go on."""
 
     _times: Stamps | None = None
     """(2,) of the newest row."""

@@ -169,7 +169,7 @@ class OutputOptions:
 
 
 class _Run(NamedTuple):
-    """What the user asked for, whatever the logs are."""
+    """Options of the command that hold for all logs."""
 
     parameters: Parameters
     stages: str

@@ -1,4 +1,4 @@
-"""What needs no log: ``hiros systems``, ``config``, ``warmup`` and ``completion``."""
+"""Commands that need no log: ``hiros systems``, ``config``, ``warmup`` and ``completion``."""
 
 from __future__ import annotations
 
