@@ -99,7 +99,7 @@ def rows() -> Iterator[Row]:
         yield Row(f"reported, covered by {low:g} to {high:g}, %", f"reported {low}", 100.0, mean)
     for where in ("clear", "behind"):
         for bone in LENGTHS:
-            yield Row(f"{where}: length of {bone} off, %", f"{where} {bone}", 100.0)
+            yield Row(f"{where}: length of {bone} off, %", f"{where} length {bone}", 100.0)
         yield Row(f"{where}: lengths of a body off, rms, %", f"{where} body", 100.0)
         yield Row(f"{where}: shift between cameras, mm", f"{where} shift", 1000.0)
         for part in ("trunk", "head", "elbow", "hand", "knee", "foot"):
@@ -281,7 +281,7 @@ def add_views(track: Track, samples: dict[str, list[Floats]]) -> None:
     body = np.sqrt(np.mean([(d**2).mean(axis=1) for d in lengths.values()], axis=0))
     for where, these in (("clear", clear), ("behind", track.covered > BEHIND)):
         for bone, off in lengths.items():
-            samples[f"{where} {bone}"].append(np.abs(off[these]).ravel())
+            samples[f"{where} length {bone}"].append(np.abs(off[these]).ravel())
         samples[f"{where} body"].append(body[these])
         samples[f"{where} shift"].append(size(shift[these]))
         for part in ("trunk", "head", "elbow", "hand", "knee", "foot"):

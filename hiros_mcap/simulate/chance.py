@@ -34,12 +34,12 @@ def episodes(
     ]
 
 
-def held(rng: np.random.Generator, n: int, rate: float, seconds: float) -> Stamps:
+def held(rng: np.random.Generator, per_frame: Floats) -> Stamps:
     """(n,) number of the decision that holds in each frame.
 
-    A detector decides anew at random times, on average every ``seconds``.
+    A detector decides anew at random times, so often ``per_frame`` (n,) on average.
     """
-    anew = rng.random(n) < -np.expm1(-1 / (rate * seconds))
+    anew = rng.random(len(per_frame)) < -np.expm1(-per_frame)
     anew[0] = False
     decisions: Stamps = np.cumsum(anew)
     return decisions

@@ -147,10 +147,6 @@ def _fit(detections: SimulatedDetections, camera: SimulatedCamera, params: Simul
             reverse_facing(detections, slice(start, stop), person)
         if params.dropouts > 0:
             detections.present[:, person] &= ~lost(rng, view, limbs)
-    rng = stream(params.seed, "limb bias", camera.index)
-    lasts = float(np.exp(-1 / (rate * params.detector.bias_seconds)))
-    bias = params.noise * params.detector.bias
-    detections.positions += bias * coloured(rng, detections.positions.shape, lasts)
     _lose(detections, camera, params)
 
 

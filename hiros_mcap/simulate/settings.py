@@ -121,8 +121,10 @@ class LimbErrorParams(Params):
     """The errors of the detector "kinect", as two Kinect v2 were measured to make them.
 
     They were measured on 32 minutes of views in 19 recordings by two cameras each: lengths against
-    the person's own, positions between the cameras and against the fused result. A mistake is a
-    slip or a guess; its size is log-normal, and the SDs below are those of the median size.
+    the person's own, positions between the cameras and against the fused result. A decision of the
+    detector holds for ``seconds`` while somebody stands, and for less while somebody moves. A
+    mistake is a slip or a guess; its size is log-normal, and the SDs below are those of the median
+    size.
     """
 
     shift: NonNegativeFloat = advanced(
@@ -136,10 +138,10 @@ class LimbErrorParams(Params):
         "by 39 to 49 mm between two cameras.",
     )
     length: NonNegativeFloat = advanced(
-        0.025, description="Relative SD of a limb's length (robust SD of all errors: .03 to .07)."
+        0.02, description="Relative SD of a limb's length (robust SD of all errors: .03 to .07)."
     )
     slide: NonNegativeFloat = advanced(
-        0.04,
+        0.025,
         description="Relative SD by which a knee slides along the leg: the lengths of thigh and "
         "shank correlate by -.35 to -.64.",
     )
@@ -147,62 +149,63 @@ class LimbErrorParams(Params):
         1.0,
         description="How much larger these are in views from the side and from behind (.3 to 2).",
     )
+    joint: NonNegativeFloat = advanced(
+        0.013, description="SD of each joint by itself, per axis, m (wrist and hand r = .91)."
+    )
     seconds: PositiveFloat = advanced(
-        0.6, description="Mean time for which they hold, s (autocorrelation 1/e at .4 to 1.4 s)."
+        1.2,
+        description="Mean time for which a decision holds while somebody stands, s "
+        "(95 % of second differences of a trunk: 4 mm).",
+    )
+    moving_seconds: PositiveFloat = advanced(
+        0.15,
+        description="The same of somebody who moves fast, s (95 % of second differences of a trunk "
+        "at more than .2 m/s: 40 to 60 mm).",
     )
     lasting: Share = advanced(
-        0.3, description="Share of their variance that lasts (autocorrelation .2 to .5 after 1 s)."
+        0.1, description="Share of their variance that lasts (autocorrelation .2 to .5 after 1 s)."
     )
     lasting_seconds: PositiveFloat = advanced(
-        20.0, description="Time over which the lasting part changes, s (recordings: 15 to 100 s)."
+        20.0, description="Time for which the lasting part holds, s (recordings: 15 to 100 s)."
     )
-    slips_per_minute: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat] = advanced(
-        (1.5, 40.0, 50.0),
-        description="How often a limb slips, per minute and view: from the front, from the side, "
-        "from behind. Wrists and ankles are off by more than .25 m 10 to 20 times.",
-    )
-    slip_seconds: PositiveFloat = advanced(
-        0.4, description="Mean time of a slip, s (above .25 m: median .1, 90 % .45)."
-    )
-    slip_angle: NonNegativeFloat = advanced(
-        17.0, description="SD of a segment's direction in a slip, per axis, deg (peaks of .34 m)."
-    )
-    slip_length: NonNegativeFloat = advanced(
-        0.12, description="SD of the log of its length (99 % of lengths are off by 17 to 34 %)."
+    slips: tuple[Share, Share, Share] = advanced(
+        (0.1, 0.45, 0.6),
+        description="Probability that a decision which movement brings is a slip: from the front, "
+        "from the side, from behind. Wrists slip by more than .2 m 7, 10 to 20, and 38 times per "
+        "minute of movement.",
     )
     slip_shift: NonNegativeFloat = advanced(
-        0.025,
+        0.035,
         description="SD of the shift of the whole body in a slip, per axis, m (99 % of second "
         "differences of a trunk: 36 to 82 mm).",
     )
-    guess_angle: NonNegativeFloat = advanced(
-        22.0,
-        description="SD of a covered segment's direction, per axis, deg (covered joints are off by "
-        "91 to 155 mm at the median, 390 to 600 at 90 %).",
+    narrow: NonNegativeFloat = advanced(
+        0.5,
+        description="SD of the share of the width of hips and shoulders that a mistake loses: 5 % "
+        "of those from the side are short by 25 to 42 %, hardly any is too long.",
+    )
+    mistake_angle: NonNegativeFloat = advanced(
+        30.0,
+        description="SD of a segment's direction in a mistake, per axis, deg (peaks of .34 m).",
+    )
+    mistake_length: NonNegativeFloat = advanced(
+        0.2, description="SD of the log of its length (99 % of lengths are off by 17 to 34 %)."
     )
     guess_odds: NonNegativeFloat = advanced(
-        3.0, description="Probability of a wrong guess to the covered share of the body."
-    )
-    guess_length: NonNegativeFloat = advanced(
-        0.15, description="SD of the log of its length (whole bodies: 15 % at the median)."
+        2.0, description="Probability of a wrong guess to the covered share of the body."
     )
     guess_shift: NonNegativeFloat = advanced(
-        0.2,
+        0.3,
         description="SD of the shift of a body to its covered share, per axis, m "
         "(shift at .25 to .45: median 50 to 59, 90 % 138 to 180 mm).",
     )
-    guess_seconds: PositiveFloat = advanced(
-        0.8,
-        description="Mean time for which a guess holds, s (95 % of second differences of covered "
-        "trunks: 65 to 133 mm).",
-    )
     loses_at: Range = advanced(
-        (0.2, 1.0),
+        (0.3, 0.8),
         description="Share of a body that others cover when it is lost: least, most. Reported are "
         "80 % of those who are covered by .1 to .25, 25 % by .45 to .7.",
     )
     finds_after: PositiveFloat = advanced(
-        0.3, description="Mean time after which who is uncovered is found again, s (.3 to 1.8)."
+        0.5, description="Mean time after which who is uncovered is found again, s (.3 to 1.8)."
     )
     exchanged: Annotated[float, Field(ge=0, le=1)] = advanced(
         0.45, description="Share of the views from behind with exchanged sides (measured: .45)."
