@@ -9,13 +9,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Concatenate, NamedTuple, ParamSpec
+from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
-from hiros_mcap.kernels.array_types import I1, I2
+from hiros_mcap.kernels.array_types import B1, F2, I1, I2, arrays, chosen
 from hiros_mcap.kernels.people_rows import gather
 from hiros_mcap.skeletons import Floats, Frame, People, Stage, Stamps, Uncertainty
+
+
+class Doubts(NamedTuple):
+    """Why P detections count less than they say: what the stages before the merger find out."""
+
+    variances: F2
+    """(P, M) m2, by which the variance of a marker is larger, because its camera cannot see it or
+    it contradicts the body."""
+    distorted: B1
+    """(P,) whether a detection is left out as a whole; it still tells that the person is there."""
+
+    @classmethod
+    def none(cls, n_people: int, n_markers: int) -> Doubts:
+        """Return columns of people whom nobody doubts yet."""
+        return arrays(cls, (n_people, n_markers), n_people)
+
+    def at(self, rows: Any) -> Doubts:
+        """Return some people: views if ``rows`` is a slice, copies if it is a mask or indices."""
+        return chosen(self, rows)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,9 +56,8 @@ class Block:
     people: People
     uncertainty: Uncertainty | None = None
     """Of the same rows; None = no stage has said anything."""
-    hidden: Floats | None = None
-    """(P, M) m2, by which the variance of a detection's marker is larger, because its camera cannot
-    see it or it contradicts the body; None = no stage has looked."""
+    doubts: Doubts | None = None
+    """Of the same rows; None = no stage has looked."""
 
     def __repr__(self) -> str:
         return f"<Block {len(self)} frames, {int(self.sizes.sum())} people>"
@@ -116,9 +134,9 @@ class Block:
         rows, counts = rows[known], np.bincount(owners[known], minlength=len(self))
         ends = np.cumsum(counts)
         sure = self.uncertainty and self.uncertainty.at(rows)
-        hidden = None if self.hidden is None else self.hidden[rows]
+        doubts = self.doubts and self.doubts.at(rows)
         spans, people = np.stack([ends - counts, ends], axis=1), self.people.at(rows)
-        return replace(self, rows=spans, people=people, uncertainty=sure, hidden=hidden)
+        return replace(self, rows=spans, people=people, uncertainty=sure, doubts=doubts)
 
     def frames(self) -> Iterator[Frame]:
         """Every frame, in order."""
@@ -127,6 +145,7 @@ class Block:
 
 
 P = ParamSpec("P")
+Columns = TypeVar("Columns", Uncertainty, Doubts)
 
 BlockStage = Callable[[Iterable[Block]], Iterator[Block]]
 """A step of a system: a generator over blocks, whose frames are those of a Stage."""
@@ -189,9 +208,9 @@ def join(
     if len(blocks) == 1 and is_all and (span := _span_of(blocks[0], widths)):
         block, rows = blocks[0], np.arange(*span)  # a live input has one such frame after the other
         sure = block.uncertainty and block.uncertainty.at(rows)
-        hidden = None if block.hidden is None else block.hidden[rows]
+        doubts = block.doubts and block.doubts.at(rows)
         people, begins = block.people.at(slice(*span)).copy(), block.rows - span[0]
-        return replace(block, rows=begins, people=people, uncertainty=sure, hidden=hidden)
+        return replace(block, rows=begins, people=people, uncertainty=sure, doubts=doubts)
     of_block = np.repeat(np.arange(len(blocks)), [len(block) for block in blocks])
     wanted = np.arange(len(of_block)) if order is None else order
     of_block, rows = of_block[wanted], np.concatenate([block.rows for block in blocks])[wanted]
@@ -211,8 +230,8 @@ def join(
         names,
         np.stack([targets, ends], axis=1),
         people,
-        _join_uncertainty(blocks, of_block, rows),
-        _join_hidden(blocks, of_block, rows),
+        _join_columns([block.uncertainty for block in blocks], of_block, rows),
+        _join_columns([block.doubts for block in blocks], of_block, rows),
     )
 
 
@@ -290,31 +309,21 @@ def rows_between(rows: Stamps) -> Stamps:
     return np.asarray(np.repeat(skipped, sizes) + np.arange(sizes.sum()))
 
 
-def _join_uncertainty(
-    blocks: Sequence[Block], of_block: Stamps, rows: Stamps
-) -> Uncertainty | None:
-    """Return the uncertainty of frames with these ``rows`` of blocks; None if a block has none."""
-    some = [block.uncertainty for block in blocks if block.uncertainty is not None]
-    if len(some) < len(blocks):
+def _join_columns(
+    tables: Sequence[Columns | None], of_block: Stamps, rows: Stamps
+) -> Columns | None:
+    """Return what stages say of frames with these ``rows`` of blocks; None if a block has none."""
+    known = [table for table in tables if table is not None]
+    if len(known) < len(tables):
         return None
-    whole, parts = _used(of_block, rows, [len(each.deviations) for each in some])
-    cut = [each.at(part) for each, part in zip(some, parts, strict=True)]
-    return Uncertainty(
-        np.concatenate([each.deviations for each in cut])[whole],
-        np.concatenate([each.cameras for each in cut])[whole],
-        max((each.names for each in some), key=len),
-        np.concatenate([each.shared for each in cut])[whole],
+    whole, parts = _used(of_block, rows, [len(table[0]) for table in known])
+    cut: Any = [table.at(part) for table, part in zip(known, parts, strict=True)]
+    columns: Columns = cut[0]._make(
+        # What is no array are the names of cameras: later ones are added at the end.
+        np.concatenate(field)[whole] if isinstance(field[0], np.ndarray) else max(field, key=len)
+        for field in zip(*cut, strict=True)
     )
-
-
-def _join_hidden(blocks: Sequence[Block], of_block: Stamps, rows: Stamps) -> Floats | None:
-    """Return ``hidden`` of frames with these ``rows`` of blocks; None if a block has none."""
-    some = [block.hidden for block in blocks if block.hidden is not None]
-    if len(some) < len(blocks):
-        return None
-    whole, parts = _used(of_block, rows, list(map(len, some)))
-    cut = [each[part] for each, part in zip(some, parts, strict=True)]
-    return np.asarray(np.concatenate(cut)[whole])
+    return columns
 
 
 def _used(of_block: Stamps, rows: Stamps, sizes: Sequence[int]) -> tuple[Stamps, list[slice]]:

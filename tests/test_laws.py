@@ -106,6 +106,21 @@ def test_no_stage_changes_its_input_and_the_output_is_reproducible(name):
     assert all_same(frames, result(name))
 
 
+@pytest.mark.parametrize("name", ["fuse", "fuse-realtime"])
+def test_fuse_passes_no_velocities_of_markers_on_that_nobody_takes(name):
+    run = Run(
+        crossing().model, load_config(system=name), known=KnownCameras(crossing().cameras),
+        fixed_frame="world", system=name, derivatives=(),
+    )  # fmt: skip
+    frames, stages = list(crossing().frames), SYSTEMS[name].stages(run)
+    slim = [frame.replace(markers=frame.markers[:, :, :7].copy()) for frame in frames]
+    tracked = list(at_once(stages["tracked"])(slim))
+    assert {frame.markers.shape[2] for frame in tracked} == {7}
+    for channel in chain_of(name)[1:]:
+        tracked = list(at_once(stages[channel])(tracked))
+    assert all_same(tracked, result(name))
+
+
 @every_system
 def test_moving_the_room_moves_the_result(name):
     where, turn, shift = crossing(), LEVEL_TURN, LEVEL_SHIFT

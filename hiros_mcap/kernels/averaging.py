@@ -34,9 +34,7 @@ class Buffers(NamedTuple):
     messages: I2
     """(K, 4) BEGIN and END of each message's people, its TIME in ns and the index of its CAMERA."""
     past_rows: I1  # (P,) row of each person in what the merger remembers
-    hidden: F2
-    """(N, M) m2, by which the variance of each marker of the messages' people is larger, because
-    the camera cannot see it."""
+    doubts: F2  # (N, M) m2, by which variances of the markers of the messages' people are larger
 
 
 class Views(NamedTuple):

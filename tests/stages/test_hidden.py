@@ -63,7 +63,7 @@ def test_a_hidden_joint_that_the_detector_got_right_stays(pose):
 def test_nobody_in_front_changes_nothing(front):
     frames = log(raised(), front)
     out = run(frames)
-    assert out.hidden is not None and not out.hidden.any()
+    assert out.doubts is not None and not out.doubts.variances.any()
     for before, after in zip(frames, frames_of([out]), strict=True):
         np.testing.assert_array_equal(before.markers, after.markers)
         np.testing.assert_array_equal(before.marker_confidences, after.marker_confidences)
@@ -73,7 +73,7 @@ def test_somebody_behind_hides_nothing():
     frames = log(raised())
     for frame in frames:
         frame.markers[1, :, 0] += 2.0
-    assert not run(frames).hidden[0::2].any()
+    assert not run(frames).doubts.variances[0::2].any()
 
 
 def rated():
@@ -86,7 +86,7 @@ def test_a_detector_that_rates_joints_is_believed():
     """It knows what it sees through between two bodies: only its guesses count less."""
     confidences = np.where(np.arange(MODEL.n_markers) == PELVIS, 0.33, 0.66)
     out = run(log(raised(), confidences=confidences))
-    assert not np.delete(out.hidden, PELVIS, axis=1).any()
+    assert not np.delete(out.doubts.variances, PELVIS, axis=1).any()
     np.testing.assert_array_equal(out.frame(-1).positions[0, WRIST], raised()[WRIST])
 
 
@@ -99,7 +99,7 @@ def test_a_guessed_joint_stays_where_it_was_seen_last():
         frame.marker_confidences[:, WRIST] = 0.66
     out = run(frames, events, cameras={})
     np.testing.assert_allclose(out.frame(-1).positions[0, WRIST], person()[WRIST], atol=0.15)
-    assert out.hidden[-2, WRIST] > 0
+    assert out.doubts.variances[-2, WRIST] > 0
     assert not events.counts
 
 
@@ -109,12 +109,12 @@ def test_a_detector_guesses_by_its_own_scale(scale):
     frames, plain = rated(), run(rated())
     for frame in frames:
         frame.marker_confidences[:] *= scale
-    np.testing.assert_array_equal(run(frames).hidden, plain.hidden)
+    np.testing.assert_array_equal(run(frames).doubts.variances, plain.doubts.variances)
 
 
 def test_guesses_are_left_to_a_smoother():
     out = run(rated(), guesses=False)
-    assert not out.hidden.any()
+    assert not out.doubts.variances.any()
     np.testing.assert_array_equal(out.frame(-1).positions[0], raised())
 
 
@@ -184,7 +184,7 @@ def test_cutting_into_blocks_changes_nothing(size):
     cut = list(mend_hidden_blocks(blocks, MODEL, None, None, CAMERAS))
     whole = run(frames)
     np.testing.assert_array_equal(join(cut).people.markers, whole.people.markers)
-    np.testing.assert_array_equal(join(cut).hidden, whole.hidden)
+    np.testing.assert_array_equal(join(cut).doubts.variances, whole.doubts.variances)
 
 
 def test_the_input_is_unchanged():
@@ -203,9 +203,9 @@ def test_limbs_have_the_radii_of_the_table():
 
 def test_the_merger_weighs_hidden_joints_less_and_no_others():
     whole = run(log(raised()))
-    people = weighted_by_sight(whole.people, whole.hidden)
+    people = weighted_by_sight(whole.people, whole.doubts.variances)
     lowered = people.marker_confidences < 1.0
-    np.testing.assert_array_equal(lowered, whole.hidden > 0)
+    np.testing.assert_array_equal(lowered, whole.doubts.variances > 0)
     assert people.marker_confidences[-2, WRIST] < 0.75
     np.testing.assert_array_equal(whole.people.marker_confidences, 1.0)
 

@@ -90,15 +90,15 @@ def test_what_no_body_can_do_counts_little(what):
     out = run([pose] * 15, events)
     moved = np.linalg.norm(pose - STANDS, axis=1)
     farthest = moved.argmax()
-    assert out.hidden[-1, farthest] > (0.3 * moved[farthest]) ** 2
-    assert not out.hidden[-2].any()  # what camera b shows counts as before
+    assert out.doubts.variances[-1, farthest] > (0.3 * moved[farthest]) ** 2
+    assert not out.doubts.variances[-2].any()  # what camera b shows counts as before
     assert events.counts[POSTURE, "a"] >= 15
 
 
 @pytest.mark.parametrize("what", POSSIBLE)
 def test_what_a_body_can_do_is_believed(what):
     out = run([POSSIBLE[what]] * 15)
-    assert not out.hidden.any()
+    assert not out.doubts.variances.any()
     np.testing.assert_array_equal(out.frame(-1).positions[0], POSSIBLE[what])
 
 
@@ -106,7 +106,7 @@ def test_what_a_body_can_do_is_believed(what):
 def test_an_absent_marker_makes_nothing_impossible(name):
     pose = STANDS.copy()
     pose[NAMES.index(name)] = np.nan
-    assert not run([pose] * 15).hidden.any()
+    assert not run([pose] * 15).doubts.variances.any()
 
 
 def test_an_impossible_head_goes_back_to_where_it_was_seen_when_nobody_else_sees_it():

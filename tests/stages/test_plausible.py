@@ -10,15 +10,13 @@ from stick_figures import MIRROR, MODEL, SECOND, at, person, seen
 
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, by_frame, join
+from hiros_mcap.frames import Block, Doubts, frames_of, join
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
 from hiros_mcap.stages.detections.plausible import PlausibleParams, drop_implausible_blocks
 from hiros_mcap.stages.detections.sides import decide_sides
+from hiros_mcap.stages.detections.views import views_of
 from hiros_mcap.stages.merge.merge import merge_blocks
-
-merge = by_frame(merge_blocks)
-drop_implausible = by_frame(drop_implausible_blocks)
 
 CAMERAS = {"a": np.array([-3.0, 0.0, 1.0]), "b": np.array([0.0, -3.0, 1.0])}
 WRIST = MODEL.marker_names.index("WRIST_LEFT")
@@ -38,13 +36,18 @@ def squeezed(x=0.0):
 
 def run(frames, events=None, **params):
     settings = PlausibleParams.model_validate(params)
-    return list(drop_implausible(frames, MODEL, settings, events, CAMERAS))
+    return list(frames_of(tables(frames, settings, events)))
+
+
+def tables(frames, params=None, events=None):
+    """The tables of views, a message each."""
+    blocks = drop_implausible_blocks(map(Block.of, frames), MODEL, params, events, CAMERAS)
+    return [views_of([block]) for block in blocks]
 
 
 def doubts(frames):
     """By how much the variances of markers grow, m2: (P, M) of each frame."""
-    blocks = drop_implausible_blocks(map(Block.of, frames), MODEL, None, None, CAMERAS)
-    return [block.hidden for block in blocks]
+    return [table.doubts.variances for table in tables(frames)]
 
 
 def alone(poses):
@@ -101,9 +104,10 @@ def test_the_doubt_goes_with_a_side_that_is_exchanged():
         hidden[:, left] = 1.0
         if 60 <= k < 90:
             block.people.markers[:] = block.people.markers[:, mirror]
-        blocks[k] = replace(block, hidden=hidden)
+        doubts = Doubts.none(*hidden.shape)._replace(variances=hidden)
+        blocks[k] = replace(block, doubts=doubts)
     decided = list(decide_sides(blocks, simulation.model, None, Events()))
-    found = np.concatenate([block.hidden[:, left] for block in decided])
+    found = np.concatenate([block.doubts.variances[:, left] for block in decided])
     assert (found == np.where((np.arange(120) >= 60) & (np.arange(120) < 90), 0.0, 1.0)).all()
 
 
@@ -123,8 +127,15 @@ def test_who_stands_before_whom_depends_on_no_place_of_the_room(place, aside, le
     for frame in frames:
         frame.positions[...] += place
     cameras = {name: at + place for name, at in CAMERAS.items()}
-    last = list(drop_implausible(frames, MODEL, PlausibleParams(), None, cameras))[-1]
-    assert is_blank(last) is left_out
+    *_, last = drop_implausible_blocks(map(Block.of, frames), MODEL, None, None, cameras)
+    assert last.doubts.distorted.tolist() == [left_out, False]
+
+
+def test_the_doubts_name_the_distorted_views_and_detections_stay_as_they_are():
+    frames = behind([*noisy(KNOWN), squeezed()])
+    *_, last = drop_implausible_blocks(map(Block.of, frames), MODEL, None, None, CAMERAS)
+    assert last.doubts.distorted.tolist() == [True, False]
+    np.testing.assert_array_equal(last.frame(0).positions[0], squeezed())
 
 
 @pytest.mark.parametrize("aside", [0.8, -0.8])
@@ -170,7 +181,7 @@ def test_detections_without_an_id_and_without_links_stay():
     frames = [
         Frame.empty(1, loose, stamp=at(k)).replace(ids=np.array([7], np.int32)) for k in range(3)
     ]
-    assert len(list(drop_implausible(frames, loose))) == 3
+    assert len(list(drop_implausible_blocks(map(Block.of, frames), loose))) == 3
 
 
 def test_without_it_nothing_changes():
@@ -183,15 +194,15 @@ def test_the_cut_into_blocks_does_not_matter():
     whole = join([*map(Block.of, frames)])
     (at_once,) = drop_implausible_blocks([whole], MODEL, None, None, CAMERAS)
     one_by_one = run(frames)
-    for one, other in zip(at_once.frames(), one_by_one, strict=True):
+    for one, other in zip(views_of([at_once]).frames(), one_by_one, strict=True):
         np.testing.assert_array_equal(one.positions, other.positions)
-    np.testing.assert_array_equal(at_once.hidden, np.concatenate(doubts(frames)))
+    np.testing.assert_array_equal(at_once.doubts.variances, np.concatenate(doubts(frames)))
 
 
 def test_the_merger_carries_a_person_whose_views_are_left_out():
     """As long as they come, and with less and less confidence."""
     frames = behind([*noisy(KNOWN), *[squeezed()] * 20])
-    merged = list(merge(run(frames), MODEL, cameras=CAMERAS))
+    merged = list(frames_of(merge_blocks(tables(frames), MODEL, cameras=CAMERAS)))
     rows = [frame.ids.tolist().index(7) for frame in merged[-20:]]
     places = np.array([f.positions[row] for f, row in zip(merged[-20:], rows, strict=True)])
     assert np.abs(places - person()).max() < 0.1

@@ -47,8 +47,8 @@ import numpy as np
 
 from hiros_mcap.body.segments import capsules_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, CameraNumbers, places_of
-from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, SkeletonModel, Stamps
+from hiros_mcap.frames import Block, CameraNumbers, Doubts, places_of
+from hiros_mcap.skeletons import UNTRACKED, Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.detections import hidden_joints as kernels
 from hiros_mcap.stages.detections.detection_params import PlausibleParams
@@ -72,7 +72,8 @@ def mend_hidden_blocks(
 
     Parameters
     ----------
-    blocks : tracked frames in the fixed frame, in the order of time, with right sides.
+    blocks : tables of views (:mod:`.views`) in the fixed frame, in the order of time, with right
+        sides. They are written into.
     model, params : the skeleton; see :class:`PlausibleParams`.
     events : counts "hidden" (markers), by camera. Notes from when on, by whom and how long somebody
         was hidden from a camera.
@@ -81,7 +82,7 @@ def mend_hidden_blocks(
 
     Yields
     ------
-    The same frames at once, with ``hidden``: by how much the variance of each marker is larger.
+    The same frames at once. Hidden markers are where they must be, with larger variances.
     """
     params = params or PlausibleParams()
     if not params.behind_others:
@@ -108,28 +109,23 @@ class _HiddenPeople:
         """Who is hidden from which camera: first and last, ns, and who was in front at first."""
 
     def mend(self, block: Block) -> Block:
-        """Return a block with what is known of hidden joints."""
+        """Write into a table of views what is known of hidden joints; return it."""
         people, (rows, owners) = block.people, block.everybody()
         known = np.full(len(people.ids), UNTRACKED, np.int64)
         known[rows] = self._bank.rows_of(people.ids[rows], block.stamps[owners])
         messages = self._cameras.messages(block)
         self._rates = np.pad(self._rates, ((0, len(self._cameras) - len(self._rates)), (0, 0)))
-        work = kernels.HiddenWork.of(
-            len(people.ids), len(self._bank.past.ids), people.markers.shape[1]
-        )
+        n_people, n_markers = people.markers.shape[:2]
+        doubts = block.doubts or Doubts.none(n_people, n_markers)
+        most = int(block.sizes.max(initial=0))
+        work = kernels.HiddenWork.of(n_people, n_markers, len(self._bank.past.ids), most)
         kernels.mend_hidden(kernels.HiddenScene(
-            messages, people, known, places_of(self._cameras, self._places), self._rates,
+            messages, people, doubts, known, places_of(self._cameras, self._places), self._rates,
             self._capsules, self._limits, self._guesses, self._bank.past, work,
         ))  # fmt: skip
         unrated = ~work.rates[rows]  # what a detector guesses is hidden by nobody
         self._note(block, rows[unrated], owners[unrated], work)
-        if block.hidden is not None:  # limbs of another length
-            work.variances[:] += block.hidden
-        if not work.variances.any():
-            return replace(block, hidden=work.variances)
-        markers, moved = people.markers.copy(), ~np.isnan(work.places[:, :, 0])
-        markers[moved, POSITION] = work.places[moved]
-        return replace(block, people=people._replace(markers=markers), hidden=work.variances)
+        return replace(block, doubts=doubts)
 
     def _note(self, block: Block, rows: Stamps, owners: Stamps, work: kernels.HiddenWork) -> None:
         """Count hidden joints, and note who is hidden from whom."""

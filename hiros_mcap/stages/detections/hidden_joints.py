@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.calibrate.noise import GUESSED_BELOW, GUESSED_SHARE
-from hiros_mcap.frames import CameraMessages
+from hiros_mcap.frames import CameraMessages, Doubts
 from hiros_mcap.kernels.array_types import B1, F1, F2, F3, I1, I2, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.kernels.line_of_sight import OUTLINE, Capsules, hidden_by, outline
@@ -58,10 +58,8 @@ class HiddenPast(NamedTuple):
 
 
 class HiddenWork(NamedTuple):
-    """What becomes of P views with M markers; and scratch for these, and for R people."""
+    """How far P views with M markers are hidden; and scratch for these, and for R people."""
 
-    places: F3  # (P, M, 3) m, of hidden joints; NaN = as measured
-    variances: F2  # (P, M) m2, to be added to that of the measurement
     shares: F2  # (P, M) h, then the probability that the joint was invented
     postures: F2  # (P, M) the probability that it is wrong by how the body bends
     hidden: F1  # (P,) mean of h over the joints
@@ -73,14 +71,14 @@ class HiddenWork(NamedTuple):
     expected: F1  # (M,) h of the remembered joints
     steps: F2  # (M, 3) m
     centre: F1  # (3,) m
+    places: F3  # (V, M, 3) m, of the hidden joints of a message's V views; NaN = as measured
 
     @classmethod
-    def of(cls, n_people: int, n_known: int, n_markers: int) -> HiddenWork:
-        """Make room; nobody hides anybody yet."""
+    def of(cls, n_people: int, n_markers: int, n_known: int, most: int) -> HiddenWork:
+        """Make room for messages with at most so many views; nobody hides anybody yet."""
         p, r, m = n_people, n_known, n_markers
-        views = (p, m, 3), (p, m), (p, m), (p, m), p, p
-        work = arrays(cls, *views, (p, OUTLINE), (r, OUTLINE), r, p, m, (m, 3), 3)
-        work.places.fill(np.nan)
+        views = (p, m), (p, m), p, p, (p, OUTLINE)
+        work = arrays(cls, *views, (r, OUTLINE), r, p, m, (m, 3), 3, (most, m, 3))
         work.hiders.fill(UNTRACKED)
         return work
 
@@ -89,7 +87,8 @@ class HiddenScene(NamedTuple):
     """What the kernels share."""
 
     messages: CameraMessages
-    people: People
+    people: People  # whose views are mended
+    doubts: Doubts  # of the same people
     rows: I1  # (P,) row of each person in what is remembered; -1 = nobody's
     places: F2  # (C, 3) of the cameras, m; NaN = unknown
     rates: F2  # (C, 3) how each camera's detector rates joints; see :func:`learn_rating`
@@ -314,8 +313,8 @@ def _error(square: float, held: float) -> float:
 
 
 @kernel
-def _weigh(p: int, m: int, row: int, stamp: int, scene: HiddenScene) -> None:
-    """Find out whether a joint was invented; put it where it must be (4, 5)."""
+def _weigh(p: int, m: int, row: int, stamp: int, scene: HiddenScene, place: Floats) -> None:
+    """Find out whether a joint was invented; write where it must be (4, 5)."""
     past, out, z = scene.past, scene.work, scene.people.markers[p, m]
     x, held, error = past.poses[row, m], _UNKNOWN, INVENTED**2
     if past.seen[row, m] > 0:
@@ -332,15 +331,16 @@ def _weigh(p: int, m: int, row: int, stamp: int, scene: HiddenScene) -> None:
     if out.shares[p, m] <= _LEAST:
         return
     error *= out.shares[p, m]
-    out.variances[p, m] = error * held / (error + held)
+    scene.doubts.variances[p, m] += error * held / (error + held)
     if out.shares[p, m] >= _SEEN and past.seen[row, m] > 0:
         for c in range(3):
-            out.places[p, m, c] = z[c] + error / (error + held) * (x[c] - z[c])
+            place[c] = z[c] + error / (error + held) * (x[c] - z[c])
 
 
 @kernel
-def _mend(p: int, i: int, scene: HiddenScene) -> None:
-    """Do what a view needs once all are seen (3 to 5)."""
+def _mend(p: int, i: int, scene: HiddenScene, places: Floats) -> None:
+    """Do what a view needs once all are seen (3 to 5); write the places (M, 3) of its joints."""
+    places[:] = np.nan
     row, camera = scene.rows[p], scene.messages.cameras[i]
     stamp, markers = scene.messages.stamps[i], scene.people.markers[p]
     _move(p, row, _passed(stamp, scene.past.stamps[row]), scene)
@@ -351,7 +351,7 @@ def _mend(p: int, i: int, scene: HiddenScene) -> None:
         _cover(scene.past.poses[row], p, i, scene, scene.work.expected)
     for m in range(len(markers)):
         if not math.isnan(markers[m, 0]):
-            _weigh(p, m, row, stamp, scene)
+            _weigh(p, m, row, stamp, scene, places[m])
 
 
 @kernel
@@ -408,22 +408,33 @@ def _body_centre(pose: Floats, seen: Floats, out: Floats) -> None:
         out[c] /= max(n, 1)
 
 
+@kernel
+def _put(view: Floats, places: Floats) -> None:
+    """Put markers (M, W) to their places (M, 3); NaN = they stay."""
+    for m in range(len(view)):
+        if not math.isnan(places[m, 0]):
+            for c in range(3):
+                view[m, c] = places[m, c]
+
+
 @entry
 def mend_hidden(scene: HiddenScene) -> None:
     """Find the joints that cameras do not see, in messages in the order of time.
 
-    ``scene.work`` is written; ``scene.past`` and ``scene.rates`` are brought to the last message.
+    ``scene.people``, ``scene.doubts`` and ``scene.work`` are written; ``scene.past`` and
+    ``scene.rates`` are brought to the last message.
     """
-    messages = scene.messages
-    for i in range(len(messages.stamps)):
+    for i in range(len(scene.messages.stamps)):
+        begin, end = scene.messages.spans[i, 0], scene.messages.spans[i, 1]
         _look(i, scene)
         # Three rounds: nothing depends on the order of the people in a message.
-        for p in range(messages.spans[i, 0], messages.spans[i, 1]):
+        for p in range(begin, end):
             if scene.rows[p] >= 0:
                 _see(p, i, scene)
-        for p in range(messages.spans[i, 0], messages.spans[i, 1]):
+        for p in range(begin, end):
             if scene.rows[p] >= 0:
-                _mend(p, i, scene)
-        for p in range(messages.spans[i, 0], messages.spans[i, 1]):
+                _mend(p, i, scene, scene.work.places[p - begin])
+        for p in range(begin, end):
             if scene.rows[p] >= 0:
-                _remember(p, messages.stamps[i], scene)
+                _remember(p, scene.messages.stamps[i], scene)
+                _put(scene.people.markers[p], scene.work.places[p - begin])

@@ -5,8 +5,8 @@ the pelvis jumps. Every person's limb lengths, and how much they usually vary, a
 way. Then
 
 1. a view whose limbs contradict them while somebody else stands in front of the person is left
-   out, if no other camera shows the person, and the detector is sure of every joint: it has no
-   marker from here on, and the person is carried on (merge.carry).
+   out, if no other camera shows the person, and the detector is sure of every joint; the person
+   is carried on (merge.carry).
 2. a marker whose limbs contradict them has a larger variance.
 
 Lengths do not depend on how fast somebody moves, nor on sides that a detector has exchanged.
@@ -45,12 +45,12 @@ import numpy as np
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.calibrate.noise import GUESSED_BELOW
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, CameraMessages, CameraNumbers, places_of
-from hiros_mcap.kernels.array_types import B1, F1, F2, I1, I2, J2, arrays
+from hiros_mcap.frames import Block, CameraMessages, CameraNumbers, Doubts, places_of
+from hiros_mcap.kernels.array_types import F1, F2, I1, I2, J2, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.kernels.distance import centre
 from hiros_mcap.kernels.points import norm3, point_distance
-from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, People, SkeletonModel, Stamps
+from hiros_mcap.skeletons import UNTRACKED, Floats, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.detections.detection_params import PlausibleParams
 from hiros_mcap.stages.detections.hidden_joints import HONEST
@@ -86,13 +86,13 @@ def drop_implausible_blocks(
     ----------
     blocks : tracked frames in the fixed frame, in the order of time.
     model, params : the skeleton; see :class:`PlausibleParams`.
-    events : counts "distorted" (views without markers from here on) and "implausible marker"
-        (markers with a larger variance), by camera.
+    events : counts "distorted" (views that are left out) and "implausible marker" (markers with a
+        larger variance), by camera.
     cameras : source -> (3,) position in the fixed frame, m. Without it no view is left out.
 
     Yields
     ------
-    The same frames at once, with ``hidden``: by how much the variance of each marker is larger.
+    The same frames at once, with their doubts.
     """
     params, events = params or PlausibleParams(), Events() if events is None else events
     if not params.limbs:
@@ -108,7 +108,8 @@ def drop_implausible_blocks(
         if new := max(len(places) - bank.past.seen.shape[1], 0):
             seen = np.pad(bank.past.seen, ((0, 0), (0, new)))
             bank.past = bank.past._replace(seen=seen)
-        work = PlausibleWork.of(len(people.ids), len(places), people.markers.shape[1])
+        doubts = Doubts.none(*people.markers.shape[:2])
+        work = PlausibleWork.of(doubts, len(places))
         find_implausible(
             messages, people, rows, places, links, bank.past, params.max_deviation, params.enough,
             params.patience, work,
@@ -116,18 +117,7 @@ def drop_implausible_blocks(
         for kind, by_camera in zip((DISTORTED, CONTRADICTORY), work.counts.tolist(), strict=True):
             for source, n in zip(numbers, by_camera, strict=True):
                 events.count(kind, source, n)
-        if work.left_out.any():
-            people = _without(people, work.left_out)
-        yield replace(block, people=people, hidden=work.doubts)
-
-
-def _without(people: People, left_out: Flags) -> People:
-    """Return copies of people, some without markers and links."""
-    people = people.copy()
-    for array in people.markers, people.marker_confidences, people.links:
-        array[left_out] = np.nan
-    people.link_confidences[left_out] = np.nan
-    return people
+        yield replace(block, doubts=doubts)
 
 
 def links_of(model: SkeletonModel) -> LimbLinks:
@@ -166,8 +156,7 @@ class LimbPast(NamedTuple):
 class PlausibleWork(NamedTuple):
     """What is found out about P people, and scratch for a view."""
 
-    left_out: B1  # (P,) whether a view is distorted
-    doubts: F2  # (P, M) m2, to be added to the variance of a marker
+    doubts: Doubts
     counts: I2  # (2, C) views left out and markers that are trusted less, by camera
 
     largest: F1
@@ -176,10 +165,10 @@ class PlausibleWork(NamedTuple):
     limit: F1  # (1,) deviation that is still likely of an honest view
 
     @classmethod
-    def of(cls, n_people: int, n_cameras: int, n_markers: int) -> PlausibleWork:
-        """Make room; nobody is left out yet."""
-        p, m = n_people, n_markers
-        return arrays(cls, p, (p, m), (2, n_cameras), m, m, (p, 3), 1)
+    def of(cls, doubts: Doubts, n_cameras: int) -> PlausibleWork:
+        """Make room."""
+        p, m = doubts.variances.shape
+        return arrays(cls, doubts, (2, n_cameras), m, m, (p, 3), 1)
 
 
 @inlined
@@ -238,17 +227,17 @@ def _compare(
 
 
 @kernel
-def _doubt(deviation: float, max_deviation: float, doubts: Floats, work: PlausibleWork) -> int:
+def _doubt(deviation: float, max_deviation: float, variances: Floats, work: PlausibleWork) -> int:
     """Write the variances (M,) that contradictory markers of a view have more; return how many."""
     n = 0
-    for m in range(len(doubts)):
+    for m in range(len(variances)):
         square = work.second[m] if work.second[m] >= 0.0 else work.largest[m]
         if square < 0.0:
             continue
         mean = (square + _SHARED * deviation * deviation) / (1.0 + _SHARED)
         more = mean / max_deviation**2 - 1.0
         if more > 0.0:
-            doubts[m] = HONEST * HONEST * more
+            variances[m] = HONEST * HONEST * more
             n += 1
     return n
 
@@ -339,9 +328,9 @@ def find_implausible(
             limit = work.limit[0] + _PER_METRE * beside
             is_distorted = beside < _BESIDE and deviation > limit and not _is_rated(p, people)
             if _is_left_out(stamp, row, camera, is_distorted, past, patience):
-                work.left_out[p] = True
+                work.doubts.distorted[p] = True
                 work.counts[OUT, camera] += 1
             else:
                 work.counts[MARKERS, camera] += _doubt(
-                    deviation, max_deviation, work.doubts[p], work
+                    deviation, max_deviation, work.doubts.variances[p], work
                 )

@@ -33,7 +33,7 @@ import numpy as np
 
 from hiros_mcap.body.forward_cues import FacingMarkers
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, CameraNumbers, join
+from hiros_mcap.frames import Block, CameraNumbers
 from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.skeletons import UNTRACKED, Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
@@ -49,6 +49,7 @@ from hiros_mcap.stages.detections.facing_evidence import (
     measure,
     write_evidence,
 )
+from hiros_mcap.stages.detections.views import views_of
 
 _SLAVED = 0.3  # toes that point the same way less often than this follow the label
 _MOST = 1000  # views that become one block, about: 10 MB
@@ -75,12 +76,13 @@ def decide_sides(
 
     Yields
     ------
-    The same frames in the same order. Left and right of mirrored views are exchanged. Links of
-    views that are changed are unknown. People without an id stay as they are.
+    Tables of views (:mod:`.views`) with the same frames in the same order. Left and right of
+    mirrored views are exchanged. Links of views that are changed are unknown. People without an id
+    stay as they are.
     """
     params = params or SidesParams()
     if not (params.over_time and knows_sides(model)):
-        yield from blocks
+        yield from (views_of([block]) for block in blocks)
         return
     decide = _Sides(model, params, events or Events())
     for block in blocks:
@@ -93,7 +95,7 @@ class _Piece:
     """Neighbouring frames of a block, and what their views show."""
 
     block: Block
-    views: Stamps  # (N,) rows of the people with an id in the block's arrays
+    views: Stamps  # (N,) rows in the block's arrays, of people with an id who are not distorted
     owners: Stamps  # (N,) the frame of each view
     measured: MeasuredViews
     evidence: Floats  # (N, BINS), or (0, BINS) before they were weighed
@@ -120,8 +122,9 @@ def _split(pieces: Sequence[_Piece], until: int) -> tuple[list[_Piece], list[_Pi
     for k, piece in enumerate(pieces):
         late = piece.block.stamps // CELL >= until
         if late.any():
-            first, kept = piece.cut(int(late.argmax()))
-            return [*pieces[:k], first], [kept, *pieces[k + 1 :]]
+            n = int(late.argmax())
+            first, kept = piece.cut(n)
+            return [*pieces[:k], *([first] if n else [])], [kept, *pieces[k + 1 :]]
     return [*pieces], []
 
 
@@ -165,8 +168,10 @@ class _Sides:
     def _piece(self, block: Block) -> _Piece:
         """Find the views of a block, and whose they are."""
         views, owners = block.everybody()
-        tracked = block.people.ids[views] != UNTRACKED
-        views, owners = views[tracked], owners[tracked]
+        counts = block.people.ids[views] != UNTRACKED
+        if block.doubts:
+            counts &= ~block.doubts.distorted[views]
+        views, owners = views[counts], owners[counts]
         measured = MeasuredViews.allocate(len(views))
         measured.stamps[:] = block.stamps[owners]
         measured.cells[:] = measured.stamps // CELL
@@ -237,16 +242,13 @@ class _Sides:
             del block
 
     def _mirrored(self, pieces: Sequence[_Piece], facings: facing.Facings) -> Block:
-        """Return the frames with the sides of swapped views exchanged, and trunks turned.
+        """Return a table of views: sides of swapped ones are exchanged, and trunks turned.
 
-        They are copies where anything changes or several pieces become one block: the tracker may
-        still write into other frames of their arrays, and later stages cost a call per block.
+        Several pieces become one table: later stages cost a call per block.
         """
         measured = joined([piece.measured for piece in pieces])
         swapped, turned = np.flatnonzero(facings.swapped), np.flatnonzero(facings.turns)
-        if len(pieces) == 1 and not len(swapped) and not len(turned):
-            return pieces[0].block
-        block = join([piece.block for piece in pieces])
+        block = views_of([piece.block for piece in pieces])
         shifts = block.rows[:, 0] - np.concatenate([piece.block.rows[:, 0] for piece in pieces])
         ends = np.cumsum([len(piece.block) for piece in pieces])
         parts = zip(pieces, np.split(shifts, ends[:-1]), strict=True)
@@ -257,8 +259,9 @@ class _Sides:
         facing.exchange_sides(
             block.people, views[swapped], directions, axes[swapped], self._markers
         )
-        if block.hidden is not None:
-            block.hidden[views[swapped]] = block.hidden[views[swapped]][:, self._markers.mirror]
+        if block.doubts:
+            variances = block.doubts.variances
+            variances[views[swapped]] = variances[views[swapped]][:, self._markers.mirror]
         angles = facings.turns[turned]
         facing.turn_trunks(block.people, views[turned], angles, axes[turned], self._markers)
         by_camera = np.bincount(measured.cameras[swapped], minlength=len(self._cameras))

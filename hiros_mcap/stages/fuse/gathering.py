@@ -158,7 +158,7 @@ def _write_views(
             for m in range(people.markers.shape[1]):
                 given = people.marker_confidences[i, m]
                 views.confidences[n, m] = people.confidences[i] if math.isnan(given) else given
-                views.hidden[n, m] = buffers.hidden[i, m]
+                views.hidden[n, m] = buffers.doubts[i, m]
                 for c in range(3):
                     views.positions[n, m, c] = people.markers[i, m, c]
             n += 1

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hiros_mcap.events import SAME_TIME, TOO_LATE, Events
-from hiros_mcap.frames import Block, CameraNumbers, together
+from hiros_mcap.frames import Block, CameraNumbers, Doubts, together
 from hiros_mcap.kernels.averaging import Buffers
-from hiros_mcap.skeletons import STATE, UNTRACKED, Flags, Ints, People, SkeletonModel, Stamps
+from hiros_mcap.skeletons import STATE, UNTRACKED, Ints, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.look_ahead import LookAhead
 from hiros_mcap.stages.merge.unseen import Unseen
@@ -238,18 +238,19 @@ class InstantMerger:
 
     def _plan(self, instants: Sequence[Instant], messages: Block) -> _MergePlan:
         """Find out who is merged at each instant: whom its messages show, and who goes on."""
-        people, shape = messages.people, messages.people.markers.shape[:2]
-        blank: Flags = np.asarray(np.isnan(people.markers[:, :, 0]).all(axis=1))
-        people = people._replace(ids=np.where(blank, UNTRACKED, people.ids).astype(np.int32))
+        people = messages.people
+        doubts = messages.doubts or Doubts.none(*people.markers.shape[:2])
+        shown = np.where(doubts.distorted, UNTRACKED, people.ids).astype(np.int32)
+        people = people._replace(ids=shown)
         message_ends = np.cumsum([0, *(len(instant.messages) for instant in instants)])
         stamps = np.array([instant.stamp for instant in instants], np.int64)
         of_instant = np.repeat(np.arange(len(instants)), np.diff(message_ends))
         rows, owners = messages.everybody()
-        shown = rows[people.ids[rows] != UNTRACKED], owners[people.ids[rows] != UNTRACKED]
-        keys = of_instant[shown[1]] * (1 << 32) + people.ids[shown[0]]
+        is_shown = shown[rows] != UNTRACKED
+        keys = of_instant[owners[is_shown]] * (1 << 32) + shown[rows[is_shown]]
         seen, views = np.unique(keys, return_counts=True)
         bounds = np.searchsorted(seen >> 32, np.arange(1, len(instants)))
-        self._unseen.show(messages, stamps[of_instant], blank)
+        self._unseen.show(messages, stamps[of_instant], doubts.distorted)
         ids: list[int] = []
         past_rows: list[int] = []
         people_ends = [0]
@@ -268,7 +269,7 @@ class InstantMerger:
                 message_ends,
                 np.concatenate(columns, axis=1),
                 np.array(past_rows, np.int64),
-                np.zeros(shape) if messages.hidden is None else messages.hidden,
+                doubts.variances,
             ),
             people,
             np.array(ids, np.int32),
@@ -294,7 +295,7 @@ class _MergePlan(NamedTuple):
     """Instants whose messages lie in common arrays, written down for a kernel."""
 
     buffers: Buffers
-    people: People  # whom the messages show; who has no marker has no id
+    people: People  # whom the messages show; distorted views have no id
     ids: Ints  # (P,) Of each merged person
     most_views: int  # most views of one person at an instant
     log_times: Stamps  # (Q,) ns

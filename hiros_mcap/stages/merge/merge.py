@@ -86,7 +86,7 @@ class ViewMerger:
         self, buffers: Buffers, people: People, views: int, out: People, counts: Stamps
     ) -> None:
         """Merge; see :data:`hiros_mcap.stages.merge.instants.MergeKernel`."""
-        people = weighted_by_sight(people, buffers.hidden)
+        people = weighted_by_sight(people, buffers.doubts)
         if views > len(self._views.stamps):
             self._make_room(2 * views)
         offsets = self.bank.past.camera_offsets

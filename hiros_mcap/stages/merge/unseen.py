@@ -51,12 +51,12 @@ class Unseen:
         self._hidden: dict[int, tuple[int, str]] = {}
         """Person to the time, ns, and camera of the latest view left out as distorted since."""
 
-    def show(self, messages: Block, stamps: Stamps, blank: Flags) -> None:
+    def show(self, messages: Block, stamps: Stamps, distorted: Flags) -> None:
         """Take messages, each at the time (N,), ns, of its instant, whose people go on from there.
 
-        ``blank`` : (P,) by row of the people: who has no marker left was left out as distorted.
+        ``distorted`` : (P,) by row of the people: whether a view is left out.
         """
-        self._shown, self._stamps, self._blank, self._done = messages, stamps, blank, 0
+        self._shown, self._stamps, self._distorted, self._done = messages, stamps, distorted, 0
 
     def go_on(
         self, stamp: int, n_messages: int, seen: Sequence[int], last_seen: Mapping[int, int]
@@ -66,7 +66,7 @@ class Unseen:
         ``n_messages`` are up to then. ``last_seen`` : person -> ns, as remembered before.
         """
         bridged, carried = set[int](), set[int]()
-        absent = self._places or self._gone or self._hidden or self._blank.any()
+        absent = self._places or self._gone or self._hidden or self._distorted.any()
         left = self._views.keys() - last_seen.keys()
         shown = set(seen)
         if not absent and not left and last_seen.keys() <= shown:
@@ -95,7 +95,7 @@ class Unseen:
         rows, owners = block.everybody()
         tracked = block.people.ids[rows] != UNTRACKED
         rows, owners = rows[tracked], owners[tracked]
-        people, whole = block.people.ids[rows], ~self._blank[rows]
+        people, whole = block.people.ids[rows], ~self._distorted[rows]
         self._learn(block, stamps, rows[whole], owners[whole])
         latest = dict(zip(people[whole].tolist(), rows[whole].tolist(), strict=True))
         self._views.update({person: (block.people, row) for person, row in latest.items()})

@@ -1,0 +1,34 @@
+"""The table of views: what cameras show of people, as the merger and the fuser take it.
+
+It is a block of messages between the tracker and the merger. A view is a row of it; its columns are
+those of People, and the :class:`~hiros_mcap.frames.Doubts`. Three steps write columns:
+
+- plausible: by how much variances are larger, and which views are distorted;
+- sides: left and right, and the turned trunk;
+- hidden: by how much variances are larger, and where joints must be.
+
+The tracker may still write ids into the arrays of its blocks. So the views are copied once, when
+their sides are decided. Who takes a table may write into it, and hands it on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hiros_mcap.frames import Block, Doubts, join
+
+
+def views_of(blocks: Sequence[Block]) -> Block:
+    """Return the frames of tracked blocks as one table of views, with doubts.
+
+    Distorted views have no markers and no links in it.
+    """
+    table = join(blocks)
+    people = table.people
+    doubts = table.doubts or Doubts.none(*people.markers.shape[:2])
+    for array in people.markers, people.marker_confidences, people.links, people.link_confidences:
+        array[doubts.distorted] = np.nan
+    return replace(table, doubts=doubts)
