@@ -104,7 +104,7 @@ class _HiddenPeople:
         self._events, self._places, self._guesses = events, places, guesses
         self._bank = Bank(kernels.HiddenPast.empty(model.n_markers))
         self._cameras = CameraNumbers()
-        self._rates = np.zeros((0, 3))
+        self._ratings = np.zeros((0, 3))
         self._absent: dict[tuple[int, str], tuple[int, int, int]] = {}
         """Who is hidden from which camera: first and last, ns, and who was in front at first."""
 
@@ -114,13 +114,14 @@ class _HiddenPeople:
         known = np.full(len(people.ids), UNTRACKED, np.int64)
         known[rows] = self._bank.rows_of(people.ids[rows], block.stamps[owners])
         messages = self._cameras.messages(block)
-        self._rates = np.pad(self._rates, ((0, len(self._cameras) - len(self._rates)), (0, 0)))
+        new = len(self._cameras) - len(self._ratings)
+        self._ratings = np.pad(self._ratings, ((0, new), (0, 0)))
         n_people, n_markers = people.markers.shape[:2]
         doubts = block.doubts or Doubts.none(n_people, n_markers)
         most = int(block.sizes.max(initial=0))
         work = kernels.HiddenWork.of(n_people, n_markers, len(self._bank.past.ids), most)
         kernels.mend_hidden(kernels.HiddenScene(
-            messages, people, doubts, known, places_of(self._cameras, self._places), self._rates,
+            messages, people, doubts, known, places_of(self._cameras, self._places), self._ratings,
             self._capsules, self._limits, self._guesses, self._bank.past, work,
         ))  # fmt: skip
         unrated = ~work.rates[rows]  # what a detector guesses is hidden by nobody

@@ -10,16 +10,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.calibrate.noise import GUESSED_BELOW, GUESSED_SHARE
 from hiros_mcap.frames import CameraMessages, Doubts
 from hiros_mcap.kernels.array_types import B1, F1, F2, F3, I1, I2, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel
-from hiros_mcap.kernels.line_of_sight import OUTLINE, Capsules, hidden_by, outline
+from hiros_mcap.kernels.line_of_sight import OUTLINE, Capsules, outline
 from hiros_mcap.skeletons import UNTRACKED, Floats, People
 from hiros_mcap.stages.detections.impossible_postures import PostureLimits, doubt_posture
+from hiros_mcap.stages.detections.visibility import (
+    HONEST,
+    INVENTED,
+    guess_limit,
+    hide_behind,
+    learn_rating,
+    mean_over_joints,
+    rates_joints,
+)
 
-HONEST = 0.06  # m; deviation of a joint that is seen: a Kinect v2 at 3 to 4 m, hands included
-INVENTED = 0.2  # m; of one that a detector invents: on a Kinect log, .2 to .8 m off (3 axes)
 _SURELY = 0.9  # of ten joints behind somebody, nine are invented at most: bodies are no capsules
 _LEAST = 0.01  # probability below which a joint counts as seen
 _SEEN = 0.5  # above which it teaches nothing
@@ -33,8 +39,6 @@ _RECENT = 300_000_000  # ns; whom a camera's message lacks is where he was, for 
 _LONGEST = 0.5  # s between two views that motion is carried over
 _FEWEST = 0.25  # share of joints that show how the person moved
 _FOLLOWS = 0.3  # s; of a person of whom fewer are seen, and of the velocity that remains
-RATES = 0.03  # share of such joints from which on a detector is taken to rate joints
-_RATED = 1000.0  # views that this share is of: half a minute
 _ROUNDS, _SMALL = 8, 0.003  # of Weiszfeld's iteration; m
 _UNKNOWN = 1e6  # m2
 
@@ -91,7 +95,7 @@ class HiddenScene(NamedTuple):
     doubts: Doubts  # of the same people
     rows: I1  # (P,) row of each person in what is remembered; -1 = nobody's
     places: F2  # (C, 3) of the cameras, m; NaN = unknown
-    rates: F2  # (C, 3) how each camera's detector rates joints; see :func:`learn_rating`
+    ratings: F2  # (C, 3) how each camera's detector rates joints; see :func:`learn_rating`
     capsules: Capsules
     limits: PostureLimits
     guesses: bool  # whether joints are mended that a rating detector guesses
@@ -102,6 +106,7 @@ class HiddenScene(NamedTuple):
 @kernel
 def _look(i: int, scene: HiddenScene) -> None:
     """Outline the bodies of message ``i``, and those that it lacks but others have just shown."""
+    rating = scene.ratings[scene.messages.cameras[i]]
     camera = scene.places[scene.messages.cameras[i]]
     begin, end = scene.messages.spans[i, 0], scene.messages.spans[i, 1]
     scene.work.shown[:] = False
@@ -110,52 +115,12 @@ def _look(i: int, scene: HiddenScene) -> None:
         if row >= 0:
             scene.work.shown[row] = True
             outline(scene.people.markers[p], camera, scene.work.outlines[p])
-            rate = scene.rates[scene.messages.cameras[i]]
-            learn_rating(scene.people.marker_confidences[p], rate)
+            learn_rating(scene.people.marker_confidences[p], rating)
     for p in range(begin, end):
-        scene.work.rates[p] = scene.rates[scene.messages.cameras[i], 1] > RATES
+        scene.work.rates[p] = rates_joints(rating)
     for r in range(len(scene.past.stamps)):
         if scene.messages.stamps[i] - scene.past.stamps[r] <= _RECENT and not scene.work.shown[r]:
             outline(scene.past.poses[r], camera, scene.work.remembered[r])
-
-
-@inlined
-def guess_limit(best: float) -> float:
-    """Return the confidence below which a detector guesses, by the mean of its greatest ones."""
-    return min(GUESSED_BELOW, GUESSED_SHARE * best)
-
-
-@inlined
-def learn_rating(confidences: Floats, rate: Floats) -> None:
-    """Learn from a view how a detector rates joints.
-
-    ``rate`` (3,) are its views, the share of joints that it guesses, and the mean over views of the
-    greatest confidence.
-    """
-    best = low = 0.0
-    for m in range(len(confidences)):
-        best = max(best, confidences[m])
-    rate[0] += 1.0
-    share = 1.0 / min(rate[0], _RATED)
-    rate[2] += share * (best - rate[2])
-    limit = guess_limit(rate[2])
-    for m in range(len(confidences)):
-        low += 1.0 if confidences[m] < limit else 0.0
-    rate[1] += share * (low / len(confidences) - rate[1])
-
-
-@kernel
-def _cover_by(
-    points: Floats, body: Floats, box: Floats, camera: Floats, capsules: Capsules, shares: Floats
-) -> float:
-    """Raise the h of points (M, >= 3) to what a body hides of them; return their sum behind it."""
-    total = 0.0
-    for m in range(len(points)):
-        if not math.isnan(points[m, 0]):
-            h = hidden_by(points[m], camera, body, box, capsules)
-            shares[m] = max(shares[m], h)
-            total += h
-    return total
 
 
 @kernel
@@ -167,14 +132,14 @@ def _cover(points: Floats, p: int, i: int, scene: HiddenScene, shares: Floats) -
     most, hider = 0.0, UNTRACKED
     for q in range(messages.spans[i, 0], messages.spans[i, 1]):
         if q != p and scene.rows[q] >= 0:
-            total = _cover_by(
-                points, scene.people.markers[q], work.outlines[q], camera, capsules, shares
+            total = hide_behind(
+                scene.people.markers[q], work.outlines[q], camera, capsules, points, shares
             )
             if total > most:
                 most, hider = total, int(scene.people.ids[q])
     for r in range(len(past.stamps)):
         if messages.stamps[i] - past.stamps[r] <= _RECENT and not work.shown[r]:
-            total = _cover_by(points, past.poses[r], work.remembered[r], camera, capsules, shares)
+            total = hide_behind(past.poses[r], work.remembered[r], camera, capsules, points, shares)
             if total > most:
                 most, hider = total, int(past.ids[r])
     return hider
@@ -188,18 +153,13 @@ def _see(p: int, i: int, scene: HiddenScene) -> None:
     """
     markers, shares = scene.people.markers[p], scene.work.shares[p]
     if scene.work.rates[p]:
-        limit = guess_limit(scene.rates[scene.messages.cameras[i], 2])
+        limit = guess_limit(scene.ratings[scene.messages.cameras[i]])
         for m in range(len(markers)):
             shares[m] = 1.0 if scene.people.marker_confidences[p, m] < limit else 0.0
         return
     if not math.isnan(scene.places[scene.messages.cameras[i], 0]):
         scene.work.hiders[p] = _cover(markers, p, i, scene, shares)
-    total, n = 0.0, 0
-    for m in range(len(markers)):
-        if not math.isnan(markers[m, 0]):
-            total += shares[m]
-            n += 1
-    whole = scene.work.hidden[p] = total / max(n, 1)
+    whole = scene.work.hidden[p] = mean_over_joints(markers, shares)
     doubt_posture(markers, scene.limits, scene.work.postures[p])
     for m in range(len(markers)):
         seen = (1.0 - shares[m]) * (1.0 - whole * whole) * (1.0 - scene.work.postures[p, m])
@@ -422,7 +382,7 @@ def mend_hidden(scene: HiddenScene) -> None:
     """Find the joints that cameras do not see, in messages in the order of time.
 
     ``scene.people``, ``scene.doubts`` and ``scene.work`` are written; ``scene.past`` and
-    ``scene.rates`` are brought to the last message.
+    ``scene.ratings`` are brought to the last message.
     """
     for i in range(len(scene.messages.stamps)):
         begin, end = scene.messages.spans[i, 0], scene.messages.spans[i, 1]

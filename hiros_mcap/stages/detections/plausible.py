@@ -53,7 +53,7 @@ from hiros_mcap.kernels.points import norm3, point_distance
 from hiros_mcap.skeletons import UNTRACKED, Floats, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.detections.detection_params import PlausibleParams
-from hiros_mcap.stages.detections.hidden_joints import HONEST
+from hiros_mcap.stages.detections.visibility import HONEST
 
 DISTORTED, CONTRADICTORY = "distorted", "implausible marker"
 """Kinds of events: views that are left out, and markers that count less."""

@@ -27,7 +27,7 @@ from hiros_mcap.kernels.array_types import settings_of
 from hiros_mcap.kernels.averaging import Buffers, Views
 from hiros_mcap.skeletons import Floats, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.detections.hidden_joints import HONEST
+from hiros_mcap.stages.detections.visibility import HONEST
 from hiros_mcap.stages.merge import merging
 from hiros_mcap.stages.merge.instants import InstantMerger
 from hiros_mcap.stages.merge.merge_params import MergeParams

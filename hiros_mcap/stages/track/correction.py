@@ -32,7 +32,7 @@ from hiros_mcap.skeletons import (
     Ints,
     People,
 )
-from hiros_mcap.stages.detections.hidden_joints import INVENTED
+from hiros_mcap.stages.detections.visibility import INVENTED
 from hiros_mcap.stages.track.association import (
     MOSTLY_HIDDEN,
     Tracks,

@@ -14,10 +14,16 @@ import numpy as np
 from hiros_mcap.frames import CameraMessages
 from hiros_mcap.kernels.array_types import B1, F2, I1, I2, J1, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel, rows_of
-from hiros_mcap.kernels.line_of_sight import hidden_by, outline
+from hiros_mcap.kernels.line_of_sight import outline
 from hiros_mcap.kernels.points import point_distance
 from hiros_mcap.skeletons import Floats, People, Stamps
-from hiros_mcap.stages.detections.hidden_joints import RATES, guess_limit, learn_rating
+from hiros_mcap.stages.detections.visibility import (
+    guess_limit,
+    hide_behind,
+    learn_rating,
+    mean_over_joints,
+    rates_joints,
+)
 from hiros_mcap.stages.track.association import (
     MOSTLY_HIDDEN,
     Tracks,
@@ -48,7 +54,7 @@ class Cameras(NamedTuple):
     displaced: B1  # (C,) whether the camera is known to show people elsewhere
     faults: I2  # (C, FAULTS) detections that were left out since the last look
     places: F2  # (C, 3) positions, m; NaN = unknown
-    rates: F2  # (C, 3) how each camera's detector rates joints; see ``learn_rating``
+    ratings: F2  # (C, 3) how each camera's detector rates joints; see ``learn_rating``
 
     @classmethod
     def allocate(cls, n_cameras: int) -> Cameras:
@@ -101,41 +107,26 @@ def _find_hidden(
     These are the joints that its detector guesses. A detector that does not rate joints guesses
     those, too, that others in the message hide: of each detection their mean share counts.
     """
-    n, place, rate = len(people.ids), cameras.places[camera], cameras.rates[camera]
+    n, place, rating = len(people.ids), cameras.places[camera], cameras.ratings[camera]
     work.hidden[:] = 0.0
     for j in range(n):
-        learn_rating(people.marker_confidences[j], rate)
-    if rate[1] <= RATES and not math.isnan(place[0]):
+        learn_rating(people.marker_confidences[j], rating)
+    if not rates_joints(rating) and not math.isnan(place[0]):
         for j in range(n):
             outline(people.markers[j], place, work.outlines[j])
         for j in range(n):
-            work.hidden[j] = _share_behind_others(j, n, people, place, settings, work)
-    limit = guess_limit(rate[2])
+            for k in range(n):
+                if k != j:
+                    hide_behind(
+                        people.markers[k], work.outlines[k], place, settings.capsules,
+                        people.markers[j], work.hidden[j],
+                    )  # fmt: skip
+            work.hidden[j] = mean_over_joints(people.markers[j], work.hidden[j])
+    limit = guess_limit(rating)
     for j in range(n):
         for m in range(people.markers.shape[1]):
             if people.marker_confidences[j, m] < limit:
                 work.hidden[j, m] = 1.0
-
-
-@inlined
-def _share_behind_others(
-    j: int, n: int, people: People, place: Floats, settings: TrackSettings, work: TrackWork
-) -> float:
-    """Return the share of detection ``j`` that the others of ``n`` hide from a camera."""
-    total, count = 0.0, 0
-    for m in range(people.markers.shape[1]):
-        if math.isnan(people.markers[j, m, 0]):
-            continue
-        share, count = 0.0, count + 1
-        for k in range(n):
-            if k != j:
-                h = hidden_by(
-                    people.markers[j, m], place, people.markers[k], work.outlines[k],
-                    settings.capsules,
-                )  # fmt: skip
-                share = max(share, h)
-        total += share
-    return total / max(count, 1)
 
 
 @inlined
