@@ -142,29 +142,35 @@ class _State:
         self.new += 1
         if self.new >= _REFIT:
             self.new = 0
-            source, target = (np.stack(some) for some in zip(*self.pairs, strict=True))
+            source, target = map(np.stack, zip(*self.pairs, strict=True))
             by, distance = fit(source, target, mirror, self.by.mirrors, self.by.swaps)
             self.by = by if distance < ALIKE else self.by
 
-    def explains(self, pairs: _Pairs, mirror: Ints) -> bool:
-        """Whether a track is where the displacement puts the person, whom it does not show.
+    def take_copy(self, pairs: _Pairs, mirror: Ints) -> bool:
+        """Learn from a track if the displacement explains it; return whether it does."""
+        by = self._explanation(pairs, mirror)
+        if by is not None and by is not self.by:
+            self.by = by
+            self.pairs.extend(zip(pairs.track, pairs.person, strict=True))
+        return by is not None
 
-        A displacement that is known from one place is not precise elsewhere. So it is enough that
-        some displacement fits this track and the copies so far; that one is remembered.
+    def _explanation(self, pairs: _Pairs, mirror: Ints) -> Displacement | None:
+        """Return the displacement that puts the person, who is not in place, where a track is.
+
+        A displacement that is known from one place is not precise elsewhere. So another one will
+        do that fits this track and the copies so far.
         """
         if not self.by.mirrors and pairs.unseen < UNSEEN:
-            return False
+            return None
         if median_distance(self.by, pairs.track, pairs.person, mirror) < _NEAR:
-            return True
-        track, person = (np.stack(some) for some in zip(*self.pairs, strict=True))
+            return self.by
+        track, person = map(np.stack, zip(*self.pairs, strict=True))
         together = np.concatenate([track, pairs.track]), np.concatenate([person, pairs.person])
         by, _ = fit(*together, mirror, self.by.mirrors, self.by.swaps)
         before = median_distance(by, track, person, mirror)
         if max(before, median_distance(by, pairs.track, pairs.person, mirror)) > ALIKE_IF_DISPLACED:
-            return False
-        self.by = by
-        self.pairs.extend(zip(pairs.track, pairs.person, strict=True))
-        return True
+            return None
+        return by
 
 
 class DisplacedCameras:
@@ -182,7 +188,7 @@ class DisplacedCameras:
         self._cameras: dict[str, _State] = {}
         self._histories: dict[str, dict[int, _History]] = {}
         self._named: dict[tuple[str, bool], Event] = {}
-        """What was noted of a camera, and whether it looks into a mirror."""
+        """Camera, and whether it looks into a mirror -> what was noted of it."""
 
     @property
     def sources(self) -> Collection[str]:
@@ -205,13 +211,13 @@ class DisplacedCameras:
         if source not in self._cameras or not len(poses) or not len(places):
             return np.zeros(len(poses), np.bool_)
         back = state.by.undo(poses, self._mirror)
-        given, undone = (
-            mean_marker_distances(some[:, None], places[None]) for some in (poses, back)
+        measured, undone = (
+            mean_marker_distances(markers[:, None], places[None]) for markers in (poses, back)
         )
-        in_place = (given < _NEAR) & (given < undone)
+        in_place = (measured < _NEAR) & (measured < undone)
         free = state.by.mirrors | ~in_place.any(axis=0)
         undone = np.where(free, undone, np.inf)
-        is_copy = np.asarray(undone.min(axis=1) < np.minimum(given.min(axis=1), _NEAR))
+        is_copy = np.asarray(undone.min(axis=1) < np.minimum(measured.min(axis=1), _NEAR))
         for j in np.flatnonzero(is_copy).tolist():
             i = int(undone[j].argmin())
             state.last = stamp
@@ -257,7 +263,7 @@ class DisplacedCameras:
                 continue
             age = lone.stamp - history.first
             history.due = lone.stamp + min(max(_PATIENCE, age // _SHARE), _LATER)
-            if self._is_copy(history, lone):
+            if self._take_copy(history, lone):
                 copies.append(number)
         if copies:
             state = self._cameras[lone.source]
@@ -265,7 +271,7 @@ class DisplacedCameras:
                 number
                 for number, history in histories.items()
                 if number not in copies
-                and any(state.explains(pairs, self._mirror) for pairs in history.pairs())
+                and any(state.take_copy(pairs, self._mirror) for pairs in history.pairs())
             ]
         for number in copies:
             del histories[number]
@@ -287,14 +293,14 @@ class DisplacedCameras:
             histories.setdefault(number, new).add(pose, lone)
         return histories
 
-    def _is_copy(self, history: _History, lone: LoneTracks) -> bool:
-        """Whether a track is a copy; the camera is then displaced."""
+    def _take_copy(self, history: _History, lone: LoneTracks) -> bool:
+        """Learn from a track if it is a copy, so that its camera is displaced; return whether."""
         state = self._cameras.get(lone.source)
         if not (state or self._right_ones(lone)):
             return False
         copies = []
         for pairs in history.pairs():
-            if state and state.explains(pairs, self._mirror):
+            if state and state.take_copy(pairs, self._mirror):
                 state.last = lone.stamp
                 return True
             like = likeness(pairs.track, pairs.person, self._mirror)
@@ -303,7 +309,7 @@ class DisplacedCameras:
             if like and like.is_copy(limit, pairs.unseen):
                 copies.append((like, pairs))
         if copies:
-            like, pairs = min(copies, key=lambda each: each[0].distance)
+            like, pairs = min(copies, key=lambda copy: copy[0].distance)
             if like.distance < ALIKE:
                 self._declare(like, pairs, history.first, lone)
         return bool(copies)
@@ -311,9 +317,9 @@ class DisplacedCameras:
     def _right_ones(self, lone: LoneTracks) -> list[str]:
         """Return the other cameras that show people where they are."""
         return [
-            each
-            for each in lone.heard
-            if each not in self._cameras or self._cameras[each].by.mirrors
+            source
+            for source in lone.heard
+            if source not in self._cameras or self._cameras[source].by.mirrors
         ]
 
     def _declare(self, like: Likeness, pairs: _Pairs, since: int, lone: LoneTracks) -> None:
@@ -400,7 +406,7 @@ class Copies:
             heard,
         )
         for number in self.displaced.compare(message):
-            for track in [each for each in self._people.tracks if each.number == number]:
+            for track in [t for t in self._people.tracks if t.number == number]:
                 if track.is_lone(group.source):
                     self._withdraw(track, group)
 
@@ -411,7 +417,7 @@ class Copies:
         self._identities.take_back(track)
         self._people.remove(track)
         track.id, track.is_copy = UNTRACKED, True
-        for j in [j for j, each in enumerate(group.tracks) if each is track]:
+        for j in [j for j, shown in enumerate(group.tracks) if shown is track]:
             group.tracks[j], group.reasons[j] = None, DISPLACED
 
     def _others(self, group: DetectionGroup) -> list[PersonTrack]:
