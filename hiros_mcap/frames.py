@@ -216,8 +216,8 @@ def join(
     of_block, rows = of_block[wanted], np.concatenate([block.rows for block in blocks])[wanted]
     ends = np.cumsum(rows[:, 1] - rows[:, 0])
     targets = ends - (rows[:, 1] - rows[:, 0])
-    some = blocks[0].people
-    people = People.allocate(int(ends[-1]), some.markers.shape[1], some.links.shape[1], *widths)
+    slots = blocks[0].people.markers.shape[1], blocks[0].people.links.shape[1]
+    people = People.allocate(int(ends[-1]), *slots, *widths)
     for k, block in enumerate(blocks):
         mask = of_block == k
         gather(rows[mask], targets[mask], block.people, people)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hiros_mcap.frames import Block, HeldFrames, join
+from hiros_mcap.frames import Block, Doubts, HeldFrames, join
 from hiros_mcap.skeletons import UNTRACKED, Frame, People, SkeletonModel
 
 MODEL = SkeletonModel.of("ab", [("ab", 0, 1)])
@@ -68,6 +68,17 @@ def test_joined_frames_keep_their_people_in_this_order():
     assert joined.rows.tolist() == [[0, 3], [3, 3], [3, 5], [5, 8]]
     assert joined.people.ids.tolist() == [30, 31, 32, 20, 21, 30, 31, 32]
     assert joined.people.markers[:, 1, 4].tolist() == joined.people.ids.tolist()
+
+
+def test_doubts_go_with_their_people():
+    """They are of all rows of a block's arrays, of which its frames may have some."""
+    whole = join([Block.of(numbered(n, 10 * n)) for n in (2, 1, 3)])
+    variances = np.repeat(whole.people.ids[:, None] * 1.0, 2, axis=1)
+    whole = replace(whole, doubts=Doubts(variances, whole.people.ids % 2 == 0))
+    joined = join([whole.select([2]), whole.select([1, 0])], np.array([2, 0, 1]))
+    assert joined.doubts.variances[:, 1].tolist() == [20, 21, 30, 31, 32, 10]
+    assert joined.doubts.distorted.tolist() == [True, False, True, False, True, True]
+    assert join([whole, Block.of(numbered(1, 5))]).doubts is None
 
 
 @pytest.mark.parametrize("width", [7, 19])

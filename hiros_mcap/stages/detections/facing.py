@@ -45,7 +45,7 @@ _LARGEST_DEVIATION = math.radians(45.0)  # of a view's facing from the decided o
 
 
 class Facings(NamedTuple):
-    """What was decided on N views."""
+    """Decisions on N views."""
 
     facing: F2  # (N, 2) the way the person faces; the length, up to 1, tells how sure that is
     swapped: B1  # (N,) whether the view's left and right are exchanged

@@ -1,4 +1,4 @@
-"""What a view shows of the way a person faces: the likelihood of each direction, as a logarithm.
+"""Evidence of the way a person faces: the likelihood of each direction by a view, as a logarithm.
 
 A view shows the line through shoulders and hips, its label (which end is left) and cues such as the
 toes. How people walk shows it, too. The directions are BINS across the person's trunk, in axes that
@@ -63,7 +63,7 @@ PRIOR_AGREEMENT = (0.8, 0.8, 0.8, 0.5)
 
 
 class MeasuredViews(NamedTuple):
-    """What N views of anybody show, across the person's trunk."""
+    """Measures of N views of anybody, across the person's trunk."""
 
     cells: I1  # (N,) number of the cell of time
     stamps: I1  # (N,) ns
@@ -86,7 +86,7 @@ class MeasuredViews(NamedTuple):
 
 
 class FacingPast(NamedTuple):
-    """What is remembered of S people, a row each."""
+    """Memory of S people, a row each."""
 
     cells: I1  # (S,) number of the current cell; 0 = never seen
     beliefs: F2  # (S, BINS) probabilities before the current cell's views
@@ -120,7 +120,7 @@ class FacingPast(NamedTuple):
 
 
 class FacingTables(NamedTuple):
-    """What the kernels share."""
+    """Tables that the kernels share."""
 
     directions: F2  # (BINS, 2) unit vectors
     turns: F2

@@ -1,4 +1,4 @@
-"""What a camera cannot see and no body can do: joints that detectors invent.
+"""Joints that detectors invent: no camera can see them, or no body can have them there.
 
 A detector reports a whole person also where somebody stands in front, and is as sure of the hidden
 joints as of the others. Geometry tells which these are. For every message, in the order of time:
@@ -34,8 +34,9 @@ The fuser adds the variance to that of the measurement; the merger weighs the ma
 HONEST^2 / (HONEST^2 + variance). The fuser takes the guesses of a rating detector as they are:
 over time it averages them better than a remembered place does.
 
-The constants stand in ``hidden_joints.py``. They were set by reasoning and by one Kinect log, and
-checked on three others with two people and on simulated logs. A person's own limbs hide nothing.
+The constants stand in ``hidden_joints.py`` and ``visibility.py``. They were set by reasoning and by
+one Kinect log, and checked on three others with two people and on simulated logs. A person's own
+limbs hide nothing.
 """
 
 from __future__ import annotations
@@ -95,7 +96,7 @@ def mend_hidden_blocks(
 
 
 class _HiddenPeople:
-    """What is known of everybody's pose, and who is hidden."""
+    """Everybody's remembered pose, and who is hidden."""
 
     def __init__(
         self, model: SkeletonModel, events: Events, places: Mapping[str, Floats], *, guesses: bool
@@ -118,8 +119,8 @@ class _HiddenPeople:
         self._ratings = np.pad(self._ratings, ((0, new), (0, 0)))
         n_people, n_markers = people.markers.shape[:2]
         doubts = block.doubts or Doubts.none(n_people, n_markers)
-        most = int(block.sizes.max(initial=0))
-        work = kernels.HiddenWork.of(n_people, n_markers, len(self._bank.past.ids), most)
+        n_views = int(block.sizes.max(initial=0))
+        work = kernels.HiddenWork.of(n_people, n_markers, len(self._bank.past.ids), n_views)
         kernels.mend_hidden(kernels.HiddenScene(
             messages, people, doubts, known, places_of(self._cameras, self._places), self._ratings,
             self._capsules, self._limits, self._guesses, self._bank.past, work,

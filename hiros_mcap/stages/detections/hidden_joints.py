@@ -49,7 +49,7 @@ class HiddenPast(NamedTuple):
     ids: I1  # (R,) who it is
     stamps: I1  # (R,) of the last view, ns; 0 = never
     poses: F3  # (R, M, 3) m, moved with the person since
-    seen: I2  # (R, M) when each was seen last, ns; 0 = never
+    last_seen: I2  # (R, M) when each was seen last, ns; 0 = never
     means: F3  # (R, M, 3) within the body, m
     variances: F2  # (R, M) within the body along each axis, m2
     velocities: F2  # (R, 3) of the person, m/s
@@ -70,7 +70,7 @@ class HiddenWork(NamedTuple):
     hiders: I1  # (P,) who hides most of them; UNTRACKED = nobody
     outlines: F2  # (P, OUTLINE) of the bodies of a message, seen from its camera
     remembered: F2  # (R, OUTLINE) of what is remembered of people
-    shown: B1  # (R,) whether a message shows them
+    in_message: B1  # (R,) whether a message shows them
     rates: B1  # (P,) whether the detector rates joints
     expected: F1  # (M,) h of the remembered joints
     steps: F2  # (M, 3) m
@@ -78,17 +78,17 @@ class HiddenWork(NamedTuple):
     places: F3  # (V, M, 3) m, of the hidden joints of a message's V views; NaN = as measured
 
     @classmethod
-    def of(cls, n_people: int, n_markers: int, n_known: int, most: int) -> HiddenWork:
+    def of(cls, n_people: int, n_markers: int, n_known: int, n_views: int) -> HiddenWork:
         """Make room for messages with at most so many views; nobody hides anybody yet."""
         p, r, m = n_people, n_known, n_markers
         views = (p, m), (p, m), p, p, (p, OUTLINE)
-        work = arrays(cls, *views, (r, OUTLINE), r, p, m, (m, 3), 3, (most, m, 3))
+        work = arrays(cls, *views, (r, OUTLINE), r, p, m, (m, 3), 3, (n_views, m, 3))
         work.hiders.fill(UNTRACKED)
         return work
 
 
 class HiddenScene(NamedTuple):
-    """What the kernels share."""
+    """Arrays that the kernels share."""
 
     messages: CameraMessages
     people: People  # whose views are mended
@@ -109,17 +109,20 @@ def _look(i: int, scene: HiddenScene) -> None:
     rating = scene.ratings[scene.messages.cameras[i]]
     camera = scene.places[scene.messages.cameras[i]]
     begin, end = scene.messages.spans[i, 0], scene.messages.spans[i, 1]
-    scene.work.shown[:] = False
+    scene.work.in_message[:] = False
     for p in range(begin, end):
         row = scene.rows[p]
         if row >= 0:
-            scene.work.shown[row] = True
+            scene.work.in_message[row] = True
             outline(scene.people.markers[p], camera, scene.work.outlines[p])
             learn_rating(scene.people.marker_confidences[p], rating)
     for p in range(begin, end):
         scene.work.rates[p] = rates_joints(rating)
     for r in range(len(scene.past.stamps)):
-        if scene.messages.stamps[i] - scene.past.stamps[r] <= _RECENT and not scene.work.shown[r]:
+        if (
+            scene.messages.stamps[i] - scene.past.stamps[r] <= _RECENT
+            and not scene.work.in_message[r]
+        ):
             outline(scene.past.poses[r], camera, scene.work.remembered[r])
 
 
@@ -129,19 +132,19 @@ def _cover(points: Floats, p: int, i: int, scene: HiddenScene, shares: Floats) -
     messages, past, work = scene.messages, scene.past, scene.work
     camera, capsules = scene.places[messages.cameras[i]], scene.capsules
     shares[:] = 0.0
-    most, hider = 0.0, UNTRACKED
+    largest, hider = 0.0, UNTRACKED
     for q in range(messages.spans[i, 0], messages.spans[i, 1]):
         if q != p and scene.rows[q] >= 0:
             total = hide_behind(
                 scene.people.markers[q], work.outlines[q], camera, capsules, points, shares
             )
-            if total > most:
-                most, hider = total, int(scene.people.ids[q])
+            if total > largest:
+                largest, hider = total, int(scene.people.ids[q])
     for r in range(len(past.stamps)):
-        if messages.stamps[i] - past.stamps[r] <= _RECENT and not work.shown[r]:
+        if messages.stamps[i] - past.stamps[r] <= _RECENT and not work.in_message[r]:
             total = hide_behind(past.poses[r], work.remembered[r], camera, capsules, points, shares)
-            if total > most:
-                most, hider = total, int(past.ids[r])
+            if total > largest:
+                largest, hider = total, int(past.ids[r])
     return hider
 
 
@@ -162,8 +165,8 @@ def _see(p: int, i: int, scene: HiddenScene) -> None:
     whole = scene.work.hidden[p] = mean_over_joints(markers, shares)
     doubt_posture(markers, scene.limits, scene.work.postures[p])
     for m in range(len(markers)):
-        seen = (1.0 - shares[m]) * (1.0 - whole * whole) * (1.0 - scene.work.postures[p, m])
-        shares[m] = 1.0 - seen
+        visible = (1.0 - shares[m]) * (1.0 - whole * whole) * (1.0 - scene.work.postures[p, m])
+        shares[m] = 1.0 - visible
 
 
 @inlined
@@ -202,15 +205,15 @@ def mean_of(points: Floats, n: int) -> tuple[float, float, float]:
 
 @kernel
 def _steps(
-    view: Floats, shares: Floats, row: int, most: float, past: HiddenPast, out: Floats
+    view: Floats, shares: Floats, row: int, limit: float, past: HiddenPast, out: Floats
 ) -> int:
-    """Write how far joints with shares below ``most`` are from where they are remembered.
+    """Write how far joints with shares below ``limit`` are from where they are remembered.
 
     Returns their number.
     """
     n = 0
     for m in range(len(view)):
-        if not math.isnan(view[m, 0]) and past.seen[row, m] > 0 and shares[m] < most:
+        if not math.isnan(view[m, 0]) and past.last_seen[row, m] > 0 and shares[m] < limit:
             for c in range(3):
                 out[n, c] = view[m, c] - past.poses[row, m, c]
             n += 1
@@ -277,8 +280,8 @@ def _weigh(p: int, m: int, row: int, stamp: int, scene: HiddenScene, place: Floa
     """Find out whether a joint was invented; write where it must be (4, 5)."""
     past, out, z = scene.past, scene.work, scene.people.markers[p, m]
     x, held, error = past.poses[row, m], _UNKNOWN, INVENTED**2
-    if past.seen[row, m] > 0:
-        age = max(stamp - past.seen[row, m], 0) * 1e-9
+    if past.last_seen[row, m] > 0:
+        age = max(stamp - past.last_seen[row, m], 0) * 1e-9
         held = _held_variance(age, past.variances[row, m])
         expected = scene.work.expected[m] * INVENTED**2 / (INVENTED**2 + held)
         square = (z[0] - x[0]) ** 2 + (z[1] - x[1]) ** 2 + (z[2] - x[2]) ** 2
@@ -292,7 +295,7 @@ def _weigh(p: int, m: int, row: int, stamp: int, scene: HiddenScene, place: Floa
         return
     error *= out.shares[p, m]
     scene.doubts.variances[p, m] += error * held / (error + held)
-    if out.shares[p, m] >= _SEEN and past.seen[row, m] > 0:
+    if out.shares[p, m] >= _SEEN and past.last_seen[row, m] > 0:
         for c in range(3):
             place[c] = z[c] + error / (error + held) * (x[c] - z[c])
 
@@ -320,7 +323,7 @@ def _remember(p: int, stamp: int, scene: HiddenScene) -> None:
     past, shares, view = scene.past, scene.work.shares[p], scene.people.markers[p]
     row = scene.rows[p]
     for m in range(len(view)):
-        first = past.seen[row, m] == 0
+        first = past.last_seen[row, m] == 0
         if math.isnan(view[m, 0]) or (shares[m] >= _SEEN and not first):
             continue
         gain = 1.0 if first else 1.0 - shares[m]
@@ -329,7 +332,7 @@ def _remember(p: int, stamp: int, scene: HiddenScene) -> None:
         if first:
             past.means[row, m, 0] = np.nan
             past.variances[row, m] = _MOVES**2
-        past.seen[row, m] = max(stamp, past.seen[row, m])
+        past.last_seen[row, m] = max(stamp, past.last_seen[row, m])
     _measure_motion(p, _passed(stamp, past.stamps[row]), scene)
     past.ids[row], past.stamps[row] = scene.people.ids[p], max(stamp, past.stamps[row])
 
@@ -338,7 +341,7 @@ def _remember(p: int, stamp: int, scene: HiddenScene) -> None:
 def _measure_motion(p: int, passed: float, scene: HiddenScene) -> None:
     """Measure how joints move within the body: running means and variances over _MEMORY."""
     past, row, centre = scene.past, scene.rows[p], scene.work.centre
-    _body_centre(past.poses[row], past.seen[row], centre)
+    _body_centre(past.poses[row], past.last_seen[row], centre)
     share = 1.0 - math.exp(-passed / _MEMORY)
     for m in range(scene.people.markers.shape[1]):
         if math.isnan(scene.people.markers[p, m, 0]) or scene.work.shares[p, m] >= _SEEN:
@@ -355,12 +358,12 @@ def _measure_motion(p: int, passed: float, scene: HiddenScene) -> None:
 
 
 @kernel
-def _body_centre(pose: Floats, seen: Floats, out: Floats) -> None:
+def _body_centre(pose: Floats, last_seen: Floats, out: Floats) -> None:
     """Write the mean of the joints (M, 3) that were ever seen."""
     out[:] = 0.0
     n = 0
     for m in range(len(pose)):
-        if seen[m] > 0:
+        if last_seen[m] > 0:
             n += 1
             for c in range(3):
                 out[c] += pose[m, c]

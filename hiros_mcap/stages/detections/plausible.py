@@ -105,9 +105,9 @@ def drop_implausible_blocks(
         rows = np.full(len(people.ids), -1, np.int64)
         rows[views] = bank.rows_of(people.ids[views], block.stamps[owners])
         messages, places = numbers.messages(block), places_of(numbers, cameras or {})
-        if new := max(len(places) - bank.past.seen.shape[1], 0):
-            seen = np.pad(bank.past.seen, ((0, 0), (0, new)))
-            bank.past = bank.past._replace(seen=seen)
+        if new := max(len(places) - bank.past.good_views.shape[1], 0):
+            good_views = np.pad(bank.past.good_views, ((0, 0), (0, new)))
+            bank.past = bank.past._replace(good_views=good_views)
         doubts = Doubts.none(*people.markers.shape[:2])
         work = PlausibleWork.of(doubts, len(places))
         find_implausible(
@@ -125,8 +125,8 @@ def links_of(model: SkeletonModel) -> LimbLinks:
     ends = model.links[(model.links >= 0).all(axis=1)]
     mirror = symmetry_of(model).mirror
     places = {tuple(pair): k for k, pair in enumerate(ends.tolist())}
-    others = [places.get(tuple(pair), k) for k, pair in enumerate(mirror[ends].tolist())]
-    slots: Stamps = np.minimum(np.arange(len(ends)), others).astype(np.int64)
+    mirrored = [places.get(tuple(pair), k) for k, pair in enumerate(mirror[ends].tolist())]
+    slots: Stamps = np.minimum(np.arange(len(ends)), mirrored).astype(np.int64)
     return LimbLinks(np.ascontiguousarray(ends), slots)
 
 
@@ -138,14 +138,14 @@ class LimbLinks(NamedTuple):
 
 
 class LimbPast(NamedTuple):
-    """What R people have shown of their limbs."""
+    """Limbs of R people, as their views have shown them."""
 
     lengths: F2  # (R, K) mean, m
     variances: F2  # (R, K) m2
     counts: F2  # (R, K) views that they are of
     first: I1  # (R,) when the person was seen first, ns; 0 = never
     refused: I1  # (R,) since when all views of the person have been left out, ns; 0 = they are not
-    seen: I2  # (R, C) when each camera last had a good view of the person, ns; 0 = never
+    good_views: I2  # (R, C) when each camera last had a good view of the person, ns; 0 = never
 
     @classmethod
     def empty(cls, n_links: int) -> LimbPast:
@@ -154,7 +154,7 @@ class LimbPast(NamedTuple):
 
 
 class PlausibleWork(NamedTuple):
-    """What is found out about P people, and scratch for a view."""
+    """Findings about P people, and scratch for a view."""
 
     doubts: Doubts
     counts: I2  # (2, C) views left out and markers that are trusted less, by camera
@@ -195,8 +195,8 @@ def _learn(view: Floats, row: int, links: LimbLinks, past: LimbPast) -> None:
         n = min(past.counts[row, slot] + 1.0, _MEMORY)
         error = length - past.lengths[row, slot]
         if n > _FEWEST:
-            most = _OUTLIER * _spread(row, slot, past)
-            error = min(max(error, -most), most)
+            limit = _OUTLIER * _spread(row, slot, past)
+            error = min(max(error, -limit), limit)
         past.counts[row, slot] = n
         past.lengths[row, slot] += error / n
         square = error * error * (n - 1.0) / n
@@ -269,8 +269,8 @@ def _is_rated(p: int, people: People) -> bool:
 @kernel
 def _is_alone(stamp: int, row: int, camera: int, past: LimbPast) -> bool:
     """Whether no other camera has a good view of a person."""
-    for c in range(past.seen.shape[1]):
-        if c != camera and past.seen[row, c] > 0 and stamp - past.seen[row, c] < _ALONE:
+    for c in range(past.good_views.shape[1]):
+        if c != camera and past.good_views[row, c] > 0 and stamp - past.good_views[row, c] < _ALONE:
             return False
     return True
 
@@ -281,7 +281,7 @@ def _is_left_out(
 ) -> bool:
     """Whether a view is distorted, and the only one, and this does not last for too long."""
     if not is_distorted:
-        past.seen[row, camera] = stamp
+        past.good_views[row, camera] = stamp
         past.refused[row] = 0
         return False
     if not _is_alone(stamp, row, camera, past):

@@ -106,9 +106,9 @@ class _Piece:
         return self._part(slice(0, k), slice(0, n)), self._part(slice(k, None), slice(n, None))
 
     def _part(self, frames: slice, views: slice) -> _Piece:
-        some, owners = chosen(self.measured, views), self.owners[views] - (frames.start or 0)
+        measured, owners = chosen(self.measured, views), self.owners[views] - (frames.start or 0)
         return _Piece(
-            self.block.select(frames), self.views[views], owners, some, self.evidence[views]
+            self.block.select(frames), self.views[views], owners, measured, self.evidence[views]
         )
 
     def logged_from(self, log_time: int) -> _Piece:
@@ -129,7 +129,7 @@ def _split(pieces: Sequence[_Piece], until: int) -> tuple[list[_Piece], list[_Pi
 
 
 class _Sides:
-    """What is known of the people, and the frames that are not decided yet."""
+    """Memory of people, and the frames that are not decided yet."""
 
     def __init__(self, model: SkeletonModel, params: SidesParams, events: Events) -> None:
         self._markers = FacingMarkers.of(model)
@@ -223,8 +223,8 @@ class _Sides:
         evidence = np.empty((len(measured.cells), BINS))
         write_evidence(measured, self._bank.past, self._tables, evidence)
         ends = np.cumsum([len(part.views) for part in parts])
-        for k, some in zip(new, np.split(evidence, ends[:-1]), strict=True):
-            self._held[k] = replace(self._held[k], evidence=some)
+        for k, of_piece in zip(new, np.split(evidence, ends[:-1]), strict=True):
+            self._held[k] = replace(self._held[k], evidence=of_piece)
 
     # The result
 
@@ -232,12 +232,12 @@ class _Sides:
         """Yield all frames of the pieces. What was yielded lies in memory no longer."""
         first = 0
         while pieces:
-            some = [pieces.popleft()]
-            while pieces and sum(len(piece.views) for piece in some) < _MOST:
-                some.append(pieces.popleft())
-            last = first + sum(len(piece.views) for piece in some)
-            block, first = self._mirrored(some, chosen(facings, slice(first, last))), last
-            del some
+            joined_pieces = [pieces.popleft()]
+            while pieces and sum(len(piece.views) for piece in joined_pieces) < _MOST:
+                joined_pieces.append(pieces.popleft())
+            last = first + sum(len(piece.views) for piece in joined_pieces)
+            block, first = self._mirrored(joined_pieces, chosen(facings, slice(first, last))), last
+            del joined_pieces
             yield block
             del block
 

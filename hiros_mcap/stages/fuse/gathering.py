@@ -64,8 +64,8 @@ class ViewGatherer:
         """Gather; see :data:`hiros_mcap.stages.merge.instants.MergeKernel`."""
         if views > len(self._work.rows):
             self._work = GatherWork.of(2 * views)
-        most = int((buffers.messages[:, 1] - buffers.messages[:, 0]).sum())
-        found = Sightings.allocate(most, people.markers.shape[1])
+        n_views = int((buffers.messages[:, 1] - buffers.messages[:, 0]).sum())
+        found = Sightings.allocate(n_views, people.markers.shape[1])
         n = gather(buffers, people, self.bank.past, self._settings, self._work, out, found)
         found = chosen(found, slice(n))
         self._views.append(found._replace(instants=found.instants + self._instants))
@@ -92,7 +92,7 @@ class GatherSettings(NamedTuple):
 class LastMeans(NamedTuple):
     """The last mean of S people, a row each."""
 
-    seen: I1  # (S,) its time, ns; 0 = never
+    last_seen: I1  # (S,) its time, ns; 0 = never
     markers: F3
     links: F3  # (S, M, 7) and (S, L, 7) position and orientation
     link_confidences: F2  # (S, L)
@@ -156,8 +156,10 @@ def _write_views(
             views.cameras[n] = buffers.messages[k, CAMERA]
             views.stamps[n] = buffers.messages[k, TIME]
             for m in range(people.markers.shape[1]):
-                given = people.marker_confidences[i, m]
-                views.confidences[n, m] = people.confidences[i] if math.isnan(given) else given
+                confidence = people.marker_confidences[i, m]
+                views.confidences[n, m] = (
+                    people.confidences[i] if math.isnan(confidence) else confidence
+                )
                 views.hidden[n, m] = buffers.doubts[i, m]
                 for c in range(3):
                     views.positions[n, m, c] = people.markers[i, m, c]
@@ -198,12 +200,12 @@ def _write_means(
 
 
 @kernel
-def _weigh(given: Floats, whole: Floats, m: int, n: int, power: float, work: GatherWork) -> None:
+def _weigh(of_slots: Floats, whole: Floats, m: int, n: int, power: float, work: GatherWork) -> None:
     """Write the weights of eq 12: the confidence of the slot, else of the skeleton, else 1."""
     total = 0.0
     for k in range(n):
         i = work.rows[k]
-        confidence = whole[i] if math.isnan(given[i, m]) else given[i, m]
+        confidence = whole[i] if math.isnan(of_slots[i, m]) else of_slots[i, m]
         confidence = 1.0 if math.isnan(confidence) else confidence
         # The power function takes twenty times as long.
         work.weights[k] = confidence * confidence if power == 2.0 else confidence**power
@@ -227,14 +229,14 @@ def _mean_position(states: Floats, m: int, n: int, mean: Floats, work: GatherWor
 
 
 @kernel
-def _mean_confidence(given: Floats, m: int, n: int, work: GatherWork) -> float:
+def _mean_confidence(confidences: Floats, m: int, n: int, work: GatherWork) -> float:
     """Weighted mean of the confidences of a slot; NaN where no view has one."""
     norm = total = 0.0
     for k in range(n):
         i, weight = work.rows[k], work.weights[k]
-        if weight > 0.0 and not math.isnan(given[i, m]):
+        if weight > 0.0 and not math.isnan(confidences[i, m]):
             norm += weight
-            total += weight * given[i, m]
+            total += weight * confidences[i, m]
     return total / norm
 
 
@@ -287,11 +289,11 @@ def _carry(states: Floats, m: int, n: int, work: GatherWork) -> bool:
 
     Views without one lose their weight, unless none has one. Returns whether any has one.
     """
-    some, total = False, 0.0
+    has_orientation, total = False, 0.0
     for k in range(n):
         if not math.isnan(states[work.rows[k], m, ORIENTATION]):
-            some, total = True, total + work.weights[k]
-    for k in range(n if some else 0):
+            has_orientation, total = True, total + work.weights[k]
+    for k in range(n if has_orientation else 0):
         state, dt = states[work.rows[k], m], work.later[k]
         if math.isnan(state[ORIENTATION]):
             work.weights[k] = 0.0
@@ -303,7 +305,7 @@ def _carry(states: Floats, m: int, n: int, work: GatherWork) -> bool:
             q = multiply(exponential(dt * wx, dt * wy, dt * wz), q)
         for c in range(4):
             work.values[k, c] = q[c]
-    return some
+    return has_orientation
 
 
 @kernel
@@ -346,11 +348,11 @@ def gather(
             row, stamp = buffers.past_rows[p], buffers.stamps[q]
             n = _find_views(buffers, q, people, out.ids[p], work)
             if n == 0:
-                _keep(out, p, past, row, _share((stamp - past.seen[row]) * 1e-9, settings))
+                _keep(out, p, past, row, _share((stamp - past.last_seen[row]) * 1e-9, settings))
                 continue
-            fresh = past.seen[row] > 0 and stamp - past.seen[row] <= _HORIZON_NS
+            fresh = past.last_seen[row] > 0 and stamp - past.last_seen[row] <= _HORIZON_NS
             _write_means(people, n, fresh, past, row, settings.confidence_power, work, out, p)
-            past.seen[row] = stamp
+            past.last_seen[row] = stamp
         first = _write_views(buffers, q, people, out.ids, views, first)
     return first
 

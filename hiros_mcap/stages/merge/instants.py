@@ -1,4 +1,4 @@
-"""What the cameras show at about the same time, gathered and merged person by person."""
+"""Gathers the messages of a moment, and merges the views of each person in them."""
 
 from __future__ import annotations
 
@@ -201,8 +201,8 @@ class InstantMerger:
         start = instants[0].stamp if instants else 0
         for _, batch in groupby(instants, lambda instant: (instant.stamp - start) // self._SPAN):
             plans = []
-            for _, some in groupby(batch, lambda instant: min(instant.messages) < first):
-                part = list(some)
+            for _, neighbours in groupby(batch, lambda instant: min(instant.messages) < first):
+                part = list(neighbours)
                 numbers = [number for instant in part for number in instant.messages]
                 places = np.array(numbers) - self._ahead.first
                 messages = self._ahead.release(int(places.max()) + 1, shared=True)
@@ -240,22 +240,22 @@ class InstantMerger:
         """Find out who is merged at each instant: whom its messages show, and who goes on."""
         people = messages.people
         doubts = messages.doubts or Doubts.none(*people.markers.shape[:2])
-        shown = np.where(doubts.distorted, UNTRACKED, people.ids).astype(np.int32)
-        people = people._replace(ids=shown)
+        persons = np.where(doubts.distorted, UNTRACKED, people.ids).astype(np.int32)
+        people = people._replace(ids=persons)
         message_ends = np.cumsum([0, *(len(instant.messages) for instant in instants)])
         stamps = np.array([instant.stamp for instant in instants], np.int64)
         of_instant = np.repeat(np.arange(len(instants)), np.diff(message_ends))
         rows, owners = messages.everybody()
-        is_shown = shown[rows] != UNTRACKED
-        keys = of_instant[owners[is_shown]] * (1 << 32) + shown[rows[is_shown]]
-        seen, views = np.unique(keys, return_counts=True)
-        bounds = np.searchsorted(seen >> 32, np.arange(1, len(instants)))
+        counts = persons[rows] != UNTRACKED
+        keys = of_instant[owners[counts]] * (1 << 32) + persons[rows[counts]]
+        keys, views = np.unique(keys, return_counts=True)
+        bounds = np.searchsorted(keys >> 32, np.arange(1, len(instants)))
         self._unseen.show(messages, stamps[of_instant], doubts.distorted)
         ids: list[int] = []
         past_rows: list[int] = []
         people_ends = [0]
-        for k, some in enumerate(np.split(seen & (2**32 - 1), bounds)):
-            present = self._present(int(stamps[k]), int(message_ends[k + 1]), some.tolist())
+        for k, shown in enumerate(np.split(keys & (2**32 - 1), bounds)):
+            present = self._present(int(stamps[k]), int(message_ends[k + 1]), shown.tolist())
             ids += present
             past_rows += [self._bank.rows[person] for person in present]
             people_ends.append(len(ids))
@@ -278,17 +278,17 @@ class InstantMerger:
             [self._fixed_frame or messages.names[k] for k in firsts],
         )
 
-    def _present(self, stamp: int, n_messages: int, seen: list[int]) -> list[int]:
-        """Return who is there at an instant whose messages show ``seen``, sorted; remember them."""
+    def _present(self, stamp: int, n_messages: int, people: list[int]) -> list[int]:
+        """Return who is there at an instant that shows ``people``, sorted; remember them."""
         self._bank.expire(stamp)
-        bridged, carried = self._unseen.go_on(stamp, n_messages, seen, self._bank.last_seen)
-        for person in seen:
+        bridged, carried = self._unseen.go_on(stamp, n_messages, people, self._bank.last_seen)
+        for person in people:
             self._bank.row(person, stamp)
         if not bridged and not carried:
-            return seen
+            return people
         self._events.count("bridged", n=len(bridged))
         self._events.count("carried", n=len(carried))
-        return sorted({*seen, *bridged, *carried})
+        return sorted({*people, *bridged, *carried})
 
 
 class _MergePlan(NamedTuple):

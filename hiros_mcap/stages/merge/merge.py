@@ -106,10 +106,12 @@ def weighted_by_sight(people: People, hidden: Floats) -> People:
     if not hidden.any():
         return people
     whole = np.where(np.isnan(people.confidences), 1.0, people.confidences)[:, None]
-    given = people.marker_confidences
-    weighted = np.where(np.isnan(given), whole, given) * (HONEST**2 / (HONEST**2 + hidden))
-    confidences: Floats = np.where(hidden > 0.0, weighted, given)
-    return people._replace(marker_confidences=confidences)
+    confidences = people.marker_confidences
+    weighted = np.where(np.isnan(confidences), whole, confidences) * (
+        HONEST**2 / (HONEST**2 + hidden)
+    )
+    lowered: Floats = np.where(hidden > 0.0, weighted, confidences)
+    return people._replace(marker_confidences=lowered)
 
 
 def _pelvis_link(model: SkeletonModel) -> int:

@@ -59,27 +59,27 @@ class Unseen:
         self._shown, self._stamps, self._distorted, self._done = messages, stamps, distorted, 0
 
     def go_on(
-        self, stamp: int, n_messages: int, seen: Sequence[int], last_seen: Mapping[int, int]
+        self, stamp: int, n_messages: int, people: Sequence[int], last_seen: Mapping[int, int]
     ) -> tuple[set[int], set[int]]:
-        """Return who is bridged and who is carried at ``stamp``, ns; nobody of those ``seen``.
+        """Return who is bridged and who is carried at ``stamp``, ns, besides the ``people`` shown.
 
         ``n_messages`` are up to then. ``last_seen`` : person -> ns, as remembered before.
         """
         bridged, carried = set[int](), set[int]()
         absent = self._places or self._gone or self._hidden or self._distorted.any()
         left = self._views.keys() - last_seen.keys()
-        shown = set(seen)
-        if not absent and not left and last_seen.keys() <= shown:
+        present = set(people)
+        if not absent and not left and last_seen.keys() <= present:
             return bridged, carried
         self._see(n_messages)
         for person, last in last_seen.items():
-            if person in shown or stamp < last:
+            if person in present or stamp < last:
                 continue
             if stamp - last <= self._bridge:
                 bridged.add(person)
-            elif self._is_carried(person, stamp, last, shown):
+            elif self._is_carried(person, stamp, last, present):
                 carried.add(person)
-        self._tidy(shown, last_seen)
+        self._tidy(present, last_seen)
         return bridged, carried
 
     def see_all(self) -> None:
@@ -111,55 +111,57 @@ class Unseen:
         ends = np.searchsorted(owners, np.arange(len(block) + 1)).tolist()
         for i, (_, source, _) in enumerate(block.messages()):
             if stamps[i] >= self._coverage.due(source):
-                some = [_centre(block.people, row) for row in rows[ends[i] : ends[i + 1]].tolist()]
-                self._coverage.learn(source, some, int(stamps[i]))
+                centres = [
+                    _centre(block.people, row) for row in rows[ends[i] : ends[i + 1]].tolist()
+                ]
+                self._coverage.learn(source, centres, int(stamps[i]))
 
-    def _is_carried(self, person: int, stamp: int, last: int, shown: set[int]) -> bool:
+    def _is_carried(self, person: int, stamp: int, last: int, present: set[int]) -> bool:
         """Whether a person who was seen at ``last``, ns, is hidden, and not for long."""
         hidden, _ = self._hidden.get(person, (-1, ""))
         if hidden == stamp:
             return True
-        return stamp - max(last, hidden) < self._carry and self._is_hidden(person, shown)
+        return stamp - max(last, hidden) < self._carry and self._is_hidden(person, present)
 
-    def _is_hidden(self, person: int, shown: set[int]) -> bool:
+    def _is_hidden(self, person: int, present: set[int]) -> bool:
         """Whether others hide a person from every camera that looks at the place."""
         if person in self._gone or person not in self._views:
             return False
         if person not in self._places:
             self._places[person] = _centre(*self._views[person])
         place = self._places[person]
-        if self._has_come_back(person, place, shown):
+        if self._has_come_back(person, place, present):
             self._gone.add(person)
             return False
-        others = [_centre(*self._views[other]) for other in shown if other in self._views]
+        bystanders = [_centre(*self._views[k]) for k in present if k in self._views]
         reported = self._reported[person]
         recent = [s for s, t in reported.items() if max(reported.values()) - t < _RECENT]
         _, hiding = self._hidden.get(person, (0, ""))
         looking = [s for s in recent if s == hiding or self._coverage.covers(s, place)]
-        sees = (self._coverage.sees(each, place, others) for each in looking if each != hiding)
+        sees = (self._coverage.sees(s, place, bystanders) for s in looking if s != hiding)
         if not looking or any(sees):
             self._gone.add(person)
             return False
         return True
 
-    def _has_come_back(self, person: int, place: Floats, shown: set[int]) -> bool:
+    def _has_come_back(self, person: int, place: Floats, present: set[int]) -> bool:
         """Whether somebody came, after a person was seen last, who may be the person."""
         last = max(self._reported[person].values())
-        for other in shown & self._views.keys():
+        for other in present & self._views.keys():
             seconds = (self._came[other] - last) * 1e-9
             way = float(np.hypot(*(_centre(*self._views[other]) - place)[:2]))
             if seconds > 0 and is_near(way, seconds):
                 return True
         return False
 
-    def _tidy(self, shown: set[int], last_seen: Mapping[int, int]) -> None:
+    def _tidy(self, present: set[int], last_seen: Mapping[int, int]) -> None:
         """Forget the absences that are over, and people whom nobody remembers."""
-        self._gone -= shown
-        for person in self._hidden.keys() & (shown | (self._hidden.keys() - last_seen.keys())):
+        self._gone -= present
+        for person in self._hidden.keys() & (present | (self._hidden.keys() - last_seen.keys())):
             del self._hidden[person]
-        for person in shown & self._places.keys():
+        for person in present & self._places.keys():
             del self._places[person]
-        for person in self._views.keys() - last_seen.keys() - shown:
+        for person in self._views.keys() - last_seen.keys() - present:
             del self._views[person], self._reported[person], self._came[person]
             self._places.pop(person, None)
             self._gone.discard(person)

@@ -90,7 +90,7 @@ def _gather(messages: Iterable[_Messages]) -> Iterator[Block]:
     """Make a block of neighbours that lie in the same arrays."""
     for block, group in itertools.groupby(messages, key=itemgetter(0)):
         _, places, log_times = zip(*group, strict=True)
-        chosen = np.concatenate([np.array(some, np.int64) for some in places])
+        chosen = np.concatenate([np.array(numbers, np.int64) for numbers in places])
         yield block.select(chosen).logged_at(np.concatenate(log_times))
 
 
@@ -129,11 +129,11 @@ class _Tracker:
     def take(self, block: Block) -> Iterator[_Messages]:
         """Track messages, and write into them; yield those that are decided."""
         messages, log_times = self._people.messages_of(block), block.log_times.tolist()
-        most, place = int(block.sizes.max(initial=0)), 0
+        n_detections, place = int(block.sizes.max(initial=0)), 0
         self._support.look(self._people.names)
         self._identities.note_pauses(block)
         while place < len(block):
-            known = self._prepare(block, place, most)  # delete, leave out copies
+            known = self._prepare(block, place, n_detections)  # delete, leave out copies
             done, is_open = kernels.update.raw(  # predict, compare, assign, correct
                 messages, place, block.people, known, self._people.bank.past, self._people.cameras,
                 self._settings, self._work,
@@ -146,13 +146,13 @@ class _Tracker:
             place = done + is_open
         self._count_faults()
 
-    def _prepare(self, block: Block, place: int, most: int) -> KnownTracks:
+    def _prepare(self, block: Block, place: int, n_detections: int) -> KnownTracks:
         """Decide who is lost, and which detections of a displaced camera are copies.
 
-        ``most`` : detections of a message.
+        ``n_detections`` : largest number of detections of a message.
         """
         self._delete_unseen(int(block.stamps[place]))  # after t_m
-        self._make_room(most)
+        self._make_room(n_detections)
         names, displaced = self._people.names, self._copies.displaced.sources
         self._people.cameras.displaced[:] = [name in displaced for name in names]
         if block.source(place) in displaced:

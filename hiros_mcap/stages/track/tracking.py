@@ -47,7 +47,7 @@ NEVER, LAST = -(1 << 61), 1 << 61
 
 
 class Cameras(NamedTuple):
-    """What matters of C cameras."""
+    """State of C cameras."""
 
     heard: I1  # (C,) time of the latest message, ns
     due: I1  # (C,) time, ns, from which on a message tells what the camera looks at
@@ -78,23 +78,23 @@ class KnownTracks(NamedTuple):
 @inlined
 def _leave_out(states: Floats, confidences: Floats, least: float, person: int) -> bool:
     """Make a person's states of too little confidence absent; return whether any is left."""
-    some = False
+    is_left = False
     for m in range(states.shape[1]):
         if confidences[person, m] < least:
             for c in range(states.shape[2]):
                 states[person, m, c] = np.nan
-        some = some or not math.isnan(states[person, m, 0])
-    return some
+        is_left = is_left or not math.isnan(states[person, m, 0])
+    return is_left
 
 
 @entry
 def screen(people: People, min_marker: float, min_skeleton: float, faults: I1) -> None:
     """Make markers and links of too little confidence absent; fill ``faults`` (P,)."""
     for j in range(len(people.ids)):
-        some = _leave_out(people.markers, people.marker_confidences, min_marker, j)
+        is_left = _leave_out(people.markers, people.marker_confidences, min_marker, j)
         _leave_out(people.links, people.link_confidences, min_marker, j)
         faults[j] = NO_MARKERS
-        if some:
+        if is_left:
             faults[j] = LOW_CONFIDENCE if people.confidences[j] < min_skeleton else USABLE
 
 
@@ -189,11 +189,11 @@ def _match(
     settings: TrackSettings, work: TrackWork,
 ) -> None:  # fmt: skip
     """Match the detections that are left with tracks; leave out those that are ``leaping``."""
-    some = False
+    is_wanted = False
     for j in range(len(people.ids)):
         work.wanted[j] = work.track_rows[j] < 0 and work.faults[j] == USABLE
-        some = some or work.wanted[j]
-    if not some or not len(rows):
+        is_wanted = is_wanted or work.wanted[j]
+    if not is_wanted or not len(rows):
         return
     associate(stamp, rows, people, tracks, settings, work)  # eq 6 to 11, Munkres
     for j in range(len(people.ids)):
