@@ -26,7 +26,7 @@ from typing import Any, Unpack
 from hiros_mcap.config import Config, load_config, settings_beside
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.frames import Block
-from hiros_mcap.io.bags import output_file, refuse_foreign_encodings
+from hiros_mcap.io.bag_output import output_file, refuse_foreign_encodings
 from hiros_mcap.io.detectors.conversion import Selection
 from hiros_mcap.io.log import DAMAGED, Log, Reading, Source, open_log
 from hiros_mcap.outputs import check_outputs, target_kind

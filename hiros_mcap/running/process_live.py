@@ -17,7 +17,7 @@ from pathlib import Path
 from hiros_mcap.config import Config, load_config
 from hiros_mcap.defaults import LIVE_SYSTEM
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io.bags import needs_latching
+from hiros_mcap.io.bag_output import needs_latching
 from hiros_mcap.io.channels import LATCHED_QOS, ChannelInfo, channels_of, is_transform_topic
 from hiros_mcap.io.container import McapWriter, Message
 from hiros_mcap.io.container.file import Pipe, Sink
@@ -92,7 +92,7 @@ def process_live(
         single = [] if target is None or isinstance(target, Sequence) else [target]
         targets: Sequence[Target] = target if isinstance(target, Sequence) else single
         report = run_log(prepared, partial(_open_outputs, targets, source, log), watcher, progress)
-        files = [str(one) for one in targets if isinstance(one, Path)]
+        files = [str(path) for path in targets if isinstance(path, Path)]
         return conclude(report, files[0] if files else None)
 
 
@@ -148,7 +148,7 @@ def _open_outputs(
         # What somebody waits for goes first.
         outputs: list[LogOutput] = []
         live: list[LiveWriter] = []
-        for target in sorted(targets, key=lambda one: isinstance(one, Path)):
+        for target in sorted(targets, key=lambda where: isinstance(where, Path)):
             stream = Pipe(target, "standard output") if isinstance(target, int) else target
             writer = (
                 LiveWriter(stream)

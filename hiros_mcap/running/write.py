@@ -15,7 +15,7 @@ from hiros_mcap._version import __version__
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.config import to_toml
 from hiros_mcap.frames import Block
-from hiros_mcap.io.bags import copy_latched, needs_latching
+from hiros_mcap.io.bag_output import copy_latched, needs_latching
 from hiros_mcap.io.channels import (
     CONFIG_ATTACHMENT,
     EVENTS_ATTACHMENT,

@@ -23,7 +23,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 import hiros_schemas
 from hiros_cli.app import run
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.bags import LATCHED_QOS, needs_latching
+from hiros_mcap.io.bag_output import LATCHED_QOS, needs_latching
 from hiros_mcap.io.channels import ChannelInfo
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.export.tables import export_topic

@@ -20,7 +20,7 @@ import hiros_mcap
 import hiros_schemas
 from hiros_cli.app import run
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.bags import write_bag_metadata
+from hiros_mcap.io.bag_output import write_bag_metadata
 
 
 @pytest.fixture(scope="module")
