@@ -1,4 +1,4 @@
-"""What kernels take: arrays, and NamedTuples of them."""
+"""Types of the parameters of kernels: arrays, and NamedTuples of them."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ KINDS = (
     "absurd number", "incomplete vector", "quaternion of length 0", "quaternion normalised",
     "confidence above 1", "negative confidence", "nobody",
 )  # fmt: skip
-"""What the counts are called in reports."""
+"""Names of the counts in reports."""
 
 _QUATERNION = ORIENTATION.start
 
@@ -188,7 +188,7 @@ def clean(people: People, counts: Stamps) -> None:
 
 
 class Results(NamedTuple):
-    """What is found out about N messages and their P people."""
+    """Faults, rows and counts of N messages and their P people."""
 
     first: I1  # (N + 1,) row of each message's first person, and P
     codes: I1  # (N,) OK or a fault of kernels.cdr

@@ -1,4 +1,4 @@
-"""What a viewer draws of people, in its precision: joints, bones and places of labels."""
+"""Joints, bones and places of labels that a viewer draws, in single precision."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ _ONE = np.uint64(1)
 
 
 class Messages(NamedTuple):
-    """What N messages hold besides their people."""
+    """Fields of N messages besides their people."""
 
     texts: C1
     places: I2

@@ -1,4 +1,4 @@
-"""What stands in a camera's line of sight: bodies are capsules along their links.
+"""Occlusion in a camera's line of sight: bodies are capsules along their links.
 
 The line from the camera to a place passes the axis of a link that is nearer to the camera at a
 distance d. With the radius r of the limb there, the place is hidden by

@@ -77,6 +77,7 @@ def load(code: MachineCode, function: FunctionType) -> Callable[..., Any]:
     start = engine.get_function_address(code.function)
     if not (place and start):
         raise HirosError(f"the compiled code of {code.kernel} has no such function")
+    # The function reads a pointer to this object, whose address is its id in CPython.
     ctypes.c_void_p.from_address(place).value = id(environment)
     made: Callable[..., Any] = closures.make_function(
         sys.modules[function.__module__],
@@ -99,9 +100,9 @@ def _engine() -> Any:
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     addresses = {"_Py_NoneStruct": id(None)}
-    for each in vars(builtins).values():
-        if isinstance(each, type) and issubclass(each, BaseException):
-            addresses[f"PyExc_{each.__name__}"] = id(each)
+    for builtin in vars(builtins).values():
+        if isinstance(builtin, type) and issubclass(builtin, BaseException):
+            addresses[f"PyExc_{builtin.__name__}"] = id(builtin)
     for library in (_library("_helperlib"), _library("_dynfunc")):
         addresses |= {f"numba_{name}": at for name, at in library.c_helpers.items()}
     for name, address in addresses.items():
