@@ -149,14 +149,20 @@ def continued(
 
 
 def _continued(angles: Floats, most: float) -> Floats:
-    """Continue angles (T,), rad, none of which is absent."""
+    """Continue angles (T,), rad, none of which is absent.
+
+    An angle is continued from row to row within a stretch; a leap begins another stretch.
+    """
     circle = 2 * np.pi
     steps = np.diff(angles)
+    # Whole turns, counted from the first row, that make every step the shortest.
     turns = np.append(0.0, np.cumsum(np.round(-steps / circle)))[: len(angles)]
     shortest = np.abs((steps + np.pi) % circle - np.pi)
     leaps = np.flatnonzero(shortest > np.radians(LEAP_DEG)) + 1
+    # Row of the stretch's beginning, where the angle stays as it is.
     starts = np.append(0, leaps)[np.searchsorted(leaps, np.arange(len(angles)), side="right")]
     out = np.asarray(angles + circle * (turns - turns[starts]))
+    # An impossible angle is taken back to less than half a turn, and all behind it by as much.
     while (beyond := np.abs(out) > most).any():
         first = int(beyond.argmax())
         out[first:] -= circle * np.round(out[first] / circle)

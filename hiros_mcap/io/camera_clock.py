@@ -622,11 +622,11 @@ def _lateness(cameras: list[CameraTimes], log_times: Stamps) -> Floats:
 
 def longest_wait(cameras: Iterable[CameraTimes]) -> float:
     """Return the longest time, s, by which a message is older than one that came before it."""
-    some = list(cameras)
-    if not some:
+    camera_times = list(cameras)
+    if not camera_times:
         return 0.0
-    stamps = np.concatenate([times.stamps for times in some])
-    order = np.argsort(np.concatenate([times.log_times for times in some]), kind="stable")
+    stamps = np.concatenate([times.stamps for times in camera_times])
+    order = np.argsort(np.concatenate([times.log_times for times in camera_times]), kind="stable")
     ordered = stamps[order]
     late = (np.maximum.accumulate(ordered) - ordered) * 1e-9
     return float(late[late < LONGEST_WAIT].max())
@@ -654,11 +654,11 @@ def described(fault: ClockFault, start: int) -> str:
         way = "ahead of" if fault.seconds > 0 else "behind"
         return f"the clock of {fault.camera} is {size} {way} the other cameras"
     if fault.kind == LATE:
-        some = quantity(fault.messages, "message")
+        messages = quantity(fault.messages, "message")
         since = at.replace(", ", ", from ") + " on" if at else ""
-        return f"{fault.camera}: {some} arrived up to {size} late{since}"
-    some = quantity(fault.messages, "message")
-    return f"{fault.camera}: {some} with a wrong time (by up to {size}){at}"
+        return f"{fault.camera}: {messages} arrived up to {size} late{since}"
+    messages = quantity(fault.messages, "message")
+    return f"{fault.camera}: {messages} with a wrong time (by up to {size}){at}"
 
 
 def clocks_in_words(verdict: ClockVerdict, start: int) -> tuple[str, ...]:

@@ -183,13 +183,13 @@ def _added(spheres: Spheres) -> Spheres:
 
 def _decoded(markers: Sequence[Any]) -> Spheres:
     """Return the markers of a capture; the header is that of the first that adds something."""
-    header = next((one.header for one in markers if one.action == _ADD), markers[0].header)
-    places = ((one.pose.position, one.pose.orientation) for one in markers)
+    header = next((marker.header for marker in markers if marker.action == _ADD), markers[0].header)
+    places = ((marker.pose.position, marker.pose.orientation) for marker in markers)
     return Spheres(
         nanoseconds(header.stamp),
         header.frame_id,
-        np.array([one.id for one in markers], np.int64),
-        np.array([(one.type, one.action) for one in markers], np.int64),
+        np.array([marker.id for marker in markers], np.int64),
+        np.array([(marker.type, marker.action) for marker in markers], np.int64),
         np.array([(p.x, p.y, p.z, q.x, q.y, q.z, q.w) for p, q in places], np.float64),
     )
 

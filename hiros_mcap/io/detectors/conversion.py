@@ -249,13 +249,13 @@ def _models_of(
         source = sources[message.channel_id]
         size += len(message.data)
         with suppress(LogError):
-            for one in _read(readers, source.message(message)) or ():
-                models[one.topic] = one.model
+            for people in _read(readers, source.message(message)) or ():
+                models[people.topic] = people.model
         whole = all(model.is_whole for model in models.values()) if models else False
         if source.type != TRANSFORMS and (whole or size > _PROBED):
             break
-    for one in (s for r in readers for s in r.rest()) if not models else ():
-        models[one.topic] = one.model
+    for people in (s for r in readers for s in r.rest()) if not models else ():
+        models[people.topic] = people.model
     return models
 
 

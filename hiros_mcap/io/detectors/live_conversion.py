@@ -67,7 +67,7 @@ class LiveConversion(Conversion):
             return
         topic = source.info.topic
         before = self._declined[topic]
-        made = [self._message(one, message, source) for one in self.rewritten(source, message)]
+        made = [self._message(new, message, source) for new in self.rewritten(source, message)]
         yield from made
         # Nobody needs the original of a channel that has become another one, as in a file.
         if not made and not source.is_native and message.channel_id not in self._live.hidden:
@@ -77,8 +77,8 @@ class LiveConversion(Conversion):
 
     def held_back(self) -> Iterator[Message]:
         """Yield what waited for another message when the input ended."""
-        for one in self.rest():
-            yield self._message(one, Message(0, one.log_time, b"", one.log_time, 0), None)
+        for new in self.rest():
+            yield self._message(new, Message(0, new.log_time, b"", new.log_time, 0), None)
 
     def unite(self, messages: Iterable[Message]) -> list[Message]:
         """Give skeletons the union of all models, from now on; return ``messages`` with it.
@@ -90,8 +90,8 @@ class LiveConversion(Conversion):
         for message in messages:
             source = self._group_source(message.channel_id)
             with suppress(LogError):
-                for one in groups.read(source.message(message)) if source else ():
-                    self._models[one.topic] = one.model
+                for people in groups.read(source.message(message)) if source else ():
+                    self._models[people.topic] = people.model
         self.target = chosen_model("", self._models)
         return [again for message in messages for again in self._refitted(message)]
 
@@ -107,31 +107,31 @@ class LiveConversion(Conversion):
         if source is None:
             yield message
             return
-        for one in self.rewritten(source, message):
-            yield self._message(one, message, source)
+        for new in self.rewritten(source, message):
+            yield self._message(new, message, source)
 
-    def _message(self, one: RosMessage, message: Message, source: InputChannel | None) -> Message:
+    def _message(self, new: RosMessage, message: Message, source: InputChannel | None) -> Message:
         """Return a new message, on the old channel where that has the type."""
-        keeps_channel = source is not None and source.is_native and one.type == source.type
-        if source is not None and one.type == SKELETONS and source.type != SKELETONS:
+        keeps_channel = source is not None and source.is_native and new.type == source.type
+        if source is not None and new.type == SKELETONS and source.type != SKELETONS:
             known = self._layouts.get(source.info.topic, {})
-            self._layouts[source.info.topic] = {**known, one.topic: self._models[one.topic]}
-        ident = message.channel_id if keeps_channel else self._channel_of(one)
+            self._layouts[source.info.topic] = {**known, new.topic: self._models[new.topic]}
+        ident = message.channel_id if keeps_channel else self._channel_of(new)
         if source is not None and not keeps_channel and source.type != TRANSFORMS:
             self._live.hide(message.channel_id)
         if source is not None and not keeps_channel and source.type == TRANSFORMS:
             self._human.add(ident)
-        return replace(message, channel_id=ident, log_time=one.log_time, data=bytes(one.data))
+        return replace(message, channel_id=ident, log_time=new.log_time, data=bytes(new.data))
 
-    def _channel_of(self, one: RosMessage) -> int:
-        key = one.topic, one.type
+    def _channel_of(self, new: RosMessage) -> int:
+        key = new.topic, new.type
         if key not in self._added:
             ident = self._added[key] = _LAST_ID - len(self._added)
-            name = _NAMES[one.type]
+            name = _NAMES[new.type]
             text = hiros_schemas.text(name).encode()
             self._live.define(
                 Schema(id=ident, name=name, encoding="ros2msg", data=text),
-                Channel(ident, one.topic, "cdr", {}, ident),
+                Channel(ident, new.topic, "cdr", {}, ident),
             )
         return self._added[key]
 

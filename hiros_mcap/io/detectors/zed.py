@@ -45,7 +45,7 @@ class ZedBodies(DetectorReader):
     def read(self, message: DetectorMessage) -> Iterable[SeenPeople] | None:
         """Read the people; a camera that sees nobody uses the format of its last ones."""
         objects = message.fields.objects
-        people = [one for one in objects if one.skeleton_available]
+        people = [person for person in objects if person.skeleton_available]
         if people:
             self._formats[message.topic] = self._format(people, message.topic)
         elif objects:
@@ -60,11 +60,11 @@ class ZedBodies(DetectorReader):
             header.frame_id,
             _positions(people, model.n_markers),
             stamp=nanoseconds(header.stamp),
-            ids=[max(int(one.label_id), UNTRACKED) for one in people],
-            confidences=[float(one.confidence) / _HIGHEST for one in people],
+            ids=[max(int(person.label_id), UNTRACKED) for person in people],
+            confidences=[float(person.confidence) / _HIGHEST for person in people],
         )
-        for row, one in enumerate(people):
-            if getattr(one, "tracking_state", 0) == _SEARCHING:  # guessed, so not trusted
+        for row, person in enumerate(people):
+            if getattr(person, "tracking_state", 0) == _SEARCHING:  # guessed, so not trusted
                 seen.frame.confidences[row] = 0.0
                 seen.frame.marker_confidences[row] = 0.0
         return [seen]
@@ -80,8 +80,8 @@ class ZedBodies(DetectorReader):
 def _positions(people: Sequence[Any], n: int) -> Floats:
     """(P, n, 3) m, as they are in the objects."""
     points = np.full((len(people), n, 3), np.nan)
-    for row, one in zip(points, people, strict=True):
-        keypoints = one.skeleton_3d.keypoints[:n]
+    for row, person in zip(points, people, strict=True):
+        keypoints = person.skeleton_3d.keypoints[:n]
         row[: len(keypoints)] = [point.kp for point in keypoints]
     points[~np.isfinite(points).all(axis=-1)] = np.nan
     return points

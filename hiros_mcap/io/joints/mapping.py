@@ -187,12 +187,13 @@ class FileMapping(BaseModel):
 
     @field_validator("names", mode="before")
     @classmethod
-    def _are_names(cls, names: Any) -> Any:
+    def _expanded(cls, names: Any) -> Any:
+        """Turn the name of a skeleton, or of a family such as "zed", into lists by their length."""
         if isinstance(names, str):
-            found = [m for m in BODY_MODELS if names == m or m.startswith(f"{names}-")]
-            if not found:
+            family = [m for m in BODY_MODELS if names == m or m.startswith(f"{names}-")]
+            if not family:
                 raise ValueError(f"should be a list, or one of {', '.join(BODY_MODELS)}")
-            models = [body_model(name).marker_names for name in found]
+            models = [body_model(name).marker_names for name in family]
             return {len(markers): list(markers) for markers in models}
         return {len(names): names} if isinstance(names, list) else names
 
