@@ -165,7 +165,7 @@ def _camera(name: str, pose: Rigid, then: Outlook) -> PlannedCamera:
 def _maps(floor: FloorGrid, cells: Stamps, errors: Floats, view: View) -> tuple[Floats, Floats]:
     """Average in each cell the errors, and how often two cameras detect the person."""
     shape = len(floor.y), len(floor.x)
-    seen = np.isfinite(errors[..., 0])
+    is_seen = np.isfinite(errors[..., 0])
 
     def mean(values: Floats, of: Flags) -> Floats:
         sums, counts = (
@@ -175,7 +175,7 @@ def _maps(floor: FloorGrid, cells: Stamps, errors: Floats, view: View) -> tuple[
         return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan).reshape(shape)
 
     twice = (view.cameras >= 2).astype(float)
-    return mean(errors.mean(axis=-1), seen), mean(twice, np.ones_like(seen))
+    return mean(errors.mean(axis=-1), is_seen), mean(twice, np.ones_like(is_seen))
 
 
 class Placed(NamedTuple):
@@ -213,15 +213,15 @@ class Placing:
         for _ in range(count):
             chosen.append(self._best(chosen, self._candidates))
         for _ in range(_EXCHANGES):
-            before = [each.stand for each in chosen]
+            before = [camera.stand for camera in chosen]
             for k in range(count):
                 chosen[k] = self._best(_without(chosen, k), [chosen[k], *self._candidates])
-            if [each.stand for each in chosen] == before:
+            if [camera.stand for camera in chosen] == before:
                 break
         for steps in _STEPS:
             for k in range(count):
                 chosen[k] = self._descend(_without(chosen, k), chosen[k], steps)
-        return [each.pose for each in sorted(chosen, key=lambda each: each.stand)]
+        return [camera.pose for camera in sorted(chosen, key=lambda camera: camera.stand)]
 
     def further(self, poses: Sequence[Rigid]) -> Rigid:
         """Return where one more camera beside those at ``poses`` helps most."""

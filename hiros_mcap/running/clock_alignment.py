@@ -112,9 +112,9 @@ class ClockAlignment:
         for name, lag in lags.items():
             ahead = middle_of(lags) - lag
             if name not in measured and name not in self.given and abs(ahead) > _WORTH_A_WARNING:
-                seen = surest.get(name)
-                is_alone = seen is not None and seen.verdict == "impossible"
-                self._note(name, ahead, seen.reason if seen and is_alone else STILL)
+                pose = surest.get(name)
+                is_alone = pose is not None and pose.verdict == "impossible"
+                self._note(name, ahead, pose.reason if pose and is_alone else STILL)
         self._add({name: s for name, s in offsets.items() if measured[name].verdict in SURE})
         right = right_clock(measured.values(), lags, self.given)
         return [replace(camera, clock_ms=camera.clock_ms - right) for camera in cameras]
@@ -206,10 +206,12 @@ def align_clocks(
         return ClockAlignment(given=given, reorder=reorder, causal=True)
     verdict = clock_verdict(times, given)
     corrections = {
-        name: one for name, one in verdict.corrections.items() if one.changes(times[name])
+        name: correction
+        for name, correction in verdict.corrections.items()
+        if correction.changes(times[name])
     }
     faults = list(verdict.faults)
-    used = {name: some for name, some in times.items() if len(some.stamps)}
+    used = {name: camera_times for name, camera_times in times.items() if len(camera_times.stamps)}
     wait = _wait_for(verdict.wait, reorder)
     return ClockAlignment(corrections, faults, wait, given, reorder, used)
 

@@ -116,14 +116,14 @@ def suspects(posed: PosedViews, fixed_frame: str) -> list[str]:
     Of two cameras that do not fit each other, it is taken to be the second.
     """
     rows = zip(posed.cameras, posed.rig, posed.gains, strict=True)
-    free = [(one, gain) for camera, one, gain in rows if camera.frame != fixed_frame]
+    free = [(calibrated, gain) for camera, calibrated, gain in rows if camera.frame != fixed_frame]
     if len(posed.cameras) == 2:
         free = free[-1:]
-    odd = [one.name for one, _ in free if not one.fits]
+    odd = [calibrated.name for calibrated, _ in free if not calibrated.fits]
     rest = {
-        one.name: gain.share
-        for one, gain in free
-        if one.fits and (gain.share > GAIN or _is_late(gain))
+        calibrated.name: gain.share
+        for calibrated, gain in free
+        if calibrated.fits and (gain.share > GAIN or _is_late(gain))
     }
     return odd + sorted(rest, key=lambda name: -rest[name])
 
@@ -143,20 +143,20 @@ class _Splitter:
     """Camera -> s by which its times are later than stated."""
 
     def views_of(
-        self, cameras: Sequence[FixedCamera], seen: Mapping[str, list[Sighting]]
+        self, cameras: Sequence[FixedCamera], sightings: Mapping[str, list[Sighting]]
     ) -> list[CameraView]:
         """Return what cameras see."""
         return [
-            seen_by(one, seen.get(one.name, []), self._mirror, self._shifts[one.name])
-            for one in cameras
+            seen_by(camera, sightings.get(camera.name, []), self._mirror, self._shifts[camera.name])
+            for camera in cameras
         ]
 
     def split(self, posed: PosedViews, name: str) -> PosedViews:
         """Return the views with those of a camera in two parts, if it was moved."""
         c = [camera.name for camera in posed.cameras].index(name)
-        others = [k for k in range(len(posed.rig)) if k != c]
-        sound = [k for k in others if posed.rig[k].fits]
-        partner = partner_of(posed.views, c, sound or others)
+        partners = [k for k in range(len(posed.rig)) if k != c]
+        sound = [k for k in partners if posed.rig[k].fits]
+        partner = partner_of(posed.views, c, sound or partners)
         if partner is None:
             return posed
         pair = [posed.views[partner], posed.views[c]]
@@ -177,8 +177,8 @@ class _Splitter:
 
     def moved_late(self, posed: PosedViews) -> Event | None:
         """Find the camera whose people are elsewhere from some time on."""
-        given = [placed(posed, k) for k in range(len(posed.views))]
-        _, gains = refine_poses(posed.views, given, self._mirror)
+        poses = [placed(posed, k) for k in range(len(posed.views))]
+        _, gains = refine_poses(posed.views, poses, self._mirror)
         c = max(range(len(gains)), key=lambda k: (round(gains[k].metres, 2), k))
         if not _is_late(gains[c]):
             return None
@@ -196,8 +196,8 @@ class _Splitter:
                 break
             name = posed.cameras[pair[0]].name
             ends = [self._first_message(name, s)[1] for s in (change.begin, change.end)]
-            seen = self._survey.between((ends[0], ends[1]), PART_S, self._clocks.corrections)
-            views = self.views_of([posed.cameras[k] for k in pair], seen)
+            sightings = self._survey.between((ends[0], ends[1]), PART_S, self._clocks.corrections)
+            views = self.views_of([posed.cameras[k] for k in pair], sightings)
             nearer = located(views, change.early, change.late, self._mirror)
             begin, end = max(change.begin, nearer.begin), min(change.end, nearer.end)
             change = change._replace(begin=begin, end=end)
@@ -215,24 +215,24 @@ class _Splitter:
         cameras[c : c + 1], calibrated[c : c + 1] = [camera] * n, [calibrated[c]] * n
         ends = [placed(posed, partner) @ rigs[part].pose(1) for part in range(n)]
         kept = c + int(np.argmin([_deviation(pose, camera.pose) for pose in ends]))
-        given = [one.pose for one in cameras]
-        given[c : c + n] = ends
-        given[kept] = camera.pose
-        sound = [k for k, one in enumerate(calibrated) if one.fits or k in parts]
+        starts = [row.pose for row in cameras]
+        starts[c : c + n] = ends
+        starts[kept] = camera.pose
+        sound = [k for k, row in enumerate(calibrated) if row.fits or k in parts]
         new = [k for k in parts if k != kept]
-        some = [views[k] for k in sound], [given[k] for k in sound]
-        refined = self._placed(*some, [sound.index(k) for k in new])
+        fitting = [views[k] for k in sound], [starts[k] for k in sound]
+        refined = self._placed(*fitting, [sound.index(k) for k in new])
         for k, pose in zip(new, refined, strict=True):
-            given[k] = pose
-        frames = [one.frame for one in cameras]
+            starts[k] = pose
+        frames = [row.frame for row in cameras]
         fixed = self._survey.log.fixed_frame
         anchor = frames.index(fixed) if fixed in frames else None
         movable = [camera.movable for camera in cameras]
-        calibrated, gains = refine_poses(views, given, self._mirror, anchor, movable)
-        if not all(one.fits and one.verdict in SURE for one in calibrated[c : c + n]):
+        calibrated, gains = refine_poses(views, starts, self._mirror, anchor, movable)
+        if not all(row.fits and row.verdict in SURE for row in calibrated[c : c + n]):
             return None
         for k in new:
-            metres, degrees = (calibrated[k].pose or given[k]).apart(camera.pose)
+            metres, degrees = (calibrated[k].pose or starts[k]).apart(camera.pose)
             verdict = calibrated[k].verdict if calibrated[k].verdict == "usable" else "improved"
             calibrated[k] = replace(
                 calibrated[k], verdict=verdict, moved_mm=1000.0 * metres, moved_deg=degrees
@@ -264,7 +264,7 @@ def placed(posed: PosedViews, camera: int) -> Rigid:
     return posed.rig[camera].pose or posed.cameras[camera].pose
 
 
-def _deviation(one: Rigid, other: Rigid) -> float:
+def _deviation(pose: Rigid, other: Rigid) -> float:
     """Distance of two poses, in units of the precision of a log's poses."""
-    metres, degrees = one.apart(other)
+    metres, degrees = pose.apart(other)
     return float(np.hypot(degrees / PRIOR_DEG, metres / PRIOR_M))

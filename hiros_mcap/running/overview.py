@@ -448,20 +448,20 @@ def _camera_rows(reading: Reading, fixed: str) -> Iterator[CameraRow]:
         for camera in log.cameras
         for name in camera.sources.values()
     }
-    seen: dict[str, list[tuple[int, int]]] = {name: [] for name in topics}  # stamp, people
+    counts: dict[str, list[tuple[int, int]]] = {name: [] for name in topics}  # stamp, people
     logged: dict[str, tuple[int, int]] = {}  # first and last
     for frame in reading.frames():
         topic, named = topics.get(frame.source, ("", ""))
         topics[frame.source] = topic, named or frame.frame_id
-        seen.setdefault(frame.source, []).append((frame.stamp, frame.n_people))
+        counts.setdefault(frame.source, []).append((frame.stamp, frame.n_people))
         first, _ = logged.get(frame.source, (frame.log_time, 0))
         logged[frame.source] = first, frame.log_time
     begin, end = log.span
     for name, (topic, frame_id) in topics.items():
-        people = [n for _, n in seen[name]]
+        people = [n for _, n in counts[name]]
         if (fault := _unresolved(log, frame_id, fixed)) and not any(people):
             frame_id = fault = ""  # of a camera that shows nobody, nothing depends on its frame
-        steps = [(b - a) / 1e9 for (a, _), (b, _) in pairwise(sorted(seen[name])) if b > a]
+        steps = [(b - a) / 1e9 for (a, _), (b, _) in pairwise(sorted(counts[name])) if b > a]
         steady = [step for step in steps if step <= _GAP_S]
         # A camera may begin late, or stop: what other cameras' log times show.
         first, last = logged.get(name, (begin, end))

@@ -154,8 +154,8 @@ class PoseAlignment:
                 if source != late.source:
                     latest[source] = stamp, n
                 elif stamp >= late.stamp:
-                    others = [m for t, m in latest.values() if abs(stamp - t) <= _AT_ONE_TIME]
-                    if sum(m >= n for m in others) >= _ENOUGH:
+                    counts = [m for t, m in latest.values() if abs(stamp - t) <= _AT_ONE_TIME]
+                    if sum(m >= n for m in counts) >= _ENOUGH:
                         self.not_used += n
                         continue
                 kept.append(k)
@@ -180,10 +180,10 @@ class PoseAlignment:
 
     def warnings(self) -> Iterator[str]:
         """Yield what makes the poses doubtful, and the remedy."""
-        stays = [one for one in self.cameras if not math.isnan(one.since_s)]
+        stays = [stay for stay in self.cameras if not math.isnan(stay.since_s)]
         for move in self.moves:
-            seconds = next(one.since_s for one in stays if one.name == move.camera)
-            stays = [one for one in stays if (one.name, one.since_s) != (move.camera, seconds)]
+            seconds = next(stay.since_s for stay in stays if stay.name == move.camera)
+            stays = [stay for stay in stays if (stay.name, stay.since_s) != (move.camera, seconds)]
             yield (
                 f"{move.camera} was moved by {move.distance} at {seconds:.1f} s; hiros "
                 "found its pose for each part of the log. Calibrate it anew before you record "
@@ -299,7 +299,7 @@ def _refined_poses(
     posed = _posed(survey, clocks, fixed_cameras(log, faults))
     if separated := _separated(survey, clocks, mode, posed):
         return separated
-    if not free and mode != "require" and all(one.reason == UNLINKED for one in posed.rig):
+    if not free and mode != "require" and all(camera.reason == UNLINKED for camera in posed.rig):
         return PoseAlignment()  # nothing tells a pose, and none is used: all are in one frame
     posed = split_moved(survey, clocks, posed) if moved else posed
     posed = posed if posed.moves else _with_strays(survey, clocks, posed)
@@ -329,18 +329,18 @@ def _with_strays(survey: Survey, clocks: ClockAlignment, posed: PosedViews) -> P
 
     Such a camera does not fit. The others see different people, and nothing is wrong with that.
     """
-    alone = [k for k, one in enumerate(posed.rig) if one.reason == UNLINKED]
+    alone = [k for k, camera in enumerate(posed.rig) if camera.reason == UNLINKED]
     if not any(posed.cameras[k].movable for k in alone):
         return posed
-    model, seen = survey.log.model, survey.many(clocks.corrections)
+    model, sightings = survey.log.model, survey.many(clocks.corrections)
     mirror, rig = symmetry_of(model).mirror, list(posed.rig)
     views = [
-        seen_by(camera, seen.get(camera.name, []), mirror, view.shift)
+        seen_by(camera, sightings.get(camera.name, []), mirror, view.shift)
         for camera, view in zip(posed.cameras, posed.views, strict=True)
     ]
-    given = Rig.of([camera.pose for camera in posed.cameras])
+    log_poses = Rig.of([camera.pose for camera in posed.cameras])
     for k in alone:
-        if other := seen_elsewhere(k, views, given, landmarks_of(model), mirror):
+        if other := seen_elsewhere(k, views, log_poses, landmarks_of(model), mirror):
             rig[k] = replace(rig[k], reason=f"its people are those whom {other} sees elsewhere")
     return replace(posed, rig=rig)
 
@@ -354,8 +354,8 @@ def _found_anew(
     ``alike`` are the cameras with one pose, in groups. Without an answer the log's poses stay, and
     a warning says that they do not fit; raises LogError if all cameras are at one place.
     """
-    misfit = any(not one.fits for one in posed.rig)
-    impossible = any(one.verdict == "impossible" for one in posed.rig)
+    misfit = any(not camera.fits for camera in posed.rig)
+    impossible = any(camera.verdict == "impossible" for camera in posed.rig)
     if not misfit and not (alike and impossible):
         return None
     nowhere = misfit and any(len(group) == len(posed.cameras) for group in alike)
@@ -379,7 +379,7 @@ def _separated(
     Raises LogError if the frame is wrong, and the people do not tell the poses.
     """
     log, wrong = survey.log, shared_wrongly(survey.log, posed.rig)
-    strangers = {one.name for one in posed.rig if one.reason == UNLINKED}
+    strangers = {camera.name for camera in posed.rig if camera.reason == UNLINKED}
     shared = {frame: names_of(cameras) for frame, cameras in shared_frames(log).items()}
     frames = [frame for frame, names in shared.items() if frame in wrong or strangers & set(names)]
     if not frames:
@@ -400,8 +400,8 @@ def shared_wrongly(
 
     ``or_alone`` : also where no two of them share anybody.
     """
-    wrong = {one.name for one in rig if not one.fits}
-    alone = {one.name for one in rig if or_alone and one.reason == UNLINKED}
+    wrong = {camera.name for camera in rig if not camera.fits}
+    alone = {camera.name for camera in rig if or_alone and camera.reason == UNLINKED}
     shared = {frame: names_of(cameras) for frame, cameras in shared_frames(log).items()}
     return {
         frame: names for frame, names in shared.items() if wrong & set(names) or alone >= set(names)
@@ -410,7 +410,9 @@ def shared_wrongly(
 
 def _agreements(log: Log, rig: Sequence[CalibratedCamera]) -> tuple[str, ...]:
     """Return a line for each frame in which several cameras see the same people at one place."""
-    fitting = {one.name for one in rig if one.fits and one.reason not in (NO_VIEW, UNLINKED)}
+    fitting = {
+        camera.name for camera in rig if camera.fits and camera.reason not in (NO_VIEW, UNLINKED)
+    }
     shared = {frame: names_of(cameras) for frame, cameras in shared_frames(log).items()}
     return tuple(
         f"{in_words(names)} publish in the same frame {frame!r} and see the same people at the "
@@ -462,15 +464,17 @@ def _aligned(posed: PosedViews, start: int, faults: Mapping[str, str]) -> PoseAl
             stay = posed.rig[names.index(camera) + part]
             stay = replace(stay, since_s=since, until_s=until)
             summaries.append(summary_of(stay, used=_is_better(stay)))
-    for k, one in enumerate(summaries):
-        if one.verdict == "impossible" and one.name in faults:
-            summaries[k] = replace(one, reason=faults[one.name])
+    for k, summary in enumerate(summaries):
+        if summary.verdict == "impossible" and summary.name in faults:
+            summaries[k] = replace(summary, reason=faults[summary.name])
     summaries += [
         PoseSummary(name, "impossible", reason)
         for name, reason in sorted(faults.items())
         if name not in names
     ]
-    misfits = frozenset(camera.name for camera, one in pairs if camera.movable and not one.fits)
+    misfits = frozenset(
+        camera.name for camera, calibrated in pairs if camera.movable and not calibrated.fits
+    )
     return PoseAlignment(summaries, misfits=misfits, moves=posed.moves, late=posed.late)
 
 
@@ -478,9 +482,9 @@ def _poses_used(posed: PosedViews) -> dict[str, dict[int, Rigid]]:
     """Frame -> poses other than the log's, by the log times from which on they hold."""
     names = [camera.name for camera in posed.cameras]
     poses: dict[str, dict[int, Rigid]] = {}
-    for k, (camera, one) in enumerate(zip(posed.cameras, posed.rig, strict=True)):
+    for k, (camera, calibrated) in enumerate(zip(posed.cameras, posed.rig, strict=True)):
         moves = [move for move in posed.moves if move.camera == camera.name]
-        if k == names.index(camera.name) and (moves or _is_better(one)):
+        if k == names.index(camera.name) and (moves or _is_better(calibrated)):
             poses[camera.frame] = {0: placed(posed, k)}
             poses[camera.frame] |= {m.log_time: placed(posed, k + m.part) for m in moves}
     return poses
@@ -496,8 +500,8 @@ def _to_given(posed: PosedViews) -> dict[str, Rigid]:
     twice = {move.camera for move in posed.moves}
     return {
         camera.name: camera.pose @ placed(posed, k).inverse()
-        for k, (camera, one) in enumerate(zip(posed.cameras, posed.rig, strict=True))
-        if _is_better(one) and camera.name not in twice
+        for k, (camera, calibrated) in enumerate(zip(posed.cameras, posed.rig, strict=True))
+        if _is_better(calibrated) and camera.name not in twice
     }
 
 
@@ -513,13 +517,15 @@ def pose_faults(log: Log) -> list[str]:
     posed = _refined(Survey(log, CHECKED_S), {}, cameras, {})
     if wrong := shared_wrongly(log, posed.rig, or_alone=True):
         give = "hiros process and hiros calibrate people give each channel a frame of its own"
-        return [f"{said(one)}. {give}, if the people tell the poses" for one in wrong.items()]
+        return [f"{said(frame)}. {give}, if the people tell the poses" for frame in wrong.items()]
     named = []
-    for one in posed.rig:
-        if not one.fits:
-            named.append(f"{one.name}: {one.reason}")
-        elif one.moved_deg > WRONG_DEG or one.moved_mm > WRONG_MM:
-            named.append(f"{one.name}: {one.moved_deg:.1f} degrees, {one.moved_mm / 10.0:.0f} cm")
+    for camera in posed.rig:
+        if not camera.fits:
+            named.append(f"{camera.name}: {camera.reason}")
+        elif camera.moved_deg > WRONG_DEG or camera.moved_mm > WRONG_MM:
+            named.append(
+                f"{camera.name}: {camera.moved_deg:.1f} degrees, {camera.moved_mm / 10.0:.0f} cm"
+            )
     if not named:
         return []
     return [
@@ -532,9 +538,9 @@ def _require(log: Log, alignment: PoseAlignment) -> None:
     """Raise LogError for a camera whose pose the people do not confirm."""
     for camera in alignment.cameras:
         if camera.verdict not in CONFIRMED:
-            what = remedy(camera.name)
+            advice = remedy(camera.name)
             raise LogError(
-                f"--calibrate require: {camera.name}: {camera.verdict}: {camera.reason}; {what}",
+                f"--calibrate require: {camera.name}: {camera.verdict}: {camera.reason}; {advice}",
                 path=log.path,
             )
 
@@ -550,14 +556,14 @@ def _refined(
     ``lags`` are those of :attr:`ClockAlignment.lags`. Clocks that are far off are searched for if
     people do not fit, or if the lags suggest it.
     """
-    log, seen = survey.log, survey.sightings(corrections)
+    log, sightings = survey.log, survey.sightings(corrections)
     mirror = symmetry_of(log.model).mirror
     poses = [camera.pose for camera in cameras]
-    anchor = next((k for k, one in enumerate(cameras) if one.frame == log.fixed_frame), None)
+    anchor = next((k for k, camera in enumerate(cameras) if camera.frame == log.fixed_frame), None)
 
     def views_at(shifts: Sequence[float]) -> list[CameraView]:
         return [
-            seen_by(camera, seen.get(camera.name, []), mirror, shift)
+            seen_by(camera, sightings.get(camera.name, []), mirror, shift)
             for camera, shift in zip(cameras, shifts, strict=True)
         ]
 
@@ -572,7 +578,7 @@ def _refined(
     if fitting == len(cameras) and -nearness < _APART_MM and np.ptp(hints) < _DELAY_S:
         return posed
     # All of the log: at the right lag, short stretches overlap less than at a wrong one.
-    seen = survey.many(corrections)
+    sightings = survey.many(corrections)
     views = views_at([0.0] * len(cameras))
     shifts = coarse_clocks(views, Rig.of(poses), hints, landmarks_of(log.model), mirror)
     again = refined(shifts.tolist()) if shifts.any() else posed
@@ -584,9 +590,9 @@ def _fit(posed: PosedViews) -> tuple[int, float]:
 
     The residual is in mm; 0 unless all of them do.
     """
-    fitting = [one for one in posed.rig if one.fits and one.reason != UNLINKED]
+    fitting = [camera for camera in posed.rig if camera.fits and camera.reason != UNLINKED]
     all_fit = len(fitting) == len(posed.rig)
-    return len(fitting), -max(one.residual_mm for one in fitting) if all_fit else 0.0
+    return len(fitting), -max(camera.residual_mm for camera in fitting) if all_fit else 0.0
 
 
 def _from_nothing(
@@ -601,8 +607,8 @@ def _from_nothing(
     from hiros_mcap.calibrate.people import calibrate_people
 
     log = with_own_frames(survey.log, shared_frames(survey.log) if frames is None else frames)
-    given = survey.log
-    if any(camera not in given.cameras for camera in log.cameras):
+    original = survey.log
+    if any(camera not in original.cameras for camera in log.cameras):
         survey = Survey(log, MOST_S, fixed=False)
     try:
         calibration = calibrate_people(log, survey, clocks.corrections)
@@ -619,14 +625,14 @@ def _from_nothing(
         fault = f"{calibration.reason}. {_ways_to_use(calibration, left)}"
         raise LogError(_fault_of_both(error, fault), path=log.path)
     return PoseAlignment(
-        [summary_of(one, used=one.name not in left) for one in calibration.cameras],
+        [summary_of(camera, used=camera.name not in left) for camera in calibration.cameras],
         calibration=calibration,
         left_out=frozenset(left),
         moves=tuple(_moves_of(calibration)),
         better=(poses, calibration.fixed_frame),
         contradictions=(
-            *_mended(given, log, calibration),
-            *log.transforms.doubts(name for camera in given.cameras for name in camera.frames),
+            *_mended(original, log, calibration),
+            *log.transforms.doubts(name for camera in original.cameras for name in camera.frames),
         ),
         own_frames=frozenset(c.channel.topic for c in log.cameras if c.own_frame == c.topic_frame),
         poses_of=log.transforms.source or "the log",
@@ -653,7 +659,7 @@ def _ways_to_use(rig: PeopleCalibration, left_out: Set[str]) -> str:
 
 def _weak_poses(rig: PeopleCalibration, left_out: frozenset[str]) -> Iterator[str]:
     """Yield what is wrong with poses that come from the people alone."""
-    for camera in {one.name: one for one in rig.cameras if one.name in left_out}.values():
+    for camera in {row.name: row for row in rig.cameras if row.name in left_out}.values():
         yield (
             f"{camera.name} is left out, because the people do not tell its pose "
             f"({camera.reason}): {camera.remedy}. {_ways_to_use(rig, {camera.name})}"

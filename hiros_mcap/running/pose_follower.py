@@ -228,24 +228,28 @@ class PoseFollower:
     def _correct_clocks(self, rig: Sequence[CalibratedCamera]) -> None:
         """Correct the clocks by what the people prove besides what they had proved."""
         clocks = self._clocks
-        left = [replace(one, clock_s=one.clock_s - clocks.proved(one.name)) for one in rig]
-        sure = [one for one in left if one.evidence and not weakness_of(one.evidence, TIMED)]
+        left = [
+            replace(camera, clock_s=camera.clock_s - clocks.proved(camera.name)) for camera in rig
+        ]
+        sure = [
+            camera for camera in left if camera.evidence and not weakness_of(camera.evidence, TIMED)
+        ]
         # Their poses may still be doubtful.
-        told = [replace(summary_of(one, used=False), verdict="usable") for one in sure]
+        told = [replace(summary_of(camera, used=False), verdict="usable") for camera in sure]
         for name, ahead in significant_offsets(told, clocks.lags, clocks.given).items():
             clocks.prove(name, clocks.proved(name) - ahead)
 
     def _take_poses(self, cameras: Sequence[FixedCamera], rig: Sequence[CalibratedCamera]) -> None:
         """Go to the poses that are proven; in the first seconds, only if one is clearly wrong."""
         certain = self._tick * _TICK_NS >= _CERTAIN_S * 1e9 or any(map(_is_clearly_wrong, rig))
-        for camera, one in zip(cameras, rig, strict=True):
-            if certain and one.pose is not None and not math.isnan(one.moved_mm):
+        for camera, calibrated in zip(cameras, rig, strict=True):
+            if certain and calibrated.pose is not None and not math.isnan(calibrated.moved_mm):
                 self._given[camera.name] = camera.pose
-                self._goals[camera.name] = one.pose
+                self._goals[camera.name] = calibrated.pose
                 self._poses.setdefault(camera.name, camera.pose)
         self._alignment.cameras = [
-            summary_of(self._kept(camera, one), used=camera.name in self._goals)
-            for camera, one in zip(cameras, rig, strict=True)
+            summary_of(self._kept(camera, calibrated), used=camera.name in self._goals)
+            for camera, calibrated in zip(cameras, rig, strict=True)
         ]
         self._alignment.note_errors()
 
@@ -270,9 +274,9 @@ class PoseFollower:
             self._moves[name] = pose_arrays([pose @ self._given[name].inverse()])
 
 
-def _is_clearly_wrong(one: CalibratedCamera) -> bool:
+def _is_clearly_wrong(camera: CalibratedCamera) -> bool:
     """Whether the people prove a pose that is far from the given one."""
-    return one.moved_deg > MOVED * one.error_deg or one.moved_mm > MOVED * one.error_mm
+    return camera.moved_deg > MOVED * camera.error_deg or camera.moved_mm > MOVED * camera.error_mm
 
 
 def _comparisons_until(tick: int) -> int:

@@ -50,9 +50,16 @@ class Prepared:
         ``reading`` is one of the log; None begins another. Raises LogError where it is damaged.
         """
         reading = reading or self.log.read()
-        if not self.clocks.causal:
-            blocks = self.clocks.correct(reading.blocks())
-            return self.poses.without_late(self.clocks.ordered(blocks))
+        if self.clocks.causal:
+            return self._causal_detections(reading)
+        blocks = self.clocks.correct(reading.blocks())
+        return self.poses.without_late(self.clocks.ordered(blocks))
+
+    def _causal_detections(self, reading: Reading) -> Iterator[Block]:
+        """Correct clocks and poses by the messages so far; wait for late ones.
+
+        A merger takes instants. They are cut here, since an instant that is complete ends a wait.
+        """
         movable = self.config.input.poses != "given" and self.options.calibrate != "off"
         follower = PoseFollower(reading, self.poses, self.clocks.follower(), movable=movable)
         lateness = Lateness(self.config.input.max_delay, self.clocks.reorder)

@@ -103,8 +103,8 @@ class Recording:
     def _blocks_of(self, sources: Collection[str] | None) -> Iterator[Block]:
         """Yield the detections of some cameras."""
         for block in self.blocks:
-            some = block.names if sources is None else sources
-            wanted = np.array([name in some for name in block.names])[block.sources]
+            names = block.names if sources is None else sources
+            wanted = np.array([name in names for name in block.names])[block.sources]
             if wanted.all():
                 yield block
             elif wanted.any():
@@ -114,5 +114,5 @@ class Recording:
 def _as_written(block: Block, precision: Precision) -> Block:
     """Return a block with the numbers that a file would have."""
     people = block.people
-    markers, links = (rounded(one, precision) for one in (people.markers, people.links))
+    markers, links = (rounded(states, precision) for states in (people.markers, people.links))
     return replace(block, people=people._replace(markers=markers, links=links))

@@ -123,10 +123,10 @@ class Report:
 
     def _displacements(self) -> list[Event]:
         """Return the first event of each camera that shows people elsewhere than others do."""
-        some = sorted(
+        displaced = sorted(
             (e for e in self.run.events.log if e.kind in _DISPLACED), key=attrgetter("stamp")
         )
-        return list(reversed({(e.source, e.kind): e for e in reversed(some)}.values()))
+        return list(reversed({(e.source, e.kind): e for e in reversed(displaced)}.values()))
 
     def _seconds(self, event: Event) -> float:
         """Return when something happened, s after the start of the log."""
@@ -235,11 +235,11 @@ class Report:
     def _untimed(self) -> Iterator[str]:
         """Yield that log times are used, if many messages have no time of their own."""
         accounts = self.reading.accounts.values()
-        few = [one for one in accounts if one.untimed > _LARGEST_LOSS * one.read]
-        if few:
-            n, read = sum(one.untimed for one in few), sum(one.read for one in few)
+        untimed = [a for a in accounts if a.untimed > _LARGEST_LOSS * a.read]
+        if untimed:
+            n, read = sum(a.untimed for a in untimed), sum(a.read for a in untimed)
             yield (
-                f"{', '.join(one.topic for one in few)}: {n} of {quantity(read, 'message')} have "
+                f"{', '.join(a.topic for a in untimed)}: {n} of {quantity(read, 'message')} have "
                 "no time, or one before 1970; hiros used their log times instead, which vary with "
                 "the delays of detectors and network; fill in header.stamp"
             )
@@ -296,8 +296,8 @@ class Report:
         if not reasons and self.observer.sample.frames:
             total = self.run.events.total
             kinds = [kind for kind, (noun, _) in COUNTED.items() if noun == "detection"]
-            most = max(kinds, key=total)
-            why = f": {counted(most, total(most))}" if total(most) else ""
+            commonest = max(kinds, key=total)
+            why = f": {counted(commonest, total(commonest))}" if total(commonest) else ""
             reasons = [
                 f"nobody was found, though the cameras report people{why}; `hiros info` shows "
                 "whether the cameras' poses and the skeletons make sense"
@@ -340,8 +340,10 @@ def _loss(camera: CameraSummary, lost: Mapping[str, int], wait: str) -> str:
 
 def scatter_of(events: Events) -> float:
     """Return how many times as large as expected all residuals are; NaN if there are none."""
-    some = [counts for (kind, _), counts in events.histograms.items() if kind == RESIDUAL]
-    return float(ratios(sum(each.sum(axis=0) for each in some)[None])[0]) if some else math.nan
+    residuals = [counts for (kind, _), counts in events.histograms.items() if kind == RESIDUAL]
+    if not residuals:
+        return math.nan
+    return float(ratios(sum(counts.sum(axis=0) for counts in residuals)[None])[0])
 
 
 def scatter_by_camera(events: Events, model: SkeletonModel) -> Iterator[ScatterSummary]:
@@ -353,12 +355,12 @@ def scatter_by_camera(events: Events, model: SkeletonModel) -> Iterator[ScatterS
         (common,) = medians(events.histograms[COMMON, name], FEWEST).tolist()
         joints = np.nan_to_num(ratios(counts))
         worst = int(joints.argmax())
-        seen = joints[worst] > 0
+        is_known = joints[worst] > 0
         yield ScatterSummary(
             name=name,
             ratio=ratio,
-            worst_joint=model.marker_names[worst] if seen else "",
-            worst_ratio=float(joints[worst]) if seen else math.nan,
+            worst_joint=model.marker_names[worst] if is_known else "",
+            worst_ratio=float(joints[worst]) if is_known else math.nan,
             common=common,
         )
 
