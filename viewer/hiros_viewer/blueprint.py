@@ -116,7 +116,7 @@ def overview(content: Content) -> rrb.Container:
     if content.is_raw:
         lanes = [_lanes(content)] if content.lanes else []
         return rrb.Vertical(
-            _room(content, "Room", shown=[content.final]),
+            _room(content, "Room", stages=[content.final]),
             _key(),
             rrb.Horizontal(*moves, _counts(content, _legend_at(content, "LeftBottom")), *lanes),
             row_shares=[3, 0.25, 1],
@@ -134,7 +134,7 @@ def overview(content: Content) -> rrb.Container:
     shares = [key / (1 - key) * sum(curves), *curves]
     return rrb.Vertical(
         rrb.Horizontal(
-            _room(content, "Room", shown=[content.final]),
+            _room(content, "Room", stages=[content.final]),
             rrb.Vertical(
                 _key(),
                 angles,
@@ -167,7 +167,7 @@ def stages(content: Content) -> rrb.Container:
     """Show what the stages changed: before and after in one room, and how far joints moved."""
     before, after = content.before, content.final
     name = f"{before.capitalize()} and {after}"
-    room = _room(content, name, shown=[before, after], cameras=[], aspect=_HALF)
+    room = _room(content, name, stages=[before, after], cameras=[], aspect=_HALF)
     moved = [
         _series(content, "moved", f"Joints, {stage} to {after}: mean mm", f"/moved/{stage}/**")
         for stage in content.stages
@@ -196,7 +196,7 @@ def person(content: Content) -> rrb.Container:
         for who in content.people
     ]
     return rrb.Horizontal(
-        _room(content, "Room", shown=[content.final], aspect=_HALF),
+        _room(content, "Room", stages=[content.final], aspect=_HALF),
         _tabs(content, tabs),
         column_shares=[1, 1],
     )
@@ -205,7 +205,7 @@ def person(content: Content) -> rrb.Container:
 def cameras(content: Content) -> rrb.Container:
     """Every camera's detections and the result as it sees them, and how far they are apart."""
     rooms = [
-        _room(content, camera, shown=[content.final], cameras=[camera], seen_by=camera)
+        _room(content, camera, stages=[content.final], cameras=[camera], seen_by=camera)
         for camera in content.cameras
     ]
     n = len(rooms)
@@ -264,12 +264,12 @@ def _room(
     content: Content,
     name: str,
     *,
-    shown: Sequence[str],
+    stages: Sequence[str],
     cameras: Sequence[str] | None = None,
     seen_by: str = "",
     aspect: float = 1.4,
 ) -> Any:
-    """Return a 3D view of the stages in ``shown`` and detections of ``cameras`` (None = all).
+    """Return a 3D view of ``stages`` and of the detections of ``cameras`` (None = all).
 
     It looks from the camera ``seen_by`` if its pose is known, else at all people and cameras, in a
     view of this width by height; the result is thin then, so that the camera's own detections are
@@ -278,32 +278,32 @@ def _room(
     The truth is beside one stage that nobody else covers: detections are left out there, and where
     those of many cameras would cover everybody.
     """
-    what = ["+ /world/**"]
-    seen = content.cameras if cameras is None else cameras
-    shows_truth = content.shows_truth and len(shown) == 1 and not seen_by
-    is_covered = shows_truth or (shown and not seen_by and content.hides_detections)
+    contents = ["+ /world/**"]
+    visible = content.cameras if cameras is None else cameras
+    shows_truth = content.shows_truth and len(stages) == 1 and not seen_by
+    is_covered = shows_truth or (stages and not seen_by and content.hides_detections)
     kinds = ("marked",) if is_covered and not content.is_raw else ("detections", "marked")
-    what += [f"+ /{kind}/{camera}/**" for kind in kinds for camera in seen]
-    shown = [stage for stage in shown if stage]
-    what += [f"+ {prefix}/{stage}/**" for prefix in content.prefixes for stage in shown]
+    contents += [f"+ /{kind}/{camera}/**" for kind in kinds for camera in visible]
+    stages = [stage for stage in stages if stage]
+    contents += [f"+ {prefix}/{stage}/**" for prefix in content.prefixes for stage in stages]
     overrides: dict[str, Any] = {}
-    if len(shown) > 1:
-        what += _all(content, f"/displacement/{shown[0]}/**")
-        earlier = _paths(content, shown[0])
+    if len(stages) > 1:
+        contents += _all(content, f"/displacement/{stages[0]}/**")
+        earlier = _paths(content, stages[0])
         grey = rr.LineStrips3D.from_fields(colors=[BEFORE], radii=0.004)
         # Their bones are millimetres apart.
-        overrides = _thin_styles(content, shown[1])
+        overrides = _thin_styles(content, stages[1])
         overrides |= {f"{path}/{bones}": grey for path in earlier for bones in _BONES}
-        what += [f"- {path}/{part}" for path in earlier for part in ("name", "trail")]
-    elif shown and (content.shows_uncertainty or seen_by):
+        contents += [f"- {path}/{part}" for path in earlier for part in ("name", "trail")]
+    elif stages and (content.shows_uncertainty or seen_by):
         joint = 0.004 if content.shows_uncertainty else _THIN_JOINT_M
-        overrides = _thin_styles(content, shown[0], joint)
-    elif shown and shows_truth:
-        overrides = _thin_styles(content, shown[0], _ROUND_TRUTH_M, _ROUND_TRUTH_M)
-    if shows_truth and "truth" not in shown:
-        what += _all(content, "/truth/**") + _all(content, "/error_lines/**")
+        overrides = _thin_styles(content, stages[0], joint)
+    elif stages and shows_truth:
+        overrides = _thin_styles(content, stages[0], _ROUND_TRUTH_M, _ROUND_TRUTH_M)
+    if shows_truth and "truth" not in stages:
+        contents += _all(content, "/truth/**") + _all(content, "/error_lines/**")
     if content.shows_uncertainty:
-        what += _all(content, "/uncertainty/**")
+        contents += _all(content, "/uncertainty/**")
     trail = rrb.VisibleTimeRanges(
         [
             rr.VisibleTimeRange(
@@ -314,7 +314,7 @@ def _room(
             for timeline in (TIMELINE, STAMP, LOGGED)
         ]
     )
-    overrides |= {f"{path}/trail": trail for stage in shown for path in _paths(content, stage)}
+    overrides |= {f"{path}/trail": trail for stage in stages for path in _paths(content, stage)}
     eye, target = _eye(content, aspect)
     if pose := content.camera_poses.get(seen_by):
         ahead = rotate(pose.xyzw, _AHEAD)
@@ -325,15 +325,15 @@ def _room(
         for other in content.cameras:  # names hide people, and so does a frustum beside the eye
             place = content.camera_poses.get(other, pose).translation
             near = float(np.linalg.norm(place - pose.translation)) < _BESIDE_M
-            what.append(f"- /world/cameras/{other}/{'**' if near else 'name'}")
+            contents.append(f"- /world/cameras/{other}/{'**' if near else 'name'}")
         if len(content.cameras) > _WIDE_ROOMS:  # the lanes below name the people's colours
-            what += [f"- {path}/name" for stage in shown for path in _paths(content, stage)]
+            contents += [f"- {path}/name" for stage in stages for path in _paths(content, stage)]
     else:
         # Their frusta would hide people.
-        what += [f"- /world/cameras/{name}/**" for name in _beside_eye(content, eye, target)]
+        contents += [f"- /world/cameras/{name}/**" for name in _beside_eye(content, eye, target)]
     return rrb.Spatial3DView(
         origin="/",
-        contents=what,
+        contents=contents,
         name=name,
         background=(24, 27, 31),
         line_grid=rrb.LineGrid3D(visible=True, spacing=0.5, color=(255, 255, 255, 25)),
@@ -415,9 +415,9 @@ def _framed(points: Floats, axes: Floats, aspect: float) -> tuple[Floats, float]
     slope = _FILLED * np.tan(np.radians(_VERTICAL_VIEW_DEG / 2))
     *spans, near = axes @ points.T
     target, distance = np.zeros(3), 0.0
-    for span, axis, most in zip(spans, axes, (aspect * slope, slope), strict=False):
-        high, low = (span / most + near).max(), (-span / most + near).max()
-        target = target + most * (high - low) / 2 * axis
+    for span, axis, reach in zip(spans, axes, (aspect * slope, slope), strict=False):
+        high, low = (span / reach + near).max(), (-span / reach + near).max()
+        target = target + reach * (high - low) / 2 * axis
         distance = max(distance, (high + low) / 2)
     return target, distance
 

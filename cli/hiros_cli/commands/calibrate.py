@@ -198,7 +198,7 @@ def noise(
             for frame in associate(detections, opened.model)
             if span is None or span[0] <= (frame.stamp - start) / 1e9 <= span[1]
         ]
-        model = measure_noise(frames, opened.model)
+        scatter = measure_noise(frames, opened.model)
         places = {
             name: pose.translation
             for camera in opened.cameras
@@ -206,12 +206,12 @@ def noise(
             for name in camera.sources.values()
         }
         white = measure_noise_model(frames, opened.model, places)
-    if not model.cameras:
+    if not scatter.cameras:
         raise ConfigError(f"{log}: no camera sees anybody twice; there is no noise to measure")
     warnings = []
-    if model.deviation > STILL_M:
+    if scatter.deviation > STILL_M:
         warnings.append(
-            f"joints scatter by {number(100 * model.deviation, 0)} cm about their "
+            f"joints scatter by {number(100 * scatter.deviation, 0)} cm about their "
             "mean, so somebody moved; choose a part without motion with --window START:END"
         )
     for text in warnings:
@@ -219,14 +219,14 @@ def noise(
     if json:
         from hiros_mcap.wording import plain
 
-        print_json("calibrate.noise", {**plain(model), "white": plain(white)}, warnings)
+        print_json("calibrate.noise", {**plain(scatter), "white": plain(white)}, warnings)
         return
-    print(f"# {model.detections} detections; SD per axis of a joint about its mean, mm")
-    for kind, table in (("camera", model.cameras), ("joint", model.joints)):
+    print(f"# {scatter.detections} detections; SD per axis of a joint about its mean, mm")
+    for kind, table in (("camera", scatter.cameras), ("joint", scatter.joints)):
         for name, deviation in table.items():
             print(f"# {kind} {name}: {number(1000 * deviation, 1)}")
     if white.joints:
         print(f"# White noise, which is new in every frame\n{white.toml()}\n")
-    if model.deviation > STILL_M:  # stdout may go into a file without the warning
+    if scatter.deviation > STILL_M:  # stdout may go into a file without the warning
         print("# more than 10 cm: somebody moved; choose a part without motion with --window")
-    print(f"[kalman]\nmeasurement_noise = {model.deviation:.5f}")
+    print(f"[kalman]\nmeasurement_noise = {scatter.deviation:.5f}")
