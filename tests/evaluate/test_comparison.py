@@ -16,6 +16,7 @@ from hiros_mcap.evaluate import Truth, score_tables
 from hiros_mcap.evaluate.comparison import (
     DEFAULT,
     Entry,
+    MeanDifference,
     Task,
     _by_second,
     by_number_of_cameras,
@@ -219,6 +220,16 @@ def test_who_is_better_is_said_with_an_interval(bare, walking, capsys):
         assert rows["hiros"].endswith(" -")
     assert "worse" in rows["raw"]
     assert "smoothing, not fusion" not in text
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "sure"),
+    [(0.2, 0.9, True), (-0.9, -0.2, True), (-0.2, 0.9, False), (0.0, 0.0, False)],
+)
+def test_a_difference_is_sure_if_its_interval_lies_on_one_side_of_0(low, high, sure):
+    difference = MeanDifference("raw", (low + high) / 2, low, high, 9)
+    assert difference.is_sure is sure
+    assert ("no difference" in str(difference)) is not sure
 
 
 def test_a_system_against_itself_makes_no_difference(bare, capsys):

@@ -24,6 +24,7 @@ import hiros_schemas
 from hiros_cli.app import run
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.bag_output import LATCHED_QOS, needs_latching
+from hiros_mcap.io.bags import _missing
 from hiros_mcap.io.channels import ChannelInfo
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.export.tables import export_topic
@@ -171,6 +172,14 @@ def test_a_bag_without_skeletons_says_what_it_has(maker, tmp_path, messages, cap
     assert re.search(r"^/chatter +1 +- +0\.0  String", text, re.MULTILINE)
     last = text.rstrip().splitlines()[-2]
     assert last.startswith("nothing to process: has no SkeletonGroup topic; `hiros import`")
+
+
+@pytest.mark.parametrize(("topics", "more"), [(6, ""), (8, " and 2 more topics")])
+def test_topics_that_lack_messages_are_listed_up_to_six(topics, more):
+    promised = {f"/t{k}": 5 for k in range(topics)}
+    (warning,) = _missing(promised, dict.fromkeys(promised, 3))
+    assert f"3 of 5 of /t5{more});" in warning
+    assert not list(_missing(promised, promised))
 
 
 @pytest.mark.parametrize("bag", [sqlite, ros1_bag], indirect=True)
