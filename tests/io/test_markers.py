@@ -29,6 +29,7 @@ from hiros_mcap.io.export.markers import (
     limb_chains,
     marker_array,
 )
+from hiros_mcap.io.export.run_summary import SummaryExport
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import body_model
 from hiros_mcap.skeletons import Frame, SkeletonModel
@@ -124,6 +125,31 @@ def test_what_happened_is_logged(messages):
     assert any("track born person 1" in text for _, _, text in texts)
     times = [(entry.stamp.sec, entry.stamp.nanosec, entry.msg) for entry in messages[LOG]]
     assert len(set(times)) == len(times)
+
+
+def test_a_dashboard_shows_who_is_there_once_a_second_and_when_somebody_comes(tmp_path):
+    with McapWriter(tmp_path / "out.mcap") as writer:
+        summary = SummaryExport(writer, Events())
+        for k in range(42):
+            ids = [4, 7][: (k >= 5) + (k >= 10)]
+            frame = seen([person(3 * i) for i in range(len(ids))], at(k), ids=ids)
+            summary.write(Block.of(frame))
+        writer.commit()
+    shown = []
+    with (tmp_path / "out.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for _, _, logged, message in reader.iter_decoded_messages():
+            people, events = message.status
+            texts = [value.value for value in people.values]
+            frame = round((logged.log_time - at(0)) / (at(1) - at(0)))
+            shown.append((frame, people.message, texts))
+            assert (events.message, events.level) == ("none", 0)
+    assert shown == [
+        (0, "0 people", []),
+        (5, "1 person", ["for 0.0 s"]),
+        (10, "2 people", ["for 0.2 s", "for 0.0 s"]),
+        (41, "2 people", ["for 1.2 s", "for 1.0 s"]),  # 30 periods are a little less than 1 s
+    ]
 
 
 @pytest.mark.parametrize(

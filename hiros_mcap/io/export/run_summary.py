@@ -10,7 +10,6 @@ from hiros_mcap.frames import Block
 from hiros_mcap.io.channels import LATCHED_QOS, OUTPUT_PREFIX, add_ros_channel
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.ros_cdr import CdrWriter
-from hiros_mcap.wording import quantity
 
 SUMMARY = f"{OUTPUT_PREFIX}/summary"
 EVERY_NS = 1_000_000_000
@@ -55,7 +54,7 @@ class SummaryExport:
         out.header(stamp, frame_id)
         out.uint32(2)
         people = {f"person {person}": text for person, text in seconds.items()}
-        shown = quantity(len(people), "person") if len(people) < 2 else f"{len(people)} people"
+        shown = "1 person" if len(people) == 1 else f"{len(people)} people"
         _put(out, _OK, "hiros: people", shown, people)
         totals = {kind: counted(kind, self._events.total(kind)) for kind in kinds}
         text = "none" if latest is None else latest.text
