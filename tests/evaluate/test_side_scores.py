@@ -64,6 +64,13 @@ def test_real_backward_walking_contradicts_no_toe():
     assert scores.backwards == scores.walking > 60 and scores.contradicting["toe"] == 0
 
 
+def test_who_walks_backwards_slowly_is_seen_to_do_so():
+    start, *_ = frames = walk(backwards=True)
+    slow = [replace(f, stamp=2 * f.stamp - start.stamp) for f in frames]
+    scores = side_scores(slow, MODEL)
+    assert scores.backwards == scores.walking > 60
+
+
 def test_who_walks_sideways_does_not_walk_backwards():
     turn, sideways = Rotation.from_euler("z", 90, degrees=True), []
     for frame in walk():
