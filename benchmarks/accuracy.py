@@ -1,6 +1,6 @@
 """Error against the truth after every stage: T, TM, TMF, TMO, TMOF.
 
-python benchmarks/accuracy.py                       simulated logs, 1 to 4 people
+python benchmarks/accuracy.py [--detector ideal]    simulated logs, 1 to 4 people
 python benchmarks/accuracy.py LOG TRUTH [LOG TRUTH ...]
 """
 
@@ -11,12 +11,12 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from scenes import use_detector, write_scene
+
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import Scores, Truth, load_truth
 from hiros_mcap.evaluate.logs import evaluate_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
-from hiros_mcap.simulate import SimulateParams
-from hiros_mcap.simulate.simulation import write_log
 
 COLUMNS = "mean  sd    p95   angle  angSD orient  limbCV  jitter  lag    miss false switch"
 
@@ -44,8 +44,9 @@ def table(log: Path, truth: Truth, overrides: Sequence[str]) -> None:
 
 
 def main() -> None:
-    arguments = [a for a in sys.argv[1:] if "=" not in a]
-    overrides = [a for a in sys.argv[1:] if "=" in a]
+    given = use_detector(sys.argv[1:])
+    arguments = [a for a in given if "=" not in a]
+    overrides = [a for a in given if "=" in a]
     if arguments:
         for log, truth in zip(arguments[::2], arguments[1::2], strict=True):
             print(f"\n{Path(log).name}")
@@ -54,7 +55,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for people in range(1, 5):
             path = Path(folder) / f"{people}.mcap"
-            write_log(path, SimulateParams(people=people, seconds=20.0, seed=people))
+            write_scene(path, people, people=people, seconds=20.0)
             print(f"\n{people} people, 5 cameras, 20 s, simulated")
             table(path, load_truth(path), overrides)
 

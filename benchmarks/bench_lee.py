@@ -4,6 +4,8 @@ python benchmarks/bench_lee.py
 
 The paper states 1 to 2 ms a frame for the merging of one person by four cameras (section 2.3). Each
 number is the least of several runs: the machine is shared.
+
+Only the time counts here, so the simulated detector is the ideal one.
 """
 
 from __future__ import annotations

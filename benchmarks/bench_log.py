@@ -4,6 +4,8 @@
 
 Prints CPU and wall time of each path, best of three, for the log compressed and not; the same of
 the mcap library's reader and writer; and how many flipped bits each reader notices.
+
+Only the time counts here, so the simulated detector is the ideal one.
 """
 
 from __future__ import annotations

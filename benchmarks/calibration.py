@@ -8,6 +8,8 @@ python benchmarks/calibration.py process [LOG ...]   what hiros process gains by
 python benchmarks/calibration.py clocks         clocks wrong by up to 100 ms in hiros process
 python benchmarks/calibration.py LOG ...        real logs without their transforms: halves
 python benchmarks/calibration.py consistency LOG ...   one camera left out: recorded and found poses
+
+``--detector ideal``: each joint errs by itself.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scenes import Scene, late, simulated, wrong_stamps
+from scenes import Scene, late, params_of, simulated, use_detector, write_scene, wrong_stamps
 
 from hiros_mcap.body.rotations import Rigid, angle
 from hiros_mcap.body.symmetry import symmetry_of
@@ -38,8 +40,7 @@ from hiros_mcap.io.log import open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.process_options import Calibration
 from hiros_mcap.running.summary import Summary
-from hiros_mcap.simulate import SimulateParams, simulate
-from hiros_mcap.simulate.simulation import write_log
+from hiros_mcap.simulate import simulate
 from hiros_mcap.skeletons import Frame
 
 WRONG_DEG, WRONG_M, WRONG_S = 3.0, 0.15, 0.1
@@ -179,9 +180,7 @@ def phases(seed: int, **params: object) -> Scene:
 def swapped(seed: int, action: str) -> Scene:
     """Two people, of whom each camera sees only one, and not the same."""
     scene = simulated(seed, people=2, cameras=2, seconds=12.0, shift=0.0, action=action)
-    simulation = simulate(
-        SimulateParams(seed=seed, people=2, cameras=2, seconds=12.0, action=action)
-    )
+    simulation = simulate(params_of(seed, people=2, cameras=2, seconds=12.0, action=action))
     truth = list(simulation.truth)
     starts = truth[0].stamp
     frames = []
@@ -266,7 +265,8 @@ def usual(seed: int, **params: object) -> Scene:
     seconds, cameras = float(rng.uniform(10.0, 40.0)), int(rng.integers(2, 4))
     shift, bias = float(rng.choice([0.0, 0.02])), float(rng.choice([0.009, 0.02]))
     params = {"people": 1, "seconds": seconds, "cameras": cameras, **params}
-    return simulated(seed, shift=shift, **params, detector={"bias": bias})
+    detector = {"bias": bias, "limbs": {"joint": bias}}
+    return simulated(seed, shift=shift, **params, detector=detector)
 
 
 IN_PLACES: Mapping[str, Callable[[int], Scene]] = {
@@ -530,8 +530,7 @@ def refine_before_runs(logs: Sequence[Path]) -> None:
             params = {"seed": seed, "people": people, "cameras": cameras, "action": action}
             with tempfile.TemporaryDirectory() as folder:
                 path = Path(folder) / "log.mcap"
-                settings = {**params, "seconds": 20.0, "rig": rig}
-                write_log(path, SimulateParams.model_validate(settings))
+                write_scene(path, **params, seconds=20.0, rig=rig)
                 refined(f"{people} people, {cameras} cameras, {name}", path, path)
 
 
@@ -546,7 +545,7 @@ def wrong_clocks(seed: int, **params: object) -> None:
     clocks = wrong.clocks
     with tempfile.TemporaryDirectory() as folder:
         truth, log, out = (Path(folder) / f"{name}.mcap" for name in ("truth", "log", "out"))
-        write_log(truth, SimulateParams.model_validate({"seed": seed, **params}))
+        write_scene(truth, seed, **params)
         scene.write(log, transforms=True)
         process(log, out)
         healthy = joint_errors(out, truth)[0]
@@ -569,7 +568,7 @@ def wrong_clocks(seed: int, **params: object) -> None:
 
 
 def main() -> None:
-    arguments = sys.argv[1:]
+    arguments = use_detector(sys.argv[1:])
     if arguments == ["clocks"]:
         for seed, people, cameras in ((41, 1, 3), (42, 2, 3), (43, 2, 5)):
             wrong_clocks(seed, people=people, cameras=cameras, seconds=20.0)

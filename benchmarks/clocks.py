@@ -1,6 +1,6 @@
 """Clock faults of one camera: what is used, the error against the truth, and what is named.
 
-    python benchmarks/clocks.py [--quick] [LOG TRUTH ...]
+    python benchmarks/clocks.py [--quick] [--detector ideal] [LOG TRUTH ...]
     python benchmarks/clocks.py offsets    what is found of offsets that the log times hide
 
 Without a log, two people walk before three simulated cameras. Every fault is put into each of the
@@ -31,8 +31,6 @@ from hiros_mcap.running.observe import Stopwatch
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.preparation import prepare
 from hiros_mcap.running.summary import Summary
-from hiros_mcap.simulate import SimulateParams
-from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.skeletons import Frame
 
 SECOND = 10**9
@@ -170,7 +168,7 @@ def offsets(seeds: range) -> None:
                     "rig": {"rate": rate},
                     "seconds": 20.0,
                 }
-                scene = scenes.published(seed, **params, rig={"rate": rate})
+                scene = scenes.published(seed, **params)
                 frames = [
                     scenes.late(f, ms / 1000.0) if f.source == "camera_1" else f
                     for f in scene.frames
@@ -190,16 +188,17 @@ def offsets(seeds: range) -> None:
 
 
 def main() -> None:
-    if sys.argv[1:] == ["offsets"]:
+    given = scenes.use_detector(sys.argv[1:])
+    if given == ["offsets"]:
         offsets(range(700, 704))
         return
-    arguments = [a for a in sys.argv[1:] if a != "--quick"]
-    faults = {k: f for k, f in FAULTS.items() if "--quick" not in sys.argv or k in QUICK}
+    arguments = [a for a in given if a != "--quick"]
+    faults = {k: f for k, f in FAULTS.items() if "--quick" not in given or k in QUICK}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if not arguments:
             log = folder / "simulated.mcap"
-            write_log(log, SimulateParams(people=2, cameras=3, seconds=20.0, seed=7))
+            scenes.write_scene(log, 7, people=2, cameras=3, seconds=20.0)
             print("2 people, 3 cameras, 20 s, simulated")
             table(log, load_truth(log), folder, faults)
         for log, truth in zip(arguments[::2], arguments[1::2], strict=True):

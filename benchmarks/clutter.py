@@ -5,6 +5,8 @@
 ``standing`` are people 1 m apart, ``crowd`` as many within 3 m, ``storm`` anywhere on 60 m by 60 m,
 elsewhere in every message. Prints wall and CPU time of the run, CPU of its steps, and the people
 found. The first run of a process also loads the compiled kernels.
+
+Only the time counts here, so there is no detector: the skeletons are made up.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ cover less than 2 %, "behind" those of whom others cover more than 25 %; bodies 
 
 Prints Markdown: quantiles, shares or rates of all logs together, and the middle half of the real
 logs by themselves. A row is marked where these agree within a factor of 2, and a simulated number
-is off by a factor of more than 1.5.
+is off by a factor of more than 1.5. "nan" are views of which there are none.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scenes import realistic
+from scenes import DETECTOR, realistic
 
 from hiros_mcap.body.segments import HEAD, NECK, PELVIS, finder
 from hiros_mcap.config import load_config
@@ -43,7 +43,9 @@ from hiros_mcap.simulate.chance import runs
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, SkeletonModel, Stamps
 
 CLEAR, BEHIND = 0.02, 0.25
-WRONG_M = 0.25
+WRONG_M, SLIP_M = 0.25, 0.2
+STANDING, MOVING = 0.05, 0.3
+"""m/s of the middle of a body."""
 GAP_S = 0.12
 """Views are not compared over longer gaps, and longer ones are dropouts."""
 EXCHANGED = 0.6
@@ -109,6 +111,11 @@ def rows() -> Iterator[Row]:
             yield Row(text, f"{where} {part} step", 1000.0)
     for where in ("front", "side", "back"):
         yield Row(f"{where}: hand beside the shift, mm", f"{where} hand", 1000.0)
+    for where in ("front", "side", "back"):
+        text = f"{where}, moving: wrists off by > .2 m, %"
+        yield Row(text, f"{where} slips", 100.0, mean, 1)
+    for how in ("standing", "moving"):
+        yield Row(f"{how}: second difference, hand, mm", f"{how} step", 1000.0)
     for what in ("upper arm", "forearm", "thigh", "shank", "elbow", "wrist", "knee", "ankle"):
         yield Row(f"{what}: correlation after a frame, 1 s", f"{what} lag", 1.0, (), 2)
     for pair in ("thigh, shank", "elbow, wrist", "wrist, hand", "knee, ankle", "ankle, foot"):
@@ -292,7 +299,22 @@ def add_views(track: Track, samples: dict[str, list[Floats]]) -> None:
         samples[f"{where} hand"].append(
             inner[clear & (track.facing == k)][:, columns_of("hand")].ravel()
         )
-    samples["off"].append(size(track.poses - track.fused).ravel())
+    off = size(track.poses - track.fused)
+    samples["off"].append(off.ravel())
+    speed = speed_of(track)
+    for k, where in enumerate(("front", "side", "back")):
+        wrists = off[clear & (speed > MOVING) & (track.facing == k)][:, columns_of("wrist")]
+        samples[f"{where} slips"].append((wrists > SLIP_M).astype(float).ravel())
+    for how, these in (("standing", speed < STANDING), ("moving", speed > MOVING)):
+        samples[f"{how} step"].append(second[these & clear & even][:, columns_of("hand")].ravel())
+
+
+def speed_of(track: Track) -> Floats:
+    """(V,) m/s of the middle of the fused body over six views; NaN if it is not known."""
+    middle, speed = np.nanmean(track.fused, axis=1), np.full(len(track.stamps), np.nan)
+    seconds = (track.stamps[6:] - track.stamps[:-6]) * 1e-9
+    speed[3:-3] = size(middle[6:] - middle[:-6]) / seconds
+    return speed
 
 
 def columns_of(part: str) -> list[int]:
@@ -430,17 +452,16 @@ def verdict(logs: Floats, real: Floats, simulated: Floats) -> str:
         )
         agree = 0 < low <= high < 2 * low or 0 > high >= low > 2 * high
         factor = b / a if a else np.inf
-        off = not 1 / 1.5 <= factor <= 1.5
+        off = np.isfinite(b) and not 1 / 1.5 <= factor <= 1.5
         marks.append(f"x {factor:.1f}" if agree and off else "")
     return " / ".join(marks) if any(marks) else ""
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(parents=[DETECTOR])
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG")
     parser.add_argument("--seeds", type=int, default=12, metavar="N", help="simulated logs")
     parser.add_argument("--first", type=int, default=1, metavar="SEED")
-    parser.add_argument("--detector", default="kinect", choices=("ideal", "kinect"))
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder, ProcessPoolExecutor(2) as pool:
         seeds = range(given.first, given.first + given.seeds)

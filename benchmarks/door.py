@@ -7,6 +7,8 @@ Prints a Markdown row for each recording: how many people hiros finds, their mea
 much it is worse than that of the healthy recording, and the first line that hiros says about the
 fault. An error of hiros is printed in the place of the numbers. The truth is turned and moved to
 the result first, because poses that come from people have an origin of their own.
+
+The simulated detector is the ideal one: a fault of a recording shows beside a clean signal.
 """
 
 from __future__ import annotations

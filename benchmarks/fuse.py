@@ -1,6 +1,7 @@
 """The system fuse with each of its steps off, against hiros: error and cost.
 
     python benchmarks/fuse.py [LOG [TRUTH]]
+    python benchmarks/fuse.py --detector ideal
 
 LOG needs a truth, in it or in a file of its own. Without a log, one of two people and four cameras
 is simulated. Prints mean and SD of the joint error, mm, the RMSE of the bending angles, degrees,
@@ -19,13 +20,13 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
+from scenes import use_detector, write_scene
+
 from hiros_mcap.config import Table, load_config
 from hiros_mcap.evaluate.logs import evaluate_log, find_truth
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.running.process_options import ProcessOptions
-from hiros_mcap.simulate import SimulateParams
-from hiros_mcap.simulate.simulation import write_log
 
 FUSE: Mapping[str, Table] = {
     "all steps": {},
@@ -37,11 +38,12 @@ FUSE: Mapping[str, Table] = {
 
 
 def main() -> None:
+    given = use_detector(sys.argv[1:])
     with tempfile.TemporaryDirectory() as folder:
-        log = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(folder) / "log.mcap"
-        if len(sys.argv) < 2:
-            write_log(log, SimulateParams(people=2, cameras=4, seconds=15, action="cross", seed=7))
-        truth = find_truth(log, sys.argv[2] if len(sys.argv) > 2 else None)
+        log = Path(given[0]) if given else Path(folder) / "log.mcap"
+        if not given:
+            write_scene(log, 7, people=2, cameras=4, seconds=15.0, action="cross")
+        truth = find_truth(log, given[1] if len(given) > 1 else None)
         if truth is None:
             sys.exit(f"{log} has no truth")
         show("hiros", "hiros", {}, log, truth)

@@ -1,6 +1,6 @@
 """Do people keep their ids? Logs of a few people from which detections are taken out.
 
-    python benchmarks/identity.py [SEEDS [FIRST_SEED [section.param=value ...]]]
+    python benchmarks/identity.py [--detector ideal] [SEEDS [FIRST_SEED [section.param=value ...]]]
     python benchmarks/identity.py LOG.mcap ... [section.param=value ...]
 
 Without logs they are simulated, with two people. In each scene of 24 s, at 8 s one person is hidden
@@ -30,13 +30,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from scenes import params_of, use_detector
 
 from hiros_mcap.config import Config, load_config
 from hiros_mcap.events import Events
 from hiros_mcap.frames import by_frame
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.preparation import camera_positions
-from hiros_mcap.simulate import SimulateParams, simulate
+from hiros_mcap.simulate import simulate
 from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, Stamps
 from hiros_mcap.stages.known_cameras import KnownCameras
@@ -64,9 +65,7 @@ class Scene:
     def __init__(self, seed: int) -> None:
         action = ACTIONS[seed % len(ACTIONS)]
         cameras = 2 + seed % 3
-        params = SimulateParams.model_validate(
-            {"people": 2, "cameras": cameras, "seconds": SECONDS, "seed": seed, "action": action}
-        )
+        params = params_of(seed, people=2, cameras=cameras, seconds=SECONDS, action=action)
         self.start, truth = params.start, list(simulate(params).truth)
         self.stamps: Stamps = np.array([frame.stamp for frame in truth])
         self.truth: Floats = np.stack([f.positions[np.argsort(f.ids)] for f in truth])
@@ -229,14 +228,15 @@ def show(results: Mapping[str, Counter[str]], columns: Sequence[str]) -> None:
 
 
 def main() -> None:
-    logs = [Path(a) for a in sys.argv[1:] if a.endswith(".mcap")]
+    given = use_detector(sys.argv[1:])
+    logs = [Path(a) for a in given if a.endswith(".mcap")]
+    overrides = [a for a in given if "=" in a]
     if logs:
-        overrides = [a for a in sys.argv[1:] if "=" in a]
         recordings(logs, load_config(overrides=overrides, system="hiros"))
         return
-    numbers = [int(a) for a in sys.argv[1:] if "=" not in a]
+    numbers = [int(a) for a in given if "=" not in a]
     seeds, first = numbers[0] if numbers else 20, numbers[1] if len(numbers) > 1 else 0
-    config = load_config(overrides=[a for a in sys.argv[1:] if "=" in a], system="hiros")
+    config = load_config(overrides=overrides, system="hiros")
     results = {kind: Counter[str]() for kind in KINDS}
     for seed in range(first, first + seeds):
         scene, rng = Scene(seed), np.random.default_rng(seed)

@@ -6,6 +6,8 @@ Simulates a log, feeds it to the program through a pipe at the speed at which it
 takes the time at which each result comes out of the other pipe. The log time of a result is that of
 the last message that it needed; when that message was sent is known. Prints quantiles of the delay
 for every channel, and the share of one core that the program takes.
+
+Only the delay counts here, so the simulated detector is the ideal one.
 """
 
 from __future__ import annotations

@@ -6,6 +6,8 @@ Simulates a few logs and processes LOGS copies of them (64) of SECONDS (30): som
 all in one process, then in JOBS (2). Prints wall and CPU time. The overhead per log is what a log
 takes beyond its run: finding, hashing, planning, manifest, hand-over; the start of the processes is
 apart.
+
+Only the time counts here, so the simulated detector is the ideal one.
 """
 
 from __future__ import annotations

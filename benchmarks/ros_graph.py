@@ -8,6 +8,8 @@ long after its last needed message a result reaches another process, through the
 a Foxglove server. ``soak`` plays a minute forwards and backwards with a clock of its own, and
 prints for each minute how long it took, how far the results are behind, s, the memory of hiros, MB,
 its share of one core, and the results by id; at the end, what was lost.
+
+Only delay, memory and losses count here, so the simulated detector is the ideal one.
 """
 
 from __future__ import annotations

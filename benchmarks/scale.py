@@ -8,6 +8,8 @@ length. A line for each log: its size, wall time, CPU of the user, peak memory a
 its bytes: 1 is linear. FOLDER keeps the logs for another time; they and the results take 9 GB.
 
 People beyond ten are in rooms of ten that lie side by side. Every camera sees into all rooms.
+
+Only the time counts here, so the simulated detector is the ideal one.
 """
 
 from __future__ import annotations

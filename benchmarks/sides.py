@@ -3,6 +3,7 @@
     python benchmarks/sides.py                  simulated logs with a truth
     python benchmarks/sides.py LOG [LOG ...]    real logs, judged by the walking direction
     python benchmarks/sides.py --quick          fewer simulated logs
+    python benchmarks/sides.py --detector ideal    whose sides are exchanged more seldom
 
 Real logs: frames in which somebody walks faster than 0.5 m/s, the share of them that the result
 faces forwards and backwards (within 60 degrees), frames in which the labels of two cameras
@@ -18,6 +19,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
+from scenes import params_of, use_detector
 
 from hiros_mcap.body.transforms import Transform, TransformTree, transform_to_fixed
 from hiros_mcap.config import load_config
@@ -25,7 +27,7 @@ from hiros_mcap.evaluate.logs import read_channel
 from hiros_mcap.evaluate.side_scores import ALONG, WALKING, FacingTrack, facing_tracks, side_scores
 from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.running.pipeline import process
-from hiros_mcap.simulate import SimulateParams, simulate
+from hiros_mcap.simulate import simulate
 from hiros_mcap.simulate.body_model import SLOT, SYMMETRY
 from hiros_mcap.simulate.motion import Person
 from hiros_mcap.simulate.performer import Performer
@@ -178,9 +180,7 @@ SCENES: dict[str, tuple[dict[str, object], str]] = {
 def scene(name: str, seed: int) -> tuple[Simulation, list[Frame]]:
     """Simulate; return the simulation, and its detections in the frame "world"."""
     settings, change = SCENES[name]
-    simulation = simulate(
-        SimulateParams.model_validate({"seconds": 15.0, "seed": seed, **settings})
-    )
+    simulation = simulate(params_of(seed, **{"seconds": 15.0, **settings}))
     if change == "backwards":
         simulation.__dict__["people"] = [Backwards(person) for person in simulation.people]
     tree = TransformTree()
@@ -247,7 +247,8 @@ def simulated(seeds: Sequence[int]) -> None:
 
 
 def main() -> None:
-    logs = [Path(argument) for argument in sys.argv[1:] if not argument.startswith("--")]
+    given = use_detector(sys.argv[1:])
+    logs = [Path(argument) for argument in given if not argument.startswith("--")]
     if logs:
         real(logs)
     else:

@@ -8,6 +8,8 @@ slower than SPEED holds the input up. Prints for each minute of input how long i
 the results are behind what was sent, s, the memory of the program, MB, and how many results each id
 has; at the end, how many messages were sent, how many came back, and how many were lost on the way:
 sent, but not copied; and sent, but not tracked.
+
+Only delay, memory and losses count here, so the simulated detector is the ideal one.
 """
 
 from __future__ import annotations

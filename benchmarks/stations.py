@@ -36,7 +36,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scenes import realistic
+from scenes import DETECTOR, realistic
 
 import hiros_mcap
 from hiros_mcap.config import Config, Table, load_config
@@ -217,11 +217,10 @@ def leaps(frames: Sequence[Frame]) -> int:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(parents=[DETECTOR])
     parser.add_argument("logs", nargs="*", type=Path, metavar="LOG")
     parser.add_argument("--logs", dest="count", type=int, default=12, metavar="N")
     parser.add_argument("--first", type=int, default=1, metavar="SEED")
-    parser.add_argument("--detector", default="kinect", choices=("ideal", "kinect"))
     parser.add_argument("--stations", nargs="+", default=["*"], metavar="GLOB")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers of all logs")
     given = parser.parse_args()

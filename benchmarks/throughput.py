@@ -13,6 +13,8 @@ line prints its load and how long ten million additions in a loop of Python take
 - warm: the third run in one process.
 - live: CPU of tracker, merger, optimizer and filter per merged frame of a causal system.
 - jobs: a fourth of the log's length, 8 logs, --jobs 2 against --jobs 1.
+
+Only the time counts here, so the simulated detector is the ideal one.
 """
 
 from __future__ import annotations

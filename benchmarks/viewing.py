@@ -7,6 +7,8 @@
 A minute is simulated and processed, and its messages are repeated. The log is drawn into a file by
 the code that draws into a window. What is seen first are the first seconds: the layout is sent
 after them, and the rest follows.
+
+Only the time counts here, so the simulated detector is the ideal one.
 """
 
 from __future__ import annotations

@@ -6,6 +6,8 @@ simulates sixteen actions of one to four people seen by five cameras. It process
 tracker alone (T), without the optimizer (TMF) and with it (TMOF), and prints Tables 6, 7 and 8 in
 the paper's layout with its numbers below ours. They come from other data: only the relations
 compare.
+
+The simulated detector is the ideal one, which papers assume: each joint errs by itself.
 """
 
 from __future__ import annotations

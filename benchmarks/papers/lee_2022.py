@@ -8,6 +8,8 @@ to A4, the six gestures in four directions, always simulated. Without LOG, simul
 who walk and of slow gestures. Mean error and standard deviation, mm, by parts of the body; the
 paper's numbers stand in [ ]. They come from other data: Azure Kinects, the camera in front as
 reference.
+
+The simulated detector is the ideal one, which papers assume: each joint errs by itself.
 """
 
 from __future__ import annotations

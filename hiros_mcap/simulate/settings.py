@@ -155,12 +155,12 @@ class LimbErrorParams(Params):
     seconds: PositiveFloat = advanced(
         1.2,
         description="Mean time for which a decision holds while somebody stands, s "
-        "(95 % of second differences of a trunk: 4 mm).",
+        "(95 % of second differences of a hand: 24 mm).",
     )
     moving_seconds: PositiveFloat = advanced(
         0.15,
-        description="The same of somebody who moves fast, s (95 % of second differences of a trunk "
-        "at more than .2 m/s: 40 to 60 mm).",
+        description="The same of somebody who moves fast, s (95 % of second differences of a hand "
+        "at more than .3 m/s: 129 mm).",
     )
     lasting: Share = advanced(
         0.1, description="Share of their variance that lasts (autocorrelation .2 to .5 after 1 s)."
@@ -169,10 +169,10 @@ class LimbErrorParams(Params):
         20.0, description="Time for which the lasting part holds, s (recordings: 15 to 100 s)."
     )
     slips: tuple[Share, Share, Share] = advanced(
-        (0.1, 0.45, 0.6),
+        (0.08, 0.12, 0.15),
         description="Probability that a decision which movement brings is a slip: from the front, "
-        "from the side, from behind. Wrists slip by more than .2 m 7, 10 to 20, and 38 times per "
-        "minute of movement.",
+        "from the side, from behind. Of the wrists of people faster than .3 m/s, 6, 10 and 12 % "
+        "are off by more than .2 m.",
     )
     slip_shift: NonNegativeFloat = advanced(
         0.035,
