@@ -21,6 +21,7 @@ A fault that all cameras share is the recorder's: it may stall, or its clock may
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -53,7 +54,8 @@ _LEAST_DRIFTED = 0.01  # s
 _LEAST_SECONDS = 15  # fewer least lags fit a line by chance, where messages are late
 _LARGEST_DRIFT = 0.01  # s/s: what changes less over a pause is no step
 _ROUNDS = 100  # steps of one camera
-_CHANCE = 2  # messages
+_WIDE = 1.5  # usual intervals: a longer one lacks a message
+_BY_CHANCE = 1e-6  # probability of so many gaps where late messages were logged
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,9 +264,9 @@ def _judged(times: CameraTimes) -> tuple[Flags, Flags]:
     """(N,) which messages have a right time, and which have one that the others contradict.
 
     The others leave a gap where such a message was logged, and none at its stamp. The stamp of a
-    message that was delivered late lies between those logged around it, or in a gap of its own; at
-    the time when it was logged, others may be lost. A message with an odd lag at the begin or end
-    of the log has no others around it, and is neither.
+    message that was delivered late lies in a gap of its own; where it was logged, others may be
+    lost by chance. A message with an odd lag at the begin or end of the log has no others around
+    it, and is neither.
     """
     stamps, lags = times.stamps, times.lags
     right, wrong = np.ones(len(stamps), np.bool_), np.zeros(len(stamps), np.bool_)
@@ -274,24 +276,55 @@ def _judged(times: CameraTimes) -> tuple[Flags, Flags]:
         return right, wrong
     right[: usual[0]] = right[usual[-1] + 1 :] = False
     odd = odd[(odd > usual[0]) & (odd < usual[-1])]
-    place = np.searchsorted(usual, odd)
-    before, after = usual[place - 1], usual[place]
-    period = _period(np.asarray((stamps[usual] - stamps[usual[0]]) * 1e-9, np.float64))
-    gap = (stamps[after] - stamps[before]) * 1e-9
-    outside = (stamps[odd] < stamps[before]) | (stamps[odd] > stamps[after])
-    wrong[odd] = outside & (gap > period * (after - before - 0.5))
-    suspects = np.flatnonzero(wrong)
-    missed = suspects[_is_missed(np.sort(stamps[usual]), stamps[suspects], period)]
-    if len(missed) <= max(_CHANCE, len(odd) // 2):  # more do not meet a lost message by chance
-        wrong[missed] = False
+    lacking = _lacking(stamps, usual)
+    suspects = odd[lacking[odd] > 0]
+    places, chance = len(np.unique(lacking[suspects])), float(np.mean(lacking[usual] > 0))
+    # Wrong stamps at a regular distance lie in each other's gaps.
+    if math.comb(len(odd), places) * chance**places > _BY_CHANCE:
+        seconds = np.asarray((stamps - stamps[usual[0]]) * 1e-9, np.float64)
+        suspects = suspects[~_fits_a_gap(np.sort(seconds[usual]), seconds[suspects])]
+    wrong[suspects] = True
     return right & ~wrong, wrong
 
 
-def _is_missed(usual: Stamps, stamps: Stamps, period: float) -> Flags:
-    """(K,) whether the usual stamps, increasing, have a gap at some stamps; ns, ``period`` in s."""
-    place = np.clip(np.searchsorted(usual, stamps), 1, len(usual) - 1)
-    nearest = np.minimum(np.abs(stamps - usual[place - 1]), np.abs(usual[place] - stamps))
-    return np.asarray((nearest * 1e-9 > period / 2) & (nearest * 1e-9 < _PAUSE))
+def _lacking(stamps: Stamps, usual: Stamps) -> Stamps:
+    """(N,) the number of the gap that the others leave where a message was logged, 0 if none.
+
+    Messages may overtake each other. So the gap is looked for between the first of those that were
+    logged later and the last of those before. One in which the message's own stamp lies is none.
+
+    Parameters
+    ----------
+    stamps : (N,) ns, in the order of the log. usual : the messages with a usual lag.
+    """
+    around, order = np.sort(stamps[usual]), np.searchsorted(usual, np.arange(len(stamps)))
+    latest = np.maximum.accumulate(stamps[usual])
+    earliest = np.minimum.accumulate(stamps[usual][::-1])[::-1]
+    before = np.searchsorted(around, latest[np.maximum(order - 1, 0)])
+    after = np.searchsorted(around, earliest[np.minimum(order, len(usual) - 1)])
+    overtaken = after <= before
+    first = np.maximum(np.where(overtaken, after - 1, before), 0)
+    last = np.minimum(np.where(overtaken, before + 1, after), len(usual) - 1)
+    intervals = np.diff(around, prepend=around[0])
+    is_wide = intervals > _WIDE * np.median(intervals)
+    gaps, own = np.cumsum(is_wide), np.minimum(np.searchsorted(around, stamps), len(usual) - 1)
+    is_own = is_wide[own] & (first < own) & (own <= last) & (around[own] != stamps)
+    return np.where(gaps[last] - gaps[first] > is_own, gaps[last], 0)
+
+
+def _fits_a_gap(around: Floats, stamps: Floats) -> Flags:
+    """(K,) whether the others, with increasing stamps, leave a gap at some stamps, s.
+
+    A message at a regular time is never nearer to others than half of the usual interval. One at an
+    irregular time comes as near to them as they come to each other.
+    """
+    intervals = np.diff(around)
+    own = np.minimum(intervals[1:], intervals[:-1])
+    least = min(float(np.median(intervals)) / 2, float(np.quantile(own, 0.05)))
+    place = np.clip(np.searchsorted(around, stamps), 1, len(around) - 1)
+    nearest = np.minimum(np.abs(stamps - around[place - 1]), np.abs(around[place] - stamps))
+    inside = (stamps > around[0]) & (stamps < around[-1])
+    return np.asarray((nearest > least) & (inside | (nearest < _PAUSE)))
 
 
 # Steps
@@ -330,7 +363,9 @@ def _recorder(others: Sequence[CameraTimes], log_times: Stamps) -> Floats:
         for other in others
         if len(other.lags) >= _LEAST
     ]
-    return np.asarray(np.median(rows, axis=0)) if rows else np.zeros(len(log_times))
+    if not rows:
+        return np.zeros(len(log_times))
+    return np.asarray(np.sort(rows, axis=0)[(len(rows) - 1) // 2])  # one of two that is late is not
 
 
 def _smooth(values: Floats) -> Floats:
@@ -369,7 +404,7 @@ def _largest_step(stamps: Floats, logged: Floats) -> Step | None:
             if seconds:
                 steps.append((abs(seconds), (k, seconds)))
     for _, step in sorted(steps, key=lambda pair: -pair[0]):
-        if _lasts(step, stamps, logged):
+        if _lasts(step, stamps, logged) and not _closes_gaps(stamps[: step[0]], stamps[step[0] :]):
             return step
     return None
 
@@ -437,6 +472,16 @@ def _lasts(step: Step, stamps: Floats, logged: Floats) -> bool:
         return False
     change = float(np.quantile(before, 0.1) - np.quantile(after, 0.1))
     return change / seconds > 0.5
+
+
+def _closes_gaps(before: Floats, behind: Floats) -> bool:
+    """Whether stamps that go back lie in gaps of those before, or are the first: they come late."""
+    around, again = np.sort(before), behind[behind < before.max()]
+    intervals = np.diff(around, prepend=around[0])
+    is_wide = intervals > _WIDE * np.median(intervals)
+    is_wide[0] = True
+    closed = is_wide[np.searchsorted(around, again)] & _fits_a_gap(around, again)
+    return bool(len(again)) and bool(closed.mean() > 0.5)
 
 
 def _usual(lags: Floats, steps: list[Step]) -> list[float]:

@@ -328,3 +328,48 @@ def test_a_late_message_with_a_right_stamp_is_not_called_wrong(late, n):
     verdict = clock_verdict(cameras)
     assert not [fault for fault in verdict.faults if fault.kind == WRONG]
     assert (verdict.corrections["b"].apply(b.stamps, b.log_times) == b.stamps).all()
+
+
+def radio(seed, late=(), held=0.0):
+    """A camera whose messages overtake each other; some are late, or all are held for a while."""
+    rng = np.random.default_rng(seed)
+    sent = np.arange(600)[rng.random(600) > 0.1] / 30.0
+    logged = sent + 0.05 + rng.exponential(0.05, len(sent))
+    logged[rng.choice(len(sent), len(late), replace=False)] += late
+    logged += np.where((sent > 8) & (sent < 8 + held), 8 + held - sent, 0.0)
+    times = np.round(1e9 * np.stack([sent, logged])[:, np.argsort(logged)]).astype(np.int64)
+    return CameraTimes(*(START + times))
+
+
+@pytest.mark.parametrize("late", [[0.63], [0.55, 0.8, 1.2, 2.0], [5.0] * 20])
+def test_late_messages_keep_their_stamps_where_messages_overtake_each_other(late):
+    for seed in range(20):
+        cameras = {"a": camera(1), "b": radio(seed, late), "c": camera(3)}
+        verdict = clock_verdict(cameras)
+        assert not [fault for fault in verdict.faults if fault.kind != LATE]
+        assert not verdict.corrections["b"].changes(cameras["b"])
+
+
+def test_stamps_that_are_wrong_by_one_time_are_found_though_they_lie_in_each_others_gaps():
+    rng, found = np.random.default_rng(4), 0
+    for seed in range(10):
+        times = camera(seed)
+        times.stamps[rng.choice(np.arange(40, 560), 20, replace=False)] -= 10**9
+        found += sum(f.messages for f in clock_verdict({"a": camera(1), "b": times}).faults)
+    assert found > 195
+
+
+def test_late_messages_at_the_end_of_a_log_are_no_step_back():
+    """The first eight come when all others have come."""
+    times = camera(2, seconds=5.0)
+    logged = np.append(times.log_times[8:], times.log_times[:8] + 10**10)
+    b = CameraTimes(np.roll(times.stamps, -8), logged)
+    cameras = {"a": camera(1), "b": b, "c": camera(3)}
+    assert not clock_verdict(cameras).corrections["b"].changes(b)
+
+
+def test_a_camera_whose_messages_are_held_makes_no_steps_of_the_others():
+    for seed in range(10):
+        cameras = {name: radio(3 * seed + k) for k, name in enumerate("ac")}
+        cameras["b"] = radio(3 * seed + 2, held=4.0)
+        assert not [fault for fault in clock_verdict(cameras).faults if fault.camera != "b"]
