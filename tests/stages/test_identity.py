@@ -253,6 +253,22 @@ def test_who_is_in_doubt_and_leaves_again_has_an_id():
     assert ids(frames)[600:] == [[3, 2]] * 90 + [[2]] * 270
 
 
+@pytest.mark.parametrize("beside", [person(2.0), person() * [1.0, 1.0, 0.1]])
+def test_who_ended_before_it_was_clear_that_anybody_came_has_no_id(beside):
+    """For 0.47 s, while somebody is absent: at another place, or on the floor under a person."""
+    frames = standing([person(), person(-2.0)], 0, 2) + standing([person()], 2, 6)
+    frames += standing([person(), beside], 6, 6.47) + standing([person()], 6.47, 10)
+    assert {i for each in ids(frames) for i in each} == {-1, 0, 1}
+
+
+def test_nobody_is_lost_before_being_born():
+    """Somebody comes while another one is absent, and leaves before it is clear who it was."""
+    frames = standing([person(), person(-2.0)], 0, 2) + standing([person()], 2, 6)
+    frames += standing([person(), person(2.0) * TALL], 6, 7) + standing([person()], 7, 12)
+    newcomer = [event for event in events_of(frames) if event.person == 2]
+    assert kinds(sorted(newcomer, key=lambda event: event.stamp)) == ["track born", "track lost"]
+
+
 def test_two_people_who_are_alike_get_new_ids_rather_than_each_others():
     frames = away(8.0, [person(-0.5), person(0.5)], [person(0.0, -0.5), person(0.0, 0.5)])
     assert ids(frames)[-1] == [2, 3]

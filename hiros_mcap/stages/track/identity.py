@@ -66,7 +66,7 @@ class Identities:
     ) -> None:
         """Confirm a track: give it an old or a new id, once enough is known of the person.
 
-        ``at_once`` : no more will be known.
+        ``at_once`` : no more will be known, since the person has left.
         """
         kind, remark, is_new = "track born", "", True
         if track.former_id == UNTRACKED and self._somebody_absent(track):
@@ -90,7 +90,7 @@ class Identities:
         self._people_known |= {track.id} if is_new else set()
         self._people_known = max(self._people_known, self._there(scene, group.stamp), key=len)
         self._events.note(
-            group.stamp, kind, person=track.id, source=group.source,
+            track.seen if at_once else group.stamp, kind, person=track.id, source=group.source,
             detail=f"seen by {', '.join(sorted(track.reports))}{remark}",
         )  # fmt: skip
 

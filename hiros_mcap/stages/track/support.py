@@ -85,7 +85,7 @@ class Confirmation:
             track.misses += 1
 
     def _decide(self, track: PersonTrack, group: DetectionGroup, scene: Present) -> None:
-        """Confirm a track, or withdraw its id."""
+        """Confirm a track that is still there, or withdraw its id."""
         if track.confirmed and track.is_refuted(self._params):
             self._events.note(group.stamp, "track withdrawn", person=track.id)
             track.former_id, track.id = track.id, UNTRACKED
@@ -93,6 +93,7 @@ class Confirmation:
             scene.dismiss(track)
         elif (
             not track.confirmed
+            and track.is_there(group.stamp)
             and track.is_supported(self._params)
             and not self._is_duplicate(track, group.stamp, scene)
         ):
