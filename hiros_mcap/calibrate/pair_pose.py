@@ -5,7 +5,7 @@ From pairs to all cameras: every camera needs one other camera that sees the sam
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import combinations, product
 from typing import NamedTuple
 
@@ -322,19 +322,21 @@ def coarse_clocks(
 
 
 def seen_elsewhere(
-    camera: int, views: Sequence[CameraView], given: Rig, landmarks: Landmarks, mirror: Ints
-) -> str:
+    camera: int, group: Collection[int], views: Sequence[CameraView], given: Rig,
+    landmarks: Landmarks, mirror: Ints,
+) -> str:  # fmt: skip
     """Return the camera that shows the same people as ``camera``, if this stood elsewhere.
 
     Cameras that see different people have none ("" then): no pose makes strangers fit for long.
 
     Parameters
     ----------
-    views : of all cameras, whose clocks are about right. given : their poses.
+    group : cameras that are not asked. views : of all cameras, whose clocks are about right.
+    given : their poses.
     """
     signatures = [signatures_of(view, landmarks) for view in views]
     for other, view in enumerate(views):
-        lags = lag_candidates(signatures[other], signatures[camera]) if other != camera else []
+        lags = lag_candidates(signatures[other], signatures[camera]) if other not in group else []
         at_once = [(lag, pairs) for lag, pairs in lags if abs(lag) < SAME_S]
         if not at_once:
             continue

@@ -276,6 +276,14 @@ def refine_poses(
     return cameras, gains
 
 
+def linked(
+    views: Sequence[CameraView], poses: Sequence[Rigid], mirror: Ints, effort: Effort = FROM_GIVEN
+) -> list[list[int]]:
+    """Return the groups of cameras that see the same people; those that are alone are in none."""
+    instants = instants_of(views, effort.instants)
+    return _linked(common_points(views, Rig.of(poses), instants, mirror, effort.gates[0]))
+
+
 def _linked(points: Points) -> list[list[int]]:
     """Return the groups of cameras that are linked by people whom they see in common."""
     seen = (points.weights > 0.0).astype(np.float64)

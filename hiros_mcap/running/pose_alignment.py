@@ -22,7 +22,7 @@ from hiros_mcap.body.transforms import TimedPoses, same_place
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import landmarks_of
 from hiros_mcap.calibrate.pair_pose import coarse_clocks, seen_elsewhere
-from hiros_mcap.calibrate.refinement import refine_poses
+from hiros_mcap.calibrate.refinement import linked, refine_poses
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.calibrate.survey import (
     MOST_S,
@@ -162,6 +162,12 @@ class PoseAlignment:
             if kept:
                 yield block if len(kept) == len(block) else block.select(kept)
 
+    @property
+    def misplaced(self) -> frozenset[str]:
+        """The misfits if others fit each other: of two cameras, nobody knows which is wrong."""
+        others = {one.name for one in self.cameras if one.verdict != "impossible"} - self.misfits
+        return self.misfits if len(others) >= _ENOUGH else frozenset()
+
     def note_errors(self) -> None:
         """Take over how wrong the poses may be that are used; of two of a camera, the worse."""
         self.pose_errors.clear()
@@ -204,9 +210,11 @@ class PoseAlignment:
             yield from _weak_poses(self.calibration, self.left_out)
         for camera in self.cameras:
             if camera.name in self.misfits:
+                nobody = ", and counts nobody whom it alone shows" * (camera.name in self.misplaced)
                 yield (
                     f"{camera.name}: its pose does not fit the people ({camera.reason}); hiros "
-                    "kept it. Calibrate the camera anew, or pass its pose with --extrinsics FILE"
+                    f"kept it{nobody}. Calibrate the camera anew, or pass its pose with "
+                    "--extrinsics FILE"
                 )
 
     def notes(self, *, found: bool) -> Iterator[str]:
@@ -327,10 +335,11 @@ def _posed(survey: Survey, clocks: ClockAlignment, cameras: Iterable[FixedCamera
 def _with_strays(survey: Survey, clocks: ClockAlignment, posed: PosedViews) -> PosedViews:
     """Find out who of the cameras that share no view would share one if they stood elsewhere.
 
-    Such a camera does not fit. The others see different people, and nothing is wrong with that.
+    Such a camera does not fit. The others see different people, and nothing is wrong with that. The
+    largest group of cameras that see the same people counts as right; any other is like a camera.
     """
-    alone = [k for k, camera in enumerate(posed.rig) if camera.reason == UNLINKED]
-    if not any(posed.cameras[k].movable for k in alone):
+    strays = _strays(survey, posed)
+    if not any(posed.cameras[k].movable for group in strays for k in group):
         return posed
     model, sightings = survey.log.model, survey.many(clocks.corrections)
     mirror, rig = symmetry_of(model).mirror, list(posed.rig)
@@ -339,10 +348,25 @@ def _with_strays(survey: Survey, clocks: ClockAlignment, posed: PosedViews) -> P
         for camera, view in zip(posed.cameras, posed.views, strict=True)
     ]
     log_poses = Rig.of([camera.pose for camera in posed.cameras])
-    for k in alone:
-        if other := seen_elsewhere(k, views, log_poses, landmarks_of(model), mirror):
-            rig[k] = replace(rig[k], reason=f"its people are those whom {other} sees elsewhere")
+    for group in strays:
+        found = (
+            seen_elsewhere(k, group, views, log_poses, landmarks_of(model), mirror) for k in group
+        )
+        if other := next(filter(None, found), ""):
+            reason = f"its people are those whom {other} sees elsewhere"
+            for k in group:
+                rig[k] = replace(rig[k], verdict="impossible", reason=reason)
     return replace(posed, rig=rig)
+
+
+def _strays(survey: Survey, posed: PosedViews) -> list[list[int]]:
+    """Return the cameras that share no view with the others: each alone, or in groups."""
+    alone = [[k] for k, one in enumerate(posed.rig) if one.reason == UNLINKED]
+    poses = [one.pose or camera.pose for one, camera in zip(posed.rig, posed.cameras, strict=True)]
+    fitting = [k for k, one in enumerate(posed.rig) if one.fits and [k] not in alone]
+    groups = linked(posed.views, poses, symmetry_of(survey.log.model).mirror)
+    groups = [[k for k in group if k in fitting] for group in groups]
+    return [*alone, *sorted(groups, key=len, reverse=True)[1:]]
 
 
 def _found_anew(

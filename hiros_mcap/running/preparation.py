@@ -126,6 +126,7 @@ def set_up(
             camera_positions(log),
             prepared.poses.to_given,
             prepared.poses.pose_errors,
+            prepared.poses.misplaced,
             () if prepared.clocks.given else prepared.clocks.offsets,
         ),
         fixed_frame=log.fixed_frame,

@@ -26,6 +26,8 @@ class KnownCameras:
     """What takes its people back to the pose that was given, where it was refined."""
     errors: Mapping[str, float] = field(default_factory=dict)
     """Standard error, m, of a pose that the people gave."""
+    misplaced: frozenset[str] = frozenset()
+    """Whose people are not where the others see them. Whom they alone show is nobody."""
     clocks: Sequence[tuple[int, str, float]] = ()
     """From which stamp on, ns, which camera's clock was ahead of the middle one by how many s. The
     middle one counts as right."""

@@ -94,13 +94,12 @@ def hiros(run: Run) -> Stages:
     from hiros_mcap.stages.filter.filter import filter_blocks
     from hiros_mcap.stages.merge.merge import merge_blocks
     from hiros_mcap.stages.optimize.optimize import optimize_blocks
-    from hiros_mcap.stages.track.track import track_blocks
 
     config = run.config
     mended = _mended_views(run, guesses=True)
     merge = run.stage(merge_blocks, _merging(run), fixed_frame=run.fixed_frame, cameras=run.cameras)
     return {
-        "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),  # 3.1
+        "tracked": _tracker(run),  # 3.1
         "merged": lambda blocks: merge(mended(blocks)),  # 3.2
         "optimized": run.stage(optimize_blocks, config.optimize, limbs=run.limbs),  # 3.3
         "filtered": run.stage(filter_blocks, config.filter),  # 3.4
@@ -113,7 +112,6 @@ def fuse(run: Run) -> Stages:
     from hiros_mcap.stages.fuse.constrain import constrain_blocks
     from hiros_mcap.stages.fuse.fuse import fuse_blocks
     from hiros_mcap.stages.fuse.gathering import VIEW_WIDTHS
-    from hiros_mcap.stages.track.track import track_blocks
 
     config = run.config
     mended = _mended_views(run, guesses=False)
@@ -123,7 +121,7 @@ def fuse(run: Run) -> Stages:
     )  # fmt: skip
     widths = run.widths("tracked", VIEW_WIDTHS)
     return {
-        "tracked": run.stage(track_blocks, config.track, cameras=run.cameras, widths=widths),
+        "tracked": _tracker(run, widths=widths),
         # smoothed positions
         "merged": lambda blocks: fusion(mended(blocks)),
         # lengths and prior
@@ -131,6 +129,16 @@ def fuse(run: Run) -> Stages:
         # velocities and accelerations
         "filtered": run.stage(filter_blocks, config.filter, keep_positions=True),
     }
+
+
+def _tracker(run: Run, **more: Any) -> BlockStage:
+    """Return the stage that tracks people."""
+    from hiros_mcap.stages.track.track import track_blocks
+
+    known = run.known
+    return run.stage(
+        track_blocks, run.config.track, cameras=known.places, misplaced=known.misplaced, **more
+    )
 
 
 def _mended_views(run: Run, *, guesses: bool) -> BlockStage:
@@ -212,12 +220,11 @@ def lee(run: Run) -> Stages:
     """Output channel -> the stage that fills it, in the order of the paper (Fig. 4)."""
     from hiros_mcap.stages.lee.cluster import cluster_blocks
     from hiros_mcap.stages.lee.predict import predict
-    from hiros_mcap.stages.track.track import track_blocks
 
     config = run.config
     merge = run.stage(cluster_blocks, config.cluster, fixed_frame=run.fixed_frame)
     return {
-        "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),
+        "tracked": _tracker(run),
         "merged": merge,  # 2.2.1, 2.2.2
         "filtered": by_block(run.stage(predict, config.predict)),  # 2.2.3
     }

@@ -65,7 +65,8 @@ def write(path, scene, frames, poses, parents=None):
         for name, pose in poses.items():
             parent = (parents or {}).get(name, "lab")
             add_static_poses(writer, {name: pose}, parent, frames[0].log_time)
-        topics = {name: add_skeleton_channel(writer, f"/{name}/people") for name in NAMES}
+        names = sorted({frame.source for frame in frames})
+        topics = {name: add_skeleton_channel(writer, f"/{name}/people") for name in names}
         for frame in sorted(frames, key=lambda frame: frame.log_time):
             writer.write(topics[frame.source], frame.log_time, encoder.encode(frame))
         writer.commit()
@@ -297,6 +298,21 @@ def test_info_names_cameras_in_one_frame(scene, detections, true, tmp_path, caps
     assert run(["info", str(log)]) == 0
     error = capsys.readouterr().err
     assert "camera_1 and camera_2 publish in the same frame 'camera_1', but do not see" in error
+
+
+@pytest.mark.parametrize("seconds", [4.5, 12.0])
+def test_two_pairs_of_cameras_that_show_the_same_people_at_two_places_do_not_fit(seconds, tmp_path):
+    """Two opposite ones of four are exchanged, so each pair agrees. 4.5 s do not mend that."""
+    params = {"people": 1, "cameras": 4, "seconds": 12.0, "seed": 5, "rig": {"rate": 15.0}}
+    four = simulate(SimulateParams.model_validate(params))
+    first, *_ = frames = list(four.detections)
+    true = {camera.name: camera.pose for camera in four.cameras}
+    given = true | {"camera_0": true["camera_2"], "camera_2": true["camera_0"]}
+    some = [frame for frame in frames if frame.stamp < first.stamp + seconds * 1e9]
+    log, out = write(tmp_path / "log.mcap", four, some, given), tmp_path / "out.mcap"
+    summary = process(log, out, options=FIRST_STAGE)
+    assert any("fit the" in text for text in summary.warnings)
+    assert len(summary.people) == 1
 
 
 def test_one_pose_for_all_cameras_counts_as_none(tmp_path):

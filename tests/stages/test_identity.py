@@ -261,6 +261,17 @@ def test_who_ended_before_it_was_clear_that_anybody_came_has_no_id(beside):
     assert {i for each in ids(frames) for i in each} == {-1, 0, 1}
 
 
+@pytest.mark.parametrize("beside", [[], [person(2.0)]])
+def test_whom_only_a_misplaced_camera_shows_is_nobody(beside):
+    """Camera b stands elsewhere, and shows another person 2 m away, or the person as well."""
+    shown = {"a": [person()], "b": [person(-2.0), *beside]}
+    frames = [seen(shown[name], at(k, c), name) for k in range(90) for c, name in enumerate("ab")]
+    events = Events()
+    found = track(frames, MODEL, None, events, CAMERAS, misplaced={"b"})
+    assert {i for frame in found for i in frame.ids.tolist()} == {-1, 0}
+    assert events.counts["displaced", "b"] == 90 * len(shown["b"])
+
+
 def test_nobody_is_lost_before_being_born():
     """Somebody comes while another one is absent, and leaves before it is clear who it was."""
     frames = standing([person(), person(-2.0)], 0, 2) + standing([person()], 2, 6)

@@ -189,7 +189,7 @@ class Identities:
         best is less probably this one.
         """
         others = [each for each in self._people.tentative() if each is not track]
-        rivals = [each for each in others if each.is_supported(self._params)]
+        rivals = [each for each in others if self._people.may_count(each, self._params)]
         rivals += [person for person in scene.persons if person.stranger]
         newcomers = [
             replace(

@@ -94,7 +94,7 @@ class Confirmation:
         elif (
             not track.confirmed
             and track.is_there(group.stamp)
-            and track.is_supported(self._params)
+            and self._people.may_count(track, self._params)
             and not self._is_duplicate(track, group.stamp, scene)
         ):
             self._identities.name(track, group, scene)
@@ -122,7 +122,7 @@ class Confirmation:
 
         Cameras that disagreed now agree, and no camera ever showed both.
         """
-        counts = track.confirmed or track.is_supported(self._params)
+        counts = track.confirmed or self._people.may_count(track, self._params)
         if not (self._params.merge_tracks and counts):
             return
         if group.stamp - track.first >= _MERGEABLE or track.is_there(group.stamp):

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import itertools
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from functools import partial
 from operator import itemgetter
 
@@ -58,6 +58,7 @@ def track_blocks(
     blocks: Iterable[Block], model: SkeletonModel, params: TrackParams | None = None,
     events: Events | None = None, cameras: Mapping[str, Floats] | None = None,
     widths: tuple[int, int] = (STATE, STATE),
+    misplaced: Set[str] = frozenset(),
 ) -> Iterator[Block]:  # fmt: skip
     """Give every detection the id of its person (section 3.1.2).
 
@@ -70,6 +71,7 @@ def track_blocks(
         can contradict a track that only one of them reports.
     widths : columns of a KinematicState that markers, and links, get at least. The tracks fill in
         the velocities and accelerations among them.
+    misplaced : cameras whose poses are known to be wrong. Whom they alone show is nobody.
 
     Yields
     ------
@@ -77,7 +79,7 @@ def track_blocks(
     tracks' velocities and accelerations where the detector gave none.
     """
     params = params or TrackParams()
-    tracker = _Tracker(model, params, events or Events(), cameras or {})
+    tracker = _Tracker(model, params, events or Events(), cameras or {}, misplaced)
     for block in blocks:
         copy = join([block], widths=widths)
         del block  # else it lies in memory until the next one is made
@@ -99,7 +101,7 @@ class _Tracker:
 
     def __init__(
         self, model: SkeletonModel, params: TrackParams, events: Events,
-        cameras: Mapping[str, Floats],
+        cameras: Mapping[str, Floats], misplaced: Set[str] = frozenset(),
     ) -> None:  # fmt: skip
         self._params, self._events = params, events
         symmetry = symmetry_of(model)
@@ -117,7 +119,7 @@ class _Tracker:
         self._patience = round(params.lookahead * 1e9)
         """ns that a message that stays undecided is held, in time of the data."""
         self._held = deque[DetectionGroup]()
-        self._people = TrackedPeople(model, cameras)
+        self._people = TrackedPeople(model, cameras, misplaced)
         link_mirror = symmetry.link_mirror[: len(ends)]
         self._identities = Identities(self._people, params, events, link_mirror)
         self._support = Confirmation(self._people, self._identities, params, events, cameras)
@@ -187,8 +189,9 @@ class _Tracker:
             person = UNTRACKED if track is None else track.id
             group.people.ids[j] = person
             if person == UNTRACKED:
-                reason = DISPLACED if track is not None and track.is_copy else "not confirmed"
-                self._events.count(group.reasons[j] or reason, group.source)
+                is_copy = track is not None and self._people.is_copy(track)
+                reason = group.reasons[j] or (DISPLACED if is_copy else "not confirmed")
+                self._events.count(reason, group.source)
         log_time = max(log_time, int(group.block.log_times[group.place]))
         return group.block, (group.place,), (log_time,)
 

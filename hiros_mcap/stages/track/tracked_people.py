@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -151,8 +151,10 @@ class Present:
 class TrackedPeople:
     """All tracks, the states of their filters, and the cameras that send messages."""
 
-    def __init__(self, model: SkeletonModel, places: Mapping[str, Floats]) -> None:
-        self._places = places
+    def __init__(
+        self, model: SkeletonModel, places: Mapping[str, Floats], misplaced: Set[str] = frozenset()
+    ) -> None:
+        self._places, self._misplaced = places, misplaced
         self.tracks: list[PersonTrack] = []
         self.bank = Bank(Tracks.allocate(0, model.n_markers, model.n_links))
         self.cameras = Cameras.allocate(0)
@@ -202,6 +204,14 @@ class TrackedPeople:
     def tentative(self) -> list[PersonTrack]:
         """Those who do not count yet."""
         return [track for track in self.tracks if track.id == UNTRACKED]
+
+    def is_copy(self, track: PersonTrack) -> bool:
+        """Whether only cameras whose poses are wrong show a track: the person is elsewhere."""
+        return track.is_copy or track.reports.keys() <= self._misplaced
+
+    def may_count(self, track: PersonTrack, params: TrackParams) -> bool:
+        """Whether a track has enough support to count, by a camera whose pose may be right."""
+        return track.is_supported(params) and not self.is_copy(track)
 
     def start(self, stamp: int, origin: Floats) -> PersonTrack:
         """Add a tentative track, first reported at ``stamp``, ns, at ``origin`` (3,), m."""
