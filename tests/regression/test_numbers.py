@@ -11,10 +11,10 @@ import os
 from pathlib import Path
 
 import pytest
-from conftest import SAMPLES
 
 from hiros_cli.app import run
 
+SAMPLES = Path(__file__).parents[2] / "sample_data"
 CROSSING, WALKING = "golden/two_people_crossing.fuse.mcap", "golden/one_person_walking.fuse.mcap"
 COMMANDS = {
     "eval": f"eval {CROSSING} --truth two_people_crossing.mcap",
