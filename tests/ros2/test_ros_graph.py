@@ -36,6 +36,8 @@ GROUP, ARRAY = hiros_schemas.SKELETON_GROUP, hiros_schemas.MARKER_ARRAY
 PACKAGES = "rclpy, hiros_cli, hiros_skeleton_msgs.msg, tf2_msgs.msg, rosgraph_msgs.msg"
 LIVE = ProcessOptions(system="fuse-realtime")
 AS_KNOWN = load_config(None, ["output.log_time=causal"], system="fuse-realtime")
+DISCOVERY = 1.5
+"""s in which the programs of a graph find each other, also on two cores with other work."""
 _domains = itertools.count(os.getpid() % 90 + 1, 7)
 
 
@@ -89,6 +91,7 @@ class Graph:
         """Start ``hiros process ros2://`` and wait until it listens."""
         program = self.start("-m", "hiros_cli", "process", "ros2://", *arguments, **env)
         assert "listening" in program.stderr.readline()
+        time.sleep(DISCOVERY)
         return program
 
     def player(self, log, *how, speed=1.0):
@@ -106,6 +109,7 @@ class Graph:
         """Start a listener and wait until it listens."""
         listener = self.start(HERE / "listener.py", out, *topics)
         assert listener.stdout.readline() == "listens\n"
+        time.sleep(DISCOVERY)
         return listener
 
     def heard(self, listener, out):
