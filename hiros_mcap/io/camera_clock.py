@@ -280,11 +280,26 @@ def _judged(times: CameraTimes) -> tuple[Flags, Flags]:
     suspects = odd[lacking[odd] > 0]
     places, chance = len(np.unique(lacking[suspects])), float(np.mean(lacking[usual] > 0))
     # Wrong stamps at a regular distance lie in each other's gaps.
-    if math.comb(len(odd), places) * chance**places > _BY_CHANCE:
+    if _happens(places, len(odd), chance):
         seconds = np.asarray((stamps - stamps[usual[0]]) * 1e-9, np.float64)
         suspects = suspects[~_fits_a_gap(np.sort(seconds[usual]), seconds[suspects])]
     wrong[suspects] = True
     return right & ~wrong, wrong
+
+
+def _happens(hits: int, trials: int, chance: float) -> bool:
+    """Whether so many hits are likely enough: at most (trials over hits) chance^hits."""
+    if chance == 0:
+        return hits == 0
+    # By logarithms: the numbers of a long log are no floats.
+    ways = math.lgamma(trials + 1) - math.lgamma(hits + 1) - math.lgamma(trials - hits + 1)
+    return ways + hits * math.log(chance) > math.log(_BY_CHANCE)
+
+
+def _is_wide(around: Stamps | Floats) -> Flags:
+    """(N,) which of increasing times come late after the one before: a message lacks."""
+    intervals = np.diff(around, prepend=around[0])
+    return np.asarray(intervals > _WIDE * np.median(intervals))
 
 
 def _lacking(stamps: Stamps, usual: Stamps) -> Stamps:
@@ -305,8 +320,7 @@ def _lacking(stamps: Stamps, usual: Stamps) -> Stamps:
     overtaken = after <= before
     first = np.maximum(np.where(overtaken, after - 1, before), 0)
     last = np.minimum(np.where(overtaken, before + 1, after), len(usual) - 1)
-    intervals = np.diff(around, prepend=around[0])
-    is_wide = intervals > _WIDE * np.median(intervals)
+    is_wide = _is_wide(around)
     gaps, own = np.cumsum(is_wide), np.minimum(np.searchsorted(around, stamps), len(usual) - 1)
     is_own = is_wide[own] & (first < own) & (own <= last) & (around[own] != stamps)
     return np.where(gaps[last] - gaps[first] > is_own, gaps[last], 0)
@@ -477,8 +491,7 @@ def _lasts(step: Step, stamps: Floats, logged: Floats) -> bool:
 def _closes_gaps(before: Floats, behind: Floats) -> bool:
     """Whether stamps that go back lie in gaps of those before, or are the first: they come late."""
     around, again = np.sort(before), behind[behind < before.max()]
-    intervals = np.diff(around, prepend=around[0])
-    is_wide = intervals > _WIDE * np.median(intervals)
+    is_wide = _is_wide(around)
     is_wide[0] = True
     closed = is_wide[np.searchsorted(around, again)] & _fits_a_gap(around, again)
     return bool(len(again)) and bool(closed.mean() > 0.5)

@@ -222,6 +222,14 @@ def test_every_tenth_stamp_may_be_wrong(first, delay, seconds):
     assert verdicts.wait < 0.2
 
 
+def test_a_long_log_of_which_two_of_five_stamps_are_wrong_is_read_and_the_camera_named():
+    cameras = three(seconds=200)
+    rng, stamps = np.random.default_rng(0), cameras["b"].stamps
+    wrong = np.flatnonzero(rng.random(len(stamps)) < 0.4)
+    stamps[wrong] -= rng.integers(5 * 10**9, 8 * 10**9, len(wrong))
+    assert only(clock_verdict(cameras)).camera == "b"
+
+
 def test_what_the_recorder_does_to_all_cameras_is_no_fault():
     cameras = three()
     for times in cameras.values():
