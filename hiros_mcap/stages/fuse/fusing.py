@@ -150,13 +150,33 @@ class FusionWork(NamedTuple):
     """(T, LEVELS) likelihood of a measurement by level; then the probability of the level."""
     stays: F1  # (T,) probability that a level lasts from the step before
     factors: F1  # (T,) of the density of the acceleration in the interval before a step
+    rated: F2  # (LEVELS, 9) x, v and their covariances xx, xv, vv, where the joint stays at a level
+    places: F2  # (T, 3) measured, m; NaN = the step does not measure the joint
+    variances: F1  # (T,) of the white noise of a measurement, m2
 
     @classmethod
     def of(cls, steps: int, size: int) -> FusionWork:
         """Make room."""
         t, n = steps, size
-        many, levels = ((t, n), (t, n), (t, 3), (t, 3)), ((t, LEVELS), t, t)
-        return arrays(cls, t, t, t, *many, t, (n, 3), (n, n), n, *levels)
+        many, levels = ((t, n), (t, n), (t, 3), (t, 3)), ((t, LEVELS), t, t, (LEVELS, 9))
+        return arrays(cls, t, t, t, *many, t, (n, 3), (n, n), n, *levels, (t, 3), t)
+
+
+# Rows of a covariance.
+
+
+@inlined
+def _add_multiple(row: Floats, factor: float, to: Floats) -> None:
+    """Add a multiple of a row to another one."""
+    for j in range(len(row)):
+        to[j] += factor * row[j]
+
+
+@inlined
+def _multiply(row: Floats, factor: float) -> None:
+    """Multiply a row by a factor."""
+    for j in range(len(row)):
+        row[j] *= factor
 
 
 @kernel
@@ -212,6 +232,19 @@ def _start(z: Floats, offset_variance: float, mean: Floats, covariance: Floats) 
 
 
 @inlined
+def _fade(mean: Floats, covariance: Floats, i: int, remains: float) -> None:
+    """Let an offset, row ``i`` of a state, or of its adjoint, keep a share."""
+    for c in range(3):
+        mean[i, c] *= remains
+    row = covariance[i]
+    with_position, with_velocity = remains * row[POSITION], remains * row[VELOCITY]
+    _multiply(row, remains * remains)
+    row[POSITION], row[VELOCITY] = with_position, with_velocity
+    covariance[POSITION, i] *= remains
+    covariance[VELOCITY, i] *= remains
+
+
+@inlined
 def _predict(t: int, dt: float, q: float, offset_variance: float, work: FusionWork) -> None:
     """Carry the state on by the ``dt`` s before step ``t``: F x, F P F' + Q."""
     x, p = work.mean, work.covariance
@@ -219,9 +252,8 @@ def _predict(t: int, dt: float, q: float, offset_variance: float, work: FusionWo
     for c in range(3):
         x[POSITION, c] += lasts * x[VELOCITY, c]
         x[VELOCITY, c] *= slow
-    for j in range(n):
-        p[POSITION, j] += lasts * p[VELOCITY, j]
-        p[VELOCITY, j] *= slow
+    _add_multiple(p[VELOCITY], lasts, p[POSITION])
+    _multiply(p[VELOCITY], slow)
     for i in range(n):
         p[i, POSITION] += lasts * p[i, VELOCITY]
         p[i, VELOCITY] *= slow
@@ -231,13 +263,7 @@ def _predict(t: int, dt: float, q: float, offset_variance: float, work: FusionWo
     p[1, 1] += q * dt
     driven = offset_variance * (1.0 - remains * remains)
     for i in range(OFFSETS, n):
-        for c in range(3):
-            x[i, c] *= remains
-        for j in range(OFFSETS):
-            p[i, j] *= remains
-            p[j, i] *= remains
-        for j in range(OFFSETS, n):
-            p[i, j] *= remains * remains
+        _fade(x, p, i, remains)
         p[i, i] += driven
 
 
@@ -260,89 +286,121 @@ def _excess(scaled: float, likelihood: float, noise: JointNoise) -> float:
 
 
 @inlined
-def _correct(steps: Steps, t: int, m: int, noise: JointNoise, work: FusionWork) -> None:
+def _correct(steps: Steps, t: int, noise: JointNoise, work: FusionWork) -> None:
     """Correct the state by a measurement."""
     x, p, h = work.mean, work.covariance, work.row
-    n, k, row = len(x), OFFSETS + steps.cameras[t], steps.rows[t]
+    n, k = len(x), OFFSETS + steps.cameras[t]
     for j in range(n):
         h[j] = p[POSITION, j] + p[k, j]
-    variance = h[POSITION] + h[k] + steps.variances[row, m]
+    variance = h[POSITION] + h[k] + work.variances[t]
     square = 0.0
     for c in range(3):
-        y = steps.positions[row, m, c] - x[POSITION, c] - x[k, c]
+        y = work.places[t, c] - x[POSITION, c] - x[k, c]
         work.innovations[t, c] = y
         square += y * y
     scaled = square / variance
     excess = _excess(scaled, _likelihood(scaled, variance, noise.freedom), noise)
-    information = 1.0 / (variance + steps.variances[row, m] * excess)
+    information = 1.0 / (variance + work.variances[t] * excess)
     work.information[t] = information
     for i in range(n):
         gain = h[i] * information
         work.gains[t, i] = gain
         for c in range(3):
             x[i, c] += gain * work.innovations[t, c]
-        for j in range(n):
-            p[i, j] -= gain * h[j]
+        _add_multiple(h, -gain, p[i])
+
+
+@kernel
+def _take_joint(steps: Steps, m: int, work: FusionWork) -> None:
+    """Write what steps measure of a joint, side by side, for all who go through the steps."""
+    for t in range(len(steps.times)):
+        work.places[t, 0] = np.nan
+        if steps.cameras[t] >= 0:
+            row = steps.rows[t]
+            work.variances[t] = steps.variances[row, m]
+            for c in range(3):
+                work.places[t, c] = steps.positions[row, m, c]
 
 
 @inlined
-def _is_measured(steps: Steps, t: int, m: int) -> bool:
-    """Whether a step measures a joint."""
-    return bool(steps.cameras[t] >= 0 and not math.isnan(steps.positions[steps.rows[t], m, 0]))
+def _is_measured(work: FusionWork, t: int) -> bool:
+    """Whether a step measures the joint."""
+    return not math.isnan(work.places[t, 0])
 
 
 @kernel
 def _rate(
-    steps: Steps, m: int, noise: JointNoise, states: JointStates, row: int, level: int,
-    work: FusionWork,
-) -> None:  # fmt: skip
+    steps: Steps, m: int, noise: JointNoise, states: JointStates, row: int, work: FusionWork
+) -> None:
     """Write how likely a joint's measurements are if it stays at a level.
 
     Only x and v are estimated; the offsets of the cameras count as white noise. That changes the
-    result by .01 mm, and costs a tenth.
+    result by .01 mm, and costs a tenth. A processor works at all levels of a step at once.
     """
-    x, v = work.mean[POSITION], work.mean[VELOCITY]
     time, seen = states.times[row, m], states.seen[row, m]
-    _copy(states.means[row, m, POSITION], x)
-    _copy(states.means[row, m, VELOCITY], v)
     p = states.covariances[row, m]
-    xx, xv, vv = p[POSITION, POSITION], p[POSITION, VELOCITY], p[VELOCITY, VELOCITY]
-    q = noise.accelerations[m] * _LEVELS[level]
+    is_known = p[POSITION, POSITION] != 0.0
+    for level in range(LEVELS):
+        rated = work.rated[level]
+        for c in range(3):
+            rated[c] = states.means[row, m, POSITION, c]
+            rated[3 + c] = states.means[row, m, VELOCITY, c]
+        rated[6], rated[7] = p[POSITION, POSITION], p[POSITION, VELOCITY]
+        rated[8] = p[VELOCITY, VELOCITY]
     for t in range(len(steps.times)):
-        work.levels[t, level] = 1.0
-        if not _is_measured(steps, t, m):
+        for level in range(LEVELS):
+            work.levels[t, level] = 1.0
+        if not _is_measured(work, t):
             continue
-        z = steps.positions[steps.rows[t], m]
-        if xx == 0.0:
-            time = seen = steps.times[t]
-            xx, xv, vv = _POSITION_VARIANCE, 0.0, _VELOCITY_VARIANCE
-            _copy(z, x)
-            v[:] = 0.0
+        if not is_known:
+            is_known, time, seen = True, steps.times[t], steps.times[t]
+            for level in range(LEVELS):
+                rated = work.rated[level]
+                for c in range(3):
+                    rated[c], rated[3 + c] = work.places[t, c], 0.0
+                rated[6], rated[7], rated[8] = _POSITION_VARIANCE, 0.0, _VELOCITY_VARIANCE
         dt = max(steps.times[t] - time, 0.0)
         lasts, slow = _slowed(max(time - seen, 0.0), dt)
         seen = time = max(steps.times[t], time)
-        xx += lasts * (2.0 * xv + lasts * vv) + q * dt * dt * dt / 3.0
-        xv = slow * (xv + lasts * vv) + q * dt * dt / 2.0
-        vv = slow * slow * vv + q * dt
-        noise_variance = steps.variances[steps.rows[t], m] + noise.offsets[m]
-        square = 0.0
-        for c in range(3):
-            x[c] += lasts * v[c]
-            v[c] *= slow
-            square += (z[c] - x[c]) ** 2
-        variance = xx + noise_variance
-        scaled = square / variance
-        likelihood = _likelihood(scaled, variance, noise.freedom)
-        work.levels[t, level] = likelihood + noise.elsewhere
-        variance += noise_variance * _excess(scaled, likelihood, noise)
-        gain, gain_of_speed = xx / variance, xv / variance
-        for c in range(3):
-            innovation = z[c] - x[c]
-            x[c] += gain * innovation
-            v[c] += gain_of_speed * innovation
-        vv -= gain_of_speed * xv
-        xv -= gain * xv
-        xx -= gain * xx
+        for level in range(LEVELS):
+            q = noise.accelerations[m] * _LEVELS[level]
+            _rate_level(t, level, (dt, lasts, slow), q, noise.offsets[m], noise, work)
+
+
+@inlined
+def _rate_level(
+    t: int, level: int, interval: tuple[float, float, float], q: float, offset: float,
+    noise: JointNoise, work: FusionWork,
+) -> None:  # fmt: skip
+    """Write how likely a measurement is at a level, and correct x and v by it.
+
+    ``interval`` : s since the one before, for how many of them the velocity lasts, and the share
+    of it that is left. ``q`` : density of the acceleration. ``offset`` : variance of an offset.
+    """
+    rated, (dt, lasts, slow) = work.rated[level], interval
+    xx, xv, vv = rated[6], rated[7], rated[8]
+    xx += lasts * (2.0 * xv + lasts * vv) + q * dt * dt * dt / 3.0
+    xv = slow * (xv + lasts * vv) + q * dt * dt / 2.0
+    vv = slow * slow * vv + q * dt
+    noise_variance = work.variances[t] + offset
+    square = 0.0
+    for c in range(3):
+        rated[c] += lasts * rated[3 + c]
+        rated[3 + c] *= slow
+        square += (work.places[t, c] - rated[c]) ** 2
+    variance = xx + noise_variance
+    scaled = square / variance
+    likelihood = _likelihood(scaled, variance, noise.freedom)
+    work.levels[t, level] = likelihood + noise.elsewhere
+    variance += noise_variance * _excess(scaled, likelihood, noise)
+    gain, gain_of_speed = xx / variance, xv / variance
+    for c in range(3):
+        innovation = work.places[t, c] - rated[c]
+        rated[c] += gain * innovation
+        rated[3 + c] += gain_of_speed * innovation
+    rated[8] = vv - gain_of_speed * xv
+    rated[7] = xv - gain * xv
+    rated[6] = xx - gain * xx
 
 
 @kernel
@@ -402,10 +460,10 @@ def _choose_levels(
 
 
 @kernel
-def _first_seen(steps: Steps, m: int) -> int:
-    """Return the first step that measures a joint; the number of steps if none does."""
+def _first_seen(steps: Steps, work: FusionWork) -> int:
+    """Return the first step that measures the joint; the number of steps if none does."""
     for t in range(len(steps.times)):
-        if _is_measured(steps, t, m):
+        if _is_measured(work, t):
             return t
     return len(steps.times)
 
@@ -420,19 +478,19 @@ def _forward(
     q, offset_variance = noise.accelerations[m], noise.offsets[m]
     _load(states, row, m, work)
     time, seen, started = states.times[row, m], states.seen[row, m], p[0, 0] > 0.0
-    first = 0 if started else _first_seen(steps, m)
+    first = 0 if started else _first_seen(steps, work)
     for t in range(len(steps.times)):
         if t == keep and started:
             _save(states, row, m, (time, seen), work)
         work.intervals[t] = _UNKNOWN
         is_pose = steps.cameras[t] < 0
-        if not is_pose and not _is_measured(steps, t, m):
+        if not is_pose and not _is_measured(work, t):
             continue
         if not started:
             if first == len(steps.times) or steps.times[t] < steps.times[first] - _EARLY:
                 continue
             started, time, seen = True, steps.times[t], steps.times[first]
-            _start(steps.positions[steps.rows[first], m], offset_variance, x, p)
+            _start(work.places[first], offset_variance, x, p)
         dt = max(steps.times[t] - time, 0.0)
         work.intervals[t], work.slows[t] = _slowed(max(time - seen, 0.0), dt)
         work.remains[t] = math.exp(-dt / noise.time)
@@ -447,7 +505,7 @@ def _forward(
             _copy(x[VELOCITY], work.speeds[t])
         else:
             seen = time
-            _correct(steps, t, m, noise, work)
+            _correct(steps, t, noise, work)
     if keep >= len(steps.times) and started:
         _save(states, row, m, (time, seen), work)
 
@@ -457,6 +515,7 @@ def _measured(steps: Steps, t: int, work: FusionWork) -> None:
     """Carry the adjoint back through a measurement.
 
     l = (I - K H)' l - H' y / S,  L = (I - K H)' L (I - K H) + H' H / S
+    The matrix is L'. It is L but for rounding.
     """
     adjoint, square, g = work.mean, work.covariance, work.row
     n, k = len(adjoint), OFFSETS + steps.cameras[t]
@@ -467,17 +526,15 @@ def _measured(steps: Steps, t: int, work: FusionWork) -> None:
         adjoint[POSITION, c] -= s
         adjoint[k, c] -= s
     total = work.information[t]
-    for i in range(n):
-        g[i] = 0.0
-        for j in range(n):
-            g[i] += square[i, j] * work.gains[t, j]
-        total += g[i] * work.gains[t, i]
+    g[:] = 0.0
     for j in range(n):
-        square[POSITION, j] -= g[j]
-        square[k, j] -= g[j]
+        _add_multiple(square[j], work.gains[t, j], g)
     for i in range(n):
+        total += g[i] * work.gains[t, i]
         square[i, POSITION] -= g[i]
         square[i, k] -= g[i]
+    _add_multiple(g, -1.0, square[POSITION])
+    _add_multiple(g, -1.0, square[k])
     square[POSITION, POSITION] += total
     square[POSITION, k] += total
     square[k, POSITION] += total
@@ -491,18 +548,12 @@ def _unpredict(t: int, work: FusionWork) -> None:
     n, lasts, slow, remains = len(adjoint), work.intervals[t], work.slows[t], work.remains[t]
     for c in range(3):
         adjoint[VELOCITY, c] = slow * adjoint[VELOCITY, c] + lasts * adjoint[POSITION, c]
-    for j in range(n):
-        square[VELOCITY, j] = slow * square[VELOCITY, j] + lasts * square[POSITION, j]
     for i in range(n):
         square[i, VELOCITY] = slow * square[i, VELOCITY] + lasts * square[i, POSITION]
+    _multiply(square[VELOCITY], slow)
+    _add_multiple(square[POSITION], lasts, square[VELOCITY])
     for i in range(OFFSETS, n):
-        for c in range(3):
-            adjoint[i, c] *= remains
-        for j in range(OFFSETS):
-            square[i, j] *= remains
-            square[j, i] *= remains
-        for j in range(OFFSETS, n):
-            square[i, j] *= remains * remains
+        _fade(adjoint, square, i, remains)
 
 
 @kernel
@@ -522,7 +573,7 @@ def _backward(steps: Steps, m: int, out: FusedPoses, work: FusionWork) -> None:
             variance = work.information[t]
             for i in range(n):
                 for j in range(n):
-                    variance -= p[i] * square[i, j] * p[j]
+                    variance -= p[i] * square[j, i] * p[j]
             out.variances[pose, m] = max(variance, 0.0)
             for c in range(3):
                 x, v = work.innovations[t, c], work.speeds[t, c]
@@ -549,8 +600,8 @@ def smooth_joints(
     out : gets the poses that steps want. Where a joint is unknown, it stays as it is.
     """
     for m in range(len(noise.offsets)):
-        for level in range(LEVELS):
-            _rate(steps, m, noise, states, row, level, work)
+        _take_joint(steps, m, work)
+        _rate(steps, m, noise, states, row, work)
         _choose_levels(steps, keep, m, states, row, work)
         _forward(steps, keep, m, noise, states, row, work)
         _backward(steps, m, out, work)
