@@ -31,8 +31,11 @@ class Kernel:
         return _numba(self.function)
 
     @cached_property
+    def _for_kernels(self) -> Any:
+        return _numba(self.function, no_cpython_wrapper=True, **self._options)
+
+    @property
     def _numba_type_(self) -> Any:
-        self._for_kernels = _numba(self.function, no_cpython_wrapper=True, **self._options)
         return self._for_kernels._numba_type_  # which does not keep it alive
 
 
@@ -85,10 +88,15 @@ class EntryKernel(Kernel):
                 write(folder / name, code)
         return code
 
+    @cached_property
+    def _for_kernels(self) -> Any:
+        """What other kernels call, too: within a process, it is compiled once for all."""
+        return _numba(self.function, nogil=self._nogil)
+
     def _compile(self, name: str) -> MachineCode:
-        dispatcher = _numba(self.function, nogil=self._nogil)
-        dispatcher.compile(_numba_type(self._gives)(*map(_numba_type, self._takes.fields)))
-        (compiled,) = dispatcher.overloads.values()
+        signature = _numba_type(self._gives)(*map(_numba_type, self._takes.fields))
+        self._for_kernels.compile(signature)
+        compiled = self._for_kernels.overloads[signature.args]
         _, _, (machine, _) = compiled.library.serialize_using_object_code()
         names = compiled.fndesc
         return MachineCode(name, names.llvm_cpython_wrapper_name, names.env_name, machine)

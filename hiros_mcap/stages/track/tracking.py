@@ -272,9 +272,11 @@ def update(
             screen(group, least[0], least[1], work.faults)
         work.track_rows[:n] = -1
         _find_hidden(camera, group, cameras, settings, work)
-        _match(stamp, camera, known.persons, True, group, tracks, settings, work)
-        _drop_duplicates(known.persons, n, settings.min_distance, work)
-        _match(stamp, camera, known.tentative, False, group, tracks, settings, work)
+        for rest in range(2):  # a loop, since twice the code would take twice as long to compile
+            if rest:
+                _drop_duplicates(known.persons, n, settings.min_distance, work)
+            rows = known.tentative if rest else known.persons
+            _match(stamp, camera, rows, not rest, group, tracks, settings, work)
         if not known.certain or _is_open(n, stamp >= cameras.due[camera], work):
             return k, 1
         for j in range(n):
