@@ -104,6 +104,7 @@ def refine(
     free: Flags,
     gates: Sequence[float] = GATES_M,
     points: Points | None = None,
+    thinning: int = 1,
 ) -> tuple[Rig, Points]:
     """Improve poses and clocks until all cameras agree about the people.
 
@@ -112,7 +113,7 @@ def refine(
     instants : (K,) common times, s, increasing; not a multiple of the cameras' period, which
         would bias the clocks.
     mirror : (M,). free : (C, 8) the unknowns that may change, see :func:`free_unknowns`.
-    points : those of the first gate, if they are known.
+    points : those of the first gate, if they are known. thinning : see :func:`thinned`.
 
     Returns
     -------
@@ -127,8 +128,8 @@ def refine(
     for k, gate in enumerate(gates):
         if k:
             points = common_points(views, rig, instants, mirror, gate)
-        rig = solve(points, rig, free, rig, STEPS)
-    return rig, common_points(views, rig, instants, mirror, gates[-1])
+        rig = solve(thinned(points, thinning), rig, free, rig, STEPS)
+    return rig, thinned(common_points(views, rig, instants, mirror, gates[-1]), thinning)
 
 
 def solve(points: Points, rig: Rig, free: Flags, sampled: Rig, steps: int) -> Rig:
@@ -194,6 +195,21 @@ def _points(
     )
 
 
+def thinned(points: Points, k: int) -> Points:
+    """Return one of ``k`` joints of each person at each instant: others of the next person."""
+    return points if k == 1 else part_of(points, (points.people + points.joints) % k == 0)
+
+
+def part_of(points: Points, chosen: Flags) -> Points:
+    """Return the ``chosen`` (P,) points."""
+    return Points(
+        points.seconds[chosen],
+        points.people[chosen],
+        points.joints[chosen],
+        *(np.ascontiguousarray(table[:, chosen]) for table in points[3:]),
+    )
+
+
 def residuals_of(points: Points, rig: Rig, sampled: Rig | None = None) -> RigResiduals:
     """Return how far the cameras are from each joint's mean, with robust weights.
 
@@ -236,7 +252,9 @@ def normal_equations(
     # The mean of all cameras treats them alike; otherwise the first one's clock would be biased.
     velocities = np.broadcast_to(residuals.mean_velocities, residuals.velocities.shape)
     points = residuals._replace(velocities=np.ascontiguousarray(velocities))
-    add_points(points, seconds, hessian, slope, np.zeros((n_cameras, 3, UNKNOWNS)))
+    used = np.flatnonzero([free[:, :CLOCK].any()] * 3 + [free[:, c].any() for c in (CLOCK, DRIFT)])
+    first, last = (int(used[0]), int(used[-1]) + 1) if len(used) else (0, 0)
+    add_points(points, seconds, first, last, hessian, slope, np.zeros((n_cameras, 3, 5)))
     upper = np.triu(hessian)
     chosen = free[1:].ravel()
     whole = upper + upper.T - np.diag(np.diag(upper))

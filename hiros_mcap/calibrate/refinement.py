@@ -31,6 +31,7 @@ from hiros_mcap.calibrate.joint_refinement import (
     common_motion,
     common_points,
     free_unknowns,
+    part_of,
     refine,
     residuals_of,
     solve,
@@ -78,6 +79,8 @@ class Effort(NamedTuple):
     """Within which distance, m, people are the same, round by round."""
     drifts: bool
     """Whether the drifts of the clocks are refined in a log of more than two minutes."""
+    cameras: int = sys.maxsize
+    """Of more cameras fewer joints count: all pairs of cameras that see a joint cost time."""
 
 
 FROM_PAIRS = Effort(400, sys.maxsize, GATES_M, drifts=True)
@@ -107,6 +110,7 @@ def refine_together(
         seen = common_points(views, start, instants, mirror, effort.gates[0])
     step = 1 + len(seen.seconds) // effort.points
     instants = instants[::step]
+    thinning = -(-len(views) // effort.cameras)
     drifts = effort.drifts and len(instants) > 1 and float(np.ptp(instants)) > DRIFT_S
     timed = common_motion(residuals_of(seen, start)) >= LEAST_MOTION
     shared = seen if step == 1 and len(seen.seconds) else None
@@ -115,7 +119,9 @@ def refine_together(
         free = free_unknowns(len(views), clocks=timed, drifts=drifts)
         free[~np.broadcast_to(movable, len(views)), :CLOCK] = False
         rig = rig._replace(clocks=np.where(timed, rig.clocks, 0.0))
-        rig, points = refine(views, rig, instants, mirror, free=free, gates=gates, points=shared)
+        rig, points = refine(
+            views, rig, instants, mirror, free=free, gates=gates, points=shared, thinning=thinning
+        )
         residuals = residuals_of(points, rig)
         before, timed = timed, common_motion(residuals) >= LEAST_MOTION
         if (timed == before).all():
@@ -350,7 +356,7 @@ def _held_out(
     clocks[:, :6] = False
     differences = np.zeros(len(points.seconds))
     for train, test in _folds(points, late, mirror):
-        some, rest = _part(points, train), _part(points, test)
+        some, rest = part_of(points, train), part_of(points, test)
         refined = solve(some, rig, free, rig, HELD_OUT_STEPS)
         kept = solve(some, given._replace(clocks=rig.clocks), clocks, rig, HELD_OUT_STEPS)
         differences[test] = _loss(rest, kept, rig, scale) - _loss(rest, refined, rig, scale)
@@ -364,15 +370,6 @@ def _folds(points: Points, late: Flags, mirror: Ints) -> Iterator[tuple[Flags, F
     for time in (late, ~late):
         for joint in (odd, ~odd):
             yield time & joint, ~time & ~joint
-
-
-def _part(points: Points, chosen: Flags) -> Points:
-    return Points(
-        points.seconds[chosen],
-        points.people[chosen],
-        points.joints[chosen],
-        *(np.ascontiguousarray(table[:, chosen]) for table in points[3:]),
-    )
 
 
 def _loss(points: Points, rig: Rig, sampled: Rig, scale: float) -> Floats:

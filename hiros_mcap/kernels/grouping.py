@@ -38,11 +38,13 @@ class GroupingWork(NamedTuple):
     distances: F2  # (S, S)
     mirrored: B2  # (S, S)
     joints: F1  # (M,)
+    nearest: F1  # (S,) least distance to a later skeleton that is not joined yet
+    partners: I1  # (S,) which one that is
 
     @classmethod
     def allocate(cls, n_skeletons: int, n_markers: int) -> GroupingWork:
         """Allocate the arrays."""
-        return arrays(cls, *2 * [(n_skeletons, n_skeletons)], n_markers)
+        return arrays(cls, *2 * [(n_skeletons, n_skeletons)], n_markers, *2 * [n_skeletons])
 
 
 @kernel
@@ -95,6 +97,15 @@ def _compare(skeletons: Skeletons, begin: int, end: int, gate: float, work: Grou
 
 
 @kernel
+def _find_partner(i: int, n: int, work: GroupingWork) -> None:
+    """Write which of the later ones of n skeletons is the nearest to one."""
+    work.nearest[i], work.partners[i] = np.inf, -1
+    for j in range(i + 1, n):
+        if work.distances[i, j] < work.nearest[i]:
+            work.nearest[i], work.partners[i] = work.distances[i, j], j
+
+
+@kernel
 def _share_a_camera(
     skeletons: Skeletons, groups: Groups, begin: int, end: int, a: int, b: int
 ) -> bool:
@@ -142,19 +153,22 @@ def group_people(
             groups.people[i] = i
             groups.mirrored[i] = False
             groups.distances[i] = np.inf
+            _find_partner(i - begin, end - begin, work)
         while True:
-            nearest, a, b = np.inf, -1, -1
-            for i in range(begin, end):
-                for j in range(i + 1, end):
-                    if work.distances[i - begin, j - begin] < nearest:
-                        nearest, a, b = work.distances[i - begin, j - begin], i, j
-            if a < 0:
+            nearest, one = np.inf, -1
+            for i in range(end - begin):
+                if work.nearest[i] < nearest:
+                    nearest, one = work.nearest[i], i
+            if one < 0:
                 break
-            work.distances[a - begin, b - begin] = np.inf
+            other = work.partners[one]
+            work.distances[one, other] = np.inf
+            _find_partner(one, end - begin, work)
+            a, b = begin + one, begin + other
             if groups.people[a] == groups.people[b]:
                 continue
             if _share_a_camera(skeletons, groups, begin, end, a, b):
                 continue
             later = max(groups.people[a], groups.people[b])
-            _join(groups, begin, end, a, b, work.mirrored[a - begin, b - begin])
+            _join(groups, begin, end, a, b, work.mirrored[one, other])
             groups.distances[later] = nearest

@@ -56,9 +56,10 @@ _PROVEN_S = 2.0
 """Common view that proves a pose. It is looked at again soon; before a run of a file, never."""
 _CERTAIN_S = 5.0
 """Before that, poses are known to .2 degrees: as well as a careful calibration knows them."""
-_EFFORT = FROM_GIVEN._replace(points=2000)
+_EFFORT = FROM_GIVEN._replace(points=2000, cameras=5)
 """A comparison of many people costs as much as that of one or two. With three times the points,
-live results of four to eight people are the same to .1 mm."""
+live results of four to eight people are the same to .1 mm. Of many cameras, its cost grows with
+their number, not with the number of pairs."""
 _EVERY_S = 60
 """Afterwards at all multiples of this."""
 _TAKES = 3

@@ -155,6 +155,22 @@ def test_where_joints_are_many_fewer_instants_are_enough(points):
     assert found.rig.shifts[1] == pytest.approx(shift, abs=2e-3)
 
 
+def test_of_many_cameras_fewer_joints_are_enough_and_each_counts_at_some_instants():
+    turns = [Rotation.from_euler("z", angle) for angle in (0.0, 0.5, 1.0, 1.5)]
+    shifts = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
+    cameras = [view(n, t, p) for n, t, p in zip("abcd", turns, shifts, strict=True)]
+    start = Rig.alone(4)
+    start.rotations[:] = [turn.as_matrix() for turn in turns]
+    start.shifts[1:] = shifts[1:] + 0.05
+    whole, found = (
+        refine_together(cameras, start, SIDES, FROM_GIVEN._replace(points=300, cameras=n))
+        for n in (4, 2)
+    )
+    assert len(found.points.seconds) == pytest.approx(len(whole.points.seconds) / 2, rel=0.1)
+    assert set(found.points.joints) == set(whole.points.joints)
+    assert found.rig.shifts == pytest.approx(shifts, abs=2e-3)
+
+
 def test_a_rival_is_a_pose_that_is_as_near_not_one_that_also_fits():
     near, far = np.full(50, 0.03), np.full(50, 0.07)
     turned = Rig.alone(2)
