@@ -55,7 +55,8 @@ constrain = at_once(constrain_blocks)
 
 START = 1_700_000_000_000_000_000  # ns
 POINT = SkeletonModel.of(["A"], [])
-NOISE = JointNoise(np.array([5.0]), np.array([0.02**2]), 2.0, 10**9, 0.0)
+TREE = np.array([0]), np.array([-1])  # one joint, without a parent
+NOISE = JointNoise(np.array([5.0]), np.array([0.02**2]), 2.0, 10**9, 0.0, *TREE)
 
 
 def numbered(times, cameras, positions, variances):
@@ -85,7 +86,7 @@ def steps_of(seed=0):
 def smoothed(steps, keep=10**9, states=None, work=None):
     states = states or JointStates.unknown(1, 1, 2)
     out = FusedPoses.absent(int((steps.cameras == POSE).sum()), 1)
-    work = work or FusionWork.of(len(steps.times), 4)
+    work = work or FusionWork.of(len(steps.times), 4, 1)
     fusing.smooth_joints(steps, keep, NOISE, states, 0, out, work)
     return out
 
@@ -107,7 +108,7 @@ def test_views_are_filtered_in_the_order_of_their_times_person_by_person():
         0, 10**9,
     )  # fmt: skip
     states, out = JointStates.unknown(2, 1, 2), FusedPoses.absent(120, 1)
-    smooth_people(window, 0, 2, NOISE, states, out, StepWork.of(180, 4))
+    smooth_people(window, 0, 2, NOISE, states, out, StepWork.of(180, 4, 1))
     for k, (steps, row) in enumerate(zip(parts, (1, 0), strict=True)):
         alone = JointStates.unknown(1, 1, 2)
         expected = smoothed(steps, keep=int((steps.times < 1).sum()), states=alone)
@@ -162,7 +163,7 @@ def test_the_smoother_equals_regression_over_all_states(unseen):
     all_steps = steps_of()
     away = (all_steps.times > 0.2) & (all_steps.times < 0.2 + unseen) & (all_steps.cameras >= 0)
     steps = part_of(all_steps, np.flatnonzero(~away)[:60])
-    work = FusionWork.of(len(steps.times), 4)
+    work = FusionWork.of(len(steps.times), 4, 1)
     found = smoothed(steps, work=work)
     positions, variances = dense_solution(steps, work.factors)
     np.testing.assert_allclose(found.positions[:, 0], positions, atol=1e-9)
@@ -204,8 +205,8 @@ def moving(x):
         np.repeat(z, 2, axis=0)[:, None],
         np.full((len(times), 1), 0.01**2),
     )
-    noise = JointNoise(np.array([3.0]), np.array([1e-6]), 2.0, 4, 0.3)
-    work, out = FusionWork.of(len(times), 3), FusedPoses.absent(len(x), 1)
+    noise = JointNoise(np.array([3.0]), np.array([1e-6]), 2.0, 4, 20.0, *TREE)
+    work, out = FusionWork.of(len(times), 3, 1), FusedPoses.absent(len(x), 1)
     fusing.smooth_joints(steps, 0, noise, JointStates.unknown(1, 1, 1), 0, out, work)
     return np.asarray(np.abs(out.positions[:, 0, 0] - x)), work.factors[::2]
 
@@ -239,8 +240,8 @@ def test_a_joint_that_one_of_two_cameras_sees_elsewhere_stays(wrong):
     z = rng.normal(0, 0.01, (3 * n, 1, 3))
     z[(cameras == wrong) & (times > 1.5) & (times < 2), 0, 2] += 0.5
     steps = numbered(times, cameras, z, np.full((3 * n, 1), 0.01**2))
-    noise = JointNoise(np.array([3.0]), np.array([0.01**2]), 1.7, 4, 0.3)
-    work, out = FusionWork.of(3 * n, 4), FusedPoses.absent(n, 1)
+    noise = JointNoise(np.array([3.0]), np.array([0.01**2]), 1.7, 4, 20.0, *TREE)
+    work, out = FusionWork.of(3 * n, 4, 1), FusedPoses.absent(n, 1)
     fusing.smooth_joints(steps, 0, noise, JointStates.unknown(1, 1, 2), 0, out, work)
     assert np.abs(out.positions).max() < 0.1
 
@@ -258,7 +259,7 @@ def test_a_gross_outlier_moves_nothing():
     spoilt.positions[90] += 1.0
     states = JointStates.unknown(1, 1, 2)
     out = FusedPoses.absent(60, 1)
-    fusing.smooth_joints(spoilt, 10**9, robust, states, 0, out, FusionWork.of(180, 4))
+    fusing.smooth_joints(spoilt, 10**9, robust, states, 0, out, FusionWork.of(180, 4, 1))
     assert np.abs(out.positions - smoothed(steps).positions).max() < 0.01
 
 

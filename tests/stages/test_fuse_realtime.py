@@ -116,11 +116,12 @@ def start_to_run():
     cameras = np.tile([0, POSE], 60)
     rows = np.arange(120) * (cameras != POSE)  # the only pose that is wanted is that of row 0
     steps = Steps(times, cameras, rows, x, np.full((120, 1), 0.01**2))
-    noise = JointNoise(np.array([1.0]), np.array([1e-8]), 1.7, 8, 0.0)
+    alone = np.array([0]), np.array([-1])
+    noise = JointNoise(np.array([1.0]), np.array([1e-8]), 1.7, 8, 0.0, *alone)
     states, out = JointStates.unknown(1, 1, 1), FusedPoses.absent(1, 1)
     for k in range(60):
         some = Steps(*[array[2 * k : 2 * k + 2] for array in steps[:3]], *steps[3:])
-        fusing.smooth_joints(some, 2, noise, states, 0, out, FusionWork.of(2, 3))
+        fusing.smooth_joints(some, 2, noise, states, 0, out, FusionWork.of(2, 3, 1))
         x[2 * k + 1] = out.positions[0]
     return x[1::2, 0, 0] - x[::2, 0, 0], steady(x[::2, 0, 0])
 

@@ -6,7 +6,8 @@ The state of a joint is [x, v, b_1 ... b_C]: position, velocity and the slow off
 A joint that no camera has seen for _GOES_ON s slows down: v' = e^(-dt/_STOPS) v.
     z = x + b_c + white noise, at the camera's own time
 The three axes share the covariance. The noise is Student's t, and of some measurements it is
-uniform: they may lie anywhere. So a joint that two cameras see at two places stays where it was.
+uniform: they may lie anywhere (:mod:`.outliers`). So a joint that two cameras see at two places
+stays where it was.
 The smoother is modified Bryson-Frazier (Bierman 1977, section X.4): it carries back an adjoint of
 the innovations and its covariance, and needs no inverse.
 """
@@ -21,6 +22,7 @@ import numpy as np
 from hiros_mcap.kernels.array_types import F1, F2, F3, F4, I1, arrays
 from hiros_mcap.kernels.compile import inlined, kernel
 from hiros_mcap.skeletons import Floats, Ints, Stamps
+from hiros_mcap.stages.fuse.outliers import CameraDoubts, outlier_odds
 
 POSITION, VELOCITY, OFFSETS = 0, 1, 2  # rows of the state of a joint
 REFERENCE = 2.0
@@ -100,6 +102,8 @@ class JointNoise(NamedTuple):
     time: float  # time constant of the offsets, s
     freedom: int  # degrees of freedom of Student's t
     elsewhere: float  # density of outliers, 1/m3, but for the factor of :func:`_likelihood`
+    order: I1  # (M,) joints, parents first
+    parents: I1  # (M,) the joint's parent; -1 = none
 
 
 class JointStates(NamedTuple):
@@ -110,12 +114,17 @@ class JointStates(NamedTuple):
     times: F2  # (R, M) s
     seen: F2  # (R, M) time of the last measurement, s
     levels: F3  # (R, M, LEVELS) probability of each level of the acceleration
+    wrong: F3
+    measured: F3
+    agreed: F3
+    """(R, M, C) each camera's last measurement, as in :class:`~.outliers.CameraDoubts`."""
 
     @classmethod
     def unknown(cls, people: int, markers: int, cameras: int) -> JointStates:
         """Return states of joints that nobody has seen."""
-        r, m, n = people, markers, OFFSETS + cameras
-        return arrays(cls, (r, m, n, 3), (r, m, n, n), (r, m), (r, m), (r, m, LEVELS))
+        r, m, c = people, markers, cameras
+        n, joints, doubts = OFFSETS + c, (people, markers), 3 * [(r, m, c)]
+        return arrays(cls, (r, m, n, 3), (r, m, n, n), joints, joints, (r, m, LEVELS), *doubts)
 
 
 class FusedPoses(NamedTuple):
@@ -153,13 +162,15 @@ class FusionWork(NamedTuple):
     rated: F2  # (LEVELS, 9) x, v and their covariances xx, xv, vv, where the joint stays at a level
     places: F2  # (T, 3) measured, m; NaN = the step does not measure the joint
     variances: F1  # (T,) of the white noise of a measurement, m2
+    doubts: CameraDoubts  # by level; the filter has the first row
 
     @classmethod
-    def of(cls, steps: int, size: int) -> FusionWork:
+    def of(cls, steps: int, size: int, markers: int) -> FusionWork:
         """Make room."""
         t, n = steps, size
+        doubts = CameraDoubts.of(LEVELS, steps, size - OFFSETS, markers)
         many, levels = ((t, n), (t, n), (t, 3), (t, 3)), ((t, LEVELS), t, t, (LEVELS, 9))
-        return arrays(cls, t, t, t, *many, t, (n, 3), (n, n), n, *levels, (t, 3), t)
+        return arrays(cls, t, t, t, *many, t, (n, 3), (n, n), n, *levels, (t, 3), t, doubts)
 
 
 # Rows of a covariance.
@@ -192,6 +203,15 @@ def _load(states: JointStates, row: int, m: int, work: FusionWork) -> None:
     for i in range(len(work.mean)):
         _copy(states.means[row, m, i], work.mean[i])
         _copy(states.covariances[row, m, i], work.covariance[i])
+    _load_doubts(states, row, m, 0, work.doubts)
+
+
+@kernel
+def _load_doubts(states: JointStates, row: int, m: int, level: int, doubts: CameraDoubts) -> None:
+    """Fetch what is known of the cameras' last measurements of a joint."""
+    _copy(states.wrong[row, m], doubts.wrong[level])
+    _copy(states.measured[row, m], doubts.times[level])
+    _copy(states.agreed[row, m], doubts.agreed[level])
 
 
 @kernel
@@ -202,6 +222,9 @@ def _save(
     for i in range(len(work.mean)):
         _copy(work.mean[i], states.means[row, m, i])
         _copy(work.covariance[i], states.covariances[row, m, i])
+    _copy(work.doubts.wrong[0], states.wrong[row, m])
+    _copy(work.doubts.times[0], states.measured[row, m])
+    _copy(work.doubts.agreed[0], states.agreed[row, m])
     states.times[row, m], states.seen[row, m] = times
 
 
@@ -275,18 +298,29 @@ def _likelihood(scaled: float, variance: float, freedom: int) -> float:
 
 
 @inlined
-def _excess(scaled: float, likelihood: float, noise: JointNoise) -> float:
+def _excess(scaled: float, odds: float, freedom: int) -> float:
     """Return the factor by which an outlier adds to its noise's variance, by its scaled square.
 
     It is 1 / (w p) - 1, where w is the weight that Student's t gives the measurement, at most 1,
     and p the probability that it is of the joint at all.
     """
-    doubt = 1.0 + noise.elsewhere / max(likelihood, 1e-30)
-    return doubt * max((noise.freedom + scaled) / (noise.freedom + 3), 1.0) - 1.0
+    return (1.0 + odds) * max((freedom + scaled) / (freedom + 3), 1.0) - 1.0
 
 
 @inlined
-def _correct(steps: Steps, t: int, noise: JointNoise, work: FusionWork) -> None:
+def _odds(
+    steps: Steps, t: int, m: int, level: int, innovation: tuple[float, float], likelihood: float,
+    noise: JointNoise, work: FusionWork,
+) -> tuple[float, float]:  # fmt: skip
+    """Return what :func:`outlier_odds` does of a step's measurement of a joint."""
+    time, camera, parent = steps.times[t], steps.cameras[t], noise.parents[m]
+    wrong = work.doubts.joints[parent, t] if parent >= 0 else 0.0
+    ratio = noise.elsewhere / max(likelihood, 1e-30)
+    return outlier_odds(time, camera, level, innovation, ratio, wrong, work.doubts)
+
+
+@inlined
+def _correct(steps: Steps, t: int, m: int, noise: JointNoise, work: FusionWork) -> None:
     """Correct the state by a measurement."""
     x, p, h = work.mean, work.covariance, work.row
     n, k = len(x), OFFSETS + steps.cameras[t]
@@ -299,7 +333,10 @@ def _correct(steps: Steps, t: int, noise: JointNoise, work: FusionWork) -> None:
         work.innovations[t, c] = y
         square += y * y
     scaled = square / variance
-    excess = _excess(scaled, _likelihood(scaled, variance, noise.freedom), noise)
+    likelihood = _likelihood(scaled, variance, noise.freedom)
+    odds, _ = _odds(steps, t, m, 0, (square, variance), likelihood, noise, work)
+    work.doubts.joints[m, t] = odds / (1.0 + odds)
+    excess = _excess(scaled, odds, noise.freedom)
     information = 1.0 / (variance + work.variances[t] * excess)
     work.information[t] = information
     for i in range(n):
@@ -341,6 +378,7 @@ def _rate(
     p = states.covariances[row, m]
     is_known = p[POSITION, POSITION] != 0.0
     for level in range(LEVELS):
+        _load_doubts(states, row, m, level, work.doubts)
         rated = work.rated[level]
         for c in range(3):
             rated[c] = states.means[row, m, POSITION, c]
@@ -363,20 +401,20 @@ def _rate(
         lasts, slow = _slowed(max(time - seen, 0.0), dt)
         seen = time = max(steps.times[t], time)
         for level in range(LEVELS):
-            q = noise.accelerations[m] * _LEVELS[level]
-            _rate_level(t, level, (dt, lasts, slow), q, noise.offsets[m], noise, work)
+            _rate_level(steps, t, m, level, (dt, lasts, slow), noise, work)
 
 
 @inlined
 def _rate_level(
-    t: int, level: int, interval: tuple[float, float, float], q: float, offset: float,
+    steps: Steps, t: int, m: int, level: int, interval: tuple[float, float, float],
     noise: JointNoise, work: FusionWork,
 ) -> None:  # fmt: skip
     """Write how likely a measurement is at a level, and correct x and v by it.
 
     ``interval`` : s since the one before, for how many of them the velocity lasts, and the share
-    of it that is left. ``q`` : density of the acceleration. ``offset`` : variance of an offset.
+    of it that is left.
     """
+    q, offset = noise.accelerations[m] * _LEVELS[level], noise.offsets[m]
     rated, (dt, lasts, slow) = work.rated[level], interval
     xx, xv, vv = rated[6], rated[7], rated[8]
     xx += lasts * (2.0 * xv + lasts * vv) + q * dt * dt * dt / 3.0
@@ -391,8 +429,9 @@ def _rate_level(
     variance = xx + noise_variance
     scaled = square / variance
     likelihood = _likelihood(scaled, variance, noise.freedom)
-    work.levels[t, level] = likelihood + noise.elsewhere
-    variance += noise_variance * _excess(scaled, likelihood, noise)
+    odds, right = _odds(steps, t, m, level, (square, variance), likelihood, noise, work)
+    work.levels[t, level] = right * likelihood * (1.0 + odds)
+    variance += noise_variance * _excess(scaled, odds, noise.freedom)
     gain, gain_of_speed = xx / variance, xv / variance
     for c in range(3):
         innovation = work.places[t, c] - rated[c]
@@ -505,7 +544,7 @@ def _forward(
             _copy(x[VELOCITY], work.speeds[t])
         else:
             seen = time
-            _correct(steps, t, noise, work)
+            _correct(steps, t, m, noise, work)
     if keep >= len(steps.times) and started:
         _save(states, row, m, (time, seen), work)
 
@@ -599,7 +638,8 @@ def smooth_joints(
         before step ``keep``, where the next window starts.
     out : gets the poses that steps want. Where a joint is unknown, it stays as it is.
     """
-    for m in range(len(noise.offsets)):
+    work.doubts.joints[:] = 0.0
+    for m in noise.order:
         _take_joint(steps, m, work)
         _rate(steps, m, noise, states, row, work)
         _choose_levels(steps, keep, m, states, row, work)

@@ -15,13 +15,14 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.fuse.fusing import REFERENCE, JointNoise, Sightings
+from hiros_mcap.stages.fuse.outliers import parents_first
 
 FREEDOM = 4
 """Degrees of freedom of Student's t: gross outliers count little. 4 to 20 differ by 0 to 4 %."""
-_ELSEWHERE = 0.3
-"""1/m3, beside Student's t without its constant factor: two of a hundred measurements lie anywhere
-in a cubic metre. Detectors are off by more than .25 m in 1 to 3 % of the time. With 3, realistic
-logs lose half as much error again, but a crowd whose joints are mostly guessed gets 3 % more."""
+_ELSEWHERE = 15.0
+"""1/m3, beside Student's t without its constant factor, which is .075: outliers lie within a sphere
+of .6 m. With 50, realistic logs lose 1 % of their error, and a crowd whose joints are mostly
+guessed gets 2 % more."""
 _EXTREMITIES = ("wrist", "hand", "handtip", "hand_tip", "thumb", "ankle", "foot", "toe", "bigtoe")
 _WHITE = 0.007  # m; these and the next: median over simulated logs
 _EXTREMITY_FACTOR = 1.7
@@ -85,9 +86,12 @@ class FusionNoise:
         power, guessed = numbers.get("power", self.power), numbers.get("guessed", self.guessed)
         return replace(self, joints=white, cameras=dict(cameras), power=power, guessed=guessed)
 
-    def motion(self, freedom: int = FREEDOM) -> JointNoise:
+    def motion(self, model: SkeletonModel, freedom: int = FREEDOM) -> JointNoise:
         """Return the part that the filter takes; the number is that of FuseParams."""
-        return JointNoise(self.accelerations, self.offsets**2, self.time, freedom, _ELSEWHERE)
+        return JointNoise(
+            self.accelerations, self.offsets**2, self.time, freedom, _ELSEWHERE,
+            *parents_first(model),
+        )  # fmt: skip
 
     def white(
         self, distances: Floats, guessed: npt.NDArray[np.bool_], cameras: Floats | float = 1.0

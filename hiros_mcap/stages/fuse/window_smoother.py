@@ -81,7 +81,7 @@ class WindowSmoother:
         pose_error: PoseError,
     ) -> None:  # fmt: skip
         self._params, self._noise, self._known = params, noise, known
-        self._motion = noise.motion(params.freedom)
+        self._motion = noise.motion(model, params.freedom)
         self._pose_error = pose_error
         self.displaced = DisplacedViews(known.errors)
         self._names: tuple[str, ...] = ()
@@ -138,7 +138,8 @@ class WindowSmoother:
         for k in range(size - new, size):
             seen_before = covariances[:, :, 0, 0] > 0
             covariances[:, :, k, k] = np.where(seen_before, self._noise.offsets**2, 0.0)
-        self._bank.past = past._replace(means=means, covariances=covariances)
+        doubts = (np.pad(array, ((0, 0), (0, 0), (0, new))) for array in past[-3:])
+        self._bank.past = JointStates(means, covariances, *past[2:-3], *doubts)
 
     def _smooth(self, end: int, log_time: int, known: int) -> Smoothed:
         """Smooth a window: the instants before ``end``, ns, at least one.
@@ -203,7 +204,7 @@ class WindowSmoother:
         states, poses = self._bank.past, FusedPoses.absent(n, m)
 
         def smooth(first: int, last: int, steps: int) -> None:
-            work = StepWork.of(steps, states.means.shape[2])
+            work = StepWork.of(steps, states.means.shape[2], m)
             smooth_people(window, first, last, self._motion, states, poses, work)
 
         if self._params.window > 0:
@@ -328,9 +329,9 @@ class StepWork(NamedTuple):
     joint: FusionWork
 
     @classmethod
-    def of(cls, steps: int, size: int) -> StepWork:
-        """Make room for joints with states of length ``size``."""
-        return arrays(cls, steps, steps, steps, FusionWork.of(steps, size))
+    def of(cls, steps: int, size: int, markers: int) -> StepWork:
+        """Make room for M joints with states of length ``size``."""
+        return arrays(cls, steps, steps, steps, FusionWork.of(steps, size, markers))
 
 
 @inlined
