@@ -76,23 +76,27 @@ class Scene:
                 self.frames = list(log.detections())
                 self.model, self.cameras = log.model, camera_positions(log)
 
-    def people_at(self, frame: Frame) -> list[int]:
-        """Whom each skeleton of a frame shows, -1 = nobody."""
+    def people_at(self, frame: Frame, near: float = NEAR) -> list[int]:
+        """Whom each skeleton of a frame shows, -1 = nobody that is so near, m."""
         true = self.truth[min(np.searchsorted(self.stamps, frame.stamp), len(self.stamps) - 1)]
         if not frame.n_people:
             return []
         apart = np.linalg.norm(frame.positions[:, None] - true[None], axis=-1)
         distances = np.nanmean(apart, axis=-1)
         nearest = distances.argmin(axis=1)
-        return [int(p) if d < NEAR else -1 for p, d in zip(nearest, distances.min(1), strict=True)]
+        return [int(p) if d < near else -1 for p, d in zip(nearest, distances.min(1), strict=True)]
 
     def without(self, away: Mapping[int, tuple[float, float]]) -> list[Frame]:
-        """The detections but for those of people who are away from one time to another, s."""
+        """The detections but for those of people who are away from one time to another, s.
+
+        Also for those that the detector misplaces.
+        """
         frames = []
         for frame in self.frames:
             t = (frame.stamp - self.start) * 1e-9
             gone = {person for person, (begin, end) in away.items() if begin <= t < end}
-            here = [k for k, p in enumerate(self.people_at(frame)) if p not in gone] if gone else []
+            shown = self.people_at(frame, near=np.inf) if gone else []
+            here = [k for k, person in enumerate(shown) if person not in gone]
             frames.append(frame.select(here) if gone else frame)
         return frames
 

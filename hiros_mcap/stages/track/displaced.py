@@ -30,7 +30,6 @@ import numpy as np
 
 from hiros_mcap.events import CAMERA_BACK, MIRROR_SEEN, Event, Events, camera_displaced
 from hiros_mcap.skeletons import POSITION, UNTRACKED, Flags, Floats, Ints
-from hiros_mcap.stages.track.identity import Identities
 from hiros_mcap.stages.track.likeness import (
     ALIKE,
     ALIKE_IF_DISPLACED,
@@ -362,10 +361,10 @@ class Copies:
     """
 
     def __init__(
-        self, people: TrackedPeople, identities: Identities, places: Places, mirror: Ints,
+        self, people: TrackedPeople, places: Places, mirror: Ints,
         events: Events, *, withdraws: bool,
     ) -> None:  # fmt: skip
-        self._people, self._identities, self._places = people, identities, places
+        self._people, self._places = people, places
         self._events, self._withdraws = events, withdraws
         self.displaced = DisplacedCameras(mirror, events)
 
@@ -414,7 +413,6 @@ class Copies:
         """Delete a copy, also in messages that are held."""
         if track.confirmed:
             self._events.note(group.stamp, "track withdrawn", person=track.id)
-        self._identities.take_back(track)
         self._people.remove(track)
         track.id, track.is_copy = UNTRACKED, True
         for j in [j for j, shown in enumerate(group.tracks) if shown is track]:

@@ -14,6 +14,7 @@ from hiros_mcap.skeletons import UNTRACKED, Floats, Ints
 from hiros_mcap.stages.track.reidentify import (
     OVERLAP,
     SECOND,
+    THRESHOLD,
     LimbScatter,
     PersonCues,
     Verdict,
@@ -30,7 +31,7 @@ from hiros_mcap.stages.track.tracked_people import (
 _PAUSE, _LONGEST_PAUSE = 1_000_000_000, 60_000_000_000  # ns: all cameras are silent for this long
 _AT_ONCE = 200_000_000  # ns from the first camera's last message to the last one's before a pause
 _STANDS = 0.3  # m from the place of a second or two before
-WAITS = 4  # times the look-ahead: so long the decision on a doubtful newcomer may take
+WAITS = 8  # times the look-ahead: so long the decision on a doubtful newcomer may take
 _PATIENCE = 0.8  # share of the look-ahead for which the evidence of a newcomer is gathered
 
 
@@ -58,8 +59,6 @@ class Identities:
         self._places: dict[int, tuple[Floats, Floats]] = {}
         """Number of a track to where it was at the last look but one, and at the last, m."""
         self._patience = round(_PATIENCE * params.lookahead * 1e9)
-        self._people_known: set[int] = set()
-        """Ids of people of whom no two are the same."""
 
     def name(
         self, track: PersonTrack, group: DetectionGroup, scene: Present, *, at_once: bool = False
@@ -68,43 +67,58 @@ class Identities:
 
         ``at_once`` : no more will be known, since the person has left.
         """
-        kind, remark, is_new = "track born", "", True
+        kind, remark = "track born", ""
         if track.former_id == UNTRACKED and self._somebody_absent(track):
             age = math.inf if at_once else group.stamp - track.first
             if age < self._patience:
                 return
             verdict = self._reidentify(track, scene)
             # Seen from one camera far away, limbs tell little; a moment later they may.
-            track.doubtful = not verdict.accepted and age < WAITS * self._patience
+            track.doubtful = not verdict.is_sure and age < WAITS * self._patience
             if track.doubtful:
                 return
             if verdict.accepted:
                 kind, remark = "person re-identified", f"; by {verdict}"
-                self._restore(track, verdict.person, scene)
+                self._join(track, verdict.person, scene)
+                track.former_id = verdict.person
+                for person in scene.persons:
+                    person.may_be.pop(verdict.person, None)
             else:
-                track.stranger, remark = True, f"; not re-identified ({verdict})"
-                is_new = verdict.is_stranger
+                track.may_be, remark = dict(verdict.chances), f"; not re-identified ({verdict})"
         track.doubtful = False
         track.id = next(self._ids) if track.former_id == UNTRACKED else track.former_id
         scene.admit(track)
-        self._people_known |= {track.id} if is_new else set()
-        self._people_known = max(self._people_known, self._there(scene, group.stamp), key=len)
         self._events.note(
             track.seen if at_once else group.stamp, kind, person=track.id, source=group.source,
             detail=f"seen by {', '.join(sorted(track.reports))}{remark}",
         )  # fmt: skip
 
-    def _there(self, scene: Present, stamp: int) -> set[int]:
-        """Return the ids of the persons who are there."""
-        return {person.id for person in scene.persons if person.is_there(stamp)}
-
     def leave(self, track: PersonTrack) -> None:
         """Remember a person who was not seen for t_m."""
+        if track.may_be:
+            self._look_back(track)
         self._absent.append(self._cues_of(track))
 
-    def take_back(self, track: PersonTrack) -> None:
-        """Note that a track was no person, or the same as another one."""
-        self._people_known -= {track.id, track.former_id}
+    def _look_back(self, track: PersonTrack) -> None:
+        """Weigh again who it was that got a new id, as all that can be known is known now.
+
+        Who is probably the same as somebody who left before is remembered by the new id alone.
+        """
+        scene = Present(set(), frozenset(), self._people.confirmed())
+        if not self._absent_before(track, scene):
+            return
+        verdict = self._reidentify(track, scene)
+        track.may_be = dict(verdict.chances)
+        have_left = [old.person for old in self._absent]
+        if verdict.probability >= THRESHOLD and verdict.person in have_left:
+            self._join(track, verdict.person, scene)
+            del track.may_be[verdict.person]
+            others = [old.may_be for old in self._absent]
+            for may_be in [*others, *[person.may_be for person in scene.persons]]:
+                if verdict.person in may_be:
+                    may_be[track.id] = may_be.pop(verdict.person)
+            detail = f"as person {verdict.person}, who left before; by {verdict}"
+            self._events.note(track.seen, "same person", person=track.id, detail=detail)
 
     def _cues_of(self, track: PersonTrack) -> PersonCues:
         past, row = self._people.bank.past, track.row
@@ -112,7 +126,10 @@ class Identities:
         place = self._people.centre(track)
         before, _ = self._places.get(track.number, (np.full(3, np.inf), place))
         stood = bool(np.linalg.norm(place - before) <= _STANDS)
-        return PersonCues(track.id, track.seen, place, lengths, counts, stood)
+        seconds = track.seen_before + (track.seen - track.first) * 1e-9
+        return PersonCues(
+            track.id, track.seen, place, lengths, counts, seconds, stood, may_be=track.may_be
+        )
 
     def advance(self, stamp: int) -> None:
         """Come to the time, ns, of a message: learn, forget."""
@@ -150,7 +167,7 @@ class Identities:
     def _look(self) -> None:
         """Learn how much everybody's measured limbs vary, and where everybody is."""
         past, scatter, places = self._people.bank.past, self._limbs, self._places
-        for track in self._people.confirmed():
+        for track in [each for each in self._people.tracks if each.confirmed or each.doubtful]:
             scatter.learn(track.number, past.lengths[track.row], past.length_counts[track.row])
             if track.is_there(self._looked):
                 place = self._people.centre(track)
@@ -189,8 +206,9 @@ class Identities:
         best is less probably this one.
         """
         others = [each for each in self._people.tentative() if each is not track]
+        persons = [each for each in scene.persons if each is not track]
         rivals = [each for each in others if self._people.may_count(each, self._params)]
-        rivals += [person for person in scene.persons if person.stranger]
+        rivals += [person for person in persons if person.may_be]
         newcomers = [
             replace(
                 self._cues_of(each),
@@ -204,20 +222,22 @@ class Identities:
             replace(old, watched=self._watched(old.stamp, track.first) * 1e-9)
             for old in self._absent_before(track, scene)
         ]
-        # Whoever is there, and may be one of those who left, is one of them less to come back.
-        missing = len(self._people_known & {old.person for old in absent})
-        missing -= len(self._there(scene, track.seen) - self._people_known)
+        # Whoever is there, or left since then, and may be one of them, is one of them less to come.
+        there = [person.may_be for person in persons if person.is_there(track.seen)]
+        again = [*there, *[old.may_be for old in absent]]
+        missing = len(absent) - sum(each.get(old.person, 0.0) for each in again for old in absent)
         return reidentify(newcomers, absent, missing, self._limbs)[track.number]
 
-    def _restore(self, track: PersonTrack, person: int, scene: Present) -> None:
-        """Give a newcomer the id of an absent person; what is known of the limbs is joined."""
+    def _join(self, track: PersonTrack, person: int, scene: Present) -> None:
+        """Let a track go on with what is known of an absent person's limbs; forget the latter."""
         past, row = self._people.bank.past, track.row
         (old,) = [each for each in self._absent_before(track, scene) if each.person == person]
         counts = old.counts + past.length_counts[row]
         total = old.counts * old.lengths + past.length_counts[row] * past.lengths[row]
         past.lengths[row] = total / np.maximum(counts, 1.0)
         past.length_counts[row] = counts
-        track.former_id = person
+        self._limbs.go_on(track.number, past.lengths[row], counts)
+        track.seen_before = old.seconds
         self._absent = [each for each in self._absent if each.person != person]
         for each in [each for each in scene.persons if each.id == person]:
             scene.dismiss(each)

@@ -7,8 +7,9 @@ Each newcomer is one of the people who are absent, or a stranger. The model, wit
   all absent people, with that of adults' stature and proportions as well; the two sides of a body
   are alike. There is one density of strangers: with one about each absent person, what tells two
   absent people apart would cancel. A detector misplaces markers for some seconds, by another
-  amount from each side. How far, and which limbs gain what others lose, shows everybody who is
-  tracked: their limbs change from second to second (:class:`LimbScatter`).
+  amount from each side. How far, which limbs gain what others lose, and how much of it lasts shows
+  everybody who is tracked: their limbs change from second to second (:class:`LimbScatter`). So the
+  longer both were seen, the more the limbs tell.
 - Place and time: a person who left is somewhere about the place where he was lost, on the floor,
   normal with an SD that grows with the time to that of a room. Or he stands there still, if he
   stood before or could not go. A stranger may be anywhere in the room.
@@ -25,7 +26,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -33,6 +34,9 @@ from hiros_mcap.skeletons import Flags, Floats, Ints
 
 THRESHOLD = 0.9  # least probability with which somebody gets an old id
 _EXCHANGED = 0.02  # largest probability of being another absent person: worse than a new id
+_HARDLY_EXCHANGED = 0.001
+"""The same while more evidence is to come: who looks often errs more often, and limbs are wrong for
+as long as somebody walks the same way."""
 
 _NOISE_OF_ONE = 0.04  # SD of a limb's length, m, in one detection; it falls with the root of their
 # number, besides the scatter from second to second
@@ -46,12 +50,17 @@ _REACH = 0.6  # m, besides
 OVERLAP = 300_000_000  # ns for which two tracks of a person may run side by side
 _SURE_IF_MISSING, _SURE_IF_COMPLETE = 0.95, 0.5  # that a newcomer was there before
 _SURE_IF_UNWATCHED = 0.998  # the same if cameras watched for fewer s than it takes to go
+_SOMEBODY = 0.5  # expected number of missing people from which on somebody is
 _GOING = 1.0  # s
 _STAYS = 0.2  # probability that who stood, or could not go, stands there still, however long it is
 SECOND = 1_000_000_000  # ns from one look at a person to the next
 _FEWEST = 8.0  # detections that make the mean of a second
 _USUAL = 0.02  # SD of a limb's length over seconds, m: simulated 10 to 18 mm, Kinect v2's 5 to 25
 _USUAL_SECONDS = 20.0  # for which the usual detector counts
+_WINDOW = 3  # s of the means whose scatter shows how much of the errors lasts
+_USUAL_LASTING = 0.25  # share of the variance of a second that lasts (Kinect v2's: .2 to .7)
+_USUAL_WINDOWS = 5.0  # for which it counts
+_SOONEST = 0.5  # s: in less time errors hardly change
 _SHORTEST = 0.02  # m: shorter limbs are of no use, but have logarithms
 _MOST = 4  # newcomers, and absent people, that are weighed together; older ones wait or are left
 
@@ -67,13 +76,27 @@ class PersonCues:
     place: Floats  # (3,) mean marker position at that time, m
     lengths: Floats  # (L,) mean limb lengths, m
     counts: Floats  # (L,) detections that they are of
+    seconds: float = 1.0  # for which the person was seen
     stood: bool = False  # whether one who is absent had not moved in the last second or two
     watched: float = math.inf  # s of an absence in which cameras watched; they may pause
+    may_be: dict[int, float] = field(default_factory=dict)
+    """Id of who left before -> probability that it is the same person, who then got a new id."""
+
+    def same(self, other: PersonCues) -> float:
+        """Return the probability that another absent person is the same one."""
+        if other is self:
+            return 1.0
+        return max(self.may_be.get(other.person, 0.0), other.may_be.get(self.person, 0.0))
 
     @property
     def measured(self) -> Flags:
         """(L,) Whether a limb is long enough, and was measured often enough, to be compared."""
         return np.asarray((self.counts >= _FEWEST_LENGTHS) & (self.lengths > _SHORT))
+
+    @property
+    def limb_seconds(self) -> Floats:
+        """(L,) Time, s, for which each limb was measured."""
+        return np.asarray(self.seconds * self.counts / max(float(self.counts.max()), 1.0))
 
 
 @dataclass(slots=True, eq=False)
@@ -84,6 +107,11 @@ class _Seconds:
     counts: Floats  # (L,) detections that it is of
     means: Floats  # (L,) mean of the logarithms over the seconds
     seconds: Floats  # (L,) that had enough detections
+    window: Floats  # (L,) sum of the logarithms in the current window
+    in_window: Floats  # (L,) seconds there that had enough detections
+    window_means: Floats  # (L,) mean of the logarithms over the windows
+    windows: Floats  # (L,) that were complete
+    looks: int = 0  # in the current window
 
 
 class LimbScatter:
@@ -93,7 +121,8 @@ class LimbScatter:
     over a second differs from that over another one by more than the noise of single detections
     explains. And limbs vary together: Kinect's trunk is one piece; a knee that lies too high
     shortens the thigh and lengthens the shank. The scatter of everybody's seconds about their own
-    mean is pooled, together with some seconds of a usual detector.
+    mean is pooled, together with some seconds of a usual detector. The scatter of means over
+    several seconds shows which share of the variance lasts, and is no less in a long mean.
 
     Parameters
     ----------
@@ -108,26 +137,44 @@ class LimbScatter:
         self._people: dict[int, _Seconds] = {}
         self._squares = np.zeros((n_limbs, n_limbs))
         self._freedom = np.zeros(n_limbs)
+        self._window_squares, self._window_freedom = np.zeros((2, n_limbs))
 
     def learn(self, person: int, lengths: Floats, counts: Floats) -> None:
         """Take the mean lengths (L,), m, of a person so far, of (L,) detections, once a second."""
         lengths = np.maximum(lengths, _SHORTEST)
         if person not in self._people:
-            nothing = np.zeros((2, len(lengths)))
+            nothing = np.zeros((6, len(lengths)))
             self._people[person] = _Seconds(lengths, counts.copy(), *nothing)
             return
         past = self._people[person]
         new = counts - past.counts
         enough = new >= _FEWEST
         length = (counts * lengths - past.counts * past.lengths) / np.maximum(new, 1.0)
-        off = np.where(enough, np.log(np.maximum(length, _SHORTEST)) - past.means, 0.0)
+        logs = np.where(enough, np.log(np.maximum(length, _SHORTEST)), 0.0)
         past.lengths, past.counts = lengths, counts.copy()
-        past.seconds += enough
-        n = np.maximum(past.seconds, 1.0)
-        past.means += off / n
-        off *= np.sqrt(1.0 - 1.0 / n)  # Welford (1962)
+        off = _deviation(logs, enough, past.means, past.seconds)
         self._squares += np.outer(off, off)
-        self._freedom += enough & (n > 1)
+        self._freedom += enough & (past.seconds > 1)
+        self._learn_window(past, logs, enough)
+
+    def _learn_window(self, past: _Seconds, logs: Floats, enough: Flags) -> None:
+        """Take the logarithms (L,) of a second into a window; learn when it is complete."""
+        past.window += logs
+        past.in_window += enough
+        past.looks += 1
+        if past.looks == _WINDOW:
+            whole = past.in_window == _WINDOW
+            mean = np.where(whole, past.window / _WINDOW, 0.0)
+            off = _deviation(mean, whole, past.window_means, past.windows)
+            self._window_squares += off**2
+            self._window_freedom += whole & (past.windows > 1)
+            past.window[:], past.in_window[:], past.looks = 0.0, 0.0, 0
+
+    def go_on(self, person: int, lengths: Floats, counts: Floats) -> None:
+        """Note that more became known of a person than a second shows."""
+        if person in self._people:
+            past = self._people[person]
+            past.lengths, past.counts = np.maximum(lengths, _SHORTEST), counts.copy()
 
     def keep(self, people: Container[int]) -> None:
         """Forget the seconds of everybody else."""
@@ -139,6 +186,32 @@ class LimbScatter:
         root = np.sqrt(_USUAL_SECONDS + self._freedom)
         return np.asarray((_USUAL_SECONDS * usual + self._squares) / np.outer(root, root))
 
+    @property
+    def lasting(self) -> float:
+        """Share of the variance of a second that lasts; the rest changes from second to second."""
+        known = (self._window_freedom > 0) & (np.diag(self._squares) > 0)
+        of_seconds = np.diag(self._squares)[known] / self._freedom[known]
+        share = float(np.sum(self._window_squares[known] / of_seconds))
+        windows, limbs = float(self._window_freedom[known].sum()), max(int(known.sum()), 1)
+        usual = (1.0 + (_WINDOW - 1) * _USUAL_LASTING) / _WINDOW
+        weight = _USUAL_WINDOWS * limbs
+        ratio = (weight * usual + share) / (weight + windows)
+        return min(max((_WINDOW * ratio - 1.0) / (_WINDOW - 1), 0.0), 1.0)
+
+    def share(self, seconds: Floats) -> Floats:
+        """(L,) variance of means over (L,) ``seconds`` to that over one."""
+        lasting = self.lasting
+        return np.asarray(lasting + (1.0 - lasting) / np.maximum(seconds, _SOONEST))
+
+
+def _deviation(values: Floats, taken: Flags, means: Floats, counts: Floats) -> Floats:
+    """Take (L,) values into running means; return (L,) deviations, scaled (Welford 1962)."""
+    counts += taken
+    n = np.maximum(counts, 1.0)
+    off = np.where(taken, values - means, 0.0)
+    means += off / n
+    return np.asarray(off * np.sqrt(1.0 - 1.0 / n))
+
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
@@ -148,6 +221,8 @@ class Verdict:
     probability: float
     exchanged: float  # probability of being any of the other absent people
     cue: str  # what spoke most for this person, against the next best explanation
+    chances: Mapping[int, float]
+    """Id of each absent person -> probability. Two ids may be of one person."""
 
     def __str__(self) -> str:
         others = f", {self.exchanged:.0%} others" if self.exchanged > _EXCHANGED else ""
@@ -159,20 +234,21 @@ class Verdict:
         return self.probability >= THRESHOLD and self.exchanged <= _EXCHANGED
 
     @property
-    def is_stranger(self) -> bool:
-        """Whether the newcomer is surely none of the absent people."""
-        return self.probability + self.exchanged <= 1.0 - THRESHOLD
+    def is_sure(self) -> bool:
+        """Whether the newcomer gets the id though more evidence is to come."""
+        return self.accepted and self.exchanged <= _HARDLY_EXCHANGED
 
 
 def reidentify(
-    newcomers: Sequence[PersonCues], absent: Sequence[PersonCues], missing: int, limbs: LimbScatter
-) -> dict[int, Verdict]:
+    newcomers: Sequence[PersonCues], absent: Sequence[PersonCues], missing: float,
+    limbs: LimbScatter,
+) -> dict[int, Verdict]:  # fmt: skip
     """Return the verdict on each newcomer; there is somebody absent.
 
     Parameters
     ----------
     newcomers : the most important first. absent : the last to leave last.
-    missing : how many of the people are missing.
+    missing : how many people are missing, expected.
     limbs : how the lengths of their limbs vary, and go together.
     """
     newcomers, absent = newcomers[:_MOST], absent[-_MOST:]
@@ -187,13 +263,22 @@ def reidentify(
     }
     ratios = {pair: sum(each.values()) for pair, each in cues.items()}
     chances = _marginals(ratios, len(newcomers), len(absent))
-    verdicts = {}
-    for n, new in enumerate(newcomers):
-        best = max(range(len(absent)), key=[chances[n, a] for a in range(len(absent))].__getitem__)
-        others = sum(chances[n, a] for a in range(len(absent)) if a != best)
-        cue = _deciding_cue(n, best, cues, chances)
-        verdicts[new.person] = Verdict(absent[best].person, chances[n, best], others, cue)
-    return verdicts
+    return {new.person: _verdict(n, absent, cues, chances) for n, new in enumerate(newcomers)}
+
+
+def _verdict(
+    n: int, absent: Sequence[PersonCues], cues: Mapping[tuple[int, int], Mapping[str, float]],
+    chances: Mapping[tuple[int, int], float],
+) -> Verdict:  # fmt: skip
+    """Return the verdict on newcomer ``n``; ids that may be of one person share their chances."""
+    chance = [chances[n, a] for a in range(len(absent))]
+    same = [
+        sum(p * old.same(other) for p, other in zip(chance, absent, strict=True)) for old in absent
+    ]
+    best = max(range(len(absent)), key=lambda a: (same[a], chance[a], a))
+    ids = {old.person: p for old, p in zip(absent, same, strict=True)}
+    cue = _deciding_cue(n, best, cues, chances)
+    return Verdict(absent[best].person, same[best], sum(chance) - same[best], cue, ids)
 
 
 def limb_cues(new: PersonCues, absent: Sequence[PersonCues], limbs: LimbScatter) -> list[float]:
@@ -210,22 +295,27 @@ def limb_cues(new: PersonCues, absent: Sequence[PersonCues], limbs: LimbScatter)
     mean = np.sum(lengths * known, axis=0) / known.sum(axis=0)
     usual = new.lengths.copy()
     usual[both] = np.exp(mean)
-    lasting = limbs.covariance(usual)[pairs]
+    of_second, share = limbs.covariance(usual)[pairs], limbs.share(new.limb_seconds)[both]
+    theirs = np.array([limbs.share(old.limb_seconds)[both] for old in absent])
+    of_mean = np.sum(theirs * known, axis=0) / known.sum(axis=0) ** 2
     spread = (_STATURE**2 + _PROPORTION**2 * limbs.alike[pairs]) * (1.0 + 1.0 / len(absent))
 
-    def log_density(about: Floats, counts: Floats, spread: Floats) -> float:
+    def log_density(about: Floats, counts: Floats, share_there: Floats, spread: Floats) -> float:
         of_detections = np.diag(_NOISE_OF_ONE**2 / (counts * usual[both] ** 2))
-        return _log_student(np.log(new.lengths[both]) - about, lasting + of_detections + spread)
+        root = np.sqrt(np.outer(share, share)) + np.sqrt(np.outer(share_there, share_there))
+        covariance = of_second * root + of_detections + spread
+        return _log_student(np.log(new.lengths[both]) - about, covariance)
 
-    stranger = log_density(mean, counts, spread)
+    stranger = log_density(mean, counts, of_mean, spread)
     return [
         log_density(
-            np.where(has, theirs, mean),
+            np.where(has, their_lengths, mean),
             np.where(has, np.minimum(counts, old.counts[both]), counts),
+            np.where(has, their_share, of_mean),
             np.outer(~has, ~has) * spread,
         )
         - stranger
-        for old, has, theirs in zip(absent, known, lengths, strict=True)
+        for old, has, their_lengths, their_share in zip(absent, known, lengths, theirs, strict=True)
     ]
 
 
@@ -254,10 +344,11 @@ def _log_place(way: float, sd: float) -> float:
     return 2 * math.log(_ROOM / sd) - way**2 / (2 * sd**2)
 
 
-def number_cue(old: PersonCues, missing: int) -> float:
+def number_cue(old: PersonCues, missing: float) -> float:
     """Logarithm of the prior odds that a newcomer was there before."""
-    sure = _SURE_IF_MISSING if missing > 0 else _SURE_IF_COMPLETE
-    if missing > 0 and old.watched < _GOING:
+    is_missing = missing >= _SOMEBODY
+    sure = _SURE_IF_MISSING if is_missing else _SURE_IF_COMPLETE
+    if is_missing and old.watched < _GOING:
         sure = _SURE_IF_UNWATCHED
     return math.log(sure / (1 - sure))
 

@@ -89,7 +89,6 @@ class Confirmation:
         if track.confirmed and track.is_refuted(self._params):
             self._events.note(group.stamp, "track withdrawn", person=track.id)
             track.former_id, track.id = track.id, UNTRACKED
-            self._identities.take_back(track)
             scene.dismiss(track)
         elif (
             not track.confirmed
@@ -135,7 +134,6 @@ class Confirmation:
                 if track.confirmed:
                     scene.dismiss(track)
                 self._people.remove(track)
-                self._identities.take_back(track)
                 detail = f"was person {track.id}" if track.confirmed else "for a moment"
                 self._events.note(group.stamp, "tracks merged", person=person.id, detail=detail)
                 track.id = person.id  # also in messages that are held

@@ -124,7 +124,7 @@ class _Tracker:
         self._identities = Identities(self._people, params, events, link_mirror)
         self._support = Confirmation(self._people, self._identities, params, events, cameras)
         self._copies = Copies(
-            self._people, self._identities, self._places, symmetry.mirror, events,
+            self._people, self._places, symmetry.mirror, events,
             withdraws=params.merge_tracks,
         )  # fmt: skip
 

@@ -38,7 +38,7 @@ class TrackParams(Params):
     lookahead: Seconds = Field(
         1.0,
         ge=0,
-        description="Time, s, that a message with a tentative track is held, or up to four times "
+        description="Time, s, that a message with a tentative track is held, or up to eight times "
         "as long while somebody is absent and it is not clear who came. The person then has the id "
         "from the first detection on. 0 = a live system without delay.",
     )
@@ -47,7 +47,7 @@ class TrackParams(Params):
         ge=0,
         description="Longest absence, s, after which a person may get the old id back. Limb "
         "lengths, place, time and the number of people must make it probable (90 %). The "
-        "decision waits for 0.8 of track.lookahead, and up to four times as long while it is not "
+        "decision waits for 0.8 of track.lookahead, and up to eight times as long while it is not "
         "clear who came. 0 = whoever comes back has a new id.",
     )
     max_jump: float = advanced(

@@ -52,8 +52,9 @@ class PersonTrack:
     """The id before it was withdrawn, which the track gets back if it is confirmed again."""
     beside: set[int] = field(default_factory=set)
     """Numbers of the persons whom a message showed beside it, before it was certain."""
-    stranger: bool = False
-    """Whether it has a new id although somebody was absent: it may yet be one of them."""
+    seen_before: float = 0.0  # s for which the person was seen before an absence
+    may_be: dict[int, float] = field(default_factory=dict)
+    """Ids of the people who were absent when it got a new id -> probability that it is each."""
     doubtful: bool = False  # whether the id waits until it is clear which absent person this is
     is_copy: bool = False  # whether it was left out as a displaced camera's view of somebody else
 
