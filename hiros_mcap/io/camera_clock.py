@@ -22,7 +22,7 @@ A fault that all cameras share is the recorder's: it may stall, or its clock may
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -36,10 +36,11 @@ LATE, WRONG = "late delivery", "wrong time"
 
 _LEAST = 10  # messages of a camera that say anything
 _STEP_SIDE = 30  # messages on each side of a step that give its size
-LEAST_AFTER = 5  # messages that confirm a step
+_LEAST_AFTER = 5  # messages that confirm a step
 _LASTING = 10.0  # s: a lag that has not lasted so long may be a late delivery
-IRREGULAR = 0.025  # s: an interval between stamps that differs so much from the usual one is odd
+_IRREGULAR = 0.025  # s: an interval between stamps that differs so much from the usual one is odd
 _LEAST_STEP = 0.03  # s
+_MOMENT = 20_000_000  # ns: within it, the recorder is late by the same time
 _PARTED = 0.3  # share of a step by which all lags next to it lie on their side
 _SURE = 6.0  # standard errors: lags may be mixed next to a step that is so much longer
 _PAUSE = 1.0  # s: whoever pauses longer may do so for any time
@@ -197,16 +198,7 @@ def clock_verdict(
         for name, times in sorted(cameras.items())
         if len(times.stamps)
     }
-    steps = {name: find_steps(times, _but(name, clocks)) for name, times in clocks.items()}
-    levels = {name: _usual(times.lags, steps[name]) for name, times in clocks.items()}
-    faults: list[ClockFault] = []
-    fixed: dict[str, ClockCorrection] = {}
-    for name, times in clocks.items():
-        others = [levels[other][0] for other in clocks if other != name]
-        fixed[name], named = _stepped(name, times, steps[name], levels[name], others)
-        faults += named
-    fixed = _level(clocks, fixed, faults, set(given))
-    fixed = _without_drift(clocks, fixed, faults)
+    fixed, faults = corrections_of(clocks, set(given))
     fixed = {name: _with_limits(fixed[name], times) for name, times in clocks.items()}
     right = {name: replace(t, stamps=fixed[name].apply(*_pair(t))) for name, t in clocks.items()}
     faults += _late(right)
@@ -222,12 +214,28 @@ def clock_verdict(
     )
 
 
+def corrections_of(
+    clocks: Mapping[str, CameraTimes], given: Set[str] = frozenset()
+) -> tuple[dict[str, ClockCorrection], list[ClockFault]]:
+    """Return the corrections of clocks over a window, and the faults that they remove.
+
+    A window is a whole log, or the last seconds of a live one. A camera's part that is most like
+    the others keeps its stamps. Offsets of ``given`` cameras are right.
+    """
+    steps = _find_steps(clocks)
+    levels = {name: _usual(times.lags, steps[name]) for name, times in clocks.items()}
+    faults: list[ClockFault] = []
+    fixed: dict[str, ClockCorrection] = {}
+    for name, times in clocks.items():
+        others = [levels[other][0] for other in clocks if other != name]
+        fixed[name], named = _stepped(name, times, steps[name], levels[name], others)
+        faults += named
+    fixed = _level(clocks, fixed, faults, given)
+    return _without_drift(clocks, fixed, faults), faults
+
+
 def _followed(times: CameraTimes, correction: ClockCorrection) -> CameraTimes:
     return replace(times, stamps=correction.follow(*_pair(times)))
-
-
-def _but(name: str, cameras: Mapping[str, CameraTimes]) -> list[CameraTimes]:
-    return [times for other, times in cameras.items() if other != name]
 
 
 def _pair(times: CameraTimes) -> tuple[Stamps, Stamps]:
@@ -348,17 +356,25 @@ Step = tuple[int, float]
 """The message before which a clock was set, and how far it went ahead, s."""
 
 
-def find_steps(times: CameraTimes, others: Sequence[CameraTimes]) -> list[Step]:
-    """Find the steps of a clock, the largest first, each on what the former ones leave."""
+def _find_steps(cameras: Mapping[str, CameraTimes]) -> dict[str, list[Step]]:
+    """Find the steps of each camera's clock."""
+    late = _recorder(cameras)
+    return {name: _steps(times, late[name]) for name, times in cameras.items()}
+
+
+def _steps(times: CameraTimes, late: Floats) -> list[Step]:
+    """Find the steps of a clock, the largest first, each on what the former ones leave.
+
+    ``late`` is by how much the recorder is late at each message, s.
+    """
     if len(times.stamps) < _LEAST:
         return []
     start = int(times.log_times[0])
     stamps = np.asarray((times.stamps - start) * 1e-9, np.float64)
-    logged = np.asarray((times.log_times - start) * 1e-9, np.float64)
-    logged_alone: Floats = logged - _recorder(others, times.log_times)
+    logged = np.asarray((times.log_times - start) * 1e-9 - late, np.float64)
     steps: list[Step] = []
     for _ in range(_ROUNDS):
-        largest = _largest_step(stamps, logged_alone)
+        largest = _largest_step(stamps, logged)
         if largest is None:
             break
         steps.append(largest)
@@ -367,19 +383,32 @@ def find_steps(times: CameraTimes, others: Sequence[CameraTimes]) -> list[Step]:
     return sorted(steps)
 
 
-def _recorder(others: Sequence[CameraTimes], log_times: Stamps) -> Floats:
-    """(N,) by how much the recorder is late at some log times, s: what the other cameras' lags do.
+def _recorder(cameras: Mapping[str, CameraTimes]) -> dict[str, Floats]:
+    """Camera -> (N,) by how much the recorder is late at its messages, s: as the others' lags tell.
 
-    It is smooth, without the delays of single messages.
+    It is smooth, without the delays of single messages, and known every 20 ms.
     """
-    rows = [
-        np.interp(log_times, other.log_times, _smooth(other.lags - np.median(other.lags)))
-        for other in others
-        if len(other.lags) >= _LEAST
-    ]
-    if not rows:
-        return np.zeros(len(log_times))
-    return np.asarray(np.sort(rows, axis=0)[(len(rows) - 1) // 2])  # one of two that is late is not
+    late = {name: np.zeros(len(times.lags)) for name, times in cameras.items()}
+    known = {name: times for name, times in cameras.items() if len(times.lags) >= _LEAST}
+    if len(known) < 2:
+        return late
+    logged = np.concatenate([times.log_times for times in known.values()])
+    moments = np.unique(logged // _MOMENT) * _MOMENT
+    rows = np.array([
+        np.interp(moments, times.log_times, _smooth(_lateness(times)))
+        for times in known.values()
+    ])  # fmt: skip
+    middle = len(rows) // 2 - 1  # of the others; one of two that is late is not
+    low, high = np.partition(rows, (middle, middle + 1), axis=0)[middle : middle + 2]
+    for (name, times), own in zip(known.items(), rows, strict=True):
+        others = np.where(own <= low, high, low)
+        late[name] = np.interp(times.log_times, moments, others)
+    return late
+
+
+def _lateness(times: CameraTimes) -> Floats:
+    """(N,) by how much a camera's messages are late, s."""
+    return np.asarray(times.lags - np.quantile(times.lags, 0.1))
 
 
 def _smooth(values: Floats) -> Floats:
@@ -393,48 +422,52 @@ def _largest_step(stamps: Floats, logged: Floats) -> Step | None:
     """Return the largest step of a clock, None if there is none."""
     period = _period(stamps)
     intervals, lags = np.diff(stamps), logged - stamps
-    odd = np.flatnonzero(np.abs(intervals - period) > IRREGULAR) + 1
-    odd = odd[(odd >= LEAST_AFTER) & (odd <= len(lags) - LEAST_AFTER)]
+    odd = np.flatnonzero(np.abs(intervals - period) > _IRREGULAR) + 1
+    odd = odd[(odd >= _LEAST_AFTER) & (odd <= len(lags) - _LEAST_AFTER)]
     least = _LEAST_STEP + _LARGEST_DRIFT * np.maximum(intervals[odd - 1], 0.0)
-    falls, rises = _gaps(lags, odd)
+    near = lags[odd[:, None] + np.arange(-_LEAST_AFTER, _LEAST_AFTER)]
+    before, after = np.split(near, 2, axis=1)
     # Most that is odd are lost messages, beside which the lags are alike.
-    parts = _change(lags, odd) > _PARTED * least
+    parts = np.abs(before.mean(axis=1) - after.mean(axis=1)) > _PARTED * least
     if not parts.any():
         return None
+    odd, least, before, after = odd[parts], least[parts], before[parts], after[parts]
     noise = 1.48 * float(np.median(np.abs(intervals - period)))
     jumps = -np.diff(lags)
     jitter = 1.48 * float(np.median(np.abs(jumps)))
+    around = np.pad(lags, _STEP_SIDE, constant_values=np.nan)
+    sides = np.lib.stride_tricks.sliding_window_view(around, _STEP_SIDE)
+    (level, sd), (level_after, sd_after) = _medians(sides[odd]), _medians(sides[odd + _STEP_SIDE])
+    shifts, errors = level - level_after, np.hypot(sd, sd_after)
+    size = np.abs(shifts)
+    falls, rises = before.min(axis=1) - after.max(axis=1), after.min(axis=1) - before.max(axis=1)
+    at_once = np.abs(jumps[odd - 1] - shifts) <= np.maximum(0.3 * size, max(4 * jitter, 0.02))
+    is_apart = np.where(shifts > 0, falls, rises) > _PARTED * size
+    is_whole = (odd >= _STEP_SIDE) & (odd <= len(lags) - _STEP_SIDE)
+    is_likely = (size >= least) & at_once & (is_apart | (is_whole & (size > _SURE * errors)))
     steps: list[tuple[float, Step]] = []
-    columns = (array[parts].tolist() for array in (odd, least, falls, rises))
-    for k, smallest, falls_by, rises_by in zip(*columns, strict=True):
-        before, after = lags[max(0, k - _STEP_SIDE) : k], lags[k : k + _STEP_SIDE]
-        shift = float(np.median(before) - np.median(after))
-        at_once = abs(jumps[k - 1] - shift) <= max(0.3 * abs(shift), 4 * jitter, 0.02)
-        is_apart = (falls_by if shift > 0 else rises_by) > _PARTED * abs(shift)
-        error = float(np.hypot(_error(before), _error(after)))
-        is_sure = min(len(before), len(after)) == _STEP_SIDE and abs(shift) > _SURE * error
-        if abs(shift) >= smallest and at_once and (is_apart or is_sure):
-            seconds = _explained(float(intervals[k - 1]), shift, (period, noise, error))
-            if seconds:
-                steps.append((abs(seconds), (k, seconds)))
+    for i in np.flatnonzero(is_likely).tolist():
+        k, usual = int(odd[i]), (period, noise, float(errors[i]))
+        seconds = _explained(float(intervals[k - 1]), float(shifts[i]), usual)
+        if seconds:
+            steps.append((abs(seconds), (k, seconds)))
     for _, step in sorted(steps, key=lambda pair: -pair[0]):
         if _lasts(step, stamps, logged) and not _closes_gaps(stamps[: step[0]], stamps[step[0] :]):
             return step
     return None
 
 
-def _gaps(lags: Floats, places: Stamps) -> tuple[Floats, Floats]:
-    """(K,) By how much all lags before some messages exceed those behind, and the reverse, s."""
-    near = lags[places[:, None] + np.arange(-LEAST_AFTER, LEAST_AFTER)]
-    before, after = near[:, :LEAST_AFTER], near[:, LEAST_AFTER:]
-    return before.min(axis=1) - after.max(axis=1), after.min(axis=1) - before.max(axis=1)
+def _medians(rows: Floats) -> tuple[Floats, Floats]:
+    """Return (K,) medians of rows of numbers, some NaN, and their SDs by the median deviation."""
+    counts = np.count_nonzero(~np.isnan(rows), axis=1)
+    middle = _middle(rows, counts)
+    return middle, 1.86 * _middle(np.abs(rows - middle[:, None]), counts) / np.sqrt(counts)
 
 
-def _change(lags: Floats, places: Stamps) -> Floats:
-    """(K,) Difference of the mean lags next to some messages, before and behind, s."""
-    near = lags[places[:, None] + np.arange(-LEAST_AFTER, LEAST_AFTER)]
-    before, after = near[:, :LEAST_AFTER], near[:, LEAST_AFTER:]
-    return np.asarray(np.abs(before.mean(axis=1) - after.mean(axis=1)))
+def _middle(rows: Floats, counts: Stamps) -> Floats:
+    """(K,) median of so many numbers of each row; the rest of a row is NaN."""
+    ordered, k = np.sort(rows, axis=1), np.arange(len(rows))
+    return np.asarray((ordered[k, (counts - 1) // 2] + ordered[k, counts // 2]) / 2)
 
 
 def _period(stamps: Floats) -> float:
@@ -442,11 +475,6 @@ def _period(stamps: Floats) -> float:
     intervals = np.diff(stamps)
     usual = intervals[(intervals > 0) & (intervals < _PAUSE)]
     return float(np.median(usual)) if usual.size else _PAUSE
-
-
-def _error(values: Floats) -> float:
-    """Return the SD of a median, from the values' median deviation."""
-    return float(1.86 * np.median(np.abs(values - np.median(values))) / np.sqrt(len(values)))
 
 
 def _explained(interval: float, shift: float, usual: tuple[float, float, float]) -> float:
@@ -482,7 +510,7 @@ def _lasts(step: Step, stamps: Floats, logged: Floats) -> bool:
     lags, (k, seconds) = logged - stamps, step
     before = lags[:k][logged[:k] > logged[k] - _LASTING]
     after = lags[k:][logged[k:] < logged[k] + _LASTING]
-    if min(before.size, after.size) < LEAST_AFTER:
+    if min(before.size, after.size) < _LEAST_AFTER:
         return False
     change = float(np.quantile(before, 0.1) - np.quantile(after, 0.1))
     return change / seconds > 0.5
@@ -532,7 +560,7 @@ def _level(
     cameras: Mapping[str, CameraTimes],
     fixed: dict[str, ClockCorrection],
     faults: list[ClockFault],
-    given: set[str],
+    given: Set[str],
 ) -> dict[str, ClockCorrection]:
     """Align clocks that differ by more than any delivery takes, and name them."""
     lags = {
@@ -653,29 +681,17 @@ def _line(seconds: Stamps, values: Floats) -> tuple[float, float]:
 
 def _late(cameras: Mapping[str, CameraTimes]) -> Iterator[ClockFault]:
     """Yield the deliveries of a camera that were late while those of the others were not."""
+    late = {name: _lateness(times) for name, times in cameras.items()}
+    recorder = _recorder(cameras) if any(s.max() > _LATENESS for s in late.values()) else late
     for name, times in cameras.items():
-        late = times.lags - np.quantile(times.lags, 0.1)
-        places = np.flatnonzero(late > _LATENESS)
-        if len(places) >= LEAST_AFTER:
-            late -= _lateness(_but(name, cameras), times.log_times)
-            places = places[late[places] > _LATENESS]
+        alone = late[name] - recorder[name]
+        places = np.flatnonzero((late[name] > _LATENESS) & (alone > _LATENESS))
         places = places[np.argsort(times.stamps[places], kind="stable")]
         for group in np.split(places, np.flatnonzero(np.diff(times.stamps[places]) > 2e9) + 1):
-            if len(group) >= LEAST_AFTER:
-                worst = float(late[group].max())
+            if len(group) >= _LEAST_AFTER:
+                worst = float(alone[group].max())
                 first = int(times.stamps[group].min())
                 yield ClockFault(name, LATE, worst, first, corrected=True, messages=len(group))
-
-
-def _lateness(cameras: list[CameraTimes], log_times: Stamps) -> Floats:
-    """(N,) s by which messages of other cameras are late at some times of the log."""
-    if not cameras:
-        return np.zeros(len(log_times))
-    rows = []
-    for times in cameras:
-        late = times.lags - np.quantile(times.lags, 0.1)
-        rows.append(np.interp(log_times, times.log_times, late))
-    return np.asarray(np.median(rows, axis=0))
 
 
 def longest_wait(cameras: Iterable[CameraTimes]) -> float:

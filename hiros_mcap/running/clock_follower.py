@@ -1,9 +1,9 @@
 """Corrects the stamps of a live system: each message by those before it.
 
-The tests are those of :mod:`hiros_mcap.io.camera_clock`, on the last seconds of the log. A step is
-known some messages after it. Until then, stamps far in the future are replaced, so that no camera
-takes the others with it; a clock that was set back only loses its own messages. What the people
-prove (:mod:`hiros_mcap.running.pose_follower`) comes in slowly, so that nobody jumps.
+Every second, :func:`hiros_mcap.io.camera_clock.corrections_of` says what the clocks did in the last
+20 s. Until then, stamps far in the future are replaced, so that no camera takes the others with it;
+a clock that was set back only loses its own messages. What the people prove
+(:mod:`hiros_mcap.running.pose_follower`) comes in slowly, so that nobody jumps.
 """
 
 from __future__ import annotations
@@ -19,26 +19,18 @@ import numpy as np
 from hiros_mcap.frames import Block
 from hiros_mcap.io.camera_clock import (
     DRIFT,
-    IRREGULAR,
-    LEAST_AFTER,
     LONGEST_DELAY,
     OFFSET,
-    STEP,
     CameraTimes,
+    ClockCorrection,
     ClockFault,
-    find_drifts,
-    find_steps,
+    corrections_of,
     middle_of,
 )
 
-_FIRST = 1_000_000_000  # ns: from the first message on, until all clocks are compared
-_CONFIRMED = 30  # messages after an odd interval, until a clock counts as set back
-_LEAST_STEP = 0.08  # s: a part of the log alone does not tell smaller ones
+_EVERY = 1_000_000_000  # ns between two looks; the first compares all clocks
 _WINDOW = 600  # messages of each camera that are kept: 20 s at 30 Hz
-_AHEAD = 0.3  # s: no delivery becomes so much faster
-_RENEWED = 15  # messages after which the usual interval is found again
-_RECENT = 90  # messages
-_EVERY = 2_000_000_000  # ns between two looks for drifts
+_AHEAD_NS = 300_000_000  # ns: no delivery becomes so much faster
 _FORESIGHT = 0.005  # s: nobody logs a message so long before its time
 _SLEW = 0.1
 """s/s: so fast stamps follow what is proved while results go out. People then seem to be a tenth
@@ -64,14 +56,8 @@ class _FollowedClock:
     stamps: array[int] = field(default_factory=partial(array, "q"))
     """Corrected stamps of the last messages, ns."""
     log_times: array[int] = field(default_factory=partial(array, "q"))
-    period: int = 0
-    """Usual interval between messages, ns."""
-    least: int = 0
-    """Least lag before an odd interval, ns."""
-    suspected: int = 0
-    """Messages that are still to come before an odd interval is judged; 0 = none is suspected."""
-    again: bool = False
-    """Whether another interval was odd meanwhile."""
+    floor: int | None = None
+    """Least lag of corrected messages, ns."""
 
     def corrected(self, stamp: int) -> int:
         """Return a stamp without what is known to be wrong."""
@@ -84,7 +70,7 @@ class _FollowedClock:
         if step:
             self.added += step
             self.offset += step
-            self.least -= step
+            self.floor = None if self.floor is None else self.floor - step
             self.stamps = array("q", (self.times.stamps + step).tobytes())
 
     @property
@@ -101,20 +87,21 @@ class _FollowedClock:
         """Remember a message."""
         self.stamps.append(stamp)
         self.log_times.append(log_time)
-        if len(self.stamps) % _RENEWED == 0:
-            self.period = int(np.median(np.diff(self.stamps[-2 * _RENEWED :])))
         if len(self.stamps) > 2 * _WINDOW:
             del self.stamps[:-_WINDOW], self.log_times[:-_WINDOW]
 
-    def is_odd(self, stamp: int) -> bool:
-        """Whether a corrected stamp comes at an unusual time."""
-        has_period = self.period > 0
-        return has_period and abs(stamp - self.stamps[-1] - self.period) > IRREGULAR * 1e9
-
-    def least_lag(self) -> int:
-        """Return the least lag of the last seconds, ns."""
-        times = self.times
-        return int((times.log_times - times.stamps)[-_RECENT:].min())
+    def follow(self, correction: ClockCorrection) -> None:
+        """Take over what a clock did in the window, whose first stamp is right."""
+        before = self.times
+        right = correction.follow(before.stamps, before.log_times)
+        right += before.stamps[0] - right[0]
+        if (right != before.stamps).any():
+            self.stamps = array("q", right.tobytes())
+            self.offset, self.origin = self.stamps[-1] - self.latest, self.latest
+            self.drift += correction.drift
+        lags = before.log_times - right
+        usual = lags[lags > np.median(lags) - _AHEAD_NS]
+        self.floor = int(np.quantile(usual, 0.05, method="lower"))
 
 
 class ClockFollower:
@@ -131,11 +118,11 @@ class ClockFollower:
         self, given: Mapping[str, float], faults: list[ClockFault], reorder: float,
         ahead: list[tuple[int, str, float]] | None = None,
     ) -> None:  # fmt: skip
-        self.given, self._reorder = given, max(reorder, _AHEAD / 2)
+        self.given, self._reorder = given, max(reorder, _AHEAD_NS / 2e9)
         self._ahead = [] if ahead is None else ahead
         self._faults = faults
         self._clocks: dict[str, _FollowedClock] = {}
-        self._checked = 0
+        self._asked = 0
 
     def compared(self, blocks: Iterable[Block]) -> Iterator[Block]:
         """Yield the blocks as they are, once the clocks are compared by their first messages."""
@@ -178,7 +165,7 @@ class ClockFollower:
         for block in blocks:
             waiting.append(block)
             for stamp, source, log_time in block.messages():
-                until = until or log_time + _FIRST
+                until = until or log_time + _EVERY
                 if log_time <= until:
                     stamp += round(self.given.get(source, 0.0) * 1e9)
                     lags.setdefault(source, []).append((log_time - stamp) * 1e-9)
@@ -187,7 +174,7 @@ class ClockFollower:
         least = {source: min(some) for source, some in sorted(lags.items())}
         for source, lag in least.items():
             others = {name: other for name, other in least.items() if name != source}
-            self._compare(source, until - _FIRST, lag, others)
+            self._compare(source, until - _EVERY, lag, others)
         return waiting
 
     def _compare(self, source: str, log_time: int, lag: float, others: Mapping[str, float]) -> None:
@@ -206,67 +193,29 @@ class ClockFollower:
         if source not in self._clocks:
             lag = (log_time - stamp) * 1e-9 - self.given.get(source, 0.0)
             self._compare(source, log_time, lag, self.lags)
+        if log_time - self._asked > _EVERY:
+            self._asked = log_time
+            self._ask()
         clock = self._clocks[source]
         clock.slew(stamp)
         right = clock.corrected(stamp)
         if n_people and (not clock.stamps or right != clock.stamps[-1]):
             clock.latest = stamp
-            right = self._check(clock, source, right, log_time)
+            clock.add(right, log_time)
+        if clock.floor is not None and log_time - right < clock.floor - _AHEAD_NS:
+            right = log_time - clock.floor
         return right
 
-    def _check(self, clock: _FollowedClock, source: str, stamp: int, log_time: int) -> int:
-        """Look for what is wrong with a corrected stamp; return what it shall be."""
-        if clock.is_odd(stamp):
-            if clock.suspected:
-                clock.again = True
-            else:
-                clock.suspected, clock.least = _CONFIRMED, clock.least_lag()
-        clock.add(stamp, log_time)
-        if clock.suspected:
-            clock.suspected -= 1
-            if clock.suspected in (0, _CONFIRMED - LEAST_AFTER):
-                stamp += self._find_steps(clock, source)
-            elif log_time - stamp < clock.least - round(_AHEAD * 1e9):
-                stamp = log_time - clock.least
-            if not clock.suspected and clock.again:
-                clock.suspected, clock.again = _CONFIRMED, False
-        if log_time - self._checked > _EVERY:
-            self._checked = log_time
-            self._find_drifts()
-        return stamp
-
-    def _find_steps(self, clock: _FollowedClock, source: str) -> int:
-        """Correct a clock that was set; return by how much, ns.
-
-        What looks like a clock that was set back may be a late delivery, and takes longer to tell.
-        """
-        others = [other.times for other in self._clocks.values() if other is not clock]
-        times, total = clock.times, 0
-        for place, seconds in find_steps(times, others):
-            if abs(seconds) < _LEAST_STEP or (seconds < 0 and clock.suspected):
-                continue
-            shift = round(seconds * 1e9)
-            times.stamps[place:] -= shift
-            total -= shift
-            self._note(source, STEP, seconds, int(times.stamps[place]))
-        if total:
-            clock.offset += total
-            clock.suspected = 0
-            clock.stamps = array("q", times.stamps.tobytes())
-        return total
-
-    def _find_drifts(self) -> None:
-        """Follow clocks that run faster or slower than the others."""
+    def _ask(self) -> None:
+        """Follow what the clocks did in the last seconds: steps and drifts."""
         camera_times = {name: clock.times for name, clock in self._clocks.items() if clock.stamps}
-        for name, slope in find_drifts(camera_times).items():
-            clock, times = self._clocks[name], camera_times[name]
-            passed = times.stamps - times.stamps[0]
-            followed = times.stamps + np.round(passed * slope).astype(np.int64)
-            clock.stamps = array("q", followed.tobytes())
-            clock.offset, clock.origin = clock.stamps[-1] - clock.latest, clock.latest
-            clock.drift += slope
-            if not any(f.kind == DRIFT and f.camera == name for f in self._faults):
-                self._note(name, DRIFT, -slope, clock.stamps[0])
+        corrections, faults = corrections_of(camera_times, set(camera_times))
+        for name, correction in corrections.items():
+            self._clocks[name].follow(correction)
+        drifting = {fault.camera for fault in self._faults if fault.kind == DRIFT}
+        for fault in faults:
+            if fault.kind != DRIFT or fault.camera not in drifting:
+                self._faults.append(fault)
 
     def _note(self, source: str, kind: str, seconds: float, stamp: int) -> None:
         """Note a fault; offsets of a camera are one."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hiros_mcap.frames import Block
-from hiros_mcap.io.camera_clock import DRIFT, OFFSET, ClockFault
+from hiros_mcap.io.camera_clock import DRIFT, OFFSET, STEP, ClockFault
 from hiros_mcap.running.clock_follower import ClockFollower
 from hiros_mcap.skeletons import Frame, SkeletonModel
 
@@ -48,6 +48,22 @@ def test_what_a_clock_did_long_ago_is_forgotten():
     times, wrong, faults = errors(lambda t: 4e-3 * max(0.0, t - 60.0), 100)
     assert [fault.kind for fault in faults] == [DRIFT]
     assert np.abs(wrong[times > 85.0]).max() < 0.01
+
+
+@pytest.mark.parametrize("seconds", [-0.3, -0.04, 0.04, 30.0])
+def test_a_step_is_corrected_within_two_seconds(seconds):
+    times, wrong, faults = errors(lambda t: seconds if t > 10.0 else 0.0, 16)
+    assert [fault.kind for fault in faults] == [STEP]
+    assert faults[0].seconds == pytest.approx(seconds, abs=0.004)
+    assert np.abs(wrong[times > 12.0]).max() < 0.004
+    assert np.abs(wrong).max() < 0.31, "nobody is taken into the future"
+
+
+def test_a_step_towards_the_other_clocks_is_no_jump_of_the_results():
+    """The people prove an offset, slowly; until then stamps go on as they were."""
+    times, wrong, faults = errors(lambda t: 0.0 if t > 10.0 else -0.06, 16)
+    assert [fault.kind for fault in faults] == [STEP]
+    assert wrong[times > 12.0] == pytest.approx(-0.06, abs=0.004)
 
 
 def test_what_the_people_prove_comes_in_without_a_jump():
