@@ -17,6 +17,7 @@ from scipy.stats import chi2
 from stick_figures import MODEL, POSE, SECOND, START, at, person, seen
 
 from hiros_mcap.body.limb_table import Limb, LimbTable
+from hiros_mcap.body.link_levels import link_levels
 from hiros_mcap.calibrate.noise import measure_noise
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
@@ -38,7 +39,6 @@ from hiros_mcap.stages.malaguti.kalman import FilteredPeople, KalmanParams, kalm
 from hiros_mcap.stages.malaguti.moving_average import MovingAverageParams, moving_average
 from hiros_mcap.stages.malaguti.straighten import (
     StraightenParams,
-    link_levels,
     straighten,
     straightened,
 )

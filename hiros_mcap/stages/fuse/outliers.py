@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hiros_mcap.body.link_levels import link_levels
 from hiros_mcap.kernels.array_types import F2, arrays
 from hiros_mcap.kernels.compile import inlined
 from hiros_mcap.skeletons import SkeletonModel, Stamps
@@ -58,17 +59,12 @@ def parents_first(model: SkeletonModel) -> tuple[Stamps, Stamps]:
     A marker without a parent, or on a circle of links, has -1.
     """
     parents = np.full(model.n_markers, -1, np.int64)
-    for parent, child in model.links[::-1].tolist():
-        if child >= 0:
+    order: list[int] = []
+    for links in link_levels(model):
+        for parent, child in model.links[links].tolist():
             parents[child] = parent
-    depths = np.zeros(model.n_markers, np.int64)
-    for marker in range(model.n_markers):
-        at = int(parents[marker])
-        while at >= 0 and depths[marker] <= model.n_markers:
-            depths[marker] += 1
-            at = int(parents[at])
-    parents[depths > model.n_markers] = -1
-    return np.argsort(depths, kind="stable"), parents
+            order.append(child)
+    return np.array([*np.flatnonzero(parents < 0).tolist(), *order], np.int64), parents
 
 
 @inlined
