@@ -105,6 +105,7 @@ STATIONS: Mapping[str, Station] = {
         ("stages/merge/unseen.py", "stages/track/coverage.py"),
     ),
     "offsets of cameras": Station({"fuse": {"offset": 0.0}}),
+    "outliers that last": Station({"fuse": {"outliers_last": 0.0}}, ("stages/fuse/outliers.py",)),
     "displaced views": Station({"fuse": {"displaced": False}}, ("stages/fuse/displaced_views.py",)),
     "pose prior": Station({"constrain": {"prior": False}}, ("stages/fuse/pose_prior.py",)),
     "rigid groups": Station({"constrain": {"rigid": False}}),

@@ -56,7 +56,7 @@ constrain = at_once(constrain_blocks)
 START = 1_700_000_000_000_000_000  # ns
 POINT = SkeletonModel.of(["A"], [])
 TREE = np.array([0]), np.array([-1])  # one joint, without a parent
-NOISE = JointNoise(np.array([5.0]), np.array([0.02**2]), 2.0, 10**9, 0.0, *TREE)
+NOISE = JointNoise(np.array([5.0]), np.array([0.02**2]), 2.0, 10**9, 0.0, 0.5, *TREE)
 
 
 def numbered(times, cameras, positions, variances):
@@ -205,7 +205,7 @@ def moving(x):
         np.repeat(z, 2, axis=0)[:, None],
         np.full((len(times), 1), 0.01**2),
     )
-    noise = JointNoise(np.array([3.0]), np.array([1e-6]), 2.0, 4, 20.0, *TREE)
+    noise = JointNoise(np.array([3.0]), np.array([1e-6]), 2.0, 4, 20.0, 0.5, *TREE)
     work, out = FusionWork.of(len(times), 3, 1), FusedPoses.absent(len(x), 1)
     fusing.smooth_joints(steps, 0, noise, JointStates.unknown(1, 1, 1), 0, out, work)
     return np.asarray(np.abs(out.positions[:, 0, 0] - x)), work.factors[::2]
@@ -240,7 +240,7 @@ def test_a_joint_that_one_of_two_cameras_sees_elsewhere_stays(wrong):
     z = rng.normal(0, 0.01, (3 * n, 1, 3))
     z[(cameras == wrong) & (times > 1.5) & (times < 2), 0, 2] += 0.5
     steps = numbered(times, cameras, z, np.full((3 * n, 1), 0.01**2))
-    noise = JointNoise(np.array([3.0]), np.array([0.01**2]), 1.7, 4, 20.0, *TREE)
+    noise = JointNoise(np.array([3.0]), np.array([0.01**2]), 1.7, 4, 20.0, 0.5, *TREE)
     work, out = FusionWork.of(3 * n, 4, 1), FusedPoses.absent(n, 1)
     fusing.smooth_joints(steps, 0, noise, JointStates.unknown(1, 1, 2), 0, out, work)
     assert np.abs(out.positions).max() < 0.1

@@ -117,7 +117,7 @@ def start_to_run():
     rows = np.arange(120) * (cameras != POSE)  # the only pose that is wanted is that of row 0
     steps = Steps(times, cameras, rows, x, np.full((120, 1), 0.01**2))
     alone = np.array([0]), np.array([-1])
-    noise = JointNoise(np.array([1.0]), np.array([1e-8]), 1.7, 8, 0.0, *alone)
+    noise = JointNoise(np.array([1.0]), np.array([1e-8]), 1.7, 8, 0.0, 0.5, *alone)
     states, out = JointStates.unknown(1, 1, 1), FusedPoses.absent(1, 1)
     for k in range(60):
         some = Steps(*[array[2 * k : 2 * k + 2] for array in steps[:3]], *steps[3:])

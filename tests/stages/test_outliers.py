@@ -7,6 +7,7 @@ import pytest
 
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_mcap.stages.fuse import fusing
+from hiros_mcap.stages.fuse.fuse_params import FuseParams
 from hiros_mcap.stages.fuse.fusing import POSE, FusedPoses, FusionWork, JointStates, Steps
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 from hiros_mcap.stages.fuse.outliers import parents_first
@@ -16,10 +17,10 @@ ARM = SkeletonModel.of(["wrist", "elbow", "shoulder"], [("a", 2, 1), ("b", 1, 0)
 N = 120  # instants at 30 Hz
 
 
-def seen(errors, model=POINT, missed=(), truth=0.0):
+def seen(errors, model=POINT, missed=(), truth=0.0, last=0.5):
     """Errors (N, M), m, of the result along x, by those of C cameras (C, N, M), NaN = not seen.
 
-    Joints move as ``truth`` (N,) says. All cameras measure within 10 ms.
+    Joints move as ``truth`` (N,) says; outliers ``last`` s. All cameras measure within 10 ms.
     """
     rng, cameras = np.random.default_rng(3), len(errors)
     offsets = np.linspace(0.0, 0.01, cameras + 1)
@@ -36,7 +37,9 @@ def seen(errors, model=POINT, missed=(), truth=0.0):
     noise, states = FusionNoise.default(model), JointStates.unknown(1, model.n_markers, cameras)
     out = FusedPoses.absent(N, model.n_markers)
     work = FusionWork.of(len(times), 2 + cameras, model.n_markers)
-    fusing.smooth_joints(steps, 0, noise.motion(model), states, 0, out, work)
+    fusing.smooth_joints(
+        steps, 0, noise.motion(model, FuseParams(outliers_last=last)), states, 0, out, work
+    )
     return np.abs(out.positions[..., 0] - np.reshape(truth * np.ones(N), (N, 1)))
 
 
@@ -53,6 +56,12 @@ def test_the_camera_that_jumped_stays_wrong_when_the_other_one_blinks(wrong):
     """A limb is put .4 m away for a second; within it the right camera lacks two pictures."""
     missed = [(1 - wrong, k) for k in (52, 58)]
     assert seen(episodes((wrong, 45, 75, 0.4)), missed=missed).max() < 0.03
+
+
+def test_outliers_that_do_not_last_are_each_drawn_by_themselves():
+    """Then the result goes over to the wrong camera while the right one lacks pictures."""
+    wrong, missed = episodes((0, 45, 75, 0.4)), [(1, k) for k in (52, 58)]
+    assert seen(wrong, missed=missed, last=0.0).max() > 3 * seen(wrong, missed=missed).max()
 
 
 def test_who_is_right_is_right_at_once_when_the_episode_ends():

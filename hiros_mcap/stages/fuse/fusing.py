@@ -102,6 +102,7 @@ class JointNoise(NamedTuple):
     time: float  # time constant of the offsets, s
     freedom: int  # degrees of freedom of Student's t
     elsewhere: float  # density of outliers, 1/m3, but for the factor of :func:`_likelihood`
+    lasting: float  # mean time for which a camera stays wrong about a joint, s
     order: I1  # (M,) joints, parents first
     parents: I1  # (M,) the joint's parent; -1 = none
 
@@ -316,7 +317,7 @@ def _odds(
     time, camera, parent = steps.times[t], steps.cameras[t], noise.parents[m]
     wrong = work.doubts.joints[parent, t] if parent >= 0 else 0.0
     ratio = noise.elsewhere / max(likelihood, 1e-30)
-    return outlier_odds(time, camera, level, innovation, ratio, wrong, work.doubts)
+    return outlier_odds(time, camera, level, innovation, ratio, wrong, noise.lasting, work.doubts)
 
 
 @inlined

@@ -14,11 +14,10 @@ from hiros_mcap.calibrate.noise import GUESSED_BELOW, GUESSED_SHARE, USUAL_POWER
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
+from hiros_mcap.stages.fuse.fuse_params import FuseParams
 from hiros_mcap.stages.fuse.fusing import REFERENCE, JointNoise, Sightings
 from hiros_mcap.stages.fuse.outliers import parents_first
 
-FREEDOM = 4
-"""Degrees of freedom of Student's t: gross outliers count little. 4 to 20 differ by 0 to 4 %."""
 _ELSEWHERE = 15.0
 """1/m3, beside Student's t without its constant factor, which is .075: outliers lie within a sphere
 of .6 m. With 50, realistic logs lose 1 % of their error, and a crowd whose joints are mostly
@@ -86,11 +85,11 @@ class FusionNoise:
         power, guessed = numbers.get("power", self.power), numbers.get("guessed", self.guessed)
         return replace(self, joints=white, cameras=dict(cameras), power=power, guessed=guessed)
 
-    def motion(self, model: SkeletonModel, freedom: int = FREEDOM) -> JointNoise:
-        """Return the part that the filter takes; the number is that of FuseParams."""
+    def motion(self, model: SkeletonModel, params: FuseParams) -> JointNoise:
+        """Return the part that the filter takes."""
         return JointNoise(
-            self.accelerations, self.offsets**2, self.time, freedom, _ELSEWHERE,
-            *parents_first(model),
+            self.accelerations, self.offsets**2, self.time, params.freedom, _ELSEWHERE,
+            params.outliers_last, *parents_first(model),
         )  # fmt: skip
 
     def white(

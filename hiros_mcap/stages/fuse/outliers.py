@@ -4,7 +4,7 @@ A detector that puts a limb to a wrong place leaves it there for a while, and pu
 there. So a camera's measurements of a joint are outliers, or not, by a Markov chain of two states.
 After a last one that was an outlier with probability p, the next one is one with the probability
 
-    p' = SHARE + (p - SHARE) exp(-dt / LASTS),   at least FOLLOWS times that of the joint's parent.
+    p' = SHARE + (p - SHARE) exp(-dt / lasting),  at least FOLLOWS times the parent's.
 
 Its likelihood L against the filter's prediction, and the density of outliers, give the odds
 
@@ -29,7 +29,6 @@ from hiros_mcap.kernels.compile import inlined
 from hiros_mcap.skeletons import SkeletonModel, Stamps
 
 _SHARE = 0.02  # of measurements that are off by more than .25 m: 1 to 3 % (Kinect v2)
-_LASTS = 0.5  # s; of these episodes, 90 % end within .4 to .5 s. From .5 to 2 s, results are alike
 _FOLLOWS = 0.8  # errors of wrist and hand correlate by .91 to .96, of elbow and wrist by .64 to .83
 _MOST, _LARGEST = 0.98, 1e6  # of a probability and of odds that are remembered
 _LONGEST = 1.5  # s; somebody is covered for 1.4 to 1.8 s
@@ -91,7 +90,7 @@ def _is_jump(time: float, square: float, variance: float, row: int, doubts: Came
 @inlined
 def outlier_odds(
     time: float, camera: int, row: int, innovation: tuple[float, float], ratio: float,
-    parent: float, doubts: CameraDoubts,
+    parent: float, lasting: float, doubts: CameraDoubts,
 ) -> tuple[float, float]:  # fmt: skip
     """Return the odds that a measurement is an outlier, and 1 - p'.
 
@@ -101,18 +100,24 @@ def outlier_odds(
     innovation : its square, m2, and its variance along each axis, m2.
     ratio : the density of outliers over the likelihood of the measurement.
     parent : probability that the camera's measurement of the joint's parent is an outlier.
+    lasting : s, how long outliers last on average; 0 = each comes by itself.
     doubts : remembers the measurement.
     """
     before, left = _SHARE, 0.0
     if doubts.wrong[row, camera] == 0.0:
         doubts.agreed[row, camera] = time
-    else:
+    elif lasting > 0.0:
         passed = max(time - doubts.times[row, camera], 0.0)
-        left = (doubts.wrong[row, camera] - _SHARE) * math.exp(-passed / _LASTS)
+        left = (doubts.wrong[row, camera] - _SHARE) * math.exp(-passed / lasting)
     before += left
     square, variance = innovation
-    is_clear = time - doubts.agreed[row, camera] < _LONGEST and (
-        _is_contradicted(time, camera, row, doubts) or _is_jump(time, square, variance, row, doubts)
+    is_clear = (
+        lasting > 0.0
+        and time - doubts.agreed[row, camera] < _LONGEST
+        and (
+            _is_contradicted(time, camera, row, doubts)
+            or _is_jump(time, square, variance, row, doubts)
+        )
     )
     if is_clear:
         before = max(before, _FOLLOWS * parent)

@@ -81,7 +81,7 @@ class WindowSmoother:
         pose_error: PoseError,
     ) -> None:  # fmt: skip
         self._params, self._noise, self._known = params, noise, known
-        self._motion = noise.motion(model, params.freedom)
+        self._motion = noise.motion(model, params)
         self._pose_error = pose_error
         self.displaced = DisplacedViews(known.errors)
         self._names: tuple[str, ...] = ()
