@@ -304,6 +304,21 @@ def test_who_is_missing_is_counted_by_person_not_by_the_largest_crowd():
     assert ids(frames)[-1] == [0, 2, 1]
 
 
+def test_nobody_is_missing_once_two_are_there_who_may_be_the_two_that_left():
+    """Two come back who may be either of them. The third has the size of one, and is a stranger."""
+    frames = standing([person(-0.5) * 0.97, person(0.5) * 1.03], 0, 2) + standing([], 2, 10)
+    two = [person(0.0, -0.5), person(0.0, 0.5)]
+    frames += standing(two, 10, 18) + standing([*two, person(1.5) * 0.97], 18, 26)
+    assert ids(frames)[-1] == [2, 3, 4]
+
+
+def test_who_was_seen_for_long_is_still_well_known_after_a_short_return():
+    """Seen for 8 s, and for 1 s when back. Then somebody comes who is taller by 6 %."""
+    frames = standing([person()], 0, 8) + standing([], 8, 10) + standing([person(0.3)], 10, 11)
+    frames += standing([], 11, 19) + standing([person(1.0) * 1.06], 19, 27)
+    assert [each for each in ids(frames) if each][:: 60 * 8] == [[0], [0], [1]]
+
+
 def test_who_is_seen_badly_at_first_is_known_when_he_is_seen_well():
     frames = away(6.0, [person()], [person(0.5) * 1.15])[:-60] + standing([person(0.5)], 9, 14)
     assert ids(frames)[-1] == [0]

@@ -93,6 +93,12 @@ def test_who_does_not_agree_for_seconds_is_no_outlier_any_more():
     assert seen(errors)[-1] < 0.1
 
 
+def test_a_camera_that_is_wrong_is_no_witness_against_the_one_that_comes_back():
+    """One camera puts the joint .45 m away. The other one, which is right, lacks five pictures."""
+    errors = seen(episodes((1, 40, N, 0.45)), missed=[(0, k) for k in range(50, 55)])
+    assert errors[65:].max() < 0.03
+
+
 def test_a_limb_follows_the_joint_that_holds_it():
     """The elbow is .4 m off in one view, the wrist 16 cm: alone it would be half believed."""
     errors = np.zeros((2, N, 3))
