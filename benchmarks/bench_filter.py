@@ -85,7 +85,7 @@ def row_of(model: SkeletonModel, truth: list[Frame], frames: list[Frame]) -> lis
 
 
 def variants() -> list[FilterParams]:
-    """What is compared: the default first."""
+    """The variants to compare: the default first."""
     grid: list[tuple[str, int, bool]] = [
         ("state_space", 2, True),
         ("state_space", 2, False),

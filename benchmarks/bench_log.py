@@ -1,4 +1,4 @@
-"""What reading and writing cost: a 60 s log of 5 cameras, 30 Hz, 4 people, 32 markers, 31 links.
+"""Cost of reading and writing a 60 s log of 5 cameras, 30 Hz, 4 people, 32 markers, 31 links.
 
     python benchmarks/bench_log.py [--seconds 60] [--flips 300] [--folder DIR]
 

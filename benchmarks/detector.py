@@ -1,4 +1,4 @@
-"""What detectors do wrong: real recordings beside logs of a simulated detector.
+"""Errors of detectors: real recordings beside logs of a simulated detector.
 
     python benchmarks/detector.py LOG...                  beside 12 simulated logs
     python benchmarks/detector.py LOG... --seeds 24 --first 900 --detector ideal
@@ -72,7 +72,7 @@ LENGTHS = {
 }
 TRUNK = ["pelvis", "neck", "shoulder L", "shoulder R", "hip L", "hip R"]
 Samples = Mapping[str, list[Floats]]
-"""What was measured -> parts of it."""
+"""Measured quantity -> its parts."""
 
 
 class Row(NamedTuple):
@@ -128,7 +128,7 @@ def rows() -> Iterator[Row]:
 
 @dataclass(frozen=True)
 class Track:
-    """What a camera shows of a person: V views in the order of time, J joints."""
+    """A camera's views of a person: V in the order of time, J joints."""
 
     stamps: Stamps
     poses: Floats

@@ -284,7 +284,7 @@ class Fault:
 
 
 class Outcome(NamedTuple):
-    """What hiros makes of a recording."""
+    """Outcome of hiros on a recording."""
 
     people: str
     """How many, or "refused", or "BUG"."""

@@ -59,7 +59,7 @@ def started(*command: object, folder: Path) -> subprocess.Popen:
 
 
 def machine() -> str:
-    """What a figure depends on."""
+    """Cores and load, which a figure depends on."""
     return f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}"
 
 

@@ -60,7 +60,7 @@ CASES = {
 
 
 class Run(NamedTuple):
-    """What `hiros process` took, and how it ended."""
+    """Cost of `hiros process`, and how it ended."""
 
     wall: float
     cpu: float

@@ -27,7 +27,7 @@ from hiros_mcap.skeletons import Frame, SkeletonModel
 
 @dataclass(frozen=True)
 class Scene:
-    """What cameras see, and where they stand, by the cameras' names."""
+    """Views and places of cameras, by the cameras' names."""
 
     model: SkeletonModel
     frames: list[Frame]

@@ -1,4 +1,4 @@
-"""What a newcomer meets: lines, modules, classes, constants and parameters, by package.
+"""The size of the house: lines, modules, classes, constants and parameters, by package.
 
     PYTHONPATH=.:cli:schemas:viewer python benchmarks/sizes.py
 

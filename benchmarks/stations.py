@@ -57,7 +57,7 @@ LEAP = 3.0
 
 
 class Station(NamedTuple):
-    """What is switched off, and the modules that would go."""
+    """A switch, and the modules that would go with it."""
 
     off: Table
     modules: tuple[str, ...] = ()

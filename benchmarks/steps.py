@@ -1,4 +1,4 @@
-"""What a command costs: CPU of each step, how often it opens files and decompresses their chunks.
+"""Cost of a command: CPU of each step, how often it opens files and decompresses their chunks.
 
     python benchmarks/steps.py LOG... [--system SYSTEM] [--truth FILE] [--again N]
 

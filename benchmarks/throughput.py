@@ -95,7 +95,7 @@ class Measures:
         self.seconds = 0.0
 
     def rows(self) -> dict[str, Callable[[str], Row]]:
-        """What to measure, by the name of its row."""
+        """The runs to measure, by the name of their row."""
         whole = {f"whole, {name}": lambda p, s=name: self.whole(p, s) for name in SYSTEMS}
         warm = {f"warm, {name}": lambda p, s=name: self.warm(p, s) for name in SYSTEMS}
         live = {f"live, {name}": lambda p, s=name: self.live(p, s) for name in LIVE}

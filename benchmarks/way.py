@@ -1,4 +1,4 @@
-"""What a message costs on its way through a run: calls, copies, orderings, holding, page faults.
+"""Cost of a message on its way through a run: calls, copies, orderings, holding, page faults.
 
     python benchmarks/way.py LOG [--systems fuse hiros fuse-realtime] [--callers N]
 

@@ -21,7 +21,7 @@ FAULTLESS = {
 
 @dataclass(frozen=True)
 class Room:
-    """What the cameras of a simulated room report, in the frame "world", and the truth."""
+    """The detections of a simulated room, in the frame "world", and the truth."""
 
     frames: list[Frame]
     model: SkeletonModel

@@ -426,7 +426,7 @@ def some_rows(change, chosen, camera="camera_0"):
 
 
 def deletes_all(row):
-    """What clears the screen has an empty header, and no id or pose."""
+    """A message that clears the screen has an empty header, and no id or pose."""
     return with_markers(row, [default("visualization_msgs/msg/Marker", action=3)])
 
 

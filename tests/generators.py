@@ -185,7 +185,7 @@ def numbers(message):
 
 
 def frame_of(message, model):
-    """What a generic decoder gave, as a frame."""
+    """A message of a generic decoder, as a frame."""
     header, people = message.header, message.skeletons
     sources = {person.src_frame for person in people}
     common = sources.pop() if len(sources) == 1 else ""

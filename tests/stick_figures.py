@@ -33,7 +33,7 @@ def person(x=0.0, y=0.0):
 
 
 def seen(people, stamp, source="a", *, ids=None, turns=False):
-    """What a camera reports; ``turns`` fills link orientations with the identity."""
+    """A camera's message; ``turns`` fills link orientations with the identity."""
     frame = Frame.empty(
         len(people), MODEL, stamp=stamp, log_time=stamp, source=source, frame_id="world"
     )

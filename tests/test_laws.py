@@ -1,4 +1,4 @@
-"""What must hold whatever the numbers: laws of every system, and more of the stages of Hi-ROS."""
+"""Laws of every system, and more of the stages of Hi-ROS: they hold whatever the numbers."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ def cells(tmp_path_factory):
 
 
 def shown(cells, source, kind="text/plain"):
-    """What the cell with this source displays or prints."""
+    """The output of the cell with this source."""
     (cell,) = (cell for cell in cells if source in cell.source)
     texts = [out["text"] if "text" in out else out["data"][kind] for out in cell.outputs]
     return str(texts[-1])

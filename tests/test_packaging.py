@@ -1,4 +1,4 @@
-"""What an index, an installation and a release get."""
+"""The contents of the packages: for an index, an installation and a release."""
 
 from __future__ import annotations
 

@@ -170,7 +170,7 @@ _Content = dict[str, Any]
 
 @cache
 def _content(path, seconds=1000000000.0):
-    """What a log holds, as plain lists."""
+    """The content of a log, as plain lists."""
     with path.open("rb") as file:
         reader = make_reader(file)
         rows = [(c, s, m) for s, c, m in reader.iter_messages()]

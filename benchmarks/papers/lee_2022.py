@@ -91,7 +91,7 @@ def part_table(title: str, outcomes: Sequence[Outcome]) -> Table:
 
 
 def _published(name: str) -> tuple[Pair | None, ...]:
-    """What the paper has for a system, by part; section 3.2 gives the radii of A5."""
+    """The paper's errors of a system, by part; section 3.2 gives the radii of A5."""
     if name in LEE:
         return LEE[name]
     for radius, pairs in LEE_RADII.items():

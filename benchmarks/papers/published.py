@@ -1,4 +1,4 @@
-"""What the three papers report, to print beside our own numbers.
+"""Numbers of the three papers, to print beside our own.
 
 They come from other data. Hi-ROS (Guidolin et al. 2023): real people, Azure Kinects, inertial suits
 as reference. Malaguti et al. (2019): Kinects v2 and a marker-based system. Lee et al. (2022): Azure

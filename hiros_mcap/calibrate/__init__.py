@@ -1,1 +1,1 @@
-"""What a log says about its cameras: their poses and their noise."""
+"""The poses and the noise of a log's cameras."""

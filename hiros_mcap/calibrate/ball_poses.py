@@ -86,7 +86,7 @@ class Placement(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class BallCamera(CameraResult):
-    """What the ball told about one camera.
+    """The pose of one camera by the ball, and how well it is known.
 
     The clock is not measured. Errors are those against the first camera. The residual is the root
     mean square distance of the centres that fit.
@@ -109,10 +109,10 @@ class BallCalibration:
     fixed_frame: str
     verdict: Verdict
     reason: str
-    """What is doubtful, and what to record."""
+    """Doubts about the pose, and a better recording."""
     cameras: tuple[BallCamera, ...]
     gauge: str
-    """What the fixed frame was taken from: transforms, or the first camera."""
+    """Origin of the fixed frame: transforms, or the first camera."""
     radius: float = NAN
     """Median radius that was measured, m; NaN without images."""
     skipped: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
@@ -120,7 +120,7 @@ class BallCalibration:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What makes the poses doubtful."""
+        """Doubts about the poses."""
         return (f"the poses are doubtful: {self.reason}",) if self.reason else ()
 
     def to_dict(self) -> dict[str, Any]:

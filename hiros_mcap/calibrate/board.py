@@ -53,7 +53,7 @@ WORLD = "world"
 
 @dataclass(frozen=True, slots=True)
 class BoardCamera(CameraResult):
-    """What the board told about one camera."""
+    """The pose of one camera by the board, and how well it is known."""
 
     seen: int = 0
     """Frames with all four markers."""
@@ -73,7 +73,7 @@ class BoardReport(NamedTuple):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What makes the poses doubtful."""
+        """Doubts about the poses."""
         return (f"the poses are doubtful: {self.reason}",) if self.reason else ()
 
     def to_dict(self) -> dict[str, Any]:

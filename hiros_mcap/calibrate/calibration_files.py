@@ -1,4 +1,4 @@
-"""What a calibration writes: a file for ``--extrinsics``, and the log with what was found."""
+"""Results of a calibration: a file for ``--extrinsics``, and the log with the poses found."""
 
 from __future__ import annotations
 

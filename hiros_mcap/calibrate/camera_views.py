@@ -1,4 +1,4 @@
-"""What each camera of a log sees of the people, as tracklets in its own frame and time."""
+"""Each camera's views of the people, as tracklets in its own frame and time."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ SHORTEST_S = 0.3
 
 
 class Sighting(NamedTuple):
-    """What a camera sees in one frame."""
+    """The people whom a camera sees in one frame."""
 
     seconds: float
     """Time on the camera's clock, s."""

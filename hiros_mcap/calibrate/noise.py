@@ -94,7 +94,7 @@ def _mean(values: Floats) -> float:
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
-    """What was measured; NaN where nothing was."""
+    """The measured table; NaN where nothing was measured."""
 
     sigma: float
     """SD along each axis of the median joint at 2 m, m."""

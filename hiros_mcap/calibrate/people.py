@@ -91,12 +91,12 @@ class PeopleCalibration:
     fixed_frame: str
     verdict: Verdict
     reason: str
-    """What is wrong and what to record; "" if nothing is."""
+    """The fault and a better recording; "" without a fault."""
     cameras: tuple[CalibratedCamera, ...]
     joints: dict[str, float] = field(default_factory=dict)
     """Median distance of each joint to the mean of the other cameras, mm."""
     gauge: str = ""
-    """What the fixed frame was taken from: transforms, floor, or the first camera."""
+    """Origin of the fixed frame: transforms, floor, or the first camera."""
     people_mm: float = NAN
     """How far the poses' errors move the mean of the cameras' joints, root mean square."""
 

@@ -42,7 +42,7 @@ Span = tuple[int, int]
 
 
 class Seen(NamedTuple):
-    """What one camera saw in N frames."""
+    """The people whom one camera saw in N frames."""
 
     stamps: Stamps
     """(N,) ns, as logged."""
@@ -57,7 +57,7 @@ class Seen(NamedTuple):
 
 
 class Survey:
-    """What one look at a log shows.
+    """One look at a log: times, transforms, model and sightings.
 
     Parameters
     ----------

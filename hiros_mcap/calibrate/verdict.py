@@ -1,4 +1,4 @@
-"""What is known of a camera: its pose and clock, and whether they can be trusted, or why not."""
+"""A camera's pose and clock, and whether they can be trusted, or why not."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ UNLINKED = "shares no view of the same people with the other cameras"
 
 
 class Limits(NamedTuple):
-    """What a camera keeps to, if its pose is to be of some grade."""
+    """The limits of a grade: a pose of that grade keeps to all of them."""
 
     error_deg: float
     error_m: float
@@ -83,7 +83,7 @@ TIMED = USABLE._replace(seconds=2.0)
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What speaks for the pose of one camera."""
+    """The evidence for the pose of one camera."""
 
     share: float
     """Share of the skeletons in common with other cameras that fit."""
@@ -248,7 +248,7 @@ class CameraResult:
 
 @dataclass(frozen=True, slots=True)
 class CalibratedCamera(CameraResult):
-    """What the people tell about one camera.
+    """The pose and clock of one camera by the people whom it sees.
 
     Where they tell no pose, or no better one, it is the log's, if it has one. The clock is NaN if
     no motion tells it. Errors are those against the first camera, its own the largest of the
@@ -275,7 +275,7 @@ class CalibratedCamera(CameraResult):
     partner: str = ""
     """The camera with which it has most in common."""
     evidence: Evidence | None = None
-    """What the verdict is from."""
+    """The evidence of the verdict."""
 
     @property
     def acceptable(self) -> bool:
@@ -299,5 +299,5 @@ class CalibratedCamera(CameraResult):
 
     @property
     def remedy(self) -> str:
-        """What to record for a better pose."""
+        """A recording that would give a better pose."""
         return remedy(self.name, self.partner, self.seconds, self.error_deg)

@@ -90,7 +90,7 @@ class EntryKernel(Kernel):
 
     @cached_property
     def _for_kernels(self) -> Any:
-        """What other kernels call, too: within a process, it is compiled once for all."""
+        """Functions that other kernels call, too: a process compiles each of them once."""
         return _numba(self.function, nogil=self._nogil)
 
     def _compile(self, name: str) -> MachineCode:

@@ -1,4 +1,4 @@
-"""What people do and where.
+"""Actions: gestures, and the ways through the room on which people make them.
 
 The sixteen actions of the Hi-ROS evaluation (Guidolin et al. 2023, Table 5), the gestures of Lee et
 al. (2022, section 2.3) that are not among them, and bodies that are not upright or fast.

@@ -1,4 +1,4 @@
-"""What one camera's detector reports of the people it sees, with all its faults.
+"""A camera's detector: its report of the people whom it sees, with all its faults.
 
 The faults come in the order of a real detector: it confuses the sides of a person, adds errors to
 seen and guessed joints, loses people and finds them again in a wrong pose, and adds phantoms.
@@ -48,7 +48,7 @@ EXTREMITY = np.array([_extremity(marker) for marker in MARKERS])
 
 @dataclass(slots=True)
 class SimulatedDetections:
-    """What is reported of P detections in n frames, in the camera's coordinates."""
+    """The report of P detections in n frames, in the camera's coordinates."""
 
     positions: Floats
     """(n, P, M, 3) m."""

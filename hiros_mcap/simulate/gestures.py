@@ -1,4 +1,4 @@
-"""What people do with their bodies: gestures that change a posture over time.
+"""Gestures: changes of a posture over time.
 
 The gestures of the Hi-ROS evaluation (Guidolin et al. 2023, Table 5), those of Lee et al. (2022,
 section 2.3) that are not among them, and bodies that are not upright or fast.

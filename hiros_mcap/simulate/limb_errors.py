@@ -130,7 +130,7 @@ class TrueView:
 
 @dataclass(slots=True)
 class LimbErrors:
-    """What is wrong with a view."""
+    """The errors of a view."""
 
     turn: Floats
     """(n, G, 3) rotation vector of each segment, rad."""

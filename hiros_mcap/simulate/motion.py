@@ -68,7 +68,7 @@ CRAWL = Gait(0.60, 0.62, 0.03, 0.0, 0.0, 0.005, 0.0, 0.0, 1.45)  # on hands and 
 
 @dataclass(slots=True)
 class Posture:
-    """What an action prescribes at n instants."""
+    """The posture that an action prescribes at n instants."""
 
     body: BodyModel
     """Whose posture it is."""

@@ -81,7 +81,7 @@ class _AsfBone:
 
 @dataclass(frozen=True, slots=True)
 class AsfSkeleton:
-    """What an ASF file says."""
+    """The skeleton of an ASF file."""
 
     bones: dict[str, _AsfBone]
     """In the order in which parents come before children."""

@@ -1,4 +1,4 @@
-"""What a camera can see: the field of view, and bodies (capsules) in the line of sight."""
+"""Occlusion: the field of view, and bodies (capsules) in the line of sight."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _INSIDE = np.array([[marker in inside for *_, inside in _CAPSULES] for marker in
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """What is seen of P people in n frames; each (n, P, M)."""
+    """The visible markers of P people in n frames; each (n, P, M)."""
 
     framed: Mask
     """The joint is within the field of view and the range."""

@@ -99,7 +99,7 @@ class Simulation:
 
     @property
     def detections(self) -> Iterator[Frame]:
-        """What the cameras report, in log-time order, each in its camera's coordinates.
+        """The cameras' detections, in log-time order, each in its camera's coordinates.
 
         ``stamp`` is header.stamp; ``stamps`` are the skeletons' src_time.
         """

@@ -1,4 +1,4 @@
-"""What a stage remembers of people, as arrays that kernels take."""
+"""The memory of a stage: a row per person, in arrays that kernels take."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ P = TypeVar("P", bound=tuple[Any, ...])
 
 
 class Bank(Generic[P]):
-    """What a stage remembers of people: a tuple of arrays, named or not, with a row per person.
+    """The memory of a stage: a tuple of arrays, named or not, with a row per person.
 
     Kernels take ``past`` and rows. Rows are reused, and more are made when none is left; whoever
     was not seen for a while is forgotten.

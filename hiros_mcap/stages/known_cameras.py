@@ -1,4 +1,4 @@
-"""What is known of the cameras of a run."""
+"""The cameras of a run: places, errors of poses, clocks."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class KnownCameras:
     places: Mapping[str, Floats] = field(default_factory=dict)
     """(3,) position in the fixed frame, m."""
     to_given: Mapping[str, Rigid] = field(default_factory=dict)
-    """What takes its people back to the pose that was given, where it was refined."""
+    """Transform of its people back to the log's pose, where the pose was refined."""
     errors: Mapping[str, float] = field(default_factory=dict)
     """Standard error, m, of a pose that the people gave."""
     misplaced: frozenset[str] = frozenset()

@@ -33,7 +33,7 @@ def path(n, seed=0):
 
 
 def track(k, points, noise, seed=0):
-    """What camera k at pose_of(k) saw of points in the world."""
+    """Camera k's view, at pose_of(k), of points in the world."""
     seen = Rotation.from_quat(pose_of(k).xyzw).inv().apply(points - pose_of(k).translation)
     seen += np.random.default_rng([seed, k]).normal(0, noise, seen.shape)
     return BallTrack(f"camera_{k}", f"frame_{k}", np.arange(len(points)) * PERIOD + k, seen)
@@ -111,7 +111,7 @@ def test_a_path_in_a_plane_is_doubtful_and_right():
 
 
 def disturbed(one, kind, rng):
-    """What can be wrong: nothing, the clock, or the ball for some or all of the time."""
+    """A track with a fault: none, of the clock, or of the ball for some or all of the time."""
     n = len(one.stamps)
     wrong = rng.random(n) < rng.uniform(0.1, 0.8)
     if kind == 1:

@@ -49,7 +49,7 @@ def nothing(scene, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def found(nothing):
-    """What the people in that log tell."""
+    """The calibration from the people in that log."""
     return calibrated(nothing)
 
 

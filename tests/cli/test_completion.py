@@ -1,4 +1,4 @@
-"""What a shell gets when Tab is pressed, by the protocols of the shells."""
+"""Completions for Tab, by the protocols of the shells."""
 
 from __future__ import annotations
 

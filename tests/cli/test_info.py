@@ -135,7 +135,7 @@ def test_foreign_channels_beside_skeletons_do_no_harm(crossing, tmp_path):
 
 @pytest.fixture(scope="module")
 def result(crossing, tmp_path_factory):
-    """What a run with one changed parameter wrote of the crossing."""
+    """The result of the crossing with one changed parameter."""
     path = tmp_path_factory.mktemp("info") / "out.mcap"
     config = load_config(
         overrides=["merge.max_position_delta=0.4"], preset="realtime", system="hiros"

@@ -1,4 +1,4 @@
-"""What may be overwritten, and what may not: every file that a command writes."""
+"""Files that commands may overwrite, and files that they may not: every kind that they write."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is wrong with a camera's clock, from the times of its messages; and what is not."""
+"""Faults of a camera's clock, from the times of its messages; and delays that are none."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the encoder leaves out, and how it rounds."""
+"""The encoder: omissions and rounding."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run says of recordings with something wrong in them; nothing is lost in silence."""
+"""Recordings with something wrong in them: a run says so, and nothing is lost in silence."""
 
 from __future__ import annotations
 

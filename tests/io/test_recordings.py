@@ -36,7 +36,7 @@ def healthy(messages, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def result(healthy, tmp_path_factory):
-    """What a run on that file gives."""
+    """The result of a run on that file."""
     return processed(healthy, tmp_path_factory.mktemp("result") / "out.mcap")
 
 

@@ -1,4 +1,4 @@
-"""What is left of a damaged log is what was recorded, and what is lost is told."""
+"""The rest of a damaged log is as recorded, and losses are told."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What differs between two results, in the words of the field; cases made by hand."""
+"""Differences between two results, in the words of the field; cases made by hand."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def compared(new, tolerances=None):
 
 
 def found(result, tolerances=None):
-    """What was and is, without details."""
+    """The differences before and after, without details."""
     differences = result.differences(tolerances or Tolerances())
     return [f"{d.what}: was {d.was}, is {d.now}" for d in differences]
 

@@ -1,4 +1,4 @@
-"""What commands print of the sample logs is what they printed.
+"""Commands print the same numbers of the sample logs as before.
 
 As with golden logs, a difference that is meant is accepted: run the tests with HIROS_BLESS=1, and
 look at what changed in the folder ``numbers``.

@@ -1,4 +1,4 @@
-"""What is noted about cameras and people while a run goes on, and the words for it."""
+"""Notes on cameras and people while a run goes on, and their words."""
 
 from __future__ import annotations
 

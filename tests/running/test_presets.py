@@ -29,7 +29,7 @@ CALIBRATED_NS = 4_500_000_000
 
 @dataclass(frozen=True)
 class Chain:
-    """What the merger and the optimizer made of one person."""
+    """One person after the merger and after the optimizer."""
 
     model: SkeletonModel
     stamps: Floats

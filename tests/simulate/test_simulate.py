@@ -502,7 +502,7 @@ def _with_flaw(flaw=""):
 
 @pytest.mark.parametrize("flaw", OFF)
 def test_each_flaw_alone_is_seen_and_changes_nothing_else(flaw):
-    """What one switch turns on differs from the faultless log; the people move as before."""
+    """A log with one flaw differs from the faultless one; the people move as before."""
     truths, seen, published = zip(_with_flaw(), _with_flaw(flaw), strict=True)
     assert np.array_equal(*truths, equal_nan=True)
     same = seen[0] == seen[1]

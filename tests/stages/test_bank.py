@@ -1,4 +1,4 @@
-"""What stages remember of people, and when they forget them."""
+"""Stages remember people, and forget those who are gone."""
 
 from __future__ import annotations
 

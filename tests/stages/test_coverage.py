@@ -1,4 +1,4 @@
-"""What a camera ought to see, learned from where it has reported people."""
+"""The view of a camera, learned from the places where it has reported people."""
 
 from __future__ import annotations
 

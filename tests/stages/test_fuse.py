@@ -617,7 +617,7 @@ def test_no_result_is_logged_before_its_look_ahead():
 
 
 def test_the_causal_variant_knows_nothing_of_the_future():
-    """What was logged before the log is cut is the same without the rest of the log."""
+    """The results before a cut are the same without the rest of the log."""
     where = walk()
     cut = replace(where, frames=where.frames[:300])
     end = max(frame.log_time for frame in cut.frames)

@@ -48,7 +48,7 @@ def kinds(log):
 
 
 def standing(people, start, end, cameras="ab"):
-    """What cameras report of people who stand still, s."""
+    """Messages of cameras that see people stand still, s."""
     steps = range(round(start * 30), round(end * 30))
     return [seen(people, at(k, c), name) for k in steps for c, name in enumerate(cameras)]
 
@@ -398,7 +398,7 @@ def test_live_runs_know_who_comes_back_and_the_papers_do_not_unless_asked(system
 
 
 def cues(person_id, seconds, x, size=1.0, n=30.0, seen_for=3.0):
-    """What is known of somebody; the limbs of two who were seen for 3 s scatter like a second's."""
+    """Cues of somebody; the limbs of two who were seen for 3 s scatter like a second's."""
     lengths = size * np.array([0.5, 0.3, 0.3, 0.4, 0.4])
     stamp = START + round(seconds * SECOND)
     return PersonCues(person_id, stamp, np.array([x, 0.0, 1.0]), lengths, np.full(5, n), seen_for)

@@ -37,7 +37,7 @@ def test_cameras_that_are_in_time_make_nobody_wait():
 
 @pytest.mark.parametrize("every", [1, 3])
 def test_fast_cameras_wait_for_what_is_later_than_their_next_message(every):
-    """What is so late is older than what they have shown since."""
+    """So late a message is older than those that they have shown since."""
     assert waits(lambda k: 0.03, rate=90, every=every).wait == pytest.approx(0.03 * SECOND)
     assert waits(lambda k: 0.01, rate=90, every=every).wait == 0
 

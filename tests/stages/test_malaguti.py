@@ -516,7 +516,7 @@ def test_somebody_who_is_not_detected_is_held_for_a_while():
 
 
 def held(frame):
-    """What a person who is held does not keep."""
+    """Columns that a person who is held does not keep."""
     return {n: getattr(frame, n) for n in ("stamp", "log_time", "stamps", "markers")}
 
 

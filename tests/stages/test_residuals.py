@@ -175,7 +175,7 @@ def test_joints_that_are_seen_at_times_scatter_as_others_do(params):
 
 @pytest.mark.parametrize("params", [{}, REALTIME])
 def test_the_error_of_a_pose_is_no_scatter(params):
-    """What all joints of a view have in common is in the shared part, and counts once."""
+    """The common error of all joints of a view is in the shared part, and counts once."""
     usual = usual_deviations(bool(params))
     shifted = detections({}, np.array([0.0, 0.05, 0.0]))
     assert deviations(shifted, **params) == pytest.approx(usual, rel=0.1)

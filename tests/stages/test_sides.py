@@ -52,7 +52,7 @@ def truth(seconds, warp=""):
 
 
 def views(seconds, change=None, *, cameras=2, warp=""):
-    """What the cameras report of person 0, one message after the other, 3 ms apart."""
+    """The cameras' views of person 0, one message after the other, 3 ms apart."""
     frames = []
     for k, frame in enumerate(truth(seconds, warp)):
         for camera in range(cameras):

@@ -349,7 +349,7 @@ def test_frames_wait_for_every_camera_but_no_longer():
 
 
 def test_a_camera_that_stalls_is_waited_for_up_to_the_delay():
-    """What b saw from 3 s on arrives 0.9 s late, all at once; from 3.9 s on it is silent."""
+    """Messages of b from 3 s on arrive 0.9 s late, all at once; from 3.9 s on it is silent."""
     a, b = every(33, 1000, 7000, "a"), every(33, 1001, 3900, "b")
     arrivals = sorted(a + b, key=lambda f: max(f[0], 3900) if f[1] == "b" and f[0] > 3000 else f[0])
     order = order_of(arrivals, 1.0)

@@ -1,4 +1,4 @@
-"""What is in a recording: read back and compared with the log."""
+"""Recordings of the viewer: read back and compared with the log."""
 
 from __future__ import annotations
 

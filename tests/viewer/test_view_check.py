@@ -1,4 +1,4 @@
-"""What is said about a camera's view by comparing it with the result."""
+"""Verdicts on a camera's view, by comparison with the result."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ REQUIRED = os.environ.get("HIROS_REQUIRE_VIEWER") == "1"
 """Set where a skipped viewer test is a failure, as in .ci/run."""
 
 PACKAGES = "libvulkan1 mesa-vulkan-drivers"
-"""What draws without a graphics card."""
+"""Driver that draws without a graphics card."""
 
 SIZE = "640x420"
 """Of the window in pixels: all of them are drawn by the processor."""

@@ -268,7 +268,7 @@ class _SampleTime:
 
     @property
     def design(self) -> tuple[float, float]:
-        """What ``FilterMethod.tune`` returned, and the sample time, s."""
+        """The design by ``FilterMethod.tune``, and the sample time, s."""
         return self.tuning, self.period
 
     def update(self, stamp: int, events: Events) -> None:

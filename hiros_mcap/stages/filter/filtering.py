@@ -1,4 +1,4 @@
-"""What the methods of the skeleton filter (Hi-ROS 2023, section 3.4) share.
+"""The common part of the methods of the skeleton filter (Hi-ROS 2023, section 3.4).
 
 A person has T trajectories in four groups: the positions of the M markers, the orientations of the
 L links, the positions of the links, the orientations of the markers. A trajectory is a pose (three
@@ -46,7 +46,7 @@ GROUPS = 4  # marker positions, link orientations, link positions, marker orient
 
 
 class FilterSteps(NamedTuple):
-    """What to do, in order: one person at one step per row."""
+    """The steps, in order: one person at one step per row."""
 
     people: I1  # row of the person's pose in People
     rows: I1  # row of the person in the bank
@@ -61,7 +61,7 @@ class FilterSteps(NamedTuple):
 
 
 class FilterPast(NamedTuple):
-    """What the filters remember of B people."""
+    """The memory of the filters of B people."""
 
     states: F3  # (B, T, ...) state of each trajectory's recursion; columns of the method
     ring: F4  # (B, R, T, ...) the latest steps

@@ -134,7 +134,7 @@ class _Body:
 
 
 class _Bodies:
-    """What is known of everybody's body."""
+    """The learned bodies of all people."""
 
     def __init__(
         self, model: SkeletonModel, params: ConstrainParams, events: Events, limbs: LimbTable

@@ -1,4 +1,4 @@
-"""What the fuser assumes of cameras and joints: defaults, or what a log has shown so far."""
+"""The noise of cameras and joints for the fuser: defaults, or as measured in the log so far."""
 
 from __future__ import annotations
 

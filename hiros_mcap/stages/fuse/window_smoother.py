@@ -307,7 +307,7 @@ def write_fused(
 
 
 class FusionWindow(NamedTuple):
-    """What is smoothed at once: N views of people, and the K poses that are wanted of them."""
+    """The input of one smoothing: N views of people, and the K wanted poses."""
 
     views: Sightings
     variances: F2  # (N, M) of the white noise of the views, m2

@@ -47,7 +47,7 @@ class ClusterSettings(NamedTuple):
 
 
 class ClusterPast(NamedTuple):
-    """What is remembered of S people, a row each."""
+    """The memory of S people, a row each."""
 
     seen: I1  # (S,) time of the last merged position, ns; 0 = never
     positions: F3  # (S, M, 3) that position, m

@@ -63,7 +63,7 @@ def straighten(
 
 
 class LimbLengths(NamedTuple):
-    """What is known of people's limbs: R rows, L links."""
+    """The learned limbs of people: R rows, L links."""
 
     lengths: Floats  # (R, L) m
     squares: Floats  # (R, L) sum of the squared deviations of the first lengths, m2

@@ -54,7 +54,7 @@ class MergerSettings(NamedTuple):
 
 
 class MergerPast(NamedTuple):
-    """What is remembered of S people, a row each."""
+    """The memory of S people, a row each."""
 
     seen: I1  # (S,) time of the last merged pose, ns; 0 = never
     confidences: F1

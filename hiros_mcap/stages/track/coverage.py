@@ -1,4 +1,4 @@
-"""What each camera looks at, learned from the people it has reported."""
+"""Each camera's field of view, learned from the people it has reported."""
 
 from __future__ import annotations
 

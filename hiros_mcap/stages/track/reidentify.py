@@ -69,7 +69,7 @@ LIMBS, PLACE, NUMBER = "limb lengths", "place and time", "number of people"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PersonCues:
-    """What is known of a person at one end of an absence."""
+    """The evidence of who a person is, at one end of an absence."""
 
     person: int  # id; of a newcomer any number of its own
     stamp: int  # time of the last detection of one who is absent, of the first of a newcomer, ns
@@ -101,7 +101,7 @@ class PersonCues:
 
 @dataclass(slots=True, eq=False)
 class _Seconds:
-    """What the limbs of a person were, second by second."""
+    """The measured limbs of a person, second by second."""
 
     lengths: Floats  # (L,) mean length up to the last look, m
     counts: Floats  # (L,) detections that it is of
