@@ -30,9 +30,14 @@ class LogError(HirosError):
     fault : what is wrong, one line.
     path : the file, when there is one.
     topic : the channel, when the fault is of one.
+    listing : what the log has instead, for whom no table shows it.
     """
 
-    def __init__(self, fault: str, *, path: object = None, topic: str | None = None) -> None:
+    def __init__(
+        self, fault: str, *, path: object = None, topic: str | None = None, listing: str = ""
+    ) -> None:
+        self.cause, self.listing = fault, listing
+        fault = "; ".join(part for part in (fault, listing) if part)
         self.fault = fault
         self.path = path
         self.topic = topic
@@ -60,10 +65,14 @@ def naming(path: object, topic: str | None = None) -> Iterator[None]:
     except LogError as error:
         if error.path is not None:
             raise
-        raise type(error)(error.fault, path=path, topic=error.topic or topic) from None
+        raise type(error)(
+            error.cause, path=path, topic=error.topic or topic, listing=error.listing
+        ) from None
 
 
 def explained(error: LogError, reasons: Sequence[str]) -> LogError:
     """Return an error with what is known to be wrong with the log anyway."""
-    fault = "; ".join([error.fault, *reasons])
-    return type(error)(fault, path=error.path, topic=error.topic) if reasons else error
+    if not reasons:
+        return error
+    cause = "; ".join([error.cause, *reasons])
+    return type(error)(cause, path=error.path, topic=error.topic, listing=error.listing)

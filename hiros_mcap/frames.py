@@ -107,6 +107,10 @@ class Block:
         owners = np.repeat(np.arange(len(self)), self.sizes)
         return rows_between(self.rows), owners
 
+    def doubt_columns(self) -> Doubts:
+        """Return the doubts; new columns without any where no stage has looked."""
+        return self.doubts or Doubts.none(*self.people.markers.shape[:2])
+
     def select(self, frames: slice | Sequence[int] | Stamps) -> Block:
         """Return some of the frames, of the same arrays."""
         chosen = frames if isinstance(frames, slice) else np.asarray(frames, np.int64)

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
     from rich.progress import TaskID
 
-_NOTEBOOK_WIDTH = 80
-
 
 class Progress(Protocol):
     """Follows how far a run is."""
@@ -94,6 +92,6 @@ def _console(*, notebook: bool) -> Console | None:
             color_system=None,
             force_jupyter=False,
             force_terminal=True,
-            width=_NOTEBOOK_WIDTH,
+            width=80,
         )
     return None

@@ -36,6 +36,8 @@ STATE = 19
 BOX = STATE + 3  # a Box is the KinematicState of its centre, then height, length, width
 
 UNTRACKED = -1
+SECOND = 1_000_000_000
+"""ns."""
 
 
 @dataclass(frozen=True, eq=True)

@@ -27,7 +27,6 @@ Result = TypeVar("Result")
 
 ATTEMPTS = 2
 """Times that a task is tried which kills its process: memory may be short only for a while."""
-_JOIN_S = 10.0
 _BLOCKED = {getattr(signal, n) for n in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, n)}
 
 
@@ -144,7 +143,7 @@ class _Worker:
     def close(self) -> None:
         """Wait until the process has ended; kill it if that takes too long."""
         self._pool.shutdown(wait=False, cancel_futures=True)
-        self._process.join(_JOIN_S)
+        self._process.join(10.0)
         self._process.kill()
 
 

@@ -17,9 +17,8 @@ import warnings
 from types import FrameType
 from typing import NoReturn
 
-BAD_INPUT = 2
-BUG = 70
-BROKEN_PIPE = 128 + 13
+from hiros_cli.exit_codes import BAD_INPUT, BUG
+
 AGAIN_S = 1.0
 """A signal within this time of another one says nothing new."""
 
@@ -93,7 +92,7 @@ def _report(error: Exception, *, debug: bool) -> int:
     if isinstance(error, BrokenPipeError):
         # The reader has seen enough. Python flushes stdout once more when it exits.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return BROKEN_PIPE
+        return 128 + 13  # as after SIGPIPE
     from hiros_cli.output import error_line, lacks_memory, left_out
     from hiros_mcap.errors import HirosError
 

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from typer import Context, Exit
 
-from hiros_cli.options import FORCE, JSON, LOSSES, MANY, QUIET, option
+from hiros_cli.exit_codes import BAD_INPUT, BUG, DIFFERENT, LOSSES
+from hiros_cli.options import FORCE, JSON, MANY, QUIET, option
 from hiros_cli.output import check_outputs, print_json, printable, warn
 from hiros_mcap.errors import ConfigError
 
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
     from hiros_mcap.many.manifest import LogRecord
     from hiros_mcap.many.run_logs import Runner
 
-DIFFERENT, BAD_INPUT, BUG = 1, 2, 70
-_LAST_ROWS = 8
 _ALL_ROWS = 40
 _LONGEST_REASON = 200
 """Logs up to which the table has a row for each."""
@@ -178,7 +177,7 @@ class _Follower:
         self._total, self._quiet = total, quiet
         self._counts: Counter[str] = Counter()
         self._log_s, self._start = 0.0, time.monotonic()
-        self._last: deque[tuple[str, ...]] = deque(maxlen=_LAST_ROWS)
+        self._last: deque[tuple[str, ...]] = deque(maxlen=8)
         self.live: Any = None
 
     def finished(self, record: LogRecord, *, is_new: bool) -> None:

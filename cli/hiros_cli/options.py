@@ -72,9 +72,6 @@ def grouped(command: Callable[..., Any]) -> Callable[..., Any]:
     return run
 
 
-LOSSES = 3
-"""Exit code: a damaged log was recovered, and something is lost."""
-
 CAMERAS = option(
     "GLOB", "Cameras to read; may be repeated. Default: all.", panel=INPUT, autocompletion=topics
 )

@@ -36,14 +36,13 @@ Item = TypeVar("Item")
 Content = tuple[Sequence[str], Sequence[Sequence[str]]]
 """Header and rows: the first column is text, the others are numbers."""
 
-PIPE_WIDTH = 1000
 _SPACE = 2
 """Between columns."""
 
 
 def console() -> Console:
     """Return a console on stdout: as wide as the terminal, wide enough for every row in a pipe."""
-    width = None if sys.stdout.isatty() else PIPE_WIDTH
+    width = None if sys.stdout.isatty() else 1000
     plain = bool(os.environ.get("NO_COLOR"))  # neither colours nor bold type
     return Console(width=width, highlight=False, color_system=None if plain else "auto")
 

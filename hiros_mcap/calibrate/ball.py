@@ -18,6 +18,7 @@ from pathlib import Path
 from hiros_mcap.body.transforms import TransformTree
 from hiros_mcap.calibrate.ball_image import BallFit, ColorRange, DepthCamera, find_ball
 from hiros_mcap.calibrate.ball_poses import BallCalibration, BallTrack, calibrate_centres
+from hiros_mcap.calibrate.gauge import WORLD
 from hiros_mcap.calibrate.image_search import (
     ImageSearch,
     is_chosen,
@@ -35,7 +36,6 @@ RADIUS_M = 0.24
 OTHER_RADIUS = 0.07
 """A radius that differs more from the one measured is doubtful."""
 RED = ColorRange()
-WORLD = "world"
 
 
 def calibrate_ball(

@@ -21,7 +21,6 @@ LEAST_PIXELS = 30
 MOST_REGIONS = 4
 """Regions of the colour that are tried, the largest first."""
 MOST_POINTS = 1500
-TRIALS = 400
 COVERAGE = 0.3
 """Least share of the ball's disc that inliers must cover: a small flat patch fits any sphere."""
 CURVED = 1.5
@@ -179,7 +178,7 @@ def fit_ball(region: Floats, points: Floats, focal: float, radius: float) -> Bal
     distance = float(np.linalg.norm(np.median(region, axis=0)))
     tolerance = min(max(NOISE_M, NOISE_PER_M2 * distance**2), 0.2 * radius)
     try:
-        fit = fit_sphere(some, radius, tolerance=tolerance, trials=TRIALS)
+        fit = fit_sphere(some, radius, tolerance=tolerance, trials=400)
     except RegistrationError:
         return None
     surface = some[fit.inliers]

@@ -35,11 +35,9 @@ UNCERTAIN_DEG, UNCERTAIN_M = 1.0, 0.04
 DOUBTFUL_DEG, DOUBTFUL_ERROR_M = 0.4, 0.015
 BLOCKS = 10
 """Parts of the log that are left out in turn for the standard errors."""
-TRIPLES = 60
 NOISE_M = 0.003
 """The threshold for outliers is at least 3.5 times this."""
 ADVICE = "carry the ball through the common view of {} for 30 s, near and far, high and low"
-NAN = float("nan")
 
 
 class BallTrack(NamedTuple):
@@ -113,7 +111,7 @@ class BallCalibration:
     cameras: tuple[BallCamera, ...]
     gauge: str
     """Origin of the fixed frame: transforms, or the first camera."""
-    radius: float = NAN
+    radius: float = math.nan
     """Median radius that was measured, m; NaN without images."""
     skipped: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     """Depth images without a result, by camera and reason."""
@@ -170,7 +168,7 @@ def calibrate_centres(
         "; ".join(reasons),
         tuple(cameras),
         gauge,
-        float(np.median(radii)) if radii else NAN,
+        float(np.median(radii)) if radii else math.nan,
         {track.camera: dict(track.skipped) for track in tracks},
     )
 
@@ -321,7 +319,7 @@ def robust_fit(source: Floats, target: Floats) -> tuple[Rigid, Flags]:
     """
     pose = rigid_fit(source, target)
     rng, best = np.random.default_rng(0), _cost(pose, source, target)
-    for triple in rng.integers(0, len(source), (TRIPLES, 3)):
+    for triple in rng.integers(0, len(source), (60, 3)):
         try:
             candidate = rigid_fit(source[triple], target[triple])
         except RegistrationError:

@@ -23,6 +23,7 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import TransformTree, read_extrinsics
 from hiros_mcap.calibrate.ball_image import DepthCamera, points_of_labels
+from hiros_mcap.calibrate.gauge import WORLD
 from hiros_mcap.calibrate.image_search import (
     Finder,
     ImageSearch,
@@ -48,7 +49,6 @@ WRONG_M, DOUBTFUL_M = 0.04, 0.012
 """Root mean square distance of the markers in two cameras."""
 MOVED_M = 0.02
 """A board that lies still scatters by less, from frame to frame."""
-WORLD = "world"
 
 
 @dataclass(frozen=True, slots=True)

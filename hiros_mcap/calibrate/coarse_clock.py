@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hiros_mcap.body.segments import PELVIS
 from hiros_mcap.body.symmetry import split_side, symmetry_of
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.sampling import lines_of
@@ -27,9 +28,7 @@ DIFFERENCE_M = 0.1
 """Signatures of the same person differ by less."""
 LAGS = 10
 """The right lag of somebody who walks is one of many: every step looks like the last one."""
-PAIRS = 3
 APART_S = 0.3
-_PELVIS = ("pelvis", "spinebase", "midhip", "hips", "spine_base")
 
 
 class Landmarks(NamedTuple):
@@ -58,7 +57,7 @@ def landmarks_of(model: SkeletonModel) -> Landmarks:
     names = [split_side(name) for name in model.marker_names]
     paired = [m for m in slots if symmetry.mirror[m] != m]
     left = np.array([m for m in paired if names[m][1] == "left"], np.int64)
-    pelvis = [m for m in slots if names[m][0] in _PELVIS]
+    pelvis = [m for m in slots if names[m][0] in PELVIS]
     hips = [m for m in paired if names[m][0] == "hip"]
     if not len(left):
         return Landmarks(slots, slots, slots)
@@ -106,7 +105,7 @@ def lag_candidates(ones: list[Signature], others: list[Signature]) -> list[LagCa
         k = int(votes.argmax())
         near = slice(max(0, k - 2), k + 3)
         ranked = sorted(table, key=lambda pair: -float(table[pair][near].max()))
-        pairs = [pair for pair in ranked[:PAIRS] if table[pair][near].any()]
+        pairs = [pair for pair in ranked[:3] if table[pair][near].any()]
         candidates.append((STEP_S * float(lags[k]), pairs))
         votes[np.abs(lags - lags[k]) < APART_S / STEP_S] = 0.0
     return candidates

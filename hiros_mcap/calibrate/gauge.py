@@ -24,6 +24,8 @@ from hiros_mcap.calibrate.registration import cauchy
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
+WORLD = "world"
+"""Fixed frame of a log whose cameras have no transforms."""
 PRIOR_DEG = 0.3
 """SD of an orientation that the log states, per axis."""
 PRIOR_M = 0.006
@@ -232,7 +234,6 @@ SPREAD_M = 0.4
 """Feet spread so far (SD) in both directions of a floor whose tilt they tell."""
 STEEP_DEG = 5.0
 """A floor that is tilted more against people who stand is not believed."""
-FLOOR_ROUNDS = 10
 _PARTS = {
     "ankle": ("ankle",),
     "foot": ("foot", "toe", "bigtoe", "big_toe", "toebase", "heel"),
@@ -294,7 +295,7 @@ def _plane(points: Floats, up: Floats) -> Floor:
         return up, level + float(middle @ up)
     design = np.column_stack([flat, np.ones(len(flat))])
     weights = np.ones(len(flat))
-    for _ in range(FLOOR_ROUNDS):
+    for _ in range(10):
         root = np.sqrt(weights)
         slope = np.linalg.lstsq(design * root[:, None], heights * root, rcond=None)[0]
         errors = heights - design @ slope

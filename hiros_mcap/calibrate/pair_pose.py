@@ -29,7 +29,6 @@ FIT_M = 0.25
 """Two skeletons fit if their mean joint distance is below."""
 BLIND_LAGS = (0.0, -0.1, 0.1)
 """s, where no motion tells the lag."""
-BLIND_PAIRS = 6
 LEAST_INSTANTS = 3
 COARSE_INSTANTS = 50
 """Enough to choose among poses."""
@@ -184,7 +183,7 @@ def _longest_together(samples: Samples) -> list[tuple[int, int]]:
         for j in np.unique(tracks[1])
     }
     together = [pair for pair, n in counts.items() if n >= LEAST_INSTANTS]
-    return sorted(together, key=lambda pair: -counts[pair])[:BLIND_PAIRS]
+    return sorted(together, key=lambda pair: -counts[pair])[:6]
 
 
 def _rigid(

@@ -12,6 +12,7 @@ and ``verdict``, ``gauge``.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -26,7 +27,7 @@ from hiros_mcap.calibrate.camera_change import find_moves, split_views, with_tim
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
 from hiros_mcap.calibrate.evidence import camera_distances, full_evidence
-from hiros_mcap.calibrate.gauge import find_floor, moved, on_floor, on_transforms
+from hiros_mcap.calibrate.gauge import WORLD, find_floor, moved, on_floor, on_transforms
 from hiros_mcap.calibrate.joint_refinement import Refinement
 from hiros_mcap.calibrate.pair_pose import (
     PAIR_INSTANTS,
@@ -59,7 +60,6 @@ from hiros_mcap.calibrate.survey import (
 )
 from hiros_mcap.calibrate.verdict import (
     GRADES,
-    NAN,
     NO_VIEW,
     SURE,
     UNLINKED,
@@ -76,9 +76,8 @@ from hiros_mcap.wording import plain
 
 APART_S, CONSTANT_S = 2.0, 0.1
 """Lags that differ by more, and vary by less, show a wrong clock."""
-WORLD, ROOM = "world", "room"
-"""Fixed frame of a log whose cameras have no transforms; the other one if others have, so that it
-has a world, which lies elsewhere."""
+ROOM = "room"
+"""Fixed frame of cameras without transforms if others have some: then the world lies elsewhere."""
 _ALIKE_DEG, _ALIKE_M = 5.0, 0.3
 """Poses that differ by less show that people were at the same place before: a transform to the room
 may be wrong by so much, and cameras stand further apart."""
@@ -97,7 +96,7 @@ class PeopleCalibration:
     """Median distance of each joint to the mean of the other cameras, mm."""
     gauge: str = ""
     """Origin of the fixed frame: transforms, floor, or the first camera."""
-    people_mm: float = NAN
+    people_mm: float = math.nan
     """How far the poses' errors move the mean of the cameras' joints, root mean square."""
 
     def to_dict(self) -> dict[str, Any]:

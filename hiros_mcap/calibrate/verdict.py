@@ -209,9 +209,6 @@ def remedy(
     )
 
 
-NAN = float("nan")
-
-
 @dataclass(frozen=True, slots=True)
 class CameraResult:
     """One camera: its pose, how sure it is, and why it may be wrong."""
@@ -224,13 +221,13 @@ class CameraResult:
     """Why it is doubtful or impossible, "" otherwise."""
     pose: Rigid | None = None
     """In the fixed frame."""
-    clock_s: float = NAN
+    clock_s: float = math.nan
     """s to add to its stamps; NaN if that is not known: keep the log's stamps."""
-    error_deg: float = NAN
+    error_deg: float = math.nan
     """Standard error of the orientation, degrees; NaN where nothing tells it."""
-    error_mm: float = NAN
+    error_mm: float = math.nan
     """The same of the position."""
-    residual_mm: float = NAN
+    residual_mm: float = math.nan
     """How far what it sees is from what the others see."""
 
     def to_dict(self, parent: str) -> dict[str, Any]:
@@ -259,16 +256,16 @@ class CalibratedCamera(CameraResult):
     drift_ppm: float = 0.0
     """How fast the clock's offset grows, from the middle of the log; 0 in logs of less than two
     minutes."""
-    error_ms: float = NAN
+    error_ms: float = math.nan
     """Standard error of the clock."""
     seconds: float = 0.0
     """s in which another camera sees the same people."""
-    moved_deg: float = NAN
+    moved_deg: float = math.nan
     """Difference from the log's pose; NaN if that stays, or there is none."""
-    moved_mm: float = NAN
-    since_s: float = NAN
+    moved_mm: float = math.nan
+    since_s: float = math.nan
     """When it was moved to this pose, s from the log's start; NaN if it always stood there."""
-    until_s: float = NAN
+    until_s: float = math.nan
     """When it was moved away from this pose; such a camera is listed twice."""
     since: int = 0
     """The first of both as a log time, ns; 0 if it always stood there."""

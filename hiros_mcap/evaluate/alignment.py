@@ -39,12 +39,10 @@ _TRACKS = 6
 """Longest tracks that candidates are made of."""
 _STEP, _FINE_STEP = 0.25, 0.05
 """s between the shifts that are tried: a walking person moves 30 cm in the first."""
-_LEAST_INSTANTS = 3
 _BEST = 5
 """Shifts of a pair that are tried finely."""
 _LEAST_OVERLAP = 0.5
 """Of the shorter of truth and track, that they have in common at a shift."""
-_ROUNDS = 4
 _STILL_M = 0.03
 """RMS by which joints move about their mean, below which only noise moves."""
 _UNEXPLAINED = 0.5
@@ -107,7 +105,7 @@ def align(
         key=lambda pair: pair[0],
     )
     frames = channel.frames[:: max(1, len(channel.frames) // _FRAMES)]
-    for _ in range(_ROUNDS):
+    for _ in range(4):
         matches = match(frames, seen.aligned(found))
         if not len(matches.people):
             break
@@ -179,7 +177,7 @@ def _fit(
     true = truth.positions_of(rows, track.stamps - round(shift * 1e9))
     known = np.asarray(~np.isnan(true + track.poses).any(axis=-1))  # (T, M)
     instants = known.any(axis=1)
-    if instants.sum() < _LEAST_INSTANTS:
+    if instants.sum() < 3:
         return None
     try:
         pose = rigid_fit(true[known], track.poses[known])

@@ -35,11 +35,10 @@ from hiros_mcap.progress import Bar, Progress
 from hiros_mcap.running.preparation import preparation_key
 from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.running.recording import Recording
-from hiros_mcap.skeletons import Flags, Frame, Stamps
+from hiros_mcap.skeletons import SECOND, Flags, Frame, Stamps
 from hiros_mcap.systems import chain_of
 from hiros_mcap.workers import run_tasks
 
-_SECOND_NS = 1_000_000_000
 _WARM_UP = 150
 """Messages that a system is run on before it is timed: enough to confirm the first tracks."""
 DEFAULT = (
@@ -272,11 +271,11 @@ def _run(task: Task) -> tuple[Outcome, list[Distances]]:
 
 def _by_second(matches: Matches, truth: Truth) -> Distances:
     """Mean distance of each true person in each second, mm; NaN where the result lacks him."""
-    seconds = np.arange(truth.stamps[0], truth.stamps[-1] + 1, _SECOND_NS)
+    seconds = np.arange(truth.stamps[0], truth.stamps[-1] + 1, SECOND)
     shape = (len(truth.people), len(seconds))
     sums, counts = np.zeros(shape), np.zeros(shape)
     distances = 1000 * np.linalg.norm(matches.poses - matches.true_poses, axis=-1)
-    cells = matches.people, (matches.stamps - truth.stamps[0]) // _SECOND_NS
+    cells = matches.people, (matches.stamps - truth.stamps[0]) // SECOND
     np.add.at(sums, cells, np.nansum(distances, axis=-1))
     np.add.at(counts, cells, (~np.isnan(distances)).sum(axis=-1))
     means = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan).astype(np.float32)

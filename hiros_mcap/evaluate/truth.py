@@ -11,11 +11,11 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid, multiply, to_vector
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.skeletons import Flags, Floats, Frame, SkeletonModel, Stamps
+from hiros_mcap.skeletons import SECOND, Flags, Floats, Frame, SkeletonModel, Stamps
 
 MAX_GAP_NS = 500_000_000
 """The truth is not interpolated over a longer pause."""
-_EPOCH_2001 = 1_000_000_000 * 1_000_000_000  # ns
+EPOCH_2001 = SECOND * SECOND  # ns; earlier times are no dates
 _Y_TO_Z = np.array([0.5**0.5, 0.0, 0.0, 0.5**0.5])
 
 
@@ -150,7 +150,7 @@ class Truth:
         up : the vertical axis of the truth, "z" or "y" (OpenSim); y becomes z.
         """
         stamps = self.stamps + round(seconds * 1e9)
-        if start is not None and self.from_begin and self.stamps[-1] < _EPOCH_2001:
+        if start is not None and self.from_begin and self.stamps[-1] < EPOCH_2001:
             stamps = stamps + start
         positions, orientations = self.positions, self.orientations
         if up == "y":

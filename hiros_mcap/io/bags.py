@@ -27,9 +27,7 @@ from hiros_mcap.io.bag_files import (
     unpacked_name,
 )
 from hiros_mcap.io.bag_tables import Bag, append_bag, open_bag, recover_bag
-from hiros_mcap.io.channels import (
-    OTHER_FILES,
-)
+from hiros_mcap.io.channels import HUMANS, OTHER_FILES
 from hiros_mcap.io.container import (
     McapReader,
     McapWriter,
@@ -47,8 +45,6 @@ from hiros_mcap.outputs import (
 )
 from hiros_mcap.wording import quantity
 
-_HUMANS = "hri_msgs/"  # its bodies are on /tf
-_BLOCK = 1 << 12  # bytes: zstd may make 100 MB of them
 _LISTED = 6
 _LOOKED_INTO = 20
 PACKED_FILES = (
@@ -74,7 +70,7 @@ def _shows_people(name: str) -> bool:
     """Whether a type may hold skeletons, or says that transforms do."""
     short = _short(name)
     transforms = ("tf2_msgs/TFMessage", "tf/tfMessage")
-    return short.startswith(_HUMANS) or (short in _wanted() and short not in transforms)
+    return short.startswith(HUMANS) or (short in _wanted() and short not in transforms)
 
 
 @contextmanager
@@ -107,7 +103,7 @@ def _unzipped(path: Path, kind: str, *, recover: bool) -> Iterator[Path]:
         frame = unpacker.decompressobj()
         try:
             with path.open("rb") as packed, target.open("wb") as copy:
-                while block := packed.read(_BLOCK):
+                while block := packed.read(1 << 12):  # bytes: zstd may make 100 MB of them
                     while block:
                         frame = unpacker.decompressobj() if frame.eof else frame
                         add_block(copy, frame.decompress(block), path)
@@ -155,6 +151,7 @@ class _Choice:
     left_out : type and number of messages of the other topics, see :class:`McapReader`.
     checked : whether checksums cover every message. remarks : of the files.
     counts : messages of each topic. shows_people : whether any may.
+    recovery : what is lost of the files.
     """
 
     def __init__(self, topic: str) -> None:
@@ -163,6 +160,7 @@ class _Choice:
         self.counts: Counter[str] = Counter()
         self.remarks: dict[str, None] = {}
         self.checked, self.shows_people = True, bool(topic)
+        self.recovery = Recovery()
         self._listed: dict[str, None] = {}
 
     def of(self, part: McapReader | Bag) -> list[int]:
@@ -184,8 +182,8 @@ class _Choice:
         """Raise LogError if nothing can show people."""
         if not self.shows_people:
             topics = ", ".join(sorted(self._listed)) or "none"
-            fault = f"has no SkeletonGroup topic; {OTHER_FILES}; it has {topics}"
-            raise LogError(fault, path=path)
+            fault = f"has no SkeletonGroup topic; {OTHER_FILES}"
+            raise LogError(fault, path=path, listing=f"it has {topics}")
 
 
 def _topics(part: McapReader | Bag) -> Iterator[tuple[int, str, str, int]]:
@@ -232,17 +230,16 @@ def _read_parts(
     path: Path, parts: Sequence[Path], recover: bool, memory: int, topic: str
 ) -> tuple[McapReader, Counter[str]]:
     """Read a recording into memory; return also how many messages its topics have."""
-    choice, recovery = _Choice(topic), Recovery()
+    choice = _Choice(topic)
 
     def write(writer: McapWriter) -> None:
-        nonlocal recovery
-        recovery = join(parts, writer, recover=recover, choice=choice)
+        choice.recovery = join(parts, writer, recover=recover, choice=choice)
         choice.check(path)
 
     reader = MemoryReader(path, write, memory)
     reader.checked, reader.left_out = choice.checked, choice.left_out
     reader.remarks = tuple(choice.remarks)
-    reader.recovery = recovery if recover else None
+    reader.recovery = choice.recovery if recover else None
     return reader, choice.counts
 
 

@@ -54,7 +54,6 @@ _LEAST_DRIFT = 0.7e-3  # s/s: cheap crystals are off by a tenth of that
 _LEAST_DRIFTED = 0.01  # s
 _LEAST_SECONDS = 15  # fewer least lags fit a line by chance, where messages are late
 _LARGEST_DRIFT = 0.01  # s/s: what changes less over a pause is no step
-_ROUNDS = 100  # steps of one camera
 _WIDE = 1.5  # usual intervals: a longer one lacks a message
 _BY_CHANCE = 1e-6  # probability of so many gaps where late messages were logged
 
@@ -373,7 +372,7 @@ def _steps(times: CameraTimes, late: Floats) -> list[Step]:
     stamps = np.asarray((times.stamps - start) * 1e-9, np.float64)
     logged = np.asarray((times.log_times - start) * 1e-9 - late, np.float64)
     steps: list[Step] = []
-    for _ in range(_ROUNDS):
+    for _ in range(100):  # no camera has more steps
         largest = _largest_step(stamps, logged)
         if largest is None:
             break

@@ -31,6 +31,8 @@ PROVENANCE = "hiros.provenance"
 OTHER_FILES = "`hiros import` reads files of other detectors; docs/detectors.md says how"
 TRUTH_PREFIX = "/truth"
 TF_TOPICS = ("/tf_static", "/tf")
+HUMANS = "hri_msgs/"
+"""Package of the types of ROS4HRI, whose bodies are on /tf."""
 _TF_NAMES = tuple(topic.strip("/") for topic in TF_TOPICS)
 _LISTED = 20
 # The quality of service that rosbag2 offers when it plays a channel: reliable, volatile, keep
@@ -145,14 +147,15 @@ def select_skeletons(
     channels = tuple(channels)
     skeletons = [info for info in channels if info.has_type(hiros_schemas.SKELETON_GROUP)]
     if not skeletons:
-        raise LogError(f"has no SkeletonGroup channel; {OTHER_FILES}; {_listing(channels)}")
+        raise LogError(f"has no SkeletonGroup channel; {OTHER_FILES}", listing=_listing(channels))
     others = [i for i in skeletons if not _is_below(i.topic, output_prefix.rstrip("/"))]
     if topics is None:
         chosen = [i for i in others if not _is_below(i.topic, TRUTH_PREFIX)]
         if not chosen:
             raise LogError(
                 f"has only results below {output_prefix} or truths below {TRUTH_PREFIX}, no "
-                f"detections of cameras; name the recording instead; {_listing(channels)}"
+                "detections of cameras; name the recording instead",
+                listing=_listing(channels),
             )
     else:
         for glob in topics:
@@ -160,10 +163,10 @@ def select_skeletons(
                 continue
             if any(fnmatchcase(info.topic, glob) for info in skeletons):
                 raise LogError(
-                    f"{glob!r} names only results of hiros, which are not detections of cameras; "
-                    f"{_listing(channels)}"
+                    f"{glob!r} names only results of hiros, which are not detections of cameras",
+                    listing=_listing(channels),
                 )
-            raise LogError(f"no skeleton channel matches {glob!r}; {_listing(channels)}")
+            raise LogError(f"no skeleton channel matches {glob!r}", listing=_listing(channels))
         chosen = [i for i in others if any(fnmatchcase(i.topic, glob) for glob in topics)]
     chosen = readable(chosen)
     # Without any message, the room was empty.

@@ -53,7 +53,6 @@ from hiros_mcap.wording import quantity
 
 LISTEN_S = 1.0
 """s of the log's own time: a camera sends several messages in it."""
-_AGAIN_S = 0.25
 _PATIENCE_S = 10.0
 """How long after the first skeletons transforms may come."""
 _MOST = 20_000
@@ -322,7 +321,7 @@ class _Listener:
             self._next = now + int(LISTEN_S * 1e9)
         if not self._next or now < self._next:
             return False
-        self._next = now + int(_AGAIN_S * 1e9)
+        self._next = now + int(0.25 * 1e9)
         try:
             log = self._attempt()
             if not any(camera.frames for camera in log.cameras):

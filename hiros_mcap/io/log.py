@@ -388,9 +388,6 @@ def _name_cameras(seen: Sequence[CameraChannel]) -> list[CameraChannel]:
     return named
 
 
-_BLOCK = 1 << 20  # bytes
-
-
 @contextmanager
 def digest_of(path: Path) -> Iterator[Future[str]]:
     """Find the SHA-256 of an input in a thread, as ``sha256sum`` prints it: a result names it so.
@@ -414,6 +411,6 @@ def _hash(path: Path, stopped: Event) -> str:
     digest = hashlib.sha256()
     for file in files:
         with file.open("rb", buffering=0) as stream:
-            while not stopped.is_set() and (block := stream.read(_BLOCK)):
+            while not stopped.is_set() and (block := stream.read(1 << 20)):
                 digest.update(block)
     return digest.hexdigest()

@@ -46,7 +46,6 @@ _ENOUGH = 10
 _STAMP_AT = 4
 """Byte of a message at which its header's stamp begins: behind the encapsulation of CDR, or behind
 the number of a ROS 1 header."""
-_NESTED = 4
 Bytes = npt.NDArray[np.uint8]
 _OURS = f"{OUTPUT_PREFIX}/", f"{TRUTH_PREFIX}/"
 """Topics that were written later: their times tell nothing of the recorder."""
@@ -118,7 +117,7 @@ def stamp_place(schema: Schema, encoding: str) -> int:
     with suppress(hiros_schemas.DefinitionError, UnicodeDecodeError):
         name, place = hiros_schemas.short_name(schema.name), _STAMP_AT
         texts = hiros_schemas.parse(name, bytes(schema.data).decode())
-        for _ in range(_NESTED):
+        for _ in range(4):  # messages in messages
             first = next(iter(texts.get(name, ())), None)
             if first is None:
                 return 0

@@ -23,7 +23,6 @@ from hiros_mcap.wording import quantity
 
 _ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 _BLOCK = 8 << 20  # bytes
-_TEXT = 1 << 20  # bytes of a text that is small
 _WHOLE = frozenset({"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "memory"})
 """Protocols of stores where a file appears only when all of it has arrived."""
 
@@ -118,7 +117,7 @@ def names_in(folder: str) -> list[str]:
 def text_of(address: str) -> str:
     """Return what a small file of text behind an address says; raises LogError."""
     with reached(address) as (system, path):
-        return bytes(system.cat_file(path, end=_TEXT)).decode(errors="replace")
+        return bytes(system.cat_file(path, end=1 << 20)).decode(errors="replace")
 
 
 def size_and_date(address: str) -> tuple[int, str]:

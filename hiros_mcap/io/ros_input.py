@@ -24,7 +24,6 @@ _QUEUED = 1000
 """Messages of a topic that wait for a busy run; then the oldest ones are lost, and counted."""
 _BEHIND, _TOLERATED = 2 * 10**9, 10**10
 """ns that messages may wait, and how long they may do so until the user is told."""
-_LISTED = 20
 _CLOCK_TYPE, _CLOCK = "rosgraph_msgs/msg/Clock", 0
 """Of /clock: its type, and what stands for the number of a channel."""
 
@@ -143,7 +142,7 @@ class RosInput:
             yield None
         if not self._counts:
             found = [topic for topic, _ in self._node.node.get_topic_names_and_types()]
-            listed = ", ".join(found[:_LISTED]) or "none"
+            listed = ", ".join(found[:20]) or "none"
             clock = "nobody publishes /clock; " if self._time == 0 else ""
             raise LogError(
                 f"no topic that may show people was found; {clock}is ROS_DOMAIN_ID that of the "

@@ -22,7 +22,6 @@ Answer = TypeVar("Answer")
 _PATIENCE_S = 60.0
 """How long to wait for the first worker."""
 _CONNECT_S = 10.0
-_POLL_S = 0.1
 
 
 def on_cluster(address: str, paths: Sequence[str]) -> Runner:
@@ -89,7 +88,7 @@ def _await(file: Path) -> None:
                 f"--cluster {file}: there is no such file; `dask scheduler --scheduler-file "
                 f"{file}` writes it"
             )
-        time.sleep(_POLL_S)
+        time.sleep(0.1)
 
 
 def _check_workers(client: Any, paths: Sequence[str]) -> None:

@@ -29,7 +29,6 @@ from hiros_mcap.skeletons import Floats, Stamps
 from hiros_mcap.stages.fuse.fuse_params import FuseParams
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 
-_BANDS = 14
 _SLOWEST = 0.02  # rad/s; what is slower counts as constant
 RIGID = 0.49
 """Error after limbs have got constant lengths and poses their prior, to that before: see
@@ -81,7 +80,7 @@ class ErrorModel:
         lost = params.dropouts * rig.lost_frames
         lost += params.dropouts * d.losses_per_minute / 60 * float(np.mean(d.loss_seconds))
         self._rate = rig.rate * max(1 - lost, 0.01)
-        self._edges = np.concatenate([[0.0], np.geomspace(_SLOWEST, np.pi * self._rate, _BANDS)])
+        self._edges = np.concatenate([[0.0], np.geomspace(_SLOWEST, np.pi * self._rate, 14)])
         middles = np.sqrt(self._edges[1:] * np.maximum(self._edges[:-1], self._edges[1] / 4))
         lively = noise.accelerations * 10 ** (_LIVELY * EXTREMITY[self.joints])
         self._stiffness = middles**4 / lively[:, None]

@@ -37,11 +37,9 @@ _JOINTS = [
     *("PELVIS", "NECK", "HEAD", "ELBOW_LEFT", "ELBOW_RIGHT", "WRIST_LEFT", "WRIST_RIGHT"),
     *("KNEE_LEFT", "KNEE_RIGHT", "ANKLE_LEFT", "ANKLE_RIGHT"),
 ]
-_PLACES = 28
 _DIRECTIONS = np.radians([0.0, -25.0, 25.0])  # beside the direction of the room's middle
 _AIM_HEIGHT, _AIM_FAR = 1.0, 3.5  # m; the axis meets the middle of a body, at most so far away
 _STEPS = ((0.25, 12.0, 6.0), (0.12, 6.0, 3.0))  # m along the walls, degrees aside and up
-_EXCHANGES = 3
 _APART = 0.5  # m, of two cameras
 _ENOUGH = 1e-4
 """Gain, relative to the error, for which a camera is moved."""
@@ -212,7 +210,7 @@ class Placing:
         chosen: list[Placed] = []
         for _ in range(count):
             chosen.append(self._best(chosen, self._candidates))
-        for _ in range(_EXCHANGES):
+        for _ in range(3):
             before = [camera.stand for camera in chosen]
             for k in range(count):
                 chosen[k] = self._best(_without(chosen, k), [chosen[k], *self._candidates])
@@ -246,7 +244,7 @@ class Placing:
         sides = np.array([x1 - x0, y1 - y0, x1 - x0, y1 - y0])
         start = 0.0
         for side in sides:
-            n = max(2, round(_PLACES * side / sides.sum()))
+            n = max(2, round(28 * side / sides.sum()))  # of 28 places
             for along in start + np.arange(n) * side / n:
                 to_middle = (np.array([x0 + x1, y0 + y1]) / 2) - _on_wall(self._area, along)
                 far = min(float(np.hypot(*to_middle)), _AIM_FAR)

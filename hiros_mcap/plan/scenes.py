@@ -13,7 +13,6 @@ from hiros_mcap.simulate.settings import WALL, Area, SimulateParams
 from hiros_mcap.skeletons import Floats, Stamps
 
 _NEAR = 0.6  # m; people keep this distance
-_TRIES = 50
 _PHASES = 8  # of a stride
 
 
@@ -70,7 +69,7 @@ def _mixed(places: Floats, people: int) -> Stamps:
         return np.arange(len(places))[:, None]
     rng = np.random.default_rng(0)
     rows = rng.permutation(len(places)).reshape(-1, people)
-    for _ in range(_TRIES):
+    for _ in range(50):
         here = places[rows]
         gaps = np.linalg.norm(here[:, :, None] - here[:, None], axis=-1)
         gaps[:, np.arange(people), np.arange(people)] = np.inf

@@ -41,7 +41,6 @@ from hiros_mcap.stages.time_order import in_time_order
 
 _WORTH_A_WARNING = 0.05  # s
 _LIKELY_NO_DELAY = 0.2  # s: deliveries of cameras usually differ by less
-_MARGIN = 0.1  # s
 _LEAST_CLOCK_MS = 5.0  # smaller offsets stay: a person who walks is then off by 5 mm
 _SURE_CLOCK = 3.0  # standard errors that an offset has to be long
 STILL = "nobody moves enough to tell"
@@ -218,7 +217,7 @@ def align_clocks(
 
 def _wait_for(late: float, reorder: float) -> float:
     """Return how long, s, messages wait if they are late by so much; 0 if the stages take them."""
-    return min(late + _MARGIN, LONGEST_WAIT) if late > reorder else 0.0
+    return min(late + 0.1, LONGEST_WAIT) if late > reorder else 0.0
 
 
 def given_corrections(log: Log, config: Config) -> dict[str, float]:

@@ -18,7 +18,6 @@ from hiros_mcap.threads import cpu_time
 DETECTIONS = "detections"
 """Name of what goes into the first stage."""
 _GAP = 1_000_000_000  # ns: a longer pause of a camera does not count for its rate
-_PAUSES_PER_MESSAGE = 0.1
 _SAMPLED_FRAMES = 20  # of each camera
 _TOO_LARGE = 50.0  # m: no laboratory is so large
 
@@ -67,7 +66,7 @@ class CommonPauses:
     def notes(self, start: int) -> Iterator[str]:
         """Yield when nobody sent anything, in seconds from ``start``, ns."""
         # Cameras that send once in some seconds do not pause.
-        if not self.pauses or len(self.pauses) > _PAUSES_PER_MESSAGE * self.messages:
+        if not self.pauses or len(self.pauses) > 0.1 * self.messages:
             return
         first, last = max(self.pauses, key=lambda span: span[1] - span[0])
         when = f"from {(first - start) * 1e-9:.1f} to {(last - start) * 1e-9:.1f} s"

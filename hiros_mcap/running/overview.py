@@ -192,9 +192,9 @@ def overview_of(
             raise
         parts = files_of(Path(path)).parts
         if any(kind_of(part) for part in parts):
-            return _of_bag(Path(path), parts, error.fault)
+            return _of_bag(Path(path), parts, error.cause)
         with open_reader(path) as reader:
-            overview = replace(_of_file(path, reader), fault=error.fault)
+            overview = replace(_of_file(path, reader), fault=error.cause)
             return replace(overview, warnings=tuple(reader.warnings), remarks=tuple(reader.remarks))
     with log:
         return _with_cameras(_of_file(path, log.reader), log)

@@ -18,13 +18,12 @@ from hiros_mcap.config import Config, load_config
 from hiros_mcap.defaults import LIVE_SYSTEM
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.bag_output import needs_latching
-from hiros_mcap.io.channels import LATCHED_QOS, ChannelInfo, channels_of, is_transform_topic
+from hiros_mcap.io.channels import HUMANS, LATCHED_QOS, ChannelInfo, channels_of, is_transform_topic
 from hiros_mcap.io.container import McapWriter, Message
 from hiros_mcap.io.container.file import Pipe, Sink
 from hiros_mcap.io.container.live_input import LiveInput
 from hiros_mcap.io.container.live_output import MessageSink
 from hiros_mcap.io.container.writer import LiveWriter
-from hiros_mcap.io.detectors.conversion import HUMANS
 from hiros_mcap.io.export.run_summary import SummaryExport
 from hiros_mcap.io.live_log import LiveLog, may_be_read, open_live, takes
 from hiros_mcap.progress import Progress

@@ -19,9 +19,7 @@ from hiros_mcap.body.transforms import read_camera_entries, read_extrinsics, rea
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.outputs import CAMERAS_MARK, write_text
 from hiros_mcap.simulate.settings import Area, SimulateParams
-from hiros_mcap.skeletons import Flags, Floats, Stamps
-
-_SECOND = 1e9
+from hiros_mcap.skeletons import SECOND, Flags, Floats, Stamps
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,12 +137,12 @@ def _with_calibration_error(pose: Rigid, params: SimulateParams, index: int) -> 
 
 
 def _nanoseconds(seconds: Floats) -> Stamps:
-    return np.round(seconds * _SECOND).astype(np.int64)
+    return np.round(seconds * SECOND).astype(np.int64)
 
 
 def seconds_since(start: int, stamps: Stamps) -> Floats:
     """Time, s, since ``start`` of stamps, both ns."""
-    elapsed: Floats = (stamps - start).astype(np.float64) / _SECOND
+    elapsed: Floats = (stamps - start).astype(np.float64) / SECOND
     return elapsed
 
 

@@ -8,7 +8,7 @@ from builders import moved
 from scipy.spatial.transform import Rotation
 from stick_figures import MODEL, at, person, seen
 
-from hiros_mcap.body.segments import capsules_of
+from hiros_mcap.body.limb_thickness import capsules_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of, join
 from hiros_mcap.kernels import line_of_sight

@@ -17,7 +17,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 from stick_figures import MIRROR, MODEL, SECOND, at, person, seen
 
-from hiros_mcap.body.segments import capsules_of
+from hiros_mcap.body.limb_thickness import capsules_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import by_frame
 from hiros_mcap.io.channels import add_skeleton_channel

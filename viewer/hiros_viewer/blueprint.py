@@ -12,16 +12,14 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from hiros_mcap.body.angles import JOINTS
 from hiros_mcap.body.rotations import Rigid, rotate
 from hiros_mcap.skeletons import Floats
 from hiros_viewer.columns import LOGGED, STAMP, TIMELINE
 from hiros_viewer.entities import CALIBRATION, CAMERA_TABLE, KEY, Layer, person_part
 from hiros_viewer.palette import BEFORE, FAULTY
 
-TRAIL_S = 2.0
-JOINTS = ("shoulder", "elbow", "hip", "knee")
 LIMBS = ("upper arm", "forearm", "thigh", "shin")
-_BESIDE_M = 1.0
 _AHEAD = np.array([0.0, 0.0, 3.0])  # z of a camera points where it looks
 _BONES = ("bones", "left_bones")
 _THIN_JOINT_M, _THIN_BONE_M = 0.012, 0.006
@@ -34,7 +32,6 @@ _CAMERA_M = 0.5  # so far from a camera are its name and frustum
 _LABEL = np.array([0.0, 0.0, 0.3])  # m, above a head
 _WIDE_ROOMS = 2  # as many rooms side by side have place for names of people
 _NO_LANES, _A_LANE, _MOST_BELOW = 0.09, 0.052, 0.36  # of the height, so that few lanes are cut
-_NAMED_CAMERAS = 4
 _MOST_DETECTIONS = 12  # of a person, around the result
 _HALF = 0.95  # width by height of a room beside as wide a column
 _BEHIND = 0.1  # of _AHEAD: where the eye is, so that feet near the camera are seen
@@ -308,7 +305,7 @@ def _room(
         [
             rr.VisibleTimeRange(
                 timeline,
-                start=rr.TimeRangeBoundary.cursor_relative(seconds=-TRAIL_S),
+                start=rr.TimeRangeBoundary.cursor_relative(seconds=-2.0),
                 end=rr.TimeRangeBoundary.cursor_relative(),
             )
             for timeline in (TIMELINE, STAMP, LOGGED)
@@ -324,7 +321,7 @@ def _room(
             target, eye = eye + ahead, eye - _BEHIND * ahead
         for other in content.cameras:  # names hide people, and so does a frustum beside the eye
             place = content.camera_poses.get(other, pose).translation
-            near = float(np.linalg.norm(place - pose.translation)) < _BESIDE_M
+            near = float(np.linalg.norm(place - pose.translation)) < 1.0
             contents.append(f"- /world/cameras/{other}/{'**' if near else 'name'}")
         if len(content.cameras) > _WIDE_ROOMS:  # the lanes below name the people's colours
             contents += [f"- {path}/name" for stage in stages for path in _paths(content, stage)]
@@ -457,7 +454,7 @@ def _series(content: Content, kind: str, name: str, path: str = "", corner: Any 
 
 def _legend_at(content: Content, corner: str) -> Any:
     """Return where cameras are named in a large plot of their curves: nowhere if they are many."""
-    return rrb.Corner2D[corner] if len(content.cameras) <= _NAMED_CAMERAS else None
+    return rrb.Corner2D[corner] if len(content.cameras) <= 4 else None
 
 
 def _whole() -> Any:

@@ -15,7 +15,7 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.logs import consistency, start_of
 from hiros_mcap.evaluate.match import Matches, match
 from hiros_mcap.evaluate.smoothness import lengths_of
-from hiros_mcap.evaluate.truth import Truth
+from hiros_mcap.evaluate.truth import EPOCH_2001, Truth
 from hiros_mcap.events import Event
 from hiros_mcap.io.log import open_reader
 from hiros_mcap.io.result import stored_report
@@ -223,9 +223,6 @@ def summary_row(frames: Sequence[Frame], model: SkeletonModel) -> str:
     )
 
 
-_EPOCH_2001 = 1_000_000_000 * 1_000_000_000  # ns; earlier times are no dates
-
-
 def about(path: Path, *verdict: str) -> tuple[str, str]:
     """Return when a log that hiros wrote was recorded and how it was made, and the verdict.
 
@@ -233,7 +230,7 @@ def about(path: Path, *verdict: str) -> tuple[str, str]:
     """
     facts = []
     start = start_of(path)
-    if start > _EPOCH_2001:
+    if start > EPOCH_2001:
         facts.append(f"recorded {datetime.fromtimestamp(start // 10**9, UTC):%Y-%m-%d %H:%M} UTC")
     run = Provenance.of_log(path).run
     if "version" in run:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.evaluate.match import skeleton_distances
+from hiros_mcap.evaluate.match import MATCH_DISTANCE, skeleton_distances
 from hiros_mcap.evaluate.mot import best_pairs
 from hiros_mcap.io.channels import OUTPUT_PREFIX
 from hiros_mcap.io.log import open_log
@@ -18,8 +18,6 @@ from hiros_viewer.scene import Scene
 
 SIMULTANEOUS_NS = 17_000_000
 """Frames of two logs at most half a period of 30 Hz apart are compared."""
-SAME_PERSON = 1.0
-"""m, mean over joints."""
 
 
 def draw_distances(first: Path, second: Path, scenes: list[Scene], stage: str) -> None:
@@ -80,6 +78,6 @@ def joint_distances(mine: Floats, theirs: Floats) -> Floats:
     """Distances, m, of all joints of people (P, K, 3) and (Q, K, 3), matched by place."""
     each = np.linalg.norm(mine[:, None] - theirs[None], axis=-1)
     mean = skeleton_distances(mine, theirs)
-    distances = [each[pair] for pair in best_pairs(np.where(mean > SAME_PERSON, np.inf, mean))]
+    distances = [each[pair] for pair in best_pairs(np.where(mean > MATCH_DISTANCE, np.inf, mean))]
     flat = np.concatenate(distances) if distances else np.zeros(0)
     return np.asarray(flat[~np.isnan(flat)])

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hiros_mcap.evaluate.match import MATCH_DISTANCE
 from hiros_mcap.evaluate.statistics import nan_mean
 from hiros_mcap.frames import rows_between
 from hiros_mcap.kernels.distance import nearest
@@ -21,7 +22,6 @@ from hiros_viewer.poses import Poses
 
 MIRRORED, FAR_OFF = "mirrored", "far off"
 FAULTS = (MIRRORED, FAR_OFF)
-SAME_PERSON_M = 1.0
 _MIRRORED_M, _MIRRORED_SHARE = 0.1, 0.6
 """A detection is mirrored if it is this far from the result, and much nearer with sides swapped."""
 _FAR_OFF_M = 0.2
@@ -150,9 +150,9 @@ class ViewCheck:
         metres = np.empty(int(expected.sum()))
         indices = np.repeat(detections.rows, expected, axis=0)
         nearest(people[rows_between(rows)], poses, indices, metres)
-        self.seen += int((metres < SAME_PERSON_M).sum())
+        self.seen += int((metres < MATCH_DISTANCE).sum())
         self.people += len(metres)
-        same = plain < SAME_PERSON_M
+        same = plain < MATCH_DISTANCE
         total, n = (
             np.bincount(frames[same], weights, len(rows)) for weights in (1000 * plain[same], None)
         )

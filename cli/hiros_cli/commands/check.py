@@ -13,6 +13,7 @@ import typer
 
 from hiros_cli.compiling import prepare
 from hiros_cli.completing import topics
+from hiros_cli.exit_codes import BAD_INPUT, DIFFERENT
 from hiros_cli.many_logs import ManyLogs, one_log, run
 from hiros_cli.options import GROUP, argument, flag, grouped, option
 from hiros_cli.output import check_outputs, error_line, print_json, printable
@@ -22,8 +23,6 @@ from hiros_mcap.progress import bar
 if TYPE_CHECKING:
     from hiros_mcap.many.jobs import CheckJob
     from hiros_mcap.regression.suite import CaseResult
-
-EQUAL, DIFFERENT, CANNOT = 0, 1, 2
 
 
 @grouped
@@ -165,7 +164,7 @@ def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> int:
                 print(error_line(ConfigError(f"{result.name}: {result.error}")), file=sys.stderr)
         _print([r for r in results if r.status == "different"] if quiet else results, quiet=quiet)
     statuses = {result.status for result in results}
-    return CANNOT if "error" in statuses else DIFFERENT if "different" in statuses else EQUAL
+    return BAD_INPUT if "error" in statuses else DIFFERENT if "different" in statuses else 0
 
 
 def _print(results: list[CaseResult], *, quiet: bool) -> None:

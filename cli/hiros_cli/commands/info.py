@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -149,8 +148,7 @@ def _facts(overview: Overview) -> list[str]:
     elif overview.cameras:
         lines.append(f"fixed frame: none; {overview.fault}")
     else:
-        fault = re.split("; its channels:|; it has ", overview.fault)[0]  # the table has them
-        lines.append(f"nothing to process: {fault}")
+        lines.append(f"nothing to process: {overview.fault}")
     if not overview.has_checksums:
         lines.append("no checksums: nobody would notice a damaged message")
     lines += overview.remarks

@@ -13,6 +13,7 @@ import typer
 
 from hiros_cli.compiling import importing, prepare
 from hiros_cli.completing import topics
+from hiros_cli.exit_codes import LOSSES
 from hiros_cli.live_run import STREAM, check_live, is_file, is_graph, is_live, run_live
 from hiros_cli.many_logs import ManyLogs, one_log
 from hiros_cli.many_logs import run as run_many
@@ -21,7 +22,6 @@ from hiros_cli.options import (
     EXTRINSICS,
     GROUP,
     INPUT,
-    LOSSES,
     OUTPUT,
     PARAMETERS,
     Parameters,

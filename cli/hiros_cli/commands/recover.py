@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import typer
 
 from hiros_cli.compiling import prepare
-from hiros_cli.options import FORCE, JSON, LOSSES, QUIET, argument, option
+from hiros_cli.exit_codes import LOSSES
+from hiros_cli.options import FORCE, JSON, QUIET, argument, option
 from hiros_cli.output import beside, check_outputs, print_json, warn
 from hiros_mcap.progress import bar
 

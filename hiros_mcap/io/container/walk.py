@@ -24,9 +24,6 @@ from hiros_mcap.io.container.records import FormatError, Opcode
 
 MAX_RECORD = 64 * 2**20
 """Largest definition, metadata or summary record that is read, bytes."""
-_RUN = 1 << 20
-_AHEAD = 1 << 14
-_NAMES = 1 << 18
 _RERUN = b"RRF"  # files of `hiros view --save`
 _TABLES = (".csv", ".trc", ".c3d", ".json", ".npy")
 """Suffixes of files that `hiros import` reads."""
@@ -186,7 +183,7 @@ class Walk(ABC):
         """Return a few bytes, read ahead in blocks because most records are small."""
         start = offset - self._ahead_at
         if start < 0 or start + n > len(self._ahead):
-            self._ahead = self.file.read(offset, min(max(n, _AHEAD), self.file.size - offset))
+            self._ahead = self.file.read(offset, min(max(n, 1 << 14), self.file.size - offset))
             self._ahead_at, start = offset, 0
         return self._ahead[start : start + n]
 
@@ -225,7 +222,7 @@ class Walk(ABC):
         if stop - begin < r.MESSAGE_HEAD.size:
             raise FormatError("a message record is shorter than its fixed fields")
         channel, _, time, _ = self._fields(begin, r.MESSAGE_HEAD)
-        if self._run is not None and stop - self._run.offset > _RUN:
+        if self._run is not None and stop - self._run.offset > 1 << 20:
             self._end_run()
         if self._run is None:
             self._run = _LooseMessages(self.at, stop, time, time)
@@ -258,7 +255,7 @@ class Walk(ABC):
         self._index_end = stop
 
     def _attachment(self, begin: int, stop: int) -> None:
-        at = r.Cursor(self._peek(begin, min(stop - begin, _NAMES)))
+        at = r.Cursor(self._peek(begin, min(stop - begin, 1 << 18)))
         log_time, create_time = at.read8(), at.read8()
         name, media_type = at.read_prefixed_string(), at.read_prefixed_string()
         size = at.read8()

@@ -27,7 +27,6 @@ from hiros_mcap.io.container.records import Opcode
 CHUNK_SIZE = 2 << 20
 """A chunk is closed when its records reach this many bytes. 2 and 4 MiB take 5 % less than 1 MiB,
 since the threads disturb each other less often."""
-_IN_FLIGHT = 8
 _GATHERED = 1 << 18  # bytes of single messages that are handed over together
 _MAX_ID = 0xFFFF
 _MESSAGE = struct.Struct("<BQHIQQ")
@@ -346,7 +345,7 @@ class McapWriter:
 
     def _queue(self, job: Callable[..., None], *args: Any) -> None:
         self._waiting.append(self._worker.submit(self._do, job, *args))
-        while len(self._waiting) > _IN_FLIGHT:
+        while len(self._waiting) > 8:
             self._waiting.popleft().result()
 
     def _do(self, job: Callable[..., None], *args: Any) -> None:

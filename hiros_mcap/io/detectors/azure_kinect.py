@@ -21,14 +21,13 @@ import numpy.typing as npt
 
 from hiros_mcap.io.detectors.body_models import body_model
 from hiros_mcap.io.detectors.detector_reader import (
-    NANO,
     DetectorMessage,
     DetectorReader,
     SeenPeople,
     nanoseconds,
     seen_people,
 )
-from hiros_mcap.skeletons import ORIENTATION, Floats, Stamps
+from hiros_mcap.skeletons import ORIENTATION, SECOND, Floats, Stamps
 from hiros_mcap.wording import quantity
 
 TOPIC = "body_tracking_data"
@@ -223,7 +222,7 @@ def _gathered(data: bytes) -> Spheres | None:
         return None
     heads = _numbers(content, ids, "<i4", 3).astype(np.int64)
     frame_id = str(header[12 : 11 + length], "utf-8", "replace")
-    stamp = sec * NANO + nanosec
+    stamp = sec * SECOND + nanosec
     return Spheres(stamp, frame_id, heads[:, 0], heads[:, 1:], _numbers(content, poses, "<f8", 7))
 
 

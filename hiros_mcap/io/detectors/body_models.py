@@ -15,42 +15,6 @@ from itertools import pairwise
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.skeletons import SkeletonModel
 
-# Azure Kinect Body Tracking SDK, k4abt_joint_id_t; its joint hierarchy.
-_AZURE = """
-    PELVIS SPINE_NAVAL SPINE_CHEST NECK
-    CLAVICLE_LEFT SHOULDER_LEFT ELBOW_LEFT WRIST_LEFT HAND_LEFT HANDTIP_LEFT THUMB_LEFT
-    CLAVICLE_RIGHT SHOULDER_RIGHT ELBOW_RIGHT WRIST_RIGHT HAND_RIGHT HANDTIP_RIGHT THUMB_RIGHT
-    HIP_LEFT KNEE_LEFT ANKLE_LEFT FOOT_LEFT HIP_RIGHT KNEE_RIGHT ANKLE_RIGHT FOOT_RIGHT
-    HEAD NOSE EYE_LEFT EAR_LEFT EYE_RIGHT EAR_RIGHT"""
-_AZURE_TREE = """
-    PELVIS-SPINE_NAVAL-SPINE_CHEST-NECK-HEAD-NOSE  HEAD-EYE_*  HEAD-EAR_*
-    SPINE_CHEST-CLAVICLE_*-SHOULDER_*-ELBOW_*-WRIST_*-HAND_*-HANDTIP_*  WRIST_*-THUMB_*
-    PELVIS-HIP_*-KNEE_*-ANKLE_*-FOOT_*"""
-_KINECT_V2 = """
-    SpineBase SpineMid Neck Head ShoulderLeft ElbowLeft WristLeft HandLeft
-    ShoulderRight ElbowRight WristRight HandRight HipLeft KneeLeft AnkleLeft FootLeft
-    HipRight KneeRight AnkleRight FootRight SpineShoulder HandTipLeft ThumbLeft
-    HandTipRight ThumbRight"""
-_KINECT_V2_TREE = """
-    SpineBase-SpineMid-SpineShoulder-Neck-Head
-    SpineShoulder-Shoulder*-Elbow*-Wrist*-Hand*-HandTip*  Wrist*-Thumb*
-    SpineBase-Hip*-Knee*-Ankle*-Foot*"""
-_ZED_18 = """
-    NOSE NECK RIGHT_SHOULDER RIGHT_ELBOW RIGHT_WRIST LEFT_SHOULDER LEFT_ELBOW LEFT_WRIST
-    RIGHT_HIP RIGHT_KNEE RIGHT_ANKLE LEFT_HIP LEFT_KNEE LEFT_ANKLE
-    RIGHT_EYE LEFT_EYE RIGHT_EAR LEFT_EAR"""
-_ZED_18_TREE = """
-    NECK-NOSE-*_EYE-*_EAR  NECK-*_SHOULDER-*_ELBOW-*_WRIST  NECK-*_HIP-*_KNEE-*_ANKLE"""
-_ZED_34 = """
-    PELVIS NAVAL_SPINE CHEST_SPINE NECK
-    LEFT_CLAVICLE LEFT_SHOULDER LEFT_ELBOW LEFT_WRIST LEFT_HAND LEFT_HANDTIP LEFT_THUMB
-    RIGHT_CLAVICLE RIGHT_SHOULDER RIGHT_ELBOW RIGHT_WRIST RIGHT_HAND RIGHT_HANDTIP RIGHT_THUMB
-    LEFT_HIP LEFT_KNEE LEFT_ANKLE LEFT_FOOT RIGHT_HIP RIGHT_KNEE RIGHT_ANKLE RIGHT_FOOT
-    HEAD NOSE LEFT_EYE LEFT_EAR RIGHT_EYE RIGHT_EAR LEFT_HEEL RIGHT_HEEL"""
-_ZED_34_TREE = """
-    PELVIS-NAVAL_SPINE-CHEST_SPINE-NECK-HEAD-NOSE-*_EYE-*_EAR
-    CHEST_SPINE-*_CLAVICLE-*_SHOULDER-*_ELBOW-*_WRIST-*_HAND-*_HANDTIP  *_HAND-*_THUMB
-    PELVIS-*_HIP-*_KNEE-*_ANKLE-*_FOOT  *_ANKLE-*_HEEL"""
 _ZED_TRUNK = """
     PELVIS SPINE_1 SPINE_2 SPINE_3 NECK NOSE LEFT_EYE RIGHT_EYE LEFT_EAR RIGHT_EAR
     LEFT_CLAVICLE RIGHT_CLAVICLE LEFT_SHOULDER RIGHT_SHOULDER LEFT_ELBOW RIGHT_ELBOW
@@ -60,12 +24,6 @@ _ZED_TRUNK_TREE = """
     PELVIS-SPINE_1-SPINE_2-SPINE_3-NECK-NOSE-*_EYE-*_EAR
     SPINE_3-*_CLAVICLE-*_SHOULDER-*_ELBOW-*_WRIST
     PELVIS-*_HIP-*_KNEE-*_ANKLE-*_BIG_TOE  *_ANKLE-*_SMALL_TOE  *_ANKLE-*_HEEL"""
-_ZED_38 = f"""{_ZED_TRUNK}
-    LEFT_HAND_THUMB_4 RIGHT_HAND_THUMB_4 LEFT_HAND_INDEX_1 RIGHT_HAND_INDEX_1
-    LEFT_HAND_MIDDLE_4 RIGHT_HAND_MIDDLE_4 LEFT_HAND_PINKY_1 RIGHT_HAND_PINKY_1"""
-_ZED_38_TREE = f"""{_ZED_TRUNK_TREE}
-    *_WRIST-*_HAND_THUMB_4  *_WRIST-*_HAND_INDEX_1  *_WRIST-*_HAND_MIDDLE_4
-    *_WRIST-*_HAND_PINKY_1"""
 _FINGERS = ("THUMB", "INDEX", "MIDDLE", "RING", "PINKY")
 _ZED_70 = _ZED_TRUNK + "".join(
     f" {side}_HAND_{finger}_{i}"
@@ -76,37 +34,96 @@ _ZED_70 = _ZED_TRUNK + "".join(
 _ZED_70_TREE = _ZED_TRUNK_TREE + "".join(
     " *_WRIST" + "".join(f"-*_HAND_{finger}_{i}" for i in range(1, 5)) for finger in _FINGERS
 )
-_HUMAN = """
-    body torso head l_shoulder l_elbow l_wrist r_shoulder r_elbow r_wrist
-    l_hip l_knee l_ankle r_hip r_knee r_ankle"""
-_HUMAN_TREE = "body-torso-head  torso-*_shoulder-*_elbow-*_wrist  body-*_hip-*_knee-*_ankle"
-_OPENPOSE = """
-    Nose Neck RShoulder RElbow RWrist LShoulder LElbow LWrist MidHip RHip RKnee RAnkle
-    LHip LKnee LAnkle REye LEye REar LEar LBigToe LSmallToe LHeel RBigToe RSmallToe RHeel"""
-_OPENPOSE_TREE = """
-    MidHip-Neck-Nose-*Eye-*Ear  Neck-*Shoulder-*Elbow-*Wrist
-    MidHip-*Hip-*Knee-*Ankle-*BigToe  *Ankle-*SmallToe  *Ankle-*Heel"""
-_MEDIAPIPE = """
-    nose left_eye_inner left_eye left_eye_outer right_eye_inner right_eye right_eye_outer
-    left_ear right_ear mouth_left mouth_right left_shoulder right_shoulder left_elbow right_elbow
-    left_wrist right_wrist left_pinky right_pinky left_index right_index left_thumb right_thumb
-    left_hip right_hip left_knee right_knee left_ankle right_ankle
-    left_heel right_heel left_foot_index right_foot_index"""
-_MEDIAPIPE_TREE = """
-    nose-*_eye_inner-*_eye-*_eye_outer-*_ear  nose-mouth_*
-    left_hip-right_hip  *_hip-*_shoulder-*_elbow-*_wrist-*_index  *_wrist-*_pinky  *_wrist-*_thumb
-    *_hip-*_knee-*_ankle-*_foot_index  *_ankle-*_heel"""
 
 _TABLE: Mapping[str, tuple[str, str, str]] = {
-    "azure-kinect": ("Azure Kinect Body Tracking SDK 1.1", _AZURE, _AZURE_TREE),
-    "kinect-v2": ("Kinect for Windows SDK 2.0, JointType", _KINECT_V2, _KINECT_V2_TREE),
-    "zed-18": ("ZED SDK 4, BODY_18_PARTS", _ZED_18, _ZED_18_TREE),
-    "zed-34": ("ZED SDK 4, BODY_34_PARTS", _ZED_34, _ZED_34_TREE),
-    "zed-38": ("ZED SDK 4, BODY_38_PARTS", _ZED_38, _ZED_38_TREE),
+    "azure-kinect": (
+        "Azure Kinect Body Tracking SDK 1.1",
+        """
+        PELVIS SPINE_NAVAL SPINE_CHEST NECK
+        CLAVICLE_LEFT SHOULDER_LEFT ELBOW_LEFT WRIST_LEFT HAND_LEFT HANDTIP_LEFT THUMB_LEFT
+        CLAVICLE_RIGHT SHOULDER_RIGHT ELBOW_RIGHT WRIST_RIGHT HAND_RIGHT HANDTIP_RIGHT THUMB_RIGHT
+        HIP_LEFT KNEE_LEFT ANKLE_LEFT FOOT_LEFT HIP_RIGHT KNEE_RIGHT ANKLE_RIGHT FOOT_RIGHT
+        HEAD NOSE EYE_LEFT EAR_LEFT EYE_RIGHT EAR_RIGHT""",
+        """
+        PELVIS-SPINE_NAVAL-SPINE_CHEST-NECK-HEAD-NOSE  HEAD-EYE_*  HEAD-EAR_*
+        SPINE_CHEST-CLAVICLE_*-SHOULDER_*-ELBOW_*-WRIST_*-HAND_*-HANDTIP_*  WRIST_*-THUMB_*
+        PELVIS-HIP_*-KNEE_*-ANKLE_*-FOOT_*""",
+    ),
+    "kinect-v2": (
+        "Kinect for Windows SDK 2.0, JointType",
+        """
+        SpineBase SpineMid Neck Head ShoulderLeft ElbowLeft WristLeft HandLeft
+        ShoulderRight ElbowRight WristRight HandRight HipLeft KneeLeft AnkleLeft FootLeft
+        HipRight KneeRight AnkleRight FootRight SpineShoulder HandTipLeft ThumbLeft
+        HandTipRight ThumbRight""",
+        """
+        SpineBase-SpineMid-SpineShoulder-Neck-Head
+        SpineShoulder-Shoulder*-Elbow*-Wrist*-Hand*-HandTip*  Wrist*-Thumb*
+        SpineBase-Hip*-Knee*-Ankle*-Foot*""",
+    ),
+    "zed-18": (
+        "ZED SDK 4, BODY_18_PARTS",
+        """
+        NOSE NECK RIGHT_SHOULDER RIGHT_ELBOW RIGHT_WRIST LEFT_SHOULDER LEFT_ELBOW LEFT_WRIST
+        RIGHT_HIP RIGHT_KNEE RIGHT_ANKLE LEFT_HIP LEFT_KNEE LEFT_ANKLE
+        RIGHT_EYE LEFT_EYE RIGHT_EAR LEFT_EAR""",
+        """
+        NECK-NOSE-*_EYE-*_EAR  NECK-*_SHOULDER-*_ELBOW-*_WRIST  NECK-*_HIP-*_KNEE-*_ANKLE""",
+    ),
+    "zed-34": (
+        "ZED SDK 4, BODY_34_PARTS",
+        """
+        PELVIS NAVAL_SPINE CHEST_SPINE NECK
+        LEFT_CLAVICLE LEFT_SHOULDER LEFT_ELBOW LEFT_WRIST LEFT_HAND LEFT_HANDTIP LEFT_THUMB
+        RIGHT_CLAVICLE RIGHT_SHOULDER RIGHT_ELBOW RIGHT_WRIST RIGHT_HAND RIGHT_HANDTIP RIGHT_THUMB
+        LEFT_HIP LEFT_KNEE LEFT_ANKLE LEFT_FOOT RIGHT_HIP RIGHT_KNEE RIGHT_ANKLE RIGHT_FOOT
+        HEAD NOSE LEFT_EYE LEFT_EAR RIGHT_EYE RIGHT_EAR LEFT_HEEL RIGHT_HEEL""",
+        """
+        PELVIS-NAVAL_SPINE-CHEST_SPINE-NECK-HEAD-NOSE-*_EYE-*_EAR
+        CHEST_SPINE-*_CLAVICLE-*_SHOULDER-*_ELBOW-*_WRIST-*_HAND-*_HANDTIP  *_HAND-*_THUMB
+        PELVIS-*_HIP-*_KNEE-*_ANKLE-*_FOOT  *_ANKLE-*_HEEL""",
+    ),
+    "zed-38": (
+        "ZED SDK 4, BODY_38_PARTS",
+        f"""{_ZED_TRUNK}
+        LEFT_HAND_THUMB_4 RIGHT_HAND_THUMB_4 LEFT_HAND_INDEX_1 RIGHT_HAND_INDEX_1
+        LEFT_HAND_MIDDLE_4 RIGHT_HAND_MIDDLE_4 LEFT_HAND_PINKY_1 RIGHT_HAND_PINKY_1""",
+        f"""{_ZED_TRUNK_TREE}
+        *_WRIST-*_HAND_THUMB_4  *_WRIST-*_HAND_INDEX_1  *_WRIST-*_HAND_MIDDLE_4
+        *_WRIST-*_HAND_PINKY_1""",
+    ),
     "zed-70": ("ZED SDK 4, BODY_70_PARTS", _ZED_70, _ZED_70_TREE),
-    "ros4hri": ("ROS REP 155, links of the package human_description", _HUMAN, _HUMAN_TREE),
-    "openpose-25": ("OpenPose 1.7, BODY_25", _OPENPOSE, _OPENPOSE_TREE),
-    "mediapipe-33": ("MediaPipe 0.10, PoseLandmark", _MEDIAPIPE, _MEDIAPIPE_TREE),
+    "ros4hri": (
+        "ROS REP 155, links of the package human_description",
+        """
+        body torso head l_shoulder l_elbow l_wrist r_shoulder r_elbow r_wrist
+        l_hip l_knee l_ankle r_hip r_knee r_ankle""",
+        "body-torso-head  torso-*_shoulder-*_elbow-*_wrist  body-*_hip-*_knee-*_ankle",
+    ),
+    "openpose-25": (
+        "OpenPose 1.7, BODY_25",
+        """
+        Nose Neck RShoulder RElbow RWrist LShoulder LElbow LWrist MidHip RHip RKnee RAnkle
+        LHip LKnee LAnkle REye LEye REar LEar LBigToe LSmallToe LHeel RBigToe RSmallToe RHeel""",
+        """
+        MidHip-Neck-Nose-*Eye-*Ear  Neck-*Shoulder-*Elbow-*Wrist
+        MidHip-*Hip-*Knee-*Ankle-*BigToe  *Ankle-*SmallToe  *Ankle-*Heel""",
+    ),
+    "mediapipe-33": (
+        "MediaPipe 0.10, PoseLandmark",
+        """
+        nose left_eye_inner left_eye left_eye_outer right_eye_inner right_eye right_eye_outer
+        left_ear right_ear mouth_left mouth_right left_shoulder right_shoulder
+        left_elbow right_elbow left_wrist right_wrist
+        left_pinky right_pinky left_index right_index left_thumb right_thumb
+        left_hip right_hip left_knee right_knee left_ankle right_ankle
+        left_heel right_heel left_foot_index right_foot_index""",
+        """
+        nose-*_eye_inner-*_eye-*_eye_outer-*_ear  nose-mouth_*
+        left_hip-right_hip  *_hip-*_shoulder-*_elbow-*_wrist-*_index
+        *_wrist-*_pinky  *_wrist-*_thumb
+        *_hip-*_knee-*_ankle-*_foot_index  *_ankle-*_heel""",
+    ),
 }
 """Name -> where the names of the joints are from, the joints, and the tree."""
 BODY_MODELS = tuple(_TABLE)

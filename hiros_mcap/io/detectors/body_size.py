@@ -9,6 +9,8 @@ import numpy as np
 
 from hiros_mcap.skeletons import Floats
 
+METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0}
+"""Units in which people are measured."""
 SMALLEST, LARGEST = 0.03, 10.0
 """m; no detector of people sees anybody outside of these, a hand alone included."""
 _MILLIMETRES = 300.0

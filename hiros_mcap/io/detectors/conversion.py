@@ -19,6 +19,7 @@ from hiros_mcap.body.transforms import parse_tf
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.bags import MemoryReader
 from hiros_mcap.io.channels import (
+    HUMANS,
     LATCHED_QOS,
     ChannelInfo,
     add_ros_channel,
@@ -33,6 +34,7 @@ from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapReader, McapWriter, Message, Schema
 from hiros_mcap.io.detectors import detector_readers
 from hiros_mcap.io.detectors.body_models import name_of
+from hiros_mcap.io.detectors.body_size import METRES
 from hiros_mcap.io.detectors.detector_reader import DetectorMessage, DetectorReader, SeenPeople
 from hiros_mcap.io.detectors.model_fitting import UNION, Fit, chosen_model
 from hiros_mcap.io.layout import Layout, check_schema
@@ -41,14 +43,12 @@ from hiros_mcap.skeletons import SkeletonModel
 from hiros_mcap.wording import quantity
 
 Unit = Literal["m", "cm", "mm"]
-METRES: Mapping[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 SKELETONS = hiros_schemas.short_name(hiros_schemas.SKELETON_GROUP)
 TRANSFORMS = hiros_schemas.short_name(hiros_schemas.TF_MESSAGE)
 _OLD_TRANSFORMS = "tf/tfMessage"
 ENCODINGS = "cdr", "ros1"
 """Of messages that can be read, as they are or converted."""
-HUMANS = "hri_msgs/"
 _PROBED = 16 * 2**20
 """Bytes of a channel that are looked at to learn whether it shows people, and which joints."""
 _LISTED = 12

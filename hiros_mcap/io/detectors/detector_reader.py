@@ -25,9 +25,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from hiros_mcap.skeletons import POSITION, Floats, Frame, SkeletonModel
-
-NANO = 1_000_000_000
+from hiros_mcap.skeletons import POSITION, SECOND, Floats, Frame, SkeletonModel
 
 
 @dataclass(frozen=True)
@@ -134,4 +132,4 @@ def add_links(frame: Frame, model: SkeletonModel) -> None:
 
 def nanoseconds(stamp: Any) -> int:
     """Return the time, ns, of a ``builtin_interfaces/Time``."""
-    return int(stamp.sec) * NANO + int(stamp.nanosec)
+    return int(stamp.sec) * SECOND + int(stamp.nanosec)

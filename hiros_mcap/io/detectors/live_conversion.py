@@ -12,11 +12,10 @@ from dataclasses import replace
 
 import hiros_schemas
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.channels import ChannelInfo, channels_of
+from hiros_mcap.io.channels import HUMANS, ChannelInfo, channels_of
 from hiros_mcap.io.container.live_reader import LiveReader
 from hiros_mcap.io.container.records import Channel, Message, Schema
 from hiros_mcap.io.detectors.conversion import (
-    HUMANS,
     SKELETONS,
     TRANSFORMS,
     Conversion,

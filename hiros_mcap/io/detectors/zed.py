@@ -27,7 +27,6 @@ from hiros_mcap.skeletons import UNTRACKED, Floats
 
 FORMATS = ("zed-18", "zed-34", "zed-38", "zed-70")
 """Models by ``body_format``."""
-_HIGHEST = 100.0
 _SEARCHING = 2
 
 
@@ -61,7 +60,7 @@ class ZedBodies(DetectorReader):
             _positions(people, model.n_markers),
             stamp=nanoseconds(header.stamp),
             ids=[max(int(person.label_id), UNTRACKED) for person in people],
-            confidences=[float(person.confidence) / _HIGHEST for person in people],
+            confidences=[float(person.confidence) / 100.0 for person in people],
         )
         for row, person in enumerate(people):
             if getattr(person, "tracking_state", 0) == _SEARCHING:  # guessed, so not trusted

@@ -12,7 +12,6 @@ from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.ros_cdr import CdrWriter
 
 SUMMARY = f"{OUTPUT_PREFIX}/summary"
-EVERY_NS = 1_000_000_000
 _OK, _WARN = 0, 1
 _RECENT_NS = 10_000_000_000
 """How long an event that is a warning makes the status one."""
@@ -41,7 +40,7 @@ class SummaryExport:
             for person in here - self._since.keys():
                 self._since[person] = frame.stamp
             if here != self._here or frame.stamp >= self._due:
-                self._here, self._due = here, frame.stamp + EVERY_NS
+                self._here, self._due = here, frame.stamp + 1_000_000_000
                 message = self._message(frame.stamp, frame.frame_id)
                 self._writer.write(self._channel, frame.log_time, message)
 

@@ -20,7 +20,7 @@ from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.detectors.body_models import linked
-from hiros_mcap.io.detectors.body_size import LARGEST, SMALLEST, body_size
+from hiros_mcap.io.detectors.body_size import LARGEST, METRES, SMALLEST, body_size
 from hiros_mcap.io.detectors.detector_reader import add_links
 from hiros_mcap.io.joints.mapping import (
     ColumnMapping,
@@ -31,7 +31,6 @@ from hiros_mcap.io.joints.mapping import (
 )
 from hiros_mcap.io.joints.marker_files import MARKER_FILES
 from hiros_mcap.io.joints.text_tables import (
-    METRES,
     SECONDS,
     Table,
     lacks_zone,

@@ -16,10 +16,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.io.detectors.body_size import METRES
 from hiros_mcap.outside import read_text
 
-_MOST_BYTES = 1 << 30
-METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0}
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _DELIMITERS = ",;\t|"
 _QUOTED = re.compile(r'"[^"]*"')
@@ -58,7 +57,7 @@ class Table(NamedTuple):
 
 def text_of(path: Path) -> str:
     """Text of a file of joints; raises ConfigError if it cannot be read or is not UTF-8."""
-    return read_text(path, _MOST_BYTES)
+    return read_text(path, 1 << 30)
 
 
 def lines_of(path: Path) -> list[str]:

@@ -46,9 +46,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from hiros_mcap.body.segments import capsules_of
+from hiros_mcap.body.limb_thickness import capsules_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, CameraNumbers, Doubts, places_of
+from hiros_mcap.frames import Block, CameraNumbers, places_of
 from hiros_mcap.skeletons import UNTRACKED, Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.detections import hidden_joints as kernels
@@ -118,7 +118,7 @@ class _HiddenPeople:
         new = len(self._cameras) - len(self._ratings)
         self._ratings = np.pad(self._ratings, ((0, new), (0, 0)))
         n_people, n_markers = people.markers.shape[:2]
-        doubts = block.doubts or Doubts.none(n_people, n_markers)
+        doubts = block.doubt_columns()
         n_views = int(block.sizes.max(initial=0))
         work = kernels.HiddenWork.of(n_people, n_markers, len(self._bank.past.ids), n_views)
         kernels.mend_hidden(kernels.HiddenScene(

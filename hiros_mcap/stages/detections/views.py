@@ -18,7 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hiros_mcap.frames import Block, Doubts, join
+from hiros_mcap.frames import Block, join
 
 
 def views_of(blocks: Sequence[Block]) -> Block:
@@ -28,7 +28,7 @@ def views_of(blocks: Sequence[Block]) -> Block:
     """
     table = join(blocks)
     people = table.people
-    doubts = table.doubts or Doubts.none(*people.markers.shape[:2])
+    doubts = table.doubt_columns()
     for array in people.markers, people.marker_confidences, people.links, people.link_confidences:
         array[doubts.distorted] = np.nan
     return replace(table, doubts=doubts)

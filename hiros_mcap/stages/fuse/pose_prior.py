@@ -37,7 +37,6 @@ _TILTED = 0.02  # share of poses that may lack one: a pose of a detector may be 
 _SUREST = 0.01**2  # m2; the least variance that counts, so that no marker alone turns a pose
 _ABSENT = 1.0  # m2; variance of a marker that is missing
 _FREE = 0.003  # m; what each marker may do by itself
-_TURNS = 2  # times that poses are turned onto their mean
 
 
 def shrink_noise(
@@ -170,7 +169,7 @@ def body_frames(positions: Floats, variances: Floats) -> tuple[Floats, Floats]:
     centres = _mean(poses, weights, 1)
     frames = np.tile(np.eye(3), (len(poses), 1, 1))
     mean = poses[weights.sum(axis=1).argmax()]
-    for _ in range(_TURNS):
+    for _ in range(2):
         middles = _mean(np.broadcast_to(mean, poses.shape), weights, 1)
         products = np.swapaxes(weights[:, :, None] * (poses - centres), 1, 2) @ (mean - middles)
         frames = np.swapaxes(nearest_rotation(products), 1, 2)

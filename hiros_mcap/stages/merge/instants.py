@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hiros_mcap.events import SAME_TIME, TOO_LATE, Events
-from hiros_mcap.frames import Block, CameraNumbers, Doubts, together
+from hiros_mcap.frames import Block, CameraNumbers, together
 from hiros_mcap.kernels.averaging import Buffers
 from hiros_mcap.skeletons import STATE, UNTRACKED, Ints, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
@@ -239,7 +239,7 @@ class InstantMerger:
     def _plan(self, instants: Sequence[Instant], messages: Block) -> _MergePlan:
         """Find out who is merged at each instant: whom its messages show, and who goes on."""
         people = messages.people
-        doubts = messages.doubts or Doubts.none(*people.markers.shape[:2])
+        doubts = messages.doubt_columns()
         persons = np.where(doubts.distorted, UNTRACKED, people.ids).astype(np.int32)
         people = people._replace(ids=persons)
         message_ends = np.cumsum([0, *(len(instant.messages) for instant in instants)])

@@ -23,15 +23,14 @@ import numpy as np
 from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
-from hiros_mcap.skeletons import Flags, Floats, People, SkeletonModel
+from hiros_mcap.skeletons import SECOND, Flags, Floats, People, SkeletonModel
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.optimize.optimize_params import OptimizeParams
 from hiros_mcap.stages.optimize.optimizing import measure_lengths
 
-_SECOND = 1_000_000_000
-_GONE = _SECOND  # unseen for so long, a person has left and nothing is gained by waiting
+_GONE = SECOND  # unseen for so long, a person has left and nothing is gained by waiting
 _FORGET = 60.0  # s without a sighting after which only the table knows a person's lengths
-_SPAN = 3 * _SECOND  # several cameras fill a buffer fast, but noise takes its time to average out
+_SPAN = 3 * SECOND  # several cameras fill a buffer fast, but noise takes its time to average out
 _CLIP = 3.0  # robust standard deviations
 
 
@@ -146,9 +145,9 @@ class Calibration:
                 continue  # the lengths are given
             if wanted:
                 self._buffer(identity, person, stamp, lengths[row], weights[row])
-            if person.waiting and stamp - person.first >= self._params.lookahead * _SECOND:
+            if person.waiting and stamp - person.first >= self._params.lookahead * SECOND:
                 self._conclude(identity, person)
-        if stamp - self._checked > _SECOND:
+        if stamp - self._checked > SECOND:
             self._check_absent(stamp)
 
     def is_ready(self, ids: list[int]) -> bool:
@@ -190,7 +189,7 @@ class Calibration:
 
     def _in_window(self, stamp: int) -> bool:
         windows = self._params.calibration_windows
-        seconds = (stamp - (self._start or 0)) / _SECOND
+        seconds = (stamp - (self._start or 0)) / SECOND
         return not windows or any(start <= seconds < end for start, end in windows)
 
     def _admit(self, identity: int, stamp: int) -> None:
@@ -295,7 +294,7 @@ class Calibration:
         self._checked = now
         for identity, person in self._people.items():
             absent = now - self._bank.last_seen[identity]
-            if absent > _FORGET * _SECOND:
+            if absent > _FORGET * SECOND:
                 self._finish(identity, person)
             elif absent > _GONE and person.waiting and math.isfinite(self._params.lookahead):
                 self._conclude(identity, person)

@@ -10,10 +10,9 @@ import numpy as np
 
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
-from hiros_mcap.skeletons import UNTRACKED, Floats, Ints
+from hiros_mcap.skeletons import SECOND, UNTRACKED, Floats, Ints
 from hiros_mcap.stages.track.reidentify import (
     OVERLAP,
-    SECOND,
     THRESHOLD,
     LimbScatter,
     PersonCues,

@@ -53,7 +53,6 @@ _SURE_IF_UNWATCHED = 0.998  # the same if cameras watched for fewer s than it ta
 _SOMEBODY = 0.5  # expected number of missing people from which on somebody is
 _GOING = 1.0  # s
 _STAYS = 0.2  # probability that who stood, or could not go, stands there still, however long it is
-SECOND = 1_000_000_000  # ns from one look at a person to the next
 _FEWEST = 8.0  # detections that make the mean of a second
 _USUAL = 0.02  # SD of a limb's length over seconds, m: simulated 10 to 18 mm, Kinect v2's 5 to 25
 _USUAL_SECONDS = 20.0  # for which the usual detector counts

@@ -31,7 +31,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from hiros_mcap.body.segments import capsules_of
+from hiros_mcap.body.limb_thickness import capsules_of
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, join
