@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -37,6 +38,16 @@ def _signals():
     sys.unraisablehook = hook
     for name, handler in before.items():
         signal.signal(name, handler)
+
+
+@pytest.fixture
+def nothing_left(tmp_path, monkeypatch):
+    """The folder of temporary files, in which nothing may be left."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    yield folder
+    assert not list(folder.iterdir())
 
 
 @pytest.fixture

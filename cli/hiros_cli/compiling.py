@@ -15,6 +15,7 @@ from pathlib import Path
 from time import monotonic
 
 _ADDRESSES = 512 << 20  # bytes; below that, libraries abort the program while they are loaded
+_POLL_S = 0.3
 _SILENCE_S = 60.0
 """Where there is no bar, a line comes that often."""
 _SPACE = 32 << 20  # bytes; all kernels take a tenth of that
@@ -82,7 +83,7 @@ def _compile(missing: Mapping[str, Sequence[Path]], *, quiet: bool) -> None:
 
     def show() -> None:
         spoken = started = monotonic()
-        while not over.wait(0.3):
+        while not over.wait(_POLL_S):
             done = sum(file.exists() for file in files)
             shown.update(done, len(files))
             if shown.progress is None and not quiet and monotonic() - spoken >= _SILENCE_S:

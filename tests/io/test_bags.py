@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -32,6 +31,7 @@ from hiros_mcap.io.log import open_log
 from hiros_mcap.running.overview import overview_of
 from hiros_mcap.running.pipeline import process
 
+pytestmark = pytest.mark.usefixtures("nothing_left")
 SKELETONS, TF = hiros_schemas.SKELETON_GROUP, hiros_schemas.TF_MESSAGE
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "one_person_walking.mcap"
 ENDLESS = QosTime(9223372036, 854775807)
@@ -114,16 +114,6 @@ MAKERS = [sqlite, sqlite_without_definitions, bare_db3, ros1_bag]
 def bag(request, tmp_path, messages):
     maker: Callable[[Path, list[Message]], Path] = request.param
     return maker(tmp_path, messages)
-
-
-@pytest.fixture(autouse=True)
-def temporary(tmp_path, monkeypatch):
-    """The folder of temporary files, in which nothing may be left."""
-    folder = tmp_path / "temporary"
-    folder.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    yield folder
-    assert not list(folder.iterdir())
 
 
 def test_any_topic_of_a_bag_becomes_a_table(bag, tmp_path):

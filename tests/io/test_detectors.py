@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tempfile
 from dataclasses import replace
 from importlib.metadata import EntryPoint
 from itertools import islice, pairwise
@@ -34,6 +33,7 @@ from hiros_mcap.io.log import open_log
 from hiros_mcap.running.overview import overview_of
 from hiros_mcap.running.pipeline import process
 
+pytestmark = pytest.mark.usefixtures("nothing_left")
 EXACT = {"skeleton groups", "stamped skeletons", "ros1 in mcap"}
 """They keep every number; float32 of the ZED is off by 1 um at 8 m, sums of frames by less."""
 
@@ -51,16 +51,6 @@ def logs(scene, tmp_path_factory):
         kind: write(folder / f"{i}{'.bag' if 'bag' in kind else '.mcap'}", scene)
         for i, (kind, write) in enumerate(made.KINDS.items())
     }
-
-
-@pytest.fixture(autouse=True)
-def temporary(tmp_path, monkeypatch):
-    """The folder of temporary files, in which nothing may be left."""
-    folder = tmp_path / "temporary"
-    folder.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    yield folder
-    assert not list(folder.iterdir())
 
 
 @pytest.mark.parametrize("kind", made.KINDS)

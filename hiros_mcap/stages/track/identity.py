@@ -112,8 +112,7 @@ class Identities:
         if verdict.probability >= THRESHOLD and verdict.person in have_left:
             self._join(track, verdict.person, scene)
             del track.may_be[verdict.person]
-            others = [old.may_be for old in self._absent]
-            for may_be in [*others, *[person.may_be for person in scene.persons]]:
+            for may_be in [known.may_be for known in (*self._absent, *scene.persons)]:
                 if verdict.person in may_be:
                     may_be[track.id] = may_be.pop(verdict.person)
             detail = f"as person {verdict.person}, who left before; by {verdict}"
@@ -137,11 +136,11 @@ class Identities:
             self._look()
         longest = round(self._params.reidentify * 1e9) + self._patience
         if self._absent and stamp - self._absent[0].stamp > longest:
-            latest = stamp - longest
+            oldest = stamp - longest - _LONGEST_PAUSE
             self._absent = [
                 old for old in self._absent if self._watched(old.stamp, stamp) <= longest
             ]
-            self._pauses = [each for each in self._pauses if each[1] > latest - _LONGEST_PAUSE]
+            self._pauses = [(since, until) for since, until in self._pauses if until > oldest]
 
     def note_pauses(self, block: Block) -> None:
         """Note when all cameras fell silent at once, not one by one because people left."""
@@ -153,7 +152,9 @@ class Identities:
                 self._heard[block.names[sources[k]]] = stamps[k]
             last = max(self._heard.values(), default=0)
             silent = [last - heard for heard in self._heard.values()]
-            if end < len(stamps) and all(each < _AT_ONCE for each in silent if each < _PAUSE):
+            if end < len(stamps) and all(
+                silence < _AT_ONCE for silence in silent if silence < _PAUSE
+            ):
                 self._pauses.append((last, stamps[end]))
             begin = end
         self._last = stamps[-1]
@@ -161,12 +162,12 @@ class Identities:
     def _watched(self, begin: int, end: int) -> int:
         """Return the time, ns, within two times in which cameras did not pause."""
         paused = (min(end, until) - max(begin, since) for since, until in self._pauses)
-        return end - begin - sum(each for each in paused if 0 < each < _LONGEST_PAUSE)
+        return end - begin - sum(pause for pause in paused if 0 < pause < _LONGEST_PAUSE)
 
     def _look(self) -> None:
         """Learn how much everybody's measured limbs vary, and where everybody is."""
         past, scatter, places = self._people.bank.past, self._limbs, self._places
-        for track in [each for each in self._people.tracks if each.confirmed or each.doubtful]:
+        for track in [track for track in self._people.tracks if track.confirmed or track.doubtful]:
             scatter.learn(track.number, past.lengths[track.row], past.length_counts[track.row])
             if track.is_there(self._looked):
                 place = self._people.centre(track)
@@ -189,13 +190,14 @@ class Identities:
         if not self._params.reidentify:
             return False
         return any(old.stamp < track.first for old in self._absent) or any(
-            each.confirmed and self._is_unseen_since(each, track) for each in self._people.tracks
+            person.confirmed and self._is_unseen_since(person, track)
+            for person in self._people.tracks
         )
 
     def _absent_before(self, track: PersonTrack, scene: Present) -> list[PersonCues]:
         """Whoever left, or is unseen, since before a track began, oldest first."""
         left = [old for old in self._absent if old.stamp < track.first]
-        unseen = [each for each in scene.persons if self._is_unseen_since(each, track)]
+        unseen = [person for person in scene.persons if self._is_unseen_since(person, track)]
         return sorted([*left, *map(self._cues_of, unseen)], key=lambda old: old.stamp)
 
     def _reidentify(self, track: PersonTrack, scene: Present) -> Verdict:
@@ -204,40 +206,35 @@ class Identities:
         People who got a new id earlier are still newcomers: an absent person whom one of them fits
         best is less probably this one.
         """
-        others = [each for each in self._people.tentative() if each is not track]
-        persons = [each for each in scene.persons if each is not track]
-        rivals = [each for each in others if self._people.may_count(each, self._params)]
+        tentative = [rival for rival in self._people.tentative() if rival is not track]
+        persons = [person for person in scene.persons if person is not track]
+        rivals = [rival for rival in tentative if self._people.may_count(rival, self._params)]
         rivals += [person for person in persons if person.may_be]
         newcomers = [
-            replace(
-                self._cues_of(each),
-                person=each.number,
-                stamp=each.first,
-                place=each.origin,
-            )
-            for each in [track, *rivals]
+            replace(self._cues_of(new), person=new.number, stamp=new.first, place=new.origin)
+            for new in [track, *rivals]
         ]
         absent = [
             replace(old, watched=self._watched(old.stamp, track.first) * 1e-9)
             for old in self._absent_before(track, scene)
         ]
-        # Whoever is there, or left since then, and may be one of them, is one of them less to come.
+        # Whoever is there, and may be one of them, is one of them less to come.
         there = [person.may_be for person in persons if person.is_there(track.seen)]
-        again = [*there, *[old.may_be for old in absent]]
-        missing = len(absent) - sum(each.get(old.person, 0.0) for each in again for old in absent)
+        missing = len(absent) - sum(
+            may_be.get(old.person, 0.0) for may_be in there for old in absent
+        )
         return reidentify(newcomers, absent, missing, self._limbs)[track.number]
 
     def _join(self, track: PersonTrack, person: int, scene: Present) -> None:
         """Let a track go on with what is known of an absent person's limbs; forget the latter."""
         past, row = self._people.bank.past, track.row
-        (old,) = [each for each in self._absent_before(track, scene) if each.person == person]
+        (old,) = [old for old in self._absent_before(track, scene) if old.person == person]
         counts = old.counts + past.length_counts[row]
         total = old.counts * old.lengths + past.length_counts[row] * past.lengths[row]
         past.lengths[row] = total / np.maximum(counts, 1.0)
         past.length_counts[row] = counts
-        self._limbs.go_on(track.number, past.lengths[row], counts)
         track.seen_before = old.seconds
-        self._absent = [each for each in self._absent if each.person != person]
-        for each in [each for each in scene.persons if each.id == person]:
-            scene.dismiss(each)
-            self._people.remove(each)
+        self._absent = [left for left in self._absent if left.person != person]
+        for former in [former for former in scene.persons if former.id == person]:
+            scene.dismiss(former)
+            self._people.remove(former)

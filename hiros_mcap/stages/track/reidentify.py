@@ -169,12 +169,6 @@ class LimbScatter:
             self._window_freedom += whole & (past.windows > 1)
             past.window[:], past.in_window[:], past.looks = 0.0, 0.0, 0
 
-    def go_on(self, person: int, lengths: Floats, counts: Floats) -> None:
-        """Note that more became known of a person than a second shows."""
-        if person in self._people:
-            past = self._people[person]
-            past.lengths, past.counts = np.maximum(lengths, _SHORTEST), counts.copy()
-
     def keep(self, people: Container[int]) -> None:
         """Forget the seconds of everybody else."""
         self._people = {number: past for number, past in self._people.items() if number in people}
@@ -224,8 +218,8 @@ class Verdict:
     """Id of each absent person -> probability. Two ids may be of one person."""
 
     def __str__(self) -> str:
-        others = f", {self.exchanged:.0%} others" if self.exchanged > _EXCHANGED else ""
-        return f"{self.cue}, {self.probability:.0%} person {self.person}{others}"
+        rest = f", {self.exchanged:.0%} others" if self.exchanged > _EXCHANGED else ""
+        return f"{self.cue}, {self.probability:.0%} person {self.person}{rest}"
 
     @property
     def accepted(self) -> bool:
@@ -260,7 +254,7 @@ def reidentify(
         for n, new in enumerate(newcomers)
         for a, (old, limb_cue) in enumerate(zip(absent, limb_cues(new, absent, limbs), strict=True))
     }
-    ratios = {pair: sum(each.values()) for pair, each in cues.items()}
+    ratios = {pair: sum(evidence.values()) for pair, evidence in cues.items()}
     chances = _marginals(ratios, len(newcomers), len(absent))
     return {new.person: _verdict(n, absent, cues, chances) for n, new in enumerate(newcomers)}
 
@@ -381,7 +375,7 @@ def _ways(n_new: int, absent: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
         yield ()
         return
     for a in (-1, *absent):
-        left = tuple(other for other in absent if other != a)
+        left = tuple(person for person in absent if person != a)
         for way in _ways(n_new - 1, left):
             yield (a, *way)
 
@@ -392,8 +386,8 @@ def _deciding_cue(
 ) -> str:  # fmt: skip
     """Name the cue that speaks most for ``best`` against the next best explanation."""
     evidence = cues[n, best]
-    others = [a for row, a in cues if row == n and a != best]
-    second = max(others, key=lambda a: chances[n, a], default=None)
+    rivals = [a for row, a in cues if row == n and a != best]
+    second = max(rivals, key=lambda a: chances[n, a], default=None)
     stranger = 1.0 - sum(chance for (row, _), chance in chances.items() if row == n)
     if second is None or stranger >= chances[n, second]:
         return max(evidence, key=evidence.__getitem__)
