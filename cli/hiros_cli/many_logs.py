@@ -64,8 +64,8 @@ class ManyLogs:
             return False
         for name, value in for_one.items():
             if value:
-                shown = name.replace("_", "-")
-                raise ConfigError(f"--{shown} is for one log, and there are many")
+                option_name = name.replace("_", "-")
+                raise ConfigError(f"--{option_name} is for one log, and there are many")
         return True
 
     def refuse_alone(self) -> None:
@@ -255,7 +255,7 @@ def _show(job: Job, records: Sequence[LogRecord], folder: str) -> None:
         for log, r in named
         if len(records) <= _ALL_ROWS or r.verdict not in good
     ]
-    shown, totals = len(rows), column_totals(records, job)
+    n_shown, totals = len(rows), column_totals(records, job)
     added = [totals[name]["sum"] if name in totals else None for name in columns]
     means = [totals[name]["mean"] if name in totals else None for name in columns]
     if any(value is not None for value in added):
@@ -266,7 +266,7 @@ def _show(job: Job, records: Sequence[LogRecord], folder: str) -> None:
         f"{n} {verdict}" for verdict, n in Counter(r.verdict for r in records).items()
     )
     lines: list[str | Text] = [Text(f"{quantity(len(records), 'log')}: {counts}", style="bold")]
-    if shown < len(records):
+    if n_shown < len(records):
         lines.append("the table has those that are not simply done; --csv and --json have all")
     for log, r in named:
         if r.verdict == "failed":

@@ -239,8 +239,8 @@ class HelpfulCommand(TyperCommand):
             record = parameter.get_help_record(ctx)
             if record is not None:
                 name, text = record
-                if parameter.name == "system" and (others := names(SYSTEMS)):
-                    text += f" Packages bring {', '.join(others)}."
+                if parameter.name == "system" and (brought := names(SYSTEMS)):
+                    text += f" Packages bring {', '.join(brought)}."
                 groups.setdefault(_group_of(parameter), []).append((name, _plain(text)))
         titles = sorted(groups, key=lambda title: title != "Arguments")
         titles.remove(_REST)

@@ -70,8 +70,8 @@ def page(
                 continue
             for text in part:
                 say(out, text)
-    for each in notes:
-        say(out, f"note: {each}", "yellow")
+    for text in notes:
+        say(out, f"note: {text}", "yellow")
 
 
 def say(out: Console, text: str | Text, style: str = "", before: str = "") -> None:
@@ -89,16 +89,16 @@ def show_table(out: Console, title: str, content: Content) -> None:
     header, rows = content
     say(out, title, "bold", "\n")
     for chosen in _fitting([header, *rows], out.width):
-        shown = [[row[column] for column in chosen] for row in rows]
+        cells = [[row[column] for column in chosen] for row in rows]
         names = [header[column] for column in chosen[1:]]
-        out.print(table(header[0], *(f">{name}" for name in names), rows=shown))
+        out.print(table(header[0], *(f">{name}" for name in names), rows=cells))
 
 
 def _fitting(rows: Sequence[Sequence[str]], width: int) -> list[list[int]]:
     """Return the columns of each part of a table whose parts are at most ``width`` wide."""
-    first, *others = (max(map(len, column)) for column in zip(*rows, strict=True))
+    first, *widths = (max(map(len, column)) for column in zip(*rows, strict=True))
     parts, used = [[0]], first
-    for column, size in enumerate(others, start=1):
+    for column, size in enumerate(widths, start=1):
         if len(parts[-1]) > 1 and used + _SPACE + size > width:
             parts, used = [*parts, [0]], first
         parts[-1].append(column)
@@ -256,8 +256,8 @@ def show_calibration(log: Path, people: PeopleCalibration, *, joints: bool) -> N
 def _notes(cameras: Sequence[CalibratedCamera]) -> Iterator[str]:
     for camera in cameras:
         if not math.isnan(camera.since_s):
-            other = " (or the other camera)" if len(cameras) == 3 else ""
-            yield f"{camera.name}{other} was moved {camera.since_s:.1f} s after the start"
+            doubt = " (or the other camera)" if len(cameras) == 3 else ""
+            yield f"{camera.name}{doubt} was moved {camera.since_s:.1f} s after the start"
         if camera.reason:
             yield f"{camera.name}: {camera.reason}"
         elif math.isnan(camera.clock_s):
@@ -267,7 +267,7 @@ def _notes(cameras: Sequence[CalibratedCamera]) -> Iterator[str]:
 
 
 def _calibrated(cameras: Sequence[CalibratedCamera]) -> Table:
-    given = any(not math.isnan(camera.moved_deg) for camera in cameras)
+    has_given = any(not math.isnan(camera.moved_deg) for camera in cameras)
     moved: list[tuple[str, Callable[[CalibratedCamera], str]]] = [
         (">Moved mm", lambda c: number(c.moved_mm, 0)),
         (">deg", lambda c: number(c.moved_deg, 2)),
@@ -275,7 +275,7 @@ def _calibrated(cameras: Sequence[CalibratedCamera]) -> Table:
     return listing(
         cameras,
         ("Camera", lambda c: c.name + period(c.since_s, c.until_s)),
-        *(moved if given else ()),
+        *(moved if has_given else ()),
         (">Clock ms", lambda c: number(1000 * c.clock_s, 1)),
         (">SE deg", lambda c: number(c.error_deg, 2)),
         (">mm", lambda c: number(c.error_mm, 0)),

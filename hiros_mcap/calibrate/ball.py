@@ -118,14 +118,14 @@ def _calibrated(
             )
     roots = [tree.root(t.frame) for t in tracks if t.frame in tree.frames]
     root = max(sorted(set(roots)), key=roots.count) if roots else WORLD
-    given = {t.frame: pose for t in tracks if roots and (pose := tree.at_rest(t.frame, root))}
-    given = {frame: pose for frame, pose in given.items() if frame != root}
-    calibration = calibrate_centres(tracks, fixed_frame=root if given else WORLD, given=given)
+    known = {t.frame: pose for t in tracks if roots and (pose := tree.at_rest(t.frame, root))}
+    known = {frame: pose for frame, pose in known.items() if frame != root}
+    calibration = calibrate_centres(tracks, fixed_frame=root if known else WORLD, given=known)
     if abs(calibration.radius - true_radius) > OTHER_RADIUS * true_radius:
-        other = (
+        warning = (
             f"the ball looks like one of radius {calibration.radius:.3f} m, not {true_radius:g} m; "
             "measure it and pass --radius"
         )
-        reason = "; ".join(filter(None, (other, calibration.reason)))
+        reason = "; ".join(filter(None, (warning, calibration.reason)))
         calibration = replace(calibration, verdict="doubtful", reason=reason)
     return calibration

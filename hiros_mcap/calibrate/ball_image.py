@@ -91,11 +91,11 @@ def find_ball(
     size = int((labels > 0).sum()) if camera.colour is None else 0
     focal = camera.focal * math.sqrt(len(points) / size if size else 1.0)
     regions = [points[numbers == k] for k in range(1, MOST_REGIONS + 1)]
-    balls = [ball for some in regions if (ball := fit_ball(some, points, focal, radius))]
+    balls = [ball for region in regions if (ball := fit_ball(region, points, focal, radius))]
     if not balls:
         return None
-    ball = max(balls, key=lambda each: each.inliers)  # an arm may cut the ball in two
-    if any(np.linalg.norm(ball.centre - each.centre) > 0.5 * radius for each in balls):
+    ball = max(balls, key=lambda fit: fit.inliers)  # an arm may cut the ball in two
+    if any(np.linalg.norm(ball.centre - fit.centre) > 0.5 * radius for fit in balls):
         return None
     return ball._replace(centre=camera.to_colour.moved(ball.centre))
 
@@ -174,14 +174,16 @@ def fit_ball(region: Floats, points: Floats, focal: float, radius: float) -> Bal
     if len(region) < LEAST_PIXELS:
         return None
     rng = np.random.default_rng(0)
-    some = region if len(region) <= MOST_POINTS else rng.choice(region, MOST_POINTS, replace=False)
+    sample = (
+        region if len(region) <= MOST_POINTS else rng.choice(region, MOST_POINTS, replace=False)
+    )
     distance = float(np.linalg.norm(np.median(region, axis=0)))
     tolerance = min(max(NOISE_M, NOISE_PER_M2 * distance**2), 0.2 * radius)
     try:
-        fit = fit_sphere(some, radius, tolerance=tolerance, trials=400)
+        fit = fit_sphere(sample, radius, tolerance=tolerance, trials=400)
     except RegistrationError:
         return None
-    surface = some[fit.inliers]
+    surface = sample[fit.inliers]
     everywhere = np.abs(np.linalg.norm(points - fit.centre, axis=1) - radius) <= tolerance
     disc = math.pi * (focal * radius / float(fit.centre[2])) ** 2
     plane = np.linalg.svd(surface - surface.mean(axis=0), compute_uv=False)[2]

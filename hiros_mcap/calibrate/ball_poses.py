@@ -219,8 +219,8 @@ def _chain(tracks: Sequence[BallTrack]) -> dict[int, tuple[int, Placement]]:
     placements: dict[int, tuple[int, Placement]] = {}
     for a, b in links_from(0, sorted(shared, key=lambda pair: -shared[pair].shape[1])):
         names = tracks[a].camera, tracks[b].camera
-        both = shared[min(a, b), max(a, b)][:: 1 if a < b else -1]
-        placement = place(both[0], both[1], names)
+        centres = shared[min(a, b), max(a, b)][:: 1 if a < b else -1]
+        placement = place(centres[0], centres[1], names)
         placements[b] = a, _after(placements[a][1], placement) if a else placement
     return placements
 
@@ -241,36 +241,36 @@ def place(target: Floats, source: Floats, names: tuple[str, str]) -> Placement:
     Raises RegistrationError, which names the cameras and what to record, if there are too few
     centres, if they lie on a line, or if they do not fit each other.
     """
-    both = f"{names[0]} and {names[1]}"
-    advice = ADVICE.format(both)
+    pair = f"{names[0]} and {names[1]}"
+    advice = ADVICE.format(pair)
     if len(source) < LEAST_CENTRES:
         raise RegistrationError(
-            f"{both} saw the ball at only {len(source)} common times, {LEAST_CENTRES} needed; "
+            f"{pair} saw the ball at only {len(source)} common times, {LEAST_CENTRES} needed; "
             f"{advice}"
         )
     try:
         pose, kept = robust_fit(source, target)
     except RegistrationError:
-        raise RegistrationError(f"{both}: the ball's path is a line; {advice}") from None
+        raise RegistrationError(f"{pair}: the ball's path is a line; {advice}") from None
     distances = _distances(pose, source, target)
     residual = float(np.sqrt(np.mean(distances[kept] ** 2)))
     # Kept points stay within a threshold that adapts to them. The others count, too.
     if kept.mean() < LEAST_SHARE or residual > WRONG_M:
         apart = 100 * float(np.median(distances))
         raise RegistrationError(
-            f"{both}: the ball's centres are {apart:.0f} cm apart and only {kept.mean():.0%} fit; "
+            f"{pair}: the ball's centres are {apart:.0f} cm apart and only {kept.mean():.0%} fit; "
             "check the cameras' clocks and the ball's radius, and move the ball slowly"
         )
     extents = np.minimum(_extents(source[kept]), _extents(target[kept]))
     if extents[1] < max(NARROW_M, NARROW_ERRORS * residual):
         raise RegistrationError(
-            f"{both}: the ball's path is nearly a line, only {100 * extents[1]:.0f} cm wide; "
+            f"{pair}: the ball's path is nearly a line, only {100 * extents[1]:.0f} cm wide; "
             f"{advice}"
         )
     error_deg, error_m = _standard_errors(source[kept], target[kept], pose)
     if error_deg > UNCERTAIN_DEG or error_m > UNCERTAIN_M:
         raise RegistrationError(
-            f"{both}: the pose is uncertain by {error_deg:.1f} degrees and {100 * error_m:.0f} cm; "
+            f"{pair}: the pose is uncertain by {error_deg:.1f} degrees and {100 * error_m:.0f} cm; "
             f"{advice}"
         )
     used = int(kept.sum())

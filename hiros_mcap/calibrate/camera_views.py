@@ -139,9 +139,9 @@ class PeopleFollowed:
         if self.times and seconds < self.times[-1]:
             return
         self.times.append(seconds)
-        self._done += [one for one in self._growing if seconds - one[-1][0] > GAP_S]
-        growing = [one for one in self._growing if seconds - one[-1][0] <= GAP_S]
-        owners, swapped = _continue(positions, [one[-1][1] for one in growing], self._mirror)
+        self._done += [track for track in self._growing if seconds - track[-1][0] > GAP_S]
+        growing = [track for track in self._growing if seconds - track[-1][0] <= GAP_S]
+        owners, swapped = _continue(positions, [track[-1][1] for track in growing], self._mirror)
         for p, owner in enumerate(owners):
             order = self._mirror if swapped[p] else slice(None)
             if owner < 0:
@@ -151,10 +151,10 @@ class PeopleFollowed:
 
     def forget(self, before: float) -> None:
         """Forget what was seen up to a time, s."""
-        for some in (self._done, self._growing):
-            for one in some:
-                del one[: bisect_right(one, before, key=itemgetter(0))]
-            some[:] = filter(None, some)
+        for tracks in (self._done, self._growing):
+            for track in tracks:
+                del track[: bisect_right(track, before, key=itemgetter(0))]
+            tracks[:] = filter(None, tracks)
         del self.times[: bisect_right(self.times, before)]
 
     def tracklets(self, shift: float = 0.0) -> list[Tracklet]:
@@ -162,10 +162,10 @@ class PeopleFollowed:
         for sighting in self._waiting:
             self._follow(sighting)
         self._waiting.clear()
-        some = self._done + self._growing
-        long = (one for one in some if one[-1][0] - one[0][0] >= SHORTEST_S)
+        tracklets = self._done + self._growing
+        long = (track for track in tracklets if track[-1][0] - track[0][0] >= SHORTEST_S)
         ordered = sorted(long, key=lambda frames: frames[0][0])
-        columns = (map(np.array, zip(*one, strict=True)) for one in ordered)
+        columns = (map(np.array, zip(*track, strict=True)) for track in ordered)
         return [Tracklet(times + shift, np.nan_to_num(poses), w) for times, poses, w in columns]
 
 

@@ -163,8 +163,8 @@ def _deviations(
     turn, shift = placement
     cameras = list(given)
     turned = turn @ rig.rotations[cameras]
-    wanted = to_matrix(np.stack([pose.xyzw for pose in given.values()]))
-    angles = to_vector(from_matrix(turned @ np.swapaxes(wanted, 1, 2)))
+    goals = to_matrix(np.stack([pose.xyzw for pose in given.values()]))
+    angles = to_vector(from_matrix(turned @ np.swapaxes(goals, 1, 2)))
     places = rig.shifts[cameras] @ turn.T + shift
     shifts = places - np.stack([pose.translation for pose in given.values()])
     angle, metres = deviations.T[:, :, None]
@@ -256,7 +256,8 @@ def find_floor(model: SkeletonModel, poses: Floats, velocities: Floats) -> Floor
     """
     names = [split_side(name)[0] for name in model.marker_names]
     at = {
-        part: [m for m, name in enumerate(names) if name in some] for part, some in _PARTS.items()
+        part: [m for m, name in enumerate(names) if name in aliases]
+        for part, aliases in _PARTS.items()
     }
     if not (at["ankle"] and at["neck"] and at["pelvis"]):
         return None

@@ -89,13 +89,13 @@ def register_pair(
     candidates : of :func:`lag_candidates`. instants : (K,) times of the first camera, s.
     given : poses of both cameras that the log claims, to be tried, too.
     """
-    some = instants[:: max(1, len(instants) // COARSE_INSTANTS)]
-    tried = list(_coarse_fits(pair, candidates, some, mirror))
+    sparse = instants[:: max(1, len(instants) // COARSE_INSTANTS)]
+    tried = list(_coarse_fits(pair, candidates, sparse, mirror))
     if given is not None:
-        tried.append(_fit(sample(pair, some, given), given, mirror))
+        tried.append(_fit(sample(pair, sparse, given), given, mirror))
     best = ranked(tried)[:REFINED]
-    hopeful = [one for one in best if one.quality > HOPELESS * best[0].quality]
-    return ranked([_refined(pair, one, instants, mirror) for one in hopeful])
+    hopeful = [fit for fit in best if fit.quality > HOPELESS * best[0].quality]
+    return ranked([_refined(pair, fit, instants, mirror) for fit in hopeful])
 
 
 def best_lag(pair: Sequence[CameraView], rig: Rig, lags: Sequence[float], mirror: Ints) -> PairFit:
@@ -112,7 +112,7 @@ def best_lag(pair: Sequence[CameraView], rig: Rig, lags: Sequence[float], mirror
     for lag in lags:
         late = rig._replace(clocks=np.array([0.0, lag]))
         tried.append(_scored(_fit(sample(pair, instants, late), late, mirror), FIT_M))
-    best = max(tried, key=lambda one: one.quality)
+    best = max(tried, key=lambda fit: fit.quality)
     return best if best.quality > CLEARLY * tried[0].quality else tried[0]
 
 
@@ -125,13 +125,13 @@ def ranked(fits: Sequence[PairFit]) -> list[PairFit]:
     The best pose that explains much of what both see sets the scale. If only the noise of the
     detectors is left in it, a pose that leaves twice as much does not fit.
     """
-    scored = [_scored(one, FIT_M) for one in fits if len(one.distances)]
-    most = max((one.quality for one in scored), default=0.0)
-    nearest = min((one.residual for one in scored if one.quality >= 0.5 * most), default=FIT_M)
+    scored = [_scored(fit, FIT_M) for fit in fits if len(fit.distances)]
+    largest = max((fit.quality for fit in scored), default=0.0)
+    nearest = min((fit.residual for fit in scored if fit.quality >= 0.5 * largest), default=FIT_M)
     scale = float(np.clip(SHARP * nearest, SHARPEST_M, FIT_M))
     kept: list[PairFit] = []
     for fit in sorted((_scored(one, scale) for one in scored), key=lambda one: -one.quality):
-        near = next((k for k, one in enumerate(kept) if alike(fit.rig, one.rig)), len(kept))
+        near = next((k for k, better in enumerate(kept) if alike(fit.rig, better.rig)), len(kept))
         if near == len(kept):
             kept.append(fit)
         elif _is_nearer(fit, kept[near]):
@@ -202,12 +202,12 @@ def _rigid(
     a, b = rows[0][first], rows[1][second]
     order = slice(None) if mirror is None else mirror
     weights = np.minimum(samples.lines.weights[a], samples.lines.weights[b][:, order])
-    seen = weights > 0.0
-    goal = samples.lines.positions[a][seen]
-    source = samples.lines.positions[b][:, order][seen]
-    if np.count_nonzero(seen) < LEAST_INSTANTS:
+    shared = weights > 0.0
+    goal = samples.lines.positions[a][shared]
+    source = samples.lines.positions[b][:, order][shared]
+    if np.count_nonzero(shared) < LEAST_INSTANTS:
         return None
-    rotation, shift = robust_kabsch(source, goal, weights[seen])
+    rotation, shift = robust_kabsch(source, goal, weights[shared])
     return start._replace(
         rotations=np.stack([np.eye(3), rotation]), shifts=np.stack([np.zeros(3), shift])
     )
@@ -276,7 +276,7 @@ def spanning_tree(fits: Fits, cameras: list[int]) -> tuple[list[Pair], list[int]
     The links lead from the first of these cameras to the others. Ambiguous pairs come last.
     """
     ranked = sorted(
-        (pair for pair, each in fits.items() if usable(each)),
+        (pair for pair, tried in fits.items() if usable(tried)),
         key=lambda pair: (ambiguous(fits[pair]), -fits[pair][0].quality),
     )
     trees = {c: links_from(c, ranked) for c in cameras}
@@ -334,14 +334,16 @@ def seen_elsewhere(
     given : their poses.
     """
     signatures = [signatures_of(view, landmarks) for view in views]
-    for other, view in enumerate(views):
-        lags = lag_candidates(signatures[other], signatures[camera]) if other not in group else []
+    for partner, view in enumerate(views):
+        lags = (
+            lag_candidates(signatures[partner], signatures[camera]) if partner not in group else []
+        )
         at_once = [(lag, pairs) for lag, pairs in lags if abs(lag) < SAME_S]
         if not at_once:
             continue
         pair = [view, views[camera]]
         fits = register_pair(pair, at_once, instants_of(pair[:1], PAIR_INSTANTS), mirror)
-        there = given.select([other, camera]).anchored()
+        there = given.select([partner, camera]).anchored()
         if fits and _proves(fits[0]) and not alike(fits[0].rig, there):
             return view.name
     return ""

@@ -89,32 +89,32 @@ def align(
     where = f"{channel.path}: {topic}"
     tracks = tracks_of(channel.frames)
     try:
-        seen = truth.seen_by(channel.model)
+        visible = truth.seen_by(channel.model)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from None
-    candidates = list(_candidates(seen, list(tracks.values()), time=time))
+    candidates = list(_candidates(visible, list(tracks.values()), time=time))
     if not candidates:
         still = "nobody moves so that the time shows"
         apart = "they have no person at one time; --align-time looks for the time"
         raise ConfigError(f"{where}: the truth cannot be aligned: {still if time else apart}")
     _, found = min(
         (
-            (factor * _left_m(seen.aligned(candidate), tracks), candidate)
+            (factor * _left_m(visible.aligned(candidate), tracks), candidate)
             for candidate, factor in candidates
         ),
         key=lambda pair: pair[0],
     )
     frames = channel.frames[:: max(1, len(channel.frames) // _FRAMES)]
     for _ in range(4):
-        matches = match(frames, seen.aligned(found))
+        matches = match(frames, visible.aligned(found))
         if not len(matches.people):
             break
-        late = lag(matches, seen.aligned(found)) if time else np.nan
+        late = lag(matches, visible.aligned(found)) if time else np.nan
         if not np.isnan(late):
             found = found._replace(seconds=found.seconds + late / 1000)
-            matches = match(frames, seen.aligned(found))
+            matches = match(frames, visible.aligned(found))
         found = _refined(found, matches, scale=scale)
-    left = _left_m(seen.aligned(found), tracks)
+    left = _left_m(visible.aligned(found), tracks)
     if not left < _NEAR_M:
         remedy = "" if time else ", at the right time? --align-time looks for the time"
         raise ConfigError(

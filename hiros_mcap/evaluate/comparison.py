@@ -181,9 +181,9 @@ def comparison(
     for k, (task, outcome) in enumerate(zip(tasks, outcomes, strict=True)):
         groups.setdefault((task.log, outcome.cameras), []).append(k)
     for group in groups.values():
-        same = on_same_detections([done[k] for k in group])
-        for k, each in zip(group, same, strict=True):
-            outcomes[k] = each
+        rescored = on_same_detections([done[k] for k in group])
+        for k, outcome in zip(group, rescored, strict=True):
+            outcomes[k] = outcome
     return outcomes
 
 
@@ -200,29 +200,29 @@ def on_same_detections(done: Sequence[tuple[Outcome, list[Distances]]]) -> list[
     Raises ConfigError if the systems were given different detections.
     """
     (first, cameras), *_ = done
-    each = [np.concatenate([d.joints for d in distances]) for _, distances in done]
-    if len({joints.shape for joints in each}) > 1:
+    distances_of = [np.concatenate([d.joints for d in distances]) for _, distances in done]
+    if len({joints.shape for joints in distances_of}) > 1:
         raise ConfigError(f"{first.log}: the systems were given different detections")
     varying = (np.concatenate([d.varying for d in distances]) for _, distances in done)
     stamps = np.concatenate([d.stamps for d in cameras])
-    present: Flags = ~np.isnan(np.stack(each))  # (S, D, M)
+    present: Flags = ~np.isnan(np.stack(distances_of))  # (S, D, M)
     there = np.any(present, axis=2)
     anybody = there.any(axis=0)
     # Without any that has somebody, all is common: nothing is present.
     common = present[there.any(axis=1)].all(axis=0)
     outcomes = []
-    for k, (joints, rest) in enumerate(zip(each, varying, strict=True)):
-        outcome, shown = done[k][0], common & present[k]
+    for k, (joints, rest) in enumerate(zip(distances_of, varying, strict=True)):
+        outcome, scored = done[k][0], common & present[k]
         if k:
-            difference = _difference(joints, each[0], stamps, first.name)
+            difference = _difference(joints, distances_of[0], stamps, first.name)
             outcome = replace(outcome, difference=difference)
         if outcome.scores is None:
-            distances = joints[shown].astype(np.float64)
+            distances = joints[scored].astype(np.float64)
             outcome = replace(
                 outcome,
                 distance=ErrorStats.of(distances),
                 disagreement=float(np.median(distances)) if distances.size else np.nan,
-                spread=mean_of(rest[shown].astype(np.float64)),
+                spread=mean_of(rest[scored].astype(np.float64)),
                 misses=int((anybody & ~there[k]).sum()),
                 detections=int(anybody.sum()),
             )
@@ -329,7 +329,7 @@ def camera_subsets(task: Task) -> list[Task]:
     if truth is None:
         raise ConfigError(f"{task.log}: --study cameras needs a truth")
     names = sorted(recording.sources)
-    subsets = [some for size in range(1, len(names) + 1) for some in combinations(names, size)]
+    subsets = [subset for size in range(1, len(names) + 1) for subset in combinations(names, size)]
     return [replace(task, sources=subset) for subset in subsets]
 
 

@@ -135,8 +135,8 @@ class Truth:
             self.stamps[late] == stamps,
             (after > 0) & (after == late) & (gap <= MAX_GAP_NS),
         )
-        more = (..., *[None] * axes)
-        part, is_instant, is_between = (np.asarray(each)[more] for each in place)
+        index = (..., *[None] * axes)
+        part, is_instant, is_between = (np.asarray(values)[index] for values in place)
         return early, late, part, is_instant, is_between
 
     def moved(self, seconds: float = 0.0, *, start: int | None = None, up: str = "z") -> Truth:
@@ -206,7 +206,7 @@ def shared_markers(a: SkeletonModel, b: SkeletonModel) -> dict[int, int]:
     """Slot in ``a`` -> slot in ``b`` of markers that mean the same, as LShoulder, shoulder_left."""
     theirs = {_name(name): slot for slot, name in enumerate(b.marker_names)}
     pairs = {slot: theirs.get(_name(name)) for slot, name in enumerate(a.marker_names)}
-    return {slot: other for slot, other in pairs.items() if other is not None}
+    return {slot: link for slot, link in pairs.items() if link is not None}
 
 
 def _name(name: str) -> tuple[str, str]:
@@ -218,8 +218,8 @@ def shared_links(a: SkeletonModel, b: SkeletonModel, slots: dict[int, int]) -> d
     """Slot in ``a`` -> slot in ``b`` of links that join the same markers."""
     ends = {pair: k for k, pair in enumerate(zip(b.link_parents, b.link_children, strict=True))}
     pairs = zip(a.link_parents, a.link_children, strict=True)
-    others = [ends.get((slots.get(parent, -2), slots.get(child, -2))) for parent, child in pairs]
-    return {slot: other for slot, other in enumerate(others) if other is not None}
+    links = [ends.get((slots.get(parent, -2), slots.get(child, -2))) for parent, child in pairs]
+    return {slot: link for slot, link in enumerate(links) if link is not None}
 
 
 def _list(names: tuple[str, ...], most: int = 40) -> str:

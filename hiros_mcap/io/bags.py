@@ -249,9 +249,9 @@ def _missing(promised: Mapping[str, int], counts: Mapping[str, int]) -> Iterator
     total, found = sum(promised.values()), sum(counts.values())
     if not lost and total <= found:
         return
-    shown = [f"{promised[t] - n} of {promised[t]} of {t}" for t, n in sorted(lost.items())]
-    more = f" and {len(shown) - _LISTED} more topics" if len(shown) > _LISTED else ""
-    listing = f" ({', '.join(shown[:_LISTED])}{more})" if shown else ""
+    losses = [f"{promised[t] - n} of {promised[t]} of {t}" for t, n in sorted(lost.items())]
+    more = f" and {len(losses) - _LISTED} more topics" if len(losses) > _LISTED else ""
+    listing = f" ({', '.join(losses[:_LISTED])}{more})" if losses else ""
     yield (
         f"{METADATA} counts {quantity(total, 'message')}, and the recording holds {found}"
         f"{listing}; copy the recording again if it is not complete"
@@ -265,7 +265,7 @@ def transforms_beside(path: Path) -> str:
     """
     if not path.is_file() or not is_log_name(path.name, STORAGES):
         return ""
-    names = [other.name for other in path.parent.iterdir()]
+    names = [file.name for file in path.parent.iterdir()]
     for name in other_parts(path.name, names)[:_LOOKED_INTO]:
         with suppress(LogError), open_part(path.with_name(name)) as part:
             if any(n and topic.endswith("/tf_static") for _, topic, _, n in _topics(part)):

@@ -148,9 +148,9 @@ def select_skeletons(
     skeletons = [info for info in channels if info.has_type(hiros_schemas.SKELETON_GROUP)]
     if not skeletons:
         raise LogError(f"has no SkeletonGroup channel; {OTHER_FILES}", listing=_listing(channels))
-    others = [i for i in skeletons if not _is_below(i.topic, output_prefix.rstrip("/"))]
+    detections = [i for i in skeletons if not _is_below(i.topic, output_prefix.rstrip("/"))]
     if topics is None:
-        chosen = [i for i in others if not _is_below(i.topic, TRUTH_PREFIX)]
+        chosen = [i for i in detections if not _is_below(i.topic, TRUTH_PREFIX)]
         if not chosen:
             raise LogError(
                 f"has only results below {output_prefix} or truths below {TRUTH_PREFIX}, no "
@@ -159,7 +159,7 @@ def select_skeletons(
             )
     else:
         for glob in topics:
-            if any(fnmatchcase(info.topic, glob) for info in others):
+            if any(fnmatchcase(info.topic, glob) for info in detections):
                 continue
             if any(fnmatchcase(info.topic, glob) for info in skeletons):
                 raise LogError(
@@ -167,7 +167,7 @@ def select_skeletons(
                     listing=_listing(channels),
                 )
             raise LogError(f"no skeleton channel matches {glob!r}", listing=_listing(channels))
-        chosen = [i for i in others if any(fnmatchcase(i.topic, glob) for glob in topics)]
+        chosen = [i for i in detections if any(fnmatchcase(i.topic, glob) for glob in topics)]
     chosen = readable(chosen)
     # Without any message, the room was empty.
     return tuple(info for info in chosen if info.count) or tuple(chosen)
@@ -234,7 +234,7 @@ def add_static_poses(
     writer: McapWriter, poses: Mapping[str, Rigid], parent: str, stamp: int
 ) -> None:
     """Write poses of frames in ``parent`` to /tf_static; ``stamp`` in ns is the log time, too."""
-    idents = (ident for ident, each in writer.channels.items() if each.topic == "/tf_static")
+    idents = (ident for ident, channel in writer.channels.items() if channel.topic == "/tf_static")
     channel = next(idents, None)
     if channel is None:
         channel = add_ros_channel(writer, "/tf_static", hiros_schemas.TF_MESSAGE, LATCHED_QOS)
@@ -267,6 +267,6 @@ def _is_below(topic: str, prefix: str) -> bool:
 def _listing(channels: Sequence[ChannelInfo]) -> str:
     if not channels:
         return "it has no channel at all"
-    shown = [f"{i.topic} ({i.schema or 'no type'}, {i.count})" for i in channels[:_LISTED]]
+    rows = [f"{i.topic} ({i.schema or 'no type'}, {i.count})" for i in channels[:_LISTED]]
     more = f" and {len(channels) - _LISTED} more" if len(channels) > _LISTED else ""
-    return f"its channels: {', '.join(shown)}{more}"
+    return f"its channels: {', '.join(rows)}{more}"

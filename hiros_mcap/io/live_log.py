@@ -141,8 +141,8 @@ class LiveReading(Reading):
             self._join(info, message)
         else:
             is_people = info.has_type(hiros_schemas.SKELETON_GROUP)
-            wanted = is_people and is_selected(topic, self.log.topics, OUTPUT_PREFIX)
-            self._refused[ident] = not_used(replace(info, count=0)) if wanted else ""
+            is_wanted = is_people and is_selected(topic, self.log.topics, OUTPUT_PREFIX)
+            self._refused[ident] = not_used(replace(info, count=0)) if is_wanted else ""
 
     def _is_transforms(self, ident: int) -> bool:
         """Whether a channel has transforms in a namespace."""
@@ -171,8 +171,8 @@ class LiveReading(Reading):
             return
         del self._waiting[info.topic]
         self._blind.discard(info.id)
-        others = [other for other in log.cameras if other.channel.id != info.id]
-        taken = {name for other in others for name in other.sources.values()}
+        rest = [camera for camera in log.cameras if camera.channel.id != info.id]
+        taken = {name for camera in rest for name in camera.sources.values()}
         if taken & set(camera.sources.values()):
             names = {source: f"{info.topic}:{source}" for source in camera.sources}
             camera = replace(camera, sources=names)
@@ -215,8 +215,8 @@ class LiveLog(Log):
 
         Results stay in the frame in which they began.
         """
-        others = (other for other in self.cameras if other.channel.id != camera.channel.id)
-        return self._but(keep=["fixed_frame"], cameras=(*others, camera))
+        rest = (known for known in self.cameras if known.channel.id != camera.channel.id)
+        return self._but(keep=["fixed_frame"], cameras=(*rest, camera))
 
 
 def takes(info: ChannelInfo, topics: Sequence[str] | None) -> bool:
@@ -229,8 +229,8 @@ def takes(info: ChannelInfo, topics: Sequence[str] | None) -> bool:
 
 def may_be_read(info: ChannelInfo, topics: Sequence[str] | None) -> bool:
     """Whether a channel may show people: as SkeletonGroups, or as another detector's messages."""
-    wanted = is_selected(info.topic, topics, OUTPUT_PREFIX)
-    return takes(info, topics) or (wanted and is_of_other_detector(info))
+    is_wanted = is_selected(info.topic, topics, OUTPUT_PREFIX)
+    return takes(info, topics) or (is_wanted and is_of_other_detector(info))
 
 
 def open_live(

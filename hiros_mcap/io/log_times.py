@@ -246,8 +246,8 @@ def _usual(lags: Stamps) -> int:
     if len(usable) >= _ENOUGH:
         return int(np.median(usable))
     within = np.searchsorted(ordered, ordered + FAR, "right") - np.arange(len(ordered))
-    most = int(np.argmax(within))
-    return int(np.median(ordered[most : most + within[most]]))
+    densest = int(np.argmax(within))
+    return int(np.median(ordered[densest : densest + within[densest]]))
 
 
 def _joined(times: Stamps, first: int, last: int) -> tuple[int, int]:

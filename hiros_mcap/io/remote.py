@@ -179,10 +179,10 @@ def _beside(log: str) -> str:
     """Say which files of the same folder may be parts of the same recording; "" for none."""
     folder, _, name = log.rpartition("/")
     with suppress(LogError):
-        if others := other_parts(name, names_in(folder)):
-            more = f" and {quantity(len(others) - 1, 'more file')}" if len(others) > 1 else ""
+        if parts := other_parts(name, names_in(folder)):
+            more = f" and {quantity(len(parts) - 1, 'more file')}" if len(parts) > 1 else ""
             return (
-                f"; {others[0]}{more} beside it may be parts of the same recording, one of which "
+                f"; {parts[0]}{more} beside it may be parts of the same recording, one of which "
                 f"has /tf_static: name the folder {folder} instead"
             )
     return ""

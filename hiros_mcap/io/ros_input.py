@@ -244,7 +244,11 @@ class RosInput:
                 "message package installed here; build both from one version",
             )
             return
-        if is_transform_topic(name) and not quality.latched and any(one.latched for one in offered):
+        if (
+            is_transform_topic(name)
+            and not quality.latched
+            and any(offer.latched for offer in offered)
+        ):
             self._subscribe(topic, kind, _Quality(True, True), latched=True)
 
     def _hash(self, topic: str, kind: str) -> Any:

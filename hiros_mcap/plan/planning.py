@@ -96,9 +96,9 @@ class RoomPlan:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON, without the picture's numbers."""
-        rig, shown = self.params.rig, ("expected", "parts_mm", "joints_mm", "cameras", "further")
+        rig, apart = self.params.rig, ("expected", "parts_mm", "joints_mm", "cameras", "further")
         room = {"area": self.params.area, "fov": rig.fov, "range": rig.range}
-        rest = {name: plain_value(getattr(self, name)) for name in shown}
+        rest = {name: plain_value(getattr(self, name)) for name in apart}
         return {"room": room, "people": self.params.people, **rest}
 
 
@@ -139,7 +139,7 @@ def make_plan(
         params.model_copy(update={"rig": placed, "cameras": len(rows)}),
         outlook(rig),
         {name: _mean(errors[..., rows]) for name, rows in parts_of(MODEL).items()},
-        {name: _mean(each) for name, each in of_joint.items()},
+        {name: _mean(errors) for name, errors in of_joint.items()},
         cameras,
         further,
         floor,
@@ -223,10 +223,10 @@ class Placing:
 
     def further(self, poses: Sequence[Rigid]) -> Rigid:
         """Return where one more camera beside those at ``poses`` helps most."""
-        others = [Placed(pose, self._model.view(self._markers, pose)) for pose in poses]
-        best = self._best(others, self._candidates)
+        rest = [Placed(pose, self._model.view(self._markers, pose)) for pose in poses]
+        best = self._best(rest, self._candidates)
         for steps in _STEPS:
-            best = self._descend(others, best, steps)
+            best = self._descend(rest, best, steps)
         return best.pose
 
     def _placed(self, along: float, bearing: float, tilt: float) -> Placed:
@@ -254,15 +254,15 @@ class Placing:
                     yield float(along), bearing, tilt
             start += side
 
-    def _best(self, others: list[Placed], candidates: list[Placed]) -> Placed:
+    def _best(self, rest: list[Placed], candidates: list[Placed]) -> Placed:
         """Return the best candidate beside others."""
-        return min(candidates, key=self._cost_beside(others))
+        return min(candidates, key=self._cost_beside(rest))
 
     def _descend(
-        self, others: list[Placed], best: Placed, steps: tuple[float, float, float]
+        self, rest: list[Placed], best: Placed, steps: tuple[float, float, float]
     ) -> Placed:
         """Shift, rotate and tilt a camera."""
-        cost_of = self._cost_beside(others)
+        cost_of = self._cost_beside(rest)
         cost = cost_of(best)
         for axis, step in enumerate((steps[0], *np.radians(steps[1:]))):
             for change in (step, -step):
@@ -274,10 +274,10 @@ class Placing:
                     break
         return best
 
-    def _cost_beside(self, others: list[Placed]) -> Callable[[Placed], float]:
+    def _cost_beside(self, rest: list[Placed]) -> Callable[[Placed], float]:
         """Return the mean error over people and joints, m, of a camera and others."""
-        base = [reduce(View.plus, [other.view for other in others])] if others else []
-        taken = np.array([other.pose.translation for other in others]).reshape(-1, 3)
+        base = [reduce(View.plus, [camera.view for camera in rest])] if rest else []
+        taken = np.array([camera.pose.translation for camera in rest]).reshape(-1, 3)
 
         def cost(camera: Placed) -> float:
             gaps = np.linalg.norm(taken - camera.pose.translation, axis=1)

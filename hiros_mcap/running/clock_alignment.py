@@ -129,9 +129,9 @@ class ClockAlignment:
         for name, seconds in offsets.items():
             before = self.corrections.get(name, ClockCorrection())
             self.corrections[name] = before.plus(-seconds)
-            same = [f for f in self.faults if (f.camera, f.kind) == (name, OFFSET)]
-            self.faults = [fault for fault in self.faults if fault not in same]
-            total = seconds + sum(fault.seconds for fault in same)
+            superseded = [f for f in self.faults if (f.camera, f.kind) == (name, OFFSET)]
+            self.faults = [fault for fault in self.faults if fault not in superseded]
+            total = seconds + sum(fault.seconds for fault in superseded)
             self.offsets.append((0, name, total))
             at = int(self.corrected_times(name).stamps[0])
             self.faults.append(ClockFault(name, OFFSET, total, at, corrected=True))

@@ -178,10 +178,10 @@ class Observer:
         _, firsts = np.unique(ids, return_index=True)
         for person in ids[np.sort(firsts)].tolist():
             if person != UNTRACKED:
-                shown = ids == person
-                stamps = block.stamps[owners[shown]]
+                is_theirs = ids == person
+                stamps = block.stamps[owners[is_theirs]]
                 presence = self.people.setdefault(person, Presence(int(stamps[0]), int(stamps[0])))
-                presence.add(stamps, unseen[shown])
+                presence.add(stamps, unseen[is_theirs])
 
     def delay(self, share: float) -> float:
         """Return the delay, s, that a share of the results, %, have at most; there are some."""

@@ -270,7 +270,7 @@ def _of_bag(path: Path, parts: Iterable[Path], fault: str) -> Overview:
                 stamps.setdefault(topic, [])
             for topic, time in found:
                 stamps[topic].append(time)
-    times = [time for each in stamps.values() for time in each]
+    times = [time for times_of in stamps.values() for time in times_of]
     return Overview(
         path=str(path),
         kind="other",
@@ -278,8 +278,10 @@ def _of_bag(path: Path, parts: Iterable[Path], fault: str) -> Overview:
         megabytes=_size(path) / 1e6,
         has_checksums=False,
         channels=tuple(
-            _channel_row(name, encoding, len(each), (min(each), max(each)) if each else None)
-            for name, each in sorted(stamps.items())
+            _channel_row(
+                name, encoding, len(times_of), (min(times_of), max(times_of)) if times_of else None
+            )
+            for name, times_of in sorted(stamps.items())
         ),
         fault=fault,
     )

@@ -153,9 +153,9 @@ def _lanes(content: Content) -> Any:
     It shows whatever has states, also people who come while it is watched.
     """
     kinds = content.lanes.values()
-    who = ["People in the result"] * (not content.is_raw)
+    in_result = ["People in the result"] * (not content.is_raw)
     faulty = ["when a camera's view is wrong"] * any(kind in FAULTY for kind in kinds)
-    name = "; ".join([*who, *faulty, *["no data"] * ("no data" in kinds)])
+    name = "; ".join([*in_result, *faulty, *["no data"] * ("no data" in kinds)])
     name = name[:1].upper() + name[1:]
     return rrb.StateTimelineView(origin="/", contents="/**", name=name, time_view=_whole())
 
@@ -182,15 +182,15 @@ def person(content: Content) -> rrb.Container:
     tabs = [
         rrb.Vertical(
             _key(),
-            _angles(content, who),
-            _sides(content, "limbs", who, LIMBS, "m"),
-            _error(content, person_part(who))
+            _angles(content, person),
+            _sides(content, "limbs", person, LIMBS, "m"),
+            _error(content, person_part(person))
             if content.has_error
-            else _series(content, "speed", "Speed, m/s", f"/speed/{person_part(who)}"),
+            else _series(content, "speed", "Speed, m/s", f"/speed/{person_part(person)}"),
             row_shares=[0.4 + 0.4 * (len(content.prefixes) == 2), 2, 2, 1],
-            name=f"Person {who}",
+            name=f"Person {person}",
         )
-        for who in content.people
+        for person in content.people
     ]
     return rrb.Horizontal(
         _room(content, "Room", stages=[content.final], aspect=_HALF),
@@ -319,10 +319,10 @@ def _room(
         eye = pose.translation
         if ahead @ (target - eye) > 0:  # else z is not this frame's optical axis
             target, eye = eye + ahead, eye - _BEHIND * ahead
-        for other in content.cameras:  # names hide people, and so does a frustum beside the eye
-            place = content.camera_poses.get(other, pose).translation
+        for camera in content.cameras:  # names hide people, and so does a frustum beside the eye
+            place = content.camera_poses.get(camera, pose).translation
             near = float(np.linalg.norm(place - pose.translation)) < 1.0
-            contents.append(f"- /world/cameras/{other}/{'**' if near else 'name'}")
+            contents.append(f"- /world/cameras/{camera}/{'**' if near else 'name'}")
         if len(content.cameras) > _WIDE_ROOMS:  # the lanes below name the people's colours
             contents += [f"- {path}/name" for stage in stages for path in _paths(content, stage)]
     else:
@@ -351,7 +351,9 @@ def _thin_styles(
 
 
 def _paths(content: Content, stage: str) -> list[str]:
-    return [f"{p}/{stage}/{person_part(who)}" for p in content.prefixes for who in content.people]
+    return [
+        f"{p}/{stage}/{person_part(person)}" for p in content.prefixes for person in content.people
+    ]
 
 
 def _beside_eye(content: Content, eye: Floats, target: Floats) -> list[str]:
@@ -471,11 +473,11 @@ def _key() -> Any:
     return rrb.TextDocumentView(origin=KEY, name="Colours", titlebar=False)
 
 
-def _angles(content: Content, who: int) -> Any:
-    return _sides(content, "angles", who, [f"{joint} flexion" for joint in JOINTS], "°")
+def _angles(content: Content, person: int) -> Any:
+    return _sides(content, "angles", person, [f"{joint} flexion" for joint in JOINTS], "°")
 
 
-def _sides(content: Content, kind: str, who: int, parts: Sequence[str], unit: str) -> Any:
+def _sides(content: Content, kind: str, person: int, parts: Sequence[str], unit: str) -> Any:
     """Return a view per joint or limb, in each its left and its right curve."""
     parts = [part.replace(" ", "_") for part in parts]
     views = [
@@ -483,11 +485,11 @@ def _sides(content: Content, kind: str, who: int, parts: Sequence[str], unit: st
             content,
             f"{kind}/{part}",
             f"{part.capitalize().replace('_', ' ')}, {unit}",
-            f"/{kind}/{person_part(who)}/{part}",
+            f"/{kind}/{person_part(person)}/{part}",
         )
         for part in parts
     ]
-    return rrb.Grid(*views, grid_columns=2, name=f"Person {who}")
+    return rrb.Grid(*views, grid_columns=2, name=f"Person {person}")
 
 
 def _error(content: Content, part: str = "**") -> Any:

@@ -87,7 +87,7 @@ class Curves:
         if not self.people:
             raise ConfigError(f"{self.title}: holds no people")
         if person is None:
-            person = max(self.people, key=lambda who: len(self.people[who].seconds))
+            person = max(self.people, key=lambda number: len(self.people[number].seconds))
         if person not in self.people:
             people = ", ".join(map(str, self.people))
             raise ConfigError(f"{self.title}: no person {person} (there are: {people})")
@@ -144,8 +144,8 @@ def figure_of(curves: Curves, kind: str, person: int | None = None) -> Figure:
 
     Raises ConfigError if there is nobody, or nothing of this kind to plot.
     """
-    who, body = curves.body(person)
-    title = (f"{curves.title}, person {who}", *curves.about, *in_words(body.marks))
+    label, body = curves.body(person)
+    title = (f"{curves.title}, person {label}", *curves.about, *in_words(body.marks))
     return picture_of(grid_of(curves, body, kind), title)
 
 

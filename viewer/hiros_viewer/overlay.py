@@ -29,20 +29,20 @@ def draw_distances(first: Path, second: Path, scenes: list[Scene], stage: str) -
     """
     common = [s for s in scenes[0].stages if s in scenes[1].stages and s == (stage or s)]
     if not common:
-        what = f"the stage {stage!r}" if stage else "a stage"
+        needed = f"the stage {stage!r}" if stage else "a stage"
         raise ConfigError(
-            f"{first} and {second} do not both hold {what}; view overlays two results, or a "
+            f"{first} and {second} do not both hold {needed}; view overlays two results, or a "
             "result and a truth"
         )
     names = [scene.model.marker_names for scene in scenes]
     shared = [name for name in names[0] if name in names[1]]
     if not shared:
         raise ConfigError(f"{first} and {second} share no marker")
-    slots = [[each.index(name) for name in shared] for each in names]
+    slots = [[markers.index(name) for name in shared] for markers in names]
     a, b = (_poses(path, common[-1]) for path in (first, second))
     mine, theirs = simultaneous(a.stamps, b.stamps)
     people = _people(a, mine, slots[0]), _people(b, theirs, slots[1])
-    apart = [joint_distances(*both) for both in zip(*people, strict=True)]
+    apart = [joint_distances(*pair) for pair in zip(*people, strict=True)]
     present = np.array([len(distances) > 0 for distances in apart], bool)
     times = a.times[mine][present]
     for name, of in (("mean", np.mean), ("largest", np.max)):
@@ -69,15 +69,15 @@ def simultaneous(first: Stamps, second: Stamps) -> tuple[Stamps, Stamps]:
     if not (len(first) and len(second)):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     near = nearest_stamps(second, first)
-    same = np.flatnonzero(np.abs(second[near] - first) <= SIMULTANEOUS_NS)
-    _, once = np.unique(near[same], return_index=True)
-    return same[once], near[same][once]
+    simultaneous = np.flatnonzero(np.abs(second[near] - first) <= SIMULTANEOUS_NS)
+    _, once = np.unique(near[simultaneous], return_index=True)
+    return simultaneous[once], near[simultaneous][once]
 
 
 def joint_distances(mine: Floats, theirs: Floats) -> Floats:
     """Distances, m, of all joints of people (P, K, 3) and (Q, K, 3), matched by place."""
-    each = np.linalg.norm(mine[:, None] - theirs[None], axis=-1)
+    apart = np.linalg.norm(mine[:, None] - theirs[None], axis=-1)
     mean = skeleton_distances(mine, theirs)
-    distances = [each[pair] for pair in best_pairs(np.where(mean > MATCH_DISTANCE, np.inf, mean))]
+    distances = [apart[pair] for pair in best_pairs(np.where(mean > MATCH_DISTANCE, np.inf, mean))]
     flat = np.concatenate(distances) if distances else np.zeros(0)
     return np.asarray(flat[~np.isnan(flat)])

@@ -152,14 +152,14 @@ class ViewCheck:
         nearest(people[rows_between(rows)], poses, indices, metres)
         self.seen += int((metres < MATCH_DISTANCE).sum())
         self.people += len(metres)
-        same = plain < MATCH_DISTANCE
+        near = plain < MATCH_DISTANCE
         total, n = (
-            np.bincount(frames[same], weights, len(rows)) for weights in (1000 * plain[same], None)
+            np.bincount(frames[near], weights, len(rows)) for weights in (1000 * plain[near], None)
         )
         distances = np.where(n > 0, total / np.maximum(n, 1), np.nan)
         self.distances.append(distances[n > 0])
-        mirrored = same & (plain > _MIRRORED_M) & (swapped < _MIRRORED_SHARE * plain)
-        return distances, {MIRRORED: mirrored, FAR_OFF: same & ~mirrored & (plain > _FAR_OFF_M)}
+        mirrored = near & (plain > _MIRRORED_M) & (swapped < _MIRRORED_SHARE * plain)
+        return distances, {MIRRORED: mirrored, FAR_OFF: near & ~mirrored & (plain > _FAR_OFF_M)}
 
     def spans(self, detections: Poses, faults: Mapping[str, Flags]) -> Iterator[FaultySpan]:
         """Note the faults of frames; yield those that are over at the last frame."""

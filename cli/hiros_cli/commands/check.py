@@ -66,10 +66,10 @@ def check(
     for_log = {"golden": golden, "tolerances": tolerances, "channel": channel}
     for_suite = {"only": only, "keep": keep, "junit": junit, "markdown": markdown}
     wrong = {**for_log, "cluster": many.cluster} if is_suite else for_suite
-    what = "a suite" if is_suite else "an output; a suite's name ends in .toml"
+    target_kind = "a suite" if is_suite else "an output; a suite's name ends in .toml"
     for name, value in wrong.items():
         if value:
-            raise ConfigError(f"--{name} has no effect on {what} (see hiros check --help)")
+            raise ConfigError(f"--{name} has no effect on {target_kind} (see hiros check --help)")
     target = Path() if is_many else one_log(context, targets[0])
     prepare(quiet=many.quiet or many.json, everything=True)
     if is_suite:

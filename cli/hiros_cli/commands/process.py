@@ -187,14 +187,14 @@ class _Run(NamedTuple):
         """Return where the result of one log goes; refuses what must not be written."""
         from hiros_mcap.outputs import target_kind
 
-        wanted = named or str(beside(source, SUFFIX))
-        kind, target = target_kind(wanted), Path(wanted)
+        name = named or str(beside(source, SUFFIX))
+        kind, target = target_kind(name), Path(name)
         inputs = (source, settings.file, self.reading.extrinsics, self.limbs.limbs)
         saved = self.limbs.save_limbs
         check_outputs((target, kind), (saved, "limb table"), inputs=inputs, force=self.many.force)
         if kind == "log":
             _refuse_other_formats(target)
-        return wanted
+        return name
 
     def options(self, settings: Settings) -> ProcessOptions:
         """Return what is read, run and written; refuses what has no effect."""
@@ -266,10 +266,10 @@ def _one(run: _Run, source: Path, named: str) -> None:
 
     settings, many = run.settings(), run.many
     settings = settings_of(named, settings) if many.quiet else settings.of(named)
-    wanted = run.writing.one
-    target = run.target(Path(source.name) if is_remote(named) else source, settings, wanted)
+    named_output = run.writing.one
+    target = run.target(Path(source.name) if is_remote(named) else source, settings, named_output)
     options = run.options(settings)
-    if wanted is None:
+    if named_output is None:
         _refuse_result(source)
     from hiros_mcap.running.pipeline import process
 
@@ -439,8 +439,8 @@ def _check_effects(system: str, stages: str, limbs: LimbOptions) -> None:
     from hiros_mcap.systems import chain_of, sections_of
 
     if "optimized" not in chain_of(system, stages):
-        what = f"--stages {stages}" if stages else f"--system {system}"
-        unused, why = {field.name for field in fields(limbs)}, f"{what} has no optimizer"
+        choice = f"--stages {stages}" if stages else f"--system {system}"
+        unused, why = {field.name for field in fields(limbs)}, f"{choice} has no optimizer"
     elif "optimize" not in sections_of(system):
         # It calibrates in its own way; the lengths can be saved and given.
         unused = {"limb_window", "two_pass", "solver"}

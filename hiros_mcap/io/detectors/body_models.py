@@ -214,7 +214,9 @@ _SYNONYMS = {
     "smalltoe": "littletoe",
 }
 _CANONICAL = {
-    other: name for name, others in _SYNONYMS.items() for other in (name, *others.split())
+    spelling: name
+    for name, spellings in _SYNONYMS.items()
+    for spelling in (name, *spellings.split())
 }
 _PREFIX = re.compile(r"^(k4abt[ _]?)?joint[ _]+|^mixamorig[:_]?", re.IGNORECASE)
 
@@ -234,9 +236,9 @@ def joints_of(names: Sequence[str]) -> list[Joint]:
     pairs = {(_plain(part), side) for part, side in split}
     joints = []
     for name, (part, side) in zip(names, split, strict=True):
-        other = {"left": "right", "right": "left"}.get(side, "")
+        opposite = {"left": "right", "right": "left"}.get(side, "")
         part = _plain(part)
-        if side and side not in name.lower() and (part, other) not in pairs:
+        if side and side not in name.lower() and (part, opposite) not in pairs:
             part, side = _plain(name), ""
         joints.append((_CANONICAL.get(part, part), side))
     return joints

@@ -139,8 +139,8 @@ def converted(reader: McapReader, selection: Selection) -> McapReader:
 def of_people(reader: McapReader, selects: Callable[[str], bool]) -> list[ChannelInfo]:
     """Return the wanted channels with messages of the types that readers take; no transforms."""
     types = _types()
-    some = (i for i in channels_of(reader) if i.count and type_of(i) in types)
-    return [info for info in some if not is_transforms(info) and selects(info.topic)]
+    infos = (i for i in channels_of(reader) if i.count and type_of(i) in types)
+    return [info for info in infos if not is_transforms(info) and selects(info.topic)]
 
 
 def is_transforms(info: ChannelInfo) -> bool:
@@ -160,11 +160,11 @@ def _sources(reader: McapReader, selection: Selection) -> list[InputChannel]:
     """Return the channels that may show people, and those that are copied as they are."""
     types = _types()
     infos = [i for i in channels_of(reader) if i.count and type_of(i) in types]
-    wanted = readable(of_people(reader, selection.selects), ENCODINGS)
+    selected_infos = readable(of_people(reader, selection.selects), ENCODINGS)
     sources = []
     for info in infos:
         moves = is_transforms(info)
-        selected = info in wanted
+        selected = info in selected_infos
         copied = type_of(info) == SKELETONS and info.encoding in ENCODINGS
         if selected or (moves and is_transform_topic(info.topic)) or copied:
             sources.append(source_of(reader, info, selected=selected))
@@ -232,7 +232,7 @@ def _probe(
     for group in [*groups, transforms] if transforms else groups:
         readers = [kind() for kind in detector_readers()]
         models = _models_of(reader, group, readers)
-        hints += (each.hint for each in readers if each.hint)
+        hints += (reader.hint for reader in readers if reader.hint)
         if models:
             layouts |= {source.info.topic: models for source in group}
     return layouts, hints
@@ -300,8 +300,8 @@ class Conversion:
         """Write the log; a message that cannot be decoded is counted."""
         messages = self._reader.messages(self._sources)
         rewritten = (self.rewritten(self._sources[m.channel_id], m) for m in messages)
-        for some in chain(rewritten, [self.rest()]):
-            for topic, kind, log_time, data in some:
+        for outgoing in chain(rewritten, [self.rest()]):
+            for topic, kind, log_time, data in outgoing:
                 writer.write(self._channel(writer, topic, kind), log_time, data)
 
     def rewritten(self, source: InputChannel, message: Message) -> Iterator[RosMessage]:
@@ -314,10 +314,10 @@ class Conversion:
         copies = moves or not source.selected or self._fits_target(source)
         reads = source.selected and (moves or not copies)
         try:
-            given = source.message(message)
-            people = _read(self._readers, given) if reads else None
-            if copies and not (moves and people is not None and _is_of_one_body(given.cdr)):
-                yield RosMessage(topic, source.type, message.log_time, bytes(given.cdr))
+            converted = source.message(message)
+            people = _read(self._readers, converted) if reads else None
+            if copies and not (moves and people is not None and _is_of_one_body(converted.cdr)):
+                yield RosMessage(topic, source.type, message.log_time, bytes(converted.cdr))
         except LogError as error:
             self.faulty[topic] += 1
             self.first.setdefault(topic, error.fault)
@@ -385,8 +385,8 @@ class Conversion:
                 if source.needs_conversion:
                     key = source.info.schema, _named(model)
                     topics.setdefault(key, {})[topic] = None
-        for (schema, name), some in topics.items():
-            yield f"{', '.join(some)}: {schema} read as skeletons ({name})"
+        for (schema, name), of_model in topics.items():
+            yield f"{', '.join(of_model)}: {schema} read as skeletons ({name})"
         yield from self._fusion()
         for topic, missing in self._missing.items():
             names = ", ".join([*missing][:_LISTED]) + (", ..." if len(missing) > _LISTED else "")

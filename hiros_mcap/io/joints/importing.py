@@ -228,8 +228,8 @@ def _tall(row: dict[str, str], time: float, mapping: FileMapping, where: str) ->
 def _json_rows(path: Path, mapping: FileMapping, warn: Warn) -> Iterator[JointRow]:
     c = mapping.columns
     for where, number, frame in _instants(path, mapping):
-        given = _object(frame, where).get(mapping.time.column)
-        time = _time(None if given is None else str(given), number, mapping, where)
+        stamp = _object(frame, where).get(mapping.time.column)
+        time = _time(None if stamp is None else str(stamp), number, mapping, where)
         people = _list(frame.get(c.people), c.people, where)
         if people and isinstance(people[0], dict) and c.x in people[0]:
             people = [people]  # the joints of the only person
@@ -238,16 +238,16 @@ def _json_rows(path: Path, mapping: FileMapping, warn: Warn) -> Iterator[JointRo
             yield JointRow(time, "", "", _NOWHERE, math.nan, camera)
         for index, person in enumerate(people):
             joints = _object({c.joints: person} if isinstance(person, list) else person, where)
-            who = str(joints.get(c.person, joints.get("id", index)))
-            each = joints.get(c.confidence)  # of the person's joints, beside them
+            person = str(joints.get(c.person, joints.get("id", index)))
+            confidences = joints.get(c.confidence)  # of the person's joints, beside them
             named = [*_named(joints.get(c.joints), mapping, where)]
             if not named:
-                yield JointRow(time, who, "", _NOWHERE, math.nan, camera)
+                yield JointRow(time, person, "", _NOWHERE, math.nan, camera)
             for k, (name, values) in enumerate(named):
                 x, y, z, sure = _four(values, c, where)
-                if isinstance(each, list) and k < len(each):
-                    sure = number_of("" if each[k] is None else str(each[k]), where)
-                yield _row(time, who, name, (x, y, z), sure, mapping)._replace(camera=camera)
+                if isinstance(confidences, list) and k < len(confidences):
+                    sure = number_of("" if confidences[k] is None else str(confidences[k]), where)
+                yield _row(time, person, name, (x, y, z), sure, mapping)._replace(camera=camera)
 
 
 def _camera(instant: dict[str, Any], key: str, where: str) -> str:
@@ -285,12 +285,12 @@ def _numbered(folder: Path, *, is_time: bool) -> list[tuple[int, Path]]:
     names = [re.split(r"(\d+)", file.stem) for file in files]  # text, digits, text, ...
     first = next(iter(names), [])
     differ = [k for k in range(len(first)) if any(name[k : k + 1] != [first[k]] for name in names)]
-    other = next((k for k, name in enumerate(names) if name[::2] != first[::2]), None)
-    if other is None and len(differ) > 1 and is_time:
-        other = next(k for k, name in enumerate(names) if name[differ[0]] != first[differ[0]])
-    if other is not None:
+    stray = next((k for k, name in enumerate(names) if name[::2] != first[::2]), None)
+    if stray is None and len(differ) > 1 and is_time:
+        stray = next(k for k, name in enumerate(names) if name[differ[0]] != first[differ[0]])
+    if stray is not None:
         raise ConfigError(
-            f"{folder}: holds several series, as {files[0].name} and {files[other].name} show; "
+            f"{folder}: holds several series, as {files[0].name} and {files[stray].name} show; "
             "import a folder for each camera"
         )
     numbers = [[int(digits) for digits in name[1::2]] for name in names]
@@ -506,14 +506,14 @@ def _seen(
     zeros: Counter[str] = Counter()
     for time in sorted(instants):
         people = {}
-        for who, joints in instants[time].items():
-            seen = {joint: row for joint, row in joints.items() if any(row.position)}
-            if not all(any(map(math.isnan, row.position)) for row in seen.values()):
-                people[who] = seen
-                zeros.update(joint for joint in joints if joint not in seen)
+        for person, joints in instants[time].items():
+            placed = {joint: row for joint, row in joints.items() if any(row.position)}
+            if not all(any(map(math.isnan, row.position)) for row in placed.values()):
+                people[person] = placed
+                zeros.update(joint for joint in joints if joint not in placed)
         stamp = round((start + time) * 1e9)
         frame = Frame.empty(len(people), model, stamp=stamp, source=camera, frame_id=frame_id)
-        frame.ids[:] = [ids[who] for who in people]
+        frame.ids[:] = [ids[person] for person in people]
         for k, joints in enumerate(people.values()):
             for name, row in joints.items():
                 frame.markers[k, slots[name], POSITION] = row.position
@@ -540,8 +540,8 @@ def _names(path: Path, joints: Iterable[str], renamed: Mapping[str, str]) -> lis
 
 def _start(path: Path, first: float, last: float, mapping: TimeMapping) -> float:
     """Return what is added to the times of a file, s."""
-    given = mapping.start
-    start = given.timestamp() if isinstance(given, datetime) else float(given)
+    begin = mapping.start
+    start = begin.timestamp() if isinstance(begin, datetime) else float(begin)
     if start == 0.0 and abs(first) < _RELATIVE:
         start = RELATIVE_START
     start += mapping.offset
@@ -561,8 +561,8 @@ def _check_size(path: Path, frames: Iterable[Frame], mapping: FileMapping) -> No
     unit, said = str(mapping.unit), ""
     if path.suffix.lower() in MARKER_FILES and not _unit_set(mapping):
         unit, said = MARKER_FILES[path.suffix.lower()](path).unit, ", as the file says"
-    given = size / METRES[unit]
-    units = [name for name, metres in METRES.items() if _USUAL[0] <= given * metres <= _USUAL[1]]
+    in_file = size / METRES[unit]
+    units = [name for name, metres in METRES.items() if _USUAL[0] <= in_file * metres <= _USUAL[1]]
     remedy = f'write unit = "{units[0]}"' if units else "correct the unit"
     raise ConfigError(
         f"{path}: people are {size:.3g} m large if its unit is {unit}{said}; {remedy} in the "

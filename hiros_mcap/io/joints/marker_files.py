@@ -52,8 +52,8 @@ def read_trc(path: Path, unit: str = "") -> Markers:
     lines = text.splitlines()
     if len(lines) < 5 or not lines[0].lstrip(' "').startswith("PathFileType"):
         raise ConfigError(f"{path}: not a TRC file: the first line is not PathFileType")
-    header, given = _trc_header(*lines[1:3])
-    unit = unit or _length(given, f"{path}: line 3")
+    header, unit_name = _trc_header(*lines[1:3])
+    unit = unit or _length(unit_name, f"{path}: line 3")
     delimiter = next((d for d in "\t;," if d in lines[3]), None)
     names = [name for name in _stripped(lines[3].split(delimiter))[2:] if name]
     if not names:
@@ -171,15 +171,15 @@ def read_c3d(path: Path, unit: str = "") -> Markers:
     file = open_c3d(path)
     point, points = file["parameters"]["POINT"], file["data"]["points"]
     labels = [label.strip() for label in _listed(point, "LABELS")][: points.shape[1]]
-    others = {label.strip() for name in _NO_MARKERS for label in _listed(point, name)}
-    given = (point.get("UNITS", {}).get("value") or ["mm"])[0].strip() or "mm"
-    unit = unit or _length(given, f"{path}: POINT:UNITS")
+    no_markers = {label.strip() for name in _NO_MARKERS for label in _listed(point, name)}
+    unit_name = (point.get("UNITS", {}).get("value") or ["mm"])[0].strip() or "mm"
+    unit = unit or _length(unit_name, f"{path}: POINT:UNITS")
     rate = float((point.get("RATE", {}).get("value") or [0.0])[0])
     if not rate > 0:
         raise ConfigError(f"{path}: POINT:RATE is {rate:g}, so its frames have no times")
     columns: dict[tuple[str, str], int] = {}
     for k, label in enumerate(labels):
-        if not label or label in others or label.startswith("*"):
+        if not label or label in no_markers or label.startswith("*"):
             continue
         person, _, name = label.rpartition(":")
         if (person, name) in columns:
@@ -229,8 +229,8 @@ def _listed(point: Any, name: str) -> list[str]:
     """Return the texts of a parameter of points and of those that continue it."""
     texts = list(point.get(name, {}).get("value") or [])
     number = 2
-    while more := point.get(f"{name}{number}", {}).get("value"):
-        texts += more
+    while labels := point.get(f"{name}{number}", {}).get("value"):
+        texts += labels
         number += 1
     return texts
 

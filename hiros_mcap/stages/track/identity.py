@@ -112,7 +112,8 @@ class Identities:
         if verdict.probability >= THRESHOLD and verdict.person in have_left:
             self._join(track, verdict.person, scene)
             del track.may_be[verdict.person]
-            for may_be in [known.may_be for known in (*self._absent, *scene.persons)]:
+            known = [old.may_be for old in self._absent]
+            for may_be in [*known, *[person.may_be for person in scene.persons]]:
                 if verdict.person in may_be:
                     may_be[track.id] = may_be.pop(verdict.person)
             detail = f"as person {verdict.person}, who left before; by {verdict}"
