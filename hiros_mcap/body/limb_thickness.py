@@ -20,8 +20,8 @@ _CIRCUMFERENCES = {
     for circumference, names in (
         (0.575, "head nose eye ear"),  # not in that table: the middle of the sizes of hats
         (0.380, "neck spineshoulder"),
+        (0.926, "spine"),  # of the abdomen
         (1.008, "chest thorax"),
-        (0.926, "spine"),
         (0.999, "pelvis midhip spinebase"),
         (0.594, "hip"),  # of the thigh
         (0.323, "clavicle shoulder"),  # of the biceps
@@ -33,7 +33,8 @@ _CIRCUMFERENCES = {
     )
     for name in names.split()
 }
-"""Part of a marker's name -> circumference there, m; the longest part that fits counts."""
+"""Part of a marker's name -> circumference there, m; the longest part that fits counts,
+of two the first."""
 
 
 def capsules_of(model: SkeletonModel) -> Capsules:
