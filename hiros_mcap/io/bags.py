@@ -1,4 +1,4 @@
-"""Bags and recordings of several files: read as one MCAP file, or recovered to one.
+"""Bags and recordings of several files, read as one MCAP file.
 
 hiros reads one MCAP file. The skeletons and transforms of any other recording become one in memory:
 ROS 2 messages byte for byte, ROS 1 messages as ROS 2 messages of the same fields, by the rosbags
@@ -7,11 +7,9 @@ library. Its chunks are compressed, so that it takes as much memory as the file.
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import hiros_schemas
@@ -24,9 +22,7 @@ from hiros_mcap.io.bag_files import (
     is_recording,
     kind_of,
     other_parts,
-    unpacked_name,
 )
-from hiros_mcap.io.bag_tables import Bag, append_bag, open_bag, recover_bag
 from hiros_mcap.io.channels import HUMANS, OTHER_FILES
 from hiros_mcap.io.container import (
     McapReader,
@@ -35,14 +31,9 @@ from hiros_mcap.io.container import (
     RecoveringReader,
     Recovery,
 )
-from hiros_mcap.io.container.file import MAX_WINDOW, LogFile
-from hiros_mcap.io.container.losses import RECOVERY_METADATA, Damage, Lost, joined
 from hiros_mcap.io.container.reader import MEMORY
 from hiros_mcap.io.detectors import detector_readers
-from hiros_mcap.outputs import (
-    add_block,
-    check_outputs,
-)
+from hiros_mcap.io.joining import Everything, Part, join, open_part, topics_of
 from hiros_mcap.wording import quantity
 
 _LISTED = 6
@@ -73,49 +64,6 @@ def _shows_people(name: str) -> bool:
     return short.startswith(HUMANS) or (short in _wanted() and short not in transforms)
 
 
-@contextmanager
-def open_part(path: Path, *, recover: bool = False) -> Iterator[McapReader | Bag]:
-    """Open a file of a recording: an MCAP, a SQLite or ROS 1 bag; or one compressed with zstd.
-
-    Raises LogError.
-    """
-    kind, file = kind_of(path), path
-    with ExitStack() as stack:
-        if "zstd" in kind:
-            file = stack.enter_context(_unzipped(path, kind, recover=recover))
-            kind = kind_of(file)
-        if kind:
-            yield stack.enter_context(open_bag(file, kind, path))
-            return
-        log_file = LogFile(file)
-        log_file.path = path
-        yield stack.enter_context((RecoveringReader if recover else McapReader)(log_file))
-
-
-@contextmanager
-def _unzipped(path: Path, kind: str, *, recover: bool) -> Iterator[Path]:
-    """Yield a temporary copy of what is in a zstd file, as much as there is with ``recover``."""
-    import zstandard
-
-    with tempfile.TemporaryDirectory(prefix="hiros-") as folder:
-        target = Path(folder) / unpacked_name(path.name)
-        unpacker = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW)
-        frame = unpacker.decompressobj()
-        try:
-            with path.open("rb") as packed, target.open("wb") as copy:
-                while block := packed.read(1 << 12):  # bytes: zstd may make 100 MB of them
-                    while block:
-                        frame = unpacker.decompressobj() if frame.eof else frame
-                        add_block(copy, frame.decompress(block), path)
-                        block = frame.unused_data
-            fault = "" if frame.eof else "it ends within a frame"
-        except (zstandard.ZstdError, OSError) as error:
-            fault = str(error)
-        if fault and not recover:
-            raise LogError(f"is {kind} that cannot be read: {fault}", path=path)
-        yield target
-
-
 class MemoryReader(McapReader):
     """Reads an MCAP in memory that was made of another recording.
 
@@ -143,8 +91,8 @@ class MemoryReader(McapReader):
         return self.checked
 
 
-class _Choice:
-    """Which messages of a recording are taken over: those of people, or a wanted topic.
+class _People(Everything):
+    """The choice of the messages of people, or of a wanted topic.
 
     Attributes
     ----------
@@ -163,11 +111,11 @@ class _Choice:
         self.recovery = Recovery()
         self._listed: dict[str, None] = {}
 
-    def of(self, part: McapReader | Bag) -> list[int]:
+    def of(self, part: Part) -> list[int]:
         """Return the ids of a file's channels, or topics, that are taken over."""
         taken = []
         self.checked &= isinstance(part, McapReader) and part.has_checksums
-        for ident, topic, name, n in _topics(part):
+        for ident, topic, name, n in topics_of(part):
             self.counts[topic] += n
             self.shows_people |= isinstance(part, McapReader) or _shows_people(name)
             self._listed[f"{topic} ({name or 'no type'})"] = None
@@ -178,22 +126,17 @@ class _Choice:
                 self.left_out[topic] = name or "no type", before + n
         return taken
 
+    def finish(self, part: Part, path: Path, writer: McapWriter) -> None:
+        """Keep the remarks on a file."""
+        packed = [PACKED_FILES] if "zstd" in kind_of(path) else []
+        self.remarks.update(dict.fromkeys([*packed, *part.remarks]))
+
     def check(self, path: Path) -> None:
         """Raise LogError if nothing can show people."""
         if not self.shows_people:
             topics = ", ".join(sorted(self._listed)) or "none"
             fault = f"has no SkeletonGroup topic; {OTHER_FILES}"
             raise LogError(fault, path=path, listing=f"it has {topics}")
-
-
-def _topics(part: McapReader | Bag) -> Iterator[tuple[int, str, str, int]]:
-    """Yield the id, topic, type and number of messages of each channel of a file."""
-    if not isinstance(part, McapReader):
-        yield from ((topic.id, topic.name, topic.type, topic.n_messages) for topic in part.topics)
-        return
-    for channel in part.channels.values():
-        schema = part.schema(channel)
-        yield channel.id, channel.topic, schema.name if schema else "", part.counts[channel.id]
 
 
 def open_recording(
@@ -230,10 +173,10 @@ def _read_parts(
     path: Path, parts: Sequence[Path], recover: bool, memory: int, topic: str
 ) -> tuple[McapReader, Counter[str]]:
     """Read a recording into memory; return also how many messages its topics have."""
-    choice = _Choice(topic)
+    choice = _People(topic)
 
     def write(writer: McapWriter) -> None:
-        choice.recovery = join(parts, writer, recover=recover, choice=choice)
+        choice.recovery = join(parts, writer, choice, recover=recover)
         choice.check(path)
 
     reader = MemoryReader(path, write, memory)
@@ -268,7 +211,7 @@ def transforms_beside(path: Path) -> str:
     names = [file.name for file in path.parent.iterdir()]
     for name in other_parts(path.name, names)[:_LOOKED_INTO]:
         with suppress(LogError), open_part(path.with_name(name)) as part:
-            if any(n and topic.endswith("/tf_static") for _, topic, _, n in _topics(part)):
+            if any(n and topic.endswith("/tf_static") for _, topic, _, n in topics_of(part)):
                 place = f"name the folder {path.parent} instead"
                 if not is_recording(path.parent):
                     place = "join its parts in a folder by `hiros recover FOLDER -o OUT`"
@@ -277,87 +220,3 @@ def transforms_beside(path: Path) -> str:
                     f"{place}"
                 )
     return ""
-
-
-def join(
-    parts: Sequence[Path],
-    writer: McapWriter,
-    *,
-    recover: bool = False,
-    choice: _Choice | None = None,
-) -> Recovery:
-    """Write the content of files, in this order; return what is lost.
-
-    ``choice`` chooses channels of a file; without it, everything is written, attachments and
-    metadata too. Raises LogError, which names the file, if one is damaged; with ``recover``, only
-    if nothing can be read of any.
-    """
-    recoveries: list[tuple[str, Recovery]] = []
-    failed: LogError | None = None
-    for path in parts:
-        name = path.name if len(parts) > 1 else ""
-        try:
-            with open_part(path, recover=recover) as part:
-                chosen = choice.of(part) if choice else [ident for ident, *_ in _topics(part)]
-                found = _append(part, chosen, writer, recover=recover)
-                if choice is None and isinstance(part, McapReader):
-                    writer.append_extras(part)
-                if choice:
-                    packed = [PACKED_FILES] if "zstd" in kind_of(path) else []
-                    choice.remarks.update(dict.fromkeys([*packed, *part.remarks]))
-                recoveries.append((name, found))
-        except LogError as error:
-            if not recover or error.path != path:
-                raise
-            failed = failed or error
-            size = path.stat().st_size if path.is_file() else 0
-            recoveries.append((name, Recovery((Damage(0, size, error.fault, Lost.REST),))))
-    if failed is not None and not any(recovery.recovered for _, recovery in recoveries):
-        raise failed
-    return joined(recoveries)
-
-
-def _append(
-    part: McapReader | Bag, chosen: Sequence[int], writer: McapWriter, *, recover: bool
-) -> Recovery:
-    """Write some channels of a file; return what is lost of it."""
-    if isinstance(part, McapReader):
-        writer.append(part, chosen)
-        return part.recovery or Recovery()
-    topics = [topic for topic in part.topics if topic.id in chosen]
-    if not recover:
-        append_bag(part, topics, writer)
-        return Recovery()
-    return recover_bag(part, topics, writer)
-
-
-def recover(
-    source: str | os.PathLike[str], target: str | os.PathLike[str], *, force: bool = False
-) -> Recovery:
-    """Write everything that can be read of a recording to one indexed MCAP file with checksums.
-
-    Messages keep their bytes, times and numbers. A metadata record, ``hiros.recovery``, marks the
-    file if anything was damaged.
-
-    Parameters
-    ----------
-    source : an MCAP file, a SQLite bag, or a folder with the files of one recording.
-    target : the output.
-    force : replace a file that hiros did not write.
-
-    Raises
-    ------
-    LogError
-        nothing can be read; ``source`` is a bag of another kind; ``target`` cannot be written.
-    """
-    path, out = Path(source), Path(target)
-    parts = files_of(path, recover=True).parts
-    if (kind := kind_of(path)) == "a ROS 1 bag":
-        raise LogError(f"is {kind}; hiros recovers MCAP files and SQLite bags", path=path)
-    check_outputs([(out, "log")], [path], force=force)
-    with McapWriter(out, inputs=parts) as writer:
-        recovery = join(parts, writer, recover=True)
-        if recovery.damages:
-            writer.add_metadata(RECOVERY_METADATA, recovery.metadata())
-        writer.commit()
-    return recovery

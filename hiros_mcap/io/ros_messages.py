@@ -17,9 +17,9 @@ import hiros_schemas
 from hiros_mcap.errors import ConfigError, LogError, naming
 from hiros_mcap.io.bag_files import files_of
 from hiros_mcap.io.bag_tables import Bag
-from hiros_mcap.io.bags import open_part
 from hiros_mcap.io.channels import channels_of
 from hiros_mcap.io.container import McapReader
+from hiros_mcap.io.joining import open_part
 from hiros_mcap.io.ros_cdr import Bytes as Cdr
 from hiros_mcap.io.ros_cdr import RosMessage, decoder_of, ros2_types
 from hiros_mcap.skeletons import Floats

@@ -17,7 +17,6 @@ import hiros_schemas
 from hiros_mcap.config import load_config, presets_of, to_toml, without_constants
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.bag_files import files_of, kind_of
-from hiros_mcap.io.bags import open_part
 from hiros_mcap.io.camera_clock import clock_verdict, clocks_in_words
 from hiros_mcap.io.channels import (
     EVENTS_ATTACHMENT,
@@ -32,6 +31,7 @@ from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.container.file import Table
 from hiros_mcap.io.container.records import Bytes
 from hiros_mcap.io.detectors.conversion import Selection
+from hiros_mcap.io.joining import open_part
 from hiros_mcap.io.log import Log, Reading, open_log, open_reader
 from hiros_mcap.io.result import stored_parameters, stored_report, values_of
 from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP

@@ -17,7 +17,7 @@ import hiros_schemas
 from hiros_cli.app import run
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.bag_files import are_splits
-from hiros_mcap.io.bags import recover
+from hiros_mcap.io.joining import recover
 from hiros_mcap.io.log import open_log
 from hiros_mcap.many.find import are_many, find_logs
 from hiros_mcap.running.overview import overview_of

@@ -36,7 +36,7 @@ def recover(
     target = beside(source, SUFFIX) if output is None else output
     check_outputs((target, "log"), inputs=(source,), force=force)
     prepare(quiet=quiet)
-    from hiros_mcap.io.bags import recover as write
+    from hiros_mcap.io.joining import recover as write
 
     with bar(f"recovering {source.name}", quiet=quiet):
         recovery = write(source, target, force=force)
