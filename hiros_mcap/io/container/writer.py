@@ -36,12 +36,43 @@ Numbered = tuple[int, int, int, int, r.Bytes]
 
 
 class OpenChunk:
-    """The chunk that is being filled, by the background thread alone."""
+    """The chunk that is being filled, by the background thread alone.
+
+    The next chunk takes its room: bytes that grow are copied again and again on their way.
+    """
 
     def __init__(self) -> None:
-        self.records = bytearray()
+        self._room = memoryview(bytearray())
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin the next chunk."""
+        self.size = 0
         self.index: dict[int, list[tuple[int, int]]] = {}
         self.start_time, self.end_time = 2**64, 0
+
+    @property
+    def records(self) -> memoryview:
+        """Of the chunk, until it is cleared."""
+        return self._room[: self.size]
+
+    def add(
+        self, channel_id: int, number: int, log_time: int, published: int, data: r.Bytes
+    ) -> None:
+        """Append a message."""
+        begin = self.size + _MESSAGE.size
+        end = begin + len(data)
+        if end > len(self._room):
+            records, self._room = self.records, memoryview(bytearray(end + end // 8))
+            self._room[: self.size] = records
+        size = end - self.size - r.HEAD.size
+        head = Opcode.MESSAGE, size, channel_id, number, log_time, published
+        _MESSAGE.pack_into(self._room, self.size, *head)
+        self._room[begin:end] = data
+        self.index.setdefault(channel_id, []).append((log_time, self.size))
+        self.start_time = min(self.start_time, log_time)
+        self.end_time = max(self.end_time, log_time)
+        self.size = end
 
 
 class McapWriter:
@@ -357,24 +388,16 @@ class McapWriter:
 
     def _add(self, messages: Iterable[Numbered]) -> None:
         """Put messages into the chunk."""
-        for channel_id, number, log_time, published, data in messages:
-            batch, at = self._batch, len(self._batch.records)
-            size = _MESSAGE.size - r.HEAD.size + len(data)
-            batch.records += _MESSAGE.pack(
-                Opcode.MESSAGE, size, channel_id, number, log_time, published
-            )
-            batch.records += data
-            batch.index.setdefault(channel_id, []).append((log_time, at))
-            batch.start_time = min(batch.start_time, log_time)
-            batch.end_time = max(batch.end_time, log_time)
-            if len(batch.records) >= self._chunk_size:
+        for message in messages:
+            self._batch.add(*message)
+            if self._batch.size >= self._chunk_size:
                 self._flush()
 
     def _flush(self) -> None:
         """Write the chunk, and begin the next one."""
         if self._batch.index:
             self._emit_batch(self._batch)
-            self._batch = OpenChunk()
+            self._batch.clear()
 
     def _emit_batch(self, batch: OpenChunk) -> None:
         times, data = (batch.start_time, batch.end_time), batch.records
