@@ -16,7 +16,7 @@ from hiros_mcap.errors import HirosError
 from hiros_mcap.kernels import cache_folder, folder_of, shipped
 from hiros_mcap.kernels.array_types import F1
 from hiros_mcap.kernels.bytes import load32
-from hiros_mcap.kernels.compile import EntryKernel, entry
+from hiros_mcap.kernels.compile import EntryKernel, entry, kernel
 from hiros_mcap.kernels.machine_code import MachineCode, load, read, write
 from hiros_mcap.kernels.record_index import _walk
 
@@ -25,6 +25,15 @@ def number(numbers: F1, first: int) -> float:
     if first >= len(numbers):
         raise ValueError("there is none")
     return numbers[first]
+
+
+@kernel
+def successor(numbers, k):
+    return numbers[k] + 1.0
+
+
+def successors(numbers: F1) -> float:
+    return successor(numbers, 0) + successor(numbers, 1) + successor(numbers, len(numbers) - 1)
 
 
 @pytest.fixture(scope="module")
@@ -150,6 +159,15 @@ def test_a_file_holds_what_was_written(tmp_path):
     assert read(folder / "none", "k") is None
     assert [path.name for path in folder.iterdir()] == ["k"]
     assert folder.stat().st_mode & 0o022 == 0
+
+
+@pytest.mark.usefixtures("compiled")
+def test_a_kernel_is_compiled_once_for_all_numbers_that_it_is_called_with():
+    from numba.core import event
+
+    with event.install_recorder("numba:compile") as compilations:
+        assert entry(successors)(np.array([1.0, 2.0, 3.0])) == 9.0
+    assert sum(happened.is_start for _, happened in compilations.buffer) == 2
 
 
 def test_an_operation_is_for_kernels_only():

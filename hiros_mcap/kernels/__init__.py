@@ -32,8 +32,8 @@ _ENTRY = re.compile(r"^@entry\b.*\ndef (\w+)", re.MULTILINE)
 _IMPORT = re.compile(r"^from (hiros_mcap[\w.]*) import (?:\(([^)]*)\)|(.*)$)", re.MULTILINE)
 _PACKAGE = Path(__file__).parent.parent
 _OF_OTHERS = (
-    *("stages.filter.butterworth", "stages.lee.clustering", "stages.merge.merging"),
-    *("stages.optimize.energy", "stages.optimize.optimizing"),
+    *("kernels.drawing", "stages.filter.butterworth", "stages.lee.clustering"),
+    *("stages.merge.merging", "stages.optimize.energy", "stages.optimize.optimizing"),
 )
 """Below hiros_mcap: what neither fuse nor fuse-realtime runs."""
 _PLACES = ("kernels/*.py", "calibrate/*.py", "stages/*.py", "stages/*/*.py")

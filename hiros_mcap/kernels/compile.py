@@ -109,9 +109,18 @@ def _numba(function: FunctionType, **options: Any) -> Any:
     four times as fast.
     """
     import numba
+    from numba import types
 
     njit: Any = numba.njit
-    return njit(error_model="numpy", _nrt=False, no_cfunc_wrapper=True, **options)(function)
+    compiled = njit(error_model="numpy", _nrt=False, no_cfunc_wrapper=True, **options)(function)
+    choose = compiled.get_call_template
+
+    def choose_alike(arguments: Any, names: Any) -> Any:
+        """Choose what is compiled for a call; not anew for each number that stands in one."""
+        return choose([*map(types.unliteral, arguments)], names)
+
+    compiled.get_call_template = choose_alike
+    return compiled
 
 
 def _numba_type(kind: Any) -> Any:
