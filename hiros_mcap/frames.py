@@ -114,8 +114,11 @@ class Block:
     def select(self, frames: slice | Sequence[int] | Stamps) -> Block:
         """Return some of the frames, of the same arrays."""
         chosen = frames if isinstance(frames, slice) else np.asarray(frames, np.int64)
-        names = "stamps", "log_times", "sources", "frame_ids", "rows"
-        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
+        return Block(
+            self.stamps[chosen], self.log_times[chosen], self.sources[chosen],
+            self.frame_ids[chosen], self.names, self.rows[chosen],
+            self.people, self.uncertainty, self.doubts,
+        )  # fmt: skip
 
     def logged_at(self, log_times: Stamps | Sequence[int]) -> Block:
         """Return the same frames with other log times, (N,) ns."""

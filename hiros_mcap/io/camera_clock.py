@@ -635,15 +635,13 @@ def _common(seconds: Stamps, table: Floats) -> Floats:
 
     Of two cameras, it is the one whose lags change less.
     """
-    lags = table - np.nanmedian(table, axis=1, keepdims=True)
+    present = ~np.isnan(table)
+    lags = table - _middle(table, present.sum(axis=1))[:, None]
     if len(table) == 2:
         steady = int(np.argmin([abs(_line(seconds, row)[0]) for row in lags]))
         return np.asarray(lags[steady])
-    present = ~np.isnan(lags)
-    common = np.full(lags.shape[1], np.nan)
-    for k in np.flatnonzero(present.sum(axis=0) > 1):
-        common[k] = np.median(lags[present[:, k], k])
-    return common
+    counts = present.sum(axis=0)
+    return np.where(counts > 1, _middle(lags.T, counts), np.nan)
 
 
 def _slope(seconds: Stamps, lags: Floats) -> float:

@@ -74,6 +74,7 @@ class LookAhead:
             block = self._blocks.popleft()
             if len(block) > n:
                 self._blocks.appendleft(block.select(slice(n, None)))
-            parts.append(block.select(slice(n)))
+                block = block.select(slice(n))
+            parts.append(block)
             n -= len(block)
         return parts[0] if shared and len(parts) == 1 else join(parts, widths=(width, width))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -15,7 +16,7 @@ from hiros_mcap.skeletons import Stamps
 
 _USUAL_DELAY = 100_000_000  # ns: how late cameras are taken to be before any was late
 # Of Lateness.
-SHARE = 97.0  # %
+SHARE = 0.97  # of the messages of a camera
 _MEMORY = 10_000_000_000  # ns
 _EVERY = 10  # messages of a camera after which its lateness is found again
 _TOLERATED, _FAST = 40_000_000, 30_000_000
@@ -206,8 +207,8 @@ class _Camera:
         self.count += 1
         if self.count % _EVERY:
             return False
-        usual = np.percentile([some for _, some in self.late], SHARE, method="higher")
-        self.usual = int(usual)
+        ordered = sorted([some for _, some in self.late])
+        self.usual = ordered[math.ceil((len(ordered) - 1) * SHARE)]
         self.period = (log_time - self.late[0][0]) / max(len(self.late) - 1, 1)
         return True
 
@@ -236,7 +237,9 @@ class Lateness:
     def take(self, stamp: int, source: str, log_time: int) -> int:
         """Take note of a message; return how long messages wait from now on, ns."""
         self._latest = max(self._latest, stamp)
-        camera = self._cameras.setdefault(source, _Camera())
+        if source not in self._cameras:
+            self._cameras[source] = _Camera()
+        camera = self._cameras[source]
         if not camera.add(log_time, self._latest - stamp):
             return self.wait
         heard = [c for c in self._cameras.values() if log_time - c.late[-1][0] <= _MEMORY]

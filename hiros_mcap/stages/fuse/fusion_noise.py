@@ -123,7 +123,7 @@ class FusionNoise:
 
     def _limits(self, views: Sightings, n_cameras: int) -> Floats:
         """(C,) Confidence below which each camera's detector guesses."""
-        best = np.nan_to_num(views.confidences).max(axis=1, initial=0.0)
+        best = np.fmax.reduce(views.confidences, axis=1, initial=0.0)
         counts = np.bincount(views.cameras, minlength=n_cameras)
         means = np.bincount(views.cameras, best, n_cameras) / np.maximum(counts, 1)
         return np.minimum(GUESSED_BELOW, GUESSED_SHARE * means)

@@ -34,7 +34,7 @@ _RENEWED = 500_000_000  # ns; poses stay as they are, so each instant need not b
 _MOST = 25.0
 """Observed over assumed variance of a person in a window. A larger one is a confused identity."""
 _REMEMBERED = 1000  # persons in windows
-_PIECE = 4096  # people whose markers are looked at together: all at once would take much memory
+_PIECE = 1 << 17  # markers that are looked at together: all at once would take much memory
 
 
 class PoseError:
@@ -119,25 +119,27 @@ class PoseError:
         """
         places = places_of(names, self._places)
         is_placed = ~np.isnan(places[:, 0])
-        places = np.nan_to_num(places)
+        squares = np.where(is_placed, (places**2).sum(axis=1), REFERENCE**2)
         errors = np.array([self._errors.get(name, 0.0) for name in names])
         is_refined = np.array(
             [self._placement is not None and name in self._refined for name in names]
         )
-        out = np.empty(seen.shape)
-        for first in range(0, len(seen), _PIECE):
+        alone = np.where(is_refined, errors**2 / _AXES, self.ratio * self._assumed(1, squares))
+        near = ~is_refined & is_placed
+        # What is summed over the cameras that see a marker. |x - p|^2 = |x|^2 - 2 x p + |p|^2.
+        of_camera = np.column_stack(
+            [np.ones(len(names)), is_refined, alone, near, np.where(near, places.T, 0.0).T]
+        )
+        markers, bits = positions.reshape(-1, _AXES), seen.ravel()
+        out = np.empty(len(bits))
+        for first in range(0, len(out), _PIECE):
             rows = slice(first, first + _PIECE)
-            sees = ((seen[rows, :, None] >> np.arange(len(names))) & 1).astype(np.float64)
-            x = np.nan_to_num(positions[rows])
-            given, refined = sees * ~is_refined, sees @ is_refined
-            placed = given * is_placed
-            # The sum of |x - place|^2.
-            squares = placed.sum(axis=2) * (x**2).sum(axis=2) + placed @ (places**2).sum(axis=1)
-            squares -= 2 * (x * (placed @ places)).sum(axis=2)
-            squares += (given * ~is_placed).sum(axis=2) * REFERENCE**2
-            total = self.ratio * self._assumed(given.sum(axis=2), squares)
-            total += sees @ (is_refined * errors**2) / _AXES
+            sees = (bits[rows, None] >> np.arange(len(names))) & 1
+            n, refined, total, n_near, *towards = (sees @ of_camera).T
+            x = np.where(np.isnan(markers[rows]), 0.0, markers[rows]).T
+            nearer = n_near * (x**2).sum(axis=0) - 2 * (x * towards).sum(axis=0)
+            total = total + self.ratio * self._assumed(0, nearer)
             if self._placement is not None:
-                total += refined**2 * self._placement.variances(positions[rows])
-            out[rows] = total / np.maximum(sees.sum(axis=2), 1) ** 2
-        return out
+                total += refined**2 * self._placement.variances(markers[rows])
+            out[rows] = total / np.maximum(n, 1) ** 2
+        return out.reshape(seen.shape)

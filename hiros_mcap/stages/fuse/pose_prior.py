@@ -226,7 +226,7 @@ def estimated(
     """
     out, r = np.empty(positions.shape), motion.basis.shape[1]
     poses, noise = np.ascontiguousarray(positions), np.ascontiguousarray(variances)
-    estimate_poses(motion, poses, noise, most, out, PriorWork(np.empty((r, r)), np.empty(r)))
+    estimate_poses.raw(motion, poses, noise, most, out, PriorWork(np.empty((r, r)), np.empty(r)))
     return out
 
 

@@ -160,7 +160,8 @@ class ResidualMeter:
         weights = 1 / (white + self._noise.offsets**2 + excess[:, None])
         there = ~np.isnan(views.positions[:, :, 0])
         total = np.zeros((rows.max() + 1, weights.shape[1]))
-        np.add.at(total, rows, np.where(there, weights, 0.0))
+        order, begins = _grouped(rows[None])
+        total[rows[order[begins]]] = _sums(np.where(there, weights, 0.0)[order], begins)
         shares = np.where(there, weights, np.nan) / np.where(total > 0, total, np.nan)[rows]
         expected = posterior * (1 / shares - 1)
         expected[~sees | (shares > _ALONE) | (excess > 0)[:, None]] = np.nan
@@ -175,14 +176,12 @@ class ResidualMeter:
         ``expected`` (N, M), m2, are their variances; where it is NaN, a residual does not count.
         """
         keys = np.stack([views.cameras, views.people, views.stamps // _MOMENT])
-        keys, groups = np.unique(keys, axis=1, return_inverse=True)
-        groups = groups.ravel()
+        order, begins = _grouped(keys)
+        residuals, expected = residuals[order], expected[order]
         there = ~np.isnan(residuals[:, :, 0] + expected)
-        shape = (keys.shape[1], there.shape[1])
-        count, variance, mean = np.zeros(shape), np.zeros(shape), np.zeros((*shape, 3))
-        np.add.at(count, groups, there)
-        np.add.at(mean, groups, np.where(there[:, :, None], residuals, 0.0))
-        np.add.at(variance, groups, np.where(there, expected, 0.0))
+        count = _sums(there, begins)
+        mean = _sums(np.where(there[:, :, None], residuals, 0.0), begins)
+        variance = _sums(np.where(there, expected, 0.0), begins)
         n = np.where(count > 0, count, np.nan)
         joints = np.count_nonzero(count, axis=1, keepdims=True)
         n[joints.ravel() < _FEWEST_JOINTS] = np.nan
@@ -192,8 +191,9 @@ class ResidualMeter:
         passed = stamp - (stamp if self._last is None else self._last)
         keep = float(np.exp(-max(passed, 0) * 1e-9 / _MEMORY))
         self._last = stamp
+        cameras = views.cameras[order[begins]]
         for k, name in enumerate(names):
-            counts = histograms(squares[keys[0] == k].reshape(1, -1))[0]
+            counts = histograms(squares[cameras == k].reshape(1, -1))[0]
             recent = self._recent[name] = counts + keep * self._recent.get(name, np.zeros(1))
             self._ratios[name] = float(ratios(recent[None])[0])
 
@@ -248,6 +248,18 @@ def _residuals(views: Sightings, fused: Block, rows: Stamps) -> Floats:
     return residuals
 
 
+def _grouped(keys: Stamps) -> tuple[Stamps, Stamps]:
+    """(N,) Order that puts equal columns of keys (K, N) side by side, and (G,) where they begin."""
+    order = np.lexsort(keys[::-1])
+    changes = (np.diff(keys[:, order]) != 0).any(axis=0)
+    return order, np.flatnonzero(np.append(True, changes))
+
+
+def _sums(values: NDArray[Any], begins: Stamps) -> Floats:
+    """(G, ...) sums of the values (N, ...) of each group; ``begins`` (G,) are their first rows."""
+    return np.asarray(np.add.reduceat(values, begins, axis=0, dtype=np.float64))
+
+
 def _common_share(residuals: Floats, squares: Floats) -> Floats:
     """(N,) Share of the squared residuals (N, M) of each view that its markers have in common."""
     seen = ~np.isnan(squares)
@@ -263,12 +275,11 @@ def _common_share(residuals: Floats, squares: Floats) -> Floats:
 
 def histograms(values: Floats) -> Stamps:
     """(K, B) How many of the values (K, N) lie in each bin; NaN lie in none."""
-    counts = np.zeros((len(values), _BINS), np.int64)
     with np.errstate(divide="ignore", invalid="ignore"):
         places = (np.log2(values) - _LOWEST) * _PER_OCTAVE
     k, n = np.nonzero(~np.isnan(places))
-    np.add.at(counts, (k, np.clip(places[k, n], 0, _BINS - 1).astype(np.int64)), 1)
-    return counts
+    bins = k * _BINS + np.clip(places[k, n], 0, _BINS - 1).astype(np.int64)
+    return np.bincount(bins, minlength=len(values) * _BINS).reshape(-1, _BINS)
 
 
 def medians(counts: NDArray[Any], fewest: int) -> Floats:

@@ -186,7 +186,7 @@ class WindowSmoother:
                 self._bank.past = JointStates(*[array.copy() for array in before])
             poses = self._smooth_people(window._replace(variances=white + excess[:, None]))
             offsets = np.empty((len(white), 3))
-            compare_views(views, white, poses, window.stamps, of_views, offsets)
+            compare_views.raw(views, white, poses, window.stamps, of_views, offsets)
             if not ahead:
                 self.displaced.remember(views, offsets)
                 break
@@ -205,7 +205,7 @@ class WindowSmoother:
 
         def smooth(first: int, last: int, steps: int) -> None:
             work = StepWork.of(steps, states.means.shape[2], m)
-            smooth_people(window, first, last, self._motion, states, poses, work)
+            smooth_people.raw(window, first, last, self._motion, states, poses, work)
 
         if self._params.window > 0:
             some = enumerate(window.everybody.tolist())
@@ -220,7 +220,7 @@ class WindowSmoother:
         if late := self._known.time_variance(self._names, int(out.stamps[-1])):
             shared = shared + late / 3 * (poses.velocities**2).sum(axis=-1)
         deviations = np.empty_like(shared)
-        write_fused(poses, shared, _MAX_DEVIATION, HALF_CONFIDENCE, out.people, deviations)
+        write_fused.raw(poses, shared, _MAX_DEVIATION, HALF_CONFIDENCE, out.people, deviations)
         uncertainty = Uncertainty(deviations, seen, self._names, np.sqrt(shared))
         log_times = np.full(len(out), log_time)
         return replace(out, log_times=log_times, uncertainty=uncertainty)

@@ -6,7 +6,8 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import groupby, pairwise
+from itertools import groupby
+from operator import sub
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -101,10 +102,12 @@ class Instants:
 
     def _interval(self, source: str, stamp: int) -> float:
         """Usual time, ns, between messages of a source, of which one is new; inf if not known."""
-        stamps = self._sources.setdefault(source, deque(maxlen=_REMEMBERED))
+        if source not in self._sources:
+            self._sources[source] = deque(maxlen=_REMEMBERED)
+        stamps = self._sources[source]
         if not stamps or stamp > stamps[-1]:
             stamps.append(stamp)
-        gaps = sorted([later - earlier for earlier, later in pairwise(stamps)])
+        gaps = sorted(map(sub, [*stamps][1:], stamps))
         return gaps[(len(gaps) - 1) // 2] if gaps else math.inf
 
     def rest(self) -> list[Instant]:
