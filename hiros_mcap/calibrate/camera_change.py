@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -24,8 +24,9 @@ from hiros_mcap.calibrate.coarse_clock import (
 )
 from hiros_mcap.calibrate.joint_refinement import Points
 from hiros_mcap.calibrate.pair_pose import FIT_M, PairFit, alike, ambiguous, register_pair, usable
-from hiros_mcap.calibrate.sampling import CELL_S, Rig, group, instants_of, placed, sample
+from hiros_mcap.calibrate.sampling import CELL_S, Rig, Samples, group, instants_of, placed, sample
 from hiros_mcap.calibrate.verdict import CalibratedCamera
+from hiros_mcap.kernels.array_types import chosen
 from hiros_mcap.kernels.local_line import Tracklet
 from hiros_mcap.kernels.rig_equations import RigResiduals
 from hiros_mcap.skeletons import Floats, Ints, Stamps
@@ -287,6 +288,36 @@ def second_poses(residuals: RigResiduals, points: Points) -> list[SecondPose]:
     return cameras
 
 
+def steps_apart(views: Sequence[CameraView], rig: Rig, mirror: Ints) -> Floats:
+    """(C, C) by how much more, m, people of two cameras are apart in one part of a log.
+
+    The log is cut in two where the mean distances of both parts differ most significantly; each
+    has :data:`LEAST_PART_S`. NaN where two cameras see nobody at the same time for so long.
+    """
+    instants = instants_of(views, PAIR_INSTANTS, rig)
+    samples = sample(views, instants, rig)
+    places, n = placed(samples, rig), len(views)
+    steps = np.full((n, n), np.nan)
+    for a, b in combinations(range(n), 2):
+        distances = _distances_of(samples, places, (a, b), len(instants), mirror)
+        steps[a, b] = steps[b, a] = _step(distances, instants)
+    return steps
+
+
+def _step(distances: Floats, instants: Floats) -> float:
+    """Return by how much the mean of (K,) distances, m, changes at one of the instants, s."""
+    present = ~np.isnan(distances)
+    distances, seconds = distances[present], instants[present]
+    early = np.arange(1, len(seconds))
+    late, sums = early[::-1], np.cumsum(distances)
+    parts = seconds[:-1] - seconds[:1], seconds[-1:] - seconds[1:]
+    long = (np.minimum(*parts) > LEAST_PART_S) if len(seconds) else np.zeros(0, np.bool_)
+    if not long.any():
+        return np.nan
+    steps = np.abs(sums[:-1] / early - (sums[-1] - sums[:-1]) / late)
+    return float(steps[np.where(long, steps**2 * early * late, -1.0).argmax()])
+
+
 def _moments(ones: Floats, others: Floats, weights: Floats) -> Floats:
     """(P, 17) what the misfit of two sets of (P, 3) points is made of, for each pair."""
     products = (ones[:, :, None] * others[:, None, :]).reshape(-1, 9)
@@ -334,20 +365,32 @@ def _pose(
 
 
 def _distances(pair: Sequence[CameraView], rig: Rig, instants: Floats, mirror: Ints) -> Floats:
+    """(K,) distances of :func:`_distances_of` of two cameras, by a rig of theirs."""
+    samples = sample(pair, instants, rig)
+    return _distances_of(samples, placed(samples, rig), (0, 1), len(instants), mirror)
+
+
+def _distances_of(
+    samples: Samples, places: Floats, pair: tuple[int, int], n_instants: int, mirror: Ints
+) -> Floats:
     """(K,) mean distance of the people of two cameras, m; NaN unless both see somebody.
 
     Somebody who fits nobody counts with the distance at which people do not fit any more.
+
+    Parameters
+    ----------
+    places : (N, M, 3) of all cameras' samples in the common frame, m.
     """
-    samples = sample(pair, instants, rig)
-    distances = group(samples, placed(samples, rig), mirror, FIT_M).distances
-    values = np.full(len(instants), np.nan)
-    counts = [
-        np.bincount(samples.instants[samples.cameras == c], minlength=len(instants)) for c in (0, 1)
-    ]
+    rows = np.isin(samples.cameras, pair)
+    instants, cameras, tracks = (array[rows] for array in samples[:3])
+    some = Samples(instants, cameras, tracks, chosen(samples.lines, rows))
+    counts = [np.bincount(instants[cameras == c], minlength=n_instants) for c in pair]
     common = np.minimum(*counts)
-    fitting = np.isfinite(distances)
-    sums = np.bincount(samples.instants[fitting], distances[fitting], minlength=len(instants))
-    matched = np.bincount(samples.instants[fitting], minlength=len(instants))
     both = common > 0
+    values = np.full(n_instants, np.nan)
+    distances = group(some, places[rows], mirror, FIT_M).distances
+    fitting = np.isfinite(distances)
+    sums = np.bincount(instants[fitting], distances[fitting], minlength=n_instants)
+    matched = np.bincount(instants[fitting], minlength=n_instants)
     values[both] = (sums + FIT_M * np.maximum(common - matched, 0))[both] / common[both]
     return values

@@ -1,8 +1,9 @@
 """Finds cameras that were moved in the middle of a log, and where they stood before and after.
 
-A camera is a suspect if its people do not fit those of the others, or fit much better with two
-poses than with one (:func:`suspects`). Then stretches of the log have to give different poses
-(:mod:`hiros_mcap.calibrate.camera_change`), and each part has to fit by itself.
+A camera is a suspect if its people do not fit those of the others, do so in a part of the log only,
+or fit much better with two poses than with one (:func:`suspects`). Then stretches of the log have
+to give different poses (:mod:`hiros_mcap.calibrate.camera_change`), and each part has to fit by
+itself.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from hiros_mcap.calibrate.camera_change import (
     located,
     partner_of,
     split_views,
+    steps_apart,
 )
 from hiros_mcap.calibrate.camera_views import CameraView, Sighting
 from hiros_mcap.calibrate.gauge import PRIOR_DEG, PRIOR_M, moved, on_transforms
@@ -35,7 +37,7 @@ from hiros_mcap.calibrate.survey import FixedCamera, Survey, seen_by
 from hiros_mcap.calibrate.verdict import SURE, CalibratedCamera
 from hiros_mcap.events import Event, camera_displaced
 from hiros_mcap.running.clock_alignment import ClockAlignment
-from hiros_mcap.skeletons import Ints
+from hiros_mcap.skeletons import Floats, Ints
 
 GAIN = 0.3
 """A camera whose misfit falls by this share with a second pose may have been moved."""
@@ -45,6 +47,9 @@ short a time: healthy ones stay below .05 and .045 m."""
 LEAST_M = 0.03
 """A second pose brings people nearer by this, in both parts: views of real detectors differ by
 1 to 2 cm."""
+FAR_M = 0.1
+"""People who are no farther apart than before have steps below .07 m; of a camera that was moved so
+far that they do not fit any more, .17 to .21 m."""
 NARROW_S = 0.5
 """If nobody was seen in the read parts of the log for longer around the change, more is read."""
 PART_S = 10.0
@@ -94,42 +99,51 @@ def split_moved(survey: Survey, clocks: ClockAlignment, posed: PosedViews) -> Po
 
     Where no camera was moved, or the log does not tell, ``posed`` itself is returned.
     """
-    left, tried = suspects(posed, survey.log.fixed_frame), set[str]()
+    mirror, fixed_frame = symmetry_of(survey.log.model).mirror, survey.log.fixed_frame
+    left, tried = suspects(posed, fixed_frame, mirror), set[str]()
     if not left:
         return posed
     shifts = {view.name: view.shift for view in posed.views}
-    splitter = _Splitter(survey, clocks, symmetry_of(survey.log.model).mirror, shifts)
+    splitter = _Splitter(survey, clocks, mirror, shifts)
     views = splitter.views_of(posed.cameras, survey.many(clocks.corrections))
     result = replace(posed, views=views)
     while left:
         tried.add(left[0])
         split = splitter.split(result, left[0])
         # What a moved camera does to the others is over when its parts are known.
-        left = left if split is result else suspects(split, survey.log.fixed_frame)
+        left = left if split is result else suspects(split, fixed_frame, mirror)
         result, left = split, [name for name in left if name not in tried]
     return result if result.moves else replace(posed, late=splitter.moved_late(result))
 
 
-def suspects(posed: PosedViews, fixed_frame: str) -> list[str]:
+def suspects(posed: PosedViews, fixed_frame: str, mirror: Ints) -> list[str]:
     """Return the cameras that may have been moved: those that do not fit, then the others.
 
     Of two cameras that do not fit each other, it is taken to be the second.
     """
-    rows = zip(posed.cameras, posed.rig, posed.gains, strict=True)
-    free = [(calibrated, gain) for camera, calibrated, gain in rows if camera.frame != fixed_frame]
+    rig = Rig.of([placed(posed, k) for k in range(len(posed.views))])
+    steps = steps_apart(posed.views, rig, mirror)
+    rows = zip(posed.cameras, posed.rig, posed.gains, steps, strict=True)
+    free = [row for camera, *row in rows if camera.frame != fixed_frame]
     if len(posed.cameras) == 2:
         free = free[-1:]
-    odd = [calibrated.name for calibrated, _ in free if not calibrated.fits]
+    odd = [calibrated.name for calibrated, *_ in free if not calibrated.fits]
     rest = {
         calibrated.name: gain.share
-        for calibrated, gain in free
-        if calibrated.fits and (gain.share > GAIN or _is_late(gain))
+        for calibrated, gain, steps_of_camera in free
+        if calibrated.fits and (gain.share > GAIN or _is_late(gain) or _is_far(steps_of_camera))
     }
     return odd + sorted(rest, key=lambda name: -rest[name])
 
 
 def _is_late(gain: SecondPose) -> bool:
     return gain.share > LATE_GAIN and gain.metres > LATE_M
+
+
+def _is_far(steps: Floats) -> bool:
+    """Whether people are farther from those of all other cameras in one part of the log."""
+    known = steps[~np.isnan(steps)]
+    return bool(len(known) and known.min() > FAR_M)
 
 
 @dataclass(frozen=True, slots=True)

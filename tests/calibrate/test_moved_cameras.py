@@ -19,6 +19,8 @@ from hiros_mcap.running.pipeline import ProcessOptions, process
 
 STEP = Rigid(from_vector(np.radians([3.0, -4.0, 0.0])), np.array([0.16, 0.0, 0.12]))
 """5 degrees and 20 cm, in the camera's own frame."""
+FAR = Rigid(from_vector(np.radians([10.0, -30.0, 0.0])), np.array([0.8, 0.0, 0.6]))
+"""Afterwards nobody is within reach of where the other cameras see him."""
 AT_S = 10.6
 FIRST_STAGE = ProcessOptions(stages="T")
 """Poses and clocks are found before it; the other stages would take most of the time."""
@@ -34,12 +36,12 @@ def healthy(scene):
     return list(scene.detections)
 
 
-def moved(frame, start):
+def moved(frame, start, step=STEP, at_s=AT_S):
     """The frame of a camera that somebody moves."""
-    if frame.source != "camera_2" or frame.stamp < start + AT_S * 1e9:
+    if frame.source != "camera_2" or frame.stamp < start + at_s * 1e9:
         return frame
     people = frame.people.copy()
-    move_messages(pose_arrays([STEP.inverse()]), np.array([[0, len(people.ids)]]), people)
+    move_messages(pose_arrays([step.inverse()]), np.array([[0, len(people.ids)]]), people)
     return frame.replace(people=people)
 
 
@@ -85,6 +87,16 @@ def test_a_run_that_does_not_look_for_moved_cameras_finds_none(log, tmp_path):
     config = load_config(named={"test": {"input": {"moved": False}}})
     found = process(log, tmp_path / "out.mcap", config=config, options=FIRST_STAGE)
     assert all(np.isnan([pose.since_s, pose.until_s]).all() for pose in found.poses)
+
+
+@pytest.mark.parametrize("at_s", [6.5, 12.0, 14.0])
+def test_a_camera_that_was_moved_far_gets_both_poses(scene, healthy, tmp_path, at_s):
+    start = min(frame.stamp for frame in healthy)
+    frames = [moved(frame, start, FAR, at_s) for frame in healthy]
+    summary = process(logged(tmp_path / "lab.mcap", scene, frames), options=FIRST_STAGE)
+    before, after = summary.poses[2:]
+    assert before.until_s == after.since_s == pytest.approx(at_s, abs=0.25)
+    assert after.moved_mm == pytest.approx(1000, abs=50)
 
 
 def test_the_summary_names_camera_and_time(done):
