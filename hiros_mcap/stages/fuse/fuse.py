@@ -69,7 +69,7 @@ def fuse_blocks(
         unseen=Unseen(merging.bridge, merging.carry, known.places), widths=WIDTHS,
     )  # fmt: skip
     smoother = WindowSmoother(model, params, noise, known, pose_error)
-    residuals = ResidualMeter(noise, known.errors, events, causal=params.window == 0)
+    residuals = ResidualMeter(noise, events, causal=params.window == 0)
 
     times = merging.cameras, merging.max_delta_time
     for block in instants.run(blocks, *times, in_step=merging.in_step):  # 1

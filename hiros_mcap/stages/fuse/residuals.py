@@ -25,7 +25,7 @@ the standard deviations.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -37,7 +37,6 @@ from hiros_mcap.events import COMMON, RESIDUAL, Events
 from hiros_mcap.frames import Block, together
 from hiros_mcap.kernels.array_types import chosen
 from hiros_mcap.skeletons import POSITION, VELOCITY, Floats, Stamps
-from hiros_mcap.stages.fuse.displaced_views import excess_of, limits_of
 from hiros_mcap.stages.fuse.fusing import Sightings, joined_out_of
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 from hiros_mcap.stages.fuse.window_smoother import Smoothed
@@ -61,16 +60,13 @@ class ResidualMeter:
 
     Parameters
     ----------
-    noise : what the fuser assumes. pose_errors : those of :func:`.displaced_views.limits_of`.
-    events : gets a histogram of every camera. causal : whether the poses are those of a filter.
+    noise : what the fuser assumes. events : gets a histogram of every camera.
+    causal : whether the poses are those of a filter.
     """
 
-    def __init__(
-        self, noise: FusionNoise, pose_errors: Mapping[str, float], events: Events, *,
-        causal: bool = False,
-    ) -> None:  # fmt: skip
+    def __init__(self, noise: FusionNoise, events: Events, *, causal: bool = False) -> None:
         self._is_causal = causal
-        self._noise, self._pose_errors, self._events = noise, pose_errors, events
+        self._noise, self._events = noise, events
         self._held: list[Smoothed] = []
         """Not yet compared."""
         self._recent: dict[str, Floats] = {}
@@ -94,8 +90,10 @@ class ResidualMeter:
                 yield self.scaled(together(some))
                 some = []
             used = (smoothed.rows >= 0) & (smoothed.views.stamps // _MOMENT % _EVERY == 0)
-            views, rows = chosen(smoothed.views, used), smoothed.rows[used]
-            self._held.append(smoothed._replace(views=views, rows=rows))
+            views, rows, excess = (
+                chosen(smoothed.views, used), smoothed.rows[used], smoothed.excess[used],
+            )  # fmt: skip
+            self._held.append(smoothed._replace(views=views, rows=rows, excess=excess))
             self._waiting += len(fused)
             if ends_batch:
                 self.finish()
@@ -116,7 +114,8 @@ class ResidualMeter:
         rows = [part.rows + first for part, first in zip(held, people[:-1], strict=True)]
         views = joined_out_of([part.views for part in held])
         fused = together([part.frames for part in held])
-        self._count(fused, views, np.concatenate(rows), held[-1].names)
+        excess = np.concatenate([part.excess for part in held])
+        self._count(fused, views, np.concatenate(rows), excess, held[-1].names)
 
     def scaled(self, fused: Block) -> Block:
         """Return a block whose uncertainty allows for how much the cameras scatter.
@@ -133,7 +132,9 @@ class ResidualMeter:
         factor = np.where(count > 0, total / np.maximum(count, 1), factors.mean())
         return restated(fused, factor * (uncertainty.deviations**2 - uncertainty.shared**2))
 
-    def _count(self, fused: Block, views: Sightings, rows: Stamps, names: tuple[str, ...]) -> None:
+    def _count(
+        self, fused: Block, views: Sightings, rows: Stamps, excess: Floats, names: tuple[str, ...]
+    ) -> None:
         """Add the residuals of views of people, by ``rows``, to the histograms of the cameras."""
         uncertainty = fused.uncertainty
         if uncertainty is None or not len(rows):
@@ -152,11 +153,7 @@ class ResidualMeter:
             counts = histograms((squares[of_camera] / variances[of_camera]).T)
             self._events.tally(RESIDUAL, name, counts)
             self._events.tally(COMMON, name, histograms(common[None, of_camera]))
-        with np.errstate(invalid="ignore"):
-            whole = np.where(~np.isnan(squares)[:, :, None], residuals, 0.0).sum(axis=1)
-            whole /= (~np.isnan(squares)).sum(axis=1)[:, None]
         # The result does not rest on displaced cameras.
-        excess = excess_of(views, whole, limits_of(names, self._pose_errors))
         weights = 1 / (white + self._noise.offsets**2 + excess[:, None])
         there = ~np.isnan(views.positions[:, :, 0])
         total = np.zeros((rows.max() + 1, weights.shape[1]))

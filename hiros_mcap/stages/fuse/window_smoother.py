@@ -15,6 +15,7 @@ from hiros_mcap.kernels.array_types import B1, F1, F2, I1, J1, arrays, chosen
 from hiros_mcap.kernels.averaging import POSITION, VELOCITY
 from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.skeletons import (
+    Floats,
     People,
     SkeletonModel,
     Stamps,
@@ -63,6 +64,7 @@ class Smoothed(NamedTuple):
     frames: Block
     views: Sightings
     rows: Stamps  # (N,) the row of each view among the people; -1 = none
+    excess: Floats  # (N,) variance, m2, that views of displaced cameras were given in addition
     names: tuple[str, ...]  # of the cameras
 
 
@@ -164,16 +166,21 @@ class WindowSmoother:
             out.people.ids, out.stamps[owners], everybody, np.array(rows, np.int64),
             self._origin or 0, boundary,
         )  # fmt: skip
-        poses = self._without_displaced(window, of_views)
+        poses, excess = self._without_displaced(window, of_views)
         seen = cameras_seeing(views, of_views, poses.variances.shape)
         # The filters have taken over what is before the boundary.
         self._taken = boundary
         self._views = [chosen(views, (views.stamps >= boundary) | (views.instants >= first + n))]
         fused = self._finished(out, log_time, poses, seen)
-        return Smoothed(fused, views, of_views, self._names)
+        return Smoothed(fused, views, of_views, excess, self._names)
 
-    def _without_displaced(self, window: FusionWindow, of_views: Stamps) -> FusedPoses:
-        """Smooth a window. Cameras that prove to be displaced lose their weight."""
+    def _without_displaced(
+        self, window: FusionWindow, of_views: Stamps
+    ) -> tuple[FusedPoses, Floats]:
+        """Smooth a window. Cameras that prove to be displaced lose their weight.
+
+        Returns the poses, and (N,) the variance, m2, that was added to the views for it.
+        """
         views, white = window.views, window.variances
         least = LIMIT if self._params.displaced else math.inf
         limits = limits_of(self._names, self._known.errors, least)
@@ -196,7 +203,7 @@ class WindowSmoother:
             self._bank.past = before
         self.displaced.count(views, excess, of_views >= 0)
         self._pose_error.learn(views, np.where(excess > 0, np.nan, offsets.T).T)
-        return poses
+        return poses, excess
 
     def _smooth_people(self, window: FusionWindow) -> FusedPoses:
         """Smooth everybody; the filters stand at the boundary afterwards."""
