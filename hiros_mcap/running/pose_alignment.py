@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -111,8 +112,6 @@ class PoseAlignment:
     """Source of the poses that the people's replaced."""
     to_given: Mapping[str, Rigid] = field(default_factory=dict)
     """Camera -> motion of its people back to the log's pose, where the run uses a better one."""
-    pose_errors: dict[str, float] = field(default_factory=dict)
-    """Camera -> standard error, m, of the pose that the people gave it."""
     better: tuple[Mapping[str, TimedPoses], str] | None = None
     """Poses of frames that the run uses in place of the log's, and the frame that they are in."""
 
@@ -168,13 +167,12 @@ class PoseAlignment:
         others = {one.name for one in self.cameras if one.verdict != "impossible"} - self.misfits
         return self.misfits if len(others) >= _ENOUGH else frozenset()
 
-    def note_errors(self) -> None:
-        """Take over how wrong the poses may be that are used; of two of a camera, the worse."""
-        self.pose_errors.clear()
-        for camera in self.cameras:
-            if camera.used and not math.isnan(camera.error_mm):
-                error = max(self.pose_errors.get(camera.name, 0.0), camera.error_mm / 1000.0)
-                self.pose_errors[camera.name] = error
+    @property
+    def errors(self) -> dict[str, float]:
+        """Camera -> standard error, m, of the pose that the people gave it; of two, the larger."""
+        known = [c for c in self.cameras if c.used and not math.isnan(c.error_mm)]
+        known.sort(key=attrgetter("error_mm"))
+        return {camera.name: camera.error_mm / 1000.0 for camera in known}
 
     def note_events(self, events: Events) -> None:
         """Note the cameras that were moved."""
@@ -267,7 +265,6 @@ def align_cameras(
         poses = _refined_poses(survey, clocks, mode, moved=config.input.moved)
     if clocks.times:
         poses = replace(poses, cameras=clocks.take_offsets(poses.cameras))
-    poses.note_errors()
     return clocks, kept if mode == "off" else poses
 
 

@@ -48,6 +48,7 @@ from hiros_mcap.running.pose_alignment import (
     shared_wrongly,
     summary_of,
 )
+from hiros_mcap.stages.known_cameras import KnownCameras
 from hiros_mcap.threads import beside
 
 _MOMENTS_S = (3, 4, 6, 8, 10, 15, 20, 30, 40)
@@ -80,13 +81,15 @@ class PoseFollower:
     Parameters
     ----------
     reading : whose messages are corrected. alignment : what is found goes here.
-    clocks : correct the stamps. movable : whether the poses may change; the clocks may.
+    known : gets the errors of the poses. clocks : correct the stamps.
+    movable : whether the poses may change; the clocks may.
     """
 
     def __init__(
-        self, reading: Reading, alignment: PoseAlignment, clocks: ClockFollower, *, movable: bool
-    ) -> None:
-        self._reading, self._alignment = reading, alignment
+        self, reading: Reading, alignment: PoseAlignment, known: KnownCameras,
+        clocks: ClockFollower, *, movable: bool,
+    ) -> None:  # fmt: skip
+        self._reading, self._alignment, self._known = reading, alignment, known
         self._clocks, self._movable = clocks, movable
         self._mirror = symmetry_of(reading.log.model).mirror
         self._seen: dict[str, PeopleFollowed] = {}
@@ -252,7 +255,7 @@ class PoseFollower:
             summary_of(self._kept(camera, calibrated), used=camera.name in self._goals)
             for camera, calibrated in zip(cameras, rig, strict=True)
         ]
-        self._alignment.note_errors()
+        self._known.errors = self._alignment.errors
 
     def _kept(self, camera: FixedCamera, calibrated: CalibratedCamera) -> CalibratedCamera:
         """Return what was found with the pose that is used: one that was proven stays."""

@@ -7,7 +7,7 @@ recording that is scored against itself. :func:`prepare` is the order.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from hiros_mcap.body.limb_table import LimbTable
@@ -43,6 +43,7 @@ class Prepared:
     clocks: ClockAlignment
     poses: PoseAlignment
     watch: Stopwatch
+    known: KnownCameras = field(default_factory=KnownCameras)
 
     def detections(self, reading: Reading | None = None) -> Iterator[Block]:
         """Read the log: detections at corrected times and in their order, where better poses are.
@@ -61,7 +62,8 @@ class Prepared:
         A merger takes instants. They are cut here, since an instant that is complete ends a wait.
         """
         movable = self.config.input.poses != "given" and self.options.calibrate != "off"
-        follower = PoseFollower(reading, self.poses, self.clocks.follower(), movable=movable)
+        clocks = self.clocks.follower()
+        follower = PoseFollower(reading, self.poses, self.known, clocks, movable=movable)
         lateness = Lateness(self.config.input.max_delay, self.clocks.reorder)
         self.clocks.needed = lateness.needed
         ordered = in_time_order(follower.correct(reading.blocks()), lateness=lateness)
@@ -88,7 +90,12 @@ def prepare(log: Log, config: Config, options: ProcessOptions, watch: Stopwatch)
     mode, reorder = _calibration(log, config, options), _reorder_of(config, options.system)
     with watch.timing("calibrate"):
         clocks, poses = align_cameras(log, config, mode, reorder)
-    return Prepared(poses.used_in(log), config, options, clocks, poses, watch)
+    log = poses.used_in(log)
+    offsets = () if clocks.given else clocks.offsets
+    known = KnownCameras(
+        camera_positions(log), poses.to_given, poses.errors, poses.misplaced, offsets
+    )
+    return Prepared(log, config, options, clocks, poses, watch, known)
 
 
 def preparation_key(config: Config, options: ProcessOptions) -> tuple[object, ...]:
@@ -122,13 +129,7 @@ def set_up(
         model=log.model,
         config=config,
         limbs=LimbTable.load(options.limbs_in) if options.limbs_in else LimbTable(),
-        known=KnownCameras(
-            camera_positions(log),
-            prepared.poses.to_given,
-            prepared.poses.pose_errors,
-            prepared.poses.misplaced,
-            () if prepared.clocks.given else prepared.clocks.offsets,
-        ),
+        known=prepared.known,
         fixed_frame=log.fixed_frame,
         system=options.system,
         derivatives=config.output.with_derivatives(chain_of(options.system, options.stages)),

@@ -13,11 +13,12 @@ from hiros_mcap.skeletons import Floats
 _WITHIN_ONE_SD = 0.8413  # probability below the mean and one standard deviation
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class KnownCameras:
     """Where the cameras stand and how their clocks go, by name; and how well that is known.
 
-    A causal run goes on finding: then ``errors`` and ``clocks`` grow while stages look at them.
+    The stages of a run hold it, and read it when they need it. A causal run goes on finding: then
+    it replaces ``errors``, and ``clocks`` grow.
     """
 
     places: Mapping[str, Floats] = field(default_factory=dict)

@@ -22,6 +22,7 @@ from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.running.pose_follower import PoseFollower
 from hiros_mcap.simulate import RigParams, SimulateParams, simulate
 from hiros_mcap.simulate.simulation import write_log
+from hiros_mcap.stages.known_cameras import KnownCameras
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +45,7 @@ def folder(scene, tmp_path_factory):
 
 def followed(log, blocks):
     alignment, clocks = PoseAlignment(), ClockFollower({}, [], 0.0)
-    follower = PoseFollower(log.read(), alignment, clocks, movable=True)
+    follower = PoseFollower(log.read(), alignment, KnownCameras(), clocks, movable=True)
     return list(frames_of(follower.correct(blocks))), alignment
 
 
@@ -79,7 +80,9 @@ def test_wrong_poses_are_not_taken_for_wrong_clocks(tmp_path, movable):
     faults: list[ClockFault] = []
     with open_log(tmp_path / "lab.mcap") as log:
         clocks = ClockFollower({}, faults, 0.0)
-        follower = PoseFollower(log.read(), PoseAlignment(), clocks, movable=movable)
+        follower = PoseFollower(
+            log.read(), PoseAlignment(), KnownCameras(), clocks, movable=movable
+        )
         for _ in follower.correct(log.blocks()):
             pass
     assert faults == []
@@ -121,7 +124,7 @@ def test_a_block_is_cut_where_the_result_of_a_comparison_comes_in(folder):
     with open_log(folder / "true.mcap") as log:
         whole = join(list(log.blocks()))
         clocks = ClockFollower({}, [], 0.0)
-        follower = PoseFollower(log.read(), PoseAlignment(), clocks, movable=True)
+        follower = PoseFollower(log.read(), PoseAlignment(), KnownCameras(), clocks, movable=True)
         follower._start = start = int(whole.log_times[0])
         begins = [int(part.log_times[0]) - start for part in follower._parts(whole)]
     times = whole.log_times - start
@@ -184,7 +187,7 @@ def test_a_comparison_after_a_pause_counts_at_once(folder):
             if time < 3.9e9 and not 2.9e9 < time < 3.5e9
         ]
         alignment, clocks = PoseAlignment(), ClockFollower({}, [], 0.0)
-        follower = PoseFollower(log.read(), alignment, clocks, movable=True)
+        follower = PoseFollower(log.read(), alignment, KnownCameras(), clocks, movable=True)
         for block in follower.correct(kept):
             if int(block.log_times[0]) > frames[0].log_time + 3_500_000_000:
                 assert len(alignment.cameras) == 3

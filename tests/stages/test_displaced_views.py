@@ -79,7 +79,7 @@ def test_a_pose_that_people_gave_may_be_off_by_its_error(error, is_displaced):
     offsets = np.zeros((len(views.stamps), 3))
     offsets[views.cameras == 2, 0] = 0.07
     assert (excess_of(views, offsets, limits) > 0).any() == is_displaced
-    memory = DisplacedViews({"c": error})
+    memory = DisplacedViews(KnownCameras(errors={"c": error}))
     memory.name(("a", "b", "c"))
     memory.remember(views, offsets)
     assert (memory.expected(views) > 0).any() == is_displaced
@@ -87,7 +87,7 @@ def test_a_pose_that_people_gave_may_be_off_by_its_error(error, is_displaced):
 
 def told(*lost, seconds=12.0):
     """Events, if each camera's views lose their weight in some seconds, of a person."""
-    views, events = DisplacedViews(), Events()
+    views, events = DisplacedViews(KnownCameras()), Events()
     views.name(tuple("abcdef"[: len(lost)]))
     seen = views_of(len(lost), seconds=seconds)
     is_off = [int(t) in lost[c] for t, c in zip(seen.stamps / SECOND, seen.cameras, strict=True)]
@@ -123,7 +123,7 @@ def test_if_most_cameras_are_displaced_none_is():
 @pytest.mark.parametrize("n_displaced", [1, 4])
 def test_a_camera_that_was_moved_shows_everybody_elsewhere(n_displaced):
     """Of people who touch, one camera may see some wrong for seconds."""
-    views, events = DisplacedViews(), Events()
+    views, events = DisplacedViews(KnownCameras()), Events()
     views.name(("a", "b", "c"))
     seen = joined([views_of(3, seconds=4.0, person=person) for person in range(4)])
     is_off = (seen.cameras == 1) & (seen.people < n_displaced)
@@ -135,7 +135,7 @@ def test_a_camera_that_was_moved_shows_everybody_elsewhere(n_displaced):
 
 def after(seconds, *, off, then=0.0):
     """Excess expected of three cameras after camera 2 was off for some seconds, then back."""
-    memory = DisplacedViews()
+    memory = DisplacedViews(KnownCameras())
     memory.name(("a", "b", "c"))
     views = views_of(3, seconds + then)
     for k in range(0, len(views.stamps), 3):
@@ -153,7 +153,7 @@ def test_a_filter_knows_it_from_the_views_before():
 
 
 def test_nothing_is_expected_of_somebody_new():
-    memory = DisplacedViews()
+    memory = DisplacedViews(KnownCameras())
     memory.name(("a", "b", "c"))
     assert not memory.expected(views_of(3, 0.1, person=7)).any()
 

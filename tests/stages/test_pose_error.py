@@ -8,6 +8,7 @@ import pytest
 from hiros_mcap.body.rotations import Rigid, from_vector, rotate
 from hiros_mcap.stages.fuse.fusing import Sightings
 from hiros_mcap.stages.fuse.pose_error import PoseError
+from hiros_mcap.stages.known_cameras import KnownCameras
 
 NAMES = ("a", "b", "c")
 PLACES = {name: np.array([np.cos(k), np.sin(k), 0.0]) * 3 for k, name in enumerate(NAMES)}
@@ -18,7 +19,7 @@ ASSUMED = 0.01
 
 def learned(*moments, angle=0.0, shift=ASSUMED, away=3.0):
     """Three cameras see a body, at each moment shifted by the rows of an array (3, 3)."""
-    error = PoseError(angle, shift, PLACES, {})
+    error = PoseError(angle, shift, KnownCameras(PLACES, {}))
     for second, shifts in enumerate(moments):
         views = Sightings.allocate(3, 12)._replace(
             people=np.zeros(3, int),
@@ -37,13 +38,15 @@ def stated(error, seen):
 
 
 def test_without_evidence_the_variance_is_that_assumed():
-    error = PoseError(0.0, ASSUMED, PLACES, {})
+    error = PoseError(0.0, ASSUMED, KnownCameras(PLACES, {}))
     assert stated(error, 0b1) == pytest.approx(ASSUMED**2)
     assert stated(error, 0b111) == pytest.approx(ASSUMED**2 / 3)
 
 
 def test_a_rotation_counts_more_from_afar():
-    near, far = (PoseError(0.01, 0.0, {"a": np.array([x, 0.0, 0.0])}, {}) for x in (2.0, 4.0))
+    near, far = (
+        PoseError(0.01, 0.0, KnownCameras({"a": np.array([x, 0.0, 0.0])}, {})) for x in (2.0, 4.0)
+    )
     positions, seen = np.zeros((1, 1, 3)), np.array([[1]])
     ratio = far.variances(positions, seen, ["a"]) / near.variances(positions, seen, ["a"])
     assert ratio == pytest.approx(4.0)
@@ -82,7 +85,7 @@ def refined(angle, shift, bad=0.0):
         turn = Rigid(from_vector(size * unit(rng)), np.zeros(3))
         place = PLACES[name]
         moved[name] = Rigid(turn.xyzw, place + shift * unit(rng) - rotate(turn.xyzw, place))
-    return PoseError(0.005, 0.006, PLACES, moved)
+    return PoseError(0.005, 0.006, KnownCameras(PLACES, moved))
 
 
 def unit(rng):
@@ -110,8 +113,8 @@ def test_one_bad_camera_does_not_count_as_all():
 
 def test_refined_poses_add_their_standard_errors():
     moved = {name: Rigid.identity() for name in NAMES}
-    exact = PoseError(0.005, 0.006, PLACES, moved)
-    error = PoseError(0.005, 0.006, PLACES, moved, {"a": 0.03, "b": 0.03, "c": 0.03})
+    exact = PoseError(0.005, 0.006, KnownCameras(PLACES, moved))
+    error = PoseError(0.005, 0.006, KnownCameras(PLACES, moved, {"a": 0.03, "b": 0.03, "c": 0.03}))
     more = stated(error, 0b111) - stated(exact, 0b111)
     assert more == pytest.approx(0.03**2 / 3 / 3)  # an axis of three, and the mean of three cameras
     assert stated(error, 0b1) - stated(exact, 0b1) == pytest.approx(0.03**2 / 3)
@@ -119,7 +122,7 @@ def test_refined_poses_add_their_standard_errors():
 
 def test_a_camera_whose_pose_was_not_refined_adds_its_own_error():
     moved = {name: Rigid.identity() for name in NAMES[:2]}
-    error = PoseError(0.005, 0.006, PLACES, moved)
+    error = PoseError(0.005, 0.006, KnownCameras(PLACES, moved))
     assert stated(error, 0b100) > stated(error, 0b11)
 
 

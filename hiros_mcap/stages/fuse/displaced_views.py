@@ -20,6 +20,7 @@ from hiros_mcap.events import Events, camera_displaced
 from hiros_mcap.skeletons import Flags, Floats, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.fuse.fusing import Sightings
+from hiros_mcap.stages.known_cameras import KnownCameras
 
 LIMIT, LIMIT_AHEAD = 0.035, 0.06
 """m; of a smoother, and of a filter, whose poses and means are less sure. Healthy cameras of
@@ -32,7 +33,6 @@ SHARE = 100.0
 """The offset lasts, and noise averages out: the variance of a view must be far over its square."""
 MAJORITY = 3  # fewer cameras do not tell which one of them is wrong
 SECOND = 1_000_000_000  # ns
-EXACT: Mapping[str, float] = {}  # errors of poses that nobody knows
 _MEMORY = 0.5  # s; time constant of the mean without future views
 _WORTH_S, _WORTH_M = 1.5, 0.06
 """For a warning, people must be off for so long and by so much, without a pause. Parts of a second
@@ -48,11 +48,11 @@ class DisplacedViews:
 
     A smoother asks for the excess (:func:`excess_of`) of views whose offsets it has measured, and
     smooths again. A filter asks for the excess that is ``expected`` by the views before.
-    ``pose_errors`` are those of :func:`limits_of`.
+    ``known`` is of the cameras: how wrong their poses may be.
     """
 
-    def __init__(self, pose_errors: Mapping[str, float] = EXACT) -> None:
-        self._pose_errors = pose_errors
+    def __init__(self, known: KnownCameras) -> None:
+        self._known = known
         self._names: tuple[str, ...] = ()
         self._bank = Bank((np.zeros((0, 0, 3)), np.zeros((0, 0))))
         """(R, C, 3) sums over the recent views of people by cameras, m, and (R, C) their number."""
@@ -71,7 +71,7 @@ class DisplacedViews:
 
     def expected(self, views: Sightings) -> Floats:
         """(N,) Variance, m2, to be added to new views, by the offsets of the views before them."""
-        limits = limits_of(self._names, self._pose_errors, LIMIT_AHEAD)
+        limits = limits_of(self._names, self._known.errors, LIMIT_AHEAD)
         variances = displaced(*self._bank.past, limits)
         if not variances.any():
             return np.zeros(len(views.people))

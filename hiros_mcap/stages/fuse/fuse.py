@@ -62,7 +62,7 @@ def fuse_blocks(
     if params.follow_noise:
         noise = RunningNoise.of(noise)
     angle = math.radians(params.pose_angle)
-    pose_error = PoseError(angle, params.pose_shift, known.places, known.to_given, known.errors)
+    pose_error = PoseError(angle, params.pose_shift, known)
     gatherer = ViewGatherer(model, merging)
     instants = InstantMerger(
         model, gatherer, gatherer.bank, events, fixed_frame,

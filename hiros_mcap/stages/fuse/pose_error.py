@@ -18,16 +18,15 @@ the placement of the rig (:func:`hiros_mcap.calibrate.gauge.placement_error`), w
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Sequence
 
 import numpy as np
 
-from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.calibrate.gauge import placement_error
+from hiros_mcap.calibrate.gauge import PlacementError, placement_error
 from hiros_mcap.frames import places_of
 from hiros_mcap.skeletons import Floats, Stamps
 from hiros_mcap.stages.fuse.fusing import REFERENCE, Sightings
+from hiros_mcap.stages.known_cameras import KnownCameras
 
 _AXES = 3
 _RENEWED = 500_000_000  # ns; poses stay as they are, so each instant need not be looked at
@@ -40,25 +39,19 @@ _PIECE = 1 << 17  # markers that are looked at together: all at once would take 
 class PoseError:
     """The variance that the cameras' poses add to a result."""
 
-    def __init__(
-        self, angle: float, shift: float, places: Mapping[str, Floats],
-        to_given: Mapping[str, Rigid], errors: Mapping[str, float] = MappingProxyType({}),
-    ) -> None:  # fmt: skip
+    def __init__(self, angle: float, shift: float, known: KnownCameras) -> None:
         """Take what is assumed.
 
         Parameters
         ----------
         angle, shift : standard deviation of orientations, rad, and of positions along each axis, m.
-        places : camera -> position, m, as far as known.
-        to_given : camera -> what takes its people back to the pose that was given, for cameras
-            whose poses were refined.
-        errors : camera -> standard error of such a pose, m, over all three axes.
+        known : of the cameras; those with a ``to_given`` have refined poses.
         """
-        self._errors = errors
-        self._angle, self._shift, self._places, self._refined = angle, shift, places, to_given
+        self._angle, self._shift, self._known = angle, shift, known
         self._right = angle <= 0 and shift <= 0
-        usable = angle > 0 and shift > 0 and to_given
-        self._placement = placement_error(places, to_given, angle, shift) if usable else None
+        self._placement: PlacementError | None = None
+        if angle > 0 and shift > 0 and known.to_given:
+            self._placement = placement_error(known.places, known.to_given, angle, shift)
         self._observed = deque[float](maxlen=_REMEMBERED)
         """Observed over assumed variances."""
         self._most = 0
@@ -117,12 +110,12 @@ class PoseError:
         where a is assumed of each pose that is as given, r is :attr:`ratio`, e the standard error
         of each refined pose, and s the variance of the placement of the k cameras with such poses.
         """
-        places = places_of(names, self._places)
+        places = places_of(names, self._known.places)
         is_placed = ~np.isnan(places[:, 0])
         squares = np.where(is_placed, (places**2).sum(axis=1), REFERENCE**2)
-        errors = np.array([self._errors.get(name, 0.0) for name in names])
+        errors = np.array([self._known.errors.get(name, 0.0) for name in names])
         is_refined = np.array(
-            [self._placement is not None and name in self._refined for name in names]
+            [self._placement is not None and name in self._known.to_given for name in names]
         )
         alone = np.where(is_refined, errors**2 / _AXES, self.ratio * self._assumed(1, squares))
         near = ~is_refined & is_placed

@@ -85,7 +85,7 @@ class WindowSmoother:
         self._params, self._noise, self._known = params, noise, known
         self._motion = noise.motion(model, params)
         self._pose_error = pose_error
-        self.displaced = DisplacedViews(known.errors)
+        self.displaced = DisplacedViews(known)
         self._names: tuple[str, ...] = ()
         self._ahead = LookAhead()
         self._views: list[Sightings] = []
