@@ -68,7 +68,7 @@ STATIONS: Mapping[str, Station] = {
     "nothing": Station({}),
     "poses from people": Station({"input": {"poses": "given"}}),
     "moved cameras": Station(
-        {"input": {"moved": False}}, ("running/moved_cameras.py", "calibrate/camera_change.py")
+        {"input": {"moved": False}}, ("calibrate/moved_cameras.py", "calibrate/camera_change.py")
     ),
     "clocks": Station(
         {"input": {"clocks": "off"}}, ("running/clock_alignment.py", "calibrate/coarse_clock.py")

@@ -9,38 +9,34 @@ has no poses, or poses that the people contradict, they are found from nothing
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from operator import attrgetter
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import TimedPoses, same_place
-from hiros_mcap.calibrate.camera_views import CameraView
-from hiros_mcap.calibrate.coarse_clock import landmarks_of
-from hiros_mcap.calibrate.pair_pose import coarse_clocks, seen_elsewhere
-from hiros_mcap.calibrate.refinement import linked, refine_poses
-from hiros_mcap.calibrate.sampling import Rig
+from hiros_mcap.calibrate.given_poses import (
+    Move,
+    PosedViews,
+    compare_poses,
+    is_better,
+    with_strays,
+)
+from hiros_mcap.calibrate.moved_cameras import split_moved
 from hiros_mcap.calibrate.survey import (
     MOST_S,
-    FixedCamera,
     Survey,
     camera_faults,
     fixed_cameras,
-    in_words,
     moves,
     names_of,
-    seen_by,
     shared_frames,
     with_own_frames,
 )
 from hiros_mcap.calibrate.verdict import (
     CONFIRMED,
-    NO_VIEW,
     SURE,
     UNLINKED,
     CalibratedCamera,
@@ -50,11 +46,10 @@ from hiros_mcap.config import Config
 from hiros_mcap.errors import LogError
 from hiros_mcap.events import CAMERA_MOVED, Event, Events
 from hiros_mcap.frames import Block
-from hiros_mcap.io.camera_clock import ClockCorrection
 from hiros_mcap.io.log import Log
 from hiros_mcap.running.clock_alignment import ClockAlignment, align_clocks
-from hiros_mcap.running.moved_cameras import Move, PosedViews, placed, split_moved
 from hiros_mcap.running.process_options import Calibration
+from hiros_mcap.running.shared_frames import agreements, mended, said, shared_wrongly
 from hiros_mcap.running.summary import PoseSummary
 from hiros_mcap.stages.track.likeness import DISPLACED
 
@@ -66,12 +61,7 @@ CHECKED_S = 10.0
 WRONG_DEG, WRONG_MM = 1.0, 30.0
 """Least error of a pose that a quick check reports: it shows in the results if it stays."""
 
-_APART_MM = 60.0
-"""Where a clock is wrong by most of a second, people who walk slowly may still fit: they are off by
-8 to 11 cm, and not by 4 to 5."""
 _AT_ONE_TIME, _ENOUGH = 200_000_000, 2  # ns, and cameras
-_DELAY_S = 0.1
-"""Lags of right clocks mostly differ by less."""
 
 _NOWHERE = (
     "all cameras stand at the same place with the same orientation, so that nobody has measured "
@@ -284,11 +274,12 @@ def _missing_poses(log: Log) -> LogError | None:
 def _compared(survey: Survey, clocks: ClockAlignment) -> PoseAlignment:
     """Compare the log's poses as they are with the people, for the clocks alone."""
     cameras = fixed_cameras(survey.log, camera_faults(survey.log))
-    posed = _posed(survey, clocks, [camera._replace(movable=False) for camera in cameras])
+    fixed = [camera._replace(movable=False) for camera in cameras]
+    posed = compare_poses(survey, clocks.corrections, fixed, clocks.lags)
     alignment = _aligned(posed, survey.log.span[0], {})
     contradictions = tuple(map(said, shared_wrongly(survey.log, posed.rig).items()))
     return replace(
-        alignment, contradictions=contradictions, agreements=_agreements(survey.log, posed.rig)
+        alignment, contradictions=contradictions, agreements=agreements(survey.log, posed.rig)
     )
 
 
@@ -301,69 +292,24 @@ def _refined_poses(
     free = [camera.name for camera in fixed_cameras(log, faults) if camera.movable]
     if len(free) == 1:
         faults |= {free[0]: _ALONE}
-    posed = _posed(survey, clocks, fixed_cameras(log, faults))
+    posed = compare_poses(survey, clocks.corrections, fixed_cameras(log, faults), clocks.lags)
     if separated := _separated(survey, clocks, mode, posed):
         return separated
     if not free and mode != "require" and all(camera.reason == UNLINKED for camera in posed.rig):
         return PoseAlignment()  # nothing tells a pose, and none is used: all are in one frame
-    posed = split_moved(survey, clocks, posed) if moved else posed
-    posed = posed if posed.moves else _with_strays(survey, clocks, posed)
+    posed = split_moved(survey, clocks.corrections, posed) if moved else posed
+    posed = posed if posed.moves else with_strays(survey, clocks.corrections, posed)
     alike = [] if faults else same_place({camera.name: camera.pose for camera in posed.cameras})
     if not faults and (anew := _found_anew(survey, clocks, mode, posed, alike)):
         return anew
     alignment = _aligned(posed, log.span[0], faults)
-    alignment.agreements = _agreements(log, posed.rig)
+    alignment.agreements = agreements(log, posed.rig)
     if mode == "require":
         _require(log, alignment)
-    if poses := _poses_used(posed):
+    if poses := posed.poses_used():
         alignment.better = poses, log.fixed_frame
-        alignment.to_given = _to_given(posed)
+        alignment.to_given = posed.to_given()
     return alignment
-
-
-def _posed(survey: Survey, clocks: ClockAlignment, cameras: Iterable[FixedCamera]) -> PosedViews:
-    """Compare cameras, of which some are movable, with each other; one alone cannot be."""
-    ordered = sorted(cameras)
-    if len(ordered) < 2:
-        return PosedViews([], [], [], [])
-    return _refined(survey, clocks.corrections, ordered, clocks.lags)
-
-
-def _with_strays(survey: Survey, clocks: ClockAlignment, posed: PosedViews) -> PosedViews:
-    """Find out who of the cameras that share no view would share one if they stood elsewhere.
-
-    Such a camera does not fit. The others see different people, and nothing is wrong with that. The
-    largest group of cameras that see the same people counts as right; any other is like a camera.
-    """
-    strays = _strays(survey, posed)
-    if not any(posed.cameras[k].movable for group in strays for k in group):
-        return posed
-    model, sightings = survey.log.model, survey.many(clocks.corrections)
-    mirror, rig = symmetry_of(model).mirror, list(posed.rig)
-    views = [
-        seen_by(camera, sightings.get(camera.name, []), mirror, view.shift)
-        for camera, view in zip(posed.cameras, posed.views, strict=True)
-    ]
-    log_poses = Rig.of([camera.pose for camera in posed.cameras])
-    for group in strays:
-        found = (
-            seen_elsewhere(k, group, views, log_poses, landmarks_of(model), mirror) for k in group
-        )
-        if other := next(filter(None, found), ""):
-            reason = f"its people are those whom {other} sees elsewhere"
-            for k in group:
-                rig[k] = replace(rig[k], verdict="impossible", reason=reason)
-    return replace(posed, rig=rig)
-
-
-def _strays(survey: Survey, posed: PosedViews) -> list[list[int]]:
-    """Return the cameras that share no view with the others: each alone, or in groups."""
-    alone = [[k] for k, one in enumerate(posed.rig) if one.reason == UNLINKED]
-    poses = [one.pose or camera.pose for one, camera in zip(posed.rig, posed.cameras, strict=True)]
-    fitting = [k for k, one in enumerate(posed.rig) if one.fits and [k] not in alone]
-    groups = linked(posed.views, poses, symmetry_of(survey.log.model).mirror)
-    groups = [[k for k in group if k in fitting] for group in groups]
-    return [*alone, *sorted(groups, key=len, reverse=True)[1:]]
 
 
 def _found_anew(
@@ -414,62 +360,6 @@ def _separated(
         return None
 
 
-def shared_wrongly(
-    log: Log, rig: Sequence[CalibratedCamera], *, or_alone: bool = False
-) -> dict[str, list[str]]:
-    """Frame -> the cameras in it, where people whom they share are not at one place in it.
-
-    ``or_alone`` : also where no two of them share anybody.
-    """
-    wrong = {camera.name for camera in rig if not camera.fits}
-    alone = {camera.name for camera in rig if or_alone and camera.reason == UNLINKED}
-    shared = {frame: names_of(cameras) for frame, cameras in shared_frames(log).items()}
-    return {
-        frame: names for frame, names in shared.items() if wrong & set(names) or alone >= set(names)
-    }
-
-
-def _agreements(log: Log, rig: Sequence[CalibratedCamera]) -> tuple[str, ...]:
-    """Return a line for each frame in which several cameras see the same people at one place."""
-    fitting = {
-        camera.name for camera in rig if camera.fits and camera.reason not in (NO_VIEW, UNLINKED)
-    }
-    shared = {frame: names_of(cameras) for frame, cameras in shared_frames(log).items()}
-    return tuple(
-        f"{in_words(names)} publish in the same frame {frame!r} and see the same people at the "
-        "same place in it, so hiros takes them as they are"
-        for frame, names in shared.items()
-        if fitting >= set(names)
-    )
-
-
-def said(frame: tuple[str, Sequence[str]]) -> str:
-    """Say that a frame of several cameras is no frame of what they all see."""
-    name, cameras = frame
-    where = f"publish in the same frame {name!r}" if name else "name no frame"
-    return (
-        f"{in_words(cameras)} {where}, but do not see the same people "
-        "at the same place in it; set header.frame_id to each camera's own frame, pass a pose for "
-        "each topic with --extrinsics FILE, or calibrate the poses that were applied before"
-    )
-
-
-def _mended(log: Log, own: Log, calibration: PeopleCalibration) -> Iterator[str]:
-    """Yield which frames channels got in ``own`` that share one in the log."""
-    from hiros_mcap.calibrate.people import see_alike
-
-    named = {camera.channel.topic: camera.own_frame for camera in own.cameras}
-    for frame, cameras in shared_frames(log).items():
-        names, new = names_of(cameras), [named[camera.channel.topic] for camera in cameras]
-        if any(new) and not see_alike(names, calibration.cameras):
-            yield (
-                f"{in_words(names)} publish in the same frame {frame!r}, but do not see the same "
-                f"people at the same place in it: hiros took a frame for each channel "
-                f"({', '.join(filter(None, new))}). Set header.frame_id to each camera's own frame "
-                "(tf_prefix)"
-            )
-
-
 def _aligned(posed: PosedViews, start: int, faults: Mapping[str, str]) -> PoseAlignment:
     """Return what a user should know of the cameras.
 
@@ -484,7 +374,7 @@ def _aligned(posed: PosedViews, start: int, faults: Mapping[str, str]) -> PoseAl
         for part, since, until in zip(parts, [math.nan, *times], [*times, math.nan], strict=True):
             stay = posed.rig[names.index(camera) + part]
             stay = replace(stay, since_s=since, until_s=until)
-            summaries.append(summary_of(stay, used=_is_better(stay)))
+            summaries.append(summary_of(stay, used=is_better(stay)))
     for k, summary in enumerate(summaries):
         if summary.verdict == "impossible" and summary.name in faults:
             summaries[k] = replace(summary, reason=faults[summary.name])
@@ -499,33 +389,6 @@ def _aligned(posed: PosedViews, start: int, faults: Mapping[str, str]) -> PoseAl
     return PoseAlignment(summaries, misfits=misfits, moves=posed.moves, late=posed.late)
 
 
-def _poses_used(posed: PosedViews) -> dict[str, dict[int, Rigid]]:
-    """Frame -> poses other than the log's, by the log times from which on they hold."""
-    names = [camera.name for camera in posed.cameras]
-    poses: dict[str, dict[int, Rigid]] = {}
-    for k, (camera, calibrated) in enumerate(zip(posed.cameras, posed.rig, strict=True)):
-        moves = [move for move in posed.moves if move.camera == camera.name]
-        if k == names.index(camera.name) and (moves or _is_better(calibrated)):
-            poses[camera.frame] = {0: placed(posed, k)}
-            poses[camera.frame] |= {m.log_time: placed(posed, k + m.part) for m in moves}
-    return poses
-
-
-def _is_better(camera: CalibratedCamera) -> bool:
-    """Whether the people gave the camera a pose in place of the log's."""
-    return not math.isnan(camera.moved_mm)
-
-
-def _to_given(posed: PosedViews) -> dict[str, Rigid]:
-    """Camera -> what takes its people back to the log's pose, without those with two poses."""
-    twice = {move.camera for move in posed.moves}
-    return {
-        camera.name: camera.pose @ placed(posed, k).inverse()
-        for k, (camera, calibrated) in enumerate(zip(posed.cameras, posed.rig, strict=True))
-        if _is_better(calibrated) and camera.name not in twice
-    }
-
-
 def pose_faults(log: Log) -> list[str]:
     """Return which poses of a log do not fit the people in it, in one line; [] if all do.
 
@@ -535,7 +398,7 @@ def pose_faults(log: Log) -> list[str]:
     cameras = sorted(camera for camera in fixed_cameras(log, faults) if camera.movable or shared)
     if len(cameras) < 2:
         return []
-    posed = _refined(Survey(log, CHECKED_S), {}, cameras, {})
+    posed = compare_poses(Survey(log, CHECKED_S), {}, cameras, {})
     if wrong := shared_wrongly(log, posed.rig, or_alone=True):
         give = "hiros process and hiros calibrate people give each channel a frame of its own"
         return [f"{said(frame)}. {give}, if the people tell the poses" for frame in wrong.items()]
@@ -564,56 +427,6 @@ def _require(log: Log, alignment: PoseAlignment) -> None:
                 f"--calibrate require: {camera.name}: {camera.verdict}: {camera.reason}; {advice}",
                 path=log.path,
             )
-
-
-def _refined(
-    survey: Survey,
-    corrections: Mapping[str, ClockCorrection],
-    cameras: Sequence[FixedCamera],
-    lags: Mapping[str, float],
-) -> PosedViews:
-    """Compare the cameras' poses with those that their people give, and find the clocks.
-
-    ``lags`` are those of :attr:`ClockAlignment.lags`. Clocks that are far off are searched for if
-    people do not fit, or if the lags suggest it.
-    """
-    log, sightings = survey.log, survey.sightings(corrections)
-    mirror = symmetry_of(log.model).mirror
-    poses = [camera.pose for camera in cameras]
-    anchor = next((k for k, camera in enumerate(cameras) if camera.frame == log.fixed_frame), None)
-
-    def views_at(shifts: Sequence[float]) -> list[CameraView]:
-        return [
-            seen_by(camera, sightings.get(camera.name, []), mirror, shift)
-            for camera, shift in zip(cameras, shifts, strict=True)
-        ]
-
-    def refined(shifts: Sequence[float]) -> PosedViews:
-        views = views_at(shifts)
-        fitted = refine_poses(views, poses, mirror, anchor, [c.movable for c in cameras])
-        return PosedViews(list(cameras), views, *fitted)
-
-    posed = refined([0.0] * len(cameras))
-    hints = [lags.get(camera.name, 0.0) for camera in cameras]
-    fitting, nearness = _fit(posed)
-    if fitting == len(cameras) and -nearness < _APART_MM and np.ptp(hints) < _DELAY_S:
-        return posed
-    # All of the log: at the right lag, short stretches overlap less than at a wrong one.
-    sightings = survey.many(corrections)
-    views = views_at([0.0] * len(cameras))
-    shifts = coarse_clocks(views, Rig.of(poses), hints, landmarks_of(log.model), mirror)
-    again = refined(shifts.tolist()) if shifts.any() else posed
-    return max(again, posed, key=_fit)  # a camera that was moved may not fit at the right lag
-
-
-def _fit(posed: PosedViews) -> tuple[int, float]:
-    """Return how many cameras see the people where others see them, and minus the worst residual.
-
-    The residual is in mm; 0 unless all of them do.
-    """
-    fitting = [camera for camera in posed.rig if camera.fits and camera.reason != UNLINKED]
-    all_fit = len(fitting) == len(posed.rig)
-    return len(fitting), -max(camera.residual_mm for camera in fitting) if all_fit else 0.0
 
 
 def _from_nothing(
@@ -652,7 +465,7 @@ def _from_nothing(
         moves=tuple(_moves_of(calibration)),
         better=(poses, calibration.fixed_frame),
         contradictions=(
-            *_mended(original, log, calibration),
+            *mended(original, log, calibration),
             *log.transforms.doubts(name for camera in original.cameras for name in camera.frames),
         ),
         own_frames=frozenset(c.channel.topic for c in log.cameras if c.own_frame == c.topic_frame),

@@ -42,12 +42,8 @@ from hiros_mcap.kernels.array_types import joined
 from hiros_mcap.kernels.people_rows import PoseArrays, move_messages
 from hiros_mcap.running.clock_alignment import significant_offsets
 from hiros_mcap.running.clock_follower import ClockFollower
-from hiros_mcap.running.pose_alignment import (
-    PoseAlignment,
-    said,
-    shared_wrongly,
-    summary_of,
-)
+from hiros_mcap.running.pose_alignment import PoseAlignment, summary_of
+from hiros_mcap.running.shared_frames import said, shared_wrongly
 from hiros_mcap.stages.known_cameras import KnownCameras
 from hiros_mcap.threads import beside
 

@@ -99,6 +99,12 @@ def test_a_camera_that_was_moved_far_gets_both_poses(scene, healthy, tmp_path, a
     assert after.moved_mm == pytest.approx(1000, abs=50)
 
 
+def test_a_move_is_found_where_clocks_are_not_corrected(log, tmp_path):
+    config = load_config(named={"test": {"input": {"clocks": "off"}}})
+    found = process(log, tmp_path / "out.mcap", config=config, options=FIRST_STAGE)
+    assert found.poses[2].until_s == pytest.approx(AT_S, abs=0.25)
+
+
 def test_the_summary_names_camera_and_time(done):
     before, after = done[0].poses[2:]
     assert (before.name, after.name) == ("camera_2", "camera_2")

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -27,16 +26,16 @@ from hiros_mcap.calibrate.camera_change import (
 )
 from hiros_mcap.calibrate.camera_views import CameraView, Sighting
 from hiros_mcap.calibrate.gauge import PRIOR_DEG, PRIOR_M, moved, on_transforms
+from hiros_mcap.calibrate.given_poses import Corrections, Move, PosedViews, views_of
 from hiros_mcap.calibrate.refinement import (
     FROM_GIVEN,
     refine_poses,
     refine_together,
 )
 from hiros_mcap.calibrate.sampling import Rig
-from hiros_mcap.calibrate.survey import FixedCamera, Survey, seen_by
-from hiros_mcap.calibrate.verdict import SURE, CalibratedCamera
+from hiros_mcap.calibrate.survey import FixedCamera, Survey
+from hiros_mcap.calibrate.verdict import SURE
 from hiros_mcap.events import Event, camera_displaced
-from hiros_mcap.running.clock_alignment import ClockAlignment
 from hiros_mcap.skeletons import Floats, Ints
 
 GAIN = 0.3
@@ -57,44 +56,7 @@ MOST_PARTS = 6
 """Each part that is read narrows the gap to a third or less."""
 
 
-class Move(NamedTuple):
-    """A camera was moved."""
-
-    camera: str
-    stamp: int
-    """Of its first message afterwards, ns."""
-    log_time: int
-    """Of the same message."""
-    metres: float
-    degrees: float
-    part: int = 1
-    """Which of its poses it got; a camera that comes back gets a former one."""
-
-    @property
-    def distance(self) -> str:
-        """How far, in words."""
-        return f"{100 * self.metres:.0f} cm and {self.degrees:.1f} degrees"
-
-
-@dataclass(frozen=True, slots=True)
-class PosedViews:
-    """Views of the cameras, and the poses that follow from the people in them.
-
-    A camera that was moved has a row for each of its poses, in the order of time.
-    """
-
-    cameras: list[FixedCamera]
-    """With the poses that the log gives."""
-    views: list[CameraView]
-    rig: list[CalibratedCamera]
-    gains: list[SecondPose]
-    """By how much a second pose would explain each camera better."""
-    moves: tuple[Move, ...] = ()
-    late: Event | None = None
-    """A camera that was moved for too short a time to tell a pose."""
-
-
-def split_moved(survey: Survey, clocks: ClockAlignment, posed: PosedViews) -> PosedViews:
+def split_moved(survey: Survey, corrections: Corrections, posed: PosedViews) -> PosedViews:
     """Return the cameras, those that were moved as two, each part with its own pose.
 
     Where no camera was moved, or the log does not tell, ``posed`` itself is returned.
@@ -104,8 +66,8 @@ def split_moved(survey: Survey, clocks: ClockAlignment, posed: PosedViews) -> Po
     if not left:
         return posed
     shifts = {view.name: view.shift for view in posed.views}
-    splitter = _Splitter(survey, clocks, mirror, shifts)
-    views = splitter.views_of(posed.cameras, survey.many(clocks.corrections))
+    splitter = _Splitter(survey, corrections, mirror, shifts)
+    views = splitter.views_of(posed.cameras, survey.many(corrections))
     result = replace(posed, views=views)
     while left:
         tried.add(left[0])
@@ -121,7 +83,7 @@ def suspects(posed: PosedViews, fixed_frame: str, mirror: Ints) -> list[str]:
 
     Of two cameras that do not fit each other, it is taken to be the second.
     """
-    rig = Rig.of([placed(posed, k) for k in range(len(posed.views))])
+    rig = Rig.of([posed.pose(k) for k in range(len(posed.views))])
     steps = steps_apart(posed.views, rig, mirror)
     rows = zip(posed.cameras, posed.rig, posed.gains, steps, strict=True)
     free = [row for camera, *row in rows if camera.frame != fixed_frame]
@@ -151,7 +113,7 @@ class _Splitter:
     """Splits the views of cameras that were moved in a log."""
 
     _survey: Survey
-    _clocks: ClockAlignment
+    _corrections: Corrections
     _mirror: Ints
     _shifts: Mapping[str, float]
     """Camera -> s by which its times are later than stated."""
@@ -160,10 +122,8 @@ class _Splitter:
         self, cameras: Sequence[FixedCamera], sightings: Mapping[str, list[Sighting]]
     ) -> list[CameraView]:
         """Return what cameras see."""
-        return [
-            seen_by(camera, sightings.get(camera.name, []), self._mirror, self._shifts[camera.name])
-            for camera in cameras
-        ]
+        shifts = [self._shifts[camera.name] for camera in cameras]
+        return views_of(cameras, sightings, shifts, self._mirror)
 
     def split(self, posed: PosedViews, name: str) -> PosedViews:
         """Return the views with those of a camera in two parts, if it was moved."""
@@ -181,9 +141,9 @@ class _Splitter:
         parts = self._refined(posed, c, partner, changes)
         if parts is None:
             return posed
-        moves, before = [], placed(parts, c)
+        moves, before = [], parts.pose(c)
         for change in changes:
-            after = placed(parts, c + change.part)
+            after = parts.pose(c + change.part)
             first = self._first_message(name, change.seconds)
             moves.append(Move(name, *first, *before.apart(after), change.part))
             before = after
@@ -191,7 +151,7 @@ class _Splitter:
 
     def moved_late(self, posed: PosedViews) -> Event | None:
         """Find the camera whose people are elsewhere from some time on."""
-        poses = [placed(posed, k) for k in range(len(posed.views))]
+        poses = [posed.pose(k) for k in range(len(posed.views))]
         _, gains = refine_poses(posed.views, poses, self._mirror)
         c = max(range(len(gains)), key=lambda k: (round(gains[k].metres, 2), k))
         if not _is_late(gains[c]):
@@ -210,7 +170,7 @@ class _Splitter:
                 break
             name = posed.cameras[pair[0]].name
             ends = [self._first_message(name, s)[1] for s in (change.begin, change.end)]
-            sightings = self._survey.between((ends[0], ends[1]), PART_S, self._clocks.corrections)
+            sightings = self._survey.between((ends[0], ends[1]), PART_S, self._corrections)
             views = self.views_of([posed.cameras[k] for k in pair], sightings)
             nearer = located(views, change.early, change.late, self._mirror)
             begin, end = max(change.begin, nearer.begin), min(change.end, nearer.end)
@@ -227,7 +187,7 @@ class _Splitter:
         cameras, calibrated = list(posed.cameras), list(posed.rig)
         views = split_views(posed.views, {camera.name: changes})
         cameras[c : c + 1], calibrated[c : c + 1] = [camera] * n, [calibrated[c]] * n
-        ends = [placed(posed, partner) @ rigs[part].pose(1) for part in range(n)]
+        ends = [posed.pose(partner) @ rigs[part].pose(1) for part in range(n)]
         kept = c + int(np.argmin([_deviation(pose, camera.pose) for pose in ends]))
         starts = [row.pose for row in cameras]
         starts[c : c + n] = ends
@@ -267,15 +227,10 @@ class _Splitter:
 
         Seconds count from the middle of the log.
         """
-        times = self._clocks.corrected_times(name)
+        times = self._survey.times[name].corrected(self._corrections.get(name))
         since = self._survey.middle + round(1e9 * (seconds - self._shifts[name]))
         k = int(np.argmax(times.stamps >= since))
         return int(times.stamps[k]), int(times.log_times[k])
-
-
-def placed(posed: PosedViews, camera: int) -> Rigid:
-    """Return the pose of a camera that is used."""
-    return posed.rig[camera].pose or posed.cameras[camera].pose
 
 
 def _deviation(pose: Rigid, other: Rigid) -> float:
