@@ -84,17 +84,17 @@ def find_moves(
     return moves
 
 
-def partner_of(views: Sequence[CameraView], c: int, others: Sequence[int]) -> int | None:
+def partner_of(views: Sequence[CameraView], c: int, cameras: Sequence[int]) -> int | None:
     """Return that one of some other cameras which sees most at the same time as camera ``c``."""
-    cells = {k: _cells(views[k]) for k in {c, *others}}
-    rest = [k for k in others if k != c]
-    return max(rest, key=lambda k: len(cells[k] & cells[c]), default=None)
+    cells = {k: _cells(views[k]) for k in {c, *cameras}}
+    candidates = [k for k in cameras if k != c]
+    return max(candidates, key=lambda k: len(cells[k] & cells[c]), default=None)
 
 
 def _cells(view: CameraView) -> set[int]:
     """Return in which tenths of a second a camera sees somebody."""
     seconds = [track.seconds for track in view.tracks]
-    return {int(s // CELL_S) for some in seconds for s in some.tolist()}
+    return {int(s // CELL_S) for times in seconds for s in times.tolist()}
 
 
 def split_views(views: Sequence[CameraView], moves: Moves) -> list[CameraView]:
@@ -159,10 +159,10 @@ def find_changes(
     landmarks : of the skeleton, to find the clocks; see :func:`landmarks_of`. None = the clocks
         are about right. mirror : (M,).
     """
-    one, other = pair
-    if not (one.tracks and other.tracks):
+    first, second = pair
+    if not (first.tracks and second.tracks):
         return []
-    rigs = _stretch_poses(one, other, landmarks, mirror)
+    rigs = _stretch_poses(first, second, landmarks, mirror)
     if len(rigs) < 2:
         return []
     instants = instants_of(pair[:1], CHANGE_INSTANTS)
@@ -175,25 +175,26 @@ def find_changes(
     parts = {pose: part for part, pose in enumerate(dict.fromkeys(path.tolist()))}
     changes = []
     for k in np.flatnonzero(np.diff(path)) + 1:
-        old, new = path[k - 1], path[k]
+        pair_of_poses = int(path[k - 1]), int(path[k])
         gains = [
-            float((table[some, worse] - table[some, better]).mean())
-            for some, worse, better in ((path == old, new, old), (path == new, old, new))
+            float((table[path == right, wrong] - table[path == right, right]).mean())
+            for right, wrong in (pair_of_poses, pair_of_poses[::-1])
         ]
         ends = float(instants[k - 1]), float(instants[k])
-        changes.append(CameraChange(*ends, rigs[old], rigs[new], min(gains), parts[int(new)]))
+        before, after = (rigs[pose] for pose in pair_of_poses)
+        changes.append(CameraChange(*ends, before, after, min(gains), parts[int(path[k])]))
     return changes
 
 
 def _stretch_poses(
-    one: CameraView, other: CameraView, landmarks: Landmarks | None, mirror: Ints
+    first: CameraView, second: CameraView, landmarks: Landmarks | None, mirror: Ints
 ) -> list[Rig]:
     """Return the poses that differ of the second camera in the first, from stretches of the log."""
-    begin, end = (float(f([t.seconds[k] for t in other.tracks])) for f, k in ((min, 0), (max, -1)))
+    begin, end = (float(f([t.seconds[k] for t in second.tracks])) for f, k in ((min, 0), (max, -1)))
     length = max((end - begin) / STRETCHES, LEAST_PART_S)
     rigs: list[Rig] = []
     for at in np.arange(begin, end - 0.75 * length, length / 2.0):
-        fit = _pose(one, part_of(other, [(at, at + length)]), landmarks, mirror)
+        fit = _pose(first, part_of(second, [(at, at + length)]), landmarks, mirror)
         if fit is not None and not any(alike(fit.rig, rig, LEAST_DEG, LEAST_M) for rig in rigs):
             rigs.append(fit.rig)
     return rigs
@@ -218,10 +219,10 @@ def _joined(table: Floats, path: Stamps) -> Stamps:
     """Return the path with as few poses as bring people nearer by :data:`LEAST_M`."""
     for old in sorted(np.unique(path).tolist(), key=lambda pose: np.count_nonzero(path == pose)):
         unchanged = path == old
-        rest = np.setdiff1d(path, [old])
-        means = table[unchanged][:, rest].mean(axis=0)
-        if len(rest) and means.min() < table[unchanged, old].mean() + LEAST_M:
-            path = np.where(unchanged, rest[int(means.argmin())], path)
+        poses_left = np.setdiff1d(path, [old])
+        means = table[unchanged][:, poses_left].mean(axis=0)
+        if len(poses_left) and means.min() < table[unchanged, old].mean() + LEAST_M:
+            path = np.where(unchanged, poses_left[int(means.argmin())], path)
     return path
 
 
@@ -250,7 +251,7 @@ def located(pair: Sequence[CameraView], early: Rig, late: Rig, mirror: Ints) -> 
 
 
 class SecondPose(NamedTuple):
-    """What another pose of a camera from some time on would change."""
+    """The gain if a camera had another pose from some time on."""
 
     share: float = 0.0
     """Of the misfit that is gone then."""
@@ -269,20 +270,20 @@ def second_poses(residuals: RigResiduals, points: Points) -> list[SecondPose]:
     start = points.seconds.min(initial=np.inf)
     bins = np.floor((points.seconds - start) / BIN_S)
     cameras = []
-    for c, (seen, apart, weights) in enumerate(residuals.against_others()):
-        positions = (residuals.means + residuals.offsets[c])[seen]
+    for c, (is_seen, apart, weights) in enumerate(residuals.against_others()):
+        positions = (residuals.means + residuals.offsets[c])[is_seen]
         moments = _moments(positions, positions - apart, weights)
-        filled, rows = np.unique(bins[seen], return_inverse=True)
+        filled, rows = np.unique(bins[is_seen], return_inverse=True)
         sums = np.zeros((len(filled), moments.shape[1]))
         np.add.at(sums, rows, moments)
         total, early = sums.sum(axis=0), np.cumsum(sums, axis=0)[LEAST_BINS - 1 : -LEAST_BINS]
-        both = _misfits(early) + _misfits(total - early)
+        misfits = _misfits(early) + _misfits(total - early)
         whole = float(_misfits(total[None])[0])
-        if not len(both) or whole <= 0.0:
+        if not len(misfits) or whole <= 0.0:
             cameras.append(SecondPose())
             continue
-        k = int(both.argmin())
-        better, mass = whole - float(both[k]), min(early[k, 0], total[0] - early[k, 0])
+        k = int(misfits.argmin())
+        better, mass = whole - float(misfits[k]), min(early[k, 0], total[0] - early[k, 0])
         at = float(start + BIN_S * filled[k + LEAST_BINS])
         cameras.append(SecondPose(better / whole, float(np.sqrt(max(better, 0.0) / mass)), at))
     return cameras
@@ -318,21 +319,21 @@ def _step(distances: Floats, instants: Floats) -> float:
     return float(steps[np.where(long, steps**2 * early * late, -1.0).argmax()])
 
 
-def _moments(ones: Floats, others: Floats, weights: Floats) -> Floats:
+def _moments(points: Floats, targets: Floats, weights: Floats) -> Floats:
     """(P, 17) what the misfit of two sets of (P, 3) points is made of, for each pair."""
-    products = (ones[:, :, None] * others[:, None, :]).reshape(-1, 9)
-    squares = np.sum(ones**2 + others**2, axis=1)[:, None]
-    rows = np.concatenate([np.ones((len(ones), 1)), ones, others, products, squares], axis=1)
+    products = (points[:, :, None] * targets[:, None, :]).reshape(-1, 9)
+    squares = np.sum(points**2 + targets**2, axis=1)[:, None]
+    rows = np.concatenate([np.ones((len(points), 1)), points, targets, products, squares], axis=1)
     return np.asarray(rows * weights[:, None])
 
 
 def _misfits(moments: Floats) -> Floats:
     """(K,) sum of squares about the best rigid fit of each of K sums of moments."""
     mass = np.maximum(moments[:, :1], 1e-12)
-    ones, others = moments[:, 1:4], moments[:, 4:7]
+    points, targets = moments[:, 1:4], moments[:, 4:7]
     products = moments[:, 7:16].reshape(-1, 3, 3)
-    products = products - ones[:, :, None] * others[:, None, :] / mass[:, :, None]
-    spread = moments[:, 16] - np.sum(ones**2 + others**2, axis=1) / mass[:, 0]
+    products = products - points[:, :, None] * targets[:, None, :] / mass[:, :, None]
+    spread = moments[:, 16] - np.sum(points**2 + targets**2, axis=1) / mass[:, 0]
     singular = np.linalg.svd(products, compute_uv=False)
     singular[:, 2] *= np.sign(np.linalg.det(products))
     return np.asarray(np.maximum(spread - 2.0 * singular.sum(axis=1), 0.0))
@@ -350,17 +351,18 @@ def part_of(view: CameraView, spans: Sequence[Sequence[float]]) -> CameraView:
 
 
 def _pose(
-    one: CameraView, other: CameraView, landmarks: Landmarks | None, mirror: Ints
+    first: CameraView, second: CameraView, landmarks: Landmarks | None, mirror: Ints
 ) -> PairFit | None:
-    """Return the pose of a camera in another one, None unless it is the only one that fits."""
-    if not other.tracks:
+    """Return the pose of the second camera in the first; None unless no other one fits."""
+    if not second.tracks:
         return None
     if landmarks is None:
         candidates: list[LagCandidate] = [(0.0, [])]
     else:
-        candidates = lag_candidates(signatures_of(one, landmarks), signatures_of(other, landmarks))
-    instants = instants_of([other], PAIR_INSTANTS)
-    fits = register_pair([one, other], candidates, instants, mirror)
+        signatures = (signatures_of(view, landmarks) for view in (first, second))
+        candidates = lag_candidates(*signatures)
+    instants = instants_of([second], PAIR_INSTANTS)
+    fits = register_pair([first, second], candidates, instants, mirror)
     return fits[0] if usable(fits) and not ambiguous(fits) else None
 
 
@@ -383,14 +385,15 @@ def _distances_of(
     """
     rows = np.isin(samples.cameras, pair)
     instants, cameras, tracks = (array[rows] for array in samples[:3])
-    some = Samples(instants, cameras, tracks, chosen(samples.lines, rows))
+    of_pair = Samples(instants, cameras, tracks, chosen(samples.lines, rows))
     counts = [np.bincount(instants[cameras == c], minlength=n_instants) for c in pair]
     common = np.minimum(*counts)
-    both = common > 0
+    is_common = common > 0
     values = np.full(n_instants, np.nan)
-    distances = group(some, places[rows], mirror, FIT_M).distances
+    distances = group(of_pair, places[rows], mirror, FIT_M).distances
     fitting = np.isfinite(distances)
     sums = np.bincount(instants[fitting], distances[fitting], minlength=n_instants)
     matched = np.bincount(instants[fitting], minlength=n_instants)
-    values[both] = (sums + FIT_M * np.maximum(common - matched, 0))[both] / common[both]
+    totals = sums + FIT_M * np.maximum(common - matched, 0)
+    values[is_common] = totals[is_common] / common[is_common]
     return values

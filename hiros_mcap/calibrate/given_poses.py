@@ -182,8 +182,8 @@ def with_strays(survey: Survey, corrections: Corrections, posed: PosedViews) -> 
         found = (
             seen_elsewhere(k, group, views, log_poses, landmarks_of(model), mirror) for k in group
         )
-        if other := next(filter(None, found), ""):
-            reason = f"its people are those whom {other} sees elsewhere"
+        if witness := next(filter(None, found), ""):
+            reason = f"its people are those whom {witness} sees elsewhere"
             for k in group:
                 rig[k] = replace(rig[k], verdict="impossible", reason=reason)
     return replace(posed, rig=rig)

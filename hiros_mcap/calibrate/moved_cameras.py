@@ -90,12 +90,12 @@ def suspects(posed: PosedViews, fixed_frame: str, mirror: Ints) -> list[str]:
     if len(posed.cameras) == 2:
         free = free[-1:]
     odd = [calibrated.name for calibrated, *_ in free if not calibrated.fits]
-    rest = {
+    doubtful = {
         calibrated.name: gain.share
         for calibrated, gain, steps_of_camera in free
         if calibrated.fits and (gain.share > GAIN or _is_late(gain) or _is_far(steps_of_camera))
     }
-    return odd + sorted(rest, key=lambda name: -rest[name])
+    return odd + sorted(doubtful, key=lambda name: -doubtful[name])
 
 
 def _is_late(gain: SecondPose) -> bool:
@@ -104,8 +104,8 @@ def _is_late(gain: SecondPose) -> bool:
 
 def _is_far(steps: Floats) -> bool:
     """Whether people are farther from those of all other cameras in one part of the log."""
-    known = steps[~np.isnan(steps)]
-    return bool(len(known) and known.min() > FAR_M)
+    finite = steps[~np.isnan(steps)]
+    return bool(len(finite) and finite.min() > FAR_M)
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,10 +193,10 @@ class _Splitter:
         starts[c : c + n] = ends
         starts[kept] = camera.pose
         sound = [k for k, row in enumerate(calibrated) if row.fits or k in parts]
-        new = [k for k in parts if k != kept]
+        changed = [k for k in parts if k != kept]
         fitting = [views[k] for k in sound], [starts[k] for k in sound]
-        refined = self._placed(*fitting, [sound.index(k) for k in new])
-        for k, pose in zip(new, refined, strict=True):
+        refined = self._placed(*fitting, [sound.index(k) for k in changed])
+        for k, pose in zip(changed, refined, strict=True):
             starts[k] = pose
         frames = [row.frame for row in cameras]
         fixed = self._survey.log.fixed_frame
@@ -205,7 +205,7 @@ class _Splitter:
         calibrated, gains = refine_poses(views, starts, self._mirror, anchor, movable)
         if not all(row.fits and row.verdict in SURE for row in calibrated[c : c + n]):
             return None
-        for k in new:
+        for k in changed:
             metres, degrees = (calibrated[k].pose or starts[k]).apart(camera.pose)
             verdict = calibrated[k].verdict if calibrated[k].verdict == "usable" else "improved"
             calibrated[k] = replace(
@@ -214,13 +214,13 @@ class _Splitter:
         return PosedViews(cameras, views, calibrated, gains, posed.moves)
 
     def _placed(
-        self, views: Sequence[CameraView], given: Sequence[Rigid], new: Sequence[int]
+        self, views: Sequence[CameraView], starts: Sequence[Rigid], changed: Sequence[int]
     ) -> list[Rigid]:
-        """Return the refined poses of some cameras; the others' given poses place the rig."""
-        refined = refine_together(views, Rig.of(given), self._mirror, FROM_GIVEN)
-        fixed = {k: pose for k, pose in enumerate(given) if k not in new}
+        """Return the refined poses of the cameras that ``changed``; the others' place the rig."""
+        refined = refine_together(views, Rig.of(starts), self._mirror, FROM_GIVEN)
+        fixed = {k: pose for k, pose in enumerate(starts) if k not in changed}
         rig = moved(refined.rig, on_transforms(refined.rig, fixed))
-        return [rig.pose(k) for k in new]
+        return [rig.pose(k) for k in changed]
 
     def _first_message(self, name: str, seconds: float) -> tuple[int, int]:
         """Corrected stamp and log time, ns, of a camera's first message from some time on.
@@ -233,7 +233,7 @@ class _Splitter:
         return int(times.stamps[k]), int(times.log_times[k])
 
 
-def _deviation(pose: Rigid, other: Rigid) -> float:
+def _deviation(pose: Rigid, reference: Rigid) -> float:
     """Distance of two poses, in units of the precision of a log's poses."""
-    metres, degrees = pose.apart(other)
+    metres, degrees = pose.apart(reference)
     return float(np.hypot(degrees / PRIOR_DEG, metres / PRIOR_M))

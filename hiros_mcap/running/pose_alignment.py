@@ -154,8 +154,8 @@ class PoseAlignment:
     @property
     def misplaced(self) -> frozenset[str]:
         """The misfits if others fit each other: of two cameras, nobody knows which is wrong."""
-        others = {one.name for one in self.cameras if one.verdict != "impossible"} - self.misfits
-        return self.misfits if len(others) >= _ENOUGH else frozenset()
+        possible = {camera.name for camera in self.cameras if camera.verdict != "impossible"}
+        return self.misfits if len(possible - self.misfits) >= _ENOUGH else frozenset()
 
     @property
     def errors(self) -> dict[str, float]:

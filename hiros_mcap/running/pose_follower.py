@@ -89,8 +89,8 @@ class PoseFollower:
         self._clocks, self._movable = clocks, movable
         self._mirror = symmetry_of(reading.log.model).mirror
         self._seen: dict[str, PeopleFollowed] = {}
-        """Whom each camera sees, where the log's poses put them, at times without what is proved of
-        its clock."""
+        """The people that each camera sees, where the log's poses put them, at times before its
+        clock was corrected."""
         self._latest: dict[str, int] = {}
         """Stamp of each camera's last sighting, ns."""
         self._start = self._tick = 0
@@ -187,7 +187,7 @@ class PoseFollower:
             self._compare_in_shared_frames(log, seeing)
         if len(cameras) < 2:
             return
-        anchors = [k for k, one in enumerate(cameras) if one.frame == log.fixed_frame]
+        anchors = [k for k, c in enumerate(cameras) if c.frame == log.fixed_frame]
         views = [in_own_frame(camera, self._view(camera)) for camera in cameras]
         # Also where the poses are to stay: wrong ones, held, would look like wrong clocks.
         estimate = beside(

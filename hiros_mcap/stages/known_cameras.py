@@ -1,4 +1,4 @@
-"""The cameras of a run: places, errors of poses, clocks."""
+"""The cameras of a run, as far as they are known."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class KnownCameras:
     places: Mapping[str, Floats] = field(default_factory=dict)
     """(3,) position in the fixed frame, m."""
     to_given: Mapping[str, Rigid] = field(default_factory=dict)
-    """Transform of its people back to the log's pose, where the pose was refined."""
+    """The motion of its people back to the pose that was given, where it was refined."""
     errors: Mapping[str, float] = field(default_factory=dict)
     """Standard error, m, of a pose that the people gave."""
     misplaced: frozenset[str] = frozenset()

@@ -229,11 +229,11 @@ def displaced(sums: Floats, weights: Floats, limits: Floats) -> Floats:
 
     ``sums`` (G, C, 3) of offsets, m, ``weights`` (G, C) of views, 0 = none, ``limits`` (C,), m.
     """
-    seen = weights > 0.0
-    count = seen.sum(axis=1)
-    means = sums / np.where(seen, weights, 1.0)[:, :, None]
-    squares = np.where(seen, (means**2).sum(axis=2), np.inf)  # of the offsets, m2
+    is_seen = weights > 0.0
+    count = is_seen.sum(axis=1)
+    means = sums / np.where(is_seen, weights, 1.0)[:, :, None]
+    squares = np.where(is_seen, (means**2).sum(axis=2), np.inf)  # of the offsets, m2
     middle = np.sort(squares, axis=1)[np.arange(len(count)), np.maximum(count - 1, 0) // 2]
     middle = np.where(count >= MAJORITY, CLEARLY * CLEARLY * middle, np.inf)
     largest = np.maximum(limits * limits, middle[:, None])
-    return np.asarray(SHARE * np.where(seen & (squares > largest), squares, 0.0))
+    return np.asarray(SHARE * np.where(is_seen & (squares > largest), squares, 0.0))

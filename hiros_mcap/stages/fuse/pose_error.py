@@ -72,13 +72,13 @@ class PoseError:
         if self._learned is not None and now - self._learned < _RENEWED:
             return
         self._learned = now
-        seen = ~np.isnan(offsets[:, 0])
-        for person in np.unique(views.people[seen]):
+        compared = ~np.isnan(offsets[:, 0])
+        for person in np.unique(views.people[compared]):
             scaled = []
-            for camera in np.unique(views.cameras[seen & (views.people == person)]):
-                these = seen & (views.people == person) & (views.cameras == camera)
-                assumed = self._assumed(1, views.distances[these].mean() ** 2)
-                scaled.append(offsets[these].mean(axis=0) / np.sqrt(assumed))
+            for camera in np.unique(views.cameras[compared & (views.people == person)]):
+                rows = compared & (views.people == person) & (views.cameras == camera)
+                assumed = self._assumed(1, views.distances[rows].mean() ** 2)
+                scaled.append(offsets[rows].mean(axis=0) / np.sqrt(assumed))
             self._count(np.array(scaled))
 
     def _count(self, scaled: Floats) -> None:
