@@ -1,4 +1,4 @@
-"""Views of cameras that are wrong as a whole lose their weight: moved, of a bad pose or clock.
+"""Cameras that are wrong as a whole: moved, of a bad pose or clock.
 
 The noise of a detector moves each joint on its own. A camera that stands elsewhere than its pose
 says moves all joints of a person together. So the offset of a view is the mean of its joints'
@@ -6,8 +6,12 @@ residuals against the fused pose, and the offset of a camera is the mean of its 
 over a second: faster changes are those of people. A camera is displaced for that second if its
 offset is over LIMIT, and clearly over the median of all cameras that see the person: where all are
 off alike, nobody knows which one is wrong. A pose that the people gave may be off by three of its
-standard errors. The variance of the views of a displaced camera grows by SHARE times the square of
-the offset; they count again from the second on in which they agree.
+standard errors.
+
+A smoother names these cameras: the vote on joints (:mod:`.majority`) has taken their weight, and
+taking more made logs of moved cameras worse, by up to .3 mm. A filter adds SHARE times the square
+of the offset to the variance of their next views, until they agree: poses that are mended on the
+way come late.
 """
 
 from __future__ import annotations
@@ -46,8 +50,8 @@ _PART, _PAUSE = 250_000_000, 4  # ns, and so many of it in which people are in p
 class DisplacedViews:
     """Which cameras show people elsewhere than the others, person by person.
 
-    A smoother asks for the excess (:func:`excess_of`) of views whose offsets it has measured, and
-    smooths again. A filter asks for the excess that is ``expected`` by the views before.
+    A filter asks for the excess that is ``expected`` by the views before. A smoother only counts the
+    excess (:func:`excess_of`) of views whose offsets it has measured.
     ``known`` is of the cameras: how wrong their poses may be.
     """
 

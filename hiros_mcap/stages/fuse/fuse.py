@@ -3,12 +3,14 @@
 1. Views of the same time are gathered (:mod:`.gathering`): one instant has at most one message of
    each camera. Link orientations are their robust mean.
 2. Every measurement z of a joint gets a variance: of its camera, joint and distance, larger for a
-   guess and for a joint that is hidden (:mod:`.fusion_noise`).
+   guess and for a joint that is hidden (:mod:`.fusion_noise`). Of three cameras or more, most are
+   right: a camera that is outvoted about a joint has no weight there (:mod:`.majority`).
 3. Each joint has a filter with a slow offset b per camera, and a smoother that looks ahead
    (:mod:`.fusing`): x' = x + v dt; z = x + b + noise. Nothing is resampled. A camera that puts a
    limb to a wrong place counts little there until it agrees again (:mod:`.outliers`).
-4. The mean residual z - x of a view tells a camera that is not where its pose says; it loses its
-   weight, and 3 is done again (:mod:`.window_smoother`, :mod:`.displaced_views`).
+4. The mean residual z - x of a view tells a camera that is not where its pose says: it is named,
+   and without a look-ahead it has no weight from then on (:mod:`.window_smoother`,
+   :mod:`.displaced_views`).
 5. Residuals say how much noise to assume from now on (:mod:`.residuals`).
 6. The variance of a marker is that of the smoother and of the cameras' poses (:mod:`.pose_error`).
 

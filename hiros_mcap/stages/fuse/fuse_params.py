@@ -48,6 +48,9 @@ class FuseParams(Params):
         "Kinect v2 end within 0.4 to 0.5 s; results of 0.5 to 2 are alike. 0 = each outlier comes "
         "by itself, and no limb follows the joint that holds it.",
     )
+    majority: bool = fixed(
+        True, "Of three cameras or more, who sees a joint elsewhere than most has no weight there."
+    )
     displaced: bool = fixed(
         True, "Views of a camera that shows people elsewhere than the others lose their weight."
     )

@@ -53,12 +53,13 @@ class Sightings(NamedTuple):
     confidences: F2  # (N, M) 0..1; NaN = not given
     distances: F1  # (N,) of the person from the camera, m; REFERENCE where that is not known
     hidden: F2  # (N, M) m2, by which the variance is larger where the camera cannot see
+    outvoted: F2  # (N, M) m2, the same where most cameras see the joint elsewhere
 
     @classmethod
     def allocate(cls, views: int, markers: int) -> Sightings:
         """Return arrays whose numbers are still to be set."""
         joints = views, markers
-        return arrays(cls, *4 * [views], (*joints, 3), joints, views, joints)
+        return arrays(cls, *4 * [views], (*joints, 3), joints, views, joints, joints)
 
 
 def joined_out_of(parts: list[Sightings]) -> Sightings:

@@ -161,6 +161,7 @@ def _write_views(
                     people.confidences[i] if math.isnan(confidence) else confidence
                 )
                 views.hidden[n, m] = buffers.doubts[i, m]
+                views.outvoted[n, m] = 0.0
                 for c in range(3):
                     views.positions[n, m, c] = people.markers[i, m, c]
             n += 1

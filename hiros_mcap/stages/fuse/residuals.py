@@ -153,15 +153,16 @@ class ResidualMeter:
             counts = histograms((squares[of_camera] / variances[of_camera]).T)
             self._events.tally(RESIDUAL, name, counts)
             self._events.tally(COMMON, name, histograms(common[None, of_camera]))
-        # The result does not rest on displaced cameras.
-        weights = 1 / (white + self._noise.offsets**2 + excess[:, None])
+        # The result does not rest on displaced cameras, and on those that are outvoted.
+        excess = excess[:, None] + views.outvoted
+        weights = 1 / (white + self._noise.offsets**2 + excess)
         there = ~np.isnan(views.positions[:, :, 0])
         total = np.zeros((rows.max() + 1, weights.shape[1]))
         order, begins = _grouped(rows[None])
         total[rows[order[begins]]] = _sums(np.where(there, weights, 0.0)[order], begins)
         shares = np.where(there, weights, np.nan) / np.where(total > 0, total, np.nan)[rows]
         expected = posterior * (1 / shares - 1)
-        expected[~sees | (shares > _ALONE) | (excess > 0)[:, None]] = np.nan
+        expected[~sees | (shares > _ALONE) | (excess > 0)] = np.nan
         self._remember(views, residuals, expected, int(fused.stamps[-1]), names)
 
     def _remember(

@@ -23,7 +23,6 @@ from hiros_mcap.skeletons import (
 )
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.fuse.displaced_views import (
-    LIMIT,
     DisplacedViews,
     excess_of,
     limits_of,
@@ -42,6 +41,7 @@ from hiros_mcap.stages.fuse.fusing import (
     smooth_joints,
 )
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
+from hiros_mcap.stages.fuse.majority import Majority
 from hiros_mcap.stages.fuse.pose_error import PoseError
 from hiros_mcap.stages.known_cameras import KnownCameras
 from hiros_mcap.stages.look_ahead import LookAhead
@@ -55,7 +55,6 @@ HALF_CONFIDENCE = 0.02
 _UNSEEN = 0.04
 """Deviation, m, that a hidden joint adds from which on its camera does not count as seeing it: that
 of a joint's remembered place."""
-_ROUNDS = 3  # of smoothing again without displaced cameras; the first finds nearly all
 
 
 class Smoothed(NamedTuple):
@@ -86,6 +85,8 @@ class WindowSmoother:
         self._motion = noise.motion(model, params)
         self._pose_error = pose_error
         self.displaced = DisplacedViews(known)
+        self._majority, self._voted = Majority(model.n_markers), 0
+        """The number of the first instant on which nobody has voted."""
         self._names: tuple[str, ...] = ()
         self._ahead = LookAhead()
         self._views: list[Sightings] = []
@@ -162,11 +163,11 @@ class WindowSmoother:
         everybody = np.unique(out.people.ids).astype(np.int64)
         rows = [self._bank.row(person, boundary) for person in everybody.tolist()]
         window = FusionWindow(
-            views, self._noise.variances(views, self._names), views.stamps >= self._taken,
+            views, self._variances(views), views.stamps >= self._taken,
             out.people.ids, out.stamps[owners], everybody, np.array(rows, np.int64),
             self._origin or 0, boundary,
         )  # fmt: skip
-        poses, excess = self._without_displaced(window, of_views)
+        poses, excess = self._compared(window, of_views)
         seen = cameras_seeing(views, of_views, poses.variances.shape)
         # The filters have taken over what is before the boundary.
         self._taken = boundary
@@ -174,35 +175,35 @@ class WindowSmoother:
         fused = self._finished(out, log_time, poses, seen)
         return Smoothed(fused, views, of_views, excess, self._names)
 
-    def _without_displaced(
-        self, window: FusionWindow, of_views: Stamps
-    ) -> tuple[FusedPoses, Floats]:
-        """Smooth a window. Cameras that prove to be displaced lose their weight.
+    def _variances(self, views: Sightings) -> Floats:
+        """(N, M) Variance of every measurement along each axis, m2; votes on instants once."""
+        variances = self._noise.variances(views, self._names)
+        if self._params.majority:
+            new = slice(int(np.searchsorted(views.instants, self._voted)), None)
+            self._majority.vote(chosen(views, new), variances[new])
+            self._voted = int(views.instants[-1]) + 1 if len(views.instants) else self._voted
+        return np.asarray(variances + views.outvoted)
 
-        Returns the poses, and (N,) the variance, m2, that was added to the views for it.
+    def _compared(self, window: FusionWindow, of_views: Stamps) -> tuple[FusedPoses, Floats]:
+        """Smooth a window, and find out whose views are displaced.
+
+        Returns the poses, and (N,) the variance, m2, that was added to views for being displaced: a
+        filter adds it to those that come after.
         """
-        views, white = window.views, window.variances
-        least = LIMIT if self._params.displaced else math.inf
-        limits = limits_of(self._names, self._known.errors, least)
-        ahead = self._params.window > 0
-        known = not ahead and self._params.displaced
-        excess = self.displaced.expected(views) if known else np.zeros(len(white))
-        for again in range(1 + _ROUNDS):
-            before = self._bank.past
-            if ahead:
-                self._bank.past = JointStates(*[array.copy() for array in before])
-            poses = self._smooth_people(window._replace(variances=white + excess[:, None]))
-            offsets = np.empty((len(white), 3))
-            compare_views.raw(views, white, poses, window.stamps, of_views, offsets)
-            if not ahead:
-                self.displaced.remember(views, offsets)
-                break
-            last, excess = excess, excess_of(views, offsets, limits)
-            if again == _ROUNDS or not ((excess > 0) != (last > 0)).any():
-                break
-            self._bank.past = before
-        self.displaced.count(views, excess, of_views >= 0)
-        self._pose_error.learn(views, np.where(excess > 0, np.nan, offsets.T).T)
+        views, white, finds = window.views, window.variances, self._params.displaced
+        looks_ahead, excess = self._params.window > 0, np.zeros(len(white))
+        if finds and not looks_ahead:
+            excess = self.displaced.expected(views)
+        poses = self._smooth_people(window._replace(variances=white + excess[:, None]))
+        offsets = np.empty((len(white), 3))
+        compare_views.raw(views, white, poses, window.stamps, of_views, offsets)
+        found = excess
+        if looks_ahead and finds:
+            found = excess_of(views, offsets, limits_of(self._names, self._known.errors))
+        elif finds:
+            self.displaced.remember(views, offsets)
+        self.displaced.count(views, found, of_views >= 0)
+        self._pose_error.learn(views, np.where(found > 0, np.nan, offsets.T).T)
         return poses, excess
 
     def _smooth_people(self, window: FusionWindow) -> FusedPoses:
@@ -238,7 +239,7 @@ def cameras_seeing(views: Sightings, rows: Stamps, shape: tuple[int, ...]) -> St
 
     ``rows`` (N,) : the K results' row of each view; -1 = none.
     """
-    sees = ~np.isnan(views.positions[:, :, 0]) & (views.hidden < _UNSEEN**2)
+    sees = ~np.isnan(views.positions[:, :, 0]) & (views.hidden + views.outvoted < _UNSEEN**2)
     seen, these = np.zeros(shape, np.int64), rows >= 0
     np.bitwise_or.at(seen, rows[these], (sees << views.cameras[:, None])[these])
     return seen
