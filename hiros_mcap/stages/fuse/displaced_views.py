@@ -50,8 +50,8 @@ _PART, _PAUSE = 250_000_000, 4  # ns, and so many of it in which people are in p
 class DisplacedViews:
     """Which cameras show people elsewhere than the others, person by person.
 
-    A filter asks for the excess that is ``expected`` by the views before. A smoother only counts the
-    excess (:func:`excess_of`) of views whose offsets it has measured.
+    A filter asks for the excess that is ``expected`` by the views before. A smoother only counts
+    the excess (:func:`excess_of`) of views whose offsets it has measured.
     ``known`` is of the cameras: how wrong their poses may be.
     """
 
