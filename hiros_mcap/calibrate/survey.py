@@ -120,17 +120,17 @@ class Survey:
             for code in dict.fromkeys(block.sources.tolist()):
                 frames, name = np.flatnonzero(inside & (block.sources == code)), block.names[code]
                 rows = rows_between(block.rows[frames])
-                some = Seen(
+                views = Seen(
                     block.stamps[frames],
                     block.log_times[frames],
                     block.sizes[frames],
                     block.people.markers[rows, :, POSITION].astype(np.float32),
                     block.people.marker_confidences[rows].astype(np.float32),
                 )
-                parts.setdefault(name, []).append(some)
+                parts.setdefault(name, []).append(views)
         return {
-            name: Seen(*map(np.concatenate, zip(*some, strict=True)))
-            for name, some in parts.items()
+            name: Seen(*map(np.concatenate, zip(*views, strict=True)))
+            for name, views in parts.items()
         }
 
     def _corrected(
@@ -142,20 +142,20 @@ class Survey:
         """
         start, end = self.log.span
         seconds = {}
-        for name, one in seen.items():
-            times = CameraTimes(one.stamps, one.log_times).corrected(corrections.get(name))
+        for name, views in seen.items():
+            times = CameraTimes(views.stamps, views.log_times).corrected(corrections.get(name))
             seconds[name] = (times.stamps - self.middle) / 1e9
         every = np.concatenate([np.zeros(0), *seconds.values()])
-        middle, most = float(np.median(every)) if len(every) else 0.0, (end - start) / 1e9 + ODD_S
+        middle, limit = float(np.median(every)) if len(every) else 0.0, (end - start) / 1e9 + ODD_S
         return {
             name: [
                 sighting
                 for sighting in sightings_from(
-                    one.positions, one.confidences, one.counts, seconds[name]
+                    views.positions, views.confidences, views.counts, seconds[name]
                 )
-                if abs(sighting.seconds - middle) < most
+                if abs(sighting.seconds - middle) < limit
             ]
-            for name, one in seen.items()
+            for name, views in seen.items()
         }
 
 
@@ -290,7 +290,7 @@ def seen_by(
 def in_own_frame(camera: FixedCamera, view: CameraView) -> CameraView:
     """Return what a camera sees, in its own frame, of a view in the fixed frame."""
     turn, place = to_matrix(camera.pose.xyzw), camera.pose.translation
-    tracks = [one._replace(positions=(one.positions - place) @ turn) for one in view.tracks]
+    tracks = [track._replace(positions=(track.positions - place) @ turn) for track in view.tracks]
     return replace(view, tracks=tracks)
 
 
@@ -298,7 +298,7 @@ def _seconds_with_people(seen: Mapping[str, Sequence[Sighting]]) -> int:
     """Return in how many seconds at least two cameras see somebody."""
     times = Counter(
         second
-        for some in seen.values()
-        for second in {int(s.seconds // 1.0) for s in some if len(s.positions)}
+        for views in seen.values()
+        for second in {int(s.seconds // 1.0) for s in views if len(s.positions)}
     )
     return sum(n > 1 for n in times.values())

@@ -158,9 +158,9 @@ class ClockCorrection:
 
     def plus(self, seconds: float) -> ClockCorrection:
         """Return the correction with a constant more."""
-        more = round(seconds * 1e9)
-        offsets = tuple(offset + more for offset in self.offsets)
-        floor = None if self.floor is None else self.floor - more
+        shift = round(seconds * 1e9)
+        offsets = tuple(offset + shift for offset in self.offsets)
+        floor = None if self.floor is None else self.floor - shift
         return replace(self, offsets=offsets, floor=floor)
 
 
@@ -226,8 +226,8 @@ def corrections_of(
     faults: list[ClockFault] = []
     fixed: dict[str, ClockCorrection] = {}
     for name, times in clocks.items():
-        others = [levels[other][0] for other in clocks if other != name]
-        fixed[name], named = _stepped(name, times, steps[name], levels[name], others)
+        beside = [levels[camera][0] for camera in clocks if camera != name]
+        fixed[name], named = _stepped(name, times, steps[name], levels[name], beside)
         faults += named
     fixed = _level(clocks, fixed, faults, given)
     return _without_drift(clocks, fixed, faults), faults
@@ -400,8 +400,8 @@ def _recorder(cameras: Mapping[str, CameraTimes]) -> dict[str, Floats]:
     middle = len(rows) // 2 - 1  # of the others; one of two that is late is not
     low, high = np.partition(rows, (middle, middle + 1), axis=0)[middle : middle + 2]
     for (name, times), own in zip(known.items(), rows, strict=True):
-        others = np.where(own <= low, high, low)
-        late[name] = np.interp(times.log_times, moments, others)
+        lags = np.where(own <= low, high, low)
+        late[name] = np.interp(times.log_times, moments, lags)
     return late
 
 

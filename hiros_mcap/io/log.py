@@ -72,8 +72,8 @@ def learn_model(
     """
     learner = _Learner(layouts)
     for records, rows in reader.runs(layouts.keys()):
-        some = records._replace(messages=records.messages[rows])
-        for message in some.at(learner.new_in(some)):
+        part = records._replace(messages=records.messages[rows])
+        for message in part.at(learner.new_in(part)):
             learner.take(message, reader.channels[message.channel_id].topic)
             if learner.done:
                 break
@@ -108,8 +108,8 @@ class _Learner:
         places = zip(channels.tolist(), first.tolist(), strict=True)
         new = {k for i, k in places if i not in self.first}
         batch = Batch([records], None)
-        for some in () if self.builder.complete else self._decoder.decode(batch):
-            faulty = some.keys[list(some.faults), 2]  # where the messages start
+        for decoded in () if self.builder.complete else self._decoder.decode(batch):
+            faulty = decoded.keys[list(decoded.faults), 2]  # where the messages start
             new.update(np.flatnonzero(np.isin(records.messages[:, START], faulty)).tolist())
         return sorted(new)
 
@@ -249,7 +249,7 @@ def skeletons_of(
         layouts = {info.id: _layout(reader, info) for info in chosen}
         model, first = learn_model(reader, layouts)
         decoder = Decoder(model, layouts=layouts)
-        seen = [
+        channels = [
             _camera(reader, info, decoder, layouts[info.id], first[info.id])
             if info.count
             else CameraChannel(info, layouts[info.id], {"": ""}, ())
@@ -257,7 +257,7 @@ def skeletons_of(
             if info.id in layouts
         ]
         begin = min((message.log_time for message in first.values()), default=0)
-        cameras, known = _name_cameras(seen), tree
+        cameras, known = _name_cameras(channels), tree
         if known is None:
             known, cameras = transforms_of(reader, min(begin, LATEST), cameras)
         elif known.source:
@@ -330,7 +330,7 @@ def _camera(
 
     A message that shows nobody may name another frame, or none.
     """
-    shown: list[Frame] = []
+    populated: list[Frame] = []
     empty: list[Frame] = []
     failed: LogError | None = None
     for message in _after(first, reader):
@@ -339,13 +339,13 @@ def _camera(
         except LogError as error:
             failed = failed or error
             continue
-        shown += (frame for frame in decoded if frame.n_people)
+        populated += (frame for frame in decoded if frame.n_people)
         empty = empty or decoded
-        if any(frame.frame_id for frame in shown) or len(shown) > _NAMELESS:
+        if any(frame.frame_id for frame in populated) or len(populated) > _NAMELESS:
             break
-    if failed is not None and not (shown or empty):
+    if failed is not None and not (populated or empty):
         raise LogError(failed.fault, topic=info.topic)
-    named = [frame for frame in shown if frame.frame_id] or shown[:1]
+    named = [frame for frame in populated if frame.frame_id] or populated[:1]
     sources = {frame.source: frame.source for frame in named or empty}
     frames = tuple({frame.frame_id.lstrip("/"): 0 for frame in named})
     size = body_size(np.concatenate([frame.positions for frame in named])) if named else math.nan
@@ -366,15 +366,15 @@ def _after(first: Message, reader: McapReader) -> Iterator[Message]:
     yield from messages
 
 
-def _name_cameras(seen: Sequence[CameraChannel]) -> list[CameraChannel]:
+def _name_cameras(channels: Sequence[CameraChannel]) -> list[CameraChannel]:
     """Name each camera by what its messages call it, or by its topic where that is not unique.
 
     Those that show nobody come last: the others are called as if they were not there.
     """
-    owners = Counter(source for camera in seen if camera.frames for source in camera.sources)
-    blind = Counter(source for camera in seen if not camera.frames for source in camera.sources)
+    owners = Counter(source for camera in channels if camera.frames for source in camera.sources)
+    blind = Counter(source for camera in channels if not camera.frames for source in camera.sources)
     named = []
-    for camera in seen:
+    for camera in channels:
         topic, alone = camera.channel.topic, len(camera.sources) == 1
         names = {
             source: source

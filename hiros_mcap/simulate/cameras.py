@@ -51,8 +51,8 @@ class SimulatedCamera:
 
     def points(self, world: Floats) -> Floats:
         """Camera coordinates of points (..., 3) in the world, m."""
-        seen: Floats = (world - self.pose.translation) @ self.matrix
-        return seen
+        points: Floats = (world - self.pose.translation) @ self.matrix
+        return points
 
 
 def stream(seed: int, effect: str, *keys: int) -> np.random.Generator:
@@ -66,7 +66,9 @@ def stream(seed: int, effect: str, *keys: int) -> np.random.Generator:
 def build_cameras(params: SimulateParams) -> list[SimulatedCamera]:
     """Build cameras at their poses, or on a circle, looking inwards; two at a right angle."""
     if params.rig.poses:
-        poses = [Rigid(np.array(each[3:]), np.array(each[:3])) for each in params.rig.poses]
+        poses = [
+            Rigid(np.array(numbers[3:]), np.array(numbers[:3])) for numbers in params.rig.poses
+        ]
         return [_camera(params, k, pose, to_matrix(pose.xyzw)) for k, pose in enumerate(poses)]
     turn = stream(params.seed, "rig").uniform(0, 2 * np.pi)
     step = 2 * np.pi / max(params.cameras, 4 if params.cameras == 2 else 1)

@@ -237,8 +237,8 @@ class _Bodies:
         from hiros_mcap.stages.filter.link_lengths import project_all
 
         def project(rows: slice) -> None:
-            markers, given = out.people.markers[rows], (self._pairs, lengths, _SWEEPS, _TOLERANCE)
-            project_all(markers, which[rows], variances[rows], *given)
+            markers, rest = out.people.markers[rows], (self._pairs, lengths, _SWEEPS, _TOLERANCE)
+            project_all(markers, which[rows], variances[rows], *rest)
 
         starts = range(0, len(which), _PIECE)
         run_each([partial(project, slice(start, start + _PIECE)) for start in starts])

@@ -51,14 +51,14 @@ def shrink_noise(
     rate : of the poses, Hz.
     """
     known, noises = minute
-    some = ~np.isnan(known[:, :, 0]).any(axis=0)
-    if len(known) < FEWEST or not some.any():
+    whole = ~np.isnan(known[:, :, 0]).any(axis=0)
+    if len(known) < FEWEST or not whole.any():
         return positions
-    known = known[:, some]
-    noises = visible_noise(known, noises[:, some], min(rate, RATE))
-    noise = visible_noise(positions[:, some], variances[:, some], rate)
+    known = known[:, whole]
+    noises = visible_noise(known, noises[:, whole], min(rate, RATE))
+    noise = visible_noise(positions[:, whole], variances[:, whole], rate)
     out = positions.copy()
-    out[:, some] = estimated(motion_of(known, noises), positions[:, some], noise)
+    out[:, whole] = estimated(motion_of(known, noises), positions[:, whole], noise)
     return out
 
 
@@ -116,12 +116,12 @@ def visible_noise(positions: Floats, variances: Floats, rate: float) -> Floats:
     out, size = variances.copy(), max(round(_PIECE * rate), 2)
     for start in range(0, len(positions), size):
         part = slice(max(min(start, len(positions) - size), 0), start + size)
-        seen: Flags = np.asarray(~np.isnan(positions[part]))
-        n = np.maximum(seen[:, :, 0].sum(axis=0), 1)
-        poses = np.where(seen, positions[part], 0.0)
-        off = np.where(seen, poses - poses.sum(axis=0) / n[:, None], 0.0)
-        shown = (off * off).sum(axis=(0, 2)) / (3 * n * _SHOWN)
-        out[part] = variances[part] * np.minimum(shown / variances[part].mean(axis=0), 1.0)
+        present: Flags = np.asarray(~np.isnan(positions[part]))
+        n = np.maximum(present[:, :, 0].sum(axis=0), 1)
+        poses = np.where(present, positions[part], 0.0)
+        deviations = np.where(present, poses - poses.sum(axis=0) / n[:, None], 0.0)
+        noise = (deviations * deviations).sum(axis=(0, 2)) / (3 * n * _SHOWN)
+        out[part] = variances[part] * np.minimum(noise / variances[part].mean(axis=0), 1.0)
     return out
 
 
@@ -129,9 +129,9 @@ def local_frames(positions: Floats, lateral: Ints) -> tuple[Floats, Floats]:
     """(T, 3, 3) and (T, 1, 3): yaw and centre of each pose; the world's where unknown."""
     frames = np.tile(np.eye(3), (len(positions), 1, 1))
     trunk = positions[:, lateral.ravel()] if len(lateral) else positions
-    seen = ~np.isnan(trunk[:, :, :1])
-    origins = np.where(seen, trunk, 0.0).sum(axis=1, keepdims=True)
-    origins /= np.maximum(seen.sum(axis=1, keepdims=True), 1)
+    present = ~np.isnan(trunk[:, :, :1])
+    origins = np.where(present, trunk, 0.0).sum(axis=1, keepdims=True)
+    origins /= np.maximum(present.sum(axis=1, keepdims=True), 1)
     if len(lateral):
         lines = positions[:, lateral[:, 1]] - positions[:, lateral[:, 0]]
         across = np.where(np.isnan(lines), 0.0, lines).sum(axis=1)
@@ -197,11 +197,11 @@ def motion_of(positions: Floats, variances: Floats) -> MotionPrior:
     """Find the motion in poses (T, M, 3), m, with variances (T, M): the excess over the noise."""
     y = positions.reshape(len(positions), -1)
     absent = np.isnan(y)
-    seen = ~absent[:, ::3]
+    present = ~absent[:, ::3]
     white = np.where(absent, 0.0, y)
     with np.errstate(invalid="ignore"):  # of what was never seen
         mean = white.sum(axis=0) / (~absent).sum(axis=0)
-        noise = np.where(seen, variances, 0.0).sum(axis=0) / seen.sum(axis=0)
+        noise = np.where(present, variances, 0.0).sum(axis=0) / present.sum(axis=0)
     noise = np.repeat(np.fmax(np.sqrt(noise), _LEAST), 3)
     # P: directions in which the whitened poses vary by more than noise does.
     white -= mean

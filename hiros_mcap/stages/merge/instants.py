@@ -257,8 +257,8 @@ class InstantMerger:
         ids: list[int] = []
         past_rows: list[int] = []
         people_ends = [0]
-        for k, shown in enumerate(np.split(keys & (2**32 - 1), bounds)):
-            present = self._present(int(stamps[k]), int(message_ends[k + 1]), shown.tolist())
+        for k, numbers in enumerate(np.split(keys & (2**32 - 1), bounds)):
+            present = self._present(int(stamps[k]), int(message_ends[k + 1]), numbers.tolist())
             ids += present
             past_rows += [self._bank.rows[person] for person in present]
             people_ends.append(len(ids))

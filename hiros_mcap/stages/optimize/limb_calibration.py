@@ -43,13 +43,13 @@ def moments_of(lengths: Floats, weights: Floats) -> Floats:
 
     The sums of the weights, of the weighted |d|^2 and |d|^4, and the number of measurements.
     """
-    seen = ~np.isnan(lengths) & (weights > 0.0)
-    squares = np.where(seen, lengths, np.nan) ** 2
+    measured = ~np.isnan(lengths) & (weights > 0.0)
+    squares = np.where(measured, lengths, np.nan) ** 2
     centre = _median(squares)
     limit = _CLIP * 1.4826 * _median(np.abs(squares - centre))
-    squares = np.where(seen, np.clip(squares, centre - limit, centre + limit), 0.0)
-    w = np.where(seen, weights, 0.0)
-    return np.stack([each.sum(axis=0) for each in (w, w * squares, w * squares**2, seen)])
+    squares = np.where(measured, np.clip(squares, centre - limit, centre + limit), 0.0)
+    w = np.where(measured, weights, 0.0)
+    return np.stack([column.sum(axis=0) for column in (w, w * squares, w * squares**2, measured)])
 
 
 def mean_lengths(moments: Floats, debias: bool) -> tuple[Floats, Floats]:
@@ -105,8 +105,8 @@ class Calibration:
         self.limbs = limbs
         self._model, self._params, self._events = model, params, events
         self._links, self._keys = np.ascontiguousarray(model.links), link_keys(model)
-        none = np.empty((0, model.n_links))
-        self._bank = Bank((none, none, none), _FORGET)
+        nobody = np.empty((0, model.n_links))
+        self._bank = Bank((nobody, nobody, nobody), _FORGET)
         """Lengths (person, L) of the links, m: calibrated, as refined since, and on the way there;
         NaN where a link, or the person, has none."""
         self._people: dict[int, _Measured] = {}
@@ -133,7 +133,7 @@ class Calibration:
         """Take the measurements (P, L) of a frame; settle the calibrations that are due."""
         if self._start is None:
             self._start = self._checked = stamp
-        wanted = self._in_window(stamp)
+        learns = self._in_window(stamp)
         for row, identity in enumerate(ids):
             if identity < 0:
                 continue
@@ -143,7 +143,7 @@ class Calibration:
             person = self._people.get(identity)
             if person is None:
                 continue  # the lengths are given
-            if wanted:
+            if learns:
                 self._buffer(identity, person, stamp, lengths[row], weights[row])
             if person.waiting and stamp - person.first >= self._params.lookahead * SECOND:
                 self._conclude(identity, person)
@@ -195,9 +195,9 @@ class Calibration:
     def _admit(self, identity: int, stamp: int) -> None:
         """Take the lengths of a new person from the table, or start to measure them."""
         row, n = self._bank.row(identity, stamp), self._model.n_links
-        given = self.limbs.lengths(identity, self._model)  # NaN if there are none
+        known = self.limbs.lengths(identity, self._model)  # NaN if there are none
         for lengths in self._bank.past:
-            lengths[row] = given
+            lengths[row] = known
         if identity not in self.limbs.people and self._params.calibration == "auto":
             waiting = self._params.lookahead > 0.0
             self._people[identity] = _Measured(stamp, waiting, np.zeros((4, n)), np.zeros(n, bool))
@@ -226,9 +226,9 @@ class Calibration:
         person.buffer.clear()
         length, deviation = mean_lengths(buffer, self._params.debias)  # eq 13
         limit = self._params.max_variation * np.maximum(length, self._params.short_link)
-        seen = ~np.isnan(length) & (buffer[COUNT] >= 2)
-        person.accepted += np.where(seen & (deviation <= limit), buffer, 0.0)
-        person.tried |= seen
+        measured = ~np.isnan(length) & (buffer[COUNT] >= 2)
+        person.accepted += np.where(measured & (deviation <= limit), buffer, 0.0)
+        person.tried |= measured
 
     def _conclude(self, identity: int, person: _Measured) -> None:
         """Stop waiting: accept the calibration, or reject it and start anew."""
