@@ -4,7 +4,8 @@
 
 Prints a Markdown row for each package. No test holds these numbers: look at them before and after a
 change, and ask what the growth is for. On 27 November 2026, before recordings as people make them
-were read: 63 884 lines, 300 modules, 485 classes, 1 411 constants, 71 parameters.
+were read: 63 884 lines, 300 modules, 485 classes, 1 411 constants, 71 parameters. A day later:
+70 397 lines, 331 modules, 525 classes, 1 478 constants, 71 parameters.
 """
 
 from __future__ import annotations
