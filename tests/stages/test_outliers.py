@@ -99,6 +99,13 @@ def test_a_camera_that_is_wrong_is_no_witness_against_the_one_that_comes_back():
     assert errors[65:].max() < 0.03
 
 
+def test_a_joint_about_which_most_were_wrong_comes_back():
+    """Two of three cameras are wrong at the same place, one after the other comes back."""
+    errors = seen(episodes((0, 45, 75, 0.4), (1, 55, 90, 0.4), cameras=3))
+    assert errors.max() < 1.2
+    assert errors[110:].max() < 0.05
+
+
 def test_a_limb_follows_the_joint_that_holds_it():
     """The elbow is .4 m off in one view, the wrist 16 cm: alone it would be half believed."""
     errors = np.zeros((2, N, 3))

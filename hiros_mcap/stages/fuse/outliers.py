@@ -11,8 +11,8 @@ Its likelihood L against the filter's prediction, and the density of outliers, g
     p' / (1 - p') density / L.
 
 The chain remembers only where it is clear who is wrong: another camera measured the joint just now
-and is right, or no joint comes so far so soon. Else all may have seen somebody kick, or the filter
-follows guesses: then an outlier is as likely as usual. So it is of a camera that has not agreed for
+and is right, or no joint comes so far since anybody was. Else all may have seen somebody kick, or
+the filter follows guesses: then an outlier is as likely as usual. So it is of a camera that has not agreed for
 LONGEST: who is wrong for so long may as well be the filter.
 """
 
@@ -78,11 +78,11 @@ def _is_contradicted(time: float, camera: int, row: int, doubts: CameraDoubts) -
 
 @inlined
 def _is_jump(time: float, square: float, variance: float, row: int, doubts: CameraDoubts) -> bool:
-    """Whether no joint comes so far since any camera has measured it."""
+    """Whether no joint comes so far since any camera was right about it."""
     passed = np.inf
     for c in range(doubts.wrong.shape[1]):
         if doubts.wrong[row, c] > 0.0:
-            passed = min(passed, time - doubts.times[row, c])
+            passed = min(passed, time - doubts.agreed[row, c])
     reach = 0.5 * _ACCELERATION * passed * passed + _BEYOND * math.sqrt(3.0 * variance)
     return square > reach * reach
 
