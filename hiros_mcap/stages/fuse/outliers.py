@@ -12,8 +12,8 @@ Its likelihood L against the filter's prediction, and the density of outliers, g
 
 The chain remembers only where it is clear who is wrong: another camera measured the joint just now
 and is right, or no joint comes so far since anybody was. Else all may have seen somebody kick, or
-the filter follows guesses: then an outlier is as likely as usual. So it is of a camera that has not agreed for
-LONGEST: who is wrong for so long may as well be the filter.
+the filter follows guesses: then an outlier is as likely as usual. So it is of a camera that has not
+agreed for LONGEST: who is wrong for so long may as well be the filter.
 """
 
 from __future__ import annotations
