@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.array_types import C1, F1, I1, I2
+from hiros_mcap.kernels.array_types import C1, I1, I2
 from hiros_mcap.kernels.cdr import (
     COUNT,
     FRAME,
@@ -47,9 +47,8 @@ _NOTICE = 1e-3  # farther off than this is worth a note (rounding to three digit
 _SHORTEST = 1e-6  # shorter than this it has no direction
 
 
-# Signatures keep numba from making a version for every number that a helper is called with.
-@entry
-def _vector(state: F1, first: int, n: int, counts: I1) -> bool:
+@kernel
+def _vector(state: Floats, first: int, n: int, counts: Stamps) -> bool:
     """Unset ``n`` numbers that belong together unless all are believable; return if they are."""
     unknown = 0
     absurd = False

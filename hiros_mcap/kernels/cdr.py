@@ -145,9 +145,8 @@ def _string(data: Bytes, at: int, swap: bool) -> tuple[int, int, int, int]:
     return OK, start, start + length - 1, start + length
 
 
-# A signature keeps numba from making a version for every smallest size.
-@entry
-def _count(data: C1, at: int, swap: bool, smallest: int) -> tuple[int, int]:
+@kernel
+def _count(data: Bytes, at: int, swap: bool, smallest: int) -> tuple[int, int]:
     """Return the count of a sequence, -1 if that many elements cannot follow, and its end."""
     at = align4(at)
     if at + 4 > data.size:
