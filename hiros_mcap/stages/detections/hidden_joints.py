@@ -13,6 +13,7 @@ import numpy as np
 from hiros_mcap.frames import CameraMessages, Doubts
 from hiros_mcap.kernels.array_types import B1, F1, F2, F3, I1, I2, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel
+from hiros_mcap.kernels.geometric_median import geometric_median
 from hiros_mcap.kernels.line_of_sight import OUTLINE, Capsules, outline
 from hiros_mcap.skeletons import UNTRACKED, Floats, People
 from hiros_mcap.stages.detections.impossible_postures import PostureLimits, doubt_posture
@@ -39,7 +40,6 @@ _RECENT = 300_000_000  # ns; whom a camera's message lacks is where he was, for 
 _LONGEST = 0.5  # s between two views that motion is carried over
 _FEWEST = 0.25  # share of joints that show how the person moved
 _FOLLOWS = 0.3  # s; of a person of whom fewer are seen, and of the velocity that remains
-_ROUNDS, _SMALL = 8, 0.003  # of Weiszfeld's iteration; m
 _UNKNOWN = 1e6  # m2
 
 
@@ -176,34 +176,6 @@ def _passed(stamp: int, last: int) -> float:
 
 
 @kernel
-def _geometric_median(points: Floats, n: int, out: Floats) -> None:
-    """Write nearly the point with the least sum of distances from n points: Weiszfeld (1937).
-
-    Unlike a median along each axis, it does not depend on the axes.
-    """
-    out[0], out[1], out[2] = mean_of(points, n)
-    for _ in range(_ROUNDS):
-        x, y, z, total = 0.0, 0.0, 0.0, 0.0
-        for k in range(n):
-            a, b, c = points[k, 0] - out[0], points[k, 1] - out[1], points[k, 2] - out[2]
-            weight = 1.0 / (math.sqrt(a * a + b * b + c * c) + _SMALL)
-            total += weight
-            x += weight * points[k, 0]
-            y += weight * points[k, 1]
-            z += weight * points[k, 2]
-        out[0], out[1], out[2] = x / total, y / total, z / total
-
-
-@inlined
-def mean_of(points: Floats, n: int) -> tuple[float, float, float]:
-    """Mean of the first n points."""
-    x, y, z = 0.0, 0.0, 0.0
-    for k in range(n):
-        x, y, z = x + points[k, 0] / n, y + points[k, 1] / n, z + points[k, 2] / n
-    return x, y, z
-
-
-@kernel
 def _steps(
     view: Floats, shares: Floats, row: int, limit: float, past: HiddenPast, out: Floats
 ) -> int:
@@ -240,7 +212,7 @@ def _move(p: int, row: int, passed: float, scene: HiddenScene) -> None:
         return
     change = 1.0 - math.exp(-passed / _FOLLOWS)
     gain = 1.0 if enough else change
-    _geometric_median(work.steps, n, work.centre)
+    geometric_median(work.steps, n, work.centre)
     for c in range(3):
         step = gain * work.centre[c]
         for m in range(len(view)):

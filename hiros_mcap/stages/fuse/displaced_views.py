@@ -21,7 +21,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hiros_mcap.events import Events, camera_displaced
-from hiros_mcap.skeletons import Flags, Floats, Stamps
+from hiros_mcap.skeletons import SECOND, Flags, Floats, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.fuse.fusing import Sightings
 from hiros_mcap.stages.known_cameras import KnownCameras
@@ -36,7 +36,6 @@ it has twice the offset of the others; with more cameras the ratio is larger."""
 SHARE = 100.0
 """The offset lasts, and noise averages out: the variance of a view must be far over its square."""
 MAJORITY = 3  # fewer cameras do not tell which one of them is wrong
-SECOND = 1_000_000_000  # ns
 _MEMORY = 0.5  # s; time constant of the mean without future views
 _WORTH_S, _WORTH_M = 1.5, 0.06
 """For a warning, people must be off for so long and by so much, without a pause. Parts of a second

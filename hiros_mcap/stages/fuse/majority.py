@@ -21,7 +21,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.kernels.array_types import F1, F2, F3, I1, arrays
-from hiros_mcap.kernels.compile import entry, inlined, kernel
+from hiros_mcap.kernels.compile import entry, kernel
+from hiros_mcap.kernels.geometric_median import geometric_median
+from hiros_mcap.kernels.points import point_distance
 from hiros_mcap.skeletons import Floats
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.fuse.fusing import Sightings
@@ -33,8 +35,6 @@ _CLEARLY = 1.5  # 1.5 and 1.9 are alike
 _BEYOND = 3.0  # so no joint is outvoted that counts little anyway, guessed or hidden
 _SHARE = 100.0  # a wrong place lasts: 30 to 1000 are alike
 _MAJORITY = 3  # cameras that measure the joint
-_ROUNDS = 10  # of Weiszfeld's iteration
-_NEAR = 0.01  # m; distances below count alike, so that no camera is the centre by itself
 _RECENT = 0.2  # s for which a velocity is believed
 
 
@@ -84,32 +84,6 @@ class Majority:
 
 
 @kernel
-def _find_centre(n: int, work: VoteWork) -> None:
-    """Write the geometric median of the first ``n`` places."""
-    places, centre = work.places, work.centre
-    for c in range(3):
-        centre[c] = 0.0
-        for k in range(n):
-            centre[c] += places[k, c] / n
-    for _ in range(_ROUNDS):
-        total = x = y = z = 0.0
-        for k in range(n):
-            weight = 1.0 / math.sqrt(_squared(places[k], centre) + _NEAR * _NEAR)
-            total += weight
-            x += weight * places[k, 0]
-            y += weight * places[k, 1]
-            z += weight * places[k, 2]
-        centre[0], centre[1], centre[2] = x / total, y / total, z / total
-
-
-@inlined
-def _squared(a: Floats, b: Floats) -> float:
-    """Return the squared distance of two points."""
-    x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
-    return float(x * x + y * y + z * z)
-
-
-@kernel
 def _gather(
     views: Sightings, members: int, m: int, row: int, past: LastCentres, work: VoteWork
 ) -> tuple[int, float]:
@@ -153,7 +127,7 @@ def _remember(row: int, m: int, time: float, past: LastCentres, work: VoteWork) 
 def _vote(n: int, m: int, variances: Floats, outvoted: Floats, work: VoteWork) -> None:
     """Write by how much the variances of those of the first ``n`` voters grow who are outvoted."""
     for k in range(n):
-        work.distances[k] = math.sqrt(_squared(work.places[k], work.centre))
+        work.distances[k] = point_distance(work.places[k], work.centre)
         at = k
         while at > 0 and work.ordered[at - 1] > work.distances[k]:
             work.ordered[at] = work.ordered[at - 1]
@@ -191,6 +165,6 @@ def outvote(views: Sightings, variances: F2, rows: I1, past: LastCentres, work: 
         for m in range(variances.shape[1] if members >= _MAJORITY else 0):
             voters, middle = _gather(views, members, m, rows[first], past, work)
             if voters >= _MAJORITY:
-                _find_centre(voters, work)
+                geometric_median(work.places, voters, work.centre)
                 _vote(voters, m, variances, views.outvoted, work)
                 _remember(rows[first], m, middle, past, work)
