@@ -14,6 +14,7 @@ import struct
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import Any
 from urllib.parse import SplitResult, urlsplit
 
@@ -196,11 +197,15 @@ def _subscribe(connection: Any, numbers: dict[int, int]) -> None:
 
 
 def _keep_alive(end: socket.socket) -> None:
-    """Let the connection break half a minute after the server has gone without a farewell."""
-    end.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    for name, value in _SILENT_S.items():
-        if hasattr(socket, name):
-            end.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+    """Let the connection break half a minute after the server has gone without a farewell.
+
+    One that has closed already is left alone: who receives from it learns why.
+    """
+    with suppress(OSError):
+        end.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for name, value in _SILENT_S.items():
+            if hasattr(socket, name):
+                end.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
 def _definitions(entry: dict[str, Any], ident: int) -> tuple[Schema, Channel]:

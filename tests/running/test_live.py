@@ -42,6 +42,7 @@ import hiros_schemas
 from hiros_cli.run_report import _headline
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.io import foxglove
 from hiros_mcap.io.channels import add_ros_channel
 from hiros_mcap.io.codec import Decoder, ModelBuilder
 from hiros_mcap.io.container import McapReader, Message
@@ -815,7 +816,17 @@ def test_who_subscribes_too_early_asks_again():
     assert got == [b"data"]
 
 
-def test_a_message_may_be_as_large_as_asked(crossing):
+def test_a_message_may_be_as_large_as_asked(crossing, monkeypatch):
+    """Its end is told, too, where it comes before the connection is set up here."""
+
+    def late(end):
+        deadline = time.monotonic() + 5
+        while end.fileno() >= 0 and time.monotonic() < deadline:
+            time.sleep(0.01)
+        set_up(end)
+
+    set_up = foxglove._keep_alive
+    monkeypatch.setattr(foxglove, "_keep_alive", late)
     with odd_server(crossing, lambda connection: None) as url:
         source = FoxgloveInput(url, lambda topic, kind: True, largest=1000)
         with pytest.raises(LogError, match=r"has no skeletons|has no SkeletonGroup|no channels"):
