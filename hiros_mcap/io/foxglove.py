@@ -199,7 +199,7 @@ def _subscribe(connection: Any, numbers: dict[int, int]) -> None:
 def _keep_alive(end: socket.socket) -> None:
     """Let the connection break half a minute after the server has gone without a farewell.
 
-    One that has closed already is left alone: who receives from it learns why.
+    A connection that has closed already is left alone: the next read from it says why.
     """
     with suppress(OSError):
         end.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)

@@ -14,7 +14,7 @@ _ROUNDS, _SMALL = 8, 0.003  # of Weiszfeld's iteration; m
 
 @kernel
 def geometric_median(points: Floats, n: int, out: Floats) -> None:
-    """Write nearly that of the first n points (N, 3), m: Weiszfeld (1937)."""
+    """Write nearly the geometric median of the first ``n`` points (N, 3), m: Weiszfeld (1937)."""
     out[0], out[1], out[2] = 0.0, 0.0, 0.0
     for k in range(n):
         for c in range(3):

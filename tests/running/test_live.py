@@ -817,7 +817,7 @@ def test_who_subscribes_too_early_asks_again():
 
 
 def test_a_message_may_be_as_large_as_asked(crossing, monkeypatch):
-    """Its end is told, too, where it comes before the connection is set up here."""
+    """The reason is told even where the connection closes before it has been set up."""
 
     def late(end):
         deadline = time.monotonic() + 5
