@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.skeletons import Floats
+from hiros_mcap.skeletons import Floats, Stamps
 
 _WITHIN_ONE_SD = 0.8413  # probability below the mean and one standard deviation
 
@@ -33,18 +33,26 @@ class KnownCameras:
     """From which stamp on, ns, which camera's clock was ahead of the middle one by how many s. The
     middle one counts as right."""
 
-    def time_variance(self, names: Sequence[str], stamp: int) -> float:
-        """Return the variance, s2, of the common time of the cameras ``names`` at ``stamp``, ns.
+    def time_variances(self, names: Sequence[str], stamps: Stamps) -> Floats:
+        """(N,) Variance, s2, of the common time of the cameras ``names`` at ``stamps`` (N,), ns.
 
         No stamp tells the right time of clocks that differ. The middle one is as wrong as the
         median of a normal sample, whose variance is pi / 2 of that of the mean. How much clocks
         differ is known from a few of them, so Student's t takes the place of the normal law.
         """
-        if not self.clocks or len(names) < 2:
-            return 0.0
+        variances, n = np.zeros(len(stamps)), len(names)
+        if not self.clocks or n < 2:
+            return variances
         from scipy.special import stdtrit
 
-        found = {name: seconds for since, name, seconds in self.clocks if since <= stamp}
-        ahead, n = [found.get(name, 0.0) for name in names], len(names)
         quantile = stdtrit(n - 1, _WITHIN_ONE_SD)
-        return float(quantile**2 * np.pi / 2 * np.var(ahead, ddof=1) / n)
+        edges = np.searchsorted(stamps, [since for since, *_ in self.clocks]).tolist()
+        ahead = dict.fromkeys(names, 0.0)
+        for (_, name, seconds), first, end in zip(
+            self.clocks, edges, [*edges[1:], len(stamps)], strict=True
+        ):
+            ahead[name] = seconds
+            if first < end:
+                spread = np.var([ahead[name] for name in names], ddof=1)
+                variances[first:] = quantile**2 * np.pi / 2 * spread / n
+        return variances

@@ -22,6 +22,7 @@ from hiros_mcap.stages.fuse.constrain import (
     left_by_lengths,
     left_by_prior,
 )
+from hiros_mcap.stages.fuse.displaced_views import ViewOffsets
 from hiros_mcap.stages.fuse.fuse import FuseParams, fuse_blocks
 from hiros_mcap.stages.fuse.fusing import (
     POSE,
@@ -46,7 +47,12 @@ from hiros_mcap.stages.fuse.pose_prior import (
     local_frames,
     shrink_noise,
 )
-from hiros_mcap.stages.fuse.window_smoother import FusionWindow, StepWork, smooth_people
+from hiros_mcap.stages.fuse.window_smoother import (
+    ComparedViews,
+    FusionWindows,
+    StepWork,
+    smooth_people,
+)
 from hiros_mcap.stages.known_cameras import KnownCameras
 from hiros_mcap.systems import Run, system
 
@@ -102,13 +108,14 @@ def test_views_are_filtered_in_the_order_of_their_times_person_by_person():
         people=people[order], cameras=both.cameras[order], stamps=stamps[order],
         positions=both.positions[order],
     )  # fmt: skip
-    window = FusionWindow(
-        views, both.variances[order], np.ones(len(order), np.bool_),
-        people[is_pose].astype(np.int32), stamps[is_pose], np.array([7, 9]), np.array([1, 0]),
-        0, 10**9,
+    n, variances, ids = len(order), both.variances[order], np.array([7, 9], np.int32)
+    windows = FusionWindows(
+        views, variances, variances, np.full(n, -1), people[is_pose].astype(np.int32),
+        stamps[is_pose], np.array([[0, n, 0, 120, 0, 10**9]]), ids, np.array([1, 0]), 0,
     )  # fmt: skip
     states, out = JointStates.unknown(2, 1, 2), FusedPoses.absent(120, 1)
-    smooth_people(window, 0, 2, NOISE, states, out, StepWork.of(180, 4, 1))
+    others = ViewOffsets.none(2, 2), np.zeros(0), out, ComparedViews.none(n, 120, 1)
+    smooth_people(windows, 0, 2, NOISE, states, *others, StepWork.of(180, 4, 1))
     for k, (steps, row) in enumerate(zip(parts, (1, 0), strict=True)):
         alone = JointStates.unknown(1, 1, 2)
         expected = smoothed(steps, keep=int((steps.times < 1).sum()), states=alone)
@@ -592,8 +599,9 @@ def test_the_common_time_is_within_a_standard_deviation_as_often_as_it_says():
         middle = np.median(ahead)
         off = zip(names, ahead - middle, strict=True)
         clocks = KnownCameras(clocks=[(1, name, seconds) for name, seconds in off])
-        assert clocks.time_variance(names, 0) == 0.0, "not known yet"
-        within.append(abs(middle) < np.sqrt(clocks.time_variance(names, 1)))
+        before, after = clocks.time_variances(names, np.array([0, 1]))
+        assert before == 0.0, "not known yet"
+        within.append(abs(middle) < np.sqrt(after))
     assert 0.6 < np.mean(within) < 0.75
 
 

@@ -218,5 +218,6 @@ def test_a_camera_with_twice_the_noise_gets_four_times_the_variance():
     model = SkeletonModel.of(["A"], [])
     noise = RunningNoise.of(FusionNoise.default(model))
     for part in np.array_split(instants, 60):
-        noise.variances(chosen(views, part), ["a", "b"])
+        noise.take(chosen(views, part))
+        noise.learn(["a", "b"])
     assert noise.cameras["b"] / noise.cameras["a"] == pytest.approx(4.0, rel=0.2)

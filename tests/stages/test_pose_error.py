@@ -34,7 +34,8 @@ def learned(*moments, angle=0.0, shift=ASSUMED, away=3.0):
 
 def stated(error, seen):
     """Variance, m2, of a marker that some cameras see."""
-    return float(error.variances(BODY[None, :1], np.array([[seen]]), NAMES)[0, 0])
+    ratios = np.array([error.ratio])
+    return float(error.variances(BODY[None, :1], np.array([[seen]]), NAMES, ratios)[0, 0])
 
 
 def test_without_evidence_the_variance_is_that_assumed():
@@ -47,8 +48,8 @@ def test_a_rotation_counts_more_from_afar():
     near, far = (
         PoseError(0.01, 0.0, KnownCameras({"a": np.array([x, 0.0, 0.0])}, {})) for x in (2.0, 4.0)
     )
-    positions, seen = np.zeros((1, 1, 3)), np.array([[1]])
-    ratio = far.variances(positions, seen, ["a"]) / near.variances(positions, seen, ["a"])
+    marker = np.zeros((1, 1, 3)), np.array([[1]]), ["a"], np.ones(1)
+    ratio = far.variances(*marker) / near.variances(*marker)
     assert ratio == pytest.approx(4.0)
 
 

@@ -16,15 +16,17 @@ way come late.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from hiros_mcap.events import Events, camera_displaced
+from hiros_mcap.kernels.array_types import F1, F2, F3, arrays
+from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.skeletons import SECOND, Flags, Floats, Stamps
-from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.fuse.fusing import Sightings
-from hiros_mcap.stages.known_cameras import KnownCameras
 
 LIMIT, LIMIT_AHEAD = 0.035, 0.06
 """m; of a smoother, and of a filter, whose poses and means are less sure. Healthy cameras of
@@ -46,58 +48,31 @@ of two who touch one may be seen wrong."""
 _PART, _PAUSE = 250_000_000, 4  # ns, and so many of it in which people are in place end one
 
 
+class ViewOffsets(NamedTuple):
+    """How far the recent views of R people by C cameras were from the results of a filter."""
+
+    sums: F3  # (R, C, 3) m; old views count less
+    counts: F2  # (R, C) how many views; 0 = none
+    times: F1  # (R,) of the latest, s
+
+    @classmethod
+    def none(cls, people: int, cameras: int) -> ViewOffsets:
+        """Return what is known before anybody is seen."""
+        return arrays(cls, (people, cameras, 3), (people, cameras), people)
+
+
 class DisplacedViews:
-    """Which cameras show people elsewhere than the others, person by person.
+    """Counts which cameras show people elsewhere than the others, and warns of them."""
 
-    A filter asks for the excess that is ``expected`` by the views before. A smoother only counts
-    the excess (:func:`excess_of`) of views whose offsets it has measured.
-    ``known`` is of the cameras: how wrong their poses may be.
-    """
-
-    def __init__(self, known: KnownCameras) -> None:
-        self._known = known
+    def __init__(self) -> None:
         self._names: tuple[str, ...] = ()
-        self._bank = Bank((np.zeros((0, 0, 3)), np.zeros((0, 0))))
-        """(R, C, 3) sums over the recent views of people by cameras, m, and (R, C) their number."""
-        self._stamp = 0
         self._spans: dict[int, _Span] = {}
         self._uncounted: list[tuple[Stamps, Stamps, Floats]] = []
         """Cameras, times, ns, and excess, m2, of views of the latest part of a second."""
 
     def name(self, names: tuple[str, ...]) -> None:
         """Take the names of the cameras, by index."""
-        new = len(names) - len(self._names)
         self._names = names
-        sums, weights = self._bank.past
-        sums = np.pad(sums, ((0, 0), (0, new), (0, 0)))
-        self._bank.past = sums, np.pad(weights, ((0, 0), (0, new)))
-
-    def expected(self, views: Sightings) -> Floats:
-        """(N,) Variance, m2, to be added to new views, by the offsets of the views before them."""
-        limits = limits_of(self._names, self._known.errors, LIMIT_AHEAD)
-        variances = displaced(*self._bank.past, limits)
-        if not variances.any():
-            return np.zeros(len(views.people))
-        rows = np.array([self._bank.rows.get(p, -1) for p in views.people.tolist()], np.int64)
-        return np.where(rows >= 0, variances[rows, views.cameras], 0.0)
-
-    def remember(self, views: Sightings, offsets: Floats) -> None:
-        """Take the offsets of views, m; NaN = none. Each view comes once with an offset."""
-        these = ~np.isnan(offsets[:, 0])
-        if not these.any():
-            return
-        stamp = int(views.stamps[these].max())
-        ids, people = np.unique(views.people[these], return_inverse=True)
-        rows = np.array([self._bank.row(person, stamp) for person in ids.tolist()])
-        keep = float(np.exp(-max(stamp - self._stamp, 0) * 1e-9 / _MEMORY))
-        self._stamp = max(stamp, self._stamp)
-        sums, weights = self._bank.past
-        sums *= keep
-        weights *= keep
-        places = rows[people], views.cameras[these]
-        np.add.at(sums, places, offsets[these])
-        np.add.at(weights, places, 1.0)
-        self._bank.expire(stamp)
 
     def count(self, views: Sightings, excess: Floats, done: Flags) -> None:
         """Note which of the views whose results are ``done`` have lost their weight."""
@@ -220,23 +195,82 @@ def excess_of(views: Sightings, offsets: Floats, limits: Floats) -> Floats:
     sums, counts = np.zeros((n, len(limits), 3)), np.zeros((n, len(limits)))
     np.add.at(sums, (groups[there], views.cameras[there]), offsets[there])
     np.add.at(counts, (groups[there], views.cameras[there]), 1.0)
-    excess = displaced(sums, counts, limits)
+    excess = np.empty_like(counts)
+    find_displaced(sums, counts, limits, excess)
     for g in range(1, n):
         if people[g] == people[g - 1] and (counts[g] > 0).sum() < MAJORITY:
             excess[g] = excess[g - 1]
     return np.asarray(excess[groups, views.cameras])
 
 
-def displaced(sums: Floats, weights: Floats, limits: Floats) -> Floats:
-    """(G, C) Variance, m2, to be added to the views of each camera in each group; mostly 0.
+# The verdict on the cameras that see a person, compiled.
 
-    ``sums`` (G, C, 3) of offsets, m, ``weights`` (G, C) of views, 0 = none, ``limits`` (C,), m.
+
+@kernel
+def displaced_cameras(sums: Floats, counts: Floats, limits: Floats, excess: Floats) -> None:
+    """Write the variance, m2, to be added to the views of each camera of a person; mostly 0.
+
+    Parameters
+    ----------
+    sums : (C, 3) of offsets, m. counts : (C,) of views, 0 = none. limits : (C,) m.
     """
-    is_seen = weights > 0.0
-    count = is_seen.sum(axis=1)
-    means = sums / np.where(is_seen, weights, 1.0)[:, :, None]
-    squares = np.where(is_seen, (means**2).sum(axis=2), np.inf)  # of the offsets, m2
-    middle = np.sort(squares, axis=1)[np.arange(len(count)), np.maximum(count - 1, 0) // 2]
-    middle = np.where(count >= MAJORITY, CLEARLY * CLEARLY * middle, np.inf)
-    largest = np.maximum(limits * limits, middle[:, None])
-    return np.asarray(SHARE * np.where(is_seen & (squares > largest), squares, 0.0))
+    n = 0
+    for c in range(len(counts)):
+        is_seen = counts[c] > 0.0
+        excess[c] = _mean_square(sums[c], counts[c]) if is_seen else 0.0
+        n += int(is_seen)
+    if n < MAJORITY:
+        excess[:] = 0.0
+        return
+    middle = _ranked(counts, excess, (n - 1) // 2)
+    for c in range(len(counts)):
+        if excess[c] > max(limits[c] * limits[c], CLEARLY * CLEARLY * middle):
+            excess[c] *= SHARE
+        else:
+            excess[c] = 0.0
+
+
+@kernel
+def _mean_square(total: Floats, count: float) -> float:
+    """Square of a mean, from the sum (3,) and the number."""
+    x, y, z = total[0] / count, total[1] / count, total[2] / count
+    square: float = x * x + y * y + z * z
+    return square
+
+
+@kernel
+def _ranked(counts: Floats, squares: Floats, rank: int) -> float:
+    """Return the square that as many as ``rank`` of the others precede, of cameras with views."""
+    for c in range(len(counts)):
+        before = 0
+        for k in range(len(counts)):
+            is_less = squares[k] < squares[c] or (squares[k] == squares[c] and k < c)
+            before += int(counts[k] > 0.0 and is_less)
+        if counts[c] > 0.0 and before == rank:
+            return float(squares[c])
+    return np.inf
+
+
+@entry
+def find_displaced(sums: F3, counts: F2, limits: F1, excess: F2) -> None:
+    """Write the excess (G, C) of G groups of views; see :func:`displaced_cameras`."""
+    for g in range(len(counts)):
+        displaced_cameras(sums[g], counts[g], limits, excess[g])
+
+
+@kernel
+def remember_offset(
+    row: int, camera: int, time: float, offset: Floats, recent: ViewOffsets
+) -> None:
+    """Take the offset (3,), m, of a view of a person at a time, s."""
+    passed = time - recent.times[row]
+    if passed > 0.0:
+        keep = math.exp(-passed / _MEMORY)
+        for c in range(recent.counts.shape[1]):
+            recent.counts[row, c] *= keep
+            for axis in range(3):
+                recent.sums[row, c, axis] *= keep
+        recent.times[row] = time
+    recent.counts[row, camera] += 1.0
+    for axis in range(3):
+        recent.sums[row, camera, axis] += offset[axis]

@@ -103,45 +103,53 @@ class FusionNoise:
         factors = np.where(guessed, self.guessed**2, 1.0)
         return np.asarray(self.joints * factors * scale[..., None])
 
-    def variances(self, views: Sightings, names: Sequence[str]) -> Floats:
+    def take(self, views: Sightings) -> None:
+        """Take views that come once: nothing is learned from them."""
+
+    def learn(self, names: Sequence[str]) -> None:
+        """Let the noise be as the views so far show: it stays as it is."""
+
+    def variances(
+        self, views: Sightings, names: Sequence[str], *, by_instant: bool = False
+    ) -> Floats:
         """(N, M) Variance of every measurement along each axis, m2.
 
-        ``names`` are the cameras by index.
+        ``names`` are the cameras by index. ``by_instant``: what a detector guesses is told by its
+        views of the same instant alone.
         """
         cameras = np.array([self.cameras.get(name, 1.0) for name in names])[views.cameras]
-        guessed = self._guessed(views, len(names))
+        guessed = _guessed(views, by_instant=by_instant)
         return self.white(views.distances, guessed, cameras) + views.hidden
 
-    def sees(self, views: Sightings, names: Sequence[str]) -> Flags:
+    def sees(self, views: Sightings) -> Flags:
         """(N, M) Whether a camera sees a joint: nobody hides it, and it is not guessed."""
         there = ~np.isnan(views.positions[:, :, 0])
-        return np.asarray(there & ~self._guessed(views, len(names)) & (views.hidden == 0))
+        return np.asarray(there & ~_guessed(views) & (views.hidden == 0))
 
-    def _guessed(self, views: Sightings, n_cameras: int) -> Flags:
-        """(N, M) Whether the detector guesses a joint."""
-        return np.asarray(views.confidences < self._limits(views, n_cameras)[views.cameras, None])
 
-    def _limits(self, views: Sightings, n_cameras: int) -> Floats:
-        """(C,) Confidence below which each camera's detector guesses."""
-        best = np.fmax.reduce(views.confidences, axis=1, initial=0.0)
-        counts = np.bincount(views.cameras, minlength=n_cameras)
-        means = np.bincount(views.cameras, best, n_cameras) / np.maximum(counts, 1)
-        return np.minimum(GUESSED_BELOW, GUESSED_SHARE * means)
+def _guessed(views: Sightings, *, by_instant: bool = False) -> Flags:
+    """(N, M) Whether the detector guesses a joint, by all views of a camera, or of an instant."""
+    groups = views.cameras
+    if by_instant and len(groups):
+        groups = groups + (views.instants - views.instants[0]) * (groups.max() + 1)
+    best = np.fmax.reduce(views.confidences, axis=1, initial=0.0)
+    means = np.bincount(groups, best) / np.maximum(np.bincount(groups), 1)
+    limits = np.minimum(GUESSED_BELOW, GUESSED_SHARE * means)
+    return np.asarray(views.confidences < limits[groups, None])
 
 
 @dataclass
 class RunningNoise(FusionNoise):
     """Noise whose factors of the cameras follow what they have shown so far.
 
-    A causal system starts with equal cameras. Every two seconds, the third differences of each
-    camera's stream, which slow motion hardly enters, give a factor of its variances, relative to
-    the median camera; the mean of those so far counts. The level of the noise stays as assumed: on
-    simulated logs, a level that was learned gave larger errors.
+    A causal system starts with equal cameras. Every two seconds or somewhat more, the third
+    differences of each camera's stream, which slow motion hardly enters, give a factor of its
+    variances, relative to the median camera; the mean of those so far counts. The level of the
+    noise stays as assumed: on simulated logs, a level that was learned gave larger errors.
     """
 
     held: list[Sightings] = field(default_factory=list)
     """Views of the current stretch, which nothing was learned from."""
-    next_instant: int = 0
     logs: dict[str, float] = field(default_factory=dict)
     """Source -> sum of the logarithms of its factors."""
     counts: dict[str, int] = field(default_factory=dict)
@@ -151,22 +159,17 @@ class RunningNoise(FusionNoise):
         """Start from ``noise``."""
         return cls(**vars(replace(noise, cameras=dict(noise.cameras))))
 
-    def variances(self, views: Sightings, names: Sequence[str]) -> Floats:
-        """Do what :meth:`FusionNoise.variances` does, after learning from views that are new.
+    def take(self, views: Sightings) -> None:
+        """Take views that come once, in the order of instants."""
+        if len(views.instants):
+            self.held.append(views)
 
-        Instants are numbered through the log; a view comes again for as long as it is needed.
-        """
-        new = chosen(views, slice(int(np.searchsorted(views.instants, self.next_instant)), None))
-        if len(new.instants):
-            self.next_instant = int(new.instants[-1]) + 1
-            self.held.append(new)
-            if new.stamps[-1] - self.held[0].stamps[0] >= _STRETCH:
-                self._learn(joined(self.held), names)
-                self.held = []
-        return super().variances(views, names)
-
-    def _learn(self, views: Sightings, names: Sequence[str]) -> None:
-        cameras, logs, distances, guesses = _binned(views, self._limits(views, len(names)))
+    def learn(self, names: Sequence[str]) -> None:
+        """Learn from the views so far, if they are a stretch."""
+        if not self.held or self.held[-1].stamps[-1] - self.held[0].stamps[0] < _STRETCH:
+            return
+        cameras, logs, distances, guesses = _binned(joined(self.held))
+        self.held = []
         # The logarithm of :meth:`white`.
         expected = np.log(self.joints) + 2 * self.power * distances[:, None]
         off = np.where(guesses == 0, logs - expected, np.nan)
@@ -182,7 +185,7 @@ class RunningNoise(FusionNoise):
             self.cameras[name] = float(np.exp(mean))
 
 
-def _binned(views: Sightings, limits: Floats) -> tuple[Stamps, Floats, Floats, Floats]:
+def _binned(views: Sightings) -> tuple[Stamps, Floats, Floats, Floats]:
     """Return what B bins of _BIN views of a person by a camera tell.
 
     (B,) cameras, (B, M) log variances, (B,) log distances / 2 m and (B, M) shares of guesses.
@@ -202,7 +205,7 @@ def _binned(views: Sightings, limits: Floats) -> tuple[Stamps, Floats, Floats, F
     third[~(even[:-2] & even[1:-1] & even[2:])] = np.nan
     hidden = views.hidden > 0
     third[hidden[:-3] | hidden[1:-2] | hidden[2:-1] | hidden[3:]] = np.nan
-    guesses = views.confidences < limits[views.cameras, None]
+    guesses = _guessed(views)
     rows = np.array(starts, np.int64)[:, None] + np.arange(_BIN + 3)
     parts = third[rows[:, :_BIN]]
     counts, sums = np.isfinite(parts).sum(axis=1), np.nansum(parts, axis=1)

@@ -59,6 +59,12 @@ class PoseError:
         """Estimated over assumed variance."""
         self._learned: int | None = None
 
+    def is_due(self, now: int) -> bool:
+        """Whether it is time, ns, to look at the cameras again."""
+        if self._right:
+            return False
+        return self._learned is None or now - self._learned >= _RENEWED
+
     def learn(self, views: Sightings, offsets: Floats) -> None:
         """Compare the places at which cameras see a person.
 
@@ -66,20 +72,20 @@ class PoseError:
         ----------
         offsets : (N, 3) of the views against the results, m; NaN = none.
         """
-        if self._right or not len(views.stamps):
+        if not len(views.stamps):
             return
-        now = int(views.stamps.max())
-        if self._learned is not None and now - self._learned < _RENEWED:
-            return
-        self._learned = now
+        self._learned = int(views.stamps.max())
         compared = ~np.isnan(offsets[:, 0])
-        for person in np.unique(views.people[compared]):
-            scaled = []
-            for camera in np.unique(views.cameras[compared & (views.people == person)]):
-                rows = compared & (views.people == person) & (views.cameras == camera)
-                assumed = self._assumed(1, views.distances[rows].mean() ** 2)
-                scaled.append(offsets[rows].mean(axis=0) / np.sqrt(assumed))
-            self._count(np.array(scaled))
+        pairs = np.stack([views.people[compared], views.cameras[compared]])
+        (people, _), groups = np.unique(pairs, axis=1, return_inverse=True)
+        sizes = np.bincount(groups)
+        away, *means = (
+            np.bincount(groups, values) / sizes
+            for values in (views.distances[compared], *offsets[compared].T)
+        )
+        scaled = np.stack(means, axis=1) / np.sqrt(self._assumed(1, away**2))[:, None]
+        for person in np.unique(people).tolist():
+            self._count(scaled[people == person])
 
     def _count(self, scaled: Floats) -> None:
         """Add how far the cameras' places (C, 3), in standard deviations, are from each other."""
@@ -100,14 +106,17 @@ class PoseError:
         # A rotation moves what it sees across two of three axes.
         return np.asarray(cameras * self._shift**2 + 2 / 3 * self._angle**2 * squares)
 
-    def variances(self, positions: Floats, seen: Stamps, names: Sequence[str]) -> Floats:
+    def variances(
+        self, positions: Floats, seen: Stamps, names: Sequence[str], ratios: Floats
+    ) -> Floats:
         """(K, M) Variance along each axis, m2, of results (K, M, 3), m, from the cameras ``seen``.
 
-        ``seen`` (K, M) has a bit for each camera. The mean of n cameras has the variance
+        ``seen`` (K, M) has a bit for each camera, ``ratios`` (K,) are as :attr:`ratio` was at each
+        result. The mean of n cameras has the variance
 
             (r sum a + sum e^2 / 3 + k^2 s) / n^2,
 
-        where a is assumed of each pose that is as given, r is :attr:`ratio`, e the standard error
+        where a is assumed of each pose that is as given, r is the ratio, e the standard error
         of each refined pose, and s the variance of the placement of the k cameras with such poses.
         """
         places = places_of(names, self._known.places)
@@ -117,21 +126,25 @@ class PoseError:
         is_refined = np.array(
             [self._placement is not None and name in self._known.to_given for name in names]
         )
-        alone = np.where(is_refined, errors**2 / _AXES, self.ratio * self._assumed(1, squares))
+        given = np.where(is_refined, 0.0, self._assumed(1, squares))
         near = ~is_refined & is_placed
         # What is summed over the cameras that see a marker. |x - p|^2 = |x|^2 - 2 x p + |p|^2.
         of_camera = np.column_stack(
-            [np.ones(len(names)), is_refined, alone, near, np.where(near, places.T, 0.0).T]
-        )
+            [
+                np.ones(len(names)), is_refined, np.where(is_refined, errors**2 / _AXES, 0.0),
+                given, near, np.where(near, places.T, 0.0).T,
+            ]
+        )  # fmt: skip
         markers, bits = positions.reshape(-1, _AXES), seen.ravel()
+        ratios = np.repeat(ratios, seen.shape[1])
         out = np.empty(len(bits))
         for first in range(0, len(out), _PIECE):
             rows = slice(first, first + _PIECE)
             sees = (bits[rows, None] >> np.arange(len(names))) & 1
-            n, refined, total, n_near, *towards = (sees @ of_camera).T
+            n, refined, total, given, n_near, *towards = (sees @ of_camera).T
             x = np.where(np.isnan(markers[rows]), 0.0, markers[rows]).T
             nearer = n_near * (x**2).sum(axis=0) - 2 * (x * towards).sum(axis=0)
-            total = total + self.ratio * self._assumed(0, nearer)
+            total = total + ratios[rows] * (given + self._assumed(0, nearer))
             if self._placement is not None:
                 total += refined**2 * self._placement.variances(markers[rows])
             out[rows] = total / np.maximum(n, 1) ** 2

@@ -39,11 +39,10 @@ from hiros_mcap.kernels.array_types import chosen
 from hiros_mcap.skeletons import POSITION, VELOCITY, Floats, Stamps
 from hiros_mcap.stages.fuse.fusing import Sightings, joined_out_of
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
-from hiros_mcap.stages.fuse.window_smoother import Smoothed
+from hiros_mcap.stages.fuse.window_smoother import BATCH, Smoothed
 
 FEWEST = 50  # residuals that give a median
 _EVERY = 3  # moments; neighbours tell much the same, and views take much memory
-_BATCH = 48  # frames that are compared at once
 _MEMORY = 60.0  # s; time constant of the mean of a camera's residuals
 _LOWEST, _HIGHEST, _PER_OCTAVE = -14, 14, 8
 """Of histograms: log2 of the limits, and bins per factor of 2."""
@@ -80,30 +79,23 @@ class ResidualMeter:
     def compared(self, windows: Iterable[Smoothed]) -> Iterator[Block]:
         """Take the next frames, one for each instant; yield them as :meth:`scaled`.
 
-        Frames that a filter gives one by one are joined: later stages cost a call per block.
+        Those of a filter are scaled by what the batches before have shown.
         """
-        some: list[Block] = []
         for smoothed in windows:
             fused = smoothed.frames
-            ends_batch = self._waiting + len(fused) >= _BATCH
-            if ends_batch and some:  # they are scaled by what the batches before have shown
-                yield self.scaled(together(some))
-                some = []
             used = (smoothed.rows >= 0) & (smoothed.views.stamps // _MOMENT % _EVERY == 0)
             views, rows, excess = (
                 chosen(smoothed.views, used), smoothed.rows[used], smoothed.excess[used],
             )  # fmt: skip
             self._held.append(smoothed._replace(views=views, rows=rows, excess=excess))
             self._waiting += len(fused)
-            if ends_batch:
+            if self._is_causal:
+                yield self.scaled(fused)
+            if self._waiting >= BATCH:
                 self.finish()
-            elif self._is_causal:
-                some.append(fused)
-                continue
-            yield self.scaled(fused)
+            if not self._is_causal:
+                yield self.scaled(fused)
             del fused, smoothed  # else they lie in memory until the next ones are made
-        if some:
-            yield self.scaled(together(some))
 
     def finish(self) -> None:
         """Count what was fused so far."""
@@ -139,7 +131,7 @@ class ResidualMeter:
         uncertainty = fused.uncertainty
         if uncertainty is None or not len(rows):
             return
-        sees = self._noise.sees(views, names)  # before positions become residuals
+        sees = self._noise.sees(views)  # before positions become residuals
         residuals = _residuals(views, fused, rows)
         posterior = uncertainty.deviations[rows] ** 2 - uncertainty.shared[rows] ** 2
         white = self._noise.variances(views, names)
