@@ -5,6 +5,8 @@ The state of a joint is [x, v, b_1 ... b_C]: position, velocity and the slow off
     b' = e^(-dt/tau) b, driven so that its variance stays the same (Gauss-Markov)
 A joint that no camera has seen for _GOES_ON s slows down: v' = e^(-dt/_STOPS) v.
     z = x + b_c + white noise, at the camera's own time
+All offsets fade alike. So the filter holds b / s, where s = e^(-dt/tau) over all that has passed:
+then nothing fades, and z = x + s (b_c / s). Once s is small, it starts from 1 again.
 The three axes share the covariance. The noise is Student's t, and of some measurements it is
 uniform: they may lie anywhere (:mod:`.outliers`). So a joint that two cameras see at two places
 stays where it was.
@@ -39,6 +41,8 @@ _GOES_ON, _STOPS = 0.2, 0.15
 """s that an unseen joint keeps its velocity, as in the tracker; time constant of the stop, s.
 
 People whom nobody sees are as likely to turn as to go on."""
+_LEAST_SCALE = 0.01
+"""Of s, above: an offset's variance is at most 10 000 times as large then."""
 _CHANGES = 3.0  # 1/s: how often a joint goes over to another level
 
 
@@ -148,7 +152,8 @@ class FusionWork(NamedTuple):
 
     intervals: F1  # (T,) s since the step before for which the velocity lasts; _UNKNOWN = no part
     slows: F1  # (T,) share of the velocity that is left after the interval
-    remains: F1  # (T,) share of an offset that is left after the interval
+    fades: F1  # (T,) factor of the held offsets after the interval; mostly 1
+    scales: F1  # (T,) of the held offsets
     gains: F2  # (T, N) gain of a measurement; the covariances of x at a pose
     velocities: F2  # (T, N) the covariances of v at a pose
     innovations: F2  # (T, 3); the predicted x at a pose
@@ -172,7 +177,7 @@ class FusionWork(NamedTuple):
         t, n = steps, size
         doubts = CameraDoubts.of(LEVELS, steps, size - OFFSETS, markers)
         many, levels = ((t, n), (t, n), (t, 3), (t, 3)), ((t, LEVELS), t, t, (LEVELS, 9))
-        return arrays(cls, t, t, t, *many, t, (n, 3), (n, n), n, *levels, (t, 3), t, doubts)
+        return arrays(cls, t, t, t, t, *many, t, (n, 3), (n, n), n, *levels, (t, 3), t, doubts)
 
 
 # Rows of a covariance.
@@ -218,12 +223,19 @@ def _load_doubts(states: JointStates, row: int, m: int, level: int, doubts: Came
 
 @kernel
 def _save(
-    states: JointStates, row: int, m: int, times: tuple[float, float], work: FusionWork
-) -> None:
-    """Store the state of a joint, with its time and that of the last measurement, s."""
+    states: JointStates, row: int, m: int, times: tuple[float, float], scale: float,
+    work: FusionWork,
+) -> None:  # fmt: skip
+    """Store the state of a joint, with its time and that of the last measurement, s.
+
+    ``scale`` : of the offsets that the filter holds.
+    """
+    means, covariances = states.means[row, m], states.covariances[row, m]
     for i in range(len(work.mean)):
-        _copy(work.mean[i], states.means[row, m, i])
-        _copy(work.covariance[i], states.covariances[row, m, i])
+        _copy(work.mean[i], means[i])
+        _copy(work.covariance[i], covariances[i])
+    for i in range(OFFSETS, len(work.mean)):
+        _fade(means, covariances, i, scale)
     _copy(work.doubts.wrong[0], states.wrong[row, m])
     _copy(work.doubts.times[0], states.measured[row, m])
     _copy(work.doubts.agreed[0], states.agreed[row, m])
@@ -270,10 +282,13 @@ def _fade(mean: Floats, covariance: Floats, i: int, remains: float) -> None:
 
 
 @inlined
-def _predict(t: int, dt: float, q: float, offset_variance: float, work: FusionWork) -> None:
-    """Carry the state on by the ``dt`` s before step ``t``: F x, F P F' + Q."""
+def _predict(t: int, dt: float, q: float, driven: float, work: FusionWork) -> None:
+    """Carry the state on by the ``dt`` s before step ``t``: F x, F P F' + Q.
+
+    ``driven`` : by how much the variances of the held offsets grow.
+    """
     x, p = work.mean, work.covariance
-    n, lasts, slow, remains = len(x), work.intervals[t], work.slows[t], work.remains[t]
+    n, lasts, slow = len(x), work.intervals[t], work.slows[t]
     for c in range(3):
         x[POSITION, c] += lasts * x[VELOCITY, c]
         x[VELOCITY, c] *= slow
@@ -286,9 +301,9 @@ def _predict(t: int, dt: float, q: float, offset_variance: float, work: FusionWo
     p[0, 1] += q * dt * dt / 2.0
     p[1, 0] += q * dt * dt / 2.0
     p[1, 1] += q * dt
-    driven = offset_variance * (1.0 - remains * remains)
     for i in range(OFFSETS, n):
-        _fade(x, p, i, remains)
+        if work.fades[t] != 1.0:
+            _fade(x, p, i, work.fades[t])
         p[i, i] += driven
 
 
@@ -325,13 +340,13 @@ def _odds(
 def _correct(steps: Steps, t: int, m: int, noise: JointNoise, work: FusionWork) -> None:
     """Correct the state by a measurement."""
     x, p, h = work.mean, work.covariance, work.row
-    n, k = len(x), OFFSETS + steps.cameras[t]
+    n, k, scale = len(x), OFFSETS + steps.cameras[t], work.scales[t]
     for j in range(n):
-        h[j] = p[POSITION, j] + p[k, j]
-    variance = h[POSITION] + h[k] + work.variances[t]
+        h[j] = p[POSITION, j] + scale * p[k, j]
+    variance = h[POSITION] + scale * h[k] + work.variances[t]
     square = 0.0
     for c in range(3):
-        y = work.places[t, c] - x[POSITION, c] - x[k, c]
+        y = work.places[t, c] - x[POSITION, c] - scale * x[k, c]
         work.innovations[t, c] = y
         square += y * y
     scaled = square / variance
@@ -519,10 +534,10 @@ def _forward(
     q, offset_variance = noise.accelerations[m], noise.offsets[m]
     _load(states, row, m, work)
     time, seen, started = states.times[row, m], states.seen[row, m], p[0, 0] > 0.0
-    first = 0 if started else _first_seen(steps, work)
+    first, scale = 0 if started else _first_seen(steps, work), 1.0
     for t in range(len(steps.times)):
         if t == keep and started:
-            _save(states, row, m, (time, seen), work)
+            _save(states, row, m, (time, seen), scale, work)
         work.intervals[t] = _UNKNOWN
         is_pose = steps.cameras[t] < 0
         if not is_pose and not _is_measured(work, t):
@@ -534,10 +549,15 @@ def _forward(
             _start(work.places[first], offset_variance, x, p)
         dt = max(steps.times[t] - time, 0.0)
         work.intervals[t], work.slows[t] = _slowed(max(time - seen, 0.0), dt)
-        work.remains[t] = math.exp(-dt / noise.time)
+        remains = math.exp(-dt / noise.time)
+        scale, work.fades[t] = scale * remains, 1.0
+        if scale < _LEAST_SCALE:
+            work.fades[t], scale = scale, 1.0
+        work.scales[t] = scale
         time = max(steps.times[t], time)
         if dt > 0.0:
-            _predict(t, dt, q * work.factors[t], offset_variance, work)
+            driven = offset_variance * (1.0 - remains * remains) / (scale * scale)
+            _predict(t, dt, q * work.factors[t], driven, work)
         if is_pose:
             work.information[t] = p[POSITION, POSITION]
             _copy(p[POSITION], work.gains[t])
@@ -548,7 +568,7 @@ def _forward(
             seen = time
             _correct(steps, t, m, noise, work)
     if keep >= len(steps.times) and started:
-        _save(states, row, m, (time, seen), work)
+        _save(states, row, m, (time, seen), scale, work)
 
 
 @inlined
@@ -556,16 +576,17 @@ def _measured(steps: Steps, t: int, work: FusionWork) -> None:
     """Carry the adjoint back through a measurement.
 
     l = (I - K H)' l - H' y / S,  L = (I - K H)' L (I - K H) + H' H / S
+    H has 1 at the position, and the scale at the camera's offset.
     The matrix is L'. It is L but for rounding.
     """
     adjoint, square, g = work.mean, work.covariance, work.row
-    n, k = len(adjoint), OFFSETS + steps.cameras[t]
+    n, k, scale = len(adjoint), OFFSETS + steps.cameras[t], work.scales[t]
     for c in range(3):
         s = work.information[t] * work.innovations[t, c]
         for i in range(n):
             s += work.gains[t, i] * adjoint[i, c]
         adjoint[POSITION, c] -= s
-        adjoint[k, c] -= s
+        adjoint[k, c] -= scale * s
     total = work.information[t]
     g[:] = 0.0
     for j in range(n):
@@ -573,28 +594,29 @@ def _measured(steps: Steps, t: int, work: FusionWork) -> None:
     for i in range(n):
         total += g[i] * work.gains[t, i]
         square[i, POSITION] -= g[i]
-        square[i, k] -= g[i]
+        square[i, k] -= scale * g[i]
     _add_multiple(g, -1.0, square[POSITION])
-    _add_multiple(g, -1.0, square[k])
+    _add_multiple(g, -scale, square[k])
     square[POSITION, POSITION] += total
-    square[POSITION, k] += total
-    square[k, POSITION] += total
-    square[k, k] += total
+    square[POSITION, k] += scale * total
+    square[k, POSITION] += scale * total
+    square[k, k] += scale * scale * total
 
 
 @inlined
 def _unpredict(t: int, work: FusionWork) -> None:
     """Carry the adjoint back over the interval before step ``t``: F' l, F' L F."""
     adjoint, square = work.mean, work.covariance
-    n, lasts, slow, remains = len(adjoint), work.intervals[t], work.slows[t], work.remains[t]
+    n, lasts, slow = len(adjoint), work.intervals[t], work.slows[t]
     for c in range(3):
         adjoint[VELOCITY, c] = slow * adjoint[VELOCITY, c] + lasts * adjoint[POSITION, c]
     for i in range(n):
         square[i, VELOCITY] = slow * square[i, VELOCITY] + lasts * square[i, POSITION]
     _multiply(square[VELOCITY], slow)
     _add_multiple(square[POSITION], lasts, square[VELOCITY])
-    for i in range(OFFSETS, n):
-        _fade(adjoint, square, i, remains)
+    if work.fades[t] != 1.0:
+        for i in range(OFFSETS, n):
+            _fade(adjoint, square, i, work.fades[t])
 
 
 @kernel
@@ -603,8 +625,10 @@ def _backward(steps: Steps, m: int, out: FusedPoses, work: FusionWork) -> None:
     adjoint, square = work.mean, work.covariance
     adjoint[:] = 0.0
     square[:] = 0.0
-    n = len(adjoint)
-    for t in range(len(steps.times) - 1, -1, -1):
+    n, first = len(adjoint), 0
+    while first < len(steps.times) and steps.cameras[first] != POSE:
+        first += 1
+    for t in range(len(steps.times) - 1, first - 1, -1):
         if work.intervals[t] < 0.0:
             continue
         if steps.cameras[t] >= 0:
@@ -640,7 +664,9 @@ def smooth_joints(
         before step ``keep``, where the next window starts.
     out : gets the poses that steps want. Where a joint is unknown, it stays as it is.
     """
-    work.doubts.joints[:] = 0.0
+    for m in range(len(work.doubts.joints)):
+        for t in range(len(steps.times)):
+            work.doubts.joints[m, t] = 0.0
     for m in noise.order:
         _take_joint(steps, m, work)
         _rate(steps, m, noise, states, row, work)
