@@ -171,8 +171,12 @@ def swinging(seconds):
 
 
 def shrunk(poses):
-    recent, variances = RecentMotion(), np.full(12, 0.02**2)
-    return np.array([recent.shrink(p, variances, k * 33 * MS) for k, p in enumerate(poses)])
+    return RecentMotion().shrink(poses, np.full((len(poses), 12), 0.02**2), MS * times(poses))
+
+
+def times(poses):
+    """Times of poses at 30 Hz, ms."""
+    return 33 * np.arange(len(poses))
 
 
 def test_the_motion_so_far_takes_noise_off():

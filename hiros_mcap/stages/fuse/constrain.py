@@ -115,7 +115,7 @@ class _WaitingWindow(NamedTuple):
     frames: Block
     variances: Floats  # (P, M) of its markers before, m2
     people: list[tuple[int, Stamps]]
-    """Who has an id in them, and the rows; without a window, each row by itself."""
+    """Who has an id in them, and the rows; without a window, several parts of them."""
     lengths: list[Floats]
     """(K,) m, of each of ``people``, without a window: those that were known then."""
 
@@ -152,7 +152,9 @@ class _Bodies:
         """Measure everybody in a window, as long as the lengths are not well known."""
         variances, stamps = unshared_variances(out), np.repeat(out.stamps, out.sizes)
         positions, enough = out.people.markers[:, :, POSITION], self._params.enough * 1e9
-        people = list(_tracked(out) if self._params.window > 0 else _tracked_rows(out))
+        people = list(_tracked(out))
+        if self._params.window == 0:
+            people = self._one_by_one(people, stamps)
         lengths = list[Floats]()
         for person, rows in people:
             body = self._body(person, int(stamps[rows[0]]))
@@ -169,6 +171,24 @@ class _Bodies:
             if self._params.window == 0:
                 lengths.append(self._lengths(person))
         return _WaitingWindow(out, variances, people, lengths)
+
+    def _one_by_one(
+        self, people: list[tuple[int, Stamps]], stamps: Stamps
+    ) -> list[tuple[int, Stamps]]:
+        """Return people and their rows: each row by itself while lengths may change with it.
+
+        ``stamps`` (P,) are the times of all rows, ns.
+        """
+        whole, rows = list[tuple[int, Stamps]](), list[tuple[int, Stamps]]()
+        for person, theirs in people:
+            body = self._people.get(person)
+            if body is not None and body.is_fixed:
+                unseen = np.diff(stamps[theirs], prepend=body.last).max()
+                if unseen <= _FORGET * 1e9:
+                    whole.append((person, theirs))
+                    continue
+            rows += [(person, theirs[k : k + 1]) for k in range(len(theirs))]
+        return whole + sorted(rows, key=lambda person_and_row: int(person_and_row[1][0]))
 
     def _body(self, person: int, stamp: int) -> _Body:
         """Return what is known of somebody who is seen at ``stamp``, ns."""
@@ -256,9 +276,9 @@ class _Bodies:
             return
         frames, origins = local_frames(positions, self._lateral)
         poses = (positions - origins) @ frames
-        for person, (row,) in people:
+        for person, rows in people:
             recent = self._people[person].recent
-            poses[row] = recent.shrink(poses[row], variances[row], int(stamps[row]))
+            poses[rows] = recent.shrink(poses[rows], variances[rows], stamps[rows])
         positions[:] = poses @ np.swapaxes(frames, 1, 2) + origins
 
     def _moved(
@@ -281,13 +301,6 @@ def _tracked(block: Block) -> Iterator[tuple[int, Stamps]]:
     for person in np.unique(block.people.ids).tolist():
         if person != UNTRACKED:
             yield person, np.flatnonzero(block.people.ids == person)
-
-
-def _tracked_rows(block: Block) -> Iterator[tuple[int, Stamps]]:
-    """Yield everybody who has an id, frame by frame, with the row."""
-    for row, person in enumerate(block.people.ids.tolist()):
-        if person != UNTRACKED:
-            yield person, np.array([row])
 
 
 def unshared_variances(block: Block) -> Floats:

@@ -19,7 +19,7 @@ import numpy as np
 from hiros_mcap.body.rotations import nearest_rotation
 from hiros_mcap.kernels.array_types import F1, F2, F3
 from hiros_mcap.kernels.compile import entry, kernel
-from hiros_mcap.skeletons import Flags, Floats, Ints
+from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 from hiros_mcap.stages.fuse.pair_lengths import RATE
 
 FEWEST = 30  # poses that a prior needs
@@ -71,40 +71,63 @@ class RecentMotion:
         self._kept = self._next = self._pushed = self._seen = 0
         """Poses so far; when the prior is due, the last pose was kept, and the person was seen
         last, ns."""
+        self._places: list[tuple[int, int]] = []
+        """Times, ns, of poses that are to be kept, and their rows in the rings."""
         self._motion: MotionPrior | None = None
 
-    def shrink(self, local: Floats, variances: Floats, stamp: int) -> Floats:
-        """Return a local pose (M, 3), m, moved towards what the person has done; remember it.
+    def shrink(self, local: Floats, variances: Floats, stamps: Stamps) -> Floats:
+        """Return local poses (T, M, 3), m, each moved towards what the person has done before it.
 
-        After a second unseen the motion is learned anew.
+        They are remembered. After a second unseen the motion is learned anew.
+
+        Parameters
+        ----------
+        variances : (T, M) m2 along each axis. stamps : (T,) ns.
         """
-        if stamp - self._seen > _LEFT * 1e9:
-            self._motion = None
-            self._kept = self._next = self._pushed = 0
-        self._seen = stamp
-        estimate = local
-        if self._motion is not None:
-            estimate = estimated(self._motion, local[None], variances[None], _LARGEST_STEP)[0]
-        # Not the pose as measured: from what has less noise, a better prior is learned.
-        self._remember(estimate, variances, stamp)
-        return estimate
+        out, first = local.copy(), 0
+        for t, stamp in enumerate(stamps.tolist()):
+            if stamp - self._seen > _LEFT * 1e9:
+                self._take(out[first:t], variances[first:t], stamps[first:t])
+                self._motion, self._kept, first = None, 0, t
+            self._seen = stamp
+            if self._keeps(stamp) and stamp >= self._next and self._kept >= FEWEST:
+                self._take(out[first : t + 1], variances[first : t + 1], stamps[first : t + 1])
+                self._renew(stamp)
+                first = t + 1
+        self._take(out[first:], variances[first:], stamps[first:])
+        return out
 
-    def _remember(self, local: Floats, variances: Floats, stamp: int) -> None:
-        """Keep a pose; renew the prior if it is due."""
+    def _keeps(self, stamp: int) -> bool:
+        """Whether the prior rests on a pose, too; a minute does not need all that come fast."""
         if not self._kept:
             self._next = stamp + round(_FIRST * 1e9)
-            self._poses = np.empty((_POSES, *local.shape))
-            self._variances = np.empty((_POSES, *variances.shape))
         elif stamp - self._pushed < 0.9e9 / RATE:
-            return
+            return False
         self._pushed = stamp
-        self._poses[self._kept % _POSES] = local
-        self._variances[self._kept % _POSES] = variances
         self._kept += 1
-        if stamp >= self._next and self._kept >= FEWEST:
-            poses, variances = self._poses[: self._kept], self._variances[: self._kept]
-            self._next = stamp + round(max(_RENEWED, _NEW * len(poses) / RATE) * 1e9)
-            self._motion = motion_of(poses, variances)
+        self._places.append((stamp, (self._kept - 1) % _POSES))
+        return True
+
+    def _take(self, poses: Floats, variances: Floats, stamps: Stamps) -> None:
+        """Move poses towards the motion, in place; keep those that the prior rests on."""
+        if self._motion is not None and len(poses):
+            poses[:] = estimated(self._motion, poses, variances, _LARGEST_STEP)
+        if not self._places:
+            return
+        if self._poses.shape[1:] != poses.shape[1:]:
+            self._poses = np.empty((_POSES, *poses.shape[1:]))
+            self._variances = np.empty((_POSES, *variances.shape[1:]))
+        kept, places = np.array(self._places).T
+        self._places.clear()
+        # Not the poses as measured: from what has less noise, a better prior is learned.
+        rows = np.searchsorted(stamps, kept)
+        self._poses[places], self._variances[places] = poses[rows], variances[rows]
+
+    def _renew(self, stamp: int) -> None:
+        """Find the motion in the poses of the minute before."""
+        poses, variances = self._poses[: self._kept], self._variances[: self._kept]
+        self._next = stamp + round(max(_RENEWED, _NEW * len(poses) / RATE) * 1e9)
+        self._motion = motion_of(poses, variances)
 
 
 def visible_noise(positions: Floats, variances: Floats, rate: float) -> Floats:
