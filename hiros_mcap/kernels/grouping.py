@@ -13,6 +13,7 @@ from hiros_mcap.skeletons import Floats
 
 _SHARE = 0.75  # of two skeletons' joints, this share with the smallest distances is compared
 _LEAST = 4  # skeletons with fewer joints in common are not compared
+_SURELY = 1.0 + 1e-9  # times the gate: over it, whatever rounding does
 
 
 class Skeletons(NamedTuple):
@@ -49,13 +50,14 @@ class GroupingWork(NamedTuple):
 
 @kernel
 def _sort(values: Floats, n: int) -> None:
-    """Sort the first n values, which are few."""
-    for i in range(1, n):
-        value, k = values[i], i
-        while k > 0 and values[k - 1] > value:
-            values[k] = values[k - 1]
-            k -= 1
-        values[k] = value
+    """Sort the first n values, which are few (Shell 1959)."""
+    for gap in (10, 4, 1):
+        for i in range(gap, n):
+            value, k = values[i], i
+            while k >= gap and values[k - gap] > value:
+                values[k] = values[k - gap]
+                k -= gap
+            values[k] = value
 
 
 @kernel
@@ -63,17 +65,18 @@ def _distance(
     skeletons: Skeletons, a: int, b: int, swapped: bool, gate: float, joints: Floats
 ) -> float:
     """Mean of the smallest distances of the joints that both have; inf if it is over the gate."""
-    n = near = 0
+    n = 0
+    clipped = 0.0  # sum of the distances, each twice the gate at most
     for m in range(len(skeletons.mirror)):
         other = skeletons.mirror[m] if swapped else m
         if skeletons.weights[a, m] > 0.0 and skeletons.weights[b, other] > 0.0:
             p, q = skeletons.positions[a, m], skeletons.positions[b, other]
             joints[n] = norm3(p[0] - q[0], p[1] - q[1], p[2] - q[2])
-            if joints[n] <= 2.0 * gate:
-                near += 1
+            clipped += min(joints[n], 2.0 * gate)
             n += 1
     kept = int(np.ceil(_SHARE * n))
-    if n < _LEAST or 2 * near < kept:  # more than half over twice the gate: so is their mean
+    # Those that are left out add twice the gate at most.
+    if n < _LEAST or clipped - 2.0 * gate * (n - kept) > _SURELY * gate * kept:
         return np.inf
     _sort(joints, n)
     total = 0.0
@@ -91,7 +94,9 @@ def _compare(skeletons: Skeletons, begin: int, end: int, gate: float, work: Grou
             if skeletons.cameras[a] == skeletons.cameras[b]:
                 continue
             straight = _distance(skeletons, a, b, False, gate, work.joints)
-            swapped = _distance(skeletons, a, b, True, gate, work.joints)
+            # Only what is nearer counts: most need not be compared any further.
+            least = min(gate, _SURELY * straight)
+            swapped = _distance(skeletons, a, b, True, least, work.joints)
             work.distances[a - begin, b - begin] = min(straight, swapped)
             work.mirrored[a - begin, b - begin] = swapped < straight
 
