@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hiros_mcap.frames import Block, rows_between
-from hiros_mcap.kernels.distance import mean_distances
+from hiros_mcap.kernels.following import follow_people
 from hiros_mcap.kernels.local_line import Tracklet
 from hiros_mcap.skeletons import POSITION, Floats, Ints, Stamps
 
@@ -120,7 +120,7 @@ class PeopleFollowed:
     """
 
     def __init__(self, mirror: Ints) -> None:
-        self._mirror = mirror
+        self._mirror = np.asarray(mirror, np.int32)
         self._growing: list[_Growing] = []
         self._done: list[_Growing] = []
         self._waiting: list[Sighting] = []
@@ -179,16 +179,11 @@ def find_tracklets(sightings: Iterable[Sighting], mirror: Ints) -> list[Tracklet
 
 def _continue(poses: Floats, last: list[Floats], mirror: Ints) -> tuple[list[int], list[bool]]:
     """Return which tracklet each of (P, M, 3) poses continues, -1 = none, and if swapped."""
-    n = len(poses)
-    if not n or not last:
+    n, q = len(poses), len(last)
+    if not n or not q:
         return [-1] * n, [False] * n
-    apart = np.empty((2 * n, len(last)))
-    mean_distances(np.concatenate([poses, poses[:, mirror]]), np.array(last), apart)
-    straight, swapped = apart[:n], apart[n:]
-    swap = swapped < SWAP * straight
-    distances = np.where(swap, swapped, straight)
-    nearest, nearest_of = distances.argmin(axis=1), distances.argmin(axis=0)
-    rows = np.arange(n)
-    mutual = (nearest_of[nearest] == rows) & (distances[rows, nearest] <= GATE_M)
-    owners = np.where(mutual, nearest, -1)
-    return owners.tolist(), (mutual & swap[rows, nearest]).tolist()
+    distances, swaps = np.empty((n, q)), np.empty((n, q), np.bool_)
+    owners, swapped = np.empty(n, np.int64), np.empty(n, np.bool_)
+    poses = np.ascontiguousarray(poses)
+    follow_people(poses, np.array(last), mirror, SWAP, GATE_M, distances, swaps, owners, swapped)
+    return owners.tolist(), swapped.tolist()
