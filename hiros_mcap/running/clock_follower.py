@@ -25,6 +25,7 @@ from hiros_mcap.io.camera_clock import (
     ClockCorrection,
     ClockFault,
     corrections_of,
+    median,
     middle_of,
 )
 
@@ -81,7 +82,7 @@ class _FollowedClock:
     @property
     def lag(self) -> float:
         """Usual lag, s."""
-        return float(np.median(self.times.lags))
+        return median(self.times.lags)
 
     def add(self, stamp: int, log_time: int) -> None:
         """Remember a message."""
@@ -100,8 +101,9 @@ class _FollowedClock:
             self.offset, self.origin = self.stamps[-1] - self.latest, self.latest
             self.drift += correction.drift
         lags = before.log_times - right
-        usual = lags[lags > np.median(lags) - _AHEAD_NS]
-        self.floor = int(np.quantile(usual, 0.05, method="lower"))
+        usual = lags[lags > median(lags) - _AHEAD_NS]
+        place = int(0.05 * (len(usual) - 1))
+        self.floor = int(np.partition(usual, place)[place])
 
 
 class ClockFollower:
