@@ -24,6 +24,7 @@ from hiros_mcap.kernels.rig_equations import (
     CLOCK,
     DRIFT,
     UNKNOWNS,
+    EquationWork,
     RigResiduals,
     add_points,
 )
@@ -246,15 +247,17 @@ def normal_equations(
 
     The joints' means are eliminated. The first camera has no free unknowns.
     """
-    n_cameras, n = len(free) - 1, UNKNOWNS * (len(free) - 1)
+    n = UNKNOWNS * (len(free) - 1)
     hessian, slope = np.zeros((n, n)), np.zeros(n)
     # A camera's own velocity errs together with its position, above all where somebody re-appears.
     # The mean of all cameras treats them alike; otherwise the first one's clock would be biased.
     velocities = np.broadcast_to(residuals.mean_velocities, residuals.velocities.shape)
     points = residuals._replace(velocities=np.ascontiguousarray(velocities))
-    used = np.flatnonzero([free[:, :CLOCK].any()] * 3 + [free[:, c].any() for c in (CLOCK, DRIFT)])
+    used = np.flatnonzero(
+        [free[:, :CLOCK].any()] * CLOCK + [free[:, c].any() for c in (CLOCK, DRIFT)]
+    )
     first, last = (int(used[0]), int(used[-1]) + 1) if len(used) else (0, 0)
-    add_points(points, seconds, first, last, hessian, slope, np.zeros((n_cameras, 3, 5)))
+    add_points(points, seconds, first, last, hessian, slope, EquationWork.allocate(len(free)))
     upper = np.triu(hessian)
     chosen = free[1:].ravel()
     whole = upper + upper.T - np.diag(np.diag(upper))

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.array_types import F1, F2, F3
+from hiros_mcap.kernels.array_types import F1, F2, F3, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.skeletons import Floats, Stamps
 
@@ -57,72 +57,84 @@ class RigResiduals(NamedTuple):
             yield seen, apart, np.minimum(weights, rest)[seen]
 
 
-@inlined
-def _column(k: int, i: int) -> int:
-    """Return the unknown of the ``k``-th number of row ``i`` of :func:`_differentiate`."""
-    if k < 2:
-        return k if k < i else k + 1
-    return 3 + i if k == 2 else k + 3
+class EquationWork(NamedTuple):
+    """Scratch for one point of C cameras. Zeros at first."""
+
+    jacobians: F2
+    """(3, 8 (C - 1)) those of the cameras but the first, side by side."""
+    factors: F1
+    """(8 (C - 1),) of each column's camera: what a product of Jacobians counts."""
+
+    @classmethod
+    def allocate(cls, n_cameras: int) -> EquationWork:
+        """Allocate the arrays."""
+        n = UNKNOWNS * (n_cameras - 1)
+        return arrays(cls, (3, n), n)
 
 
 @kernel
 def _differentiate(points: RigResiduals, c: int, p: int, seconds: float, jacobian: Floats) -> None:
-    """Write the Jacobian of a point by its camera: ``[-[R x]x, I, -V, -V t]``.
+    """Write the Jacobian (3, 8) of a point by its camera: ``[-[R x]x, I, -V, -V t]``.
 
-    Without the zeros, (3, 5): two numbers of the rotation, the shift, the clock, the drift.
+    What is 0 in every Jacobian is left alone.
     """
     x, y, z = points.turned[c, p, 0], points.turned[c, p, 1], points.turned[c, p, 2]
-    jacobian[0, 0], jacobian[0, 1] = z, -y
-    jacobian[1, 0], jacobian[1, 1] = -z, x
+    jacobian[0, 1], jacobian[0, 2] = z, -y
+    jacobian[1, 0], jacobian[1, 2] = -z, x
     jacobian[2, 0], jacobian[2, 1] = y, -x
     for i in range(3):
-        jacobian[i, 2] = 1.0
-        jacobian[i, 3] = -points.velocities[c, p, i]
-        jacobian[i, 4] = -points.velocities[c, p, i] * seconds
+        jacobian[i, 3 + i] = 1.0
+        jacobian[i, CLOCK] = -points.velocities[c, p, i]
+        jacobian[i, DRIFT] = -points.velocities[c, p, i] * seconds
 
 
 @inlined
-def _add_block(
-    hessian: Floats, c: int, d: int, factor: float, jacobians: Floats, first: int, last: int
-) -> None:
-    """Add ``factor`` times J_c' J_d to a block of the Hessian."""
-    for i in range(3):
-        for k in range(first, last):
-            scaled = factor * jacobians[c, i, k]
-            row = hessian[UNKNOWNS * c + _column(k, i)]
-            for n in range(first, last):
-                row[UNKNOWNS * d + _column(n, i)] += scaled * jacobians[d, i, n]
+def _add_row(row: Floats, number: float, factors: Floats, numbers: Floats) -> None:
+    """Add the products of a number of one Jacobian with those of a row of all: many at a time."""
+    for n in range(len(row)):
+        row[n] += factors[n] * number * numbers[n]
 
 
 @entry
 def add_points(
-    points: RigResiduals, seconds: F1, first: int, last: int, hessian: F2, slope: F1, jacobians: F3
-) -> None:
+    points: RigResiduals, seconds: F1, first: int, last: int, hessian: F2, slope: F1,
+    work: EquationWork,
+) -> None:  # fmt: skip
     """Add all points to ``sum w J'J - (sum w J)' (sum w J) / sum w`` and to the gradient.
 
     Parameters
     ----------
     seconds : (P,) common times.
-    first, last : what is added, of the five columns of :func:`_differentiate`: those that are free.
+    first, last : which rows are added, of the eight unknowns of a camera: those that are free.
     hessian : (8 (C - 1), 8 (C - 1)); the upper triangle of blocks is written.
     slope : (8 (C - 1),) the gradient.
-    jacobians : (C - 1, 3, 5) scratch: Jacobians of a point.
     """
+    n_cameras = len(slope) // UNKNOWNS
     for p in range(len(seconds)):
         total = points.weights[0, p]
-        for c in range(len(jacobians)):
+        for c in range(n_cameras):
             total += points.weights[c + 1, p]
-        for c in range(len(jacobians)):
-            w = points.weights[c + 1, p]
-            if w <= 0.0:
-                continue
-            _differentiate(points, c + 1, p, seconds[p], jacobians[c])
-            for i in range(3):
+        for c in range(n_cameras):
+            w, begin = points.weights[c + 1, p], UNKNOWNS * c
+            if w > 0.0:
+                jacobian = work.jacobians[:, begin : begin + UNKNOWNS]
+                _differentiate(points, c + 1, p, seconds[p], jacobian)
+            for i in range(3 if w > 0.0 else 0):
                 pull = w * points.offsets[c + 1, p, i]
                 for k in range(first, last):
-                    slope[UNKNOWNS * c + _column(k, i)] += pull * jacobians[c, i, k]
-            _add_block(hessian, c, c, w - w * w / total, jacobians, first, last)
-            for d in range(c):
-                v = points.weights[d + 1, p]
-                if v > 0.0:
-                    _add_block(hessian, d, c, -w * v / total, jacobians, first, last)
+                    slope[begin + k] += pull * work.jacobians[i, begin + k]
+        for d in range(n_cameras):
+            v, begin = points.weights[d + 1, p], UNKNOWNS * d
+            if v <= 0.0:
+                continue
+            for c in range(d, n_cameras):
+                w = points.weights[c + 1, p]
+                factor = w - w * w / total if c == d else -w * v / total
+                for n in range(UNKNOWNS):
+                    work.factors[UNKNOWNS * c + n] = factor if w > 0.0 else 0.0
+            for i in range(3):
+                for k in range(first, last):
+                    number = work.jacobians[i, begin + k]
+                    if number != 0.0:
+                        row, rest = hessian[begin + k, begin:], work.jacobians[i, begin:]
+                        _add_row(row, number, work.factors[begin:], rest)
