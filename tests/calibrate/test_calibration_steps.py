@@ -11,7 +11,13 @@ from stick_figures import MIRROR, MODEL, POSE, person
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
-from hiros_mcap.calibrate.camera_views import CameraView, PeopleFollowed, Sighting, find_tracklets
+from hiros_mcap.calibrate.camera_views import (
+    CameraView,
+    PeopleFollowed,
+    Sighting,
+    _continue,
+    find_tracklets,
+)
 from hiros_mcap.calibrate.coarse_clock import correlate, lag_candidates, landmarks_of, signatures_of
 from hiros_mcap.calibrate.evidence import shared_view
 from hiros_mcap.calibrate.gauge import find_floor, moved, on_transforms, placement_error
@@ -63,6 +69,14 @@ def test_a_tracklet_undoes_swapped_sides():
     frames[10:20] = [f._replace(positions=f.positions[:, MIRROR]) for f in frames[10:20]]
     (track,) = find_tracklets(frames, SIDES)
     assert np.abs(np.diff(track.positions[:, 6], axis=0)).max() < 0.02
+
+
+def test_two_detections_at_one_place_continue_one_person_and_nobody_comes_from_afar():
+    last = [person(0), person(5)]
+    poses = np.stack([person(9), person(0.02)[MIRROR], person(0.02)[MIRROR], person(5)])
+    assert _continue(poses, last, SIDES) == ([-1, 0, -1, 1], [False, True, False, False])
+    poses[1:] = np.nan
+    assert _continue(poses, last, SIDES) == ([-1] * 4, [False] * 4)
 
 
 def test_a_line_gives_position_and_velocity_at_any_time():

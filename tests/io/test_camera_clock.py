@@ -18,9 +18,11 @@ from hiros_mcap.io.camera_clock import (
     CameraTimes,
     ClockFault,
     _judged,
+    _tenth,
     clock_verdict,
     clocks_in_words,
     find_drifts,
+    median,
 )
 from hiros_mcap.skeletons import Floats
 
@@ -381,3 +383,12 @@ def test_a_camera_whose_messages_are_held_makes_no_steps_of_the_others():
         cameras = {name: radio(3 * seed + k) for k, name in enumerate("ac")}
         cameras["b"] = radio(3 * seed + 2, held=4.0)
         assert not [fault for fault in clock_verdict(cameras).faults if fault.camera != "b"]
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 10, 11, 600, 601])
+def test_the_middle_and_the_least_tenth_of_some_lags_are_those_of_numpy(n):
+    for lags in (rng := np.random.default_rng(n)).normal(size=(20, n)):
+        assert median(lags) == np.median(lags)
+        assert _tenth(lags) == np.quantile(lags, 0.1)
+    stamps = rng.integers(0, 10**18, n)
+    assert median(stamps) == np.median(stamps)
