@@ -58,7 +58,11 @@ def prepare(*, quiet: bool, system: str | None = None, everything: bool = False)
 
 
 def independent(sources: Mapping[str, str]) -> list[list[str]]:
-    """Return modules of kernels in groups that do not import each other, the longest first."""
+    """Return modules of kernels in groups that do not import each other, in the order to compile.
+
+    The groups that need nothing of the others come first, so that two processes do not compile the
+    same; then the longest.
+    """
     from hiros_mcap import kernels
 
     groups: list[set[str]] = []
@@ -67,8 +71,12 @@ def independent(sources: Mapping[str, str]) -> list[list[str]]:
         linked = [group for group in groups if group & joined]
         groups = [group for group in groups if not group & joined]
         groups.append(joined.union(*linked))
-    groups.sort(key=lambda group: -sum(len(sources[name]) for name in group))
-    return [sorted(group) for group in groups]
+
+    def rank(group: set[str]) -> tuple[bool, int]:
+        reached = sources.keys() & frozenset().union(*map(kernels.reached, group))
+        return not reached <= group, -sum(len(sources[name]) for name in group)
+
+    return [sorted(group) for group in sorted(groups, key=rank)]
 
 
 def _compile(missing: Mapping[str, Sequence[Path]], *, quiet: bool) -> None:

@@ -62,6 +62,14 @@ def imported(source: str) -> list[str]:
 
 
 @cache
+def reached(module: str) -> frozenset[str]:
+    """Return the modules of hiros_mcap that a module of it imports, directly or not."""
+    path = _PACKAGE.joinpath(*module.split(".")[1:]).with_suffix(".py")
+    direct = imported(path.read_text()) if path.is_file() else []
+    return frozenset(direct).union(*map(reached, direct))
+
+
+@cache
 def digest(module: str) -> str:
     """Hash of a module of hiros_mcap and of all modules of it that it imports; "" if none is so."""
     path = _PACKAGE.joinpath(*module.split(".")[1:]).with_suffix(".py")

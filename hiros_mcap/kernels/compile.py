@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import suppress
+import gc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cached_property, partial
 from types import FunctionType
 from typing import Any
@@ -13,6 +14,8 @@ from hiros_mcap.kernels import folder_of, is_private, shipped
 from hiros_mcap.kernels.array_types import Array, Fields, check_of, type_of
 from hiros_mcap.kernels.machine_code import MachineCode, load, read, write
 from hiros_mcap.skeletons import People
+
+_ALLOCATIONS = 50_000  # objects between two collections of the youngest: 10 MB, at most
 
 
 class Kernel:
@@ -94,12 +97,24 @@ class EntryKernel(Kernel):
         return _numba(self.function, nogil=self._nogil)
 
     def _compile(self, name: str) -> MachineCode:
-        signature = _numba_type(self._gives)(*map(_numba_type, self._takes.fields))
-        self._for_kernels.compile(signature)
-        compiled = self._for_kernels.overloads[signature.args]
-        _, _, (machine, _) = compiled.library.serialize_using_object_code()
+        with _few_collections():
+            signature = _numba_type(self._gives)(*map(_numba_type, self._takes.fields))
+            self._for_kernels.compile(signature)
+            compiled = self._for_kernels.overloads[signature.args]
+            _, _, (machine, _) = compiled.library.serialize_using_object_code()
         names = compiled.fndesc
         return MachineCode(name, names.llvm_cpython_wrapper_name, names.env_name, machine)
+
+
+@contextmanager
+def _few_collections() -> Iterator[None]:
+    """Look for garbage seldom: a twentieth of numba's time goes there, and it makes little."""
+    usual = gc.get_threshold()
+    gc.set_threshold(_ALLOCATIONS)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*usual)
 
 
 def _numba(function: FunctionType, **options: Any) -> Any:

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.kernels.array_types import B1, B2, F1, F2, F3, I1, I2, I3, J1, J2, arrays
-from hiros_mcap.kernels.assignment import AssignmentWork, solve
-from hiros_mcap.kernels.compile import entry, inlined
+from hiros_mcap.kernels.assignment import AssignmentWork
+from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.kernels.distance import weighted_mean_distance
 from hiros_mcap.kernels.line_of_sight import OUTLINE, Capsules
 from hiros_mcap.kernels.points import norm3, point_distance
@@ -117,7 +117,6 @@ class TrackWork(NamedTuple):
     mirrored: B2  # (T, P) whether that is with the detection's left and right swapped
     cost: F2  # (T, P) eq 6; infinite where a pair is not allowed
     match: I1  # (P,) index of the track of each detection, -1 = none
-    broken: B1  # (P,) whether a detection is too far from the track that ``match`` gives it
     # The detections.
     hidden: F2  # (P, M) 0 to 1, how far a joint is hidden from its camera; 1 = guessed
     bounds: F2  # (P, 6) least and greatest x y z of each detection's markers, m
@@ -132,7 +131,7 @@ class TrackWork(NamedTuple):
         t, p, m, n = n_tracks, n_people, n_markers, n_links
         tracks = (t, m, 3), (t, n, 4), t, t
         weights = (t, m), (t, n), (p, m), (p, n)
-        pairs = p, (t, p), (t, p), (t, p), p, p
+        pairs = p, (t, p), (t, p), (t, p), p
         detections = (p, m), (p, 6), (p, OUTLINE), p, p
         assignment = AssignmentWork.allocate(max(t, p))
         return arrays(cls, *tracks, *weights, *pairs, *detections, assignment)
@@ -377,9 +376,9 @@ def _fill_cost(
                 work.cost[i, j] = linear + settings.orientation_weight * angular  # eq 6
 
 
-@entry
+@kernel
 def association_cost(
-    rows: I1, people: People, tracks: Tracks, settings: TrackSettings, work: TrackWork,
+    rows: Stamps, people: People, tracks: Tracks, settings: TrackSettings, work: TrackWork,
 ) -> None:  # fmt: skip
     """Compare every predicted track with every detection (eq 6 and 8 to 11).
 
@@ -392,7 +391,7 @@ def association_cost(
     _fill_cost(rows, people, tracks, settings, work)
 
 
-# Assignment
+# Detections that are too far from their track
 
 
 @inlined
@@ -413,28 +412,10 @@ def _distance_of_seen(
 
 
 @inlined
-def _breaks(i: int, j: int, people: People, settings: TrackSettings, work: TrackWork) -> bool:
+def breaks(i: int, j: int, people: People, settings: TrackSettings, work: TrackWork) -> bool:
     """Whether a detection is farther from a track that was just seen than a person can move."""
     unseen = work.unseen[i]
     if unseen > settings.horizon:
         return False
     distance = _distance_of_seen(i, j, people, settings, work)
     return distance > settings.max_jump + _FASTEST * max(unseen - _USUAL_INTERVAL, 0.0)
-
-
-@inlined
-def associate(
-    stamp: int, rows: Stamps, people: People, tracks: Tracks, settings: TrackSettings,
-    work: TrackWork,
-) -> None:  # fmt: skip
-    """Give the ``wanted`` detections of a message to the tracks in ``rows``.
-
-    Fills ``match``, and ``broken``: a detector distorts a person who is about to be hidden.
-    """
-    n_people = len(people.ids)
-    predict(stamp, rows, tracks, settings, work)  # eq 7
-    association_cost(rows, people, tracks, settings, work)  # eq 6 and 8 to 11
-    solve(work.cost, len(rows), n_people, work.assignment, work.match)  # Munkres
-    for j in range(n_people):
-        i = work.match[j]
-        work.broken[j] = i >= 0 and _breaks(i, j, people, settings, work)

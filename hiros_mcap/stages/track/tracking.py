@@ -13,6 +13,7 @@ import numpy as np
 
 from hiros_mcap.frames import CameraMessages
 from hiros_mcap.kernels.array_types import B1, F2, I1, I2, J1, arrays
+from hiros_mcap.kernels.assignment import solve
 from hiros_mcap.kernels.compile import entry, inlined, kernel, rows_of
 from hiros_mcap.kernels.line_of_sight import outline
 from hiros_mcap.kernels.points import point_distance
@@ -29,7 +30,9 @@ from hiros_mcap.stages.track.association import (
     Tracks,
     TrackSettings,
     TrackWork,
-    associate,
+    association_cost,
+    breaks,
+    predict,
 )
 from hiros_mcap.stages.track.correction import correct
 from hiros_mcap.stages.track.likeness import DISPLACED
@@ -184,32 +187,34 @@ def _is_left_out(
 
 
 @inlined
-def _match(
+def _is_wanted(n_people: int, work: TrackWork) -> bool:
+    """Find the detections that still want a track; return whether any does."""
+    is_wanted = False
+    for j in range(n_people):
+        work.wanted[j] = work.track_rows[j] < 0 and work.faults[j] == USABLE
+        is_wanted = is_wanted or work.wanted[j]
+    return is_wanted
+
+
+@inlined
+def _take(
     stamp: int, camera: int, rows: Stamps, leaping: bool, people: People, tracks: Tracks,
     settings: TrackSettings, work: TrackWork,
 ) -> None:  # fmt: skip
-    """Match the detections that are left with tracks; leave out those that are ``leaping``."""
-    is_wanted = False
-    for j in range(len(people.ids)):
-        work.wanted[j] = work.track_rows[j] < 0 and work.faults[j] == USABLE
-        is_wanted = is_wanted or work.wanted[j]
-    if not is_wanted or not len(rows):
-        return
-    associate(stamp, rows, people, tracks, settings, work)  # eq 6 to 11, Munkres
+    """Give detections the tracks that match them; leave out those that are ``leaping``."""
     for j in range(len(people.ids)):
         i = work.match[j]
         if i < 0:
             continue
         if (
             leaping
-            and work.broken[j]
+            and breaks(i, j, people, settings, work)
             and _is_left_out(stamp, camera, j, rows[i], people, tracks, settings, work)
         ):
             work.match[j], work.faults[j] = -1, LEAP
         else:
             work.track_rows[j] = rows[i]
             tracks.last_seen[rows[i]] = max(tracks.last_seen[rows[i]], stamp)
-    correct(stamp, rows, work, people, tracks, settings)  # Kalman filter
 
 
 @inlined
@@ -276,7 +281,13 @@ def update(
             if rest:
                 _drop_duplicates(known.persons, n, settings.min_distance, work)
             rows = known.tentative if rest else known.persons
-            _match(stamp, camera, rows, not rest, group, tracks, settings, work)
+            if _is_wanted(n, work) and len(rows):
+                # Called from here: each call between would compile them once more.
+                predict(stamp, rows, tracks, settings, work)  # eq 7
+                association_cost(rows, group, tracks, settings, work)  # eq 6 and 8 to 11
+                solve(work.cost, len(rows), n, work.assignment, work.match)  # Munkres
+                _take(stamp, camera, rows, not rest, group, tracks, settings, work)
+                correct(stamp, rows, work, group, tracks, settings)  # Kalman filter
         if not known.certain or _is_open(n, stamp >= cameras.due[camera], work):
             return k, 1
         for j in range(n):
