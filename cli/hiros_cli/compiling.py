@@ -47,10 +47,11 @@ def prepare(*, quiet: bool, system: str | None = None, everything: bool = False)
     _ensure_memory()
     share_heap()
     everything |= system not in (None, DEFAULT_SYSTEM, LIVE_SYSTEM)
-    if shipped.usable() or _is_complete(everything=everything):
+    live = system == LIVE_SYSTEM
+    if shipped.usable() or _is_complete(everything=everything, live=live):
         return
     lasts = _ensure_writable()
-    missing = kernels.missing(everything=everything)
+    missing = kernels.missing(everything=everything, live=live)
     if missing and not quiet:
         print(f"hiros: {kernels.NOTICE}", file=sys.stderr, flush=True)
     if missing and lasts:
@@ -126,12 +127,12 @@ def _ensure_memory() -> None:
         )
 
 
-def _is_complete(*, everything: bool) -> bool:
+def _is_complete(*, everything: bool, live: bool) -> bool:
     """Whether the cache, which may be read-only, has the kernels, from this user or root."""
     from hiros_mcap import kernels
 
     try:
-        absent = kernels.missing(everything=everything)
+        absent = kernels.missing(everything=everything, live=live)
         return not absent and kernels.is_private(kernels.cache_folder())
     except OSError:  # it is closed to this user
         return False

@@ -4,6 +4,7 @@ views.py              the table whose columns the others write
 visibility.py         which joints a camera sees, by its detector and by who stands in front
 plausible.py          markers that contradict the person's limb lengths
 hidden.py             joints that a camera cannot see; hidden_joints.py, impossible_postures.py
-sides.py              left and right (the page); facing_evidence.py, facing.py, body_axes.py
+sides.py              left and right (the page); facing_evidence.py, facing.py,
+                      facing_live.py, body_axes.py
 detection_params.py   the parameters
 """

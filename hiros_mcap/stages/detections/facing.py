@@ -1,8 +1,8 @@
 """Which way a person faces: a hidden Markov model over what all views show.
 
 The hidden state is one of BINS directions across the person's trunk (facing_evidence.py). Time is
-divided into cells of 1/30 s; the evidence of a cell's views adds up. :func:`follow` decides by the
-past alone (the forward pass), :func:`smooth` by past and future (forward and backward).
+divided into cells of 1/30 s; the evidence of a cell's views adds up. :func:`smooth` decides by past
+and future (the forward and the backward pass), ``facing_live.py`` by the past alone.
 """
 
 from __future__ import annotations
@@ -25,18 +25,14 @@ from hiros_mcap.stages.detections.facing_evidence import (
     LABEL_SHARPNESS,
     LONGEST_GAP,
     TELEPORT,
-    TOES,
     FacingPast,
     FacingTables,
     MeasuredViews,
-    add_step,
     add_walking_direction,
     honesty_of,
     line_reliability,
-    measure_view,
     mistrust,
     velocity_between,
-    write_view_evidence,
 )
 
 _HONEST = 0.5, 0.7  # labels are not known to be honest; they are
@@ -62,7 +58,7 @@ class Facings(NamedTuple):
 
 
 @kernel
-def _turn(belief: Floats, gap: int, tables: FacingTables, out: Floats) -> None:
+def turn(belief: Floats, gap: int, tables: FacingTables, out: Floats) -> None:
     """Predict a belief ``gap`` cells later; 0 = in new axes, where every facing is as probable."""
     if gap == 0:
         out[:] = 1.0 / BINS
@@ -85,7 +81,7 @@ def _turn(belief: Floats, gap: int, tables: FacingTables, out: Floats) -> None:
 
 
 @kernel
-def _multiply(belief: Floats, evidence: Floats, out: Floats) -> None:
+def multiply(belief: Floats, evidence: Floats, out: Floats) -> None:
     """Multiply probabilities by likelihoods that are given as logarithms; the sum becomes 1."""
     most, total = -np.inf, 0.0
     for b in range(BINS):
@@ -98,7 +94,7 @@ def _multiply(belief: Floats, evidence: Floats, out: Floats) -> None:
 
 
 @kernel
-def _mean_direction(belief: Floats, tables: FacingTables, out: Floats) -> None:
+def mean_direction(belief: Floats, tables: FacingTables, out: Floats) -> None:
     """Mean of the directions; its length, up to 1, tells how sure it is."""
     x = y = total = 0.0
     for b in range(BINS):
@@ -109,25 +105,9 @@ def _mean_direction(belief: Floats, tables: FacingTables, out: Floats) -> None:
 
 
 @kernel
-def _starts_anew(start: int, past: FacingPast, row: int) -> bool:
+def starts_anew(start: int, past: FacingPast, row: int) -> bool:
     """Whether nothing is known of a person's facing in these axes."""
     return past.cells[row] == 0 or start != past.belief_starts[row]
-
-
-@inlined
-def _open_cell(
-    measured: MeasuredViews, i: int, past: FacingPast, tables: FacingTables, work: Floats
-) -> bool:
-    """Start a person's next cell, unless view ``i`` lies in the current one; whether it did."""
-    row, cell, start = measured.rows[i], measured.cells[i], measured.starts[i]
-    anew = _starts_anew(start, past, row)
-    if not anew and cell <= past.cells[row]:
-        return False
-    _multiply(past.beliefs[row], past.evidence[row], work)
-    _turn(work, 0 if anew else cell - past.cells[row], tables, past.beliefs[row])
-    past.cells[row], past.belief_starts[row] = max(cell, past.cells[row]), start
-    past.evidence[row, :] = 0.0
-    return True
 
 
 # Which views are mirrored, and whose trunk is turned.
@@ -146,7 +126,7 @@ def _turn_back(deviation: float) -> float:
 
 
 @kernel
-def _decide(
+def decide(
     measured: MeasuredViews, i: int, past: FacingPast, tables: FacingTables, out: Facings
 ) -> None:
     """Decide whether view ``i`` is mirrored, and by how much its trunk is turned.
@@ -171,37 +151,6 @@ def _decide(
         cosine, sine = -cosine, -sine
     if honesty == 0.0:
         out.turns[i] = _turn_back(math.atan2(sine, cosine))
-
-
-@entry
-def follow(
-    people: People, views: I1, markers: FacingMarkers, measured: MeasuredViews, past: FacingPast,
-    tables: FacingTables, work: F1, out: Facings,
-) -> None:  # fmt: skip
-    """Measure and decide on one view after the other, by the past alone: the forward pass.
-
-    Parameters
-    ----------
-    people, views, markers, measured : as in facing_evidence.measure; views of anybody, in order.
-    past : brought to the last view.
-    work : (2 * BINS,) scratch.
-    """
-    here, belief = work[:BINS], work[BINS:]
-    for i in range(len(views)):
-        row, cell = measured.rows[i], measured.cells[i]
-        measure_view(people, views[i], markers, measured, i, past, tables)
-        add_step(measured, i, past)
-        if _open_cell(measured, i, past, tables, here):
-            velocity = velocity_between(past.way_cells[row], past.way[row], cell - 12, cell)
-            learn_up(velocity, measured.axes[i], tables.up)
-            add_walking_direction(velocity, measured.axes[i], tables, past.evidence[row])
-        write_view_evidence(measured, i, past, tables, here)
-        for b in range(BINS):
-            past.evidence[row, b] += here[b]
-        _multiply(past.beliefs[row], past.evidence[row], belief)
-        _mean_direction(belief, tables, out.facing[i])
-        _decide(measured, i, past, tables, out)
-        out.toes[i] = tables.agreement[TOES, 0] / tables.agreement[TOES, 1]
 
 
 class SmoothWork(NamedTuple):
@@ -298,13 +247,13 @@ def _go_forwards(
 ) -> None:
     """Write the belief before each cell."""
     belief = work.bins[0]
-    _multiply(past.beliefs[row], past.evidence[row], belief)
-    anew = _starts_anew(work.starts[first], past, row)
+    multiply(past.beliefs[row], past.evidence[row], belief)
+    anew = starts_anew(work.starts[first], past, row)
     gap = 0 if anew else work.cells[first] - past.cells[row]
-    _turn(belief, gap, tables, work.beliefs[first])
+    turn(belief, gap, tables, work.beliefs[first])
     for j in range(first + 1, n):
-        _multiply(work.beliefs[j - 1], work.evidence[j - 1], belief)
-        _turn(belief, _cells_between(work, j), tables, work.beliefs[j])
+        multiply(work.beliefs[j - 1], work.evidence[j - 1], belief)
+        turn(belief, _cells_between(work, j), tables, work.beliefs[j])
 
 
 @kernel
@@ -313,12 +262,12 @@ def _go_backwards(first: int, n: int, tables: FacingTables, work: SmoothWork) ->
     later, belief, both = work.bins[0], work.bins[1], work.bins[2]
     later[:] = 1.0
     for j in range(n - 1, first - 1, -1):
-        _multiply(later, work.evidence[j], belief)
+        multiply(later, work.evidence[j], belief)
         for b in range(BINS):
             both[b] = work.beliefs[j, b] * belief[b]
-        _mean_direction(both, tables, work.facing[j])
+        mean_direction(both, tables, work.facing[j])
         if j > first:
-            _turn(belief, _cells_between(work, j), tables, later)
+            turn(belief, _cells_between(work, j), tables, later)
 
 
 @kernel
@@ -362,7 +311,7 @@ def smooth(
         _keep(past, row, first, n, until, work)
         for j in range(len(theirs)):
             copy_row(out.facing, theirs[j], work.facing, work.places[j])
-            _decide(measured, theirs[j], past, tables, out)
+            decide(measured, theirs[j], past, tables, out)
 
 
 # What was decided is done.

@@ -1,0 +1,79 @@
+"""Which way a person faces, by the past alone: the forward pass of the model in ``facing.py``.
+
+A module of its own, since only live input needs it: a run of a log need not compile it.
+"""
+
+from __future__ import annotations
+
+from hiros_mcap.body.forward_cues import FacingMarkers
+from hiros_mcap.kernels.array_types import F1, I1
+from hiros_mcap.kernels.compile import entry, inlined
+from hiros_mcap.skeletons import Floats, People
+from hiros_mcap.stages.detections.body_axes import learn_up
+from hiros_mcap.stages.detections.facing import (
+    Facings,
+    decide,
+    mean_direction,
+    multiply,
+    starts_anew,
+    turn,
+)
+from hiros_mcap.stages.detections.facing_evidence import (
+    BINS,
+    TOES,
+    FacingPast,
+    FacingTables,
+    MeasuredViews,
+    add_step,
+    add_walking_direction,
+    measure_view,
+    velocity_between,
+    write_view_evidence,
+)
+
+
+@inlined
+def _open_cell(
+    measured: MeasuredViews, i: int, past: FacingPast, tables: FacingTables, work: Floats
+) -> bool:
+    """Start a person's next cell, unless view ``i`` lies in the current one; whether it did."""
+    row, cell, start = measured.rows[i], measured.cells[i], measured.starts[i]
+    anew = starts_anew(start, past, row)
+    if not anew and cell <= past.cells[row]:
+        return False
+    multiply(past.beliefs[row], past.evidence[row], work)
+    turn(work, 0 if anew else cell - past.cells[row], tables, past.beliefs[row])
+    past.cells[row], past.belief_starts[row] = max(cell, past.cells[row]), start
+    past.evidence[row, :] = 0.0
+    return True
+
+
+@entry
+def follow(
+    people: People, views: I1, markers: FacingMarkers, measured: MeasuredViews, past: FacingPast,
+    tables: FacingTables, work: F1, out: Facings,
+) -> None:  # fmt: skip
+    """Measure and decide on one view after the other, by the past alone: the forward pass.
+
+    Parameters
+    ----------
+    people, views, markers, measured : as in facing_evidence.measure; views of anybody, in order.
+    past : brought to the last view.
+    work : (2 * BINS,) scratch.
+    """
+    here, belief = work[:BINS], work[BINS:]
+    for i in range(len(views)):
+        row, cell = measured.rows[i], measured.cells[i]
+        measure_view(people, views[i], markers, measured, i, past, tables)
+        add_step(measured, i, past)
+        if _open_cell(measured, i, past, tables, here):
+            velocity = velocity_between(past.way_cells[row], past.way[row], cell - 12, cell)
+            learn_up(velocity, measured.axes[i], tables.up)
+            add_walking_direction(velocity, measured.axes[i], tables, past.evidence[row])
+        write_view_evidence(measured, i, past, tables, here)
+        for b in range(BINS):
+            past.evidence[row, b] += here[b]
+        multiply(past.beliefs[row], past.evidence[row], belief)
+        mean_direction(belief, tables, out.facing[i])
+        decide(measured, i, past, tables, out)
+        out.toes[i] = tables.agreement[TOES, 0] / tables.agreement[TOES, 1]
