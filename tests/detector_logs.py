@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -126,28 +127,28 @@ Made = Iterator[tuple[str, str, int, bytes]]
 
 
 def default(name, store=ROS2, **values):
-    """Make a message whose other fields are 0, "" and empty."""
-    kinds = {"string": "", "bool": False}
-    made = {}
-    for field, (node, desc) in store.fielddefs[name][1]:
-        if field in values:
-            made[field] = values.pop(field)
-        elif node.name == "BASE":
-            made[field] = kinds.get(desc[0], 0)
-        elif node.name == "NAME":
-            made[field] = default(desc, store)
-        elif node.name == "SEQUENCE":
-            inner = desc[0]
-            made[field] = [] if inner[0].name == "NAME" else np.zeros(0, inner[1][0])
-        else:
-            inner, n = desc
-            made[field] = (
-                [default(inner[1], store) for _ in range(n)]
-                if inner[0].name == "NAME"
-                else np.zeros(n, inner[1][0])
-            )
-    assert not values, values
-    return store.types[name](**made)
+    """Make a message whose other fields are 0, "" and empty; nobody may change what is in them."""
+    fields = _defaults(name, store)
+    assert values.keys() <= fields.keys(), values
+    return store.types[name](**{**fields, **values})
+
+
+@cache
+def _defaults(name, store):
+    """Value of each field of a message type."""
+    return {field: _empty(*kind, store) for field, kind in store.fielddefs[name][1]}
+
+
+def _empty(node, desc, store):
+    """The value of a field that nobody sets."""
+    if node.name == "BASE":
+        return {"string": "", "bool": False}.get(desc[0], 0)
+    if node.name == "NAME":
+        return default(desc, store)
+    inner, n = desc if node.name == "ARRAY" else (desc[0], 0)
+    if inner[0].name == "NAME":
+        return [default(inner[1], store) for _ in range(n)]
+    return np.zeros(n, inner[1][0])
 
 
 def header(stamp, frame_id, store=ROS2):

@@ -28,6 +28,7 @@ PAGES = sorted([ROOT / "README.md", *DOCS.glob("*.md")])
 SLOW = {"compare"}
 SMALLER = {
     "--seconds 10": "--seconds 1.2",
+    "--seconds 30": "--seconds 1.2",
     "--start 2 --end 8": "--start 0.2 --end 0.8",
     "--shift 1.5": "--shift 0.3",
     "demo lab.mcap": "demo demo.mcap",

@@ -520,14 +520,14 @@ def test_a_body_that_the_zed_only_guesses_is_not_trusted(scene, tmp_path):
 
 def test_a_long_chain_of_frames_is_read(scene, tmp_path):
     names = body_model("ros4hri").marker_names
-    chain = ["body", *(f"f{k}" for k in range(3000))]
+    chain = ["body", *(f"f{k}" for k in range(1500))]
     rows = [("camera_0", "body_x", (0, 0, 3), (0, 0, 0, 1))]
-    rows += [(f"{a}_x", f"{b}_x", (0, 0, 0.001), (0, 0, 0, 1)) for a, b in pairwise(chain)]
+    rows += [(f"{a}_x", f"{b}_x", (0, 0, 0.002), (0, 0, 0, 1)) for a, b in pairwise(chain)]
     rows += [(f"{chain[-1]}_x", f"{name}_x", (k, 0, 0), (0, 0, 0, 1)) for k, name in
              enumerate(names) if name != "body"]  # fmt: skip
 
     def humans(scene):
-        for t in range(5):
+        for t in range(2):
             stamp = 1_700_000_000_000_000_000 + t * 100_000_000
             yield "/tf", made.TF, stamp, made.tf_message(stamp, rows)
 

@@ -214,14 +214,26 @@ def frames_time(result, frame, rate):
 
 
 def test_c3d_of_more_frames_than_it_counts_is_one_line_with_the_remedy(tmp_path, capsys):
-    write_log(tmp_path / "sim.mcap", SimulateParams(seconds=66, cameras=1))
-    truth_only(tmp_path / "sim.mcap", tmp_path / "truth.mcap")
+    write_truth(tmp_path / "truth.mcap", np.arange(0, 66.1, 0.1))
     arguments = ["export", str(tmp_path / "truth.mcap"), "-o", str(tmp_path / "a.c3d"), "-q"]
     assert run([*arguments, "--rate", "1000"]) == 2
     assert "at most 65535 frames, and this would have 6" in (error := capsys.readouterr().err)
     assert "choose a part with --start and --end, a lower --rate, or another format" in error
     assert not (tmp_path / "a.c3d").exists()
     assert run([*arguments, "--rate", "900"]) == 0
+
+
+def write_truth(path, times):
+    """Write the truth of one joint of one person, who stands."""
+    model = SkeletonModel.of(["HEAD"], [])
+    encoder = Encoder(model)
+    with McapWriter(path) as writer:
+        channel = add_skeleton_channel(writer, "/truth/skeletons")
+        for time in np.round(1e9 * times).astype(int).tolist():
+            frame = Frame.empty(1, model, stamp=time, source="truth", frame_id="world")
+            frame.ids[:], frame.markers[..., :3], frame.marker_confidences[:] = 0, 1.0, 1.0
+            writer.write(channel, time, encoder.encode(frame))
+        writer.commit()
 
 
 def test_c3d_says_which_points_are_angles(result, tmp_path):

@@ -27,7 +27,7 @@ from hiros_mcap.skeletons import Frame, SkeletonModel
 STEP = Rigid(from_vector(np.radians([6.0, -8.0, 0.0])), np.array([0.3, 0.0, 0.27]))
 """10 degrees and 40 cm, in the camera's own frame."""
 SECONDS, AT_S, SECOND = 8.0, 6.4, 1_000_000_000
-RATE = 14.0
+RATE = 10.0
 
 Change = Callable[[Frame], Frame]
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from odd_logs import changed, later
 from test_live import AS_KNOWN, LIVE, recorded, results, run_live, send
+from whole_commands import first_seconds
 
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.overview import overview_of
@@ -22,10 +23,30 @@ def scene(tmp_path_factory):
     return made.scene(path, people=2, cameras=3, seconds=1.2, action="cross")
 
 
+@pytest.fixture(scope="module")
+def rows(scene):
+    """Rows of each detector's healthy log."""
+    return {name: list(make(scene)) for name, (make, _) in MAKERS.items()}
+
+
+@pytest.fixture(scope="module")
+def healthy_people(scene, rows, tmp_path_factory):
+    """Whom each detector's healthy log shows, as ``people_of`` gives them."""
+    folder = tmp_path_factory.mktemp("healthy")
+    return {
+        name: people_of(made.write_ros2(folder / name, scene, lambda _, name=name: rows[name]))
+        for name in rows
+    }
+
+
+def write_odd(folder, scene, rows, detector, name):
+    odd = MAKERS[detector][1][name]
+    return made.write_odd(folder / "odd.mcap", scene, lambda _: rows[detector], odd)
+
+
 @pytest.mark.parametrize(("detector", "name"), ODD)
-def test_odd_messages_are_read_alike_from_a_file_and_live(detector, name, scene, tmp_path):
-    make, odd = MAKERS[detector]
-    log = made.write_odd(tmp_path / "odd.mcap", scene, make, odd[name])
+def test_odd_messages_are_read_alike_from_a_file_and_live(detector, name, scene, rows, tmp_path):
+    log = write_odd(tmp_path, scene, rows, detector, name)
     summary = process(log, tmp_path / "out.mcap", config=AS_KNOWN, options=LIVE)
     live, data = run_live(send(log, recorded(log)))
     assert summary.warnings == live.warnings == ()
@@ -34,11 +55,11 @@ def test_odd_messages_are_read_alike_from_a_file_and_live(detector, name, scene,
 
 
 @pytest.mark.parametrize(("detector", "name"), ODD)
-def test_odd_messages_change_nothing_for_the_other_cameras(detector, name, scene, tmp_path):
-    make, odd = MAKERS[detector]
-    healthy = made.write_ros2(tmp_path / "healthy.mcap", scene, make)
-    log = made.write_odd(tmp_path / "odd.mcap", scene, make, odd[name])
-    shown, expected = (people_of(path) for path in (log, healthy))
+def test_odd_messages_change_nothing_for_the_other_cameras(
+    detector, name, scene, rows, healthy_people, tmp_path
+):
+    shown = people_of(write_odd(tmp_path, scene, rows, detector, name))
+    expected = healthy_people[detector]
     assert shown.keys() <= expected.keys()
     assert {key for key in expected if key[0] != "camera_0"} <= shown.keys()
     for key, positions in shown.items():
@@ -67,6 +88,17 @@ def absent(frame, name, stamp):
     return frame.replace(people=people, frame_id=name, stamp=stamp)
 
 
+@pytest.fixture(scope="module")
+def brief(crossing, tmp_path_factory):
+    """The first second of two people who cross."""
+    return first_seconds(crossing, 1.0, tmp_path_factory.mktemp("brief") / "crossing.mcap")
+
+
+@pytest.fixture(scope="module")
+def people_of_brief(brief):
+    return people_of(brief)
+
+
 WHEN = {
     "first": lambda source, sent: sent == 0 and source == "camera_0",
     "first of all": lambda source, sent: sent == 0,
@@ -78,18 +110,20 @@ WHEN = {
 @pytest.mark.parametrize("when", WHEN)
 @pytest.mark.parametrize("name", ["", "elsewhere", "camera_0"])
 @pytest.mark.parametrize(("empty", "stamp"), [(nobody, 0), (nobody, 5), (absent, 0)])
-def test_who_shows_nobody_names_no_frame_and_no_time(when, name, empty, stamp, crossing, tmp_path):
+def test_who_shows_nobody_names_no_frame_and_no_time(
+    when, name, empty, stamp, brief, people_of_brief, tmp_path
+):
     def change(frame, sent):
         return empty(frame, name, stamp) if WHEN[when](frame.source, sent) else frame
 
-    log = changed(crossing, tmp_path / "odd.mcap", change)
+    log = changed(brief, tmp_path / "odd.mcap", change)
     summary = process(log)
     assert len(summary.people) == 2
     assert summary.warnings == ()
     assert not any("without a time" in note for note in summary.notes)
     assert overview_of(log).fault == ""
-    healthy, shown = people_of(crossing), people_of(log)
-    assert all(np.array_equal(healthy[key], shown[key], equal_nan=True) for key in shown)
+    shown = people_of(log)
+    assert all(np.array_equal(people_of_brief[key], shown[key], equal_nan=True) for key in shown)
 
 
 def test_the_clock_of_a_camera_is_that_of_its_other_messages(crossing, tmp_path):

@@ -36,20 +36,28 @@ def wander(rng, steps, shape):
     return np.stack(b)
 
 
+TIMES = np.arange(600) / 30
+
+
+@cache
+def scattered():
+    """(600, 3, 8, 3) positions by each camera, with its offset; their white noise of 1 sigma."""
+    rng = np.random.default_rng(5)
+    place = 0.4 * np.sin(TIMES[:, None, None] + np.arange(24.0).reshape(8, 3))
+    offsets = wander(rng, len(TIMES), (3, 8, 3))
+    return place[:, None] + offsets, rng.normal(0, 0.007, offsets.shape)
+
+
 def detections(noise, shift=None):
     """20 s of one who moves; noise of each camera in units of the model's, a shift of camera c."""
-    rng = np.random.default_rng(5)
-    times = np.arange(600) / 30
-    place = 0.4 * np.sin(times[:, None, None] + np.arange(24.0).reshape(8, 3))
-    offsets = wander(rng, len(times), (3, 8, 3))
+    places, white = scattered()
     frames = []
-    for k, t in enumerate(times):
+    for k, t in enumerate(TIMES):
         for c, name in enumerate(CAMERAS):
             stamp = round((t + 0.005 * c) * 1e9) + 10**9
             frame = Frame.empty(1, BODY, stamp=stamp, source=name)
             frame.ids[:] = 0
-            white = rng.normal(0, 0.007 * noise.get(name, 1.0), (8, 3))
-            frame.markers[0, :, :3] = place[k] + offsets[k, c] + white
+            frame.markers[0, :, :3] = places[k, c] + noise.get(name, 1.0) * white[k, c]
             if name == "c" and shift is not None:
                 frame.markers[0, :, :3] += shift
             frame.marker_confidences[:] = frame.confidences[:] = 0.9
