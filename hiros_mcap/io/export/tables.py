@@ -11,7 +11,7 @@ import json
 import math
 import os
 from array import array
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -225,8 +225,9 @@ def _rows(
     for message in reader.messages(channels):
         row: dict[FieldPath, Any] = {}
         try:
-            row = dict(_fields(decoders[message.channel_id](bytes(message.data)), ()))
+            _put_fields(decoders[message.channel_id](bytes(message.data)), (), row)
         except Exception as error:  # noqa: BLE001 - damaged bytes raise anything
+            row = {}
             failed.append(f"{type(error).__name__}: {error}")
         if len(row) >= _MOST_COLUMNS:
             raise ConfigError(
@@ -259,17 +260,17 @@ def _decoder(reader: McapReader, channel: Channel) -> Callable[[bytes], Any]:
     return decode
 
 
-def _fields(value: Any, path: FieldPath) -> Iterator[tuple[FieldPath, Any]]:
-    """Yield the path and the value of every number and text in a message."""
+def _put_fields(value: Any, path: FieldPath, row: dict[FieldPath, Any]) -> None:
+    """Put every number and text in a message into a row, by its path."""
     if isinstance(value, SimpleNamespace):
         for k, name in enumerate(value.__slots__):
-            yield from _fields(getattr(value, name), (*path, (k, f".{name}")))
+            _put_fields(getattr(value, name), (*path, (k, f".{name}")), row)
     elif isinstance(value, bytes | bytearray | memoryview) or (
         isinstance(value, array) and value.itemsize == 1
     ):
-        yield (*path, (0, " (bytes)")), len(value)
+        row[(*path, (0, " (bytes)"))] = len(value)
     elif isinstance(value, list | tuple | array):
         for k, inner in enumerate(value):
-            yield from _fields(inner, (*path, (k, f"[{k}]")))
+            _put_fields(inner, (*path, (k, f"[{k}]")), row)
     else:
-        yield path, value
+        row[path] = value
