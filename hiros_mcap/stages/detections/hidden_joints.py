@@ -15,7 +15,7 @@ from hiros_mcap.kernels.array_types import B1, F1, F2, F3, I1, I2, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.kernels.geometric_median import geometric_median
 from hiros_mcap.kernels.line_of_sight import OUTLINE, Capsules, outline
-from hiros_mcap.skeletons import UNTRACKED, Floats, People, Stamps
+from hiros_mcap.skeletons import UNTRACKED, Floats, People
 from hiros_mcap.stages.detections.impossible_postures import PostureLimits, doubt_posture
 from hiros_mcap.stages.detections.visibility import (
     HONEST,
@@ -106,57 +106,45 @@ class HiddenScene(NamedTuple):
 @kernel
 def _look(i: int, scene: HiddenScene) -> None:
     """Outline the bodies of message ``i``, and those that it lacks but others have just shown."""
-    stamp, camera = scene.messages.stamps[i], scene.messages.cameras[i]
+    rating = scene.ratings[scene.messages.cameras[i]]
+    camera = scene.places[scene.messages.cameras[i]]
     begin, end = scene.messages.spans[i, 0], scene.messages.spans[i, 1]
-    place, rating = scene.places[camera], scene.ratings[camera]
-    markers, confidences = scene.people.markers, scene.people.marker_confidences
-    rows, stamps, poses = scene.rows, scene.past.stamps, scene.past.poses
-    outlines, remembered = scene.work.outlines, scene.work.remembered
-    rates, in_message = scene.work.rates, scene.work.in_message
-    in_message[:] = False
+    scene.work.in_message[:] = False
     for p in range(begin, end):
-        if rows[p] >= 0:
-            in_message[rows[p]] = True
-            outline(markers[p], place, outlines[p])
-            learn_rating(confidences[p], rating)
+        row = scene.rows[p]
+        if row >= 0:
+            scene.work.in_message[row] = True
+            outline(scene.people.markers[p], camera, scene.work.outlines[p])
+            learn_rating(scene.people.marker_confidences[p], rating)
     for p in range(begin, end):
-        rates[p] = rates_joints(rating)
-    for r in range(len(stamps)):
-        if stamp - stamps[r] <= _RECENT and not in_message[r]:
-            outline(poses[r], place, remembered[r])
+        scene.work.rates[p] = rates_joints(rating)
+    for r in range(len(scene.past.stamps)):
+        if (
+            scene.messages.stamps[i] - scene.past.stamps[r] <= _RECENT
+            and not scene.work.in_message[r]
+        ):
+            outline(scene.past.poses[r], camera, scene.work.remembered[r])
 
 
 @kernel
 def _cover(points: Floats, p: int, i: int, scene: HiddenScene, shares: Floats) -> int:
-    """Write h of points (M, >= 3) of view ``p``; return the id of who hides most of them.
-
-    It is 0, and nobody hides them, if nobody knows where the camera is.
-    """
-    stamp, camera = scene.messages.stamps[i], scene.places[scene.messages.cameras[i]]
-    begin, end = scene.messages.spans[i, 0], scene.messages.spans[i, 1]
-    ids, markers, rows, capsules = (
-        scene.people.ids,
-        scene.people.markers,
-        scene.rows,
-        scene.capsules,
-    )
-    past_ids, stamps, poses = scene.past.ids, scene.past.stamps, scene.past.poses
-    outlines, remembered = scene.work.outlines, scene.work.remembered
-    in_message = scene.work.in_message
+    """Write h of points (M, >= 3) of view ``p``; return the id of who hides most of them."""
+    messages, past, work = scene.messages, scene.past, scene.work
+    camera, capsules = scene.places[messages.cameras[i]], scene.capsules
     shares[:] = 0.0
     largest, hider = 0.0, UNTRACKED
-    if math.isnan(camera[0]):
-        return hider
-    for q in range(begin, end):
-        if q != p and rows[q] >= 0:
-            total = hide_behind(markers[q], outlines[q], camera, capsules, points, shares)
+    for q in range(messages.spans[i, 0], messages.spans[i, 1]):
+        if q != p and scene.rows[q] >= 0:
+            total = hide_behind(
+                scene.people.markers[q], work.outlines[q], camera, capsules, points, shares
+            )
             if total > largest:
-                largest, hider = total, int(ids[q])
-    for r in range(len(stamps)):
-        if stamp - stamps[r] <= _RECENT and not in_message[r]:
-            total = hide_behind(poses[r], remembered[r], camera, capsules, points, shares)
+                largest, hider = total, int(scene.people.ids[q])
+    for r in range(len(past.stamps)):
+        if messages.stamps[i] - past.stamps[r] <= _RECENT and not work.in_message[r]:
+            total = hide_behind(past.poses[r], work.remembered[r], camera, capsules, points, shares)
             if total > largest:
-                largest, hider = total, int(past_ids[r])
+                largest, hider = total, int(past.ids[r])
     return hider
 
 
@@ -166,20 +154,18 @@ def _see(p: int, i: int, scene: HiddenScene) -> None:
 
     A detector that rates its joints tells itself which ones it does not see.
     """
-    markers, confidences = scene.people.markers[p], scene.people.marker_confidences[p]
-    shares, postures = scene.work.shares[p], scene.work.postures[p]
-    hidden, hiders, rates = scene.work.hidden, scene.work.hiders, scene.work.rates[p]
-    rating, limits = scene.ratings[scene.messages.cameras[i]], scene.limits
-    if rates:
-        limit = guess_limit(rating)
+    markers, shares = scene.people.markers[p], scene.work.shares[p]
+    if scene.work.rates[p]:
+        limit = guess_limit(scene.ratings[scene.messages.cameras[i]])
         for m in range(len(markers)):
-            shares[m] = 1.0 if confidences[m] < limit else 0.0
+            shares[m] = 1.0 if scene.people.marker_confidences[p, m] < limit else 0.0
         return
-    hiders[p] = _cover(markers, p, i, scene, shares)
-    whole = hidden[p] = mean_over_joints(markers, shares)
-    doubt_posture(markers, limits, postures)
+    if not math.isnan(scene.places[scene.messages.cameras[i], 0]):
+        scene.work.hiders[p] = _cover(markers, p, i, scene, shares)
+    whole = scene.work.hidden[p] = mean_over_joints(markers, shares)
+    doubt_posture(markers, scene.limits, scene.work.postures[p])
     for m in range(len(markers)):
-        visible = (1.0 - shares[m]) * (1.0 - whole * whole) * (1.0 - postures[m])
+        visible = (1.0 - shares[m]) * (1.0 - whole * whole) * (1.0 - scene.work.postures[p, m])
         shares[m] = 1.0 - visible
 
 
@@ -191,7 +177,7 @@ def _passed(stamp: int, last: int) -> float:
 
 @kernel
 def _steps(
-    view: Floats, shares: Floats, limit: float, last_seen: Stamps, pose: Floats, out: Floats
+    view: Floats, shares: Floats, row: int, limit: float, past: HiddenPast, out: Floats
 ) -> int:
     """Write how far joints with shares below ``limit`` are from where they are remembered.
 
@@ -199,41 +185,38 @@ def _steps(
     """
     n = 0
     for m in range(len(view)):
-        if not math.isnan(view[m, 0]) and last_seen[m] > 0 and shares[m] < limit:
+        if not math.isnan(view[m, 0]) and past.last_seen[row, m] > 0 and shares[m] < limit:
             for c in range(3):
-                out[n, c] = view[m, c] - pose[m, c]
+                out[n, c] = view[m, c] - past.poses[row, m, c]
             n += 1
     return n
 
 
 @kernel
-def _move(p: int, stamp: int, scene: HiddenScene) -> None:
+def _move(p: int, row: int, passed: float, scene: HiddenScene) -> None:
     """Move what is remembered of a person as the joints did that the view shows (3).
 
     Where it shows too few, the person goes on, slows down, and follows the hidden joints slowly.
     """
-    row, view, shares = scene.rows[p], scene.people.markers[p], scene.work.shares[p]
-    pose, velocity = scene.past.poses[row], scene.past.velocities[row]
-    last_seen, last = scene.past.last_seen[row], scene.past.stamps[row]
-    steps, centre = scene.work.steps, scene.work.centre
-    passed = _passed(stamp, last)
+    view, past, work = scene.people.markers[p], scene.past, scene.work
+    poses, velocity = past.poses[row], past.velocities[row]
     for m in range(len(view)):
         for c in range(3):
-            pose[m, c] += velocity[c] * passed
-    there = _steps(view, shares, np.inf, last_seen, pose, steps)
-    n = _steps(view, shares, _SEEN, last_seen, pose, steps)
+            poses[m, c] += velocity[c] * passed
+    there = _steps(view, scene.work.shares[p], row, np.inf, past, work.steps)
+    n = _steps(view, scene.work.shares[p], row, _SEEN, past, work.steps)
     enough = n >= _FEWEST * there
     if not enough:
-        n = _steps(view, shares, np.inf, last_seen, pose, steps)
+        n = _steps(view, scene.work.shares[p], row, np.inf, past, work.steps)
     if n == 0:
         return
     change = 1.0 - math.exp(-passed / _FOLLOWS)
     gain = 1.0 if enough else change
-    geometric_median(steps, n, centre)
+    geometric_median(work.steps, n, work.centre)
     for c in range(3):
-        step = gain * centre[c]
+        step = gain * work.centre[c]
         for m in range(len(view)):
-            pose[m, c] += step
+            poses[m, c] += step
         if not enough:
             velocity[c] *= 1.0 - change
         elif passed > 1e-4:
@@ -265,94 +248,85 @@ def _error(square: float, held: float) -> float:
 
 
 @kernel
-def _weigh(p: int, stamp: int, scene: HiddenScene, places: Floats) -> None:
-    """Find out which joints were invented; write where they must be (4, 5)."""
-    row, view = scene.rows[p], scene.people.markers[p]
-    pose, last_seen = scene.past.poses[row], scene.past.last_seen[row]
-    variances, doubts = scene.past.variances[row], scene.doubts.variances[p]
-    shares, postures, expected = scene.work.shares[p], scene.work.postures[p], scene.work.expected
-    for m in range(len(view)):
-        z, x, held, error = view[m], pose[m], _UNKNOWN, INVENTED**2
-        if math.isnan(z[0]):
-            continue
-        if last_seen[m] > 0:
-            age = max(stamp - last_seen[m], 0) * 1e-9
-            held = _held_variance(age, variances[m])
-            share = expected[m] * INVENTED**2 / (INVENTED**2 + held)
-            square = (z[0] - x[0]) ** 2 + (z[1] - x[1]) ** 2 + (z[2] - x[2]) ** 2
-            shares[m] = _invented(max(shares[m], share), square, held)
-            error = _error(square, held)
-            # That a joint was there before does not make an impossible posture right.
-            shares[m] = max(shares[m], _SURELY * postures[m])
-            # What another camera sees now is no second measurement.
-            held /= 1.0 - math.exp(-((age / _AGO) ** 2)) + 1e-9
-        if shares[m] <= _LEAST:
-            continue
-        error *= shares[m]
-        doubts[m] += error * held / (error + held)
-        if shares[m] >= _SEEN and last_seen[m] > 0:
-            for c in range(3):
-                places[m, c] = z[c] + error / (error + held) * (x[c] - z[c])
+def _weigh(p: int, m: int, row: int, stamp: int, scene: HiddenScene, place: Floats) -> None:
+    """Find out whether a joint was invented; write where it must be (4, 5)."""
+    past, out, z = scene.past, scene.work, scene.people.markers[p, m]
+    x, held, error = past.poses[row, m], _UNKNOWN, INVENTED**2
+    if past.last_seen[row, m] > 0:
+        age = max(stamp - past.last_seen[row, m], 0) * 1e-9
+        held = _held_variance(age, past.variances[row, m])
+        expected = scene.work.expected[m] * INVENTED**2 / (INVENTED**2 + held)
+        square = (z[0] - x[0]) ** 2 + (z[1] - x[1]) ** 2 + (z[2] - x[2]) ** 2
+        out.shares[p, m] = _invented(max(out.shares[p, m], expected), square, held)
+        error = _error(square, held)
+        # That a joint was there before does not make an impossible posture right.
+        out.shares[p, m] = max(out.shares[p, m], _SURELY * out.postures[p, m])
+        # What another camera sees now is no second measurement.
+        held /= 1.0 - math.exp(-((age / _AGO) ** 2)) + 1e-9
+    if out.shares[p, m] <= _LEAST:
+        return
+    error *= out.shares[p, m]
+    scene.doubts.variances[p, m] += error * held / (error + held)
+    if out.shares[p, m] >= _SEEN and past.last_seen[row, m] > 0:
+        for c in range(3):
+            place[c] = z[c] + error / (error + held) * (x[c] - z[c])
 
 
 @kernel
 def _mend(p: int, i: int, scene: HiddenScene, places: Floats) -> None:
     """Do what a view needs once all are seen (3 to 5); write the places (M, 3) of its joints."""
-    stamp, pose = scene.messages.stamps[i], scene.past.poses[scene.rows[p]]
-    rates, expected = scene.work.rates[p], scene.work.expected
     places[:] = np.nan
-    _move(p, stamp, scene)
-    if rates and not scene.guesses:
+    row, camera = scene.rows[p], scene.messages.cameras[i]
+    stamp, markers = scene.messages.stamps[i], scene.people.markers[p]
+    _move(p, row, _passed(stamp, scene.past.stamps[row]), scene)
+    if scene.work.rates[p] and not scene.guesses:
         return
-    if rates:
-        expected[:] = 0.0
-    else:
-        _cover(pose, p, i, scene, expected)
-    _weigh(p, stamp, scene, places)
+    scene.work.expected[:] = 0.0
+    if not scene.work.rates[p] and not math.isnan(scene.places[camera, 0]):
+        _cover(scene.past.poses[row], p, i, scene, scene.work.expected)
+    for m in range(len(markers)):
+        if not math.isnan(markers[m, 0]):
+            _weigh(p, m, row, stamp, scene, places[m])
 
 
 @kernel
 def _remember(p: int, stamp: int, scene: HiddenScene) -> None:
     """Remember the joints that the view shows (6)."""
-    row, view, shares = scene.rows[p], scene.people.markers[p], scene.work.shares[p]
-    pose, last_seen = scene.past.poses[row], scene.past.last_seen[row]
-    means, variances = scene.past.means[row], scene.past.variances[row]
-    stamps, ids, centre = scene.past.stamps, scene.past.ids, scene.work.centre
-    ids[row] = scene.people.ids[p]
+    past, shares, view = scene.past, scene.work.shares[p], scene.people.markers[p]
+    row = scene.rows[p]
     for m in range(len(view)):
-        first = last_seen[m] == 0
+        first = past.last_seen[row, m] == 0
         if math.isnan(view[m, 0]) or (shares[m] >= _SEEN and not first):
             continue
         gain = 1.0 if first else 1.0 - shares[m]
         for c in range(3):
-            pose[m, c] += gain * (view[m, c] - pose[m, c])
+            past.poses[row, m, c] += gain * (view[m, c] - past.poses[row, m, c])
         if first:
-            means[m, 0] = np.nan
-            variances[m] = _MOVES**2
-        last_seen[m] = max(stamp, last_seen[m])
-    _body_centre(pose, last_seen, centre)
-    share = 1.0 - math.exp(-_passed(stamp, stamps[row]) / _MEMORY)
-    for m in range(len(view)):
-        if not math.isnan(view[m, 0]) and shares[m] < _SEEN:
-            variances[m] += share * (_learn_place(pose[m], centre, share, means[m]) - variances[m])
-    stamps[row] = max(stamp, stamps[row])
+            past.means[row, m, 0] = np.nan
+            past.variances[row, m] = _MOVES**2
+        past.last_seen[row, m] = max(stamp, past.last_seen[row, m])
+    _measure_motion(p, _passed(stamp, past.stamps[row]), scene)
+    past.ids[row], past.stamps[row] = scene.people.ids[p], max(stamp, past.stamps[row])
 
 
 @kernel
-def _learn_place(joint: Floats, centre: Floats, share: float, mean: Floats) -> float:
-    """Move the mean place of a joint within the body by ``share`` of its distance from it.
-
-    Returns the squared distance along an axis, m2. A mean of NaN starts at the joint.
-    """
-    first, square = math.isnan(mean[0]), 0.0
-    for c in range(3):
-        local = joint[c] - centre[c]
-        if first:
-            mean[c] = local
-        off = local - mean[c]
-        square += off * off / 3.0
-        mean[c] += share * off
-    return square
+def _measure_motion(p: int, passed: float, scene: HiddenScene) -> None:
+    """Measure how joints move within the body: running means and variances over _MEMORY."""
+    past, row, centre = scene.past, scene.rows[p], scene.work.centre
+    _body_centre(past.poses[row], past.last_seen[row], centre)
+    share = 1.0 - math.exp(-passed / _MEMORY)
+    for m in range(scene.people.markers.shape[1]):
+        if math.isnan(scene.people.markers[p, m, 0]) or scene.work.shares[p, m] >= _SEEN:
+            continue
+        first, square = math.isnan(past.means[row, m, 0]), 0.0
+        for c in range(3):
+            local = past.poses[row, m, c] - centre[c]
+            if first:
+                past.means[row, m, c] = local
+            off = local - past.means[row, m, c]
+            square += off * off / 3.0
+            past.means[row, m, c] += share * off
+        past.variances[row, m] += share * (square - past.variances[row, m])
 
 
 @kernel
@@ -385,19 +359,17 @@ def mend_hidden(scene: HiddenScene) -> None:
     ``scene.people``, ``scene.doubts`` and ``scene.work`` are written; ``scene.past`` and
     ``scene.ratings`` are brought to the last message.
     """
-    spans, stamps, rows = scene.messages.spans, scene.messages.stamps, scene.rows
-    markers, places = scene.people.markers, scene.work.places
-    for i in range(len(stamps)):
-        begin, end = spans[i, 0], spans[i, 1]
+    for i in range(len(scene.messages.stamps)):
+        begin, end = scene.messages.spans[i, 0], scene.messages.spans[i, 1]
         _look(i, scene)
         # Three rounds: nothing depends on the order of the people in a message.
         for p in range(begin, end):
-            if rows[p] >= 0:
+            if scene.rows[p] >= 0:
                 _see(p, i, scene)
         for p in range(begin, end):
-            if rows[p] >= 0:
-                _mend(p, i, scene, places[p - begin])
+            if scene.rows[p] >= 0:
+                _mend(p, i, scene, scene.work.places[p - begin])
         for p in range(begin, end):
-            if rows[p] >= 0:
-                _remember(p, stamps[i], scene)
-                _put(markers[p], places[p - begin])
+            if scene.rows[p] >= 0:
+                _remember(p, scene.messages.stamps[i], scene)
+                _put(scene.people.markers[p], scene.work.places[p - begin])
