@@ -41,15 +41,8 @@ def rotate(xyzw: Floats, vectors: Floats) -> Floats:
     """Rotate vectors, (..., 3), by unit quaternions, (..., 4), broadcast."""
     xyzw, vectors = np.asarray(xyzw, np.float64), np.asarray(vectors, np.float64)
     axis, w = xyzw[..., :3], xyzw[..., 3:]
-    twice = 2.0 * _cross(axis, vectors)
-    return vectors + w * twice + _cross(axis, twice)
-
-
-def _cross(a: Floats, b: Floats) -> Floats:
-    """Cross products of vectors, (..., 3), broadcast: NumPy's takes twice as long for one."""
-    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
-    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+    twice = 2.0 * np.cross(axis, vectors)
+    return vectors + w * twice + np.cross(axis, twice)
 
 
 def angle(a_xyzw: Floats, b_xyzw: Floats) -> Floats:

@@ -120,7 +120,7 @@ class PeopleFollowed:
     """
 
     def __init__(self, mirror: Ints) -> None:
-        self._mirror = np.asarray(mirror, np.int32)
+        self._mirror = mirror
         self._growing: list[_Growing] = []
         self._done: list[_Growing] = []
         self._waiting: list[Sighting] = []
@@ -184,6 +184,6 @@ def _continue(poses: Floats, last: list[Floats], mirror: Ints) -> tuple[list[int
         return [-1] * n, [False] * n
     distances, swaps = np.empty((n, q)), np.empty((n, q), np.bool_)
     owners, swapped = np.empty(n, np.int64), np.empty(n, np.bool_)
-    poses = np.ascontiguousarray(poses)
-    follow_people(poses, np.array(last), mirror, SWAP, GATE_M, distances, swaps, owners, swapped)
+    both = np.ascontiguousarray(poses), np.ascontiguousarray(poses[:, mirror])
+    follow_people(*both, np.array(last), SWAP, GATE_M, distances, swaps, owners, swapped)
     return owners.tolist(), swapped.tolist()

@@ -183,9 +183,9 @@ class _Sides:
 
     def _follow(self, piece: _Piece) -> facing.Facings:
         """Decide by the past alone."""
-        out = facing.Facings.allocate(len(piece.views))
         from hiros_mcap.stages.detections.facing_live import follow
 
+        out = facing.Facings.allocate(len(piece.views))
         people, past, work = piece.block.people, self._bank.past, np.empty(2 * BINS)
         follow(people, piece.views, self._markers, piece.measured, past, self._tables, work, out)
         return out

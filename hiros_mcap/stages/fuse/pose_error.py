@@ -77,9 +77,10 @@ class PoseError:
         self._learned = int(views.stamps.max())
         compared = ~np.isnan(offsets[:, 0])
         # One number per person and camera: sorting pairs takes longer than all that follows.
-        keys = views.people[compared] * (views.cameras.max() + 1) + views.cameras[compared]
+        n = int(views.cameras.max()) + 1
+        keys = views.people[compared] * n + views.cameras[compared]
         keys, groups = np.unique(keys, return_inverse=True)
-        people, sizes = keys // (views.cameras.max() + 1), np.bincount(groups)
+        people, sizes = keys // n, np.bincount(groups)
         away, *means = (
             np.bincount(groups, values) / sizes
             for values in (views.distances[compared], *offsets[compared].T)

@@ -73,8 +73,6 @@ class RecentMotion:
         self._kept = self._next = self._pushed = self._seen = 0
         """Poses so far; when the prior is due, the last pose was kept, and the person was seen
         last, ns."""
-        self._places: list[tuple[int, int]] = []
-        """Times, ns, of poses that are to be kept, and their rows in the rings."""
         self._motion: MotionPrior | None = None
 
     def shrink(self, local: Floats, variances: Floats, stamps: Stamps) -> Floats:
@@ -86,44 +84,39 @@ class RecentMotion:
         ----------
         variances : (T, M) m2 along each axis. stamps : (T,) ns.
         """
-        out, first = local.copy(), 0
+        if not len(self._poses):
+            self._poses = np.empty((_POSES, *local.shape[1:]))
+            self._variances = np.empty((_POSES, *variances.shape[1:]))
+        out, first, kept = local.copy(), 0, list[int]()
         for t, stamp in enumerate(stamps.tolist()):
             if stamp - self._seen > _LEFT * 1e9:
-                self._take(out[first:t], variances[first:t], stamps[first:t])
+                self._take(out, variances, slice(first, t), kept)
                 self._motion, self._kept, first = None, 0, t
             self._seen = stamp
-            if self._keeps(stamp) and stamp >= self._next and self._kept >= FEWEST:
-                self._take(out[first : t + 1], variances[first : t + 1], stamps[first : t + 1])
+            if not (self._kept or kept):
+                self._next = stamp + round(_FIRST * 1e9)
+            elif stamp - self._pushed < 0.9e9 / RATE:
+                continue  # a minute does not need all that come fast
+            self._pushed = stamp
+            kept.append(t)
+            if stamp >= self._next and self._kept + len(kept) >= FEWEST:
+                self._take(out, variances, slice(first, t + 1), kept)
                 self._renew(stamp)
                 first = t + 1
-        self._take(out[first:], variances[first:], stamps[first:])
+        self._take(out, variances, slice(first, None), kept)
         return out
 
-    def _keeps(self, stamp: int) -> bool:
-        """Whether the prior rests on a pose, too; a minute does not need all that come fast."""
-        if not self._kept:
-            self._next = stamp + round(_FIRST * 1e9)
-        elif stamp - self._pushed < 0.9e9 / RATE:
-            return False
-        self._pushed = stamp
-        self._kept += 1
-        self._places.append((stamp, (self._kept - 1) % _POSES))
-        return True
+    def _take(self, poses: Floats, variances: Floats, some: slice, kept: list[int]) -> None:
+        """Move some poses towards the motion, in place; remember the rows ``kept``, and empty it.
 
-    def _take(self, poses: Floats, variances: Floats, stamps: Stamps) -> None:
-        """Move poses towards the motion, in place; keep those that the prior rests on."""
-        if self._motion is not None and len(poses):
-            poses[:] = estimated(self._motion, poses, variances, _LARGEST_STEP)
-        if not self._places:
-            return
-        if self._poses.shape[1:] != poses.shape[1:]:
-            self._poses = np.empty((_POSES, *poses.shape[1:]))
-            self._variances = np.empty((_POSES, *variances.shape[1:]))
-        kept, places = np.array(self._places).T
-        self._places.clear()
-        # Not the poses as measured: from what has less noise, a better prior is learned.
-        rows = np.searchsorted(stamps, kept)
-        self._poses[places], self._variances[places] = poses[rows], variances[rows]
+        They are not as measured: from what has less noise, a better prior is learned.
+        """
+        if self._motion is not None and len(poses[some]):
+            poses[some] = estimated(self._motion, poses[some], variances[some], _LARGEST_STEP)
+        places = (self._kept + np.arange(len(kept))) % _POSES
+        self._poses[places], self._variances[places] = poses[kept], variances[kept]
+        self._kept += len(kept)
+        kept.clear()
 
     def _renew(self, stamp: int) -> None:
         """Find the motion in the poses of the minute before."""

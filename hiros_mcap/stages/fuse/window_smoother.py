@@ -24,6 +24,7 @@ from hiros_mcap.skeletons import (
 )
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.fuse.displaced_views import (
+    LIMIT,
     LIMIT_AHEAD,
     DisplacedViews,
     ViewOffsets,
@@ -273,11 +274,11 @@ class WindowSmoother:
         """Smooth windows, and find out whose views are displaced."""
         views, finds, k = windows.views, self._params.displaced, len(windows.people)
         compared = ComparedViews.none(len(views.people), k, windows.white.shape[1])
-        ahead = limits_of(self._names, self._known.errors, LIMIT_AHEAD)
-        poses = self._smooth_people(windows, compared, ahead[: None if finds else 0])
+        least = LIMIT_AHEAD if self._is_filter else LIMIT
+        limits = limits_of(self._names if finds else (), self._known.errors, least)
+        poses = self._smooth_people(windows, compared, limits[: None if self._is_filter else 0])
         found = compared.excess
         if finds and not self._is_filter:
-            limits = limits_of(self._names, self._known.errors)
             found = excess_of(views, compared.offsets, limits)
         self.displaced.count(views, found, windows.rows >= 0)
         compared.offsets[found > 0] = np.nan
@@ -286,7 +287,10 @@ class WindowSmoother:
     def _smooth_people(
         self, windows: FusionWindows, compared: ComparedViews, limits: Floats
     ) -> FusedPoses:
-        """Smooth everybody; the filters stand at the last boundary afterwards."""
+        """Smooth everybody; the filters stand at the last boundary afterwards.
+
+        ``limits`` (C,), m, as :func:`smooth_people` takes them.
+        """
         m = windows.white.shape[1]
         states, recent = self._memory()
         poses = FusedPoses.absent(len(windows.people), m)
@@ -294,9 +298,8 @@ class WindowSmoother:
         def smooth(first: int, last: int, steps: int) -> None:
             work = StepWork.of(steps, states.means.shape[2], m)
             smooth_people.raw(
-                windows, first, last, self._motion, states, recent,
-                limits if self._is_filter else limits[:0], poses, compared, work,
-            )  # fmt: skip
+                windows, first, last, self._motion, states, recent, limits, poses, compared, work
+            )
 
         if self._is_filter:  # one pose of each takes less time than to start a thread
             spans = windows.parts[:, 1::2] - windows.parts[:, ::2]
