@@ -28,7 +28,7 @@ from hiros_mcap.calibrate.image_search import (
     static_transforms,
 )
 from hiros_mcap.errors import LogError, RegistrationError, naming
-from hiros_mcap.io.ros_messages import POINT, Bytes, RosMessages, open_messages, require_opencv
+from hiros_mcap.io.ros_messages import POINT, Bytes, RosMessages, open_messages
 from hiros_mcap.skeletons import Floats
 
 RADIUS_M = 0.24
@@ -68,7 +68,6 @@ def calibrate_ball(
         if points:
             tracks = _ready_centres(log, points)
         else:
-            require_opencv()
 
             def find(colour: Bytes, depth: Floats, camera: DepthCamera) -> BallFit | None:
                 return find_ball(colour, depth, camera, radius, color)

@@ -11,7 +11,8 @@ import numpy.typing as npt
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.calibrate.registration import fit_sphere
 from hiros_mcap.errors import ConfigError, RegistrationError
-from hiros_mcap.io.ros_messages import Bytes, Intrinsics
+from hiros_mcap.io.ros_messages import Bytes
+from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.skeletons import Floats
 
 Labels = npt.NDArray[np.int32]
@@ -155,7 +156,7 @@ def _labels_of(points: Floats, labels: Labels, lens: Intrinsics, to_colour: Rigi
     values = np.zeros(len(points), np.int32)
     moved = to_colour.moved(points)
     front = np.flatnonzero(moved[:, 2] > 0.0)
-    columns, rows = np.rint(lens.project(moved[front])).T
+    columns, rows = np.rint(lens.pixels(moved[front])).T
     inside = (columns >= 0) & (columns < labels.shape[1]) & (rows >= 0) & (rows < labels.shape[0])
     values[front[inside]] = labels[rows[inside].astype(int), columns[inside].astype(int)]
     return values

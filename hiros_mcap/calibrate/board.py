@@ -35,7 +35,7 @@ from hiros_mcap.calibrate.image_search import (
 from hiros_mcap.calibrate.registration import board_frame, rigid_fit
 from hiros_mcap.calibrate.verdict import CameraResult, Verdict
 from hiros_mcap.errors import ConfigError, RegistrationError, naming
-from hiros_mcap.io.ros_messages import Bytes, open_messages, require_opencv
+from hiros_mcap.io.ros_messages import Bytes, open_messages
 from hiros_mcap.skeletons import Floats
 
 DICTIONARY = "DICT_4X4_50"
@@ -111,7 +111,6 @@ def calibrate_board(
     RegistrationError
         The board does not tell the pose of a camera. The line says what to record.
     """
-    require_opencv()
     find = marker_finder(dictionary)
     with naming(path), open_messages(path) as log:
         tree = static_transforms(log)

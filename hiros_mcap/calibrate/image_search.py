@@ -22,10 +22,10 @@ from hiros_mcap.io.ros_messages import (
     IMAGE,
     TRANSFORMS,
     Bytes,
-    Intrinsics,
     RosMessages,
     colour_image,
     depth_image,
+    intrinsics_of,
     is_colour,
     is_depth,
 )
@@ -147,7 +147,7 @@ def _camera(
 
     Raises LogError if nothing in the log tells it.
     """
-    lens = Intrinsics.of(channels.depth_info, channels.depth)
+    lens = intrinsics_of(channels.depth_info, channels.depth)
     to_colour: Rigid | None = Rigid.identity()
     if channels.depth_frame != channels.colour_frame:
         to_colour = tree.at_rest(channels.depth_frame, channels.colour_frame)
@@ -159,7 +159,7 @@ def _camera(
             topic=channels.depth,
         )
     aligned = channels.depth_frame == channels.colour_frame and tuple(depth) == tuple(colour)
-    colour_lens = None if aligned else Intrinsics.of(channels.colour_info, channels.colour)
+    colour_lens = None if aligned else intrinsics_of(channels.colour_info, channels.colour)
     return DepthCamera(lens.rays(*depth), float(lens.matrix[0, 0]), colour_lens, to_colour)
 
 

@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 import hiros_schemas
-from hiros_mcap.errors import ConfigError, LogError, naming
+from hiros_mcap.errors import LogError, naming
 from hiros_mcap.io.bag_files import files_of
 from hiros_mcap.io.bag_tables import Bag
 from hiros_mcap.io.channels import channels_of
@@ -22,6 +22,7 @@ from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.joining import open_part
 from hiros_mcap.io.ros_cdr import Bytes as Cdr
 from hiros_mcap.io.ros_cdr import RosMessage, decoder_of, ros2_types
+from hiros_mcap.rays.intrinsics import COUNTS, FISHEYE, PLUMB_BOB, Intrinsics
 from hiros_mcap.skeletons import Floats
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -127,52 +128,19 @@ _CONFIG_BYTES = 12
 """Before the picture of a compressedDepth image: its kind, and two numbers that scale it."""
 
 
-def require_opencv() -> None:
-    """Raise ConfigError, which names the extra to install, if OpenCV is not installed."""
-    try:
-        import cv2  # noqa: F401
-    except ImportError:
-        raise ConfigError(
-            "images need OpenCV: install it by `pip install opencv-python-headless`"
-        ) from None
-
-
-class Intrinsics(NamedTuple):
-    """The lens of a camera, from CameraInfo."""
-
-    matrix: Floats
-    """(3, 3) K: focal lengths and principal point, pixels."""
-    distortion: Floats
-    """Coefficients as OpenCV has them."""
-
-    @classmethod
-    def of(cls, info: Any, topic: str) -> Intrinsics:
-        """Read the CameraInfo of a topic's images; raises LogError if the lens is not usable."""
-        matrix = np.asarray(info.k, np.float64).reshape(3, 3)
-        if not (matrix[0, 0] > 0.0 and matrix[1, 1] > 0.0):
-            raise LogError("its CameraInfo has no focal length; calibrate the lens", topic=topic)
-        if info.distortion_model in ("equidistant", "fisheye"):
-            fault = f"has the lens model {info.distortion_model!r}; record rectified images"
-            raise LogError(fault, topic=topic)
-        return cls(matrix, np.asarray(info.d, np.float64))
-
-    def rays(self, height: int, width: int) -> Floats:
-        """(H, W, 2) x / z and y / z of what each pixel sees."""
-        import cv2
-
-        columns, rows = np.meshgrid(np.arange(width), np.arange(height))
-        pixels = np.stack([columns, rows], axis=-1).astype(np.float64).reshape(-1, 1, 2)
-        seen = cv2.undistortPoints(pixels, self.matrix, self.distortion)
-        return np.asarray(seen, np.float64).reshape(height, width, 2)
-
-    def project(self, points: Floats) -> Floats:
-        """(N, 2) column and row at which (N, 3) points appear, all with z > 0."""
-        import cv2
-
-        pixels, _ = cv2.projectPoints(
-            points, np.zeros(3), np.zeros(3), self.matrix, self.distortion
-        )
-        return np.asarray(pixels, np.float64).reshape(-1, 2)
+def intrinsics_of(info: Any, topic: str) -> Intrinsics:
+    """Read the CameraInfo of a topic; raises LogError if the lens is not usable."""
+    matrix = np.asarray(info.k, np.float64).reshape(3, 3)
+    if not (matrix[0, 0] > 0.0 and matrix[1, 1] > 0.0):
+        raise LogError("its CameraInfo has no focal length; calibrate the lens", topic=topic)
+    name = info.distortion_model or PLUMB_BOB
+    model = FISHEYE if name == "fisheye" else name
+    distortion = np.asarray(info.d, np.float64)
+    if len(distortion) not in COUNTS.get(model, ()):
+        known = ", ".join(COUNTS)
+        fault = f"its CameraInfo has {len(distortion)} coefficients of the lens model {name!r}"
+        raise LogError(f"{fault}; hiros reads {known}", topic=topic)
+    return Intrinsics((int(info.width), int(info.height)), matrix, distortion, model)
 
 
 def is_depth(message: Any) -> bool:

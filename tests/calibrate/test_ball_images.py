@@ -10,9 +10,10 @@ from rendered_ball import RADIUS, K, compressed, header, image, millimetres, ren
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.calibrate.ball_image import ColorRange, DepthCamera, find_ball
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.io.ros_messages import Intrinsics, colour_image, depth_image, is_colour, is_depth
+from hiros_mcap.io.ros_messages import colour_image, depth_image, is_colour, is_depth
+from hiros_mcap.rays.intrinsics import Intrinsics
 
-LENS = Intrinsics(K, np.zeros(5))
+LENS = Intrinsics((160, 120), K, np.zeros(5))
 CAMERA = DepthCamera(LENS.rays(120, 160), K[0, 0], None, Rigid.identity())
 HEAD = header(10**18, "camera")
 
@@ -73,9 +74,8 @@ def test_depth_camera_beside_the_colour_camera():
     ball, beside = np.array([0.1, 0.0, 1.2]), np.array([0.03, 0.0, 0.0])
     pixels = cv2.resize(render(ball, 7)[0], (320, 240), interpolation=cv2.INTER_NEAREST)
     depth = render(ball + beside, 8)[1]
-    lens = Intrinsics(
-        np.diag([2.0, 2.0, 1.0]) @ K + [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]], np.zeros(5)
-    )
+    larger = np.diag([2.0, 2.0, 1.0]) @ K + [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]
+    lens = Intrinsics((320, 240), larger, np.zeros(5))
     to_colour = Rigid(np.array([0, 0, 0, 1.0]), -beside)
     camera = CAMERA._replace(colour=lens, to_colour=to_colour)
     found = find_ball(pixels, depth, camera, RADIUS, ColorRange())
@@ -84,9 +84,9 @@ def test_depth_camera_beside_the_colour_camera():
 
 
 def test_lens_distortion_is_undone():
-    lens = Intrinsics(K, np.array([-0.2, 0.05, 0.001, -0.001, 0.0]))
+    lens = Intrinsics((160, 120), K, np.array([-0.2, 0.05, 0.001, -0.001, 0.0]))
     rays = lens.rays(120, 160)[40, 20]
-    assert lens.project(np.array([[*rays, 1.0]]))[0] == pytest.approx([20, 40], abs=1e-3)
+    assert lens.pixels(np.array([[*rays, 1.0]]))[0] == pytest.approx([20, 40], abs=1e-3)
 
 
 def test_a_green_ball():

@@ -1,0 +1,1 @@
+"""RGB cameras: the keypoints of their images as rays, and what follows from them in space."""

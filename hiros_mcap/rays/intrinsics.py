@@ -1,0 +1,79 @@
+"""How an RGB camera maps directions to pixels: focal length, principal point and distortion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hiros_mcap.skeletons import Floats
+
+PLUMB_BOB = "plumb_bob"
+RATIONAL = "rational_polynomial"
+FISHEYE = "equidistant"
+"""Models of distortion, by the names of sensor_msgs/CameraInfo."""
+COUNTS = {PLUMB_BOB: (0, 4, 5, 8), RATIONAL: (5, 8, 12, 14), FISHEYE: (4,)}
+"""How many coefficients each model has, in the order of OpenCV."""
+
+
+@dataclass(frozen=True, eq=False)
+class Intrinsics:
+    """The inner geometry of a camera, as OpenCV and ``sensor_msgs/CameraInfo`` write it.
+
+    The camera's optical frame has x to the right, y down and z forward.
+    """
+
+    size: tuple[int, int]
+    """Width and height of the image, px."""
+    matrix: Floats
+    """(3, 3) focal lengths and principal point, px."""
+    distortion: Floats
+    """(D,) coefficients of ``model``; empty = none."""
+    model: str = PLUMB_BOB
+
+    @property
+    def focal(self) -> float:
+        """Mean focal length, px."""
+        return float(self.matrix[0, 0] + self.matrix[1, 1]) / 2
+
+    def rays(self, height: int, width: int) -> Floats:
+        """(H, W, 2) x / z and y / z of what each pixel of an image sees."""
+        columns, rows = np.meshgrid(np.arange(width), np.arange(height))
+        return self.normalized(np.stack([columns, rows], axis=-1).astype(np.float64))
+
+    def normalized(self, pixels: Floats) -> Floats:
+        """Take the distortion out: (..., 2) px -> (..., 2) x / z and y / z; NaN stays NaN."""
+        flat = np.reshape(pixels, (-1, 2)).astype(np.float64)
+        out = np.full(flat.shape, np.nan)
+        there = np.isfinite(flat).all(axis=1)
+        if not there.any():
+            return out.reshape(np.shape(pixels))
+        points = flat[there][:, None]
+        import cv2
+
+        if self.model == FISHEYE:
+            found = cv2.fisheye.undistortPoints(points, self.matrix, self.distortion)
+        elif np.any(self.distortion):
+            found = cv2.undistortPoints(points, self.matrix, self.distortion)
+        else:
+            fx, fy, cx, cy = self.matrix[[0, 1, 0, 1], [0, 1, 2, 2]]
+            found = (points - (cx, cy)) / (fx, fy)
+        out[there] = found[:, 0]
+        return out.reshape(np.shape(pixels))
+
+    def pixels(self, points: Floats) -> Floats:
+        """Project (..., 3) points of the optical frame, m -> (..., 2) px; NaN behind the camera."""
+        flat = np.reshape(points, (-1, 3)).astype(np.float64)
+        out = np.full((len(flat), 2), np.nan)
+        front = flat[:, 2] > 0  # also false for NaN
+        if not front.any():
+            return out.reshape(*np.shape(points)[:-1], 2)
+        import cv2
+
+        zero, seen = np.zeros(3), flat[front][:, None]
+        if self.model == FISHEYE:
+            found, _ = cv2.fisheye.projectPoints(seen, zero, zero, self.matrix, self.distortion)
+        else:
+            found, _ = cv2.projectPoints(seen, zero, zero, self.matrix, self.distortion)
+        out[front] = found.reshape(-1, 2)
+        return out.reshape(*np.shape(points)[:-1], 2)
