@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 
 import numpy as np
 import pytest
@@ -129,17 +128,6 @@ def test_what_fails_says_why_in_one_line_and_writes_nothing(log, walking, tmp_pa
     assert "has no colour images" in failure([str(walking)], capsys)
     assert "--color: 'red'" in failure([*here, "--color", "red"], capsys)
     assert not target.exists()
-
-
-def test_without_opencv_the_line_names_the_extra(log, monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "cv2", None)
-    assert "pip install opencv-python-headless" in failure([str(log), *OPTIONS], capsys)
-
-
-def test_ready_centres_need_no_opencv(tmp_path, monkeypatch):
-    path = write_messages(tmp_path / "a.mcap", centres_of(CAMERAS, ball_path(100)))
-    monkeypatch.setitem(sys.modules, "cv2", None)
-    assert calibrate_ball(path).verdict == "good"
 
 
 @pytest.mark.parametrize("storage", ["sqlite", "ros1", "split"])
