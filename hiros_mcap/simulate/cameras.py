@@ -18,15 +18,16 @@ from hiros_mcap.body.rotations import Rigid, from_matrix, from_vector, multiply,
 from hiros_mcap.body.transforms import read_camera_entries, read_extrinsics, read_room
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.outputs import CAMERAS_MARK, write_text
-from hiros_mcap.simulate.settings import Area, SimulateParams
+from hiros_mcap.simulate.settings import Area, CameraKind, SimulateParams
 from hiros_mcap.skeletons import SECOND, Flags, Floats, Stamps
 
 
 @dataclass(frozen=True, slots=True)
 class SimulatedCamera:
-    """One simulated depth camera, and its n nominal frames, also those that never arrive."""
+    """One simulated camera, and its n nominal frames, also those that never arrive."""
 
     index: int
+    kind: CameraKind
     matrix: Floats
     """(3, 3) true rotation from camera to world."""
     pose: Rigid
@@ -36,7 +37,7 @@ class SimulatedCamera:
     captured: Stamps
     """(n,) when light hit the sensor, ns: true time."""
     stamped: Stamps
-    """(n,) the same on the camera's own clock: the skeletons' src_time."""
+    """(n,) the same on the camera's own clock: the skeletons' src_time, the keypoints' stamp."""
     sent: Stamps
     """(n,) header.stamp: when the detector was done, on the camera's clock."""
     logged: Stamps
@@ -108,6 +109,7 @@ def _camera(params: SimulateParams, index: int, pose: Rigid, matrix: Floats) -> 
     paused = np.abs(seconds - params.seconds / 2) < rig.pause / 2
     return SimulatedCamera(
         index=index,
+        kind=rig.kinds[index % len(rig.kinds)],
         matrix=matrix,
         pose=pose,
         published=_with_calibration_error(pose, params, index),

@@ -29,6 +29,7 @@ REFERENCE_RANGE = 3.5
 _SPAWN_ROTATION = np.radians(25.0)  # SD per axis of the link orientations of a wrong first pose
 _FRONT_FLIP_SHARE = 0.2  # flips are this much rarer when the camera sees the face
 _HALF_ROTATION = np.array([0.0, 1.0, 0.0, 0.0])  # about a segment's own long axis
+_BEHIND = 2.0  # m, of the ring of cameras, where others do not look
 _STATIC_PRESENCE = 0.9  # share of frames in which a static phantom is reported
 _REVERSED = [SLOT[name] for name in ("NOSE", "EYE_LEFT", "EYE_RIGHT", "FOOT_LEFT", "FOOT_RIGHT")]
 _PARENTS = np.array(MODEL.link_parents)
@@ -138,6 +139,7 @@ def _fit(detections: SimulatedDetections, camera: SimulatedCamera, params: Simul
         positions = detections.positions[:, person]
         hidden = sight.covered[:, person] | (~sight.framed[:, person] & (params.occlusion > 0))
         view = TrueView(positions.copy(), hidden, rate)
+        detections.guessed[:, person] = hidden
         scales = {"noise": params.noise, "guesses": params.occlusion}
         errors = errors_of(rng, view, limbs, **scales)
         errors.bend(positions, detections.orientations[:, person])
@@ -294,11 +296,12 @@ def phantoms(
     detections: SimulatedDetections, camera: SimulatedCamera, params: SimulateParams
 ) -> list[SimulatedDetections]:
     """Report people who are not there: a static one, and brief ones, some beside a real person."""
-    detector, rate, n = params.detector, params.rig.rate, len(detections.present)
-    people = []
+    detector, rate, radius = params.detector, params.rig.rate, params.rig.radius
+    n, people = len(detections.present), []
     if camera.index < detector.static_phantoms and params.phantoms > 0:
         rng = stream(params.seed, "static phantom", camera.index)
-        static = _standing_phantom(n, camera, params, rng)
+        behind = radius + _BEHIND if camera.kind == "rgb" else 0.0
+        static = _standing_phantom(n, camera, params, rng, behind)
         static.present[:, 0] = rng.random(n) < _STATIC_PRESENCE
         people.append(static)
     rng = stream(params.seed, "phantoms", camera.index)
@@ -320,13 +323,17 @@ def phantoms(
 
 
 def _standing_phantom(
-    n: int, camera: SimulatedCamera, params: SimulateParams, rng: np.random.Generator
+    n: int,
+    camera: SimulatedCamera,
+    params: SimulateParams,
+    rng: np.random.Generator,
+    behind: float = 0.0,
 ) -> SimulatedDetections:
     """Report somebody who stands still in front of the camera, beyond the middle of the room."""
     body, radius = BodyModel.of(rng.uniform(*params.heights)), params.rig.radius
     x, y, _ = camera.pose.translation
     bearing = np.arctan2(-y, -x) + rng.uniform(-0.9, 0.9)
-    away = radius * rng.uniform(0.1, 0.5)
+    away = behind + radius * rng.uniform(0.1, 0.5)
     spot = Spot(away * np.cos(bearing), away * np.sin(bearing), rng.uniform(-np.pi, np.pi))
     still = Person(body, lambda t: standing(body, spot, t))
     markers, rotations = still.pose(np.zeros(1))

@@ -15,6 +15,7 @@ from pydantic import (
 )
 
 from hiros_mcap.params import Params, advanced
+from hiros_mcap.rays.intrinsics import COUNTS, PLUMB_BOB
 
 
 def _ordered(ends: tuple[float, float]) -> tuple[float, float]:
@@ -66,6 +67,8 @@ ActionName = Literal[
 ]
 
 
+CameraKind = Literal["depth", "rgb"]
+
 BODY_BYTES = 2200
 """Of a person in a camera's frame."""
 SIGHT_BYTES = 1700
@@ -76,6 +79,11 @@ MOST_BYTES = 16e9
 class RigParams(Params):
     """The cameras: where they stand, what they see, how their clocks run."""
 
+    kinds: Annotated[tuple[CameraKind, ...], Field(min_length=1)] = Field(
+        ("depth",),
+        description="Kind of each camera, or of all: depth cameras report skeletons, RGB cameras "
+        "keypoints of their image.",
+    )
     poses: tuple[CameraPose, ...] = advanced(
         (),
         description="Pose of each camera in the world: x, y, z, m, and quaternion x y z w; "
@@ -99,7 +107,7 @@ class RigParams(Params):
         False, description="Whether all cameras fire together; otherwise each at its own phase."
     )
     jitter: NonNegativeFloat = advanced(0.001, description="SD of the time of a frame, s.")
-    clock_offset: NonNegativeFloat = advanced(
+    clock_offset: Annotated[float, Field(ge=0, le=86_400)] = Field(
         0.0, description="SD of the constant error of a camera's clock, s (0.035 is a bad one)."
     )
     delay: Range = advanced(
@@ -310,11 +318,74 @@ class DetectorParams(Params):
         0.5, description="Share of phantoms that are a second skeleton on a real person."
     )
     static_phantoms: NonNegativeInt = advanced(
-        0, description="How many cameras report a static object as a person all the time."
+        0,
+        description="How many cameras report a static object as a person all the time; RGB "
+        "cameras, somebody far behind the others.",
     )
     ids: Literal["none", "camera"] = advanced(
         "none", description="Ids in the log: -1 for all, or the camera's own numbering."
     )
+
+
+class ImageParams(Params):
+    """The images of RGB cameras, and how a detector of keypoints errs in them.
+
+    Deviations are in px where a metre is 275 px long: 4 m before the default lens. They grow with
+    the size of a person in the image, as those of detectors that scale people to one size.
+    """
+
+    size: tuple[PositiveInt, PositiveInt] = advanced(
+        (1920, 1080), description="Width and height, px."
+    )
+    focal: PositiveFloat = advanced(1100.0, description="Focal length, px.")
+    lens: Literal["plumb_bob", "rational_polynomial", "equidistant"] = advanced(
+        PLUMB_BOB, description="Model of the distortion, as sensor_msgs/CameraInfo calls it."
+    )
+    distortion: tuple[float, ...] = advanced(
+        (-0.1, 0.04, 0.0005, -0.0005, 0.0), description="Its coefficients, in OpenCV's order."
+    )
+    range: Range = advanced((0.5, 20.0), description="Nearest and farthest people seen, m.")
+    joints: Literal["coco-17", "halpe-26", "openpose-25"] = Field(
+        "coco-17", description="Joints that the detector finds."
+    )
+    white: NonNegativeFloat = advanced(
+        2.5, description="SD of the part that is new in every frame, per axis, px."
+    )
+    quick: NonNegativeFloat = advanced(
+        4.0, description="SD of the part that changes within quick_seconds, per axis, px (ideal)."
+    )
+    quick_seconds: PositiveFloat = advanced(0.3, description="Its time constant, s.")
+    slow: NonNegativeFloat = advanced(
+        5.0, description="SD of the part that changes within slow_seconds, per axis, px (ideal)."
+    )
+    slow_seconds: PositiveFloat = advanced(5.0, description="Its time constant, s.")
+    pixel: NonNegativeFloat = advanced(
+        0.5, description="SD of white noise at any distance, per axis, px of the image."
+    )
+    exposure: NonNegativeFloat = advanced(
+        0.01, description="Exposure, s: a joint is put anywhere on the streak that it leaves."
+    )
+    outliers: Share = advanced(0.015, description="Share of keypoints that are far off (ideal).")
+    outlier: NonNegativeFloat = advanced(60.0, description="SD of these, per axis, px.")
+    exchanged: Share = advanced(
+        0.1,
+        description="Share of the views from behind with exchanged sides (kinect). MediaPipe did "
+        "so in 6 of 400 images of one person, all of one camera.",
+    )
+    missing: Share = advanced(0.05, description="Share of keypoints in view that are not found.")
+    hidden_missing: Share = advanced(
+        0.4, description="Share of hidden joints that are not found; the others are guessed."
+    )
+    score_seen: Share = advanced(0.85, description="Mean score of a joint that is seen.")
+    score_guessed: Share = advanced(0.4, description="Mean score of a joint that is guessed.")
+    score_spread: NonNegativeFloat = advanced(0.1, description="SD of scores.")
+
+    @model_validator(mode="after")
+    def _has_a_lens(self) -> ImageParams:
+        if len(self.distortion) not in COUNTS[self.lens]:
+            counts = " or ".join(map(str, COUNTS[self.lens]))
+            raise ValueError(f"a {self.lens} lens has {counts} coefficients of distortion")
+        return self
 
 
 class SimulateParams(Params):
@@ -371,6 +442,7 @@ class SimulateParams(Params):
     truth_rate: Rate = advanced(30.0, description="Frames per second of the truth.")
     rig: RigParams = Field(RigParams(), description="The cameras.")
     detector: DetectorParams = Field(DetectorParams(), description="Their detector.")
+    image: ImageParams = Field(ImageParams(), description="The images of RGB cameras.")
 
     @property
     def memory(self) -> float:
@@ -387,6 +459,8 @@ class SimulateParams(Params):
     def _fits(self) -> SimulateParams:
         if self.rig.poses and len(self.rig.poses) != self.cameras:
             raise ValueError(f"there are {len(self.rig.poses)} poses of {self.cameras} cameras")
+        if len(self.rig.kinds) not in (1, self.cameras):
+            raise ValueError(f"there are {len(self.rig.kinds)} kinds of {self.cameras} cameras")
         if self.memory > MOST_BYTES:
             raise ValueError(
                 f"{self.seconds:g} s, {self.rig.rate:g} Hz, {self.cameras} cameras and "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,6 +15,8 @@ from hiros_mcap.io.channels import add_skeleton_channel, add_static_poses
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.progress import Progress
+from hiros_mcap.rays.intrinsics import Intrinsics
+from hiros_mcap.rays.keypoints import KeypointFrame
 from hiros_mcap.simulate.actions import ACTIONS
 from hiros_mcap.simulate.body_model import LINK_SEGMENTS, MODEL, BodyModel
 from hiros_mcap.simulate.cameras import (
@@ -25,6 +27,7 @@ from hiros_mcap.simulate.cameras import (
     stream,
 )
 from hiros_mcap.simulate.detector import SimulatedDetections, detect
+from hiros_mcap.simulate.image_detector import SimulatedKeypoints, detect_keypoints, lens_of
 from hiros_mcap.simulate.motion import Person
 from hiros_mcap.simulate.occlusion import Mask
 from hiros_mcap.simulate.performer import Performer, perform_files
@@ -93,24 +96,55 @@ class Simulation:
         """Published pose in the world of each camera, by its name: what /tf_static says."""
         return {camera.name: camera.published for camera in self.cameras}
 
+    @property
+    def intrinsics(self) -> dict[str, Intrinsics]:
+        """Lens of each RGB camera, by its name."""
+        lens = lens_of(self.params.image)
+        return {camera.name: lens for camera in self.cameras if camera.kind == "rgb"}
+
     @cached_property
-    def _reported(self) -> list[SimulatedDetections]:
-        return [detect(self.people, camera, self.params) for camera in self.cameras]
+    def _reported(self) -> dict[int, SimulatedDetections]:
+        return {
+            camera.index: detect(self.people, camera, self.params)
+            for camera in self.cameras
+            if camera.kind == "depth"
+        }
+
+    @cached_property
+    def _found(self) -> dict[int, SimulatedKeypoints]:
+        return {
+            camera.index: detect_keypoints(self.people, camera, self.params)
+            for camera in self.cameras
+            if camera.kind == "rgb"
+        }
 
     @property
     def detections(self) -> Iterator[Frame]:
-        """The cameras' detections, in log-time order, each in its camera's coordinates.
+        """What depth cameras detect, in log-time order, each in its camera's coordinates.
 
         ``stamp`` is header.stamp; ``stamps`` are the skeletons' src_time.
         """
+        ids = {
+            index: _ids(reported.present, self.params) for index, reported in self._reported.items()
+        }
+        for camera, k in self._frames(ids):
+            yield _frame(camera, self._reported[camera.index], ids[camera.index], k)
+
+    @property
+    def keypoints(self) -> Iterator[KeypointFrame]:
+        """What RGB cameras find in their images, in log-time order."""
+        for camera, k in self._frames(self._found):
+            stamps = int(camera.stamped[k]), int(camera.logged[k])
+            yield KeypointFrame(camera.name, *stamps, *self._found[camera.index].image(k))
+
+    def _frames(self, cameras: Mapping[int, object]) -> Iterator[tuple[SimulatedCamera, int]]:
+        """Yield camera and number of the frames that arrive of some cameras, in log-time order."""
         order = sorted(
-            (int(camera.logged[k]), camera.index, int(k))
-            for camera in self.cameras
-            for k in np.flatnonzero(camera.kept)
+            (int(self.cameras[index].logged[k]), index, int(k))
+            for index in cameras
+            for k in np.flatnonzero(self.cameras[index].kept)
         )
-        ids = [_ids(reported.present, self.params) for reported in self._reported]
-        for _, index, k in order:
-            yield _frame(self.cameras[index], self._reported[index], ids[index], k)
+        yield from ((self.cameras[index], k) for _, index, k in order)
 
     @property
     def truth(self) -> Iterator[Frame]:

@@ -109,6 +109,26 @@ _TABLE: Mapping[str, tuple[str, str, str]] = {
         MidHip-Neck-Nose-*Eye-*Ear  Neck-*Shoulder-*Elbow-*Wrist
         MidHip-*Hip-*Knee-*Ankle-*BigToe  *Ankle-*SmallToe  *Ankle-*Heel""",
     ),
+    "coco-17": (
+        "COCO keypoints, as YOLO, RTMPose and ViTPose order them",
+        """
+        nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder
+        left_elbow right_elbow left_wrist right_wrist left_hip right_hip
+        left_knee right_knee left_ankle right_ankle""",
+        """
+        nose-*_eye-*_ear  left_hip-right_hip  *_hip-*_shoulder-*_elbow-*_wrist
+        *_hip-*_knee-*_ankle""",
+    ),
+    "halpe-26": (
+        "Halpe, body and feet",
+        """
+        Nose LEye REye LEar REar LShoulder RShoulder LElbow RElbow LWrist RWrist
+        LHip RHip LKnee RKnee LAnkle RAnkle Head Neck MidHip
+        LBigToe RBigToe LSmallToe RSmallToe LHeel RHeel""",
+        """
+        MidHip-Neck-Nose-*Eye-*Ear  Neck-Head  Neck-*Shoulder-*Elbow-*Wrist
+        MidHip-*Hip-*Knee-*Ankle-*BigToe  *Ankle-*SmallToe  *Ankle-*Heel""",
+    ),
     "mediapipe-33": (
         "MediaPipe 0.10, PoseLandmark",
         """
