@@ -248,12 +248,14 @@ def add_static_poses(
     writer.write(channel, stamp, out.finish())
 
 
-def add_ros_channel(writer: McapWriter, topic: str, name: str, qos: str = RELIABLE_QOS) -> int:
+def add_ros_channel(
+    writer: McapWriter, topic: str, name: str, qos: str = RELIABLE_QOS, **metadata: str
+) -> int:
     """Declare a channel of one of hiros_schemas' types as rosbag2 would, return its id."""
     text = hiros_schemas.text(name).encode()
     idents = (s.id for s in writer.schemas.values() if s.name == name and s.data == text)
     schema = next(idents, None) or writer.add_schema(name, text)
-    metadata = {
+    metadata |= {
         "offered_qos_profiles": qos,
         "topic_type_hash": hiros_schemas.type_hash(name),
     }

@@ -460,7 +460,8 @@ class SimulateParams(Params):
         if self.rig.poses and len(self.rig.poses) != self.cameras:
             raise ValueError(f"there are {len(self.rig.poses)} poses of {self.cameras} cameras")
         if len(self.rig.kinds) not in (1, self.cameras):
-            raise ValueError(f"there are {len(self.rig.kinds)} kinds of {self.cameras} cameras")
+            kinds = f"there are {len(self.rig.kinds)} kinds of {self.cameras} cameras"
+            raise ValueError(f"{kinds}; name one for all, or one each")
         if self.memory > MOST_BYTES:
             raise ValueError(
                 f"{self.seconds:g} s, {self.rig.rate:g} Hz, {self.cameras} cameras and "

@@ -14,6 +14,7 @@ from hiros_mcap.body.rotations import Rigid, conjugate, from_matrix, multiply, t
 from hiros_mcap.io.channels import add_skeleton_channel, add_static_poses
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
+from hiros_mcap.io.keypoint_messages import add_camera_info, add_keypoint_channel, encode_detections
 from hiros_mcap.progress import Progress
 from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame
@@ -48,6 +49,7 @@ from hiros_mcap.skeletons import (
 )
 
 WORLD, TRUTH_TOPIC = "world", "/truth/skeletons"
+_KEYPOINTS = "/keypoints"
 _STEP = 1e-3  # s, of the central differences that give the truth's velocities
 _CHUNK = 256  # instants of truth evaluated at once
 
@@ -243,9 +245,10 @@ def write_log(
 ) -> dict[str, int]:
     """Write a simulated log and return its messages by topic.
 
-    Detections are on /<camera>/skeletons in the camera's coordinates, the cameras' published
-    poses on /tf_static, and the true skeletons on /truth/skeletons in the frame "world". The
-    same parameters give the same bytes. ``progress`` is told the time that is simulated, ns.
+    Skeletons are on /<camera>/skeletons in the camera's coordinates, keypoints of RGB cameras on
+    /<camera>/keypoints and their lens on /<camera>/camera_info, the cameras' published poses on
+    /tf_static, and the true skeletons on /truth/skeletons in the frame "world". The same parameters
+    give the same bytes. ``progress`` is told the time that is simulated, ns.
 
     Raises LogError if ``path`` cannot be written; there is no file then.
     """
@@ -253,20 +256,32 @@ def write_log(
     encoder = Encoder(simulation.model)
     with McapWriter(path) as writer:
         add_static_poses(writer, simulation.transforms, WORLD, params.start)
+        for camera, lens in simulation.intrinsics.items():
+            add_camera_info(writer, f"/{camera}/camera_info", lens, camera, params.start)
         channels: dict[str, int] = {}
-        for topic, frame in _by_log_time(simulation.detections, simulation.truth):
+        for topic, frame in _by_log_time(simulation):
+            if isinstance(frame, KeypointFrame):
+                data = encode_detections(frame, frame.camera)
+            else:
+                data = encoder.encode(frame)
             if topic not in channels:
-                channels[topic] = add_skeleton_channel(writer, topic)
-            writer.write(channels[topic], frame.log_time, encoder.encode(frame))
+                channels[topic] = _add_channel(writer, topic, params)
+            writer.write(channels[topic], frame.log_time, data)
             if progress is not None:
                 progress.update(frame.stamp - params.start, round(params.seconds * 1e9))
         writer.commit()
         return {writer.channels[ident].topic: n for ident, n in sorted(writer.counts.items())}
 
 
-def _by_log_time(
-    detections: Iterator[Frame], truth: Iterator[Frame]
-) -> Iterator[tuple[str, Frame]]:
-    named = ((f"/{frame.source}/skeletons", frame) for frame in detections)
-    true = ((TRUTH_TOPIC, frame) for frame in truth)
-    return heapq.merge(named, true, key=lambda pair: pair[1].log_time)
+def _add_channel(writer: McapWriter, topic: str, params: SimulateParams) -> int:
+    if topic.endswith(_KEYPOINTS):
+        return add_keypoint_channel(writer, topic, params.image.joints)
+    return add_skeleton_channel(writer, topic)
+
+
+def _by_log_time(simulation: Simulation) -> Iterator[tuple[str, Frame | KeypointFrame]]:
+    """Yield all messages with their topics, in log-time order."""
+    named = ((f"/{frame.source}/skeletons", frame) for frame in simulation.detections)
+    true = ((TRUTH_TOPIC, frame) for frame in simulation.truth)
+    images = ((f"/{frame.camera}{_KEYPOINTS}", frame) for frame in simulation.keypoints)
+    return heapq.merge(named, true, images, key=lambda pair: pair[1].log_time)

@@ -24,6 +24,8 @@ from hiros_schemas.definitions import (
 )
 
 __all__ = [
+    "CAMERA_INFO",
+    "DETECTION_ARRAY",
     "DIAGNOSTICS",
     "JOINT_STATE",
     "LOG",
@@ -66,6 +68,8 @@ NAMES = tuple(
 
 SKELETON_GROUP = "hiros_skeleton_msgs/msg/SkeletonGroup"
 STAMPED_SKELETON = "hiros_skeleton_msgs/msg/StampedSkeleton"
+DETECTION_ARRAY = "yolo_msgs/msg/DetectionArray"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 OBJECTS_STAMPED = "zed_msgs/msg/ObjectsStamped"
 UNCERTAINTY = "hiros_skeleton_msgs/msg/SkeletonGroupUncertainty"
 """Type that hiros adds to the published package: how well each marker is known."""
@@ -98,8 +102,8 @@ def text(name: str) -> str:
     """Return the schema text that MCAP's ``ros2msg`` wants: the type, then all that it uses.
 
     Takes ``pkg/msg/Type`` or ``pkg/Type`` of any of :data:`NAMES`, of TFMessage, MarkerArray,
-    JointState, Log, DiagnosticArray or ObjectsStamped, or of what these are made of. Comments are
-    left out: the text goes into every log.
+    JointState, Log, DiagnosticArray, ObjectsStamped, DetectionArray or CameraInfo, or of what these
+    are made of. Comments are left out: the text goes into every log.
 
     Raises :class:`KeyError` for another name.
     """

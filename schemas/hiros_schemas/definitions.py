@@ -194,6 +194,33 @@ STANDARD = {
         "bool mesh_use_embedded_materials\n"
     ),
     "visualization_msgs/MarkerArray": "visualization_msgs/Marker[] markers\n",
+    "sensor_msgs/RegionOfInterest": (
+        "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify\n"
+    ),
+    "sensor_msgs/CameraInfo": (
+        "std_msgs/Header header\nuint32 height\nuint32 width\nstring distortion_model\n"
+        "float64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p\n"
+        "uint32 binning_x\nuint32 binning_y\nsensor_msgs/RegionOfInterest roi\n"
+    ),
+    # The package yolo_msgs of yolo_ros 4.
+    "yolo_msgs/Point2D": "float64 x\nfloat64 y\n",
+    "yolo_msgs/Vector2": "float64 x\nfloat64 y\n",
+    "yolo_msgs/Pose2D": "yolo_msgs/Point2D position\nfloat64 theta\n",
+    "yolo_msgs/BoundingBox2D": "yolo_msgs/Pose2D center\nyolo_msgs/Vector2 size\n",
+    "yolo_msgs/BoundingBox3D": (
+        "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size\nstring frame_id\n"
+    ),
+    "yolo_msgs/Mask": "int32 height\nint32 width\nyolo_msgs/Point2D[] data\n",
+    "yolo_msgs/KeyPoint2D": "int32 id\nyolo_msgs/Point2D point\nfloat64 score\n",
+    "yolo_msgs/KeyPoint2DArray": "yolo_msgs/KeyPoint2D[] data\n",
+    "yolo_msgs/KeyPoint3D": "int32 id\ngeometry_msgs/Point point\nfloat64 score\n",
+    "yolo_msgs/KeyPoint3DArray": "yolo_msgs/KeyPoint3D[] data\nstring frame_id\n",
+    "yolo_msgs/Detection": (
+        "int32 class_id\nstring class_name\nfloat64 score\nstring id\n"
+        "yolo_msgs/BoundingBox2D bbox\nyolo_msgs/BoundingBox3D bbox3d\nyolo_msgs/Mask mask\n"
+        "yolo_msgs/KeyPoint2DArray keypoints\nyolo_msgs/KeyPoint3DArray keypoints3d\n"
+    ),
+    "yolo_msgs/DetectionArray": ("std_msgs/Header header\nyolo_msgs/Detection[] detections\n"),
     # Stereolabs' package zed_msgs, as documented for the ZED ROS 2 wrapper 5.
     "zed_msgs/Keypoint2Di": "uint32[2] kp\n",
     "zed_msgs/Keypoint2Df": "float32[2] kp\n",

@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hiros_cli.app import run
 from hiros_mcap.io.detectors.body_models import body_model, joints_of
+from hiros_mcap.io.log import open_reader
 from hiros_mcap.simulate import ImageParams, SimulateParams, simulate
+from hiros_mcap.simulate.simulation import write_log
 
 OFF = {
     "noise": 0.0, "occlusion": 0.0, "flips": 0.0, "dropouts": 0.0, "clock_jitter": 0.0,
@@ -122,3 +125,26 @@ def test_a_depth_camera_reports_the_same_beside_rgb_cameras():
 def test_a_lens_has_as_many_coefficients_as_its_model():
     with pytest.raises(ValueError, match="equidistant lens has 4 coefficients"):
         ImageParams(lens="equidistant")
+
+
+def test_a_log_holds_keypoints_lenses_poses_and_truth(tmp_path):
+    params = SimulateParams.model_validate(
+        {"seconds": 1.0, "cameras": 2, "rig": {"kinds": ("depth", "rgb")}}
+    )
+    written = [write_log(tmp_path / name, params) for name in "ab"]
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+    assert set(written[0]) == {
+        *("/tf_static", "/truth/skeletons", "/camera_0/skeletons"),
+        *("/camera_1/keypoints", "/camera_1/camera_info"),
+    }
+    assert written[0]["/camera_1/keypoints"] == len(list(simulate(params).keypoints))
+
+
+def test_the_command_takes_a_kind_for_all_or_one_each(tmp_path):
+    out = str(tmp_path / "log.mcap")
+    assert run(["simulate", out, "--camera", "depth,rgb,rgb", "--seconds", "0.2"]) == 0
+    with open_reader(out) as reader:
+        topics = {channel.topic for channel in reader.channels.values()}
+    assert {"/camera_0/skeletons", "/camera_1/keypoints", "/camera_2/keypoints"} <= topics
+    assert run(["simulate", out, "-f", "--camera", "depth,rgb", "--cameras", "3"]) == 2
+    assert run(["simulate", out, "-f", "--camera", "colour"]) == 2

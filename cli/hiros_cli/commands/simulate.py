@@ -32,6 +32,14 @@ def simulate(
         "Number of cameras, at most 32. Or a file with their poses, as of `hiros plan`. "
         "Default: 5.",
     ),
+    camera: str | None = option(
+        "KIND[,KIND]",
+        "depth: a camera that reports skeletons. rgb: one that reports keypoints of its image. One "
+        "kind for all, or one each, such as depth,rgb,rgb. Default: depth.",
+    ),
+    joints: str | None = option(
+        "NAME", "Joints that RGB cameras find: coco-17, halpe-26, openpose-25. Default: coco-17."
+    ),
     action: str | None = option(
         "NAME", "walk, squat, wave, cross, ...; any unknown name lists all. Default: walk."
     ),
@@ -54,6 +62,7 @@ def simulate(
     flips: float | None = _scale("Left-right flips."),
     dropouts: float | None = _scale("Lost frames and lost people."),
     clock_jitter: float | None = _scale("Jitter of the frame times."),
+    clock_offset: float | None = _number("SD of the constant error of a camera's clock, s.", "0"),
     calibration_error: float | None = _scale("Errors of the published camera poses."),
     phantoms: float | None = _scale("Detections of people who are not there."),
     force: bool = FORCE,
@@ -67,6 +76,8 @@ def simulate(
     given = {
         "people": people,
         "action": action,
+        "kinds": None if camera is None else camera.split(","),
+        "image": None if joints is None else {"joints": joints},
         "detector": None if detector is None else {"kind": detector},
         "motion": [str(path) for path in motion] if motion else None,
         "skeleton": [str(path) for path in skeleton] if skeleton else None,
@@ -78,6 +89,7 @@ def simulate(
         "flips": flips,
         "dropouts": dropouts,
         "clock_jitter": clock_jitter,
+        "clock_offset": clock_offset,
         "calibration_error": calibration_error,
         "phantoms": phantoms,
     }
@@ -96,6 +108,8 @@ def simulate(
         given |= read_rig(file)[1]
     elif cameras is not None:
         given["cameras"] = int(cameras)
+    elif camera is not None and "," in camera:
+        given["cameras"] = camera.count(",") + 1
     params = simulate_params({name: value for name, value in given.items() if value is not None})
     with bar(f"simulating {output.name}", quiet=quiet) as progress:
         written = write_log(output, params, progress)
@@ -110,14 +124,16 @@ def simulate_params(given: dict[str, Any]) -> SimulateParams:
     from hiros_mcap.params import explain
     from hiros_mcap.simulate import SimulateParams
 
-    if "rate" in given:
-        given["rig"] = {**given.get("rig", {}), "rate": given.pop("rate")}
+    of_rig = {name: given.pop(name) for name in ("rate", "kinds", "clock_offset") if name in given}
+    if of_rig:
+        given["rig"] = {**given.get("rig", {}), **of_rig}
     try:
         return SimulateParams.model_validate(given)
     except ValidationError as error:
         where, message = explain(error)
-        names = where[1:] if where[:1] == ["rig"] else where
-        option = f"--{names[0].replace('_', '-')}: " if names else ""
+        names = where[1:] if where[:1] in (["rig"], ["image"]) else where
+        name = "camera" if names[:1] == ["kinds"] else "".join(names[:1]).replace("_", "-")
+        option = f"--{name}: " if name else ""
         raise ConfigError(f"{option}{message}") from None
 
 

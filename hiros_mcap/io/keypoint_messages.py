@@ -1,0 +1,122 @@
+"""Messages of RGB cameras: keypoints as ``yolo_msgs/DetectionArray``, lenses as CameraInfo.
+
+yolo_msgs has any number of joints and people, in px of the image, but does not name the joints:
+the id of a keypoint is its number in a joint model, from 1. A channel that hiros writes says in its
+metadata which model that is; of others it is COCO's, which YOLO has.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import hiros_schemas
+from hiros_mcap.io.channels import LATCHED_QOS, ChannelInfo, add_ros_channel
+from hiros_mcap.io.container import McapWriter
+from hiros_mcap.io.detectors.body_models import BODY_MODELS, body_model
+from hiros_mcap.io.detectors.detector_reader import nanoseconds
+from hiros_mcap.io.ros_cdr import CdrWriter
+from hiros_mcap.rays.intrinsics import Intrinsics
+from hiros_mcap.rays.keypoints import KeypointFrame
+from hiros_mcap.skeletons import Floats, SkeletonModel
+
+JOINTS = "hiros:joints"
+"""Key of a channel's metadata: which model of the table numbers the joints."""
+_USUAL = "coco-17"
+
+
+class Keypoints(NamedTuple):
+    """The people in a message."""
+
+    stamp: int
+    """ns."""
+    frame_id: str
+    """The camera's optical frame."""
+    pixels: Floats
+    """(P, J, 2) px; NaN where a joint was not found."""
+    scores: Floats
+    """(P, J) 0 to 1; 0 where a joint was not found."""
+
+
+def joint_model(info: ChannelInfo) -> SkeletonModel:
+    """Return the model by which a channel of detections numbers the joints."""
+    name = info.metadata.get(JOINTS, _USUAL)
+    return body_model(name if name in BODY_MODELS else _USUAL)
+
+
+def decode_detections(message: Any, joints: int) -> Keypoints:
+    """Return the people of a DetectionArray whose model has so many joints.
+
+    Detections without keypoints are of other things; ids beyond the model are left out.
+    """
+    people = [d.keypoints.data for d in message.detections if len(d.keypoints.data)]
+    pixels = np.full((len(people), joints, 2), np.nan)
+    scores = np.zeros((len(people), joints))
+    for person, keypoints in enumerate(people):
+        for keypoint in keypoints:
+            if 1 <= keypoint.id <= joints:
+                pixels[person, keypoint.id - 1] = keypoint.point.x, keypoint.point.y
+                scores[person, keypoint.id - 1] = keypoint.score
+    header = message.header
+    return Keypoints(nanoseconds(header.stamp), header.frame_id, pixels, scores)
+
+
+def encode_detections(frame: KeypointFrame, frame_id: str) -> bytes:
+    """Return the people of an image as a DetectionArray in CDR; ``frame_id`` is optical."""
+    there = ~np.isnan(frame.pixels[..., 0])
+    people = np.flatnonzero(there.any(axis=1)).tolist()
+    out = CdrWriter()
+    out.header(frame.stamp, frame_id)
+    out.uint32(len(people))
+    for person in people:
+        found = np.flatnonzero(there[person])
+        pixels, scores = frame.pixels[person, found], frame.scores[person, found]
+        low, high = pixels.min(axis=0), pixels.max(axis=0)
+        out.int32(0)
+        out.string("person")
+        out.float64(float(scores.mean()))
+        out.string("")
+        out.float64(*((low + high) / 2).tolist(), 0.0, *(high - low).tolist())
+        out.float64(*[0.0] * 6, 1.0, *[0.0] * 3)  # no box in space, no mask
+        out.string("")
+        out.int32(0, 0)
+        out.uint32(0)
+        out.uint32(len(found))
+        for joint, row in zip(found.tolist(), np.c_[pixels, scores].tolist(), strict=True):
+            out.int32(joint + 1)
+            out.float64(*row)
+        out.uint32(0)
+        out.string("")
+    return out.finish()
+
+
+def add_keypoint_channel(writer: McapWriter, topic: str, joints: str) -> int:
+    """Declare a channel of detections with the joints of a model of the table; return its id."""
+    return add_ros_channel(writer, topic, hiros_schemas.DETECTION_ARRAY, **{JOINTS: joints})
+
+
+def add_camera_info(
+    writer: McapWriter, topic: str, lens: Intrinsics, frame_id: str, stamp: int
+) -> None:
+    """Write the lens of a camera, latched; ``stamp``, ns, is the log time, too."""
+    channel = add_ros_channel(writer, topic, hiros_schemas.CAMERA_INFO, LATCHED_QOS)
+    writer.write(channel, stamp, camera_info(lens, frame_id, stamp))
+
+
+def camera_info(lens: Intrinsics, frame_id: str, stamp: int) -> bytes:
+    """Return a lens as a CameraInfo in CDR; its image is not rectified."""
+    width, height = lens.size
+    out = CdrWriter()
+    out.header(stamp, frame_id)
+    out.uint32(height)
+    out.uint32(width)
+    out.string(lens.model)
+    out.sequence(lens.distortion)
+    out.array(lens.matrix)
+    out.array(np.eye(3))
+    out.array(np.column_stack([lens.matrix, np.zeros(3)]))
+    for number in (0, 0, 0, 0, 0, 0):  # binning, region of interest
+        out.uint32(number)
+    out.byte(0)
+    return out.finish()
