@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.array_types import F1, F2, F3, I1, arrays
+from hiros_mcap.kernels.array_types import F1, F2, F3, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.skeletons import Floats
 
@@ -21,7 +21,7 @@ CAUCHY = 2.0
 """Scale of the robust loss, in standard deviations."""
 _NEAREST_M = 0.05
 """A joint that is nearer to a camera, or behind it, tells that camera nothing."""
-_BEHIND = 1e4
+BEHIND = 1e4
 """Such a joint counts as if it were off by 100 times the scale."""
 _SINGULAR = 1e-10
 """Rays that are more alike tell no place."""
@@ -36,8 +36,6 @@ class RayPoints(NamedTuple):
     """(P, C, 2) 1/s."""
     weights: F2
     """(P, C) 0 where a camera does not see the joint, else up to 1."""
-    clusters: I1
-    """(P,) joints of one cluster err together."""
 
 
 class RayCameras(NamedTuple):
@@ -110,7 +108,7 @@ def ray_loss(points: RayPoints, cameras: RayCameras, places: F2, squares: F2) ->
                 continue
             u, v, _, _, z = _residual(points, cameras, p, c, places[p])
             squares[p, c] = u * u + v * v if z > _NEAREST_M else np.inf
-            bounded = min(squares[p, c] / CAUCHY**2, _BEHIND)
+            bounded = min(squares[p, c] / CAUCHY**2, BEHIND)
             loss += points.weights[p, c] * 0.5 * CAUCHY**2 * math.log1p(bounded)
     return loss
 
@@ -187,7 +185,7 @@ def _eliminate(
 
 @entry
 def add_rays(
-    points: RayPoints, cameras: RayCameras, places: F2, damping: float, hessian: F2, slopes: F2,
+    points: RayPoints, cameras: RayCameras, places: F2, damping: float, hessian: F2, slope: F1,
     work: RayWork,
 ) -> None:  # fmt: skip
     """Add all joints to the equations of the cameras, without the joints' own unknowns (Schur).
@@ -195,13 +193,12 @@ def add_rays(
     Parameters
     ----------
     places : (P, 3) m. damping : share by which the diagonals of the joints' equations are larger.
-    hessian : (7 C, 7 C) all of it is written. slopes : (K, 7 C) the gradient of each cluster.
+    hessian : (7 C, 7 C) all of it is written. slope : (7 C,) the gradient.
     """
     n_cameras = len(cameras.scales)
     for p in range(len(places)):
         if not _eliminate(points, cameras, p, places[p], damping, work):
             continue
-        slope = slopes[points.clusters[p]]
         for c in range(n_cameras):
             w, row = work.weights[c], UNKNOWNS * c
             if w <= 0.0:

@@ -18,9 +18,8 @@ GATE = 0.1
 """Mean distance of a person's rays, x / z, from image to image up to which it is the same one."""
 CROSSING = 0.04
 """People in one image who are nearer to each other may be confused: nobody follows them there."""
-GAP_S, SHORTEST_S, LONGEST_S = 0.15, 0.3, 3.0
-"""A tracklet ends with a gap; a shorter one is left out; a longer one goes on as another, so that
-a confusion of two people does not last."""
+GAP_S, SHORTEST_S = 0.15, 0.3
+"""A tracklet ends with a gap; a shorter one is left out."""
 HALF_WIDTH_S = 0.1
 """Half of the time over which a joint's path is taken for a line; more for slow cameras."""
 LEAST_JOINTS = 4
@@ -58,7 +57,7 @@ class ImageSamples(NamedTuple):
 
 def image_view(frames: Sequence[KeypointFrame], lens: Intrinsics, middle: int) -> ImageView:
     """Follow the people in one camera's images, in order; seconds count from ``middle``, ns."""
-    counts = [len(frame.pixels) for frame in frames]
+    counts = np.array([len(frame.pixels) for frame in frames], np.int64)
     seconds = np.array([frame.stamp - middle for frame in frames]) / 1e9
     joints = max((frame.pixels.shape[1] for frame in frames), default=0)
     pixels = np.concatenate([np.zeros((0, joints, 2)), *(frame.pixels for frame in frames)])
@@ -80,9 +79,7 @@ def _tracklets(seconds: Floats, ends: Stamps, rays: Floats, weights: Floats) -> 
     for k, now in enumerate(seconds.tolist()):
         rows = range(int(ends[k]), int(ends[k + 1]))
         poses = rays[rows.start : rows.stop]
-        ended = [
-            now - times[track[-1]] > GAP_S or now - times[track[0]] > LONGEST_S for track in growing
-        ]
+        ended = [now - times[track[-1]] > GAP_S for track in growing]
         last = rays[[track[-1] for track in growing]]  # also of those that end: nobody else is them
         owners = _owners(poses, last)
         crossing = _crossing(poses)

@@ -94,10 +94,7 @@ def match(samples: ImageSamples, cameras: RayCameras, gate: float) -> Stamps:
 
 
 def joints_of(samples: ImageSamples, people: Stamps, n_cameras: int) -> tuple[RayPoints, Stamps]:
-    """Return joints that two cameras see, and (P, 3) instant, person and joint of each.
-
-    They are one cluster each.
-    """
+    """Return joints that two cameras see, and (P, 3) instant, person and joint of each."""
     keys = np.stack([samples.instants, people], axis=1)
     groups, rows = np.unique(keys, axis=0, return_inverse=True)
     joints = samples.lines.weights.shape[1]
@@ -111,5 +108,5 @@ def joints_of(samples: ImageSamples, people: Stamps, n_cameras: int) -> tuple[Ra
     weights[at] = np.minimum(information / usual, 1.0)
     group, joint = np.nonzero(np.count_nonzero(weights > 0.0, axis=2) > 1)
     seen, moving, known = (table[group, joint] for table in (rays, velocities, weights))
-    points = RayPoints(seen, moving, known, np.arange(len(group)))
+    points = RayPoints(seen, moving, known)
     return points, np.column_stack([groups[group], joint])

@@ -18,7 +18,7 @@ from hiros_mcap.calibrate.camera_views import (
     _continue,
     find_tracklets,
 )
-from hiros_mcap.calibrate.coarse_clock import correlate, lag_candidates, landmarks_of, signatures_of
+from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
 from hiros_mcap.calibrate.evidence import shared_view
 from hiros_mcap.calibrate.gauge import find_floor, moved, on_transforms, placement_error
 from hiros_mcap.calibrate.joint_refinement import Points, free_unknowns, refine, residuals_of
@@ -28,6 +28,7 @@ from hiros_mcap.calibrate.refinement import FROM_GIVEN, refine_together
 from hiros_mcap.calibrate.registration import kabsch
 from hiros_mcap.calibrate.sampling import Rig, instants_of, lines_of, sample
 from hiros_mcap.calibrate.verdict import Evidence, verdict_of
+from hiros_mcap.kernels.correlation import correlate
 from hiros_mcap.kernels.local_line import Tracklet
 
 SIDES = symmetry_of(MODEL).mirror

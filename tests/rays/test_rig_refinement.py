@@ -1,0 +1,99 @@
+"""Poses and lags of RGB cameras before a run: right where people tell them, else left alone."""
+
+import numpy as np
+import pytest
+from filmed import around, film, turned, walking
+
+from hiros_mcap.rays.bundle import cameras_at
+from hiros_mcap.rays.image_tracks import views_of
+from hiros_mcap.rays.lags import coarse_lags
+from hiros_mcap.rays.rig_refinement import LEAST_RAYS, refine_rig
+
+RIG = around()
+LAGS = dict(zip(RIG, (0.0, 1.0, -0.7, 1.9), strict=True))
+
+
+@pytest.fixture(scope="module")
+def people():
+    return walking(people=2, seconds=15.0)
+
+
+def off(rig, film):
+    """Largest errors: degrees, m, s."""
+    apart = np.array([rig.poses[name].apart(pose) for name, pose in film.poses.items()])
+    late = np.array([rig.lags[name] - film.lags[name] for name in film.poses])
+    return apart[:, 1].max(), apart[:, 0].max(), np.abs(late - np.median(late)).max()
+
+
+def test_two_people_tell_poses_and_lags(people):
+    scene = film(people, RIG, rate=60.0, lags=LAGS, seed=1)
+    rig = refine_rig(scene.frames, scene.lenses, turned(RIG, 1.0, seed=1))
+    degrees, metres, seconds = off(rig, scene)
+    assert rig.reason == ""
+    assert not rig.regular
+    assert (degrees, metres) < (0.6, 0.05)
+    assert seconds < 0.004  # a quarter of a frame
+    assert 0.0 in rig.lags.values()
+    assert max(rig.after.values()) < 7.0 < max(rig.before.values())
+
+
+def test_the_same_input_gives_the_same_rig(people):
+    scene = film(people, RIG, seed=1)
+    one, two = (refine_rig(scene.frames, scene.lenses, turned(RIG, 1.0)) for _ in range(2))
+    assert [tuple(map(tuple, pose)) for pose in one.poses.values()] == [
+        tuple(map(tuple, pose)) for pose in two.poses.values()
+    ]
+
+
+def test_right_poses_stay(people):
+    scene = film(people, RIG, seed=2)
+    rig = refine_rig(scene.frames, scene.lenses, RIG)
+    assert "do not fit better" in rig.reason
+    assert rig.poses == RIG
+
+
+def test_one_person_on_one_spot_tells_a_lag_and_no_pose():
+    scene = film(walking(people=1, seconds=12.0, action="lunge"), RIG, rate=60.0, lags=LAGS)
+    given = turned(RIG, 1.0)
+    rig = refine_rig(scene.frames, scene.lenses, given)
+    assert "no pose" in rig.reason
+    assert rig.poses == given
+    assert off(rig, scene)[2] < 0.015
+
+
+def test_regular_motion_is_said():
+    scene = film(walking(people=1, seconds=12.0, action="jump"), RIG, lags=LAGS)
+    assert refine_rig(scene.frames, scene.lenses, RIG).regular
+
+
+def test_a_camera_that_is_held_stays_and_the_others_follow_it(people):
+    scene, given = film(people, RIG, seed=3), dict(turned(RIG, 2.0, seed=3), cam1=RIG["cam1"])
+    rig = refine_rig(scene.frames, scene.lenses, given, held=["cam1"])
+    metres, degrees = rig.poses["cam1"].apart(RIG["cam1"])
+    assert (metres, degrees) < (1e-6, 1e-4)
+    assert off(rig, scene)[0] < 0.7
+
+
+def test_whom_only_one_camera_sees_is_nobody(people):
+    scene = film(people, RIG)
+    alone = {name: every if name == "cam1" else [] for name, every in scene.frames.items()}
+    rig = refine_rig(alone, scene.lenses, RIG)
+    assert rig.reason == "no two cameras see the same person"
+    assert rig.poses == RIG
+    assert set(rig.lags.values()) == {0.0}
+
+
+def test_a_camera_that_sees_too_little_keeps_its_pose(people):
+    scene, given = film(people, RIG, seed=4), turned(RIG, 1.5, seed=4)
+    scene.frames["cam4"] = scene.frames["cam4"][: LEAST_RAYS // 20]
+    rig = refine_rig(scene.frames, scene.lenses, given)
+    assert rig.poses["cam4"] == given["cam4"]
+    assert rig.poses["cam2"].apart(RIG["cam2"])[1] < 0.7
+    assert rig.untimed == ("cam4",)
+
+
+def test_coarse_lags_need_no_right_poses(people):
+    scene = film(people, RIG, lags=LAGS)
+    views, given = views_of(scene.frames, scene.lenses), turned(RIG, 3.0)
+    lags = coarse_lags(views, cameras_at(list(given.values())))[0][0]
+    assert lags == pytest.approx(list(LAGS.values()), abs=0.06)
