@@ -101,7 +101,7 @@ def show_self(output: Output, scores: SelfScores) -> None:
         self_page(output.log, scores).write(output.html)
     notes = score_tables.notes_without_truth(scores)
     if output.table is not None:
-        write_table(output.table, [score_tables.left_out_sheet(scores.cameras)])
+        write_table(output.table, score_tables.self_sheets(scores))
     if output.json:
         listed = [{"cameras": list(k), "mm": v} for k, v in scores.disagreement.items()]
         data = {"log": str(output.log), **plain(scores), "notes": notes}
@@ -115,17 +115,19 @@ def _print_self(output: Output, scores: SelfScores, notes: Iterable[str]) -> Non
     result, pairs = scores.consistency, scores.disagreement.items()
     people = ", ".join(f"{p.id} ({number(p.seconds, 1)} s)" for p in result.people) or "nobody"
     differences = [(f"{a}, {b}", number(mm, 1)) for (a, b), mm in pairs]
-    left_out = score_tables.left_out_sheet(scores.cameras)
-    tables = {f"Joints of {c.topic}, mm": c.joints for c in scores.cameras if output.joints}
+    joints = {
+        **{f"Joints of {c.topic}, mm": score_tables.joint_table(c.joints) for c in scores.cameras},
+        **{f"Joints of {c.topic}, px": score_tables.pixel_table(c) for c in scores.images},
+    }
     page(
         f"{output.log}: each camera against the result of the others, without a truth",
-        (left_out.title, text_of(left_out)),
+        *((sheet.title, text_of(sheet)) for sheet in score_tables.self_sheets(scores)),
         (
             "Disagreement between cameras at one time, median mm",
             (("Cameras", "Median"), differences),
         ),
         ["Result of all cameras:", f"people: {people}", *score_tables.lines_of(result)],
         ("Left and right of this result", score_tables.side_table(scores.sides)),
-        *((title, score_tables.joint_table(each)) for title, each in tables.items()),
+        *(joints.items() if output.joints else ()),
         notes=notes,
     )

@@ -19,6 +19,7 @@ from hiros_mcap.config import Config, load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.logs import Consistency, consistency
 from hiros_mcap.evaluate.match import match
+from hiros_mcap.evaluate.reprojection import ImageScores, image_scores
 from hiros_mcap.evaluate.side_scores import SideScores, side_scores
 from hiros_mcap.evaluate.statistics import (
     ErrorStats,
@@ -28,6 +29,7 @@ from hiros_mcap.evaluate.statistics import (
 )
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.io.log import Source
+from hiros_mcap.io.rgb_cameras import poses_of, read_rgb_cameras
 from hiros_mcap.progress import Bar, Progress
 from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.running.recording import Recording
@@ -68,6 +70,8 @@ class SelfScores:
     with the result of all, so the motion between their exposures does not count."""
     sides: SideScores
     """Left and right of the result of all cameras."""
+    images: tuple[ImageScores, ...] = ()
+    """Of the RGB cameras."""
 
 
 @dataclass(slots=True)
@@ -102,9 +106,12 @@ def leave_one_out(
     options = options or ProcessOptions()
     config = config or load_config(system=options.system)
     recording = Recording.read(source, config, options)
-    model, frames_of = recording.model, frames_of_cameras(recording)
+    rgb = read_rgb_cameras(source)
+    model, frames_of = recording.model, frames_of_cameras(recording, 1 if rgb else 2)
     everybody = _fused(recording, config, options, frames_of)
     cameras, _ = leave_each_out(recording, frames_of, config, options, progress)
+    log = recording.prepared.log
+    poses = poses_of(rgb, log.transforms, log.fixed_frame)
     residuals = {topic: _residuals(frames, everybody, model) for topic, frames in frames_of.items()}
     mirrored = {topic: int(each.mirrored.sum()) for topic, each in residuals.items()}
     return SelfScores(
@@ -114,6 +121,7 @@ def leave_one_out(
             (a, b): _disagreement(residuals[a], residuals[b]) for a, b in combinations(frames_of, 2)
         },
         sides=side_scores(everybody, model, mirrored),
+        images=image_scores(rgb, poses, everybody, model),
     )
 
 
@@ -127,6 +135,8 @@ def leave_each_out(
     """
     progress, model = progress or Bar(), recording.model
     cameras, distances = [], []
+    if len(frames_of) < 2:
+        return (), []
     for k, (topic, frames) in enumerate(frames_of.items(), start=1):
         progress.update(k, len(frames_of) + 1)
         others = _fused(recording, config, options, frames_of.keys() - {topic})
@@ -137,12 +147,12 @@ def leave_each_out(
     return tuple(cameras), distances
 
 
-def frames_of_cameras(recording: Recording) -> dict[str, list[Frame]]:
-    """Topic -> its detections; raises ConfigError for fewer than two."""
+def frames_of_cameras(recording: Recording, least: int = 2) -> dict[str, list[Frame]]:
+    """Topic -> its detections; raises ConfigError for fewer than ``least``."""
     frames_of: dict[str, list[Frame]] = {topic: [] for topic in recording.topics.values()}
     for frame in recording.frames():
         frames_of[recording.topics[frame.source]].append(frame)
-    if len(frames_of) < 2:
+    if len(frames_of) < least:
         path = recording.prepared.log.path
         raise ConfigError(f"{path}: leaving one camera out needs at least two cameras")
     return frames_of

@@ -198,6 +198,20 @@ LEFT_OUT = (
 )
 """Of a camera that was left out (``hiros eval`` without a truth)."""
 
+REPROJECTION = (
+    Measure("median", "Median", "px", "distance of a keypoint from the result's joint in the "
+            "image, median", at="result.distance.median"),
+    Measure("p95", "95 %", "px", "95 % of them are less", at="result.distance.percentile_95"),
+    *(Measure(f"left_out_{name}", f"Left out: {title}", "px", "the same against the result of the "
+              "other cameras", at=f"left_out.distance.{path}", is_optional=True)
+      for name, title, path in (("median", "median", "median"), ("p95", "95 %", "percentile_95"))),
+    Measure("detections", "Detections", "", "people whom the detector found in the images", 0, 0,
+            at="result.detections"),
+    Measure("unmatched", "Of nobody", "", "those who are nobody in the result", 0, 0,
+            at="result.unmatched"),
+)
+"""Of an RGB camera, in its image."""
+
 DIFFERENCE = Measure("difference", "Difference from the first", "mm",
     "mean distance less that of the first system, on what both have", at="difference.mm",
     interval=("difference.low", "difference.high"), is_optional=True)

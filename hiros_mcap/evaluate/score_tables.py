@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from hiros_mcap.evaluate.leave_one_out import LeftOut, SelfScores
 from hiros_mcap.evaluate.logs import Consistency
 from hiros_mcap.evaluate.measures import SELF, Measure, Rows, Sheet, Table, table_of, text_of
 from hiros_mcap.evaluate.remarks import other_clock
+from hiros_mcap.evaluate.reprojection import ImageScores
 from hiros_mcap.evaluate.scores import Scores
 from hiros_mcap.evaluate.side_scores import SideScores
 from hiros_mcap.evaluate.statistics import AngleStats, ErrorStats
@@ -77,11 +79,34 @@ def joint_table(joints: Mapping[str, ErrorStats]) -> Table:
     return table_of("Joint", joints.items(), measures.ERRORS[:4], "mm")
 
 
+def self_sheets(scores: SelfScores) -> list[Sheet]:
+    """Return the measures of cameras without a truth: of their skeletons and of their images."""
+    sheets = [left_out_sheet(scores.cameras), image_sheet(scores.images)]
+    return [sheet for sheet in sheets if sheet.rows]
+
+
 def left_out_sheet(cameras: Sequence[LeftOut]) -> Sheet:
     """Distance of each camera left out from what the others give, mm."""
     rows = [(camera.topic, camera) for camera in cameras]
     title = "Distance of each left-out camera, mm"
     return Sheet(title, "Left out", rows, measures.LEFT_OUT, "mm")
+
+
+def image_sheet(cameras: Sequence[ImageScores]) -> Sheet:
+    """Distance of the keypoints of each RGB camera from the result in its image, px."""
+    rows = [(camera.topic, camera) for camera in cameras]
+    title = "Reprojection into each RGB camera, px"
+    return Sheet(title, "Camera", rows, measures.REPROJECTION, "px")
+
+
+def pixel_table(camera: ImageScores) -> Table:
+    """Reprojection of every joint, px."""
+    result = camera.result
+    rows = [
+        (name, replace(camera, result=replace(result, distance=errors)))
+        for name, errors in result.joints.items()
+    ]
+    return table_of("Joint", rows, measures.REPROJECTION[:2], "px")
 
 
 def lines_of(result: Consistency) -> list[str]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,14 +23,19 @@ from hiros_mcap.io.joining import open_part
 from hiros_mcap.io.ros_cdr import Bytes as Cdr
 from hiros_mcap.io.ros_cdr import RosMessage, decoder_of, ros2_types
 from hiros_mcap.rays.intrinsics import COUNTS, FISHEYE, PLUMB_BOB, Intrinsics
-from hiros_mcap.skeletons import Floats
+from hiros_mcap.skeletons import SECOND, Floats
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 POINT = "geometry_msgs/msg/PointStamped"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
-KINDS = (IMAGE, COMPRESSED_IMAGE, CAMERA_INFO, POINT, TRANSFORMS, hiros_schemas.UNCERTAINTY)
+VIDEO = "foxglove_msgs/msg/CompressedVideo"
+_VIDEO_TEXT = "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n"
+KINDS = (
+    *(IMAGE, COMPRESSED_IMAGE, VIDEO, CAMERA_INFO, POINT, TRANSFORMS),
+    hiros_schemas.UNCERTAINTY,
+)
 """The types that can be read; their definitions are the same in every release of ROS 2."""
 
 
@@ -103,7 +108,7 @@ def open_messages(path: Path | McapReader) -> Iterator[RosMessages]:
     Raises LogError if it cannot be read.
     """
     ours = hiros_schemas.UNCERTAINTY
-    store = ros2_types({ours: hiros_schemas.text(ours)})
+    store = ros2_types({ours: hiros_schemas.text(ours), VIDEO: _VIDEO_TEXT})
     with ExitStack() as stack:
         if isinstance(path, McapReader):
             yield _of_files([path], store)
@@ -113,6 +118,48 @@ def open_messages(path: Path | McapReader) -> Iterator[RosMessages]:
 
 
 Bytes = npt.NDArray[np.uint8]
+
+
+class FilmFrame(NamedTuple):
+    """An image of a log, or a frame of its video."""
+
+    frame_id: str
+    stamp: int
+    """ns."""
+    log_time: int
+    """ns."""
+    format: str
+    """As the message names it; "" of an image that is not compressed."""
+    data: bytes
+    """The compressed image or frame."""
+    pixels: Bytes | None = None
+    """(H, W, 3) blue, green, red of an image that is not compressed."""
+    is_video: bool = False
+
+
+def read_pictures(messages: RosMessages) -> Iterator[FilmFrame]:
+    """Yield the colour images, or frames of a video, of one topic for each coordinate frame.
+
+    Raises LogError for a damaged one.
+    """
+    kinds, topics = (IMAGE, COMPRESSED_IMAGE, VIDEO), dict[str, str]()
+    for raw in messages.read([t for t, kind in messages.types.items() if kind in kinds]):
+        message = messages.decode(raw)
+        if raw.type == VIDEO:
+            stamp, frame_id = message.timestamp, message.frame_id
+        elif is_colour(message):
+            stamp, frame_id = message.header.stamp, message.header.frame_id
+        else:
+            continue
+        if topics.setdefault(frame_id, raw.topic) != raw.topic:
+            continue
+        times = stamp.sec * SECOND + stamp.nanosec, raw.log_time
+        if raw.type == IMAGE:
+            yield FilmFrame(frame_id, *times, "", b"", colour_image(message))
+        else:
+            data, is_video = bytes(message.data), raw.type == VIDEO
+            yield FilmFrame(frame_id, *times, message.format, data, is_video=is_video)
+
 
 _CHANNELS = {
     "bgr8": (0, 1, 2),

@@ -15,6 +15,19 @@ from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.simulate.simulation import write_log
 
 
+def write_cameras(path, params, moved, metres):
+    """Write the poses of cameras, one of them so many metres too high."""
+    blocks = []
+    for name, pose in simulate(params).transforms.items():
+        shift = np.array([0.0, 0.0, metres if name == moved else 0.0])
+        blocks.append(f"""[[camera]]
+            frame = "{name}"
+            parent = "world"
+            translation = {(pose.translation + shift).tolist()}
+            quaternion_xyzw = {pose.xyzw.tolist()}""")
+    path.write_text("\n".join(blocks))
+
+
 def test_a_shifted_camera_is_the_one_that_disagrees(tmp_path):
     """Without faults every camera agrees; one whose published pose is wrong stands out."""
     log = tmp_path / "log.mcap"
@@ -37,15 +50,7 @@ def test_the_camera_left_out_is_in_nothing_it_is_compared_with(tmp_path):
     faultless = {**FAULTLESS, "people": 1, "cameras": 4, "seconds": 2, "action": "wave"}
     params = SimulateParams.model_validate(faultless)
     write_log(log, params)
-    blocks = []
-    for name, pose in simulate(params).transforms.items():
-        shift = np.array([0.0, 0.0, 0.1 if name == "camera_3" else 0.0])
-        blocks.append(f"""[[camera]]
-            frame = "{name}"
-            parent = "world"
-            translation = {(pose.translation + shift).tolist()}
-            quaternion_xyzw = {pose.xyzw.tolist()}""")
-    extrinsics.write_text("\n".join(blocks))
+    write_cameras(extrinsics, params, "camera_3", 0.1)
     *_, shifted = leave_one_out(log, options=ProcessOptions(extrinsics=extrinsics)).cameras
     assert shifted.median == pytest.approx(100, abs=3)
     assert shifted.offset == pytest.approx(100, abs=3)
@@ -65,6 +70,24 @@ def test_mirrored_detections_count_as_they_are(tmp_path):
         assert each.distance.percentile_95 > 100
         assert each.distance.count > 31 * (each.detections - each.unmatched)
         assert each.median < 15
+
+
+def test_rgb_cameras_are_compared_with_the_result_in_their_images(tmp_path):
+    """Two depth cameras and an RGB camera without faults; then its pose is said to be elsewhere."""
+    log, rig = tmp_path / "log.mcap", {"kinds": ("depth", "depth", "rgb")}
+    scene = {**FAULTLESS, "people": 2, "cameras": 3, "seconds": 2, "action": "cross", "rig": rig}
+    params = SimulateParams.model_validate(scene)
+    write_log(log, params)
+    (clean,) = leave_one_out(log).images
+    assert clean.topic == "/camera_2/keypoints"
+    assert clean.result.unmatched <= 2  # an image before the first result
+    assert clean.result.distance.median < 2
+    assert set(clean.result.joints) > {"left_wrist", "right_ankle", "nose"}
+    options = ProcessOptions(extrinsics=tmp_path / "cameras.toml")
+    write_cameras(options.extrinsics, params, "camera_2", 0.2)
+    scores = leave_one_out(log, options=options)
+    assert scores.images[0].result.distance.median > 30
+    assert len(scores.cameras) == 2
 
 
 def test_a_camera_that_mirrors_all_it_sees_is_compared_with_none():

@@ -18,6 +18,7 @@ from hiros_mcap.evaluate.measures import (
     MEASURES,
     MOTION,
     PEOPLE,
+    REPROJECTION,
     SELF,
     table_of,
 )
@@ -39,7 +40,7 @@ def test_the_page_has_the_columns_of_the_tables():
     assert [row for row in rows if len(row) == 3 and row[1][1:-1] in MEASURES] == [
         [m.header(), f"`{m.name}`", m.text] for m in SCORES
     ]
-    for measures in (LEFT_OUT, SELF):
+    for measures in (LEFT_OUT, SELF, REPROJECTION):
         expected = [[m.header(), m.text] for m in measures]
         first = rows.index(expected[0])
         assert rows[first : first + len(expected)] == expected

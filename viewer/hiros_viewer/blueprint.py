@@ -70,6 +70,8 @@ class Content:
     """Who of the people is there for longest: whose curves are seen first."""
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Kind of curve -> from where to where its axis goes; other axes fit their curves."""
+    images: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    """RGB cameras, and width and height of their images, px."""
 
     @property
     def prefixes(self) -> Sequence[str]:
@@ -205,6 +207,7 @@ def cameras(content: Content) -> rrb.Container:
         _room(content, camera, stages=[content.final], cameras=[camera], seen_by=camera)
         for camera in content.cameras
     ]
+    rooms += [_image(camera, *size) for camera, size in content.images.items()]
     n = len(rooms)
     columns = n if n < 4 else math.isqrt(n - 1) + 1
     below = [_counts(content, _legend_at(content, "LeftBottom"))]
@@ -234,7 +237,7 @@ def fitting(content: Content, layout: str) -> str:
     is_empty = {
         "stages": not content.before,
         "person": content.is_raw or not content.people,
-        "cameras": not content.cameras,
+        "cameras": not (content.cameras or content.images),
     }
     return "overview" if is_empty.get(layout, False) else layout
 
@@ -319,7 +322,8 @@ def _room(
         eye = pose.translation
         if ahead @ (target - eye) > 0:  # else z is not this frame's optical axis
             target, eye = eye + ahead, eye - _BEHIND * ahead
-        for camera in content.cameras:  # names hide people, and so does a frustum beside the eye
+        # Names hide people, and so does a frustum beside the eye.
+        for camera in dict.fromkeys([*content.cameras, *content.camera_poses]):
             place = content.camera_poses.get(camera, pose).translation
             near = float(np.linalg.norm(place - pose.translation)) < 1.0
             contents.append(f"- /world/cameras/{camera}/{'**' if near else 'name'}")
@@ -336,6 +340,17 @@ def _room(
         line_grid=rrb.LineGrid3D(visible=True, spacing=0.5, color=(255, 255, 255, 25)),
         eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0, 0, 1)),
         overrides=overrides,  # type: ignore[arg-type]
+    )
+
+
+def _image(camera: str, width: int, height: int) -> Any:
+    """Return a view of what an RGB camera sees: the whole image, of a width and height in px."""
+    return rrb.Spatial2DView(
+        origin=f"/images/{camera}",
+        contents=["+ /images/" + camera + "/**"],
+        name=camera,
+        background=(24, 27, 31),
+        visual_bounds=rrb.VisualBounds2D(x_range=(0, width), y_range=(0, height)),
     )
 
 

@@ -83,11 +83,13 @@ def columns(batches: Mapping[Any, Any], counts: npt.NDArray[np.integer[Any]]) ->
 
 
 def strips(ends: npt.NDArray[np.float32]) -> Any:
-    """Return lines (N, 2, 3), m, as a batch; rerun itself would loop over them in Python."""
+    """Return lines (N, 2, 3), m, or (N, 2, 2), px, as a batch; rerun would loop in Python."""
     import pyarrow as pa
 
-    kind = rr.components.LineStrip3DBatch([]).as_arrow_array().type
+    is_flat = ends.shape[-1] == 2
+    batch = rr.components.LineStrip2DBatch if is_flat else rr.components.LineStrip3DBatch
+    kind = batch([]).as_arrow_array().type
     points = pa.FixedSizeListArray.from_arrays(pa.array(ends.ravel()), type=kind.value_type)
     offsets = pa.array(np.arange(0, 2 * len(ends) + 1, 2, dtype=np.int32))
     lines = pa.ListArray.from_arrays(offsets, points, type=kind)
-    return rr.components.LineStrip3DBatch(lines)
+    return batch(lines)

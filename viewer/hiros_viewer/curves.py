@@ -14,6 +14,9 @@ from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.logs import consistency, start_of
 from hiros_mcap.evaluate.match import Matches, match
+from hiros_mcap.evaluate.measures import text_of
+from hiros_mcap.evaluate.reprojection import ImageScores
+from hiros_mcap.evaluate.score_tables import image_sheet
 from hiros_mcap.evaluate.smoothness import lengths_of
 from hiros_mcap.evaluate.truth import EPOCH_2001, Truth
 from hiros_mcap.events import Event
@@ -41,7 +44,7 @@ from hiros_viewer.figures import (
     with_gaps,
 )
 from hiros_viewer.page import Page
-from hiros_viewer.pictures import picture_of
+from hiros_viewer.pictures import joint_map, picture_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -76,6 +79,8 @@ class Curves:
     """The log and the channel."""
     model: SkeletonModel
     people: Mapping[int, Body]
+    images: Sequence[ImageScores] = ()
+    """The RGB cameras against the channel."""
     about: Sequence[str] = ()
     """When the log was recorded and how the result was made; the verdict."""
 
@@ -198,7 +203,19 @@ def page_of(curves: Curves) -> Page:
             page.figure(grid_of(curves, body, "limbs"), "Limb lengths, mm")
         if body.true_poses is not None:
             page.figure(grid_of(curves, body, "error"), "Mean and largest joint error, mm")
+    add_images(page, curves.images)
     return page
+
+
+def add_images(page: Page, cameras: Sequence[ImageScores]) -> None:
+    """Add how far the keypoints of RGB cameras are from the result, if there are any."""
+    if not cameras:
+        return
+    sheet = image_sheet(cameras)
+    page.heading("RGB cameras")
+    page.table(*text_of(sheet), sheet.title)
+    medians = {c.topic: {n: e.median for n, e in c.result.joints.items()} for c in cameras}
+    page.figure(joint_map(medians, "px"), "Median reprojection of each joint, px")
 
 
 def verdict(curves: Curves) -> str:

@@ -19,6 +19,7 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.io.export.markers import RGB, person_colour
 from hiros_mcap.kernels.drawing import Singles, draw_bones, draw_joints, tops
+from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
 from hiros_viewer.camera_moves import CameraMove, markdown, move_table
 from hiros_viewer.columns import Line, TextRow, columns, strips, time_columns
@@ -130,10 +131,10 @@ class Entities:
     def _document(self, path: str, text: str) -> None:
         self.recording.log(path, rr.TextDocument(text, media_type="text/markdown"), static=True)
 
-    def camera(self, name: str, number: int, pose: Rigid) -> None:
-        """Draw a camera as a frustum at its pose in the fixed frame."""
+    def camera(self, name: str, number: int, pose: Rigid, lens: Intrinsics | None = None) -> None:
+        """Draw a camera as a frustum at its pose in the fixed frame, with its lens if known."""
         style = name, camera_colour(number), label_colour(curve_colour(number))
-        self._frustum(f"/world/cameras/{path_part(name)}", pose, style)
+        self._frustum(f"/world/cameras/{path_part(name)}", pose, style, lens)
 
     def no_data(self, times: Stamps, place: Floats) -> None:
         """Say "no data" at a place (3,), m, from the first to the second of times (2, 2)."""
@@ -157,7 +158,9 @@ class Entities:
                 self.recording.log(f"/world/moved/{path_part(move.name)}", line, static=True)
         self._document(CALIBRATION, move_table(moves))
 
-    def _frustum(self, path: str, pose: Rigid, style: tuple[str, RGB, RGB]) -> None:
+    def _frustum(
+        self, path: str, pose: Rigid, style: tuple[str, RGB, RGB], lens: Intrinsics | None = None
+    ) -> None:
         """Draw a camera; ``style`` is its name or "", its colour, and that of the name."""
         name, colour, text_colour = style
         place = rr.Transform3D(
@@ -165,10 +168,11 @@ class Entities:
         )
         half = np.tan(np.radians(np.array(_FIELD_OF_VIEW_DEG) / 2))
         focal = 320 / half[0]
+        width, height = (640.0, float(2 * focal * half[1])) if lens is None else lens.size
         frustum = rr.Pinhole(
-            focal_length=float(focal),
-            width=640,
-            height=float(2 * focal * half[1]),
+            focal_length=float(focal) if lens is None else lens.focal,
+            width=width,
+            height=height,
             image_plane_distance=0.35,
             camera_xyz=rr.ViewCoordinates.RDF,
             color=colour,
@@ -402,7 +406,7 @@ class Entities:
             states = rr.StateConfiguration(
                 values=[texts[0], "gone"],
                 labels=[style.name, "gone"],
-                colors=[_packed(style.colour)] * 2,
+                colors=[packed(style.colour)] * 2,
                 visible=[True, False],
             )
             self.recording.log(path, states, static=True)
@@ -447,7 +451,7 @@ def _highest(poses: Poses, people: Stamps) -> Floats:
     return highest
 
 
-def _packed(colour: RGB) -> int:
+def packed(colour: RGB) -> int:
     """Return a colour as the 32 bits that rerun makes of it."""
     red, green, blue = colour
     return red << 24 | green << 16 | blue << 8 | 0xFF
@@ -459,7 +463,7 @@ def _annotations(marker_names: tuple[str, ...], *, dim_detections: bool) -> Any:
     sides = [split_side(name)[1] for name in marker_names]
 
     def keypoints(number: int, name: str, colour: RGB, left: int) -> list[Any]:
-        plain, dark = _packed(colour), _packed(shade(colour))
+        plain, dark = packed(colour), packed(shade(colour))
         joints = [
             rr.AnnotationInfo(k, joint, dark if side == "left" else plain)
             for k, (joint, side) in enumerate(zip(marker_names, sides, strict=True))

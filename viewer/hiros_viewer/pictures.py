@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -236,3 +236,25 @@ def _legend(figure: Figure) -> None:
         Patch(fc="none", ec=_HATCH, hatch="///", lw=0, label="fewer than two cameras"),
     ]
     figure.legend(handles=handles, loc="outside lower left", ncols=3, frameon=False)
+
+
+def joint_map(cameras: Mapping[str, Mapping[str, float]], unit: str) -> Figure:
+    """Plot a number of each joint by camera."""
+    names = list(dict.fromkeys(name for joints in cameras.values() for name in joints))
+    table: Floats = np.array(
+        [[joints.get(name, np.nan) for name in names] for joints in cameras.values()]
+    )
+    figure = new_figure(0.28 * len(names) + 2.5, 0.35 * len(cameras) + 2.2)
+    axes = figure.subplots()
+    image = axes.imshow(table, aspect="auto", cmap="viridis", vmin=0)
+    axes.set_xticks(range(len(names)), names, rotation=90, fontsize=8)
+    axes.set_yticks(range(len(cameras)), list(cameras), fontsize=8)
+    figure.colorbar(image, label=unit)
+    bright = np.nanmax(table, initial=0.0) / 2
+    for (row, column), value in np.ndenumerate(table):
+        if not np.isnan(value):
+            colour = "black" if value > bright else "white"
+            axes.text(
+                column, row, f"{value:.0f}", ha="center", va="center", fontsize=7, color=colour
+            )
+    return figure

@@ -23,6 +23,8 @@ from hiros_mcap.events import Event
 from hiros_mcap.io.channels import OUTPUT_PREFIX, TRUTH_PREFIX
 from hiros_mcap.io.log import CameraChannel, Log, open_log
 from hiros_mcap.io.result import stored_events, stored_report
+from hiros_mcap.io.rgb_cameras import RgbCamera, poses_of, read_rgb_cameras
+from hiros_mcap.io.ros_messages import open_messages, read_pictures
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.running.pipeline import ProcessOptions, process, skeletons_read
 from hiros_mcap.skeletons import SkeletonModel
@@ -174,14 +176,15 @@ class _Replay:
             source = describe(log)
             scene = self._scene(log, source, first)
             only_stages = first is not None and bool(first.cameras)
+            self._thin((log.span[1] - log.span[0]) / 1e9)
             if only_stages:
                 scene.begin({})
             else:
                 scene.begin(source.cameras, source.later)
+                scene.show_images(self._rgb_cameras(log))
             if self.options.calibration is not None and not only_stages:
                 file, renamed = self.options.calibration, log.transforms.renamed
                 scene.moves(camera_moves(self.path, file, source.cameras, renamed))
-            self._thin((log.span[1] - log.span[0]) / 1e9)
             log = log.only(self._topics(source, scene.final))
             left_out = {DETECTIONS, "truth"} if only_stages else {"truth"}
             self._laid_out = only_stages  # by the first log, which has the cameras
@@ -225,8 +228,33 @@ class _Replay:
                 break  # the time range is over
         return drawn
 
+    def _rgb_cameras(self, log: Log) -> list[tuple[RgbCamera, Rigid | None]]:
+        """Read what RGB cameras found in the time range, and where they stand."""
+        begin, end = _window(log.span[0], self.options.time_range)
+        span = begin - HORIZON_NS, min(end + HORIZON_NS, _EVER[1])
+        cameras = read_rgb_cameras(self.path, span, self._step)
+        poses = poses_of(cameras, log.transforms, log.fixed_frame) if cameras else {}
+        return [(camera, poses.get(camera.name)) for camera in cameras]
+
+    def _draw_images(self, scene: Scene) -> None:
+        """Draw the keypoints and the pictures of RGB cameras that are in the time range."""
+        if not scene.images:
+            return
+        begin, end = self._window or _EVER
+        start, views = scene.start or 0, {view.camera.name: view for view in scene.images}
+        for view in views.values():
+            view.keypoints([f for f in view.camera.frames if begin <= f.stamp <= end], start)
+        due = dict.fromkeys(views, begin)
+        with open_messages(self.path) as messages:
+            for picture in read_pictures(messages):
+                name = picture.frame_id
+                if name in views and due[name] <= picture.stamp <= end:
+                    due[name] = picture.stamp + (0 if picture.is_video else self._step)
+                    views[name].picture(picture, start)
+
     def _finish(self, scene: Scene, source: Source, drawn: int) -> None:
-        """Draw what is known of the whole log: the truth and the events."""
+        """Draw what is known of the whole log: images, the truth and the events."""
+        self._draw_images(scene)
         if scene.truth is not None:
             drawn += self._draw_truth(scene, scene.truth)
         if not drawn:
@@ -395,6 +423,7 @@ def content_of(scenes: list[Scene]) -> Content:
         people=sorted({person for scene in scenes for person in scene.people}),
         cameras=[path_part(name) for name in scenes[0].cameras],
         boxes=np.array([box for scene in scenes for box in scene.bounds] or [EMPTY_ROOM]),
+        images={path_part(i.camera.name): i.camera.lens.size for i in scenes[0].images},
         camera_poses={path_part(name): pose for name, pose in scenes[0].camera_poses.items()},
         layers=[scene.layer for scene in scenes],
         shows_truth=any(scene.shows_truth for scene in scenes),

@@ -18,6 +18,7 @@
     /wrong_view/<camera>/<fault>   while there are any
     /no_data                    while no camera sends anything;  /world/no_data   so in the room
     /cameras                    numbers of each camera
+    /images/<camera>            what an RGB camera sees (:mod:`hiros_viewer.images`)
 
 A person's part of a path is person_<id>. Time is in seconds from the start, as a date, and as the
 time at which a live system could have known what is shown. Some thousand frames are drawn at once
@@ -42,6 +43,7 @@ from hiros_mcap.evaluate.mot import best_pairs
 from hiros_mcap.evaluate.smoothness import lengths_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.events import Event
+from hiros_mcap.io.rgb_cameras import RgbCamera
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, SkeletonModel, Stamps
 from hiros_viewer.camera_moves import CameraMove
@@ -57,6 +59,7 @@ from hiros_viewer.entities import (
     person_part,
 )
 from hiros_viewer.figures import limb_links
+from hiros_viewer.images import CameraImages
 from hiros_viewer.palette import DISTANCES, FAULTY, SIDES, SILENCE, curve_colour, shade
 from hiros_viewer.poses import (
     HALF_SIZE,
@@ -123,6 +126,8 @@ class Scene:
         """Whether the truth is to be seen in the room; its error is plotted in any case."""
         self.uncertainties: Uncertainties | None = None
         """How well joints are known, to be drawn as ellipsoids."""
+        self.images: list[CameraImages] = []
+        """Of the RGB cameras."""
         self.has_moves = False
         """Whether poses before and after a calibration were drawn."""
         self.ranges: dict[str, tuple[float, float]] = {}
@@ -162,6 +167,7 @@ class Scene:
         self._lengths = Counter[int]()
         """Frames of the last stage that everybody is in."""
         self._root = _root_slot(model)
+        self._recording = recording
         self._entities = Entities(recording, model, self._root, layer)
         self._limbs = limb_links(model)
 
@@ -199,6 +205,14 @@ class Scene:
             self._entities.camera(name, number, pose)
             for seconds, moved in (later or {}).get(name, {}).items():
                 self._entities.camera(f"{name} from {seconds:.1f} s", number, moved)
+
+    def show_images(self, cameras: Sequence[tuple[RgbCamera, Rigid | None]]) -> None:
+        """Draw RGB cameras at their poses, and what they see; after :meth:`begin`."""
+        for number, (camera, pose) in enumerate(cameras, start=len(self._crowds)):
+            self.images.append(CameraImages(self._recording, camera, number, pose))
+            if pose is not None:
+                self.camera_poses = {**self.camera_poses, camera.name: pose}
+                self._entities.camera(camera.name, number, pose, camera.lens)
 
     def moves(self, moves: Sequence[CameraMove]) -> None:
         """Draw where cameras were before a calibration, and how far they moved."""
@@ -301,6 +315,8 @@ class Scene:
             # The tracker's frames are of one camera each, which does not see everybody.
             visits = self._stages[name] = Visits(GONE_NS if name == "tracked" else 0)
         if name == self.final:
+            for image in self.images:
+                image.result(poses, self.model, self.layer, self.start or 0)
             self._compare(self._waiting.reached(poses))
             if self.truth is not None:
                 self._match(poses, self.truth)
@@ -414,6 +430,8 @@ class Scene:
                 self._send_visit(name, visit, nobody)
         for camera, check in self._checks.items():
             self._mark_faults(camera, check.finish())
+        for image in self.images:
+            image.finish(self.start or 0)
         self._send_texts()
 
     def _send_texts(self) -> None:

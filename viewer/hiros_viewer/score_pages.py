@@ -23,9 +23,8 @@ from hiros_mcap.evaluate.score_tables import (
     system_sheets,
     with_differences,
 )
-from hiros_mcap.skeletons import Floats
 from hiros_mcap.wording import number
-from hiros_viewer.curves import about
+from hiros_viewer.curves import about, add_images
 from hiros_viewer.figures import (
     OTHERS,
     Curve,
@@ -37,7 +36,7 @@ from hiros_viewer.figures import (
     from_zero,
 )
 from hiros_viewer.page import Page
-from hiros_viewer.pictures import new_axes, new_figure, tidy, value_bars
+from hiros_viewer.pictures import joint_map, new_axes, new_figure, tidy, value_bars
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -114,15 +113,16 @@ def self_page(log: Path, scores: SelfScores) -> Page:
     result = scores.consistency
     lines = about(log, *score_tables.lines_of(result))
     page = Page(f"{log} without truth", lines)
-    page.heading("Each camera against the result of the others")
-    title = "Joint distance, mm, including the camera's own noise"
-    page.table(*text_of(score_tables.left_out_sheet(scores.cameras)), title)
-    for text in score_tables.notes_without_truth(scores):
-        page.text(text)
-    page.figure(
-        _camera_joints({c.topic: c.joints for c in scores.cameras}),
-        "Mean distance of each joint of the left-out camera, mm",
-    )
+    if scores.cameras:
+        page.heading("Each camera against the result of the others")
+        title = "Joint distance, mm, including the camera's own noise"
+        page.table(*text_of(score_tables.left_out_sheet(scores.cameras)), title)
+        for text in score_tables.notes_without_truth(scores):
+            page.text(text)
+        means = {c.topic: {n: e.mean for n, e in c.joints.items()} for c in scores.cameras}
+        caption = "Mean distance of each joint of the left-out camera, mm"
+        page.figure(joint_map(means, "mm"), caption)
+    add_images(page, scores.images)
     page.heading("Disagreement between cameras")
     page.table(
         ["camera", "camera", "median, mm"],
@@ -137,27 +137,6 @@ def self_page(log: Path, scores: SelfScores) -> Page:
     page.heading("Left and right of this result")
     page.table(*score_tables.side_table(scores.sides), score_tables.SIGNS)
     return page
-
-
-def _camera_joints(cameras: Mapping[str, Mapping[str, ErrorStats]]) -> Figure:
-    names = list(dict.fromkeys(name for joints in cameras.values() for name in joints))
-    table: Floats = np.array(
-        [[joints[n].mean if n in joints else np.nan for n in names] for joints in cameras.values()]
-    )
-    figure = new_figure(0.28 * len(names) + 2.5, 0.35 * len(cameras) + 2.2)
-    axes = figure.subplots()
-    image = axes.imshow(table, aspect="auto", cmap="viridis", vmin=0)
-    axes.set_xticks(range(len(names)), names, rotation=90, fontsize=8)
-    axes.set_yticks(range(len(cameras)), list(cameras), fontsize=8)
-    figure.colorbar(image, label="mm")
-    bright = np.nanmax(table, initial=0.0) / 2
-    for (row, column), value in np.ndenumerate(table):
-        if not np.isnan(value):
-            colour = "black" if value > bright else "white"
-            axes.text(
-                column, row, f"{value:.0f}", ha="center", va="center", fontsize=7, color=colour
-            )
-    return figure
 
 
 def comparison_page(outcomes: Sequence[Outcome], study: str | None) -> Page:

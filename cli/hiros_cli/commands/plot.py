@@ -44,6 +44,7 @@ def plot(
     check_outputs((target, kind), inputs=(log, truth), force=force)
     prepare(quiet=quiet)
     from hiros_mcap.evaluate.logs import find_truth, output_channels, read_channel, start_of
+    from hiros_mcap.evaluate.reprojection import image_scores_of
     from hiros_mcap.io.log import open_reader
     from hiros_mcap.io.result import stored_events
     from hiros_viewer import curves
@@ -62,6 +63,8 @@ def plot(
         lines = curves.about(log, curves.verdict(collected), curves.summary_row(frames, model))
         collected = replace(collected, about=lines)
         if target.suffix == ".html":
+            images = image_scores_of(log, topic, frames, model)
+            collected = replace(collected, images=images)
             curves.page_of(collected).write(target)
         else:
             save_png(curves.figure_of(collected, what, person), target)
