@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import rerun.blueprint as rrb
@@ -161,10 +162,29 @@ def test_a_recording_shows_its_keypoints_and_the_pictures_beneath(tmp_path):
     assert not rows(target, "/images/elsewhere/picture", "EncodedImage:blob")
 
 
+def test_a_video_begins_with_the_first_keypoints_of_its_camera(tmp_path, capsys):
+    log, film, target = tmp_path / "log.mcap", tmp_path / "film.mp4", tmp_path / "log.rrd"
+    rig = {"kinds": ("rgb",)}
+    params = SimulateParams.model_validate({"cameras": 1, "seconds": 1.0, "rig": rig})
+    write_log(log, params)
+    video = cv2.VideoWriter(str(film), cv2.VideoWriter_fourcc(*"VP90"), 30, (32, 18))
+    for _ in range(10):
+        video.write(np.zeros((18, 32, 3), np.uint8))
+    video.release()
+    command = ["view", str(log), "--save", str(target), "-q", "-f", "--images"]
+    assert run([*command, f"camera_0={film}"]) == 0
+    stamps = sorted(rows(target, "/images/camera_0/picture", "VideoFrameReference:timestamp"))
+    assert stamps[0] == next(simulate(params).keypoints).stamp
+    assert np.allclose(np.diff(stamps), 1e9 / 30, atol=2)
+    assert len(stamps) == 10
+    assert run([*command, f"left={film}"]) == 2
+    assert "no RGB camera 'left' (there are: camera_0)" in capsys.readouterr().err
+    assert run([*command, f"camera_0={log}"]) == 2
+    assert "no video that the viewer plays" in capsys.readouterr().err
+
+
 def picture_message(frame_id, stamp):
     """A black CompressedImage of 4 x 3 px."""
-    import cv2
-
     _, data = cv2.imencode(".png", np.zeros((3, 4, 3), np.uint8))
     types = STORE.types
     time = types["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9))

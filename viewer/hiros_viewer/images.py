@@ -13,6 +13,7 @@ All is in px. Keypoints stand at the times of their images, the result at its ow
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ import numpy.typing as npt
 import rerun as rr
 
 from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.rgb_cameras import RgbCamera
 from hiros_mcap.io.ros_messages import FilmFrame
 from hiros_mcap.rays.keypoints import KeypointFrame
@@ -114,6 +116,23 @@ class CameraImages:
         for what, crowd in self._crowds.items():
             if len(times := crowd.finish()):
                 self._send(what, _parts(*nobody), (times, np.zeros(1, np.int64)), start)
+
+    def film(self, path: Path, span: tuple[int, int], start: int) -> None:
+        """Draw a video whose first frame is that of the first keypoints, between two times, ns.
+
+        Raises ConfigError if it is no video that the viewer plays.
+        """
+        try:
+            video = rr.AssetVideo(path=path)
+            frames = video.read_frame_timestamps_nanos()
+        except (RuntimeError, ValueError) as error:
+            raise ConfigError(f"{path}: no video that the viewer plays: {error}") from None
+        stamps = frames - frames[0] + min((f.stamp for f in self.camera.frames), default=start)
+        shown = (stamps >= span[0]) & (stamps <= span[1])
+        self._recording.log(f"{self.path}/picture", video, static=True)
+        times = np.stack([stamps, stamps], axis=1)[shown]
+        rows = rr.VideoFrameReference.columns_nanos(frames[shown])
+        self._recording.send_columns(f"{self.path}/picture", time_columns(times, start), rows)
 
     def picture(self, picture: FilmFrame, start: int) -> None:
         """Draw an image, or a frame of a video whose codec the viewer knows."""

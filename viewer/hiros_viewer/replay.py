@@ -32,6 +32,7 @@ from hiros_viewer.blueprint import LAYOUTS, Content
 from hiros_viewer.camera_moves import camera_moves
 from hiros_viewer.destinations import save
 from hiros_viewer.entities import Layer, path_part
+from hiros_viewer.images import CameraImages
 from hiros_viewer.legend import lay_out
 from hiros_viewer.overlay import draw_distances
 from hiros_viewer.poses import HORIZON_NS, Channel, Gatherer, Poses, Thinner, Uncertainties
@@ -78,6 +79,8 @@ class ViewOptions:
     """Whether to draw how well the joints are known, as ellipsoids."""
     configs: Sequence[Config] = ()
     """Of each log, how it is read if it is a recording: its frame, skeleton and unit."""
+    images: Sequence[str] = ()
+    """Logs with the images of RGB cameras, and videos as CAMERA=FILE; none = the log's own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,11 +247,26 @@ class _Replay:
         start, views = scene.start or 0, {view.camera.name: view for view in scene.images}
         for view in views.values():
             view.keypoints([f for f in view.camera.frames if begin <= f.stamp <= end], start)
-        due = dict.fromkeys(views, begin)
-        with open_messages(self.path) as messages:
+        for text in self.options.images:
+            name, _, film = text.rpartition("=")
+            if name and name not in views:
+                known = ", ".join(views)
+                raise ConfigError(f"{self.path}: no RGB camera {name!r} (there are: {known})")
+            if name:
+                views[name].film(Path(film), (begin, end), start)
+        logs = [Path(text) for text in self.options.images if "=" not in text]
+        for log in logs if self.options.images else [self.path]:
+            self._draw_pictures(log, views, (begin, end), start)
+
+    def _draw_pictures(
+        self, log: Path, views: Mapping[str, CameraImages], span: tuple[int, int], start: int
+    ) -> None:
+        """Draw the images and videos of a log between two times, ns; of images, one a step."""
+        due = dict.fromkeys(views, span[0])
+        with open_messages(log) as messages:
             for picture in read_pictures(messages):
                 name = picture.frame_id
-                if name in views and due[name] <= picture.stamp <= end:
+                if name in views and due[name] <= picture.stamp <= span[1]:
                     due[name] = picture.stamp + (0 if picture.is_video else self._step)
                     views[name].picture(picture, start)
 

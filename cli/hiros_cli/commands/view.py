@@ -37,6 +37,11 @@ def view(
     calibration: Path | None = option(
         "FILE", "Camera poses of `hiros calibrate`, compared with the log's."
     ),
+    images: list[str] | None = option(
+        "LOG|CAMERA=FILE",
+        "Images beneath keypoints: of another log, or a camera's video (MP4), from its first "
+        "keypoints on; may be repeated. Default: LOG's.",
+    ),
     uncertainty: bool = flag(
         "--uncertainty", "Draw 68 % ellipsoids round joints (results of --system fuse)."
     ),
@@ -58,15 +63,18 @@ def view(
     window = None if time_range is None else seconds_range("--time-range", time_range)
     from hiros_viewer import destinations
 
-    check_outputs(
-        (save, "Rerun recording"), inputs=(*logs, extrinsics, truth, calibration), force=force
-    )
+    films = [Path(text.rpartition("=")[2]) for text in images or ()]
+    for film in films:
+        film.stat()
+    inputs = (*logs, extrinsics, truth, calibration, *films)
+    check_outputs((save, "Rerun recording"), inputs=inputs, force=force)
     prepare(quiet=quiet)
     from hiros_viewer.replay import ViewOptions, recording_name, replay
 
     configs = [settings_of(log).load() for log in logs]
     options = ViewOptions(
-        layout, window, extrinsics, stage or "", truth, calibration, uncertainty, configs
+        *(layout, window, extrinsics, stage or "", truth, calibration),
+        *(uncertainty, configs, images or ()),
     )
     name = recording_name(list(logs), layout)
 
