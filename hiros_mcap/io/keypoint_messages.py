@@ -51,13 +51,17 @@ def decode_detections(message: Any, joints: int) -> Keypoints:
     Detections without keypoints are of other things; ids beyond the model are left out.
     """
     people = [d.keypoints.data for d in message.detections if len(d.keypoints.data)]
+    rows = [
+        (person, keypoint.id - 1, keypoint.point.x, keypoint.point.y, keypoint.score)
+        for person, keypoints in enumerate(people)
+        for keypoint in keypoints
+        if 1 <= keypoint.id <= joints
+    ]
+    found = np.array(rows, np.float64).reshape(-1, 5)
+    places = tuple(found[:, :2].T.astype(np.int64))
     pixels = np.full((len(people), joints, 2), np.nan)
     scores = np.zeros((len(people), joints))
-    for person, keypoints in enumerate(people):
-        for keypoint in keypoints:
-            if 1 <= keypoint.id <= joints:
-                pixels[person, keypoint.id - 1] = keypoint.point.x, keypoint.point.y
-                scores[person, keypoint.id - 1] = keypoint.score
+    pixels[places], scores[places] = found[:, 2:4], found[:, 4]
     header = message.header
     return Keypoints(nanoseconds(header.stamp), header.frame_id, pixels, scores)
 
