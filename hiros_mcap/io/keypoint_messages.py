@@ -1,5 +1,8 @@
 """Messages of RGB cameras: keypoints as ``yolo_msgs/DetectionArray``, lenses as CameraInfo.
 
+hiros writes DetectionArrays, and also reads ``hri_msgs/Skeleton2D``, which has 18 joints of one
+person in shares of the image.
+
 yolo_msgs has any number of joints and people, in px of the image, but does not name the joints:
 the id of a keypoint is its number in a joint model, from 1. A channel that hiros writes says in its
 metadata which model that is; of others it is COCO's, which YOLO has.
@@ -18,12 +21,13 @@ from hiros_mcap.io.detectors.body_models import BODY_MODELS, body_model
 from hiros_mcap.io.detectors.detector_reader import nanoseconds
 from hiros_mcap.io.ros_cdr import CdrWriter
 from hiros_mcap.rays.intrinsics import Intrinsics
-from hiros_mcap.rays.keypoints import KeypointFrame
+from hiros_mcap.rays.keypoints import KeypointFrame, cleaned
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
 JOINTS = "hiros:joints"
 """Key of a channel's metadata: which model of the table numbers the joints."""
 _USUAL = "coco-17"
+_HRI = body_model("hri-18")
 
 
 class Keypoints(NamedTuple):
@@ -45,10 +49,12 @@ def joint_model(info: ChannelInfo) -> SkeletonModel:
     return body_model(name if name in BODY_MODELS else _USUAL)
 
 
-def decode_detections(message: Any, joints: int) -> Keypoints:
+def decode_detections(message: Any, joints: int, size: tuple[int, int] | None = None) -> Keypoints:
     """Return the people of a DetectionArray whose model has so many joints.
 
-    Detections without keypoints are of other things; ids beyond the model are left out.
+    Detections without keypoints are of other things; ids beyond the model are left out, and so is
+    what :func:`~hiros_mcap.rays.keypoints.cleaned` does not take as found. ``size`` is of the
+    image, px.
     """
     people = [d.keypoints.data for d in message.detections if len(d.keypoints.data)]
     rows = [
@@ -62,8 +68,25 @@ def decode_detections(message: Any, joints: int) -> Keypoints:
     pixels = np.full((len(people), joints, 2), np.nan)
     scores = np.zeros((len(people), joints))
     pixels[places], scores[places] = found[:, 2:4], found[:, 4]
-    header = message.header
-    return Keypoints(nanoseconds(header.stamp), header.frame_id, pixels, scores)
+    return _keypoints(message.header, pixels, scores, size)
+
+
+def decode_skeleton2d(message: Any, size: tuple[int, int]) -> Keypoints:
+    """Return the person of a Skeleton2D, whose joints are those of the model "hri-18".
+
+    ``size`` is of the camera's image, px, as its CameraInfo has it. A joint may be a little outside
+    of the image.
+    """
+    points = np.full((1, _HRI.n_markers, 3), np.nan)
+    for joint, point in enumerate(message.skeleton[: _HRI.n_markers]):
+        points[0, joint] = point.x, point.y, point.c
+    return _keypoints(message.header, points[..., :2] * size, points[..., 2], size)
+
+
+def _keypoints(
+    header: Any, pixels: Floats, scores: Floats, size: tuple[int, int] | None
+) -> Keypoints:
+    return Keypoints(nanoseconds(header.stamp), header.frame_id, *cleaned(pixels, scores, size))
 
 
 def encode_detections(frame: KeypointFrame, frame_id: str) -> bytes:

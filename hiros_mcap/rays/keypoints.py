@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from hiros_mcap.skeletons import Floats
 
 
@@ -19,3 +21,34 @@ class KeypointFrame(NamedTuple):
     """(P, J, 2) px; NaN where a joint was not found."""
     scores: Floats
     """(P, J) how sure the detector is, 0 to 1."""
+
+
+_MARGIN = 0.5
+"""Of the image's size; a detector that guesses joints outside of it knows nothing beyond."""
+
+
+def cleaned(
+    pixels: Floats, scores: Floats, size: tuple[int, int] | None = None
+) -> tuple[Floats, Floats]:
+    """Return keypoints as hiros has them, whatever a detector writes for those it did not find.
+
+    Not found are those with a coordinate that is no number, at exactly 0 0, with a score of 0 or
+    less, or half an image beyond the border. Scores above 1 are 1. Where no keypoint has a score,
+    each has 1.
+
+    Parameters
+    ----------
+    pixels : (P, J, 2) px. scores : (P, J); NaN = not given. size : of the image, px.
+    """
+    u, v = pixels[..., 0], pixels[..., 1]
+    there = np.isfinite(u) & np.isfinite(v) & ((u != 0) | (v != 0))
+    if size is not None:
+        width, height = size
+        there &= (u > -_MARGIN * width) & (u < (1 + _MARGIN) * width)
+        there &= (v > -_MARGIN * height) & (v < (1 + _MARGIN) * height)
+    given = np.nan_to_num(scores, posinf=1.0)
+    if given.any():
+        there &= given > 0
+    else:
+        given = np.ones_like(given)
+    return np.where(there[..., None], pixels, np.nan), np.where(there, np.clip(given, 0, 1), 0.0)

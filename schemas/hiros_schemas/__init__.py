@@ -33,6 +33,7 @@ __all__ = [
     "NAMES",
     "OBJECTS_STAMPED",
     "ROS_PACKAGE",
+    "SKELETON_2D",
     "SKELETON_GROUP",
     "STAMPED_SKELETON",
     "TF_MESSAGE",
@@ -69,6 +70,7 @@ NAMES = tuple(
 SKELETON_GROUP = "hiros_skeleton_msgs/msg/SkeletonGroup"
 STAMPED_SKELETON = "hiros_skeleton_msgs/msg/StampedSkeleton"
 DETECTION_ARRAY = "yolo_msgs/msg/DetectionArray"
+SKELETON_2D = "hri_msgs/msg/Skeleton2D"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 OBJECTS_STAMPED = "zed_msgs/msg/ObjectsStamped"
 UNCERTAINTY = "hiros_skeleton_msgs/msg/SkeletonGroupUncertainty"
@@ -101,9 +103,8 @@ _TYPE_IDS = {
 def text(name: str) -> str:
     """Return the schema text that MCAP's ``ros2msg`` wants: the type, then all that it uses.
 
-    Takes ``pkg/msg/Type`` or ``pkg/Type`` of any of :data:`NAMES`, of TFMessage, MarkerArray,
-    JointState, Log, DiagnosticArray, ObjectsStamped, DetectionArray or CameraInfo, or of what these
-    are made of. Comments are left out: the text goes into every log.
+    Takes ``pkg/msg/Type`` or ``pkg/Type`` of any of :data:`NAMES`, of another type that is named above,
+    or of what these are made of. Comments are left out: the text goes into every log.
 
     Raises :class:`KeyError` for another name.
     """

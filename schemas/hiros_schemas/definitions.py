@@ -221,6 +221,11 @@ STANDARD = {
         "yolo_msgs/KeyPoint2DArray keypoints\nyolo_msgs/KeyPoint3DArray keypoints3d\n"
     ),
     "yolo_msgs/DetectionArray": ("std_msgs/Header header\nyolo_msgs/Detection[] detections\n"),
+    # ROS4HRI's package hri_msgs.
+    "hri_msgs/NormalizedPointOfInterest2D": "float32 x\nfloat32 y\nfloat32 c\n",
+    "hri_msgs/Skeleton2D": (
+        "std_msgs/Header header\nhri_msgs/NormalizedPointOfInterest2D[] skeleton\n"
+    ),
     # Stereolabs' package zed_msgs, as documented for the ZED ROS 2 wrapper 5.
     "zed_msgs/Keypoint2Di": "uint32[2] kp\n",
     "zed_msgs/Keypoint2Df": "float32[2] kp\n",

@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 
 import hiros_schemas
-from hiros_mcap.io.keypoint_messages import camera_info, decode_detections, encode_detections
+from hiros_mcap.io.keypoint_messages import (
+    camera_info,
+    decode_detections,
+    decode_skeleton2d,
+    encode_detections,
+)
 from hiros_mcap.io.ros_cdr import decoder_of, types_of
 from hiros_mcap.io.ros_messages import intrinsics_of
 from hiros_mcap.rays.intrinsics import FISHEYE, Intrinsics
-from hiros_mcap.rays.keypoints import KeypointFrame
+from hiros_mcap.rays.keypoints import KeypointFrame, cleaned
 
 LENS = Intrinsics(
     (640, 480), np.array([[500.0, 0, 320], [0, 510.0, 240], [0, 0, 1]]), np.full(4, 0.1), FISHEYE
@@ -62,3 +67,30 @@ def test_a_lens_comes_back():
     assert (lens.size, lens.model, message.header.frame_id) == (LENS.size, FISHEYE, "cam")
     assert np.array_equal(lens.matrix, LENS.matrix)
     assert np.array_equal(lens.distortion, LENS.distortion)
+
+
+def skeleton2d(points):
+    kind = hiros_schemas.SKELETON_2D
+    name = hiros_schemas.short_name(kind)
+    store = types_of({name: hiros_schemas.text(kind)})
+    types = store.types
+    point, header = types["hri_msgs/msg/NormalizedPointOfInterest2D"], types["std_msgs/msg/Header"]
+    stamp = types["builtin_interfaces/msg/Time"](3, 7)
+    message = types[kind](header(stamp, "cam"), [point(*row) for row in points])
+    return decoder_of(store, name)(bytes(store.serialize_cdr(message, kind)))
+
+
+def test_shares_of_the_image_become_pixels():
+    points = [(0.5, 0.25, 0.8), (0.0, 0.0, 0.0), (np.nan, 0.2, 1.0), (0.1, 0.2, -1.0), (3, 0.5, 1)]
+    found = decode_skeleton2d(skeleton2d(points), (640, 480))
+    assert (found.stamp, found.frame_id) == (3_000_000_007, "cam")
+    assert found.pixels.shape == (1, 18, 2)
+    assert found.pixels[0, 0].tolist() == [320, 120]
+    assert np.isnan(found.pixels[0, 1:]).all()
+    assert found.scores[0].tolist() == [pytest.approx(0.8)] + 17 * [0]
+
+
+def test_a_detector_without_scores_is_believed():
+    pixels, scores = cleaned(np.array([[[5.0, 6.0], [0, 0]]]), np.zeros((1, 2)))
+    assert scores.tolist() == [[1, 0]]
+    assert np.array_equal(pixels, [[[5, 6], [np.nan, np.nan]]], equal_nan=True)

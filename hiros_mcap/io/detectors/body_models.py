@@ -24,6 +24,13 @@ _ZED_TRUNK_TREE = """
     PELVIS-SPINE_1-SPINE_2-SPINE_3-NECK-NOSE-*_EYE-*_EAR
     SPINE_3-*_CLAVICLE-*_SHOULDER-*_ELBOW-*_WRIST
     PELVIS-*_HIP-*_KNEE-*_ANKLE-*_BIG_TOE  *_ANKLE-*_SMALL_TOE  *_ANKLE-*_HEEL"""
+_COCO = """
+    nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder
+    left_elbow right_elbow left_wrist right_wrist left_hip right_hip
+    left_knee right_knee left_ankle right_ankle"""
+_COCO_TREE = """
+    nose-*_eye-*_ear  left_hip-right_hip  *_hip-*_shoulder-*_elbow-*_wrist
+    *_hip-*_knee-*_ankle"""
 _FINGERS = ("THUMB", "INDEX", "MIDDLE", "RING", "PINKY")
 _ZED_70 = _ZED_TRUNK + "".join(
     f" {side}_HAND_{finger}_{i}"
@@ -70,6 +77,15 @@ _TABLE: Mapping[str, tuple[str, str, str]] = {
         """
         NECK-NOSE-*_EYE-*_EAR  NECK-*_SHOULDER-*_ELBOW-*_WRIST  NECK-*_HIP-*_KNEE-*_ANKLE""",
     ),
+    "hri-18": (
+        "ROS4HRI, hri_msgs/Skeleton2D",
+        """
+        nose neck right_shoulder right_elbow right_wrist left_shoulder left_elbow left_wrist
+        right_hip right_knee right_ankle left_hip left_knee left_ankle
+        left_eye right_eye left_ear right_ear""",
+        """
+        neck-nose-*_eye-*_ear  neck-*_shoulder-*_elbow-*_wrist  neck-*_hip-*_knee-*_ankle""",
+    ),
     "zed-34": (
         "ZED SDK 4, BODY_34_PARTS",
         """
@@ -109,15 +125,33 @@ _TABLE: Mapping[str, tuple[str, str, str]] = {
         MidHip-Neck-Nose-*Eye-*Ear  Neck-*Shoulder-*Elbow-*Wrist
         MidHip-*Hip-*Knee-*Ankle-*BigToe  *Ankle-*SmallToe  *Ankle-*Heel""",
     ),
+    "openpose-25b": (
+        "OpenPose 1.7, BODY_25B: the neck is its upper end, the head its top",
+        """
+        Nose LEye REye LEar REar LShoulder RShoulder LElbow RElbow LWrist RWrist
+        LHip RHip LKnee RKnee LAnkle RAnkle Neck Head
+        LBigToe LSmallToe LHeel RBigToe RSmallToe RHeel""",
+        """
+        Neck-Nose-*Eye-*Ear  Neck-Head  Neck-*Shoulder-*Elbow-*Wrist
+        Neck-*Hip-*Knee-*Ankle-*BigToe  *Ankle-*SmallToe  *Ankle-*Heel""",
+    ),
+    "openpose-18": (
+        "OpenPose 1.7, COCO",
+        """
+        Nose Neck RShoulder RElbow RWrist LShoulder LElbow LWrist RHip RKnee RAnkle
+        LHip LKnee LAnkle REye LEye REar LEar""",
+        "Neck-Nose-*Eye-*Ear  Neck-*Shoulder-*Elbow-*Wrist  Neck-*Hip-*Knee-*Ankle",
+    ),
+    "coco-23": (
+        "COCO-WholeBody, without its 68 points of the face and 21 of each hand",
+        f"""{_COCO}
+        left_big_toe left_small_toe left_heel right_big_toe right_small_toe right_heel""",
+        f"{_COCO_TREE}-*_big_toe  *_ankle-*_small_toe  *_ankle-*_heel",
+    ),
     "coco-17": (
         "COCO keypoints, as YOLO, RTMPose and ViTPose order them",
-        """
-        nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder
-        left_elbow right_elbow left_wrist right_wrist left_hip right_hip
-        left_knee right_knee left_ankle right_ankle""",
-        """
-        nose-*_eye-*_ear  left_hip-right_hip  *_hip-*_shoulder-*_elbow-*_wrist
-        *_hip-*_knee-*_ankle""",
+        _COCO,
+        _COCO_TREE,
     ),
     "halpe-26": (
         "Halpe, body and feet",
