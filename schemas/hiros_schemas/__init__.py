@@ -103,7 +103,7 @@ _TYPE_IDS = {
 def text(name: str) -> str:
     """Return the schema text that MCAP's ``ros2msg`` wants: the type, then all that it uses.
 
-    Takes ``pkg/msg/Type`` or ``pkg/Type`` of any of :data:`NAMES`, of another type that is named above,
+    Takes ``pkg/msg/Type`` or ``pkg/Type`` of :data:`NAMES`, of other types that are named above,
     or of what these are made of. Comments are left out: the text goes into every log.
 
     Raises :class:`KeyError` for another name.

@@ -202,7 +202,8 @@ def test_body_formats_of_the_zed_have_their_joints():
 @pytest.mark.parametrize("name", BODY_MODELS)
 def test_every_skeleton_is_one_tree(name):
     model = body_model(name)
-    trees = 2 if name in ("coco-17", "coco-23", "mediapipe-33") else 1  # their heads hang on nothing
+    loose_heads = "coco-17", "coco-23", "mediapipe-33"
+    trees = 2 if name in loose_heads else 1
     assert model.n_links == model.n_markers - trees
     assert len(set(model.link_children)) == model.n_links
     assert len(set(joints_of(model.marker_names))) == model.n_markers
