@@ -56,6 +56,7 @@ COUNTED: Mapping[str, tuple[str, str]] = {
     "confidence above 1": ("confidence", "above 1 taken as 1"),
     "negative confidence": ("negative confidence", "taken as missing"),
     "nobody": ("skeleton", "left out: no joint in them, or all at exactly 0 0 0"),
+    "copy": ("skeleton", "left out: another one in the same message has the same joints"),
 }
 """Kind of an event that is counted -> noun, what happened to it."""
 

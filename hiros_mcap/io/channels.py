@@ -95,6 +95,8 @@ class CameraChannel:
     the frame that they name."""
     lag: int = 0
     """Log time minus stamp, ns, of its first people with a stamp; 0 if there are none."""
+    begin: int = 0
+    """Log time, ns, of the first people on it."""
 
     @property
     def topic_frame(self) -> str:

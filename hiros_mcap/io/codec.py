@@ -249,8 +249,8 @@ class Decoder:
     layouts : of the messages, by channel; the published one if not given.
     poses : people whose message names one of these frames are moved to the fixed frame.
     exact : keep every bit. By default numbers that cannot be true are taken out
-        (see :func:`hiros_mcap.kernels.batch.clean`), and so are markers at exactly 0 0 0 and people
-        without any marker; a person's time before 1970 becomes 0.
+        (see :func:`hiros_mcap.kernels.batch.clean`), and so are markers at exactly 0 0 0, people
+        without any marker and copies of people; a person's time before 1970 becomes 0.
     slim : leave out the columns of velocities and accelerations until a message holds one.
     own_frames : channel -> the frame of its detections, whatever frame its messages name.
     """
@@ -428,7 +428,8 @@ class Decoder:
         columns = [cdr.FRAME, cdr.FRAME_END, cdr.SOURCE, cdr.SOURCE_END, cdr.MIXED]
         reports, first = results.reports[:, columns].tolist(), results.first.tolist()
         texts: dict[bytes, str] = {}
-        nobodies = results.cleaned[:, batch_kernels.NOBODY].tolist()
+        left_out = [batch_kernels.NOBODY, batch_kernels.COPY]
+        nobodies = results.cleaned[:, left_out].any(axis=1).tolist()
         for i, code in enumerate(results.codes.tolist()):
             if code != cdr.OK:
                 faults.setdefault(i, _fault(code, results.reports[i].tolist(), data[i]))

@@ -45,6 +45,7 @@ from hiros_mcap.io.channels import (
 from hiros_mcap.io.codec import Decoder, ModelBuilder, OtherSkeletonError
 from hiros_mcap.io.container import Batch, McapReader, Message, Records
 from hiros_mcap.io.container.reader import MEMORY
+from hiros_mcap.io.copied_channels import copied_channels
 from hiros_mcap.io.detectors.body_size import body_size
 from hiros_mcap.io.detectors.conversion import (
     ENCODINGS,
@@ -257,6 +258,8 @@ def skeletons_of(
             if info.id in layouts
         ]
         begin = min((message.log_time for message in first.values()), default=0)
+        copies = copied_channels(reader, decoder, channels)
+        channels = [camera for camera in channels if camera.channel.topic not in copies]
         cameras, known = _name_cameras(channels), tree
         if known is None:
             known, cameras = transforms_of(reader, min(begin, LATEST), cameras)
@@ -264,6 +267,8 @@ def skeletons_of(
             cameras = as_file_says(cameras, known)
         else:
             cameras = as_transforms_say(cameras, known)
+        for topic, original in copies.items():
+            known.remark(f"{topic}: left out, a copy of {original}: it shows the same joints")
     return cameras, model, known
 
 
@@ -351,7 +356,8 @@ def _camera(
     size = body_size(np.concatenate([frame.positions for frame in named])) if named else math.nan
     stamps = ((f.log_time, max(*f.stamps.tolist(), 0) or f.stamp) for f in named)
     lag = next((logged - stamp for logged, stamp in stamps if stamp > 0), 0)
-    return CameraChannel(info, layout, sources, frames, size, lag=lag)
+    begin = named[0].log_time if named else 0
+    return CameraChannel(info, layout, sources, frames, size, lag=lag, begin=begin)
 
 
 _NAMELESS = 100

@@ -32,11 +32,11 @@ START, STOP = 0, 1
 LIMIT = 1e4  # largest believable number: m, m/s, rad/s, m/s2, rad/s2
 
 # Elements of the counts.
-COUNTS = 7
-ABSURD, INCOMPLETE, NO_ROTATION, NOT_UNIT, ABOVE_ONE, NEGATIVE, NOBODY = range(COUNTS)
+COUNTS = 8
+ABSURD, INCOMPLETE, NO_ROTATION, NOT_UNIT, ABOVE_ONE, NEGATIVE, NOBODY, COPY = range(COUNTS)
 KINDS = (
     "absurd number", "incomplete vector", "quaternion of length 0", "quaternion normalised",
-    "confidence above 1", "negative confidence", "nobody",
+    "confidence above 1", "negative confidence", "nobody", "copy",
 )  # fmt: skip
 """Names of the counts in reports."""
 
@@ -45,6 +45,8 @@ _QUATERNION = ORIENTATION.start
 _UNIT = 1e-6  # a quaternion of float32 numbers is this far from unit length: left as it is
 _NOTICE = 1e-3  # farther off than this is worth a note (rounding to three digits, say)
 _SHORTEST = 1e-6  # shorter than this it has no direction
+SAME = 1e-3  # m; no two people have joints so near to each other
+TELLING = 3  # joints at the same places
 
 
 @kernel
@@ -183,6 +185,59 @@ def clean(people: People, counts: Stamps) -> None:
         counts[NOBODY] += not _is_somebody(people.markers, person)
 
 
+@kernel
+def _joints_of_both(markers: Floats, one: int, other: int) -> tuple[int, int, int]:
+    """Return how many joints two people have at the same places, and each of them alone.
+
+    All are 0 as soon as a joint is at two places.
+    """
+    both, first, second = 0, 0, 0
+    for slot in range(markers.shape[1]):
+        here, there = markers[one, slot], markers[other, slot]
+        if math.isnan(here[0]) or math.isnan(there[0]):
+            first += not math.isnan(here[0])
+            second += not math.isnan(there[0])
+            continue
+        for axis in range(3):
+            if abs(here[axis] - there[axis]) > SAME:
+                return 0, 0, 0
+        both += 1
+    return both, first, second
+
+
+@kernel
+def take_out_copies(data: C1, people: People, sources: I2, counts: Stamps) -> None:
+    """Leave one of several people of a camera who have the same joints at the same places.
+
+    A detector, or whoever collects its messages, has put one person into the message twice. The
+    one with more joints stays. The other has no marker any more; ``counts`` (COUNTS,) are added to.
+    ``sources`` are the places of each person's src_frame in the message ``data``.
+    """
+    markers = people.markers
+    telling = min(TELLING, markers.shape[1])
+    for other in range(1, len(people.ids)):
+        for one in range(other):
+            both, first, second = _joints_of_both(markers, one, other)
+            if both >= telling and _is_same_text(data, sources[one], sources[other]):
+                copy = other if first >= second else one
+                markers[copy] = np.nan
+                people.links[copy] = np.nan
+                counts[COPY] += 1
+                if copy == other:
+                    break
+
+
+@kernel
+def _is_same_text(data: C1, one: Stamps, other: Stamps) -> bool:
+    """Whether two texts of a message, by first byte and the one after the last, are equal."""
+    if one[1] - one[0] != other[1] - other[0]:
+        return False
+    for k in range(one[1] - one[0]):
+        if data[one[0] + k] != data[other[0] + k]:
+            return False
+    return True
+
+
 # All messages of some chunks.
 
 
@@ -241,6 +296,7 @@ def decode_messages(
             continue
         take_out_zeros(mine, tables, results.zeros[i])
         clean(mine, results.cleaned[i])
+        take_out_copies(data_of, mine, sources, results.cleaned[i])
         if results.pose_of[i] >= 0:
             move(poses, results.pose_of[i], mine)
     return True

@@ -21,10 +21,11 @@ ENCODER = Encoder(MODEL)
 
 
 def seen(camera=0, stamp=1000, n=1, frame_id=None, value=None):
-    """A detection: marker a at (value, 0, 0), or at the stamp."""
+    """A detection: marker a at (value, 0, 0), or at the stamp; others stand a metre apart."""
     name = f"camera_{camera}"
     frame = Frame.empty(n, MODEL, stamp=stamp, source=name, frame_id=frame_id or name)
     frame.markers[:, :, :3] = (stamp if value is None else value) / 1000
+    frame.markers[:, :, :3] += np.arange(n)[:, None, None]
     frame.links[:, :, :3] = 0
     return frame
 
@@ -326,7 +327,7 @@ def odd_message(rng, stamp):
 
 def odd_log(path, chunk_size):
     """A log of such messages, two of each time."""
-    rng = np.random.default_rng(7)
+    rng = np.random.default_rng(2)
     with Maker(path, chunk_size=chunk_size) as log:
         log.transforms((0, "world", "camera_0", (1, 0, 0), (0.6, 0.0, 0.0, 0.8)))
         log.transforms((0, "world", "camera_1", (0, 1, 0), NONE), topic="/tf")
