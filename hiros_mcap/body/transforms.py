@@ -25,7 +25,8 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from hiros_mcap.body.rotations import Rigid, angle, from_vector, to_matrix
+from hiros_mcap.body.foreign_cameras import read_calibration
+from hiros_mcap.body.rotations import Rigid, angle, to_matrix
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.frames import Block
 from hiros_mcap.kernels.array_types import joined
@@ -38,8 +39,6 @@ _REMEDY = "mend the transforms, or pass others with --extrinsics FILE"
 _DENORMALISED = 1e-3
 _ZERO = 1e-6
 _LISTED = 12
-_FARTHEST_M = 50.0
-"""A camera that sees people stands nearer to the origin; in mm, no room is so small."""
 _SAME_M, _SAME_RAD = 1e-4, math.radians(0.01)  # what rounding may change
 
 
@@ -553,6 +552,12 @@ class CameraEntry(BaseModel):
     error_mm: float | None = None
     residual_mm: float | None = None
 
+    @classmethod
+    def of(cls, frame: str, pose: Rigid) -> CameraEntry:
+        """Return the entry of a frame with a pose in the room."""
+        place, turn = pose.translation.tolist(), pose.xyzw.tolist()
+        return cls(frame=frame, translation=place, quaternion_xyzw=turn)
+
     @property
     def pose(self) -> Rigid:
         """In the parent."""
@@ -599,8 +604,7 @@ def read_extrinsics(path: str | Path) -> TransformTree:
         translation = [0.0, 0.0, 2.5]             # m, position of the camera in its parent
         quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]
 
-    The calibration files of Anipose, FreeMoCap and Pose2Sim are read, too; see
-    :func:`_opencv_cameras`.
+    The calibrations of other programs are read, too; see :mod:`.foreign_cameras`.
 
     A camera that was moved has a second entry with ``since``, a log time in ns. What a calibration
     tells about a pose may follow it; see :func:`read_camera_entries`. A table ``[clock]`` may
@@ -634,45 +638,17 @@ def read_camera_entries(path: str | Path) -> list[CameraEntry]:
 def _extrinsics(path: str | Path) -> _Extrinsics:
     """Read a file with the cameras' poses; raises ConfigError naming the file and the key."""
     path = Path(path)
+    calibrated = read_calibration(path)
+    if entries := [CameraEntry.of(c.name, c.pose) for c in calibrated if c.pose is not None]:
+        return _Extrinsics(camera=entries)
+    if calibrated:
+        raise ConfigError(f"{path}: has no poses of cameras; it tells their lenses only")
     raw = parse(read_text(path), "JSON" if path.suffix.lower() == ".json" else "TOML", path)
     try:
-        return _Extrinsics.model_validate(_opencv_cameras(raw, path) or raw)
+        return _Extrinsics.model_validate(raw)
     except ValidationError as error:
         where, message = explain(error)
         raise ConfigError(f"{path}: {'.'.join(where) or 'file'}: {message}") from None
-
-
-def _opencv_cameras(raw: Any, path: Path) -> dict[str, Any] | None:
-    """Return the entries of the cameras of an OpenCV calibration; None if it is none.
-
-    A table per camera has its name, ``rotation`` as a rotation vector, rad, and ``translation``:
-    both bring the room's points into the camera's frame (https://anipose.readthedocs.io,
-    calibration.toml; the same in Pose2Sim's Calib.toml). The file does not say its unit.
-
-    Raises ConfigError if a pose is no pose, or the unit is not m.
-    """
-    tables = raw.items() if isinstance(raw, dict) else ()
-    cameras = {key: t for key, t in tables if isinstance(t, dict) and "rotation" in t}
-    if not cameras or "camera" in raw:
-        return None
-    entries = []
-    for key, table in cameras.items():
-        vectors = [table.get(name) for name in ("rotation", "translation")]
-        try:
-            rotation, translation = np.array(vectors, np.float64).reshape(2, 3)
-        except (TypeError, ValueError):
-            rotation = translation = np.full(3, np.nan)
-        if not np.isfinite([rotation, translation]).all():
-            raise ConfigError(f"{path}: {key}: rotation and translation should be three numbers")
-        pose = Rigid(from_vector(rotation), translation).inverse()
-        if (apart := float(np.linalg.norm(pose.translation))) > _FARTHEST_M:
-            raise ConfigError(
-                f"{path}: {key}: stands {apart:.4g} m from the origin, so its unit is another one: "
-                "calibrate with a board in m, or divide all translations (mm: by 1000)"
-            )
-        numbers = {"translation": pose.translation.tolist(), "quaternion_xyzw": pose.xyzw.tolist()}
-        entries.append({"frame": str(table.get("name", key)), **numbers})
-    return {"camera": entries}
 
 
 def _add_camera(tree: TransformTree, camera: CameraEntry, where: str) -> None:
