@@ -25,6 +25,7 @@ from threading import Event
 
 import numpy as np
 
+import hiros_schemas
 from hiros_mcap.body.transforms import TransformTree, read_extrinsics
 from hiros_mcap.errors import LogError, explained, naming
 from hiros_mcap.io.bags import open_recording, transforms_beside
@@ -57,6 +58,7 @@ from hiros_mcap.io.layout import Layout, check_schema
 from hiros_mcap.io.log_accounts import DAMAGED, FAR_FUTURE, LATEST, STALE, Account
 from hiros_mcap.io.log_times import mend_log_times
 from hiros_mcap.io.opened_log import Log, Reading, span_of
+from hiros_mcap.io.unread_channels import unread_cameras
 from hiros_mcap.kernels.record_index import CHANNEL, START
 from hiros_mcap.skeletons import Frame, SkeletonModel
 
@@ -218,10 +220,19 @@ def open_log(
         owns_file = reader is not path
         if reader is file:
             stack.pop_all()
-        log = Log(reader, *contents, fixed_frame, unread, owns_file=owns_file)
+        others = (i for i in _not_taken(reader) if i.topic not in {info.topic for info in unread})
+        strangers = tuple(unread_cameras(others, contents[0], selects))
+        log = Log(reader, *contents, fixed_frame, unread, strangers, owns_file=owns_file)
         if tree is None:
             _look_beside(log)
         return log
+
+
+def _not_taken(reader: McapReader) -> Iterator[ChannelInfo]:
+    """Yield the channels whose messages are no SkeletonGroups, and did not become some."""
+    yield from (i for i in channels_of(reader) if not i.has_type(hiros_schemas.SKELETON_GROUP))
+    for topic, (kind, n) in reader.left_out.items():
+        yield ChannelInfo(-1, topic, "" if kind == "no type" else kind, "", n, {})
 
 
 def _look_beside(log: Log) -> None:

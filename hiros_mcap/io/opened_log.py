@@ -41,6 +41,7 @@ from hiros_mcap.io.log_accounts import (
     times_in,
     times_of,
 )
+from hiros_mcap.io.unread_channels import not_read
 from hiros_mcap.skeletons import Frame, SkeletonModel, Stamps
 from hiros_mcap.wording import quantity
 
@@ -196,6 +197,8 @@ class Log:
     """The frame that results are to be in, if the user named one."""
     unread: Sequence[ChannelInfo] = ()
     """Channels that show people in an encoding that cannot be read."""
+    strangers: Sequence[ChannelInfo] = ()
+    """Channels of a type that is not read, though they look like another camera."""
     owns_file: bool = True
     """Whether :meth:`close` closes the file; otherwise it was open before."""
 
@@ -308,6 +311,7 @@ class Log:
         frames = sorted({name for camera in self.cameras for name in camera.frames} - {fixed})
         poses = {name: self.transforms.lookup(name, fixed, 0) for name in frames}
         yield from map(not_used, self.unread)
+        yield from map(not_read, self.strangers)
         yield from filter(None, (unit_warning(c.channel.topic, c.size) for c in self.cameras))
         changes: dict[str, list[PoseChange]] = {}
         for change in self.transforms.changes_above([*frames, fixed]):

@@ -227,8 +227,13 @@ def _with_cameras(overview: Overview, log: Log) -> Overview:
     reading = log.read(fixed=False)
     cameras = tuple(_camera_rows(reading, fixed))
     start, end = log.span
+    strange = {info.topic for info in log.strangers}
     return replace(
         overview,
+        channels=tuple(
+            replace(row, type=f"{row.type} (not read)") if row.topic in strange else row
+            for row in overview.channels
+        ),
         seconds=(end - start) / 1e9,
         fault=fault,
         fixed_frame=fixed,
