@@ -18,9 +18,8 @@ from hiros_mcap.stages.filter.link_lengths import project_all
 from hiros_mcap.stages.fuse import fusing
 from hiros_mcap.stages.fuse.constrain import (
     ConstrainParams,
+    StepMeter,
     constrain_blocks,
-    left_by_lengths,
-    left_by_prior,
 )
 from hiros_mcap.stages.fuse.displaced_views import ViewOffsets
 from hiros_mcap.stages.fuse.fuse import FuseParams, fuse_blocks
@@ -340,39 +339,39 @@ def test_a_prior_takes_off_as_much_variance_as_its_steps_show():
     true = prior * rng.normal(size=(4000, 3, 3))
     seen = true + noise * rng.normal(size=true.shape)
     steps = -seen * noise**2 / (prior**2 + noise**2)
-    left = left_by_prior(steps, np.full((4000, 3), noise**2))
+    left = StepMeter().left(steps, np.full((4000, 3), noise**2), 0)
     assert left[:2] == pytest.approx(
         ((seen + steps - true) ** 2).mean(axis=(0, 2))[:2] / 1e-4, abs=0.03
     )
     assert 0 < left[2] < 0.3
 
 
-def test_who_was_not_moved_by_the_prior_keeps_the_variance():
-    assert (left_by_prior(np.zeros((5, 2, 3)), np.full((5, 2), 1e-4)) == 1).all()
+def test_who_was_not_moved_keeps_the_variance_and_old_steps_fade():
+    still, variances, meter = np.zeros((5, 2, 3)), np.full((5, 2), 1e-4), StepMeter()
+    assert (meter.left(still, variances, 0) == 1).all()
+    after_a_step = meter.left(still + 0.007, variances, 1)
+    assert (after_a_step < 0.8).all()
+    assert (meter.left(still, variances, 10**12) > 0.99).all()
 
 
-def test_known_lengths_leave_as_much_variance_as_they_say():
-    """Of a chain of three joints, and of a rigid head of five."""
+@pytest.mark.parametrize("together", [0.0, 0.7])
+def test_lengths_leave_as_much_variance_as_they_do(together):
+    """A chain of three joints and a rigid head of five, whose errors have a part in common."""
     rng = np.random.default_rng(7)
     body = rng.normal(0, 0.15, (8, 3))
     head = [(i, j) for i in range(3, 8) for j in range(i + 1, 8)]
     pairs = np.array([(0, 1), (1, 2), *head], np.int32)
     lengths = np.ones((1, len(pairs), 2))
     lengths[0, :, 0] = np.linalg.norm(body[pairs[:, 0]] - body[pairs[:, 1]], axis=1)
+    own, common = rng.normal(0, 0.005, (2000, 8, 3)), rng.normal(0, 0.005, (2000, 1, 3))
     markers = np.zeros((2000, 8, 19))
-    markers[:, :, :3] = body + rng.normal(0, 0.005, (2000, 8, 3))
+    seen = body + np.sqrt(1 - together) * own + np.sqrt(together) * common
+    markers[:, :, :3] = seen
     variances = np.full((2000, 8), 0.005**2)
     project_all(markers, np.zeros(2000, int), variances, pairs, lengths, 20, 1e-3)
     left = ((markers[:, :, :3] - body) ** 2).mean(axis=(0, 2)) / 0.005**2
-    stated = left_by_lengths(variances, pairs)[0]
-    np.testing.assert_allclose(stated[:3], left[:3], atol=0.1)
-    assert stated[3:].mean() == pytest.approx(left[3:].mean(), abs=0.1)
-
-
-def test_a_length_to_a_joint_that_is_absent_tells_nothing():
-    pairs = np.array([[0, 1], [1, 2]], np.int32)
-    left = left_by_lengths(np.array([[1e-4, 1e-4, np.nan]]), pairs)[0]
-    assert left[:2] == pytest.approx([5 / 6, 5 / 6])
+    stated = StepMeter().left(markers[:, :, :3] - seen, variances, 0)
+    np.testing.assert_allclose(stated, left, atol=0.07)
 
 
 def test_a_minute_tells_slow_errors_from_a_motion_and_some_seconds_do_not():

@@ -5,8 +5,7 @@
 2. Each pose is projected onto them. Uncertain markers move most.
 3. The person's poses of a minute are the prior of each of them
    (:mod:`hiros_mcap.stages.fuse.pose_prior`); then lengths are restored.
-4. Known lengths and the prior take a part of the variance of each marker: the prior as much as its
-   steps show.
+4. Both take the part of the variance of each marker that their steps show.
 
 With a window, a pose knows those after it. Without one, lengths run on and the prior is the motion
 of the minute before.
@@ -14,6 +13,7 @@ of the minute before.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, join
-from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Ints, SkeletonModel, Stamps
+from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.fuse.fuse_params import ConstrainParams
 from hiros_mcap.stages.fuse.pair_lengths import (
     MINUTE,
@@ -49,11 +49,9 @@ from hiros_mcap.threads import run_each
 UNKNOWN_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
 _FORGET = 600.0  # s; somebody who returns has the same body
 _PIECE = 256  # poses that are projected together
-_LEFT_BY_RECENT = 0.9
-"""Share of the variance that the prior leaves without a window. Simulated logs have 0.67 to 0.84,
-but somebody may do something new."""
 _LEAST_LEFT = 0.25
-"""Of the variance, by the prior. A longer step says that there was more noise than assumed."""
+"""Of the variance. A longer step says that there was more noise than assumed."""
+_STEPS_KEPT = 10.0  # s; time constant of the mean of the steps
 _SWEEPS, _TOLERANCE = 20, 1e-3
 """Most sweeps of the projection onto the lengths, and the relative accuracy at which they end."""
 
@@ -127,6 +125,7 @@ class _Body:
     minute: LastMinute
     running: RunningLengths  # in place of the minute, where each pose is corrected by those before
     recent: RecentMotion
+    steps: StepMeter
     first: int
     last: int = 0  # when the person was first and last seen, ns
     measured: MeasuredLengths | None = None  # None = not since the last pose
@@ -196,7 +195,7 @@ class _Bodies:
         if body is None or stamp - body.last > _FORGET * 1e9:
             minute = LastMinute(self._pairs, self._mirror, max(MINUTE, self._params.enough))
             running = RunningLengths(self._pairs, self._mirror)
-            body = self._people[person] = _Body(minute, running, RecentMotion(), stamp)
+            body = self._people[person] = _Body(minute, running, RecentMotion(), StepMeter(), stamp)
         return body
 
     def _lengths(self, person: int) -> Floats:
@@ -237,18 +236,17 @@ class _Bodies:
         for k, (person, rows) in enumerate(people):
             lengths[k, :, 0] = known[k] if known else self._lengths(person)
             which[rows] = k
+        measured = out.people.markers[:, :, POSITION].copy()
         self._project(out, which, lengths, variances)  # 2
-        absent = np.isnan(out.people.markers[:, :, POSITION.start])
-        left = left_by_lengths(np.where(absent, np.nan, variances), self._pairs)  # 4
         if self._params.prior:
-            measured = out.people.markers[:, :, POSITION].copy()
             self._shrink(out, people, variances)  # 3
-            steps = out.people.markers[:, :, POSITION] - measured
-            for _, rows in people if self._params.window > 0 else ():
-                left[rows] *= left_by_prior(steps[rows], variances[rows])
             self._project(out, which, lengths, variances)
-            if self._params.window == 0:
-                left *= _LEFT_BY_RECENT
+        steps, left = out.people.markers[:, :, POSITION] - measured, np.ones(variances.shape)
+        stamps = np.repeat(out.stamps, out.sizes)
+        for person, rows in people:  # 4
+            meter = self._people[person].steps
+            for some in [rows] if self._params.window > 0 else rows[:, None]:
+                left[some] = meter.left(steps[some], variances[some], int(stamps[some[-1]]))
         now = int(out.stamps[-1])
         self._people = {p: b for p, b in self._people.items() if now - b.last <= _FORGET * 1e9}
         return surer(out, variances * left)
@@ -318,28 +316,31 @@ def surer(out: Block, variances: Floats) -> Block:
     return restated(out, np.where(np.isnan(out.uncertainty.deviations), np.nan, variances))
 
 
-def left_by_prior(steps: Floats, variances: Floats) -> Floats:
-    """(M,) Share of the variance (T, M), m2, that is left after steps (T, M, 3), m, to a prior.
+class StepMeter:
+    """Measures which share of the variance of a person's markers is left after steps.
 
-    Of a variance v, an estimate between a prior of variance p and a measurement (Wiener) leaves
-    v p / (p + v). Its steps have the mean square v^2 / (p + v): what it takes off.
+    The error of a best estimate is uncorrelated with the step that led to it from the measured
+    place (principle of orthogonality). So the variance before is the mean square of the steps, and
+    what is left: lengths take little where all joints of a limb err together.
     """
-    squares = (steps**2).sum(axis=2) / 3
-    there = ~np.isnan(squares)
-    took = np.where(there, squares, 0.0).sum(axis=0)
-    had = np.where(there, variances, 0.0).sum(axis=0)
-    return np.asarray(np.clip(1 - took / np.maximum(had, 1e-12), _LEAST_LEFT, 1.0))
 
+    def __init__(self) -> None:
+        self._took: Floats | float = 0.0
+        self._had: Floats | float = 0.0
+        """(M,) Sums of squared steps, and of variances, of which the old ones count less, m2."""
+        self._last = 0  # ns
 
-def left_by_lengths(variances: Floats, pairs: Ints) -> Floats:
-    """(P, M) Share of the variance that known lengths of ``pairs`` (K, 2) leave; NaN = absent.
+    def left(self, steps: Floats, variances: Floats, stamp: int) -> Floats:
+        """(M,) Share that is left, as these steps (T, M, 3), m, and those before them show.
 
-    A length fixes one of three directions. It takes v_a / (v_a + v_b) of the variance of its end a
-    along the line. To first order, the lengths of a marker add up: a rigid head keeps
-    about a third.
-    """
-    a, b = pairs.T
-    share = variances[:, a] / (variances[:, a] + variances[:, b])
-    ends = np.eye(variances.shape[1])
-    taken = np.nan_to_num(share) / 3 @ ends[a] + np.nan_to_num(1 - share) / 3 @ ends[b]
-    return np.asarray(1 - np.minimum(taken, 2 / 3))
+        Parameters
+        ----------
+        variances : (T, M) before the steps, m2. stamp : of the last step, ns.
+        """
+        squares = (steps**2).sum(axis=2) / 3
+        there = ~np.isnan(squares)
+        keep = math.exp((self._last - stamp) * 1e-9 / _STEPS_KEPT)
+        self._took = keep * self._took + np.where(there, squares, 0.0).sum(axis=0)
+        self._had = keep * self._had + np.where(there, variances, 0.0).sum(axis=0)
+        self._last = stamp
+        return np.clip(1 - self._took / np.maximum(self._had, 1e-12), _LEAST_LEFT, 1.0)

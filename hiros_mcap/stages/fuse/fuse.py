@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 
+from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
 from hiros_mcap.skeletons import SkeletonModel
@@ -71,7 +72,8 @@ def fuse_blocks(
         unseen=Unseen(merging.bridge, merging.carry, known.places), widths=WIDTHS,
     )  # fmt: skip
     smoother = WindowSmoother(model, params, noise, known, pose_error)
-    residuals = ResidualMeter(noise, events, causal=params.window == 0)
+    mirror = symmetry_of(model).mirror
+    residuals = ResidualMeter(noise, events, mirror, causal=params.window == 0)
 
     times = merging.cameras, merging.max_delta_time
     for block in instants.run(blocks, *times, in_step=merging.in_step):  # 1

@@ -16,10 +16,12 @@ the share s of the weight, its residual varies by
     P_s (1 / s - 1)
 
 whatever the law of its errors, where both are means over so long a moment as the smoother averages.
+A camera that now and then puts a limb elsewhere draws the result with it: 80 % of the residuals,
+not half of them, are as large as expected.
 What the residuals of a body's joints have in common is left out: it is the error of the camera's
 pose or clock, which the standard deviations hold already. So are joints that a camera guesses: they
 hardly count in the result. How much larger or smaller the rest is than expected is the factor of
-the standard deviations.
+the standard deviations: of each camera, and of each joint as far as it was seen.
 """
 
 from __future__ import annotations
@@ -36,19 +38,21 @@ from hiros_mcap.calibrate.gauge import CHI2_3_MEDIAN
 from hiros_mcap.events import COMMON, RESIDUAL, Events
 from hiros_mcap.frames import Block, together
 from hiros_mcap.kernels.array_types import chosen
-from hiros_mcap.skeletons import POSITION, VELOCITY, Floats, Stamps
+from hiros_mcap.skeletons import POSITION, VELOCITY, Floats, Ints, Stamps
 from hiros_mcap.stages.fuse.fusing import Sightings, joined_out_of
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 from hiros_mcap.stages.fuse.window_smoother import BATCH, Smoothed
 
 FEWEST = 50  # residuals that give a median
-_EVERY = 3  # moments; neighbours tell much the same, and views take much memory
+_EVERY = 2  # moments; neighbours tell much the same, and views take much memory
 _MEMORY = 60.0  # s; time constant of the mean of a camera's residuals
 _LOWEST, _HIGHEST, _PER_OCTAVE = -14, 14, 8
 """Of histograms: log2 of the limits, and bins per factor of 2."""
 _BINS = (_HIGHEST - _LOWEST) * _PER_OCTAVE
 _FEWEST_JOINTS = 5  # of a body
-_MOMENT = 200_000_000  # ns; errors that last for less average out, in the smoother as here
+_MOMENT = 300_000_000  # ns; errors that last for less average out, in the smoother as here
+_SHARE, _CHI2_3 = 0.8, 4.64163
+"""A share of the residuals, and the quantile of the chi-square distribution with three degrees."""
 _ALONE = 0.9  # of the weight: the result follows such a camera, and shows nothing of its error
 _LEAST = 0.7
 """Least factor of the standard deviations: a detector that filters hides its noise."""
@@ -60,18 +64,21 @@ class ResidualMeter:
     Parameters
     ----------
     noise : what the fuser assumes. events : gets a histogram of every camera.
+    mirror : (M,) slot of the same joint on the other side: both are as hard to see.
     causal : whether the poses are those of a filter.
     """
 
-    def __init__(self, noise: FusionNoise, events: Events, *, causal: bool = False) -> None:
+    def __init__(
+        self, noise: FusionNoise, events: Events, mirror: Ints, *, causal: bool = False
+    ) -> None:
         self._is_causal = causal
-        self._noise, self._events = noise, events
+        self._noise, self._events, self._mirror = noise, events, mirror
         self._held: list[Smoothed] = []
         """Not yet compared."""
         self._recent: dict[str, Floats] = {}
-        """Camera -> histogram of its residuals, of which the old ones count less."""
-        self._ratios: dict[str, float] = {}
-        """Camera -> size of these as a multiple of the expected one."""
+        """Camera -> histograms (M, B) of its residuals, of which the old ones count less."""
+        self._ratios: dict[str, Floats] = {}
+        """Camera -> (M,) size of these as a multiple of the expected one."""
         self._last: int | None = None
         self._waiting = 0
         """Frames in ``_held``."""
@@ -118,10 +125,11 @@ class ResidualMeter:
         uncertainty = fused.uncertainty
         if uncertainty is None or not self._ratios:
             return fused
-        sizes = np.array([self._ratios.get(name, math.nan) for name in uncertainty.names])
+        unknown = np.full(len(self._mirror), math.nan)
+        sizes = np.array([self._ratios.get(name, unknown) for name in uncertainty.names])
         factors = np.maximum(np.nan_to_num(sizes, nan=1.0), _LEAST) ** 2
         count, total = sums_over_cameras(uncertainty.cameras, factors)
-        factor = np.where(count > 0, total / np.maximum(count, 1), factors.mean())
+        factor = np.where(count > 0, total / np.maximum(count, 1), factors.mean(axis=0))
         return restated(fused, factor * (uncertainty.deviations**2 - uncertainty.shared**2))
 
     def _count(
@@ -183,9 +191,18 @@ class ResidualMeter:
         self._last = stamp
         cameras = views.cameras[order[begins]]
         for k, name in enumerate(names):
-            counts = histograms(squares[cameras == k].reshape(1, -1))[0]
+            counts = histograms(squares[cameras == k].T)
             recent = self._recent[name] = counts + keep * self._recent.get(name, np.zeros(1))
-            self._ratios[name] = float(ratios(recent[None])[0])
+            self._ratios[name] = self._of_joints(recent)
+
+    def _of_joints(self, counts: Floats) -> Floats:
+        """(M,) Ratios of the joints of a camera: that of all joints until they show their own."""
+        both = counts + counts[self._mirror]
+        shown = counts.sum(axis=1) + counts[self._mirror].sum(axis=1)
+        (whole,) = quantiles(counts.sum(axis=0, keepdims=True), _SHARE, FEWEST)
+        joints = np.where(shown > 0, quantiles(both, _SHARE, 1), whole)
+        weight = shown / (shown + FEWEST)
+        return np.asarray(np.sqrt(whole ** (1 - weight) * joints**weight / _CHI2_3))
 
 
 def ratios(counts: NDArray[Any]) -> Floats:
@@ -194,13 +211,13 @@ def ratios(counts: NDArray[Any]) -> Floats:
 
 
 def sums_over_cameras(cameras: Stamps, values: Floats) -> tuple[Stamps, Floats]:
-    """(P, M) How many cameras saw each marker, and the sum of their ``values`` (C,).
+    """(P, M) How many cameras saw each marker, and the sum of their ``values``.
 
-    ``cameras`` (P, M) has a bit for each camera. One is added after the other: all at once would
-    take C times the memory.
+    ``cameras`` (P, M) has a bit for each camera, ``values`` are (C, M). One is added after the
+    other: all at once would take C times the memory.
     """
     count, total = np.zeros(cameras.shape, np.int64), np.zeros(cameras.shape)
-    for k, value in enumerate(values.tolist()):
+    for k, value in enumerate(values):
         sees = (cameras >> k) & 1
         count += sees
         total += sees * value
@@ -274,10 +291,15 @@ def histograms(values: Floats) -> Stamps:
 
 def medians(counts: NDArray[Any], fewest: int) -> Floats:
     """(K,) Medians of histograms (K, B), within 1 %; NaN where there are fewer values."""
+    return quantiles(counts, 0.5, fewest)
+
+
+def quantiles(counts: NDArray[Any], share: float, fewest: int) -> Floats:
+    """(K,) Values of histograms (K, B) that a share is below; NaN of fewer values."""
     total = counts.sum(axis=1)
     before = np.cumsum(counts, axis=1)
-    at = (2 * before >= total[:, None]).argmax(axis=1)
+    at = (before >= share * total[:, None]).argmax(axis=1)
     k = np.arange(len(counts))
-    inside = (total / 2 - (before[k, at] - counts[k, at])) / np.maximum(counts[k, at], 1)
+    inside = (share * total - (before[k, at] - counts[k, at])) / np.maximum(counts[k, at], 1)
     middle = 2.0 ** (_LOWEST + (at + inside) / _PER_OCTAVE)
     return np.where(total >= fewest, middle, np.nan)
