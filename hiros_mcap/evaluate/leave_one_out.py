@@ -28,7 +28,7 @@ from hiros_mcap.evaluate.statistics import (
     parts_of,
 )
 from hiros_mcap.evaluate.truth import Truth
-from hiros_mcap.io.log import Source
+from hiros_mcap.io.log import Source, reading
 from hiros_mcap.io.rgb_cameras import poses_of, read_rgb_cameras
 from hiros_mcap.progress import Bar, Progress
 from hiros_mcap.running.process_options import ProcessOptions
@@ -106,7 +106,8 @@ def leave_one_out(
     options = options or ProcessOptions()
     config = config or load_config(system=options.system)
     recording = Recording.read(source, config, options)
-    rgb = read_rgb_cameras(source)
+    with reading(source) as reader:
+        rgb = read_rgb_cameras(reader)
     model, frames_of = recording.model, frames_of_cameras(recording, 1 if rgb else 2)
     everybody = _fused(recording, config, options, frames_of)
     cameras, _ = leave_each_out(recording, frames_of, config, options, progress)

@@ -38,6 +38,7 @@ from hiros_mcap.io.channels import (
     channels_of,
 )
 from hiros_mcap.io.container import McapReader
+from hiros_mcap.io.detectors.keypoint_messages import is_keypoints
 from hiros_mcap.io.log import Source, open_groups, open_log, reading, span_of
 from hiros_mcap.io.marker_uncertainty import (
     UNCERTAIN_TOPIC,
@@ -148,9 +149,13 @@ def _first_stamp(reader: McapReader, topic: str) -> int:
 
 
 def _skeletons(source: Source, globs: Sequence[str] = ("*",)) -> dict[str, int]:
-    """Topic -> number of messages of the log's skeleton channels that a glob matches."""
-    with open_groups(source) as reader:
+    """Topic -> number of messages of the log's skeleton channels that a glob matches.
+
+    The keypoints of RGB cameras count, too: they become skeletons.
+    """
+    with reading(source) as file, open_groups(file) as reader:
         channels = [i for i in channels_of(reader) if i.has_type(hiros_schemas.SKELETON_GROUP)]
+        channels += filter(is_keypoints, channels_of(file))
     return {i.topic: i.count for i in channels if any(fnmatchcase(i.topic, g) for g in globs)}
 
 

@@ -19,7 +19,7 @@ from hiros_mcap.evaluate.match import MATCH_DISTANCE
 from hiros_mcap.evaluate.mot import best_pairs
 from hiros_mcap.evaluate.statistics import nan_mean
 from hiros_mcap.evaluate.truth import Truth, shared_markers
-from hiros_mcap.io.log import Source, open_log
+from hiros_mcap.io.log import Source, open_log, reading
 from hiros_mcap.io.rgb_cameras import RgbCamera, poses_of, read_rgb_cameras
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
 
@@ -85,7 +85,8 @@ def image_scores_of(
     source: Source, topic: str, frames: Sequence[Frame], model: SkeletonModel
 ) -> tuple[ImageScores, ...]:
     """Compare the RGB cameras of a log with a result in it, by the poses in the log."""
-    rgb = read_rgb_cameras(source)
+    with reading(source) as reader:
+        rgb = read_rgb_cameras(reader)
     if not (rgb and frames):
         return ()
     with open_log(source, topics=[glob.escape(topic)], output_prefix="/none") as log:

@@ -33,6 +33,8 @@ from hiros_mcap.io.container import (
 )
 from hiros_mcap.io.container.reader import MEMORY
 from hiros_mcap.io.detectors import detector_readers
+from hiros_mcap.io.detectors.keypoint_messages import KEYPOINT_TYPES
+from hiros_mcap.io.detectors.rgb_keypoints import RgbRig
 from hiros_mcap.io.joining import Everything, Part, join, open_part, topics_of
 from hiros_mcap.wording import quantity
 
@@ -77,6 +79,8 @@ class MemoryReader(McapReader):
     """
 
     checked = False
+    rig: RgbRig | None = None
+    """The RGB cameras whose keypoints became skeletons in it."""
 
     def __init__(self, path: Path, write: Callable[[McapWriter], object], memory: int) -> None:
         sink = MemorySink(path)
@@ -115,11 +119,15 @@ class _People(Everything):
         """Return the ids of a file's channels, or topics, that are taken over."""
         taken = []
         self.checked &= isinstance(part, McapReader) and part.has_checksums
-        for ident, topic, name, n in topics_of(part):
+        topics = list(topics_of(part))
+        wanted = _wanted()
+        if any(name and _short(name) in KEYPOINT_TYPES for _, _, name, _ in topics):
+            wanted |= {hiros_schemas.short_name(hiros_schemas.CAMERA_INFO)}
+        for ident, topic, name, n in topics:
             self.counts[topic] += n
             self.shows_people |= isinstance(part, McapReader) or _shows_people(name)
             self._listed[f"{topic} ({name or 'no type'})"] = None
-            if name and (topic == self._topic if self._topic else _short(name) in _wanted()):
+            if name and (topic == self._topic if self._topic else _short(name) in wanted):
                 taken.append(ident)
             else:
                 _, before = self.left_out.get(topic, ("", 0))

@@ -8,7 +8,7 @@ name: so cameras that publish in one frame get poses of their own.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 
 import hiros_schemas
 from hiros_mcap.body.transforms import Transform, TransformTree, parse_tf
@@ -236,12 +236,16 @@ def cameras_called(name: str, cameras: Sequence[CameraChannel]) -> list[CameraCh
     )
 
 
-def note_unused(tree: TransformTree, cameras: Sequence[CameraChannel]) -> None:
-    """Note which poses and clocks of a file are of no camera."""
-    frames = [name for camera in cameras for name in camera.frames if name in tree.frames]
+def note_unused(
+    tree: TransformTree, cameras: Sequence[CameraChannel], others: Collection[str] = ()
+) -> None:
+    """Note which poses and clocks of a file are of no camera; ``others`` are used frames, too."""
+    homes = [name for camera in cameras for name in camera.frames]
+    frames = [name for name in (*homes, *others) if name in tree.frames]
     used = tree.children_above(frames)
     names = [name for name in tree.children if name not in used]
-    if clocks := [name for name in tree.clocks if not cameras_called(name, cameras)]:
+    clocks = [n for n in tree.clocks if n not in others and not cameras_called(n, cameras)]
+    if clocks:
         names += [f"the clock of {name}" for name in clocks]
     if names:
         tree.remark(

@@ -258,7 +258,7 @@ def open_live(
     tree = None if extrinsics is None else read_extrinsics(Path(extrinsics))
     reader = LiveReader(source)
     selects = partial(is_selected, topics=topics, output_prefix=OUTPUT_PREFIX)
-    conversion = LiveConversion(reader, selects)
+    conversion = LiveConversion(reader, selects, tree)
     log_times = LiveLogTimes(reader)
     reader.convert = lambda message: conversion.converted(log_times.right(message))
     reader.rest = conversion.held_back

@@ -54,6 +54,8 @@ from hiros_mcap.io.detectors.conversion import (
     converted,
     of_people,
 )
+from hiros_mcap.io.detectors.keypoint_messages import is_keypoints
+from hiros_mcap.io.detectors.rgb_keypoints import RgbRig
 from hiros_mcap.io.layout import Layout, check_schema
 from hiros_mcap.io.log_accounts import DAMAGED, FAR_FUTURE, LATEST, STALE, Account
 from hiros_mcap.io.log_times import mend_log_times
@@ -204,7 +206,10 @@ def open_log(
         else:
             file = stack.enter_context(open_reader(path, recover=recover, memory=memory))
         with naming(file.path):
+            rig, doubt = _rgb_cameras(file, tree, selection)
+            selection = selection._replace(rig=rig)
             reader = converted(file, selection)
+            tree = tree if rig is None else rig.tree
         try:
             contents = skeletons_of(reader, tree, topics, output_prefix)
         except OtherSkeletonError:
@@ -213,8 +218,8 @@ def open_log(
             contents = skeletons_of(reader, tree, topics, output_prefix)
         except LogError as error:
             raise explained(error, file.warnings) from None
-        if tree is not None:
-            note_unused(tree, contents[0])
+        if tree is not None and tree.source:
+            note_unused(tree, contents[0], rig.homes.values() if rig else ())
         encodings = ("cdr",) if reader is file else ENCODINGS
         unread = [i for i in of_people(file, selects) if i.encoding not in encodings]
         owns_file = reader is not path
@@ -223,6 +228,7 @@ def open_log(
         others = (i for i in _not_taken(reader) if i.topic not in {info.topic for info in unread})
         strangers = tuple(unread_cameras(others, contents[0], selects))
         log = Log(reader, *contents, fixed_frame, unread, strangers, owns_file=owns_file)
+        log.reader.warnings = (*log.reader.warnings, *doubt, *(rig.warnings if rig else ()))
         if tree is None:
             _look_beside(log)
         return log
@@ -233,6 +239,24 @@ def _not_taken(reader: McapReader) -> Iterator[ChannelInfo]:
     yield from (i for i in channels_of(reader) if not i.has_type(hiros_schemas.SKELETON_GROUP))
     for topic, (kind, n) in reader.left_out.items():
         yield ChannelInfo(-1, topic, "" if kind == "no type" else kind, "", n, {})
+
+
+def _rgb_cameras(
+    reader: McapReader, tree: TransformTree | None, selection: Selection
+) -> tuple[RgbRig | None, list[str]]:
+    """Find out how RGB cameras stand; if they cannot be used beside others, say why.
+
+    Raises LogError where there are no others.
+    """
+    from hiros_mcap.io.rgb_cameras import rgb_rig
+
+    try:
+        return rgb_rig(reader, tree, selection.selects, refine=selection.refine), []
+    except LogError as error:
+        others = [i for i in of_people(reader, selection.selects) if not is_keypoints(i)]
+        if not others:
+            raise
+        return None, [f"RGB cameras are not used: {error.fault}"]
 
 
 def _look_beside(log: Log) -> None:

@@ -30,6 +30,7 @@ from hiros_mcap.io.codec import Decoded, Decoder, RestPoses
 from hiros_mcap.io.container import LogOrder, McapReader, Recovery
 from hiros_mcap.io.container.losses import RECOVERY_METADATA
 from hiros_mcap.io.detectors.body_size import unit_warning
+from hiros_mcap.io.detectors.rgb_keypoints import RgbRig
 from hiros_mcap.io.layout import Layout
 from hiros_mcap.io.log_accounts import (
     DAMAGED,
@@ -227,6 +228,11 @@ class Log:
     def path(self) -> Path | str:
         """The file."""
         return self.reader.path
+
+    @property
+    def rig(self) -> RgbRig | None:
+        """The RGB cameras whose keypoints are triangulated; None if there are none."""
+        return getattr(self.reader, "rig", None)
 
     @cached_property
     def channels(self) -> tuple[ChannelInfo, ...]:

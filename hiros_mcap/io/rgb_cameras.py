@@ -1,24 +1,45 @@
-"""The RGB cameras of a log: their lenses, and the keypoints of all their images."""
+"""The RGB cameras of a log: their lenses, the keypoints of their images, and where they stand."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from itertools import groupby, pairwise
 from typing import NamedTuple
 
-import hiros_schemas
+import numpy as np
+
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import TransformTree
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.channels import channels_of
+from hiros_mcap.io.camera_frames import (
+    as_file_says,
+    as_transforms_say,
+    cameras_called,
+    transforms_of,
+)
+from hiros_mcap.io.channels import CameraChannel, ChannelInfo, channels_of
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.detectors.conversion import source_of
-from hiros_mcap.io.keypoint_messages import decode_detections, joint_model
-from hiros_mcap.io.log import Source, reading
+from hiros_mcap.io.detectors.keypoint_messages import (
+    decode_keypoints,
+    is_keypoints,
+    joint_model,
+    lateness,
+)
+from hiros_mcap.io.detectors.rgb_keypoints import RgbRig
+from hiros_mcap.io.layout import PUBLISHED
+from hiros_mcap.io.log_accounts import LATEST
 from hiros_mcap.io.ros_messages import CAMERA_INFO, intrinsics_of, open_messages
 from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame
-from hiros_mcap.skeletons import SkeletonModel
+from hiros_mcap.rays.rig_refinement import MOST_S, STRETCHES, RayRig, refine_rig
+from hiros_mcap.skeletons import SECOND, SkeletonModel
+from hiros_mcap.wording import quantity
+
+_EVER = (0, 2**63 - 1)
+_POOR_PX = 25.0  # median reprojection error beyond which poses, lenses or sizes are wrong
 
 
 class RgbCamera(NamedTuple):
@@ -36,25 +57,63 @@ class RgbCamera(NamedTuple):
 
 
 def read_rgb_cameras(
-    source: Source, span: tuple[int, int] | None = None, step: int = 0
-) -> list[RgbCamera]:
+    reader: McapReader, span: tuple[int, int] = _EVER, step: int = 0,
+    selects: Callable[[str], bool] = lambda _: True,
+) -> list[RgbCamera]:  # fmt: skip
     """Read all cameras of a log that have keypoints and a lens; messages that are damaged are not.
 
     Parameters
     ----------
-    span : log times, ns, between which images are read; None = all. step : ns; of each camera, one
-    image in each such interval is read; 0 = all.
+    span : log times, ns, between which images are read. step : ns; of each camera, one image in
+        each such interval is read; 0 = all. selects : says of a topic whether it is read.
 
     Raises LogError if the log cannot be read.
     """
-    with reading(source) as reader:
-        lenses = _lenses(reader)
-        cameras = [
-            _camera(reader, info.id, lenses, span or (0, 2**63 - 1), step)
-            for info in channels_of(reader)
-            if info.count and info.has_type(hiros_schemas.DETECTION_ARRAY)
-        ]
-        return [camera for camera in cameras if camera is not None]
+    infos = [i for i in channels_of(reader) if i.count and is_keypoints(i) and selects(i.topic)]
+    lenses = _lenses(reader) if infos else {}
+    cameras: dict[str, RgbCamera] = {}
+    for info in infos:
+        for name, frames in _frames_of(reader, info, lenses, span, step).items():
+            if name not in lenses:
+                continue
+            camera = RgbCamera(info.topic, name, lenses[name], joint_model(info), [])
+            cameras.setdefault(name, camera).frames.extend(frames)
+    return [camera._replace(frames=_together(camera.frames)) for camera in cameras.values()]
+
+
+def _together(frames: list[KeypointFrame]) -> list[KeypointFrame]:
+    """Return one frame per image: some detectors have a topic per person."""
+    if all(a.log_time <= b.log_time and a.stamp != b.stamp for a, b in pairwise(frames)):
+        return frames
+    joined = []
+    for _, same in groupby(sorted(frames, key=lambda f: f.stamp), key=lambda f: f.stamp):
+        first, *others = same
+        pixels = np.concatenate([first.pixels, *(f.pixels for f in others)])
+        scores = np.concatenate([first.scores, *(f.scores for f in others)])
+        joined.append(first._replace(pixels=pixels, scores=scores))
+    return joined
+
+
+def _frames_of(
+    reader: McapReader, info: ChannelInfo, lenses: Mapping[str, Intrinsics],
+    span: tuple[int, int], step: int,
+) -> dict[str, list[KeypointFrame]]:  # fmt: skip
+    """Read a channel of keypoints: optical frame -> images."""
+    source, joints = source_of(reader, info, selected=True), joint_model(info).n_markers
+    frames: dict[str, list[KeypointFrame]] = {}
+    due, late = span[0], round(lateness(info) * SECOND)
+    for message in reader.messages({info.id}):
+        if not due <= message.log_time <= span[1]:
+            continue
+        due = message.log_time + step
+        with suppress(LogError):
+            found = decode_keypoints(source.message(message), joints, lenses)
+            stamp = (found.stamp or message.log_time) - late
+            frame = KeypointFrame(
+                found.frame_id, stamp, message.log_time, found.pixels, found.scores
+            )
+            frames.setdefault(found.frame_id, []).append(frame)
+    return frames
 
 
 def _lenses(reader: McapReader) -> dict[str, Intrinsics]:
@@ -67,33 +126,9 @@ def _lenses(reader: McapReader) -> dict[str, Intrinsics]:
             if raw.topic not in seen:
                 seen.add(raw.topic)
                 info = messages.decode(raw)
-                lenses[info.header.frame_id] = intrinsics_of(info, raw.topic)
+                with suppress(LogError):  # of a depth camera, say, that nobody calibrated
+                    lenses[info.header.frame_id] = intrinsics_of(info, raw.topic)
     return lenses
-
-
-def _camera(
-    reader: McapReader,
-    channel: int,
-    lenses: dict[str, Intrinsics],
-    span: tuple[int, int],
-    step: int,
-) -> RgbCamera | None:
-    """Read a channel of keypoints; None if it has no lens."""
-    (info,) = (info for info in channels_of(reader) if info.id == channel)
-    source, model = source_of(reader, info, selected=True), joint_model(info)
-    frames: list[KeypointFrame] = []
-    name, due = "", span[0]
-    for message in reader.messages({channel}):
-        if not due <= message.log_time <= span[1]:
-            continue
-        due = message.log_time + step
-        with suppress(LogError):
-            found = decode_detections(source.message(message).fields, model.n_markers)
-            name = name or found.frame_id
-            stamps = found.stamp or message.log_time, message.log_time
-            frames.append(KeypointFrame(name, *stamps, found.pixels, found.scores))
-    lens = lenses.get(name)
-    return None if lens is None else RgbCamera(info.topic, name, lens, model, frames)
 
 
 def poses_of(
@@ -105,3 +140,189 @@ def poses_of(
         with suppress(LogError):
             poses[camera.name] = transforms.lookup(camera.name, fixed_frame, 0)
     return poses
+
+
+# -- how they stand --------------------------------------------------------------------------------
+
+
+def rgb_rig(
+    reader: McapReader, tree: TransformTree | None, selects: Callable[[str], bool], *,
+    refine: bool = True, clocks: bool = True,
+) -> RgbRig | None:  # fmt: skip
+    """Find out how the RGB cameras of a log stand; None if it has no keypoints.
+
+    Parameters
+    ----------
+    tree : the cameras' poses, of a file; None = those of the log.
+    selects : says of a topic whether its keypoints are wanted.
+    refine, clocks : whether poses and lags are found from the people where they tell better ones.
+
+    Raises
+    ------
+    LogError
+        no two cameras have a lens and a pose, or nobody is seen by two.
+    ConfigError
+        a file with poses lacks a camera.
+    """
+    infos = [i for i in channels_of(reader) if i.count and is_keypoints(i) and selects(i.topic)]
+    if not infos:
+        return None
+    cameras = _sample(reader, selects)
+    lensed = {camera.topic for camera in cameras}
+    if len(cameras) < 2:
+        raise _too_few([i.topic for i in infos], [c.topic for c in cameras])
+    known, channels = _placed(reader, tree, cameras)
+    fixed = known.common_root([channel.frames[0] for channel in channels])
+    poses = {
+        camera.name: known.lookup(channel.frames[0], fixed, 0)
+        for camera, channel in zip(cameras, channels, strict=True)
+    }
+    given = _given_lags(known, cameras, channels)
+    frames = {c.name: [_on_time(f, given.get(c.name, 0.0)) for f in c.frames] for c in cameras}
+    lenses = {c.name: c.lens for c in cameras}
+    found = refine_rig(frames, lenses, poses, clocks=clocks and not given)
+    _check_poses(found, frames, lenses, poses)
+    is_moved = refine and not found.reason
+    homes = {c.name: channel.frames[0] for c, channel in zip(cameras, channels, strict=True)}
+    if is_moved:
+        moved = {homes[name]: {0: pose} for name, pose in found.poses.items()}
+        known = known.with_poses(moved, fixed)
+    lags = {c.name: given.get(c.name, 0.0) + found.lags.get(c.name, 0.0) for c in cameras}
+    return RgbRig(
+        known, fixed, lenses, {i.topic: joint_model(i) for i in infos}, homes, lags,
+        {c.topic: lags[c.name] for c in cameras}, is_moved,
+        tuple(_remarks(found, is_moved)), tuple(_warnings(found, infos, lensed, is_moved)),
+    )  # fmt: skip
+
+
+def _sample(reader: McapReader, selects: Callable[[str], bool]) -> list[RgbCamera]:
+    """Read the images that tell how cameras stand: of a long log, some stretches."""
+    idents = {i.id for i in channels_of(reader) if is_keypoints(i)}
+    chunks = [c for c in reader.contents.chunks if c.holds(idents) and c.start_time <= LATEST]
+    begin = min((c.start_time for c in chunks), default=0)
+    end = max((c.end_time for c in chunks), default=0)
+    length = int(MOST_S * SECOND / STRETCHES)
+    if end - begin <= MOST_S * SECOND:
+        return read_rgb_cameras(reader, selects=selects)
+    cameras: dict[str, RgbCamera] = {}
+    for k in range(STRETCHES):
+        first = begin + (end - begin) * k // STRETCHES
+        for camera in read_rgb_cameras(reader, (first, first + length), selects=selects):
+            cameras.setdefault(camera.name, camera._replace(frames=[])).frames.extend(camera.frames)
+    return list(cameras.values())
+
+
+def _placed(
+    reader: McapReader, tree: TransformTree | None, cameras: Sequence[RgbCamera]
+) -> tuple[TransformTree, list[CameraChannel]]:
+    """Return the transforms, and the cameras in the frames that these have for them."""
+    infos = {info.topic: info for info in channels_of(reader)}
+    channels = [
+        CameraChannel(infos[c.topic], PUBLISHED, {c.name: c.name}, (c.name,)) for c in cameras
+    ]
+    if tree is None:
+        begin = min((f.log_time for c in cameras for f in c.frames[:1]), default=0)
+        return transforms_of(reader, min(begin, LATEST), channels)
+    return tree, (as_file_says if tree.source else as_transforms_say)(channels, tree)
+
+
+def _given_lags(
+    tree: TransformTree, cameras: Sequence[RgbCamera], channels: Sequence[CameraChannel]
+) -> dict[str, float]:
+    """Optical frame -> s by which stamps are late, as a file with poses says."""
+    names = {channel.channel.topic: c.name for c, channel in zip(cameras, channels, strict=True)}
+    stated = {name: lateness(c.channel) for c in channels for name in (names[c.channel.topic],)}
+    return {name: late for name, late in stated.items() if late} | {
+        names[channel.channel.topic]: -seconds
+        for name, seconds in tree.clocks.items()
+        for channel in cameras_called(name, channels)
+    }
+
+
+def _on_time(frame: KeypointFrame, lag: float) -> KeypointFrame:
+    return frame._replace(stamp=frame.stamp - round(lag * SECOND)) if lag else frame
+
+
+def _too_few(topics: Sequence[str], lensed: Sequence[str]) -> LogError:
+    """Return the error of a log without two RGB cameras that can be used."""
+    if bare := [topic for topic in topics if topic not in lensed]:
+        return LogError(
+            f"{', '.join(bare)}: keypoints without a lens: no CameraInfo is in their frame; record "
+            "camera_info, or import them with --calibration"
+        )
+    return LogError(
+        f"{', '.join(topics)}: one RGB camera alone does not tell where people are; record two or "
+        "more that see them from different sides"
+    )
+
+
+def _check_poses(
+    found: RayRig, frames: Mapping[str, Sequence[KeypointFrame]],
+    lenses: Mapping[str, Intrinsics], poses: Mapping[str, Rigid],
+) -> None:  # fmt: skip
+    """Raise LogError if poses fit only when they are read the other way round."""
+    if _worst(found.before) < _POOR_PX:
+        return
+    turned = {name: pose.inverse() for name, pose in poses.items()}
+    other = refine_rig(frames, lenses, turned, clocks=False)
+    if _worst(other.before) < min(_POOR_PX, _worst(found.before) / 2):
+        raise LogError(
+            "the poses of the RGB cameras are the other way round: those of the room in the camera "
+            f"would fit the people to {_worst(other.before):.0f} px; invert them"
+        )
+    if math.isinf(_worst(found.before)):
+        raise LogError(
+            "no two RGB cameras see the same person, by their poses and lenses; check both, or "
+            "find the poses by `hiros calibrate people`"
+        )
+
+
+def _worst(errors: Mapping[str, float]) -> float:
+    """Return the largest of the errors that are known, px; infinite if none is."""
+    known = [error for error in errors.values() if not math.isnan(error)]
+    return max(known, default=math.inf)
+
+
+def _in_px(errors: Mapping[str, float]) -> str:
+    return ", ".join(f"{error:.1f}" for error in errors.values())
+
+
+def _remarks(found: RayRig, is_moved: bool) -> Iterator[str]:
+    """Say what is done with the poses and clocks, and how well they fit."""
+    names = ", ".join(found.poses)
+    if is_moved:
+        yield (
+            f"poses of RGB cameras ({names}) come from the people: keypoints lie nearer to their "
+            f"joints, at the median {_in_px(found.before)} -> {_in_px(found.after)} px"
+        )
+    else:
+        why = f": {found.reason}" if found.reason else ""
+        yield f"poses of RGB cameras ({names}) stay as given{why}; {_in_px(found.before)} px"
+    late = {name: lag for name, lag in found.lags.items() if abs(lag) >= 1e-3}
+    if late:
+        lags = ", ".join(f"{name} {1e3 * lag:+.0f} ms" for name, lag in late.items())
+        yield f"clocks of RGB cameras, found from the people: {lags}"
+
+
+def _warnings(
+    found: RayRig, infos: Sequence[ChannelInfo], lensed: set[str], is_moved: bool
+) -> Iterator[str]:
+    """Yield reasons to doubt the skeletons of RGB cameras."""
+    if bare := [info.topic for info in infos if info.topic not in lensed]:
+        n = quantity(sum(i.count for i in infos if i.topic in bare), "message")
+        yield (
+            f"{', '.join(bare)}: {n} of keypoints not used: no CameraInfo is in their frame; "
+            "record camera_info"
+        )
+    errors = found.after if is_moved else found.before
+    poor = [name for name, error in errors.items() if error > _POOR_PX]
+    if poor:
+        yield (
+            f"{', '.join(poor)}: keypoints lie {_in_px({n: errors[n] for n in poor})} px from the "
+            "joints that the RGB cameras find together; check pose, lens and image size"
+        )
+    if found.regular:
+        yield (
+            "people move so regularly that the clocks of the RGB cameras may be a step apart; let "
+            "somebody clap or change direction, or pass their clocks with --extrinsics FILE"
+        )

@@ -197,7 +197,9 @@ def open_input(source: Source, config: Config, options: ProcessOptions) -> Log:
         fixed_frame=config.input.fixed_frame or None,
         recover=options.recover,
         memory=int(options.memory * 2**30),
-        skeletons=skeletons_read(config),
+        skeletons=skeletons_read(config)._replace(
+            refine=options.calibrate != "off" and config.input.poses != "given"
+        ),
     )
 
 

@@ -14,6 +14,7 @@ from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 
+import hiros_schemas
 from hiros_mcap.config import Config, load_config
 from hiros_mcap.defaults import LIVE_SYSTEM
 from hiros_mcap.errors import ConfigError
@@ -24,6 +25,7 @@ from hiros_mcap.io.container.file import Pipe, Sink
 from hiros_mcap.io.container.live_input import LiveInput
 from hiros_mcap.io.container.live_output import MessageSink
 from hiros_mcap.io.container.writer import LiveWriter
+from hiros_mcap.io.detectors.rgb_keypoints import RGB_TOPIC
 from hiros_mcap.io.export.run_summary import SummaryExport
 from hiros_mcap.io.live_log import LiveLog, may_be_read, open_live, takes
 from hiros_mcap.progress import Progress
@@ -32,7 +34,7 @@ from hiros_mcap.running.pipeline import check_limbs, conclude, run_log
 from hiros_mcap.running.preparation import Prepared, prepare
 from hiros_mcap.running.process_options import ProcessOptions, Watcher
 from hiros_mcap.running.summary import Summary
-from hiros_mcap.running.write import LogOutput, NoOutput, SeveralOutputs, is_kept
+from hiros_mcap.running.write import LogOutput, NoOutput, SeveralOutputs, is_kept, is_of_rgb
 from hiros_mcap.systems import Run
 
 Target = int | Path | Sink
@@ -103,6 +105,7 @@ def subscription(options: ProcessOptions) -> Callable[[str, str], bool]:
         reads = may_be_read(info, options.topics or None)
         # With given poses, transforms may still show humans.
         needed = is_transform_topic(topic) or kind.startswith(HUMANS)
+        needed |= info.has_type(hiros_schemas.CAMERA_INFO)
         return reads or needed or is_kept(info, options, is_read=False)
 
     return wanted
@@ -175,12 +178,14 @@ def _open_outputs(
 
 def _copy_as_read(log: LiveLog, writer: McapWriter, options: ProcessOptions) -> None:
     """Copy the messages of the input: those that were read, and the others when they are."""
+    is_rgb = any(camera.channel.topic == RGB_TOPIC for camera in log.cameras)
 
     @cache
     def copied(ident: int) -> int | None:
         """Return the output's channel for one of the input; None if it is not copied."""
         info = next(info for info in channels_of(log.reader) if info.id == ident)
-        if not is_kept(info, options, is_read=takes(info, options.topics or None)):
+        is_read = takes(info, options.topics or None) or (is_rgb and is_of_rgb(info))
+        if not is_kept(info, options, is_read=is_read):
             return None
         channel = log.reader.channels[ident]
         if needs_latching(info):

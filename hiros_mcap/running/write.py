@@ -35,6 +35,8 @@ from hiros_mcap.io.channels import (
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import ChunkCopier, McapWriter
 from hiros_mcap.io.container.losses import RECOVERY_METADATA
+from hiros_mcap.io.detectors.keypoint_messages import is_keypoints
+from hiros_mcap.io.detectors.rgb_keypoints import RGB_TOPIC
 from hiros_mcap.io.log import Log, digest_of
 from hiros_mcap.io.marker_uncertainty import UNCERTAINTY_TOPIC, uncertainty_messages
 from hiros_mcap.running.observe import DETECTIONS
@@ -98,7 +100,7 @@ def open_output(
         McapWriter(target, inputs=[log.path], compression=options.compression) as writer,
         digest_of(Path(log.path)) as digest,
     ):
-        kept = kept_channels(log, options, moved=prepared.poses.replaced)
+        kept = kept_channels(log, options, moved=is_moved(prepared))
         # Where players need /tf_static latched, it is copied at once.
         latched = [info for info in log.channels if info.id in kept and needs_latching(info)]
         copier = ChunkCopier(log.reader, writer, set(kept) - {info.id for info in latched})
@@ -130,7 +132,7 @@ class LogOutput:
         self._copier = copier
         if options.extrinsics is not None and options.keep is None:
             _write_poses(writer, log)
-        elif prepared.poses.replaced and options.keep is None:
+        elif is_moved(prepared) and options.keep is None:
             _write_transforms(writer, log)
         self._channels = {
             name: add_skeleton_channel(writer, f"{OUTPUT_PREFIX}/{name}") for name in chain
@@ -219,9 +221,17 @@ class LogOutput:
         writer.add_attachment(REPORT_ATTACHMENT, report.encode(), "application/json")
 
 
+def is_moved(prepared: Prepared) -> bool:
+    """Whether cameras have other poses than the log says."""
+    rig = prepared.log.rig
+    return prepared.poses.replaced or (rig is not None and rig.is_moved)
+
+
 def _write_poses(writer: McapWriter, log: Log) -> None:
     """Write the poses that replace the log's transforms, so that the output can be used alone."""
-    frames = sorted({name for camera in log.cameras for name in camera.frames} - {log.fixed_frame})
+    named = {name for camera in log.cameras for name in camera.frames}
+    named |= set(log.rig.homes.values()) if log.rig else set()
+    frames = sorted(named - {log.fixed_frame})
     poses = {name: log.transforms.lookup(name, log.fixed_frame, 0) for name in frames}
     add_static_poses(writer, poses, log.fixed_frame, log.span[0])
 
@@ -256,6 +266,8 @@ def kept_channels(log: Log, options: ProcessOptions, *, moved: bool = False) -> 
     ``moved`` tells that the static transforms are replaced.
     """
     read = {camera.channel.id for camera in log.cameras}
+    if any(camera.channel.topic == RGB_TOPIC for camera in log.cameras):
+        read |= {info.id for info in log.channels if is_of_rgb(info)}
     return [
         info.id
         for info in log.channels
@@ -276,6 +288,11 @@ def is_kept(
     if info.topic in (*OUTPUT_TOPICS, UNCERTAINTY_TOPIC):  # of a former run
         return False
     return any(fnmatchcase(info.topic, glob) for glob in options.keep)
+
+
+def is_of_rgb(info: ChannelInfo) -> bool:
+    """Whether a channel has the keypoints or the lens of an RGB camera."""
+    return is_keypoints(info) or info.has_type(hiros_schemas.CAMERA_INFO)
 
 
 def unmatched_globs(log: Log, options: ProcessOptions) -> list[str]:

@@ -14,7 +14,11 @@ from hiros_mcap.body.rotations import Rigid, conjugate, from_matrix, multiply, t
 from hiros_mcap.io.channels import add_skeleton_channel, add_static_poses
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
-from hiros_mcap.io.keypoint_messages import add_camera_info, add_keypoint_channel, encode_detections
+from hiros_mcap.io.detectors.keypoint_messages import (
+    add_camera_info,
+    add_keypoint_channel,
+    encode_detections,
+)
 from hiros_mcap.progress import Progress
 from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame

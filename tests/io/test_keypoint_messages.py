@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import hiros_schemas
-from hiros_mcap.io.keypoint_messages import (
+from hiros_mcap.io.detectors.keypoint_messages import (
     camera_info,
     decode_detections,
     decode_skeleton2d,

@@ -21,7 +21,7 @@ from hiros_mcap.evaluate.logs import find_truth, has_cameras, has_outputs, start
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.events import Event
 from hiros_mcap.io.channels import OUTPUT_PREFIX, TRUTH_PREFIX
-from hiros_mcap.io.log import CameraChannel, Log, open_log
+from hiros_mcap.io.log import CameraChannel, Log, open_log, reading
 from hiros_mcap.io.result import stored_events, stored_report
 from hiros_mcap.io.rgb_cameras import RgbCamera, poses_of, read_rgb_cameras
 from hiros_mcap.io.ros_messages import open_messages, read_pictures
@@ -235,7 +235,8 @@ class _Replay:
         """Read what RGB cameras found in the time range, and where they stand."""
         begin, end = _window(log.span[0], self.options.time_range)
         span = begin - HORIZON_NS, min(end + HORIZON_NS, _EVER[1])
-        cameras = read_rgb_cameras(self.path, span, self._step)
+        with reading(self.path) as reader:
+            cameras = read_rgb_cameras(reader, span, self._step)
         poses = poses_of(cameras, log.transforms, log.fixed_frame) if cameras else {}
         return [(camera, poses.get(camera.name)) for camera in cameras]
 

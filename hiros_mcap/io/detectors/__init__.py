@@ -21,6 +21,7 @@ from hiros_mcap.io.detectors.detector_reader import (
     seen_people,
 )
 from hiros_mcap.io.detectors.human_frames import HumanFrames
+from hiros_mcap.io.detectors.rgb_keypoints import RgbKeypoints
 from hiros_mcap.io.detectors.skeleton_groups import SkeletonGroups
 from hiros_mcap.io.detectors.zed import ZedBodies
 from hiros_mcap.plugins import DETECTORS, faulty, installed, load
@@ -36,7 +37,13 @@ __all__ = [
     "seen_people",
 ]
 
-_READERS: list[type[DetectorReader]] = [SkeletonGroups, AzureKinectMarkers, ZedBodies, HumanFrames]
+_READERS: list[type[DetectorReader]] = [
+    SkeletonGroups,
+    AzureKinectMarkers,
+    ZedBodies,
+    HumanFrames,
+    RgbKeypoints,
+]
 
 
 def register_detector(reader: type[DetectorReader]) -> type[DetectorReader]:

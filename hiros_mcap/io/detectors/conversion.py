@@ -36,9 +36,11 @@ from hiros_mcap.io.detectors import detector_readers
 from hiros_mcap.io.detectors.body_models import name_of
 from hiros_mcap.io.detectors.body_size import METRES
 from hiros_mcap.io.detectors.detector_reader import DetectorMessage, DetectorReader, SeenPeople
+from hiros_mcap.io.detectors.keypoint_messages import JOINTS, KEYPOINT_TYPES, LATE
 from hiros_mcap.io.detectors.model_fitting import UNION, Fit, chosen_model
+from hiros_mcap.io.detectors.rgb_keypoints import RGB_TOPIC, RgbKeypoints, RgbRig
 from hiros_mcap.io.layout import Layout, check_schema
-from hiros_mcap.io.ros_cdr import RosMessage, cdr_of, decoder_of, types_of
+from hiros_mcap.io.ros_cdr import RosMessage, cdr_of, decoder_of, long_name, types_of
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_mcap.wording import quantity
 
@@ -46,6 +48,7 @@ Unit = Literal["m", "cm", "mm"]
 
 SKELETONS = hiros_schemas.short_name(hiros_schemas.SKELETON_GROUP)
 TRANSFORMS = hiros_schemas.short_name(hiros_schemas.TF_MESSAGE)
+LENSES = hiros_schemas.short_name(hiros_schemas.CAMERA_INFO)
 _OLD_TRANSFORMS = "tf/tfMessage"
 ENCODINGS = "cdr", "ros1"
 """Of messages that can be read, as they are or converted."""
@@ -65,6 +68,10 @@ class Selection(NamedTuple):
     """Says of a topic whether its skeletons are wanted."""
     several: bool = False
     """The log is known to have several models."""
+    rig: RgbRig | None = None
+    """The RGB cameras of the log; None = their keypoints are not read."""
+    refine: bool = True
+    """Whether poses and clocks of RGB cameras may be those that the people tell."""
 
     @property
     def is_usual(self) -> bool:
@@ -115,7 +122,7 @@ def converted(reader: McapReader, selection: Selection) -> McapReader:
     sources = _sources(reader, selection)
     if selection.is_usual and not any(source.needs_conversion for source in sources):
         return reader
-    layouts, hints = _probe(reader, sources)
+    layouts, hints = _probe(reader, sources, selection.rig)
     if hints and not layouts and not any(s.type == SKELETONS and s.selected for s in sources):
         raise LogError(hints[0])
     chosen = [
@@ -132,6 +139,7 @@ def converted(reader: McapReader, selection: Selection) -> McapReader:
     new.checked, new.recovery = reader.has_checksums, reader.recovery
     new.left_out = {**reader.left_out, **conversion.left_out}
     new.remarks, new.warnings = (*reader.remarks, *conversion.remarks()), reader.warnings
+    new.rig = selection.rig
     new.faults = {t: (n, conversion.first[t]) for t, n in conversion.faulty.items()}
     return new
 
@@ -159,13 +167,16 @@ def type_of(info: ChannelInfo) -> str:
 def _sources(reader: McapReader, selection: Selection) -> list[InputChannel]:
     """Return the channels that may show people, and those that are copied as they are."""
     types = _types()
+    types |= {LENSES} if selection.rig is not None else set()
     infos = [i for i in channels_of(reader) if i.count and type_of(i) in types]
     selected_infos = readable(of_people(reader, selection.selects), ENCODINGS)
     sources = []
     for info in infos:
         moves = is_transforms(info)
         selected = info in selected_infos
-        copied = type_of(info) == SKELETONS and info.encoding in ENCODINGS
+        if selection.rig is not None and info.topic == RGB_TOPIC:
+            continue  # of a former run, which made it of the same keypoints
+        copied = type_of(info) in (SKELETONS, LENSES) and info.encoding in ENCODINGS
         if selected or (moves and is_transform_topic(info.topic)) or copied:
             sources.append(source_of(reader, info, selected=selected))
     # Every log has transforms. Those of humans are looked for where something hints at them.
@@ -215,7 +226,7 @@ def _read(
 
 
 def _probe(
-    reader: McapReader, sources: Iterable[InputChannel]
+    reader: McapReader, sources: Iterable[InputChannel], rig: RgbRig | None
 ) -> tuple[dict[str, dict[str, SkeletonModel]], list[str]]:
     """Look at the beginning of the channels: topic -> output topic -> model of its skeletons.
 
@@ -225,9 +236,11 @@ def _probe(
     are looked at to their end.
     """
     selected = [source for source in sources if source.selected]
-    groups = [[s] for s in selected if s.type != TRANSFORMS]
+    groups = [[s] for s in selected if s.type not in (TRANSFORMS, *KEYPOINT_TYPES)]
     transforms = [s for s in selected if s.type == TRANSFORMS]
     layouts: dict[str, dict[str, SkeletonModel]] = {}
+    if rig is not None:
+        layouts = {topic: {RGB_TOPIC: model} for topic, model in rig.models.items()}
     hints: list[str] = []
     for group in [*groups, transforms] if transforms else groups:
         readers = [kind() for kind in detector_readers()]
@@ -267,7 +280,10 @@ class Conversion:
     target : the model; None = each topic keeps its own.
     left_out : type and number of messages of every topic that is not taken over.
     faulty, first : number of messages that cannot be decoded, and why the first one cannot.
+    copies_images : whether keypoints are copied beside the skeletons that they become.
     """
+
+    copies_images = True
 
     def __init__(
         self,
@@ -284,6 +300,8 @@ class Conversion:
         if layouts:
             self.target = chosen_model(self._selection.model, self._models)
         self._readers = [kind() for kind in detector_readers()]
+        self.rgb = next(r for r in self._readers if isinstance(r, RgbKeypoints))
+        self.rgb.rig = selection.rig
         self._fits: dict[tuple[SkeletonModel, SkeletonModel], tuple[Fit, Encoder]] = {}
         self._ids: dict[str, int] = {}
         self._missing: dict[str, Counter[str]] = {}
@@ -311,8 +329,14 @@ class Conversion:
         skeletons in them.
         """
         topic, moves = source.info.topic, source.type == TRANSFORMS
-        copies = moves or not source.selected or self._fits_target(source)
-        reads = source.selected and (moves or not copies)
+        images = source.type in KEYPOINT_TYPES
+        copies = (
+            moves
+            or (images and self.copies_images)
+            or not source.selected
+            or self._fits_target(source)
+        )
+        reads = source.selected and (moves or images or not copies)
         try:
             converted = source.message(message)
             people = _read(self._readers, converted) if reads else None
@@ -352,10 +376,21 @@ class Conversion:
         if topic not in self._ids:
             if kind == SKELETONS:
                 self._ids[topic] = add_skeleton_channel(writer, topic)
+            elif kind not in (TRANSFORMS, _OLD_TRANSFORMS):
+                self._ids[topic] = add_ros_channel(
+                    writer, topic, long_name(kind), **self._said(topic)
+                )
             else:
                 qos = [LATCHED_QOS] if is_static_topic(topic) else []
                 self._ids[topic] = add_ros_channel(writer, topic, hiros_schemas.TF_MESSAGE, *qos)
         return self._ids[topic]
+
+    def _said(self, topic: str) -> Mapping[str, str]:
+        """Return what the metadata of a channel of keypoints say, and by how much it is late."""
+        info = next(s.info for s in self._sources.values() if s.info.topic == topic)
+        said = {JOINTS: info.metadata[JOINTS]} if JOINTS in info.metadata else {}
+        late = self.rgb.rig.late.get(topic, 0.0) if self.rgb.rig else 0.0
+        return said | ({LATE: f"{late:.6f}"} if late else {})
 
     def _fits_target(self, source: InputChannel) -> bool:
         """Whether a channel has SkeletonGroups of the model that results are to have, in m."""

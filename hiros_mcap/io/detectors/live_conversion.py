@@ -11,7 +11,9 @@ from contextlib import suppress
 from dataclasses import replace
 
 import hiros_schemas
+from hiros_mcap.body.transforms import TransformTree
 from hiros_mcap.errors import LogError
+from hiros_mcap.io.camera_frames import add_transforms
 from hiros_mcap.io.channels import HUMANS, ChannelInfo, channels_of
 from hiros_mcap.io.container.live_reader import LiveReader
 from hiros_mcap.io.container.records import Channel, Message, Schema
@@ -26,9 +28,12 @@ from hiros_mcap.io.detectors.conversion import (
     source_of,
     type_of,
 )
+from hiros_mcap.io.detectors.keypoint_messages import KEYPOINT_TYPES, is_keypoints, joint_model
 from hiros_mcap.io.detectors.model_fitting import chosen_model
+from hiros_mcap.io.detectors.rgb_keypoints import RgbRig
 from hiros_mcap.io.detectors.skeleton_groups import SkeletonGroups
 from hiros_mcap.io.ros_cdr import RosMessage
+from hiros_mcap.io.ros_messages import intrinsics_of
 
 _PROBED = 100
 """Messages of a channel that show nobody, after which it is taken to be of another use."""
@@ -44,10 +49,23 @@ class LiveConversion(Conversion):
     ----------
     reader : knows the channels; gets those of the new messages.
     selects : says of a topic whether its skeletons are wanted.
+    tree : poses of the cameras, of a file; None = the transforms that come.
     """
 
-    def __init__(self, reader: LiveReader, selects: Callable[[str], bool]) -> None:
+    copies_images = False
+
+    def __init__(
+        self,
+        reader: LiveReader,
+        selects: Callable[[str], bool],
+        tree: TransformTree | None = None,
+    ) -> None:
         super().__init__(reader, Selection(selects=selects), (), {})
+        self._rig = RgbRig(tree or TransformTree(), "", {}, {})
+        self._teaches: dict[int, tuple[str, ChannelInfo]] = {}
+        """Channel -> what of the RGB cameras it tells."""
+        self._lenses: set[int] = set()
+        """Channels of CameraInfo that were read."""
         self._live = reader
         self._read_as: dict[int, InputChannel | None] = {}
         """Channel -> how it is read, None = it stays as it is."""
@@ -60,6 +78,7 @@ class LiveConversion(Conversion):
 
     def converted(self, message: Message) -> Iterator[Message]:
         """Yield what a message becomes: itself, if it is of no other detector."""
+        self._learn(message)
         source = self._source(message.channel_id)
         if source is None:
             yield message
@@ -69,10 +88,41 @@ class LiveConversion(Conversion):
         made = [self._message(new, message, source) for new in self.rewritten(source, message)]
         yield from made
         # Nobody needs the original of a channel that has become another one, as in a file.
-        if not made and not source.is_native and message.channel_id not in self._live.hidden:
+        is_kept = source.type in KEYPOINT_TYPES or not made
+        if is_kept and not source.is_native and message.channel_id not in self._live.hidden:
             yield message
         if self._declined[topic] > max(before, _PROBED) and topic not in self._layouts:
             self._read_as[message.channel_id] = None
+
+    def _learn(self, message: Message) -> None:
+        """Learn from transforms and lenses where RGB cameras stand."""
+        ident = message.channel_id
+        if ident not in self._teaches:
+            info = self._info(ident)
+            is_lens = info.has_type(hiros_schemas.CAMERA_INFO)
+            kind = "lens" if is_lens else "pose" if is_transforms(info) else ""
+            self._teaches[ident] = kind, info
+            if is_keypoints(info) and self._selection.selects(info.topic):
+                self._rig.models[info.topic] = joint_model(info)
+        kind, info = self._teaches[ident]
+        with suppress(LogError):
+            if kind == "pose" and not self._rig.tree.source:
+                add_transforms(self._rig.tree, info.topic, message.data, message.log_time)
+            elif kind == "lens" and ident not in self._lenses:
+                source = source_of(self._live, info, selected=True)
+                lens = source.message(message).fields
+                self._lenses.add(ident)
+                self._rig.lenses[lens.header.frame_id] = intrinsics_of(lens, info.topic)
+        if kind and self.rgb.rig is None:
+            self._stand()
+
+    def _stand(self) -> None:
+        """Begin to triangulate when two RGB cameras have a lens and a place in one room."""
+        tree = self._rig.tree
+        frames = [name for name in self._rig.lenses if name in tree.frames]
+        with suppress(LogError):
+            if len(frames) > 1:
+                self.rgb.rig = replace(self._rig, fixed_frame=tree.common_root(frames))
 
     def held_back(self) -> Iterator[Message]:
         """Yield what waited for another message when the input ended."""
@@ -116,7 +166,11 @@ class LiveConversion(Conversion):
             known = self._layouts.get(source.info.topic, {})
             self._layouts[source.info.topic] = {**known, new.topic: self._models[new.topic]}
         ident = message.channel_id if keeps_channel else self._channel_of(new)
-        if source is not None and not keeps_channel and source.type != TRANSFORMS:
+        if (
+            source is not None
+            and not keeps_channel
+            and source.type not in (TRANSFORMS, *KEYPOINT_TYPES)
+        ):
             self._live.hide(message.channel_id)
         if source is not None and not keeps_channel and source.type == TRANSFORMS:
             self._human.add(ident)

@@ -13,6 +13,7 @@ from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.calibrate.noise import GUESSED_BELOW, GUESSED_SHARE, USUAL_POWER
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.kernels.array_types import chosen, joined
+from hiros_mcap.rays.confidence import TRIANGULATED, variance_of
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.fuse.fuse_params import FuseParams
 from hiros_mcap.stages.fuse.fusing import REFERENCE, JointNoise, Sightings
@@ -119,7 +120,11 @@ class FusionNoise:
         """
         cameras = np.array([self.cameras.get(name, 1.0) for name in names])[views.cameras]
         guessed = _guessed(views, by_instant=by_instant)
-        return self.white(views.distances, guessed, cameras) + views.hidden
+        white = self.white(views.distances, guessed, cameras)
+        if TRIANGULATED in names:
+            stated = views.cameras == list(names).index(TRIANGULATED)
+            white[stated] = variance_of(views.confidences[stated])
+        return white + views.hidden
 
     def sees(self, views: Sightings) -> Flags:
         """(N, M) Whether a camera sees a joint: nobody hides it, and it is not guessed."""

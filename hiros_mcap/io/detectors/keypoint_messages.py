@@ -10,6 +10,7 @@ metadata which model that is; of others it is COCO's, which YOLO has.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ import hiros_schemas
 from hiros_mcap.io.channels import LATCHED_QOS, ChannelInfo, add_ros_channel
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.detectors.body_models import BODY_MODELS, body_model
-from hiros_mcap.io.detectors.detector_reader import nanoseconds
+from hiros_mcap.io.detectors.detector_reader import DetectorMessage, nanoseconds
 from hiros_mcap.io.ros_cdr import CdrWriter
 from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame, cleaned
@@ -26,8 +27,16 @@ from hiros_mcap.skeletons import Floats, SkeletonModel
 
 JOINTS = "hiros:joints"
 """Key of a channel's metadata: which model of the table numbers the joints."""
+LATE = "hiros:late"
+"""Key of a channel's metadata: s by which its stamps are late, as hiros found from the people."""
 _USUAL = "coco-17"
-_HRI = body_model("hri-18")
+_HRI_MODEL = "hri-18"
+_HRI = body_model(_HRI_MODEL)
+_DETECTIONS, _SKELETON2D = map(
+    hiros_schemas.short_name, (hiros_schemas.DETECTION_ARRAY, hiros_schemas.SKELETON_2D)
+)
+KEYPOINT_TYPES = _DETECTIONS, _SKELETON2D
+"""Types that are read, ``pkg/Type``."""
 
 
 class Keypoints(NamedTuple):
@@ -44,9 +53,40 @@ class Keypoints(NamedTuple):
 
 
 def joint_model(info: ChannelInfo) -> SkeletonModel:
-    """Return the model by which a channel of detections numbers the joints."""
+    """Return the model by which a channel of keypoints numbers the joints."""
+    if info.has_type(hiros_schemas.SKELETON_2D):
+        return _HRI
     name = info.metadata.get(JOINTS, _USUAL)
     return body_model(name if name in BODY_MODELS else _USUAL)
+
+
+def lateness(info: ChannelInfo) -> float:
+    """Return by how many seconds the stamps of a channel of keypoints are late."""
+    try:
+        return float(info.metadata.get(LATE, "0"))
+    except ValueError:
+        return 0.0
+
+
+def is_keypoints(info: ChannelInfo) -> bool:
+    """Whether a channel has keypoints of images."""
+    types = hiros_schemas.DETECTION_ARRAY, hiros_schemas.SKELETON_2D
+    return any(info.has_type(name) for name in types)
+
+
+def decode_keypoints(
+    message: DetectorMessage, joints: int, lenses: Mapping[str, Intrinsics]
+) -> Keypoints:
+    """Return the people of a message of :data:`KEYPOINT_TYPES`.
+
+    ``joints`` are those of the channel's model; ``lenses`` tell the images' sizes, by frame.
+    Raises LogError for a message that is damaged.
+    """
+    fields = message.fields
+    lens = lenses.get(fields.header.frame_id)
+    if message.type == _DETECTIONS:
+        return decode_detections(fields, joints, lens.size if lens else None)
+    return decode_skeleton2d(fields, lens.size if lens else (1, 1))
 
 
 def decode_detections(message: Any, joints: int, size: tuple[int, int] | None = None) -> Keypoints:

@@ -1,0 +1,152 @@
+"""The keypoints of RGB cameras, triangulated: the skeletons of one more camera in the fixed frame.
+
+This reader takes the messages of all RGB cameras of a log, and keeps a :class:`Triangulator`. Of a
+file it is told beforehand how the cameras stand (:mod:`hiros_mcap.io.rgb_cameras`); live it learns
+that from transforms and lenses as they come.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hiros_mcap.body.transforms import TransformTree
+from hiros_mcap.errors import LogError
+from hiros_mcap.io.detectors.detector_reader import (
+    DetectorMessage,
+    DetectorReader,
+    SeenPeople,
+    add_links,
+)
+from hiros_mcap.io.detectors.keypoint_messages import KEYPOINT_TYPES, Keypoints, decode_keypoints
+from hiros_mcap.rays.confidence import TRIANGULATED, confidence_of
+from hiros_mcap.rays.intrinsics import Intrinsics
+from hiros_mcap.rays.keypoints import KeypointFrame
+from hiros_mcap.rays.triangulator import Skeletons, Triangulator
+from hiros_mcap.skeletons import Frame, SkeletonModel
+from hiros_mcap.wording import quantity
+
+RGB_TOPIC = "/rgb/skeletons"
+"""Channel of the triangulated skeletons."""
+_MUCH = 0.2  # of the joints: so many that others contradict are a reason to look at the poses
+
+
+@dataclass(frozen=True)
+class RgbRig:
+    """How the RGB cameras of a log stand, before their keypoints are read."""
+
+    tree: TransformTree
+    """With their poses as they are used."""
+    fixed_frame: str
+    """In which the skeletons are."""
+    lenses: dict[str, Intrinsics]
+    """By optical frame."""
+    models: dict[str, SkeletonModel]
+    """Of the joints on each topic."""
+    homes: Mapping[str, str] = field(default_factory=dict)
+    """Optical frame -> the frame in the tree, where that has another name."""
+    lags: Mapping[str, float] = field(default_factory=dict)
+    """By optical frame: s by which stamps are late."""
+    late: Mapping[str, float] = field(default_factory=dict)
+    """The same by topic."""
+    is_moved: bool = False
+    """Whether poses are not those of the log."""
+    remarks: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+class RgbKeypoints(DetectorReader):
+    """Reads the keypoints of all RGB cameras.
+
+    Attributes
+    ----------
+    rig : the cameras; None = not known (yet), so that nothing can be triangulated.
+    """
+
+    types = KEYPOINT_TYPES
+
+    def __init__(self) -> None:
+        self.rig: RgbRig | None = None
+        self.model: SkeletonModel | None = None
+        self._triangulator: Triangulator | None = None
+        self._homeless: Counter[str] = Counter()
+        """Messages of cameras whose lens or place is not known, by optical frame."""
+        self._foreign: Counter[str] = Counter()
+        """Messages with other joints, by topic."""
+
+    def read(self, message: DetectorMessage) -> Iterable[SeenPeople] | None:
+        """Take the keypoints of an image; return the people of the instants that are complete."""
+        if self.rig is None:  # live, where lenses and poses may come later
+            return []
+        if message.topic not in self.rig.models:
+            return None
+        model = self.rig.models[message.topic]
+        found = decode_keypoints(message, model.n_markers, self.rig.lenses)
+        lens = self.rig.lenses.get(found.frame_id)
+        if lens is None:
+            self._homeless[found.frame_id] += 1
+            return []
+        if self.model not in (None, model):
+            self._foreign[message.topic] += 1
+            return []
+        self.model = model
+        return list(self._located(message, found, lens, self.rig))
+
+    def rest(self) -> Iterator[SeenPeople]:
+        """Return the people of the last instants."""
+        if self._triangulator is not None:
+            yield from map(self._people, self._triangulator.rest())
+
+    def _located(
+        self, message: DetectorMessage, found: Keypoints, lens: Intrinsics, rig: RgbRig
+    ) -> Iterator[SeenPeople]:
+        """Yield the people of the instants that an image completes."""
+        if self._triangulator is None and self.model is not None:
+            self._triangulator = Triangulator(self.model)
+        triangulator = self._triangulator
+        assert triangulator is not None  # noqa: S101 - for the type
+        stamp, name = found.stamp or message.log_time, found.frame_id
+        try:
+            home = rig.homes.get(name, name)
+            pose = rig.tree.lookup(home, rig.fixed_frame, stamp, message.log_time)
+        except LogError:
+            self._homeless[name] += 1
+            return
+        if name not in triangulator.lenses:
+            triangulator.add_camera(name, lens, rig.lags.get(name, 0.0))
+        frame = KeypointFrame(name, stamp, message.log_time, found.pixels, found.scores)
+        yield from map(self._people, triangulator.add(frame, pose))
+
+    def _people(self, skeletons: Skeletons) -> SeenPeople:
+        """Return the people of an instant; confidences say how well their joints are known."""
+        assert self.model is not None and self.rig is not None  # noqa: S101 - for the type
+        n, fixed = len(skeletons.points), self.rig.fixed_frame
+        frame = Frame.empty(
+            n, self.model, stamp=skeletons.stamp, log_time=skeletons.log_time,
+            source=TRIANGULATED, frame_id=fixed,
+        )  # fmt: skip
+        frame.markers[:, :, :3] = skeletons.points
+        frame.marker_confidences[:] = confidence_of(skeletons.deviations)
+        with suppress(ZeroDivisionError):
+            frame.confidences[:] = np.nan_to_num(skeletons.scores).mean(axis=1)
+        frame.stamps[:] = skeletons.stamp
+        add_links(frame, self.model)
+        return SeenPeople(RGB_TOPIC, self.model, frame)
+
+    def remarks(self) -> Iterator[str]:
+        """Say how the cameras were taken, and what of their keypoints is not in the skeletons."""
+        if self.rig is not None:
+            yield from self.rig.remarks
+        for name, n in self._homeless.items():
+            yield (
+                f"{quantity(n, 'message')} of keypoints in the frame {name!r} not used: no "
+                "CameraInfo or no pose of this frame"
+            )
+        for topic, n in self._foreign.items():
+            yield f"{topic}: {quantity(n, 'message')} not used: other joints than other cameras'"
+        if self._triangulator is not None:
+            yield from self._triangulator.remarks()
