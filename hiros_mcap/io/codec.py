@@ -429,7 +429,7 @@ class Decoder:
         reports, first = results.reports[:, columns].tolist(), results.first.tolist()
         texts: dict[bytes, str] = {}
         left_out = [batch_kernels.NOBODY, batch_kernels.COPY]
-        nobodies = results.cleaned[:, left_out].any(axis=1).tolist()
+        nobodies: list[bool] = np.any(results.cleaned[:, left_out], axis=1).tolist()
         for i, code in enumerate(results.codes.tolist()):
             if code != cdr.OK:
                 faults.setdefault(i, _fault(code, results.reports[i].tolist(), data[i]))

@@ -20,7 +20,8 @@ _NEVER = re.compile(
 )
 """Types of which no camera's people are."""
 _OF_PEOPLE = re.compile(
-    r"skelet|bod(y|ies)|people|person|human|keypoint|detection|pose_?array|body_?track", re.IGNORECASE
+    r"skelet|bod(y|ies)|people|person|human|keypoint|detection|pose_?array|body_?track",
+    re.IGNORECASE,
 )
 _GEOMETRY = re.compile(r"(geometry|visualization)_msgs/(?!(msg/)?PoseArray)")
 """Types of many uses: their rate tells nothing."""
@@ -55,9 +56,10 @@ def unread_cameras(
         if _pattern(name) in patterns - {""}:
             if speaks or 0.5 * counts[0] <= info.count <= 2.0 * counts[-1]:
                 yield info
-        elif speaks or not _GEOMETRY.match(info.schema):
-            if 0.8 * counts[0] <= info.count <= 1.25 * counts[-1]:
-                yield info
+        elif (speaks or not _GEOMETRY.match(info.schema)) and (
+            0.8 * counts[0] <= info.count <= 1.25 * counts[-1]
+        ):
+            yield info
 
 
 def _depth(topics: Sequence[str]) -> int:

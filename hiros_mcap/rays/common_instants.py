@@ -28,7 +28,7 @@ _AT_ONCE = 500_000  # ns: an image as near is of the instant
 _MOVED = 0.5  # of a person's size in the image: how far it may move from one image to the next
 
 
-class Sight(NamedTuple):
+class ImagePeople(NamedTuple):
     """The people in one image, without distortion."""
 
     stamp: int
@@ -48,7 +48,7 @@ class ImageStream:
     """The images of one camera, as they come; each person keeps its number from one to the next."""
 
     camera: str
-    sights: list[Sight] = field(default_factory=list)
+    sights: list[ImagePeople] = field(default_factory=list)
     """The last ones."""
     count: int = 0
     """People so far."""
@@ -75,14 +75,14 @@ class ImageStream:
         new = np.flatnonzero(tracks < 0)
         tracks[new] = self.count + np.arange(len(new))
         self.count += len(new)
-        self.sights.append(Sight(stamp, pose, points, scores, tracks))
+        self.sights.append(ImagePeople(stamp, pose, points, scores, tracks))
 
     def forget(self, instant: int) -> None:
         """Forget images that no instant after ``instant`` needs."""
         while len(self.sights) > 1 and self.sights[1].stamp <= instant:
             self.sights.pop(0)
 
-    def at(self, instant: int) -> Sight | None:
+    def at(self, instant: int) -> ImagePeople | None:
         """Return the people at an instant; None if the camera has no images about it."""
         for sight in self.sights:
             if abs(sight.stamp - instant) <= _AT_ONCE:
@@ -96,17 +96,17 @@ class ImageStream:
         return between(before, after, instant)
 
 
-def between(before: Sight, after: Sight, instant: int) -> Sight:
+def between(before: ImagePeople, after: ImagePeople, instant: int) -> ImagePeople:
     """Return the people of two images at a time between them, those that both show."""
     tracks, first, second = np.intersect1d(before.tracks, after.tracks, return_indices=True)
     share = (instant - before.stamp) / (after.stamp - before.stamp)
     points = (1 - share) * before.points[first] + share * after.points[second]
     scores = np.minimum(before.scores[first], after.scores[second])
     pose = before.pose if before.pose is after.pose else before.pose.towards(after.pose, share)
-    return Sight(instant, pose, points, scores, tracks)
+    return ImagePeople(instant, pose, points, scores, tracks)
 
 
-def followed(before: Sight, points: Floats) -> Stamps:
+def followed(before: ImagePeople, points: Floats) -> Stamps:
     """(P,) Number of each person, of those in the image before; -1 = new.
 
     As many pairs as possible, none of whom moved by half of its size, with the shortest ways.
@@ -160,7 +160,7 @@ class CommonInstants:
 
     def add(
         self, camera: str, stamp: int, pose: Rigid, points: Floats, scores: Floats
-    ) -> Iterator[tuple[int, dict[str, Sight]]]:
+    ) -> Iterator[tuple[int, dict[str, ImagePeople]]]:
         """Take an image; yield the instants that are complete, each with what cameras saw."""
         stream = self.streams[camera]
         if stamp <= max(stream.newest, self._last - self.wait):
@@ -171,11 +171,11 @@ class CommonInstants:
         self._candidates.append(stamp)
         yield from self._complete(at_end=False)
 
-    def rest(self) -> Iterator[tuple[int, dict[str, Sight]]]:
+    def rest(self) -> Iterator[tuple[int, dict[str, ImagePeople]]]:
         """Yield the instants that wait for images which do not come any more."""
         yield from self._complete(at_end=True)
 
-    def _complete(self, *, at_end: bool) -> Iterator[tuple[int, dict[str, Sight]]]:
+    def _complete(self, *, at_end: bool) -> Iterator[tuple[int, dict[str, ImagePeople]]]:
         """Yield instants until one has to wait."""
         while (instant := self._next(at_end=at_end)) is not None:
             if not at_end and self._waits(instant):

@@ -20,7 +20,7 @@ import numpy as np
 
 from hiros_mcap.body.rotations import to_matrix
 from hiros_mcap.kernels.assignment import assign
-from hiros_mcap.rays.common_instants import Sight
+from hiros_mcap.rays.common_instants import ImagePeople
 from hiros_mcap.rays.triangulation import Rays, Triangulated, triangulate
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
 
@@ -65,7 +65,7 @@ class Detections(NamedTuple):
     """(C, 3, 3) from the fixed frame to the camera; NaN for a camera without an image."""
 
     @classmethod
-    def of(cls, names: Sequence[str], sights: Mapping[str, Sight], joints: int) -> Detections:
+    def of(cls, names: Sequence[str], sights: Mapping[str, ImagePeople], joints: int) -> Detections:
         """Collect what cameras saw, in the order of ``names``."""
         centres = np.full((len(names), 3), np.nan)
         rotations = np.full((len(names), 3, 3), np.nan)

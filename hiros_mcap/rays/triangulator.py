@@ -20,7 +20,7 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
-from hiros_mcap.rays.common_instants import CommonInstants, Sight
+from hiros_mcap.rays.common_instants import CommonInstants, ImagePeople
 from hiros_mcap.rays.cross_view import Detections, People3D
 from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame
@@ -30,7 +30,7 @@ from hiros_mcap.wording import quantity
 _TWICE = 0.1  # of a person's size in the image: two detections as near are of one person
 
 
-class Skeletons(NamedTuple):
+class LocatedPeople(NamedTuple):
     """The people at one instant, from several images."""
 
     stamp: int
@@ -69,7 +69,7 @@ class Triangulator:
         self.instants.add_camera(name, (max(lags) - min(lags)) / SECOND)
         self.people.add_camera()
 
-    def add(self, frame: KeypointFrame, pose: Rigid) -> Iterator[Skeletons]:
+    def add(self, frame: KeypointFrame, pose: Rigid) -> Iterator[LocatedPeople]:
         """Take an image; yield the people of the instants that are complete with it.
 
         ``pose`` is that of the camera's optical frame in the fixed frame.
@@ -85,16 +85,16 @@ class Triangulator:
         ):
             yield self._skeletons(instant, sights)
 
-    def rest(self) -> Iterator[Skeletons]:
+    def rest(self) -> Iterator[LocatedPeople]:
         """Yield the people of the last instants, for which no image comes any more."""
         for instant, sights in self.instants.rest():
             yield self._skeletons(instant, sights)
 
-    def _skeletons(self, instant: int, sights: Mapping[str, Sight]) -> Skeletons:
+    def _skeletons(self, instant: int, sights: Mapping[str, ImagePeople]) -> LocatedPeople:
         """Locate the people of an instant."""
         joints = self.model.n_markers
         found = self.people.update(instant, Detections.of([*self.lenses], sights, joints))
-        return Skeletons(
+        return LocatedPeople(
             instant,
             self._log_time,
             np.array([f.points for f in found]).reshape(-1, joints, 3),

@@ -26,7 +26,7 @@ from hiros_mcap.io.detectors.keypoint_messages import KEYPOINT_TYPES, Keypoints,
 from hiros_mcap.rays.confidence import TRIANGULATED, confidence_of
 from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame
-from hiros_mcap.rays.triangulator import Skeletons, Triangulator
+from hiros_mcap.rays.triangulator import LocatedPeople, Triangulator
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.wording import quantity
 
@@ -121,7 +121,7 @@ class RgbKeypoints(DetectorReader):
         frame = KeypointFrame(name, stamp, message.log_time, found.pixels, found.scores)
         yield from map(self._people, triangulator.add(frame, pose))
 
-    def _people(self, skeletons: Skeletons) -> SeenPeople:
+    def _people(self, skeletons: LocatedPeople) -> SeenPeople:
         """Return the people of an instant; confidences say how well their joints are known."""
         assert self.model is not None and self.rig is not None  # noqa: S101 - for the type
         n, fixed = len(skeletons.points), self.rig.fixed_frame
