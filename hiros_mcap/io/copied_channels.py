@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from hiros_mcap.io.channels import CameraChannel
+from hiros_mcap.io.channels import OUTPUT_PREFIX, TRUTH_PREFIX, CameraChannel
 from hiros_mcap.io.codec import Decoder
 from hiros_mcap.io.container import Batch, McapReader
 from hiros_mcap.kernels.batch import SAME, TELLING
@@ -29,9 +29,11 @@ def copied_channels(
 ) -> dict[str, str]:
     """Return the topics that repeat another one, and which. Of two, that with more messages stays.
 
-    ``decoder`` gives people in the coordinates of the cameras.
+    ``decoder`` gives people in the coordinates of the cameras. Results and truths are no cameras:
+    stages may well show the same.
     """
-    cameras = [camera for camera in cameras if camera.frames]
+    ours = f"{OUTPUT_PREFIX}/", f"{TRUTH_PREFIX}/"
+    cameras = [c for c in cameras if c.frames and not c.channel.topic.startswith(ours)]
     if len(cameras) < 2:
         return {}
     shown = _people(reader, decoder, cameras)

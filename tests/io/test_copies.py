@@ -97,3 +97,10 @@ def test_a_camera_that_sees_the_same_people_elsewhere_is_no_copy(crossing, tmp_p
     path = with_relays(crossing, tmp_path / "log.mcap", change, prefix="/other")
     with open_log(path) as log, open_log(crossing) as original:
         assert len(log.cameras) == 2 * len(original.cameras)
+
+
+def test_stages_that_show_the_same_are_no_copies(crossing, tmp_path):
+    with_relays(crossing, tmp_path / "log.mcap", prefix="/hiros/relay")
+    with open_log(tmp_path / "log.mcap", topics=["*"], output_prefix="/none") as log:
+        topics = [camera.channel.topic for camera in log.cameras]
+    assert sum(topic.startswith("/hiros/") for topic in topics) == 3
