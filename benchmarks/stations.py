@@ -107,7 +107,6 @@ STATIONS: Mapping[str, Station] = {
     "offsets of cameras": Station({"fuse": {"offset": 0.0}}),
     "outliers that last": Station({"fuse": {"outliers_last": 0.0}}, ("stages/fuse/outliers.py",)),
     "majority of cameras": Station({"fuse": {"majority": False}}, ("stages/fuse/majority.py",)),
-    "displaced views": Station({"fuse": {"displaced": False}}, ("stages/fuse/displaced_views.py",)),
     "pose prior": Station({"constrain": {"prior": False}}, ("stages/fuse/pose_prior.py",)),
     "rigid groups": Station({"constrain": {"rigid": False}}),
 }

@@ -21,7 +21,6 @@ from hiros_mcap.stages.fuse.constrain import (
     StepMeter,
     constrain_blocks,
 )
-from hiros_mcap.stages.fuse.displaced_views import ViewOffsets
 from hiros_mcap.stages.fuse.fuse import FuseParams, fuse_blocks
 from hiros_mcap.stages.fuse.fusing import (
     POSE,
@@ -109,12 +108,12 @@ def test_views_are_filtered_in_the_order_of_their_times_person_by_person():
     )  # fmt: skip
     n, variances, ids = len(order), both.variances[order], np.array([7, 9], np.int32)
     windows = FusionWindows(
-        views, variances, variances, np.full(n, -1), people[is_pose].astype(np.int32),
-        stamps[is_pose], np.array([[0, n, 0, 120, 0, 10**9]]), ids, np.array([1, 0]), 0,
+        views, variances, np.full(n, -1), people[is_pose].astype(np.int32), stamps[is_pose],
+        np.array([[0, n, 0, 120, 0, 10**9]]), ids, np.array([1, 0]), 0,
     )  # fmt: skip
     states, out = JointStates.unknown(2, 1, 2), FusedPoses.absent(120, 1)
-    others = ViewOffsets.none(2, 2), np.zeros(0), out, ComparedViews.none(n, 120, 1)
-    smooth_people(windows, 0, 2, NOISE, states, *others, StepWork.of(180, 4, 1))
+    compared, work = ComparedViews.none(n, 120, 1), StepWork.of(180, 4, 1)
+    smooth_people(windows, 0, 2, NOISE, states, out, compared, work)
     for k, (steps, row) in enumerate(zip(parts, (1, 0), strict=True)):
         alone = JointStates.unknown(1, 1, 2)
         expected = smoothed(steps, keep=int((steps.times < 1).sum()), states=alone)

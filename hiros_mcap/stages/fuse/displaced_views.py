@@ -10,23 +10,21 @@ standard errors.
 
 A smoother names these cameras: the vote on joints (:mod:`.majority`) has taken their weight, and
 taking more made logs of moved cameras worse, by up to .3 mm. A filter adds SHARE times the square
-of the offset to the variance of their next views, until they agree: poses that are mended on the
-way come late.
+of the offset to the variance of all views of the camera, after a batch of instants in which most
+of them were displaced: poses that are mended on the way come late.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from hiros_mcap.events import Events, camera_displaced
-from hiros_mcap.kernels.array_types import F1, F2, F3, arrays
-from hiros_mcap.kernels.compile import entry, kernel
+from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.skeletons import SECOND, Flags, Floats, Stamps
 from hiros_mcap.stages.fuse.fusing import Sightings
+from hiros_mcap.stages.known_cameras import KnownCameras
 
 LIMIT, LIMIT_AHEAD = 0.035, 0.06
 """m; of a smoother, and of a filter, whose poses and means are less sure. Healthy cameras of
@@ -38,7 +36,6 @@ it has twice the offset of the others; with more cameras the ratio is larger."""
 SHARE = 100.0
 """The offset lasts, and noise averages out: the variance of a view must be far over its square."""
 MAJORITY = 3  # fewer cameras do not tell which one of them is wrong
-_MEMORY = 0.5  # s; time constant of the mean without future views
 _WORTH_S, _WORTH_M = 1.5, 0.06
 """For a warning, people must be off for so long and by so much, without a pause. Parts of a second
 occur with healthy cameras, too: while somebody lies, crouches, or is half hidden."""
@@ -48,39 +45,71 @@ of two who touch one may be seen wrong."""
 _PART, _PAUSE = 250_000_000, 4  # ns, and so many of it in which people are in place end one
 
 
-class ViewOffsets(NamedTuple):
-    """How far the recent views of R people by C cameras were from the results of a filter."""
-
-    sums: F3  # (R, C, 3) m; old views count less
-    counts: F2  # (R, C) how many views; 0 = none
-    times: F1  # (R,) of the latest, s
-
-    @classmethod
-    def none(cls, people: int, cameras: int) -> ViewOffsets:
-        """Return what is known before anybody is seen."""
-        return arrays(cls, (people, cameras, 3), (people, cameras), people)
-
-
 class DisplacedViews:
-    """Counts which cameras show people elsewhere than the others, and warns of them."""
+    """Finds the cameras that show people elsewhere than the others, and warns of them.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    known : has the errors of poses that the people gave.
+    is_filter : whether views lose their weight by what those of the last batch have shown.
+    """
+
+    def __init__(self, known: KnownCameras, *, is_filter: bool) -> None:
+        self._known, self._is_filter = known, is_filter
         self._names: tuple[str, ...] = ()
         self._spans: dict[int, _Span] = {}
         self._uncounted: list[tuple[Stamps, Stamps, Floats]] = []
         """Cameras, times, ns, and excess, m2, of views of the latest part of a second."""
+        self._batch: list[tuple[Sightings, Floats]] = []
+        """Views that a filter has not learned from, and their offsets, m."""
+        self._learned = np.zeros(0)
+        """(C,) excess, m2, of the next views of each camera; 0 if there is none."""
 
     def name(self, names: tuple[str, ...]) -> None:
         """Take the names of the cameras, by index."""
         self._names = names
+        self._learned = np.pad(self._learned, (0, len(names) - len(self._learned)))
+
+    def expected(self, views: Sightings) -> Floats:
+        """(N,) Variance, m2, to be added to views by what a filter has learned so far."""
+        return np.asarray(self._learned[views.cameras])
+
+    def take(self, views: Sightings, offsets: Floats, done: Flags) -> Floats:
+        """(N,) Excess, m2, of views that are ``offsets`` (N, 3), m, from the results.
+
+        Those whose results are ``done`` are counted.
+        """
+        if self._is_filter:
+            self._batch.append((chosen(views, done), offsets[done]))
+            return self.expected(views)
+        excess = excess_of(views, offsets, self._limits())
+        self.count(views, excess, done)
+        return excess
+
+    def learn(self) -> None:
+        """Let the next views of a filter have the weight that the batch before shows."""
+        if not self._batch:
+            return
+        batch, offsets = zip(*self._batch, strict=True)
+        self._batch, views = [], joined(batch)
+        excess = excess_of(views, np.concatenate(offsets), self._limits())
+        self.count(views, excess, np.ones(len(excess), np.bool_))
+        cameras = np.unique(views.cameras).tolist()
+        for camera in cameras if len(cameras) >= MAJORITY else ():
+            # Errors of a moment, or of one person among several, are those of a detector.
+            own = excess[views.cameras == camera]
+            self._learned[camera] = np.quantile(own, 0.5, method="lower")
 
     def count(self, views: Sightings, excess: Floats, done: Flags) -> None:
         """Note which of the views whose results are ``done`` have lost their weight."""
-        if not done.any():
-            return
-        self._uncounted.append((views.cameras[done], views.stamps[done], excess[done]))
-        if self._uncounted[0][1][0] // _PART != views.stamps[done][-1] // _PART:
-            self._count_all()
+        if done.any():
+            self._uncounted.append((views.cameras[done], views.stamps[done], excess[done]))
+            if self._uncounted[0][1][0] // _PART != views.stamps[done][-1] // _PART:
+                self._count_all()
+
+    def _limits(self) -> Floats:
+        least = LIMIT_AHEAD if self._is_filter else LIMIT
+        return limits_of(self._names, self._known.errors, least)
 
     def _count_all(self) -> None:
         """Count, part of a second by part, the views that were noted."""
@@ -97,6 +126,7 @@ class DisplacedViews:
 
         If most are, none is: then the people's views differ, not the cameras.
         """
+        self.learn()
         self._count_all()
         still = []
         for camera, span in self._spans.items():
@@ -195,82 +225,12 @@ def excess_of(views: Sightings, offsets: Floats, limits: Floats) -> Floats:
     sums, counts = np.zeros((n, len(limits), 3)), np.zeros((n, len(limits)))
     np.add.at(sums, (groups[there], views.cameras[there]), offsets[there])
     np.add.at(counts, (groups[there], views.cameras[there]), 1.0)
-    excess = np.empty_like(counts)
-    find_displaced(sums, counts, limits, excess)
-    for g in range(1, n):
-        if people[g] == people[g - 1] and (counts[g] > 0).sum() < MAJORITY:
-            excess[g] = excess[g - 1]
+    seen = counts > 0
+    squares = (sums**2).sum(axis=2) / np.maximum(counts, 1.0) ** 2
+    ordered, votes = np.sort(np.where(seen, squares, np.inf), axis=1), seen.sum(axis=1)
+    middle = ordered[np.arange(n), np.maximum(votes - 1, 0) // 2]
+    healthy = np.maximum(limits**2, CLEARLY**2 * middle[:, None])
+    excess = np.where(seen & (squares > healthy), SHARE * squares, 0.0)
+    for g in np.flatnonzero(votes < MAJORITY).tolist():
+        excess[g] = excess[g - 1] if g and people[g] == people[g - 1] else 0.0
     return np.asarray(excess[groups, views.cameras])
-
-
-# The verdict on the cameras that see a person, compiled.
-
-
-@kernel
-def displaced_cameras(sums: Floats, counts: Floats, limits: Floats, excess: Floats) -> None:
-    """Write the variance, m2, to be added to the views of each camera of a person; mostly 0.
-
-    Parameters
-    ----------
-    sums : (C, 3) of offsets, m. counts : (C,) of views, 0 = none. limits : (C,) m.
-    """
-    n = 0
-    for c in range(len(counts)):
-        is_seen = counts[c] > 0.0
-        excess[c] = _mean_square(sums[c], counts[c]) if is_seen else 0.0
-        n += int(is_seen)
-    if n < MAJORITY:
-        excess[:] = 0.0
-        return
-    middle = _ranked(counts, excess, (n - 1) // 2)
-    for c in range(len(counts)):
-        if excess[c] > max(limits[c] * limits[c], CLEARLY * CLEARLY * middle):
-            excess[c] *= SHARE
-        else:
-            excess[c] = 0.0
-
-
-@kernel
-def _mean_square(total: Floats, count: float) -> float:
-    """Square of a mean, from the sum (3,) and the number."""
-    x, y, z = total[0] / count, total[1] / count, total[2] / count
-    square: float = x * x + y * y + z * z
-    return square
-
-
-@kernel
-def _ranked(counts: Floats, squares: Floats, rank: int) -> float:
-    """Return the square that as many as ``rank`` of the others precede, of cameras with views."""
-    for c in range(len(counts)):
-        before = 0
-        for k in range(len(counts)):
-            is_less = squares[k] < squares[c] or (squares[k] == squares[c] and k < c)
-            before += int(counts[k] > 0.0 and is_less)
-        if counts[c] > 0.0 and before == rank:
-            return float(squares[c])
-    return np.inf
-
-
-@entry
-def find_displaced(sums: F3, counts: F2, limits: F1, excess: F2) -> None:
-    """Write the excess (G, C) of G groups of views; see :func:`displaced_cameras`."""
-    for g in range(len(counts)):
-        displaced_cameras(sums[g], counts[g], limits, excess[g])
-
-
-@kernel
-def remember_offset(
-    row: int, camera: int, time: float, offset: Floats, recent: ViewOffsets
-) -> None:
-    """Take the offset (3,), m, of a view of a person at a time, s."""
-    passed = time - recent.times[row]
-    if passed > 0.0:
-        keep = math.exp(-passed / _MEMORY)
-        for c in range(recent.counts.shape[1]):
-            recent.counts[row, c] *= keep
-            for axis in range(3):
-                recent.sums[row, c, axis] *= keep
-        recent.times[row] = time
-    recent.counts[row, camera] += 1.0
-    for axis in range(3):
-        recent.sums[row, camera, axis] += offset[axis]

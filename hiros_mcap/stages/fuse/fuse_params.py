@@ -51,9 +51,6 @@ class FuseParams(Params):
     majority: bool = fixed(
         True, "Of three cameras or more, who sees a joint elsewhere than most has no weight there."
     )
-    displaced: bool = fixed(
-        True, "Views of a camera that shows people elsewhere than the others lose their weight."
-    )
     pose_angle: float = advanced(
         0.3,
         ge=0,

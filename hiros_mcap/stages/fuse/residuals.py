@@ -91,10 +91,8 @@ class ResidualMeter:
         for smoothed in windows:
             fused = smoothed.frames
             used = (smoothed.rows >= 0) & (smoothed.views.stamps // _MOMENT % _EVERY == 0)
-            views, rows, excess = (
-                chosen(smoothed.views, used), smoothed.rows[used], smoothed.excess[used],
-            )  # fmt: skip
-            self._held.append(smoothed._replace(views=views, rows=rows, excess=excess))
+            views, rows = chosen(smoothed.views, used), smoothed.rows[used]
+            self._held.append(smoothed._replace(views=views, rows=rows))
             self._waiting += len(fused)
             if self._is_causal:
                 yield self.scaled(fused)
@@ -113,8 +111,7 @@ class ResidualMeter:
         rows = [part.rows + first for part, first in zip(held, people[:-1], strict=True)]
         views = joined_out_of([part.views for part in held])
         fused = together([part.frames for part in held])
-        excess = np.concatenate([part.excess for part in held])
-        self._count(fused, views, np.concatenate(rows), excess, held[-1].names)
+        self._count(fused, views, np.concatenate(rows), held[-1].names)
 
     def scaled(self, fused: Block) -> Block:
         """Return a block whose uncertainty allows for how much the cameras scatter.
@@ -132,9 +129,7 @@ class ResidualMeter:
         factor = np.where(count > 0, total / np.maximum(count, 1), factors.mean(axis=0))
         return restated(fused, factor * (uncertainty.deviations**2 - uncertainty.shared**2))
 
-    def _count(
-        self, fused: Block, views: Sightings, rows: Stamps, excess: Floats, names: tuple[str, ...]
-    ) -> None:
+    def _count(self, fused: Block, views: Sightings, rows: Stamps, names: tuple[str, ...]) -> None:
         """Add the residuals of views of people, by ``rows``, to the histograms of the cameras."""
         uncertainty = fused.uncertainty
         if uncertainty is None or not len(rows):
@@ -153,16 +148,15 @@ class ResidualMeter:
             counts = histograms((squares[of_camera] / variances[of_camera]).T)
             self._events.tally(RESIDUAL, name, counts)
             self._events.tally(COMMON, name, histograms(common[None, of_camera]))
-        # The result does not rest on displaced cameras, and on those that are outvoted.
-        excess = excess[:, None] + views.outvoted
-        weights = 1 / (white + self._noise.offsets**2 + excess)
+        # The result does not rest on cameras that are outvoted, or displaced.
+        weights = 1 / (white + self._noise.offsets**2 + views.outvoted)
         there = ~np.isnan(views.positions[:, :, 0])
         total = np.zeros((rows.max() + 1, weights.shape[1]))
         order, begins = _grouped(rows[None])
         total[rows[order[begins]]] = _sums(np.where(there, weights, 0.0)[order], begins)
         shares = np.where(there, weights, np.nan) / np.where(total > 0, total, np.nan)[rows]
         expected = posterior * (1 / shares - 1)
-        expected[~sees | (shares > _ALONE) | (excess > 0)] = np.nan
+        expected[~sees | (shares > _ALONE) | (views.outvoted > 0)] = np.nan
         self._remember(views, residuals, expected, int(fused.stamps[-1]), names)
 
     def _remember(

@@ -23,19 +23,9 @@ from hiros_mcap.skeletons import (
     Uncertainty,
 )
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.fuse.displaced_views import (
-    LIMIT,
-    LIMIT_AHEAD,
-    DisplacedViews,
-    ViewOffsets,
-    displaced_cameras,
-    excess_of,
-    limits_of,
-    remember_offset,
-)
+from hiros_mcap.stages.fuse.displaced_views import DisplacedViews
 from hiros_mcap.stages.fuse.fuse_params import FuseParams
 from hiros_mcap.stages.fuse.fusing import (
-    OFFSETS,
     POSE,
     FusedPoses,
     FusionWork,
@@ -74,7 +64,6 @@ class Smoothed(NamedTuple):
     frames: Block
     views: Sightings
     rows: Stamps  # (N,) the row of each view among the people; -1 = none
-    excess: Floats  # (N,) variance, m2, that views of displaced cameras were given in addition
     names: tuple[str, ...]  # of the cameras
 
 
@@ -104,7 +93,7 @@ class WindowSmoother:
         self._is_filter = params.window == 0
         self._motion = noise.motion(model, params)
         self._pose_error = pose_error
-        self.displaced = DisplacedViews()
+        self.displaced = DisplacedViews(known, is_filter=self._is_filter)
         self._majority = Majority(model.n_markers)
         self._names: tuple[str, ...] = ()
         self._ahead = LookAhead()
@@ -118,10 +107,7 @@ class WindowSmoother:
         self._log_time = 0
         """Of the latest instant, ns."""
         m = model.n_markers
-        self._bank: Bank[tuple[Floats, ...]] = Bank(
-            (*JointStates.unknown(0, m, 0), *ViewOffsets.none(0, 0)), _FORGET
-        )
-        """Of :class:`JointStates` and :class:`ViewOffsets`."""
+        self._bank = Bank(JointStates.unknown(0, m, 0), _FORGET)
 
     def update(self, block: Block, views: Sightings, names: tuple[str, ...]) -> Iterator[Smoothed]:
         """Add instants; yield those whose window is complete: filtered ones together."""
@@ -185,7 +171,7 @@ class WindowSmoother:
             return
         self._names = names
         self.displaced.name(names)
-        past, recent = self._memory()
+        past = self._bank.past
         means = np.pad(past.means, ((0, 0), (0, 0), (0, new), (0, 0)))
         covariances = np.pad(past.covariances, ((0, 0), (0, 0), (0, new), (0, new)))
         size = means.shape[2]
@@ -193,14 +179,7 @@ class WindowSmoother:
             seen_before = covariances[:, :, 0, 0] > 0
             covariances[:, :, k, k] = np.where(seen_before, self._noise.offsets**2, 0.0)
         doubts = [np.pad(array, ((0, 0), (0, 0), (0, new))) for array in past[-3:]]
-        sums = np.pad(recent.sums, ((0, 0), (0, new), (0, 0)))
-        counts = np.pad(recent.counts, ((0, 0), (0, new)))
-        self._bank.past = (means, covariances, *past[2:-3], *doubts, sums, counts, recent.times)
-
-    def _memory(self) -> tuple[JointStates, ViewOffsets]:
-        """Return where the filters stand, and what they remember of the cameras."""
-        n = len(JointStates._fields)
-        return JointStates(*self._bank.past[:n]), ViewOffsets(*self._bank.past[n:])
+        self._bank.past = JointStates(means, covariances, *past[2:-3], *doubts)
 
     def _smooth(self, windows: list[InstantWindow], log_times: Stamps) -> Smoothed:
         """Smooth windows that follow each other.
@@ -221,18 +200,19 @@ class WindowSmoother:
         people, times = out.people.ids, out.stamps[owners]
         filters = self._bank.rows_of(people, times)
         everybody, of_each = np.unique(people, return_index=True)
-        white = self._variances(views, first)
         work = FusionWindows(
-            views, white, white.copy() if self._is_filter else white, of_views, people, times,
+            views, self._variances(views, first), of_views, people, times,
             parts, everybody.astype(np.int32), filters[of_each], self._origin or 0,
         )  # fmt: skip
-        poses, compared = self._compared(work)
+        poses, compared = self._smooth_people(work)
+        excess = self.displaced.take(views, compared.offsets, of_views >= 0)
+        compared.offsets[excess > 0] = np.nan
         ratios = self._learned_pose_errors(work, compared)
         # The filters have taken over what is before the boundary.
         self._taken = boundary = int(parts[-1, _AFTER])
         self._views = [chosen(waiting, (waiting.stamps >= boundary) | (waiting.instants >= end))]
         fused = self._finished(replace(out, log_times=log_times), poses, compared.seen, ratios)
-        return Smoothed(fused, views, of_views, compared.excess, self._names)
+        return Smoothed(fused, views, of_views, self._names)
 
     def _parts(
         self, windows: list[InstantWindow], stamps: Stamps, views: Sightings, first_poses: Stamps
@@ -262,44 +242,26 @@ class WindowSmoother:
         if self._batch < first // BATCH:
             self._batch = first // BATCH
             self._noise.learn(self._names)
-        new = slice(int(np.searchsorted(views.instants, self._next)), None)
+            self.displaced.learn()
+        first_new = int(np.searchsorted(views.instants, self._next))
         self._next = int(views.instants[-1]) + 1 if len(views.instants) else self._next
-        self._noise.take(chosen(views, new))
+        new = chosen(views, slice(first_new, None))
+        self._noise.take(new)
         variances = self._noise.variances(views, self._names, by_instant=self._is_filter)
         if self._params.majority:
-            self._majority.vote(chosen(views, new), variances[new])
+            self._majority.vote(new, variances[first_new:])
+        new.outvoted[:] += self.displaced.expected(new)[:, None]
         return np.asarray(variances + views.outvoted)
 
-    def _compared(self, windows: FusionWindows) -> tuple[FusedPoses, ComparedViews]:
-        """Smooth windows, and find out whose views are displaced."""
-        views, finds, k = windows.views, self._params.displaced, len(windows.people)
-        compared = ComparedViews.none(len(views.people), k, windows.white.shape[1])
-        least = LIMIT_AHEAD if self._is_filter else LIMIT
-        limits = limits_of(self._names if finds else (), self._known.errors, least)
-        poses = self._smooth_people(windows, compared, limits[: None if self._is_filter else 0])
-        found = compared.excess
-        if finds and not self._is_filter:
-            found = excess_of(views, compared.offsets, limits)
-        self.displaced.count(views, found, windows.rows >= 0)
-        compared.offsets[found > 0] = np.nan
-        return poses, compared
-
-    def _smooth_people(
-        self, windows: FusionWindows, compared: ComparedViews, limits: Floats
-    ) -> FusedPoses:
-        """Smooth everybody; the filters stand at the last boundary afterwards.
-
-        ``limits`` (C,), m, as :func:`smooth_people` takes them.
-        """
-        m = windows.white.shape[1]
-        states, recent = self._memory()
-        poses = FusedPoses.absent(len(windows.people), m)
+    def _smooth_people(self, windows: FusionWindows) -> tuple[FusedPoses, ComparedViews]:
+        """Smooth everybody; the filters stand at the last boundary afterwards."""
+        n, m = windows.variances.shape
+        states, poses = self._bank.past, FusedPoses.absent(len(windows.people), m)
+        compared = ComparedViews.none(n, len(windows.people), m)
 
         def smooth(first: int, last: int, steps: int) -> None:
             work = StepWork.of(steps, states.means.shape[2], m)
-            smooth_people.raw(
-                windows, first, last, self._motion, states, recent, limits, poses, compared, work
-            )
+            smooth_people.raw(windows, first, last, self._motion, states, poses, compared, work)
 
         if self._is_filter:  # one pose of each takes less time than to start a thread
             spans = windows.parts[:, 1::2] - windows.parts[:, ::2]
@@ -307,7 +269,7 @@ class WindowSmoother:
         else:
             some = enumerate(windows.everybody.tolist())
             run_each([partial(smooth, k, k + 1, _steps_of(windows, who)) for k, who in some])
-        return poses
+        return poses, compared
 
     def _learned_pose_errors(self, windows: FusionWindows, compared: ComparedViews) -> Floats:
         """(K,) Ratio of the poses' variances to the assumed ones, as known at each result."""
@@ -377,8 +339,7 @@ class FusionWindows(NamedTuple):
     """The input of W smoothings, one after the other: N views of people, and the K wanted poses."""
 
     views: Sightings
-    white: F2  # (N, M) variance of the white noise of the views, m2
-    variances: F2  # (N, M) the same and, in a filter, the excess of displaced cameras
+    variances: F2  # (N, M) of the views, m2
     rows: I1  # (N,) the pose of each view's person and instant; -1 = none
     people: J1  # (K,) whose pose is wanted
     stamps: I1  # (K,) at which time, ns, in order for each person
@@ -393,14 +354,13 @@ class FusionWindows(NamedTuple):
 class ComparedViews(NamedTuple):
     """What smoothing tells of N views and K poses."""
 
-    excess: F1  # (N,) variance, m2, that a filter gave to views for being displaced
     offsets: F2  # (N, 3) mean residual of the joints of each view, m; NaN = nothing to compare
     seen: I2  # (K, M) which cameras saw each marker at its instant, a bit each
 
     @classmethod
     def none(cls, views: int, poses: int, markers: int) -> ComparedViews:
         """Return what is known before."""
-        return cls(np.zeros(views), np.full((views, 3), np.nan), np.zeros((poses, markers), int))
+        return cls(np.full((views, 3), np.nan), np.zeros((poses, markers), int))
 
 
 class StepWork(NamedTuple):
@@ -409,14 +369,12 @@ class StepWork(NamedTuple):
     order: I1  # (T,) views by their rows, wanted poses by N + their rows; at last rows, of Steps
     times: F1  # (T,) of Steps
     cameras: I1  # (T,)
-    excess: F1  # (C,) of the cameras, m2
     joint: FusionWork
 
     @classmethod
     def of(cls, steps: int, size: int, markers: int) -> StepWork:
         """Make room for M joints with states of length ``size``."""
-        joint = FusionWork.of(steps, size, markers)
-        return arrays(cls, steps, steps, steps, size - OFFSETS, joint)
+        return arrays(cls, steps, steps, steps, FusionWork.of(steps, size, markers))
 
 
 @inlined
@@ -490,20 +448,6 @@ def _write_steps(windows: FusionWindows, w: int, person: int, work: StepWork) ->
 
 
 @kernel
-def _add_excess(
-    windows: FusionWindows, w: int, person: int, excess: Floats, compared: ComparedViews
-) -> None:
-    """Add the excess (C,), m2, of the cameras to the variances of the views of a person."""
-    for i in range(windows.parts[w, _VIEWS], windows.parts[w, _VIEWS_END]):
-        if windows.views.people[i] == person:
-            added = excess[windows.views.cameras[i]]
-            for m in range(windows.white.shape[1]):
-                windows.variances[i, m] = windows.white[i, m] + added
-            if windows.rows[i] >= windows.parts[w, _POSES]:
-                compared.excess[i] = added
-
-
-@kernel
 def _compare(windows: FusionWindows, i: int, poses: FusedPoses, compared: ComparedViews) -> None:
     """Write how far a view is from its pose on average, weighted by 1 / variance; who sees it."""
     k, total, x, y, z = windows.rows[i], 0.0, 0.0, 0.0, 0.0
@@ -529,15 +473,13 @@ def _compare(windows: FusionWindows, i: int, poses: FusedPoses, compared: Compar
 @entry
 def smooth_people(
     windows: FusionWindows, first: int, last: int, noise: JointNoise, states: JointStates,
-    recent: ViewOffsets, limits: F1, out: FusedPoses, compared: ComparedViews, work: StepWork,
+    out: FusedPoses, compared: ComparedViews, work: StepWork,
 ) -> None:  # fmt: skip
     """Smooth some of the people of windows: ``everybody[first:last]``.
 
     Parameters
     ----------
     states : where the filters stand; brought to the boundary of the last window.
-    recent : what they remember of the cameras.
-    limits : (C,) offset of each camera, m, up to which it is healthy; none = it does not matter.
     out, compared : unknown; get the poses that are wanted of these people, and how far views are
         from them.
     work : has room for the steps of each.
@@ -548,9 +490,6 @@ def smooth_people(
             n, before = _write_steps(windows, w, person, work)
             if n == 0:
                 continue
-            if len(limits) > 0:
-                displaced_cameras(recent.sums[row], recent.counts[row], limits, work.excess)
-                _add_excess(windows, w, person, work.excess, compared)
             steps = Steps(
                 work.times[:n], work.cameras[:n], work.order[:n], windows.views.positions,
                 windows.variances,
@@ -561,7 +500,3 @@ def smooth_people(
                 is_own = windows.parts[w, _POSES] <= k < windows.parts[w, _POSES_END]
                 if is_own and windows.people[k] == person:
                     _compare(windows, i, out, compared)
-                    if len(limits) > 0 and not math.isnan(compared.offsets[i, 0]):
-                        time = (windows.views.stamps[i] - windows.origin) * 1e-9
-                        camera = windows.views.cameras[i]
-                        remember_offset(row, camera, time, compared.offsets[i], recent)
