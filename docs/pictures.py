@@ -35,7 +35,7 @@ from hiros_mcap.io.foxglove import FoxgloveInput
 from hiros_mcap.plan.planning import make_plan
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.process_live import process_live, subscription
-from hiros_mcap.simulate import SimulateParams
+from hiros_mcap.simulate import RigParams, SimulateParams
 from hiros_mcap.simulate.simulation import write_log
 from hiros_viewer.columns import TIMELINE
 from hiros_viewer.destinations import connected, running_viewer, save
@@ -54,6 +54,7 @@ def main() -> None:
     plan = make_plan(SimulateParams(people=2, cameras=4, area=(-3.0, -2.5, 3.0, 2.5)), height=2.2)
     save_png(floor_figure(plan), HERE / "floor.png")
     with tempfile.TemporaryDirectory() as folder:
+        few_colours(rgb_picture(Path(folder)), HERE / "rgb.png")
         result = Path(folder) / "crossing.hiros.mcap"
         process(LOG, result)
         for layout in ("overview", "stages", "cameras"):
@@ -68,9 +69,26 @@ def main() -> None:
         save_gif(moving, HERE / "crossing.gif")
         imsave(HERE / "opensim.png", opensim_picture(result, Path(folder)))
         inverse_kinematics_figure(Path(folder)).savefig(HERE / "opensim-ik.png", dpi=110)
-        live = Image.open(io.BytesIO(live_picture()))
-        few_colours = live.crop((0, MENU, *live.size)).quantize(64)
-        few_colours.save(HERE / "live.png", optimize=True)
+        few_colours(live_picture(), HERE / "live.png")
+
+
+def few_colours(picture: bytes, path: Path) -> None:
+    """Write a window, a PNG, in 64 colours and without its menu."""
+    window = Image.open(io.BytesIO(picture))
+    window.crop((0, MENU, *window.size)).quantize(64).save(path, optimize=True)
+
+
+def rgb_picture(folder: Path) -> bytes:
+    """Return what four simulated RGB cameras see of two people, and the result in it, as PNG."""
+    log, result, recording = (
+        folder / f"rgb{suffix}" for suffix in (".mcap", ".hiros.mcap", ".rrd")
+    )
+    rig = RigParams(kinds=("rgb",), rate=60.0)
+    write_log(log, SimulateParams(people=2, cameras=4, action="cross", seconds=5, rig=rig))
+    process(log, result)
+    save(recording, "rgb", lambda sink: replay([result], sink, ViewOptions("cameras")))
+    (picture,) = screenshots(recording, [2.0], "1120x660")
+    return picture
 
 
 def live_picture() -> bytes:

@@ -112,9 +112,9 @@ def show_self(output: Output, scores: SelfScores) -> None:
 
 
 def _print_self(output: Output, scores: SelfScores, notes: Iterable[str]) -> None:
-    result, pairs = scores.consistency, scores.disagreement.items()
+    result = scores.consistency
     people = ", ".join(f"{p.id} ({number(p.seconds, 1)} s)" for p in result.people) or "nobody"
-    differences = [(f"{a}, {b}", number(mm, 1)) for (a, b), mm in pairs]
+    pairs = [(f"{a}, {b}", number(mm, 1)) for (a, b), mm in scores.disagreement.items()]
     joints = {
         **{f"Joints of {c.topic}, mm": score_tables.joint_table(c.joints) for c in scores.cameras},
         **{f"Joints of {c.topic}, px": score_tables.pixel_table(c) for c in scores.images},
@@ -122,9 +122,15 @@ def _print_self(output: Output, scores: SelfScores, notes: Iterable[str]) -> Non
     page(
         f"{output.log}: each camera against the result of the others, without a truth",
         *((sheet.title, text_of(sheet)) for sheet in score_tables.self_sheets(scores)),
-        (
-            "Disagreement between cameras at one time, median mm",
-            (("Cameras", "Median"), differences),
+        *(
+            [
+                (
+                    "Disagreement between cameras at one time, median mm",
+                    (("Cameras", "Median"), pairs),
+                )
+            ]
+            if pairs
+            else []
         ),
         ["Result of all cameras:", f"people: {people}", *score_tables.lines_of(result)],
         ("Left and right of this result", score_tables.side_table(scores.sides)),

@@ -8,7 +8,7 @@ of ``hiros process``, which all cameras give together; ``input.poses=given`` kee
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -19,7 +19,7 @@ from hiros_mcap.config import Config, load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.logs import Consistency, consistency
 from hiros_mcap.evaluate.match import match
-from hiros_mcap.evaluate.reprojection import ImageScores, image_scores
+from hiros_mcap.evaluate.reprojection import ImageScores, image_scores, reprojection
 from hiros_mcap.evaluate.side_scores import SideScores, side_scores
 from hiros_mcap.evaluate.statistics import (
     ErrorStats,
@@ -28,8 +28,8 @@ from hiros_mcap.evaluate.statistics import (
     parts_of,
 )
 from hiros_mcap.evaluate.truth import Truth
-from hiros_mcap.io.log import Source, reading
-from hiros_mcap.io.rgb_cameras import poses_of, read_rgb_cameras
+from hiros_mcap.io.log import Source
+from hiros_mcap.io.rgb_cameras import poses_of
 from hiros_mcap.progress import Bar, Progress
 from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.running.recording import Recording
@@ -106,13 +106,9 @@ def leave_one_out(
     options = options or ProcessOptions()
     config = config or load_config(system=options.system)
     recording = Recording.read(source, config, options)
-    with reading(source) as reader:
-        rgb = read_rgb_cameras(reader)
-    model, frames_of = recording.model, frames_of_cameras(recording, 1 if rgb else 2)
+    model, frames_of = recording.model, frames_of_cameras(recording, 1 if recording.images else 2)
     everybody = _fused(recording, config, options, frames_of)
     cameras, _ = leave_each_out(recording, frames_of, config, options, progress)
-    log = recording.prepared.log
-    poses = poses_of(rgb, log.transforms, log.fixed_frame)
     residuals = {topic: _residuals(frames, everybody, model) for topic, frames in frames_of.items()}
     mirrored = {topic: int(each.mirrored.sum()) for topic, each in residuals.items()}
     return SelfScores(
@@ -122,8 +118,33 @@ def leave_one_out(
             (a, b): _disagreement(residuals[a], residuals[b]) for a, b in combinations(frames_of, 2)
         },
         sides=side_scores(everybody, model, mirrored),
-        images=image_scores(rgb, poses, everybody, model),
+        images=_images(source, recording, everybody, config, options),
     )
+
+
+def _images(
+    source: Source, recording: Recording, everybody: Sequence[Frame], config: Config,
+    options: ProcessOptions,
+) -> tuple[ImageScores, ...]:  # fmt: skip
+    """Return each RGB camera against the result of all, and that of the others if there are any.
+
+    Poses and clocks are those that all cameras give together.
+    """
+    log, cameras = recording.prepared.log, recording.images
+    poses = poses_of(cameras, log.transforms, log.fixed_frame)
+    scores, rig = image_scores(cameras, poses, everybody, recording.model), log.rig
+    if rig is None or (len(rig.lenses) < 3 and len(recording.topics) < 2):
+        return scores
+    names = {camera.topic: camera for camera in cameras}
+    left_out = []
+    for score in scores:
+        camera = names[score.topic]
+        lenses = {name: lens for name, lens in rig.lenses.items() if name != camera.name}
+        others = Recording.read(source, config, options, replace(rig, lenses=lenses))
+        frames = _fused(others, config, options, others.topics.values())
+        found = reprojection(camera, poses[camera.name], frames, others.model)
+        left_out.append(replace(score, left_out=found))
+    return tuple(left_out)
 
 
 def leave_each_out(

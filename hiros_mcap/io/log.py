@@ -206,7 +206,9 @@ def open_log(
         else:
             file = stack.enter_context(open_reader(path, recover=recover, memory=memory))
         with naming(file.path):
-            rig, doubt = _rgb_cameras(file, tree, selection)
+            rig, doubt = selection.rig, list[str]()
+            if rig is None:
+                rig, doubt = _rgb_cameras(file, tree, selection)
             selection = selection._replace(rig=rig)
             reader = converted(file, selection)
             tree = tree if rig is None else rig.tree
@@ -236,7 +238,8 @@ def open_log(
 
 def _not_taken(reader: McapReader) -> Iterator[ChannelInfo]:
     """Yield the channels whose messages are no SkeletonGroups, and did not become some."""
-    yield from (i for i in channels_of(reader) if not i.has_type(hiros_schemas.SKELETON_GROUP))
+    groups = hiros_schemas.SKELETON_GROUP
+    yield from (i for i in channels_of(reader) if not (i.has_type(groups) or is_keypoints(i)))
     for topic, (kind, n) in reader.left_out.items():
         yield ChannelInfo(-1, topic, "" if kind == "no type" else kind, "", n, {})
 

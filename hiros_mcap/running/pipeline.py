@@ -28,6 +28,7 @@ from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.frames import Block
 from hiros_mcap.io.bag_output import output_file, refuse_foreign_encodings
 from hiros_mcap.io.detectors.conversion import Selection
+from hiros_mcap.io.detectors.rgb_keypoints import RgbRig
 from hiros_mcap.io.log import DAMAGED, Log, Reading, Source, open_log
 from hiros_mcap.outputs import check_outputs, target_kind
 from hiros_mcap.progress import Bar, Progress, bar
@@ -188,8 +189,13 @@ def _following(progress: Progress | bool) -> Iterator[Progress | None]:
         yield progress
 
 
-def open_input(source: Source, config: Config, options: ProcessOptions) -> Log:
-    """Open a log as a run with these options reads it; see :func:`hiros_mcap.io.log.open_log`."""
+def open_input(
+    source: Source, config: Config, options: ProcessOptions, rig: RgbRig | None = None
+) -> Log:
+    """Open a log as a run with these options reads it; see :func:`hiros_mcap.io.log.open_log`.
+
+    ``rig`` : how the RGB cameras stand; None = it is found out.
+    """
     return open_log(
         source,
         topics=options.topics or None,
@@ -198,7 +204,7 @@ def open_input(source: Source, config: Config, options: ProcessOptions) -> Log:
         recover=options.recover,
         memory=int(options.memory * 2**30),
         skeletons=skeletons_read(config)._replace(
-            refine=options.calibrate != "off" and config.input.poses != "given"
+            rig=rig, refine=options.calibrate != "off" and config.input.poses != "given"
         ),
     )
 

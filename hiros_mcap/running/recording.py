@@ -22,7 +22,9 @@ import numpy as np
 from hiros_mcap.config import Config
 from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.io.codec import Precision, rounded
+from hiros_mcap.io.detectors.rgb_keypoints import RgbRig
 from hiros_mcap.io.log import Source
+from hiros_mcap.io.rgb_cameras import RgbCamera, read_rgb_cameras
 from hiros_mcap.running.observe import Stopwatch
 from hiros_mcap.running.pipeline import open_input, stream
 from hiros_mcap.running.preparation import Prepared, prepare, set_up
@@ -37,17 +39,24 @@ class Recording:
 
     prepared: Prepared
     blocks: Sequence[Block]
+    images: Sequence[RgbCamera] = ()
+    """RGB cameras with their keypoints, at corrected times."""
 
     @classmethod
-    def read(cls, source: Source, config: Config, options: ProcessOptions) -> Recording:
+    def read(
+        cls, source: Source, config: Config, options: ProcessOptions, rig: RgbRig | None = None
+    ) -> Recording:
         """Read a log as a run with these settings does.
+
+        ``rig`` : how the RGB cameras stand, if that is known; those without a lens are left out.
 
         Raises LogError and ConfigError as :func:`hiros_mcap.running.pipeline.process` does.
         """
-        with open_input(source, config, options) as log:
+        with open_input(source, config, options, rig) as log:
             prepared = prepare(log, config, options, Stopwatch())
             _ = prepared.log.span  # needs the file
-            return cls(prepared, tuple(prepared.detections()))
+            images = read_rgb_cameras(log.reader)
+            return cls(prepared, tuple(prepared.detections()), images)
 
     @property
     def model(self) -> SkeletonModel:

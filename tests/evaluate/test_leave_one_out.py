@@ -7,6 +7,7 @@ import pytest
 from builders import FAULTLESS
 from stick_figures import MODEL, at, person, seen
 
+from hiros_cli.app import run
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.leave_one_out import _disagreement, _Residuals, leave_one_out
 from hiros_mcap.evaluate.logs import consistency
@@ -119,3 +120,22 @@ def test_the_result_alone():
     assert own.limbs["HIP_LEFT"] == pytest.approx(0, abs=1e-12)
     assert own.limbs["NECK"] == pytest.approx(0.01 / 0.5)
     assert np.isclose(own.limb_variation, np.mean(list(own.limbs.values())))
+
+
+def test_each_rgb_camera_is_left_out_of_what_it_is_compared_with(tmp_path, capsys):
+    """A camera is nearer to a result that it has a part in: its own noise is in both."""
+    log = tmp_path / "log.mcap"
+    scene = {**FAULTLESS, "people": 1, "cameras": 4, "seconds": 2, "rig": {"kinds": ("rgb",)}}
+    write_log(log, SimulateParams.model_validate({**scene, "noise": 1.0}))
+    scores = leave_one_out(log)
+    assert len(scores.images) == 4
+    assert not scores.cameras
+    for camera in scores.images:
+        assert camera.left_out is not None
+        assert camera.left_out.detections == camera.result.detections
+        assert camera.left_out.distance.median > camera.result.distance.median  # its own noise
+        assert camera.left_out.distance.median < 20
+    assert run(["eval", str(log), "--leave-one-out"]) == 0
+    printed = capsys.readouterr()
+    assert "Left out: median" in printed.out
+    assert "not read" not in printed.err

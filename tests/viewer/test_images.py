@@ -190,3 +190,25 @@ def picture_message(frame_id, stamp):
     time = types["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9))
     header = types["std_msgs/msg/Header"](time, frame_id)
     return bytes(STORE.serialize_cdr(types[IMAGE](header, "png", data), IMAGE))
+
+
+def test_a_result_shows_who_the_keypoints_became(tmp_path):
+    log, out, target = (tmp_path / name for name in ("log.mcap", "out.mcap", "log.rrd"))
+    scene = {"people": 1, "cameras": 3, "seconds": 1.0, "rig": {"kinds": ("rgb",)}}
+    params = SimulateParams.model_validate(scene)
+    write_log(log, params)
+    assert run(["process", str(log), "-o", str(out), "-q"]) == 0
+    assert run(["view", str(out), "--save", str(target), "--layout", "cameras", "-q"]) == 0
+    lens = simulate(params).intrinsics["camera_0"]
+    seen = rows(target, "/images/camera_0/keypoints", "Points2D:positions")
+    drawn = rows(target, "/images/camera_0/result", "Points2D:positions")
+    stamps = [min(drawn, key=lambda t, s=stamp: abs(t - s)) for stamp in seen]
+    apart = [
+        np.linalg.norm(np.mean(drawn[near], axis=0) - np.mean(found, axis=0))
+        for near, found in zip(stamps, seen.values(), strict=True)
+        if drawn[near] and found
+    ]
+    assert len(apart) > 20
+    assert np.median(apart) < 0.05 * lens.size[1]
+    chunks = rerun.chunk.RrdReader(str(target)).stream().to_chunks()
+    assert "/detections/rgb_cameras" in {chunk.entity_path for chunk in chunks}

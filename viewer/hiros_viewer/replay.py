@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import math
 import os
 import tempfile
@@ -13,18 +14,26 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
+import hiros_schemas
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.config import Config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.comparison import Entry
-from hiros_mcap.evaluate.logs import find_truth, has_cameras, has_outputs, start_of
+from hiros_mcap.evaluate.logs import (
+    find_truth,
+    has_cameras,
+    has_outputs,
+    start_of,
+)
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.events import Event
-from hiros_mcap.io.channels import OUTPUT_PREFIX, TRUTH_PREFIX
+from hiros_mcap.io.channels import OUTPUT_PREFIX, TRUTH_PREFIX, channels_of
+from hiros_mcap.io.detectors.rgb_keypoints import RGB_TOPIC
 from hiros_mcap.io.log import CameraChannel, Log, open_log, reading
 from hiros_mcap.io.result import stored_events, stored_report
 from hiros_mcap.io.rgb_cameras import RgbCamera, poses_of, read_rgb_cameras
 from hiros_mcap.io.ros_messages import open_messages, read_pictures
+from hiros_mcap.rays.confidence import TRIANGULATED
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.running.pipeline import ProcessOptions, process, skeletons_read
 from hiros_mcap.skeletons import SkeletonModel
@@ -165,12 +174,14 @@ class _Replay:
     def draw(self, first: Scene | None, is_open: Callable[[], bool]) -> Scene:
         """Draw it; seconds count from the start of the first log when two are overlaid."""
         extrinsics = self.options.calibration or self.options.extrinsics
-        config = Config()
-        if self.options.configs and not has_outputs(self.path):  # a result is in metres already
+        config, topics = Config(), ["*"]
+        if has_outputs(self.path):  # in metres; skeletons of keypoints are in it
+            topics = _skeletons_of_result(self.path)
+        elif self.options.configs:
             config = self.options.configs[self.layer.number]
         with open_log(
             self.path,
-            topics=["*"],
+            topics=topics,
             output_prefix="/none",
             extrinsics=extrinsics,
             fixed_frame=config.input.fixed_frame or None,
@@ -361,6 +372,14 @@ def _window(start: int, seconds: tuple[float, float] | None) -> tuple[int, int]:
     return start + round(seconds[0] * 1e9), start + round(min(seconds[1], 1e9) * 1e9)
 
 
+def _skeletons_of_result(path: Path) -> list[str]:
+    """Return globs of the skeletons in a result, also of those that were keypoints; no truth."""
+    with reading(path) as reader:
+        channels = [i for i in channels_of(reader) if i.has_type(hiros_schemas.SKELETON_GROUP)]
+    topics = [info.topic for info in channels if not info.topic.startswith(f"{TRUTH_PREFIX}/")]
+    return list(map(glob.escape, topics))
+
+
 def describe(log: Log) -> Source:
     """Find out what a log holds that can be drawn."""
     kinds = {kind_of(camera.channel.topic) for camera in log.cameras}
@@ -392,6 +411,8 @@ def _later_poses(log: Log, camera: CameraChannel) -> dict[float, Rigid]:
 
 def _camera_name(camera: CameraChannel, source: str, cameras: list[CameraChannel]) -> str:
     """Return the coordinate frame's name if that is enough to tell cameras apart."""
+    if camera.channel.topic == RGB_TOPIC:
+        return TRIANGULATED  # it has no frame of its own
     shared = sum(camera.frames == other.frames for other in cameras) > 1
     is_enough = len(camera.sources) == len(camera.frames) == 1 and not shared
     return camera.frames[0] if is_enough else source
