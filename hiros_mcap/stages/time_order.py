@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from heapq import heappop, heappush
 
-import numpy as np
-
-from hiros_mcap.frames import Block, CameraNumbers, HeldFrames
-from hiros_mcap.kernels.array_types import I1, I2
-from hiros_mcap.kernels.compile import entry, kernel
-from hiros_mcap.skeletons import Stamps
+from hiros_mcap.frames import Block, HeldFrames
 
 _USUAL_DELAY = 100_000_000  # ns: how late cameras are taken to be before any was late
 # Of Lateness.
@@ -23,9 +19,6 @@ _TOLERATED, _FAST = 40_000_000, 30_000_000
 """ns: a camera's messages come every 33 ms, and the stages gather those of one moment. Nobody waits
 for what is late by no more. Where a camera's messages come faster than _FAST, its period is the
 limit: what is later is older than what the others have shown since."""
-
-# Places of what is known of all messages so far, ns.
-_LATEST, _NOW, _BEGIN, _DELAY, _PATIENCE = range(5)
 
 
 def in_time_order(
@@ -66,125 +59,51 @@ class TimeOrder:
     ) -> None:
         self._lateness = lateness
         self._held = HeldFrames()
-        self._waiting = np.empty((0, 3), np.int64)
-        """Stamp, camera and number of each message that is held, in order."""
-        self._cameras = CameraNumbers()
-        self._latest_of = np.empty(0, np.int64)
-        """Latest stamp of each camera, ns."""
-        self._ranks = np.empty(0, np.int64)
-        """Of each camera, by its name."""
-        patience = round(delay * 1e9)
-        # The delay is how late the latest message was.
-        usual = patience if patient else min(patience, _USUAL_DELAY)
-        self._times = np.array([0, 0, 0, usual, patience])
+        self._waiting: list[tuple[int, str, int]] = []
+        """A heap: stamp, camera and number of each message that is held."""
+        self._latest_of: dict[str, int] = {}
+        """Camera -> its latest stamp, ns."""
+        self._latest = self._now = self._begin = 0
+        """Latest stamp and log time, and the first stamp, ns."""
+        self._patience = round(delay * 1e9)
+        self._delay = self._patience if patient else min(self._patience, _USUAL_DELAY)
+        """How late the latest message was, ns."""
 
     def push(self, block: Block) -> list[Block]:
         """Take messages; return those that leave now, with their log times."""
-        cameras, first = self._cameras.of(block), self._held.add(block)
-        if new := len(self._cameras) - len(self._latest_of):
-            self._latest_of = np.concatenate([self._latest_of, np.zeros(new, np.int64)])
-            self._ranks = np.argsort(np.argsort(list(self._cameras)))
-        queue = np.concatenate([self._waiting, np.empty((len(block), 3), np.int64)])
-        leaving = np.empty((len(queue), 2), np.int64)
-        messages = np.stack([block.stamps, cameras, block.log_times, self._waits(block)], axis=1)
-        n = sort_messages(
-            messages, first, self._ranks, self._latest_of, self._times, queue, leaving
-        )
-        self._waiting = queue[: len(queue) - n].copy()
-        numbers, log_times = leaving[:n].T.copy()
+        first, leaving = self._held.add(block), list[tuple[int, int]]()
+        for number, (stamp, source, log_time) in enumerate(block.messages(), first):
+            if self._lateness:
+                self._patience = self._delay = self._lateness.take(stamp, source, log_time)
+            self._latest, self._now = max(self._latest, stamp), max(self._now, log_time)
+            self._begin = self._begin or stamp
+            self._delay = max(self._delay, min(self._latest - stamp, self._patience))
+            self._latest_of[source] = max(self._latest_of.get(source, 0), stamp)
+            heappush(self._waiting, (stamp, source, number))
+            while self._waiting and self._leaves(*self._waiting[0][:2]):
+                leaving.append((heappop(self._waiting)[2], self._now))
         # What waited goes on together with what came: later stages cost a call per block.
-        ready = [self._held.take(numbers).logged_at(log_times)] if n else []
-        self._held.keep(self._waiting[:, 2])
+        ready = [self._logged(*zip(*leaving, strict=True))] if leaving else []
+        self._held.keep([number for *_, number in self._waiting])
         return ready
-
-    def _waits(self, block: Block) -> Stamps:
-        """(N,) How long messages wait from each on, ns, as measured; -1 = as before."""
-        if self._lateness is None:
-            return np.full(len(block), -1)
-        return np.array([self._lateness.take(*message) for message in block.messages()])
 
     def rest(self) -> Iterator[Block]:
         """Yield what is left, now that nothing more comes."""
         if n := len(self._waiting):
-            yield self._held.take(self._waiting[:, 2]).logged_at([int(self._times[_NOW])] * n)
+            yield self._logged([number for *_, number in sorted(self._waiting)], [self._now] * n)
 
+    def _logged(self, numbers: Sequence[int], log_times: Sequence[int]) -> Block:
+        return self._held.take(numbers).logged_at(log_times)
 
-@kernel
-def _is_complete(
-    stamp: int, rank: int, camera: int, ranks: Stamps, latest_of: Stamps, times: Stamps
-) -> bool:
-    """Whether every camera has sent what is before a time and a rank; ``camera`` sent the last."""
-    oldest = times[_LATEST] - times[_PATIENCE]
-    if times[_BEGIN] >= oldest:  # there may be cameras that have not sent anything yet
-        return bool(stamp < oldest or (stamp == oldest and rank <= ranks[camera]))
-    if stamp >= times[_LATEST]:
-        return False
-    for k in range(len(latest_of)):
-        if latest_of[k] > oldest and (
-            latest_of[k] < stamp or (latest_of[k] == stamp and ranks[k] < rank)
-        ):
-            return False
-    return True
-
-
-@kernel
-def _move(queue: Stamps, source: int, target: int) -> None:
-    """Copy a row of the queue (n, 3)."""
-    for c in range(3):
-        queue[target, c] = queue[source, c]
-
-
-@entry
-def sort_messages(
-    messages: I2, first: int, ranks: I1, latest_of: I1, times: I1, queue: I2, leaving: I2
-) -> int:
-    """Take messages one after the other; find out which leave.
-
-    Parameters
-    ----------
-    messages : (N, 4) stamp, ns, camera, log time and wait, ns. ``first`` is the number of the first
-        one. A wait of -1 leaves that in ``times``.
-    ranks : (C,) which of two cameras comes first if the stamps are equal.
-    latest_of, times : of each camera, and of all; they go on.
-    queue : (W + N, 3) W messages that wait, in order, and room for the others; afterwards, those
-        that wait are in front.
-    leaving : (W + N, 2) gets numbers and log times.
-
-    Returns
-    -------
-    How many leave.
-    """
-    begin, end, n = 0, len(queue) - len(messages), 0
-    for i in range(len(messages)):
-        stamp, camera, log_time = messages[i, 0], messages[i, 1], messages[i, 2]
-        times[_LATEST], times[_NOW] = max(times[_LATEST], stamp), max(times[_NOW], log_time)
-        times[_BEGIN] = times[_BEGIN] or stamp
-        if messages[i, 3] >= 0:
-            times[_PATIENCE] = times[_DELAY] = messages[i, 3]
-        late = min(times[_LATEST] - stamp, times[_PATIENCE])
-        times[_DELAY] = max(times[_DELAY], late)
-        latest_of[camera] = max(latest_of[camera], stamp)
-        k = end
-        while k > begin and (
-            queue[k - 1, 0] > stamp
-            or (queue[k - 1, 0] == stamp and ranks[queue[k - 1, 1]] > ranks[camera])
-        ):
-            _move(queue, k - 1, k)
-            k -= 1
-        queue[k, 0], queue[k, 1], queue[k, 2] = stamp, camera, first + i
-        end += 1
-        oldest, recent = times[_LATEST] - times[_PATIENCE], times[_LATEST] - times[_DELAY]
-        while begin < end:
-            due, rank = queue[begin, 0], ranks[queue[begin, 1]]
-            if due > oldest and (
-                due > recent or not _is_complete(due, rank, camera, ranks, latest_of, times)
-            ):
-                break
-            leaving[n, 0], leaving[n, 1] = queue[begin, 2], times[_NOW]
-            n, begin = n + 1, begin + 1
-    for k in range(begin, end):
-        _move(queue, k, k - begin)
-    return n
+    def _leaves(self, stamp: int, source: str) -> bool:
+        """Whether a message waits no longer: it waited enough, or no camera sends an older one."""
+        oldest = self._latest - self._patience
+        if stamp <= oldest:
+            return True
+        if stamp > self._latest - self._delay or stamp == self._latest or self._begin >= oldest:
+            return False  # or there may be cameras that have not sent anything yet
+        latest_of = self._latest_of.items()
+        return all(last <= oldest or (last, name) >= (stamp, source) for name, last in latest_of)
 
 
 @dataclass(slots=True)
