@@ -277,7 +277,9 @@ def test_velocities_of_a_sinusoid(cameras, share):
 def shuffled():
     """Frames of three cameras in order, and up to 80 ms late."""
     frames = [
-        seen([person(0.02 * k), person(2)], at(k, c), f"c{c}") for k in range(40) for c in range(3)
+        seen([person(0.02 * k + 0.001 * c), person(2)], at(k, c), f"c{c}")
+        for k in range(40)
+        for c in range(3)
     ]
     rng = np.random.default_rng(3)
     late = sorted(frames, key=lambda f: f.stamp + rng.uniform(0, 0.08) * SECOND)
