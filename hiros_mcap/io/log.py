@@ -227,7 +227,8 @@ def open_log(
         owns_file = reader is not path
         if reader is file:
             stack.pop_all()
-        others = (i for i in _not_taken(reader) if i.topic not in {info.topic for info in unread})
+        known = {info.topic for info in unread} | set(rig.models if rig else ())
+        others = (i for i in _not_taken(reader) if i.topic not in known)
         strangers = tuple(unread_cameras(others, contents[0], selects))
         log = Log(reader, *contents, fixed_frame, unread, strangers, owns_file=owns_file)
         log.reader.warnings = (*log.reader.warnings, *doubt, *(rig.warnings if rig else ()))
