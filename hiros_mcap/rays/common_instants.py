@@ -54,11 +54,8 @@ class ImageStream:
     """People so far."""
     steps: list[int] = field(default_factory=list)
     """ns between the last images."""
-
-    @property
-    def period(self) -> int:
-        """Usual time between two images, ns."""
-        return int(np.median(self.steps)) if self.steps else _USUAL
+    period: int = _USUAL
+    """Usual time between two images, ns."""
 
     @property
     def newest(self) -> int:
@@ -70,6 +67,7 @@ class ImageStream:
         tracks = np.full(len(points), -1)
         if self.sights:
             self.steps = [*self.steps[1 - _PERIODS :], stamp - self.newest]
+            self.period = sorted(self.steps)[len(self.steps) // 2]
             if stamp - self.newest < _GAP * self.period:
                 tracks = followed(self.sights[-1], points)
         new = np.flatnonzero(tracks < 0)
@@ -114,7 +112,7 @@ def followed(before: ImagePeople, points: Floats) -> Stamps:
     if not len(before.points) or not len(points):
         return np.full(len(points), -1)
     ways = np.linalg.norm(before.points[:, None] - points[None], axis=-1)
-    cost = _mean(ways)
+    cost = mean_known(ways)
     size = np.maximum(sizes_of(before.points)[:, None], sizes_of(points)[None])
     cost[~(cost < _MOVED * size)] = np.inf  # also where no joint is in both
     rows = assign(np.ascontiguousarray(cost))
@@ -129,7 +127,7 @@ def sizes_of(points: Floats) -> Floats:
     return np.asarray(np.linalg.norm(high - low, axis=-1) / 2)
 
 
-def _mean(values: Floats) -> Floats:
+def mean_known(values: Floats) -> Floats:
     """Mean along the last axis of what is known; NaN if nothing is."""
     known = np.isfinite(values)
     sums = np.where(known, values, 0.0).sum(axis=-1)

@@ -260,8 +260,7 @@ class People3D:
             speeds = (points - person.positions) / seconds
             changed = person.velocities + _FOLLOWS * (speeds - person.velocities)
             person.velocities = np.where(np.isfinite(changed), changed, person.velocities)
-            with np.errstate(invalid="ignore"):
-                body = np.nanmedian(person.velocities, axis=0)
+            body = np.median(person.velocities, axis=0)
             moved = person.positions + seconds * body  # joints that nobody sees go with the body
             person.positions = np.where(there[:, None], points, moved)
             person.velocities[~there] = body

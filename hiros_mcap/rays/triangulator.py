@@ -20,7 +20,7 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
-from hiros_mcap.rays.common_instants import CommonInstants, ImagePeople
+from hiros_mcap.rays.common_instants import CommonInstants, ImagePeople, mean_known, sizes_of
 from hiros_mcap.rays.cross_view import Detections, People3D
 from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame
@@ -131,14 +131,15 @@ _LEFT_OUT = {
 
 def _once(points: Floats, scores: Floats) -> list[int]:
     """Return which people of an image to keep: the surer of two detections of one person."""
-    order = np.argsort(-np.nansum(scores, axis=1), kind="stable").tolist()
-    low, high = np.fmin.reduce(points, axis=1), np.fmax.reduce(points, axis=1)
-    limits = _TWICE * np.linalg.norm(high - low, axis=-1)
+    known = np.isfinite(points[..., 0]).any(axis=1)
+    if len(points) < 2:
+        return np.flatnonzero(known).tolist()
+    order = np.argsort(-scores.sum(axis=1), kind="stable").tolist()
+    same = mean_known(np.linalg.norm(points[:, None] - points, axis=-1)) < (
+        2 * _TWICE * sizes_of(points)[:, None]
+    )
     kept: list[int] = []
     for n in order:
-        away = np.linalg.norm(points[kept] - points[n], axis=-1)
-        with np.errstate(invalid="ignore"):
-            means = np.array([np.nanmean(a) if np.isfinite(a).any() else np.inf for a in away])
-        if np.isfinite(points[n]).any() and not (means < limits[n]).any():
+        if known[n] and not same[n, kept].any():
             kept.append(n)
     return sorted(kept)
