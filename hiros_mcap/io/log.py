@@ -15,10 +15,11 @@ import hashlib
 import math
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
 from threading import Event
@@ -55,7 +56,7 @@ from hiros_mcap.io.detectors.conversion import (
     of_people,
 )
 from hiros_mcap.io.detectors.keypoint_messages import is_keypoints
-from hiros_mcap.io.detectors.rgb_keypoints import RgbRig
+from hiros_mcap.io.detectors.rgb_keypoints import RGB_TOPIC, RgbRig
 from hiros_mcap.io.layout import Layout, check_schema
 from hiros_mcap.io.log_accounts import DAMAGED, FAR_FUTURE, LATEST, STALE, Account
 from hiros_mcap.io.log_times import mend_log_times
@@ -212,6 +213,7 @@ def open_log(
             selection = selection._replace(rig=rig)
             reader = converted(file, selection)
             tree = tree if rig is None else rig.tree
+            topics = _with_triangulated(topics, rig, reader)
         try:
             contents = skeletons_of(reader, tree, topics, output_prefix)
         except OtherSkeletonError:
@@ -243,6 +245,23 @@ def _not_taken(reader: McapReader) -> Iterator[ChannelInfo]:
     yield from (i for i in channels_of(reader) if not (i.has_type(groups) or is_keypoints(i)))
     for topic, (kind, n) in reader.left_out.items():
         yield ChannelInfo(-1, topic, "" if kind == "no type" else kind, "", n, {})
+
+
+def _with_triangulated(
+    topics: Sequence[str] | None, rig: RgbRig | None, reader: McapReader
+) -> Sequence[str] | None:
+    """Return the globs of skeletons: those that name keypoints only mean what these became."""
+    infos = channels_of(reader)
+    images = [info.topic for info in infos if is_keypoints(info)]
+    if topics is None or not images:
+        return topics
+    others = [info.topic for info in infos if info.has_type(hiros_schemas.SKELETON_GROUP)]
+
+    def names(glob: str, channels: Iterable[str]) -> bool:
+        return any(fnmatchcase(topic, glob) for topic in channels)
+
+    kept = [glob for glob in topics if names(glob, others) or not names(glob, images)]
+    return [*kept, *([RGB_TOPIC] if rig is not None else [])] or topics
 
 
 def _rgb_cameras(

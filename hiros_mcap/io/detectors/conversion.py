@@ -316,6 +316,7 @@ class Conversion:
 
     def write(self, writer: McapWriter) -> None:
         """Write the log; a message that cannot be decoded is counted."""
+        writer.append_extras(self._reader)
         messages = self._reader.messages(self._sources)
         rewritten = (self.rewritten(self._sources[m.channel_id], m) for m in messages)
         for outgoing in chain(rewritten, [self.rest()]):
@@ -401,7 +402,7 @@ class Conversion:
     def _groups(self, people: Iterable[SeenPeople]) -> Iterator[RosMessage]:
         """Yield people as SkeletonGroups."""
         for topic, model, frame in people:
-            if not self._selection.selects(topic):
+            if not (self._selection.selects(topic) or topic == RGB_TOPIC):
                 continue
             self._models.setdefault(topic, model)
             key = model, self.target or model

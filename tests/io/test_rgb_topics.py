@@ -1,0 +1,45 @@
+"""Logs of RGB cameras: which of them are read, and what a result of them still says."""
+
+from __future__ import annotations
+
+import pytest
+
+from hiros_cli.app import run
+from hiros_mcap.io.log import open_log
+from hiros_mcap.simulate import SimulateParams
+from hiros_mcap.simulate.simulation import write_log
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    """A depth camera and three RGB cameras."""
+    path = tmp_path_factory.mktemp("rgb") / "log.mcap"
+    rig = {"kinds": ("depth", "rgb", "rgb", "rgb")}
+    write_log(path, SimulateParams.model_validate({"cameras": 4, "seconds": 1.0, "rig": rig}))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("topics", "read", "lenses"),
+    [
+        (["/camera_[123]/keypoints"], {"/rgb/skeletons"}, 3),
+        (["/camera_[12]/keypoints"], {"/rgb/skeletons"}, 2),
+        (["/camera_*"], {"/camera_0/skeletons", "/rgb/skeletons"}, 3),
+        (["/camera_0/skeletons"], {"/camera_0/skeletons"}, 0),
+        (["/camera_0/*", "/camera_1/keypoints"], {"/camera_0/skeletons"}, 0),
+    ],
+)
+def test_topics_of_keypoints_choose_rgb_cameras(topics, read, lenses, log):
+    with open_log(log, topics=topics) as opened:
+        assert {camera.channel.topic for camera in opened.cameras} == read
+        assert len(opened.rig.lenses if opened.rig else ()) == lenses
+        assert sum("RGB cameras are not used" in text for text in opened.warnings) == (
+            topics[-1] == "/camera_1/keypoints"
+        )
+
+
+def test_a_result_of_rgb_cameras_says_how_it_was_made(log, tmp_path, capsys):
+    out = tmp_path / "out.mcap"
+    assert run(["process", str(log), "-o", str(out), "-q"]) == 0
+    assert run(["info", str(out)]) == 0
+    assert "system fuse" in capsys.readouterr().out
