@@ -58,8 +58,6 @@ class DisplacedViews:
         self._known, self._is_filter = known, is_filter
         self._names: tuple[str, ...] = ()
         self._spans: dict[int, _Span] = {}
-        self._uncounted: list[tuple[Stamps, Stamps, Floats]] = []
-        """Cameras, times, ns, and excess, m2, of views of the latest part of a second."""
         self._batch: list[tuple[Sightings, Floats]] = []
         """Views that a filter has not learned from, and their offsets, m."""
         self._learned = np.zeros(0)
@@ -102,24 +100,13 @@ class DisplacedViews:
 
     def count(self, views: Sightings, excess: Floats, done: Flags) -> None:
         """Note which of the views whose results are ``done`` have lost their weight."""
-        if done.any():
-            self._uncounted.append((views.cameras[done], views.stamps[done], excess[done]))
-            if self._uncounted[0][1][0] // _PART != views.stamps[done][-1] // _PART:
-                self._count_all()
+        for camera in np.unique(views.cameras[done]).tolist():
+            own = done & (views.cameras == camera)
+            self._spans.setdefault(camera, _Span()).add(views.stamps[own], excess[own])
 
     def _limits(self) -> Floats:
         least = LIMIT_AHEAD if self._is_filter else LIMIT
         return limits_of(self._names, self._known.errors, least)
-
-    def _count_all(self) -> None:
-        """Count, part of a second by part, the views that were noted."""
-        if not self._uncounted:
-            return
-        cameras, stamps, excess = map(np.concatenate, zip(*self._uncounted, strict=True))
-        self._uncounted = []
-        for camera in np.unique(cameras).tolist():
-            these = cameras == camera
-            self._spans.setdefault(camera, _Span()).add(stamps[these], excess[these])
 
     def warn(self, events: Events) -> None:
         """Note the cameras that were displaced for long enough, and those that still are.
@@ -127,7 +114,6 @@ class DisplacedViews:
         If most are, none is: then the people's views differ, not the cameras.
         """
         self.learn()
-        self._count_all()
         still = []
         for camera, span in self._spans.items():
             span.close()
