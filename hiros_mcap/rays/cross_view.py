@@ -34,9 +34,7 @@ _LEAST_JOINTS, _LEAST_SHARE = 5, 0.5
 """Joints, and share of the common ones, that make somebody: rays of two people meet in a few."""
 _LONGEST, _SHORT_LINKS = 0.75, 0.85  # m; a body has links as short, but for some outliers
 _SMALLEST, _LARGEST = 0.25, 2.6  # m; extent of a body
-_VAGUE = (
-    0.08  # m; deviation of a body's joints, beyond which cameras see it from one side, or badly
-)
+_VAGUE = 0.08  # m; deviation of a body's joints, beyond which cameras do not tell its place
 _FORGET = 0.5  # s without two cameras, after which somebody is gone
 _PROOF = 0.25  # s that somebody whom two of several cameras see has to stay
 _QUICK_PROOF = 0.05  # s; where three cameras agree

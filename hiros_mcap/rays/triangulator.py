@@ -135,9 +135,8 @@ def _once(points: Floats, scores: Floats) -> list[int]:
     if len(points) < 2:
         return np.flatnonzero(known).tolist()
     order = np.argsort(-scores.sum(axis=1), kind="stable").tolist()
-    same = mean_known(np.linalg.norm(points[:, None] - points, axis=-1)) < (
-        2 * _TWICE * sizes_of(points)[:, None]
-    )
+    apart = mean_known(np.linalg.norm(points[:, None] - points, axis=-1))
+    same = np.asarray(apart < 2 * _TWICE * sizes_of(points)[:, None])
     kept: list[int] = []
     for n in order:
         if known[n] and not same[n, kept].any():

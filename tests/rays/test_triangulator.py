@@ -122,22 +122,22 @@ def test_cameras_out_of_step_meet_at_common_instants():
 
 def test_a_late_clock_is_put_right():
     frames = [
-        (frame._replace(stamp=frame.stamp + 5 * PERIOD) if frame.camera == "cam3" else frame, pose)
-        for frame, pose in images(FOUR)
+        (frame._replace(stamp=frame.stamp + 5 * PERIOD) if frame.camera == "cam1" else frame, pose)
+        for frame, pose in images(FOUR[:2])
     ]
     frames.sort(key=lambda each: each[0].stamp)
-    _, out = located(frames, {"cam3": 5 * PERIOD / 1e9})
+    _, out = located(frames, {"cam1": 5 * PERIOD / 1e9})
     assert max(error(found, k) for k, found in out[8:14]) < 1e-5
 
 
 def test_nothing_is_interpolated_across_a_gap():
     frames = images(FOUR[:2], shift=lambda c: 0.5 * c)
-    lost = {("cam1", k) for k in range(8, 14)}
+    lost = {("cam1", k) for k in range(8, 11)}
     kept = [(f, p) for f, p in frames if (f.camera, int(f.stamp / PERIOD - 30)) not in lost]
     _, out = located(kept)
     shown = [k for k, found in out if len(found.points)]
     assert any(k < 8 for k in shown)
-    assert not [k for k in shown if 9 < k < 13.4]
+    assert not [k for k in shown if 8 < k < 11]
     assert any(k > 14 for k in shown)
 
 
