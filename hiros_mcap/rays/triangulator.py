@@ -14,7 +14,7 @@ Images come in, as they do live; common instants, who is who, and the joints in 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -136,7 +136,7 @@ def _once(points: Floats, scores: Floats) -> list[int]:
         return np.flatnonzero(known).tolist()
     order = np.argsort(-scores.sum(axis=1), kind="stable").tolist()
     apart = mean_known(np.linalg.norm(points[:, None] - points, axis=-1))
-    same = np.asarray(apart < 2 * _TWICE * sizes_of(points)[:, None])
+    same: Any = apart < 2 * _TWICE * sizes_of(points)[:, None]
     kept: list[int] = []
     for n in order:
         if known[n] and not same[n, kept].any():
