@@ -331,7 +331,7 @@ def _paired(
         return list(zip(films, cameras, strict=True))
     raise ConfigError(
         f"{where}: has the cameras {', '.join(c.name for c in cameras) or 'none'}; the "
-        f"keypoints are of {', '.join(film.name for film in films)}; name the folders as the cameras"
+        f"keypoints are of {', '.join(film.name for film in films)}; name them alike"
     )
 
 
