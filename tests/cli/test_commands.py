@@ -104,6 +104,8 @@ def test_the_help_of_simulate_states_the_defaults_that_hold(capsys):
     stated = dict(re.findall(r"--([a-z-]+) (?:(?!--).)*?Default: (\w+)\.", text))
     defaults = SimulateParams()
     assert float(stated.pop("rate")) == defaults.rig.rate
+    assert stated.pop("camera", "depth") == "depth"
+    assert stated.pop("joints", "coco") == "coco"
     for name, value in stated.items():
         default = getattr(defaults, name.replace("-", "_"))
         default = getattr(default, "kind", default)
