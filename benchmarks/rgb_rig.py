@@ -2,6 +2,10 @@
 
 PYTHONPATH=.:cli:schemas:viewer:tests python benchmarks/rgb_rig.py demo FOLDER
     keypoints of OpenPose (FOLDER/openpose/*_json) and FOLDER/Calib_qualisys.toml: px by camera
+python benchmarks/rgb_rig.py given [SEEDS]
+    poses given 1 degree off, and lags of up to 1.9 s: what refine_rig finds, and its time
+python benchmarks/rgb_rig.py nothing [SEEDS]
+    no poses, and the same lags: what rig_from_people finds in 30 s, after the size
 python benchmarks/rgb_rig.py solvers
     the same bundle adjustment by our own steps, by scipy and by pyceres: time, robust loss
 """
@@ -34,6 +38,8 @@ from hiros_mcap.rays.image_tracks import instants_of, sample_images, views_of
 from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame
 from hiros_mcap.rays.matching import joints_of, match
+from hiros_mcap.rays.relative_pose import rig_from_people
+from hiros_mcap.rays.rig_refinement import refine_rig
 from hiros_mcap.skeletons import Floats, Stamps
 
 NOISE_PX = 5.0
@@ -111,6 +117,65 @@ def demo(folder: str) -> None:
     ):
         metres, degrees = pose.apart(old)
         print(f"{name}: moved by {degrees:.2f} degrees (+- {np.degrees(error):.2f}) {metres:.3f} m")
+
+
+LAGS = (0.0, 1.0, -0.7, 1.9)
+SCENES = (("walk", 1), ("walk", 2), ("cross", 2), ("cross", 4), ("roam", 3), ("free_dynamic", 2))
+SPOTS = (("lunge", 1), ("wave", 1), ("jump", 1))
+
+
+def errors_of(found: list[Rigid], true: list[Rigid], lags: Floats, late: Floats) -> str:
+    """Largest errors of poses, when the rig has the right place and size, and of lags."""
+    none = np.zeros(len(true), np.bool_)
+    cameras, places = cameras_at(found), np.zeros((1, 3))
+    fit = Bundle(RayPoints(*(np.zeros(0),) * 3), cameras, places, lags, places, none)
+    there = poses_of(placed(fit, cameras_at(true), none).cameras)
+    off = np.array([one.apart(other) for one, other in zip(there, true, strict=True)])
+    wrong = lags - late - np.median(lags - late)
+    return (
+        f"{off[:, 1].max():6.2f} degrees {1e3 * off[:, 0].max():6.0f} mm "
+        f"{1e3 * np.abs(wrong).max():7.1f} ms"
+    )
+
+
+def scenes(seeds: int, seconds: float, actions: tuple[tuple[str, int], ...]):
+    """Yield films of people before four cameras at 60 Hz, with their names."""
+    rig = around()
+    for action, people in actions:
+        for seed in range(1, seeds + 1):
+            truth = walking(people, seconds, seed=seed, action=action)
+            yield (
+                f"{action} {people}, seed {seed}",
+                seed,
+                film(truth, rig, rate=60.0, seed=seed, lags=dict(zip(rig, LAGS, strict=True))),
+            )
+
+
+def given(seeds: str = "1") -> None:
+    for name, seed, scene in scenes(int(seeds), 20.0, (*SCENES, *SPOTS)):
+        begin = time.perf_counter()
+        found = refine_rig(scene.frames, scene.lenses, turned(scene.poses, 1.0, seed))
+        seconds = time.perf_counter() - begin
+        late = np.array([found.lags[camera] for camera in scene.poses])
+        true = list(scene.poses.values())
+        text = errors_of(list(found.poses.values()), true, late, np.array(LAGS))
+        said = ", ".join(filter(None, [found.regular and "regular", found.reason]))
+        print(f"{name:22}{text} {seconds:5.1f} s  {said}", flush=True)
+
+
+def nothing(seeds: str = "1") -> None:
+    for name, _, scene in scenes(int(seeds), 30.0, (*SCENES, ("circle", 2))):
+        begin = time.perf_counter()
+        found = rig_from_people(views_of(scene.frames, scene.lenses))
+        seconds = time.perf_counter() - begin
+        if found is None:
+            print(f"{name:22}nothing")
+            continue
+        true = [[*scene.poses.values()][c] for c in found.cameras]
+        late = np.array(LAGS)[found.cameras]
+        text = errors_of(poses_of(found.fit.bundle.cameras), true, found.fit.lags, late)
+        rivalry = f"rivalry {found.rivalry:.2f}"
+        print(f"{name:22}{text} {seconds:5.1f} s  {len(true)} cameras, {rivalry}", flush=True)
 
 
 class Residuals:
@@ -241,5 +306,5 @@ def solvers() -> None:
 
 
 if __name__ == "__main__":
-    modes = {"demo": demo, "solvers": solvers}
+    modes = {"demo": demo, "given": given, "nothing": nothing, "solvers": solvers}
     modes[sys.argv[1]](*sys.argv[2:])

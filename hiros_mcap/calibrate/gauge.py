@@ -259,6 +259,7 @@ def find_floor(model: SkeletonModel, poses: Floats, velocities: Floats) -> Floor
         part: [m for m, name in enumerate(names) if name in aliases]
         for part, aliases in _PARTS.items()
     }
+    at["neck"] = at["neck"] or [m for m, name in enumerate(names) if name == "shoulder"]
     if not (at["ankle"] and at["neck"] and at["pelvis"]):
         return None
     ankle, pelvis, neck = (poses[:, at[part]].mean(axis=1) for part in ("ankle", "pelvis", "neck"))

@@ -167,11 +167,11 @@ def rgb_rig(
     infos = [i for i in channels_of(reader) if i.count and is_keypoints(i) and selects(i.topic)]
     if not infos:
         return None
-    cameras = _sample(reader, selects)
+    cameras = sampled_cameras(reader, selects)
     lensed = {camera.topic for camera in cameras}
     if len(cameras) < 2:
-        raise _too_few([i.topic for i in infos], [c.topic for c in cameras])
-    known, channels = _placed(reader, tree, cameras)
+        raise too_few([i.topic for i in infos], [c.topic for c in cameras])
+    known, channels = placed_cameras(reader, tree, cameras)
     fixed = known.common_root([channel.frames[0] for channel in channels])
     poses = {
         camera.name: known.lookup(channel.frames[0], fixed, 0)
@@ -195,7 +195,7 @@ def rgb_rig(
     )  # fmt: skip
 
 
-def _sample(reader: McapReader, selects: Callable[[str], bool]) -> list[RgbCamera]:
+def sampled_cameras(reader: McapReader, selects: Callable[[str], bool]) -> list[RgbCamera]:
     """Read the images that tell how cameras stand: of a long log, some stretches."""
     idents = {i.id for i in channels_of(reader) if is_keypoints(i)}
     chunks = [c for c in reader.contents.chunks if c.holds(idents) and c.start_time <= LATEST]
@@ -212,7 +212,7 @@ def _sample(reader: McapReader, selects: Callable[[str], bool]) -> list[RgbCamer
     return list(cameras.values())
 
 
-def _placed(
+def placed_cameras(
     reader: McapReader, tree: TransformTree | None, cameras: Sequence[RgbCamera]
 ) -> tuple[TransformTree, list[CameraChannel]]:
     """Return the transforms, and the cameras in the frames that these have for them."""
@@ -243,7 +243,7 @@ def _on_time(frame: KeypointFrame, lag: float) -> KeypointFrame:
     return frame._replace(stamp=frame.stamp - round(lag * SECOND)) if lag else frame
 
 
-def _too_few(topics: Sequence[str], lensed: Sequence[str]) -> LogError:
+def too_few(topics: Sequence[str], lensed: Sequence[str]) -> LogError:
     """Return the error of a log without two RGB cameras that can be used."""
     if bare := [topic for topic in topics if topic not in lensed]:
         return LogError(

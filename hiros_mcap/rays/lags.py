@@ -88,10 +88,10 @@ def _total(votes: dict[tuple[int, int], Floats], steps: Stamps, others: set[int]
 def lag_votes(views: Sequence[ImageView], cameras: RayCameras) -> dict[tuple[int, int], Floats]:
     """Return how much speaks for each lag (L,) of the second of two cameras, by pair."""
     centres = centres_of(cameras)
-    views_sampled = [[_sampled(track, view.half_width) for track in view.tracks] for view in views]
+    tracks = [[sampled(track, view.half_width) for track in view.tracks] for view in views]
     room = [
-        [(first, rays @ cameras.rotations[c]) for first, rays in sampled]
-        for c, sampled in enumerate(views_sampled)
+        [(first, rays @ cameras.rotations[c]) for first, rays in every]
+        for c, every in enumerate(tracks)
     ]
     votes = {}
     for a, b in combinations(range(len(views)), 2):
@@ -105,7 +105,7 @@ def lag_votes(views: Sequence[ImageView], cameras: RayCameras) -> dict[tuple[int
     return votes
 
 
-def _sampled(track: Tracklet, half_width: float) -> tuple[int, Floats]:
+def sampled(track: Tracklet, half_width: float) -> tuple[int, Floats]:
     """Return the first step of a tracklet, and its rays (T, J, 3) at every step."""
     first = int(np.ceil(track.seconds[0] / STEP_S))
     times = STEP_S * np.arange(first, int(np.floor(track.seconds[-1] / STEP_S)) + 1)

@@ -132,7 +132,7 @@ def refine_rig(
         unknown, lags = dict.fromkeys(names, math.nan), dict.fromkeys(names, 0.0)
         reason = "no two cameras see the same person"
         return RayRig(dict(poses), lags, unknown, unknown, unknown, {}, reason, (), False)
-    untimed = free[:, LAG] & ~(_errors(fit)[:, LAG] < TIMED_S)
+    untimed = free[:, LAG] & ~(errors_of(fit)[:, LAG] < TIMED_S)
     if untimed.any():
         free[untimed, LAG] = False
         fit = fit_rig(views, given, np.where(untimed, 0.0, fit.lags), free) or fit
@@ -239,7 +239,7 @@ def _seeing(points: RayPoints) -> Flags:
     return np.asarray(np.count_nonzero(points.weights > 0.0, axis=0) >= LEAST_RAYS)
 
 
-def _errors(fit: RigFit) -> Floats:
+def errors_of(fit: RigFit) -> Floats:
     """(C, 7) standard errors; those of cameras that see too little are infinite."""
     errors = standard_errors(fit.bundle, fit.blocks, fit.rows[:, 2])
     errors[~_seeing(fit.bundle.points)] = np.inf
@@ -251,7 +251,7 @@ def _verdict(
     untimed: Flags,
 ) -> RayRig:  # fmt: skip
     """Say which poses and lags to use, and why."""
-    errors, points, cameras = _errors(fit), fit.bundle.points, fit.bundle.cameras
+    errors, points, cameras = errors_of(fit), fit.bundle.points, fit.bundle.cameras
     given = given._replace(lags=cameras.lags, scales=cameras.scales)
     kept = adjust(points, given, fit.bundle.focals, np.zeros_like(fit.bundle.free))
     degrees = np.degrees(np.linalg.norm(errors[:, :3], axis=1))
@@ -269,7 +269,7 @@ def _verdict(
     stays = table(weak | bool(reason))
     lags = np.where(untimed, 0.0, fit.lags)
     lags -= np.sort(lags)[(len(lags) - 1) // 2]
-    before, after = (_medians(bundle.distances) for bundle in (kept, fit.bundle))
+    before, after = (medians(bundle.distances) for bundle in (kept, fit.bundle))
     return RayRig(
         {name: poses[name] if stays[name] else found[name] for name in names},
         table(lags.tolist()),
@@ -283,7 +283,7 @@ def _verdict(
     )
 
 
-def _medians(distances: Floats) -> Floats:
+def medians(distances: Floats) -> Floats:
     """(C,) median distance of each camera's rays, px; NaN where it sees nothing."""
     columns = (column[np.isfinite(column)] for column in distances.T)
     return np.array([np.median(column) if len(column) else np.nan for column in columns])

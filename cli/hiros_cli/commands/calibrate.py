@@ -20,7 +20,7 @@ from hiros_cli.options import (
     settings_of,
 )
 from hiros_cli.output import check_outputs, print_json, warn
-from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.errors import ConfigError, LogError, naming
 from hiros_mcap.progress import bar
 
 if TYPE_CHECKING:
@@ -52,29 +52,43 @@ def people(
     write_log: Path | None = option("FILE", "Write a copy of the log with poses and right stamps."),
     topic: list[str] | None = option("GLOB", "Cameras to read; may be repeated. Default: all."),
     joints: bool = flag("--joints", "Also print each joint."),
+    height: float | None = option(
+        "M",
+        "Stature of the people, in the mean: RGB cameras do not tell sizes. Default: adults'.",
+        min=0.5,
+        max=2.5,
+    ),
     force: bool = FORCE,
     json: bool = JSON,
 ) -> None:
     """Find the cameras' poses and clocks from the people whom they see.
 
     No transforms are needed. Where the log has some, the rig as a whole stays where they put it.
+    RGB cameras need their lenses, as CameraInfo.
     """
     log.stat()
     check_outputs((output, "camera file"), (write_log, "log"), inputs=(log,), force=force)
     prepare(quiet=json)
     from hiros_cli.run_report import show_calibration
     from hiros_mcap.calibrate.calibration_files import save_cameras, write_corrected_log
+    from hiros_mcap.calibrate.filmed_people import calibrate_filmed
     from hiros_mcap.calibrate.people import calibrate_people
+    from hiros_mcap.io.log import open_reader
     from hiros_mcap.running.pipeline import ProcessOptions, open_input
 
     config, options = settings_of(log).load(), ProcessOptions(topics=tuple(topic or ()))
-    with (
-        bar(f"calibrating on {log.name}", quiet=False),
-        open_input(log, config, options) as opened,
-    ):
-        calibration = calibrate_people(opened)
-        if write_log is not None and calibration.verdict != "impossible":
-            write_corrected_log(opened, calibration, write_log)
+    with bar(f"calibrating on {log.name}", quiet=False):
+        with open_reader(log) as reader, naming(log):
+            calibration = calibrate_filmed(reader, topic, height)
+        if calibration is not None and write_log is not None:
+            raise ConfigError("--write-log writes skeletons; of RGB cameras, write --output FILE")
+        if calibration is None and height is not None:
+            raise ConfigError("--height is for RGB cameras alone; depth cameras tell sizes")
+        if calibration is None:
+            with open_input(log, config, options) as opened:
+                calibration = calibrate_people(opened)
+                if write_log is not None and calibration.verdict != "impossible":
+                    write_corrected_log(opened, calibration, write_log)
     weak = calibration.verdict in ("usable", "doubtful")
     warnings = [f"{log}: the poses are {calibration.verdict}: {calibration.reason}"] if weak else []
     if calibration.verdict == "impossible":
