@@ -53,6 +53,7 @@ from hiros_mcap.io.detectors.conversion import (
     ENCODINGS,
     Selection,
     converted,
+    is_of_other_detector,
     of_people,
 )
 from hiros_mcap.io.detectors.keypoint_messages import is_keypoints
@@ -230,7 +231,8 @@ def open_log(
         if reader is file:
             stack.pop_all()
         known = {info.topic for info in unread} | set(rig.models if rig else ())
-        others = (i for i in _not_taken(reader) if i.topic not in known)
+        unknown = (i for i in _not_taken(reader) if i.topic not in known)
+        others = (i for i in unknown if is_keypoints(i) or not is_of_other_detector(i))
         strangers = tuple(unread_cameras(others, contents[0], selects))
         log = Log(reader, *contents, fixed_frame, unread, strangers, owns_file=owns_file)
         log.reader.warnings = (*log.reader.warnings, *doubt, *(rig.warnings if rig else ()))

@@ -38,7 +38,7 @@ _OF_OTHERS = (
 """Below hiros_mcap: what neither fuse nor fuse-realtime runs."""
 _LIVE = ("stages.detections.facing_live",)
 """What fuse-realtime runs, and fuse does not."""
-_PLACES = ("kernels/*.py", "calibrate/*.py", "stages/*.py", "stages/*/*.py")
+_PLACES = ("kernels/*.py", "calibrate/*.py", "stages/*.py", "stages/*/*.py", "rays/*.py")
 
 
 def sources(*, everything: bool = True, live: bool = False) -> Mapping[str, str]:

@@ -131,12 +131,12 @@ _LEFT_OUT = {
 
 def _once(points: Floats, scores: Floats) -> list[int]:
     """Return which people of an image to keep: the surer of two detections of one person."""
-    known = np.isfinite(points[..., 0]).any(axis=1)
+    known = np.asarray(np.isfinite(points[..., 0]).any(axis=1))
     if len(points) < 2:
         return np.flatnonzero(known).tolist()
     order = np.argsort(-scores.sum(axis=1), kind="stable").tolist()
     apart = mean_known(np.linalg.norm(points[:, None] - points, axis=-1))
-    same = np.asarray(apart < 2 * _TWICE * sizes_of(points)[:, None])
+    same = apart < 2 * _TWICE * sizes_of(points)[:, None]
     kept: list[int] = []
     for n in order:
         if known[n] and not same[n, kept].any():

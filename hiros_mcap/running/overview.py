@@ -6,6 +6,7 @@ import math
 import os
 import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -30,10 +31,12 @@ from hiros_mcap.io.channels import (
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.container.file import Table
 from hiros_mcap.io.container.records import Bytes
+from hiros_mcap.io.detectors.body_models import name_of
 from hiros_mcap.io.detectors.conversion import Selection
 from hiros_mcap.io.joining import open_part
 from hiros_mcap.io.log import Log, Reading, open_log, open_reader
 from hiros_mcap.io.result import stored_parameters, stored_report, values_of
+from hiros_mcap.io.rgb_cameras import RgbCamera, read_rgb_cameras
 from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
 from hiros_mcap.systems import sections_of
 from hiros_mcap.wording import plain, quantity
@@ -88,6 +91,26 @@ class CameraRow:
     least_people: int
     most_people: int
     mean_people: float
+
+
+@dataclass(frozen=True, slots=True)
+class KeypointRow:
+    """An RGB camera whose keypoints can be read."""
+
+    topic: str
+    camera: str
+    """Its optical frame."""
+    joints: str
+    """Model of the joints."""
+    images: int
+    rate_hz: float
+    """Images per second; NaN below two."""
+    least_people: int
+    most_people: int
+    mean_people: float
+    width: int
+    height: int
+    """Of the images, px."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +172,7 @@ class Overview:
     fixed_frame: str = ""
     """Frame that results would be in, "" if there is none."""
     cameras: tuple[CameraRow, ...] = ()
+    keypoints: tuple[KeypointRow, ...] = ()
     markers: tuple[str, ...] = ()
     links: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
@@ -218,7 +242,23 @@ def _of_file(path: str | os.PathLike[str], reader: McapReader) -> Overview:
         ),
         people=_people(reader, channels) if kind in ("result", "golden", "truth") else (),
         run=_run(reader) if kind in ("result", "golden") else None,
+        keypoints=tuple(_keypoint_rows(reader)),
     )
+
+
+def _keypoint_rows(reader: McapReader) -> Iterator[KeypointRow]:
+    """Yield a row for each RGB camera with a lens; damaged lenses are said elsewhere."""
+    cameras: list[RgbCamera] = []
+    with suppress(LogError):
+        cameras = read_rgb_cameras(reader)
+    for topic, name, lens, model, frames in cameras:
+        people = [len(frame.pixels) for frame in frames] or [0]
+        seconds = (frames[-1].stamp - frames[0].stamp) / 1e9 if frames else 0.0
+        rate = (len(frames) - 1) / seconds if seconds > 0 else math.nan
+        joints = name_of(model) or quantity(model.n_markers, "joint")
+        mean = sum(people) / len(people)
+        least, most = min(people), max(people)
+        yield KeypointRow(topic, name, joints, len(frames), rate, least, most, mean, *lens.size)
 
 
 def _with_cameras(overview: Overview, log: Log) -> Overview:

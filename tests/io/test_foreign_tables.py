@@ -197,14 +197,15 @@ def test_a_date_of_another_order_is_one_line_with_the_remedy(tmp_path):
 def test_a_column_tells_cameras_apart(late, tmp_path):
     rows = [table().assign(device=name) for name in ("left", "right")]
     rows[1]["time"] += late
+    rows[1].loc[:, [name for name in rows[1] if name.endswith("_x")]] += 0.5  # not the same again
     pd.concat(rows).sort_values("time").to_csv(tmp_path / "a.csv", index=False)
     with pytest.raises(ConfigError, match=r'2 values \(left, right\); .* write camera = "device"'):
         imported(tmp_path / "a.csv")
     (tmp_path / "map.toml").write_text('frame = "{camera}"\n[columns]\ncamera = "device"')
     cameras = imported(tmp_path / "a.csv", tmp_path / "map.toml")
     assert [*cameras] == ["left", "right"]
-    for name, frames in cameras.items():
-        assert_same(frames)
+    for shift, (name, frames) in zip((0.0, 0.5), cameras.items(), strict=True):
+        assert_same(frames, np.add(POINTS, [shift, 0, 0]))
         assert {frame.frame_id for frame in frames} == {name}
 
 

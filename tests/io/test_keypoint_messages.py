@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 import hiros_schemas
+from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.detectors.keypoint_messages import (
+    add_camera_info,
+    add_keypoint_channel,
     camera_info,
     decode_detections,
     decode_skeleton2d,
@@ -16,6 +19,7 @@ from hiros_mcap.io.ros_cdr import decoder_of, types_of
 from hiros_mcap.io.ros_messages import intrinsics_of
 from hiros_mcap.rays.intrinsics import FISHEYE, Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame, cleaned
+from hiros_mcap.running.overview import overview_of
 
 LENS = Intrinsics(
     (640, 480), np.array([[500.0, 0, 320], [0, 510.0, 240], [0, 0, 1]]), np.full(4, 0.1), FISHEYE
@@ -94,3 +98,18 @@ def test_a_detector_without_scores_is_believed():
     pixels, scores = cleaned(np.array([[[5.0, 6.0], [0, 0]]]), np.zeros((1, 2)))
     assert scores.tolist() == [[1, 0]]
     assert np.array_equal(pixels, [[[5, 6], [np.nan, np.nan]]], equal_nan=True)
+
+
+def test_the_overview_of_a_log_lists_its_rgb_cameras(tmp_path):
+    with McapWriter(tmp_path / "a.mcap") as writer:
+        add_camera_info(writer, "/rgb/camera_info", LENS, "rgb", 0)
+        channel = add_keypoint_channel(writer, "/rgb/keypoints", "halpe-26")
+        for k in range(3):
+            frame = image(np.full((k, 26, 2), 9.0), 10**18 + 20_000_000 * k)
+            writer.write(channel, frame.stamp, encode_detections(frame, "rgb"))
+        writer.commit()
+    (row,) = overview_of(tmp_path / "a.mcap").keypoints
+    assert (row.topic, row.camera, row.joints) == ("/rgb/keypoints", "rgb", "halpe-26")
+    assert (row.images, row.rate_hz) == (3, pytest.approx(50))
+    assert (row.least_people, row.most_people, row.mean_people) == (0, 2, 1)
+    assert (row.width, row.height) == LENS.size

@@ -14,7 +14,7 @@ from hiros_cli.options import CAMERAS, EXTRINSICS, GROUP, argument, grouped, set
 from hiros_cli.output import print_json, warn
 
 if TYPE_CHECKING:
-    from hiros_mcap.running.overview import CameraRow, ChannelRow, Overview
+    from hiros_mcap.running.overview import CameraRow, ChannelRow, KeypointRow, Overview
 
 
 @grouped
@@ -83,6 +83,15 @@ def _show(overview: Overview) -> None:
         ),
         ("Frame", _frame),
     )
+    keypoints = listing(
+        overview.keypoints,
+        ("RGB camera", lambda row: row.camera),
+        ("Joints", lambda row: row.joints),
+        (">Images", lambda row: row.images),
+        (">Rate", lambda row: number(row.rate_hz, 1, " Hz")),
+        (">People (mean)", _people),
+        (">Pixels", lambda row: f"{row.width} x {row.height}"),
+    )
     people = listing(
         overview.people,
         ("Channel", lambda row: row.topic),
@@ -92,7 +101,7 @@ def _show(overview: Overview) -> None:
     )
     page(
         f"{overview.path}: {kind}, {number(overview.seconds, 1)} s, {size}",
-        *(rows for rows in (channels, cameras, people) if rows.row_count),
+        *(rows for rows in (channels, keypoints, cameras, people) if rows.row_count),
         [*_run(overview), *_facts(overview)],
     )
 
@@ -107,7 +116,7 @@ def _type(row: ChannelRow) -> str:
     return name if row.encoding == "cdr" else f"{name} ({row.encoding or 'no encoding'})"
 
 
-def _people(row: CameraRow) -> str:
+def _people(row: CameraRow | KeypointRow) -> str:
     from hiros_mcap.wording import number
 
     return f"{row.least_people} to {row.most_people} ({number(row.mean_people, 2)})"

@@ -262,7 +262,7 @@ def _camera(instant: dict[str, Any], key: str, where: str) -> str:
 def _instants(path: Path, mapping: FileMapping) -> Iterator[tuple[str, int, Any]]:
     """Yield name, number and content of each instant: a file of a folder, or a part of a file."""
     if path.is_dir():
-        for number, file in _numbered(path, is_time=mapping.time.rate is not None):
+        for number, file in numbered_files(path, is_time=mapping.time.rate is not None):
             yield str(file), number, parse(text_of(file), "JSON", file)
         return
     content = parse(text_of(path), "JSON", path)
@@ -274,7 +274,7 @@ def _instants(path: Path, mapping: FileMapping) -> Iterator[tuple[str, int, Any]
         yield f"{path}: frame {number}", number, frame
 
 
-def _numbered(folder: Path, *, is_time: bool) -> list[tuple[int, Path]]:
+def numbered_files(folder: Path, *, is_time: bool) -> list[tuple[int, Path]]:
     """Return the JSON files of a folder in the order of the numbers in their names.
 
     The number that differs between them counts the frames. ``is_time`` says that it is the time.
@@ -464,7 +464,7 @@ def _series(path: Path, mapping: FileMapping, warn: Warn, note: Warn) -> Iterato
     for row in read_rows(path, mapping, warn):
         cameras.setdefault(row.camera, []).append(row)
     if not cameras:
-        raise ConfigError(f"{path}: holds no joint in 3D")
+        raise ConfigError(f"{path}: holds no joint in 3D; joints of images need --calibration FILE")
     for name, rows in cameras.items():
         yield _seen(path, name or mapping.camera or path.stem, rows, mapping, note)
 
@@ -496,7 +496,7 @@ def _seen(
         slots.setdefault(row.joint, len(slots))
         ids.setdefault(row.person, len(ids))
     if not slots and (is_flat or not mapping.names):
-        raise ConfigError(f"{path}: holds no joint in 3D")
+        raise ConfigError(f"{path}: holds no joint in 3D; joints of images need --calibration FILE")
     # A camera that saw nobody has the joints of its program.
     slots = slots or {name: k for k, name in enumerate(mapping.names[min(mapping.names)])}
     model = linked(_names(path, slots, mapping.joints))
