@@ -186,61 +186,49 @@ def import_(
         "TOML file with names, units, axes, cameras and clock of FILE; or openpose, "
         "mediapipe, freemocap, pose2sim, opencap, azure-kinect, zed.",
     ),
-    calibration: list[Path] = option(
+    calibration: list[Path] | None = option(
         "FILE",
-        "For keypoints of RGB cameras: their lenses and poses, as TOML of Anipose, Pose2Sim, "
-        "FreeMoCap or Caliscope, .qca.txt of Qualisys, or camera_info YAML of each.",
-        default=[],
+        "Of RGB cameras: lenses and poses, as TOML of Anipose, FreeMoCap, Caliscope, Pose2Sim, as "
+        ".qca.txt, or ROS' camera_info as YAML (one per camera).",
     ),
-    rate: list[str] = option(
-        "[NAME=]NUMBER", "Images a second of all videos, or of a camera.", default=[]
-    ),
-    start: list[str] = option(
-        "NAME=SECONDS", "When the video of a camera begins, after the others.", default=[]
-    ),
-    joints: str = option("MODEL", "Joint model of keypoints; told by their number."),
+    extrinsics: Path | None = option("FILE", "Poses of RGB cameras, instead of those."),
+    rate: list[str] | None = option("HZ", "Rate of files without times; CAMERA=HZ of one."),
+    start: list[str] | None = option("CAMERA=S", "Seconds by which a camera began later."),
+    joints: str | None = option("MODEL", "Keypoints are those of openpose-25b, halpe-26, ..."),
     force: bool = FORCE,
     quiet: bool = QUIET,
 ) -> None:
-    """Turn files of joint positions, or of keypoints of RGB cameras, into a log.
+    """Turn files of joints, in a room or in images, into a log.
 
     hiros process, view and info read it like any other.
     """
-    for path in (*sources, *calibration):
+    for path in (*sources, *(calibration or ())):
         path.stat()
-    check_outputs((output, "log"), inputs=(*sources, *calibration, mapping), force=force)
+    check_outputs((output, "log"), inputs=(*sources, mapping), force=force)
+    prepare(quiet=quiet)
+    from hiros_mcap.io.joints.image_series import RgbSetup
+    from hiros_mcap.io.joints.importing import import_joints
+
+    rates, starts = _by_camera("--rate", rate), _by_camera("--start", start)
+    setup = RgbSetup(tuple(calibration or ()), extrinsics, joints or "", rates, starts)
     notes: list[str] = []
-    if calibration:
-        from hiros_mcap.io.joints.image_keypoints import import_keypoints
-
-        prepare(quiet=quiet)
-        rates, starts = _by_camera("--rate", rate), _by_camera("--start", start)
-        written = import_keypoints(
-            sources, output, calibration, rates,
-            starts=starts, joints=joints, warn=warn, note=notes.append,
-        )  # fmt: skip
-    elif rate or start or joints:
-        raise ConfigError("--rate, --start and --joints are for keypoints, with --calibration FILE")
-    else:
-        from hiros_mcap.io.joints.importing import import_joints
-
-        prepare(quiet=quiet)
-        written = import_joints(sources, output, mapping, warn, notes.append)
+    with bar(f"importing {sources[0].name}", quiet=quiet) as progress:
+        written = import_joints(sources, output, mapping, warn, notes.append, setup, progress)
     if not quiet:
         print(f"wrote {sum(written.values())} messages on {len(written)} channels to {output}")
         for text in notes:
             print(f"note: {text}")
 
 
-def _by_camera(option_name: str, texts: list[str]) -> dict[str, float]:
-    """Return the numbers of NAME=NUMBER, or of a NUMBER for all as "", by camera."""
-    numbers = {}
-    for text in texts:
-        name, _, number = text.rpartition("=")
+def _by_camera(name: str, texts: list[str] | None) -> dict[str, float]:
+    """Return numbers by camera, of "" for all; raises ConfigError for other text."""
+    values = {}
+    for text in texts or ():
+        camera, _, number = text.rpartition("=")
         try:
-            numbers[name] = float(number)
+            values[camera] = float(number)
         except ValueError:
-            raise ConfigError(f"{option_name}: {text!r} is no number, or NAME=NUMBER") from None
-        if not math.isfinite(numbers[name]):
-            raise ConfigError(f"{option_name}: {text!r} is no number, or NAME=NUMBER")
-    return numbers
+            values[camera] = math.nan
+        if not math.isfinite(values[camera]) or (name == "--rate" and values[camera] <= 0):
+            raise ConfigError(f"{name}: {text!r} is no number, or CAMERA=NUMBER")
+    return values

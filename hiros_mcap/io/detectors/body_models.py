@@ -182,6 +182,19 @@ _TABLE: Mapping[str, tuple[str, str, str]] = {
 """Name -> where the names of the joints are from, the joints, and the tree."""
 BODY_MODELS = tuple(_TABLE)
 """Names of the models."""
+KEYPOINT_MODELS: Mapping[int, tuple[str, ...]] = {
+    17: ("coco-17",),
+    18: ("openpose-18",),
+    23: ("coco-23",),
+    25: ("openpose-25", "openpose-25b"),
+    26: ("halpe-26",),
+    33: ("mediapipe-33",),
+    **dict.fromkeys((75, 543, 553), ("mediapipe-33",)),  # hands and face follow
+    133: ("coco-23",),
+    135: ("openpose-25b",),
+    136: ("halpe-26",),
+}
+"""Number of joints that a detector finds -> the models that these may be, or begin with."""
 
 
 @cache

@@ -18,7 +18,7 @@ import numpy as np
 import hiros_schemas
 from hiros_mcap.io.channels import LATCHED_QOS, ChannelInfo, add_ros_channel
 from hiros_mcap.io.container import McapWriter
-from hiros_mcap.io.detectors.body_models import BODY_MODELS, body_model
+from hiros_mcap.io.detectors.body_models import BODY_MODELS, body_model, linked
 from hiros_mcap.io.detectors.detector_reader import DetectorMessage, nanoseconds
 from hiros_mcap.io.ros_cdr import CdrWriter
 from hiros_mcap.rays.intrinsics import Intrinsics
@@ -26,7 +26,7 @@ from hiros_mcap.rays.keypoints import KeypointFrame, cleaned
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
 JOINTS = "hiros:joints"
-"""Key of a channel's metadata: which model of the table numbers the joints."""
+"""Key of a channel's metadata: which model of the table numbers the joints, or their names."""
 LATE = "hiros:late"
 """Key of a channel's metadata: s by which its stamps are late, as hiros found from the people."""
 _USUAL = "coco-17"
@@ -57,7 +57,7 @@ def joint_model(info: ChannelInfo) -> SkeletonModel:
     if info.has_type(hiros_schemas.SKELETON_2D):
         return _HRI
     name = info.metadata.get(JOINTS, _USUAL)
-    return body_model(name if name in BODY_MODELS else _USUAL)
+    return body_model(name) if name in BODY_MODELS else linked(name.split(","))
 
 
 def lateness(info: ChannelInfo) -> float:

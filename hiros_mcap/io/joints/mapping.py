@@ -94,6 +94,18 @@ DETECTOR_FILES: dict[str, dict[str, Any]] = {
 """Name of a detector or program -> the mapping of its files."""
 
 
+def names_by_count(name: str) -> dict[int, list[str]]:
+    """Return the joints of a skeleton, or of those of a family such as "zed", by their number.
+
+    Raises ValueError for another name.
+    """
+    family = [m for m in BODY_MODELS if name == m or m.startswith(f"{name}-")]
+    if not family:
+        raise ValueError(f"should be a list, or one of {', '.join(BODY_MODELS)}")
+    models = [body_model(member).marker_names for member in family]
+    return {len(markers): list(markers) for markers in models}
+
+
 class TimeMapping(BaseModel):
     """When the rows are of."""
 
@@ -127,6 +139,7 @@ class ColumnMapping(BaseModel):
     x: str = "x"
     y: str = "y"
     z: str = "z"
+    """"" if positions are pixels of an image: x to the right, y down."""
     confidence: str = "confidence"
     """Where a row has all joints of a person: with {joint}, or the {axis} of the position."""
     position: str = ""
@@ -140,16 +153,29 @@ class ColumnMapping(BaseModel):
 
     @property
     def numbers(self) -> tuple[str, ...]:
-        """Names of the numbers of a joint: three coordinates and the confidence."""
-        return self.x, self.y, self.z, self.confidence
+        """Names of the numbers of a joint: its coordinates, and last the confidence."""
+        return self.x, self.y, *([self.z] if self.z else []), self.confidence
 
     def numbers_of(self, joint: str) -> tuple[str, ...]:
         """Names of these columns in a file that has a row per instant and person."""
         pattern = self.position or "{joint}_{axis}"
-        x, y, z, confidence = (pattern.format(joint=joint, axis=axis) for axis in self.numbers)
+        columns = [pattern.format(joint=joint, axis=axis) for axis in self.numbers]
         if "{joint}" in self.confidence:
-            confidence = self.confidence.replace("{joint}", joint)
-        return x, y, z, confidence
+            columns[-1] = self.confidence.replace("{joint}", joint)
+        return tuple(columns)
+
+    def names_in(self, columns: Sequence[str]) -> list[str]:
+        """Joints with a column of a coordinate, in their order; none if rows name the joint."""
+        pattern = self.position or ("" if self.joint in columns else "{joint}_{axis}")
+        names = []
+        for axis in self.numbers[:-1] if pattern else ():
+            before, _, after = pattern.format(joint="\0", axis=axis).partition("\0")
+            names += [
+                column[len(before) : len(column) - len(after)]
+                for column in columns
+                if column.startswith(before) and column.endswith(after)
+            ]
+        return list(dict.fromkeys(name for name in names if name))
 
     @field_validator("position")
     @classmethod
@@ -188,13 +214,8 @@ class FileMapping(BaseModel):
     @field_validator("names", mode="before")
     @classmethod
     def _expanded(cls, names: Any) -> Any:
-        """Turn the name of a skeleton, or of a family such as "zed", into lists by their length."""
         if isinstance(names, str):
-            family = [m for m in BODY_MODELS if names == m or m.startswith(f"{names}-")]
-            if not family:
-                raise ValueError(f"should be a list, or one of {', '.join(BODY_MODELS)}")
-            models = [body_model(name).marker_names for name in family]
-            return {len(markers): list(markers) for markers in models}
+            return names_by_count(names)
         return {len(names): names} if isinstance(names, list) else names
 
     @field_validator("axes")
@@ -226,6 +247,7 @@ def rotation_of(axes: list[str]) -> Floats:
     return rows
 
 
+_IMAGE = {"x": "u", "y": "v", "z": "", "confidence": "score"}
 _TIDY = {"frame", "keypoint", "x", "y", "z"}
 """Columns of FreeMoCap's files of a row per joint: *_by_frame.csv and, of version 2, all CSV."""
 _TIDY_ROWS = {"model": "*body", "trajectory": "3d_xyz"}
@@ -236,8 +258,19 @@ def of_columns(mapping: FileMapping, columns: Sequence[str]) -> FileMapping:
     """Return what a CSV file means, whose columns may tell that it is of a known program.
 
     FreeMoCap's tables of a row per joint have columns of their own. If no mapping names the
-    columns, they may be those of hiros export.
+    columns, they may be those of hiros export. Columns u and v, with no x, are of an image.
     """
+    image = mapping.columns.model_copy(update=_IMAGE)
+    if mapping.columns.z and not mapping.columns.names_in(columns):
+        is_tall = {image.joint, image.x, image.y} <= {*columns} and "x" not in columns
+        if is_tall or image.names_in(columns):
+            mapping = mapping.model_copy(update={"columns": image})
+    if not mapping.columns.z:
+        camera = "camera" if "camera" in columns else ""
+        if "camera" in mapping.columns.model_fields_set:
+            camera = mapping.columns.camera
+        with_camera = mapping.columns.model_copy(update={"camera": camera})
+        return mapping.model_copy(update={"columns": with_camera})
     if columns and set(columns) >= _TIDY and "joint" not in mapping.columns.model_fields_set:
         rows = {name: pattern for name, pattern in _TIDY_ROWS.items() if name in columns}
         tall = mapping.columns.model_copy(update={"joint": "keypoint", "position": ""})
