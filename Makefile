@@ -1,4 +1,5 @@
 # make demo   environment, install, one log processed, and what came of it
+# make view   that result in the viewer
 # make test   lint, types and tests, as .ci/run does
 # make docs   the documentation as a web site, in site/
 # make clean  the environment and everything built
@@ -9,6 +10,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 SAMPLE := sample_data/two_people_crossing.mcap
+RESULT := $(SAMPLE:.mcap=.hiros.mcap)
 CODE   := hiros_mcap cli schemas viewer tests benchmarks docs
 # On a terminal pip shows what it downloads, elsewhere only what goes wrong.
 INSTALL = $(BIN)/python -m pip install --disable-pip-version-check $(if $(MAKE_TERMERR),,--quiet)
@@ -16,10 +18,17 @@ INSTALL = $(BIN)/python -m pip install --disable-pip-version-check $(if $(MAKE_T
 EACH_MINUTE = @n=0; while sleep 60 >/dev/null 2>&1; do n=$$((n+1)); echo "still installing after $$n min" >&2; done & \
 	  minutes=$$!; trap "kill $$minutes" EXIT;
 
-.PHONY: demo test lint types tests docs format dist clean
+.PHONY: demo view test lint types tests docs format dist clean
 
 demo: $(VENV)/.installed
 	$(BIN)/hiros process $(SAMPLE)
+	@printf '\nlook at it with\n    $(BIN)/hiros view $(RESULT)\n'
+
+view: $(RESULT)
+	$(BIN)/hiros view $(RESULT)
+
+$(RESULT):
+	@$(MAKE) --no-print-directory demo
 
 # Side by side: mypy uses one core.
 test: lint
