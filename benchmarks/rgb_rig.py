@@ -2,9 +2,9 @@
 
 PYTHONPATH=.:cli:schemas:viewer:tests python benchmarks/rgb_rig.py demo FOLDER
     keypoints of OpenPose (FOLDER/openpose/*_json) and FOLDER/Calib_qualisys.toml: px by camera
-python benchmarks/rgb_rig.py given [SEEDS]
+python benchmarks/rgb_rig.py given [SEED ...]
     poses given 1 degree off, and lags of up to 1.9 s: what refine_rig finds, and its time
-python benchmarks/rgb_rig.py nothing [SEEDS]
+python benchmarks/rgb_rig.py nothing [SEED ...]
     no poses, and the same lags: what rig_from_people finds in 30 s, after the size
 python benchmarks/rgb_rig.py solvers
     the same bundle adjustment by our own steps, by scipy and by pyceres: time, robust loss
@@ -138,11 +138,11 @@ def errors_of(found: list[Rigid], true: list[Rigid], lags: Floats, late: Floats)
     )
 
 
-def scenes(seeds: int, seconds: float, actions: tuple[tuple[str, int], ...]):
+def scenes(seeds: tuple[str, ...], seconds: float, actions: tuple[tuple[str, int], ...]):
     """Yield films of people before four cameras at 60 Hz, with their names."""
     rig = around()
     for action, people in actions:
-        for seed in range(1, seeds + 1):
+        for seed in map(int, seeds or ("1",)):
             truth = walking(people, seconds, seed=seed, action=action)
             yield (
                 f"{action} {people}, seed {seed}",
@@ -151,8 +151,8 @@ def scenes(seeds: int, seconds: float, actions: tuple[tuple[str, int], ...]):
             )
 
 
-def given(seeds: str = "1") -> None:
-    for name, seed, scene in scenes(int(seeds), 20.0, (*SCENES, *SPOTS)):
+def given(*seeds: str) -> None:
+    for name, seed, scene in scenes(seeds, 20.0, (*SCENES, *SPOTS)):
         begin = time.perf_counter()
         found = refine_rig(scene.frames, scene.lenses, turned(scene.poses, 1.0, seed))
         seconds = time.perf_counter() - begin
@@ -163,8 +163,8 @@ def given(seeds: str = "1") -> None:
         print(f"{name:22}{text} {seconds:5.1f} s  {said}", flush=True)
 
 
-def nothing(seeds: str = "1") -> None:
-    for name, _, scene in scenes(int(seeds), 30.0, (*SCENES, ("circle", 2))):
+def nothing(*seeds: str) -> None:
+    for name, _, scene in scenes(seeds, 30.0, (*SCENES, ("circle", 2))):
         begin = time.perf_counter()
         found = rig_from_people(views_of(scene.frames, scene.lenses))
         seconds = time.perf_counter() - begin

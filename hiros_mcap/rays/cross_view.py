@@ -36,8 +36,8 @@ _LONGEST, _SHORT_LINKS = 0.75, 0.85  # m; a body has links as short, but for som
 _SMALLEST, _LARGEST = 0.25, 2.6  # m; extent of a body
 _VAGUE = 0.08  # m; deviation of a body's joints, beyond which cameras do not tell its place
 _FORGET = 0.5  # s without two cameras, after which somebody is gone
-_PROOF = 0.25  # s that somebody whom two of several cameras see has to stay
-_QUICK_PROOF = 0.05  # s; where three cameras agree
+_PROOF = 0.25  # s that somebody whom two of several cameras see has to stay; three are proof
+_QUICK_PROOF = 0.05  # s; where there are only two, and both do
 _FOLLOWS = 0.4  # share of a new difference that the velocity takes
 _WHITE = 0.02  # m; noise of a ray before any is known
 _LEAST_NOISE, _MOST_NOISE = 0.004, 0.06  # m
@@ -324,8 +324,9 @@ class People3D:
         person = found.person
         person.tracks |= {int(seen.cameras[n]): int(seen.tracks[n]) for n in found.views}
         there = np.isfinite(seen.rotations[:, 0, 0]).sum()
-        needed = _QUICK_PROOF if len(found.views) >= min(3, there) else _PROOF
-        person.is_proven |= (instant - person.born) * 1e-9 >= needed
+        needed = _QUICK_PROOF if len(found.views) == there else _PROOF
+        is_long = (instant - person.born) * 1e-9 >= needed
+        person.is_proven |= is_long or len(found.views) > 2
 
     def _learn(self, instant: int, seen: Detections, found: Sequence[Found]) -> None:
         """Let the noise of each camera follow the distances of its rays from the joints."""
