@@ -54,9 +54,10 @@ def people(
     joints: bool = flag("--joints", "Also print each joint."),
     height: float | None = option(
         "M",
-        "Stature of the people, in the mean: RGB cameras do not tell sizes. Default: adults'.",
+        "Stature of the people, in the mean: RGB cameras do not tell sizes.",
         min=0.5,
         max=2.5,
+        show_default="adults'",
     ),
     force: bool = FORCE,
     json: bool = JSON,
