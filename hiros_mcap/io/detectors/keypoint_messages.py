@@ -10,6 +10,7 @@ metadata which model that is; of others it is COCO's, which YOLO has.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -20,10 +21,10 @@ from hiros_mcap.io.channels import LATCHED_QOS, ChannelInfo, add_ros_channel
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.detectors.body_models import BODY_MODELS, body_model, linked
 from hiros_mcap.io.detectors.detector_reader import DetectorMessage, nanoseconds
-from hiros_mcap.io.ros_cdr import CdrWriter
+from hiros_mcap.io.ros_cdr import HEADER, CdrWriter
 from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame, cleaned
-from hiros_mcap.skeletons import Floats, SkeletonModel
+from hiros_mcap.skeletons import SECOND, Floats, SkeletonModel, Stamps
 
 JOINTS = "hiros:joints"
 """Key of a channel's metadata: which model of the table numbers the joints, or their names."""
@@ -82,11 +83,12 @@ def decode_keypoints(
     ``joints`` are those of the channel's model; ``lenses`` tell the images' sizes, by frame.
     Raises LogError for a message that is damaged.
     """
-    fields = message.fields
-    lens = lenses.get(fields.header.frame_id)
-    if message.type == _DETECTIONS:
-        return decode_detections(fields, joints, lens.size if lens else None)
-    return decode_skeleton2d(fields, lens.size if lens else (1, 1))
+    if message.type != _DETECTIONS:
+        lens = lenses.get(message.fields.header.frame_id)
+        return decode_skeleton2d(message.fields, lens.size if lens else (1, 1))
+    walked = _walked(bytes(message.cdr)) or _of_fields(message.fields)
+    lens = lenses.get(walked.frame_id)
+    return _numbered(walked, joints, lens.size if lens else None)
 
 
 def decode_detections(message: Any, joints: int, size: tuple[int, int] | None = None) -> Keypoints:
@@ -96,19 +98,98 @@ def decode_detections(message: Any, joints: int, size: tuple[int, int] | None = 
     what :func:`~hiros_mcap.rays.keypoints.cleaned` does not take as found. ``size`` is of the
     image, px.
     """
-    people = [d.keypoints.data for d in message.detections if len(d.keypoints.data)]
-    rows = [
-        (person, keypoint.id - 1, keypoint.point.x, keypoint.point.y, keypoint.score)
-        for person, keypoints in enumerate(people)
-        for keypoint in keypoints
-        if 1 <= keypoint.id <= joints
+    return _numbered(_of_fields(message), joints, size)
+
+
+class _Detected(NamedTuple):
+    """The keypoints of a DetectionArray, person by person."""
+
+    stamp: int
+    frame_id: str
+    people: list[tuple[Stamps, Floats]]
+    """Ids (K,), and u, v, px, and score (K, 3)."""
+
+
+def _of_fields(message: Any) -> _Detected:
+    """Return the keypoints of a message that is decoded."""
+    found = (d.keypoints.data for d in message.detections if len(d.keypoints.data))
+    people = [
+        (
+            np.array([k.id for k in keypoints], np.int64),
+            np.array([(k.point.x, k.point.y, k.score) for k in keypoints], np.float64),
+        )
+        for keypoints in found
     ]
-    found = np.array(rows, np.float64).reshape(-1, 5)
-    places = tuple(found[:, :2].T.astype(np.int64))
-    pixels = np.full((len(people), joints, 2), np.nan)
-    scores = np.zeros((len(people), joints))
-    pixels[places], scores[places] = found[:, 2:4], found[:, 4]
-    return _keypoints(message.header, pixels, scores, size)
+    return _Detected(nanoseconds(message.header.stamp), message.header.frame_id, people)
+
+
+_KEYPOINT = np.dtype([("id", "<i4"), ("pad", "<i4"), ("values", "<f8", 3)])
+
+
+def _walked(data: bytes) -> _Detected | None:
+    """Find the keypoints of a DetectionArray of yolo_ros 4 in its bytes.
+
+    None where the bytes are of another layout, or damaged: then their definition decodes them,
+    which takes four times as long.
+    """
+    if data[:2] != HEADER[:2]:
+        return None
+    body, people = data[4:], []
+    try:
+        sec, nanosec = struct.unpack_from("<iI", body)
+        at = _behind_text(body, 8)
+        frame_id = str(body[12 : at - 1], "utf-8")
+        n, at = _count(body, at)
+        for _ in range(n):
+            at = _behind_text(body, _aligned(at, 4) + 4)  # class
+            at = _behind_text(body, _aligned(at, 8) + 8)  # score, id
+            at = _behind_text(body, _aligned(at, 8) + 15 * 8)  # boxes in the image and in space
+            points, at = _count(body, _aligned(at, 4) + 8)  # mask
+            at = _aligned(at, 8) + 16 * points if points else at
+            joints, at = _count(body, at)
+            if joints:
+                first = _aligned(at + 4, 8) - 8
+                table = np.frombuffer(body, _KEYPOINT, joints, first)
+                ids = table["id"].astype(np.int64)
+                (ids[0],) = struct.unpack_from("<i", body, at)  # may lack the 4 bytes of padding
+                people.append((ids, table["values"]))
+                at = first + joints * _KEYPOINT.itemsize
+            joints, at = _count(body, at)
+            at = _behind_text(body, _aligned(at + 4, 8) - 8 + 40 * joints if joints else at)
+    except (struct.error, ValueError, IndexError):
+        return None
+    if not 0 <= len(body) - at < 4:
+        return None
+    return _Detected(sec * SECOND + nanosec, frame_id, people)
+
+
+def _aligned(at: int, size: int) -> int:
+    return at + -at % size
+
+
+def _count(body: bytes, at: int) -> tuple[int, int]:
+    """Return the length of a sequence, and where its elements begin."""
+    at = _aligned(at, 4)
+    return struct.unpack_from("<I", body, at)[0], at + 4
+
+
+def _behind_text(body: bytes, at: int) -> int:
+    """Return the place behind a string; raises ValueError if it is none."""
+    length, at = _count(body, at)
+    if length and body[at + length - 1]:
+        raise ValueError
+    return at + length
+
+
+def _numbered(found: _Detected, joints: int, size: tuple[int, int] | None) -> Keypoints:
+    """Put keypoints at the places of their ids."""
+    pixels = np.full((len(found.people), joints, 2), np.nan)
+    scores = np.zeros((len(found.people), joints))
+    for person, (ids, values) in enumerate(found.people):
+        known = (ids >= 1) & (ids <= joints)
+        places, values = ids[known] - 1, values[known]
+        pixels[person, places], scores[person, places] = values[:, :2], values[:, 2]
+    return Keypoints(found.stamp, found.frame_id, *cleaned(pixels, scores, size))
 
 
 def decode_skeleton2d(message: Any, size: tuple[int, int]) -> Keypoints:
@@ -120,13 +201,8 @@ def decode_skeleton2d(message: Any, size: tuple[int, int]) -> Keypoints:
     points = np.full((1, _HRI.n_markers, 3), np.nan)
     for joint, point in enumerate(message.skeleton[: _HRI.n_markers]):
         points[0, joint] = point.x, point.y, point.c
-    return _keypoints(message.header, points[..., :2] * size, points[..., 2], size)
-
-
-def _keypoints(
-    header: Any, pixels: Floats, scores: Floats, size: tuple[int, int] | None
-) -> Keypoints:
-    return Keypoints(nanoseconds(header.stamp), header.frame_id, *cleaned(pixels, scores, size))
+    keypoints = cleaned(points[..., :2] * size, points[..., 2], size)
+    return Keypoints(nanoseconds(message.header.stamp), message.header.frame_id, *keypoints)
 
 
 def encode_detections(frame: KeypointFrame, frame_id: str) -> bytes:

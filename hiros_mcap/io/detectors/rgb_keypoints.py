@@ -32,7 +32,6 @@ from hiros_mcap.wording import quantity
 
 RGB_TOPIC = "/rgb/skeletons"
 """Channel of the triangulated skeletons."""
-_MUCH = 0.2  # of the joints: so many that others contradict are a reason to look at the poses
 
 
 @dataclass(frozen=True)
