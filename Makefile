@@ -72,7 +72,7 @@ $(VENV)/.installed: $(BIN)/python pyproject.toml
 	@touch $@
 
 $(VENV)/.installed-dev: $(BIN)/python pyproject.toml
-	@echo "installing hiros and the development tools into $(VENV): 2 GB, 5 to 20 minutes"
+	@echo "installing hiros and the development tools into $(VENV): 2.6 GB, 5 to 20 minutes"
 	$(EACH_MINUTE) $(INSTALL) -e '.[dev]'
 	@touch $@ $(VENV)/.installed
 

@@ -22,7 +22,10 @@ _PACKED = (".zstd", ".zst")
 _RECORDED = "rosbag2_bagfile_information"
 _DATE = r"_\d{4}_\d\d_\d\d-\d\d_\d\d_\d\d"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-"""First bytes of a zstd frame. No message in CDR begins so: its first byte is 0."""
+"""First bytes of a zstd frame. No message in CDR begins so: its first byte is 0.
+
+mcap 1.6.0 and rosbags 0.11.9 hand such frames out as if they were CDR (docs/upstream.md).
+"""
 _MAGIC = {
     b"#ROSBAG V2.0": "a ROS 1 bag",
     b"SQLite format 3": "a SQLite bag",

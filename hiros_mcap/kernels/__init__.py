@@ -25,7 +25,7 @@ from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 
-NOTICE = "compiling kernels for this machine, once (2 to 3 minutes of CPU time)"
+NOTICE = "compiling kernels for this machine, once (1 to 2 minutes of CPU time)"
 
 # A kernel that Python calls; the others are compiled into their callers.
 _ENTRY = re.compile(r"^@entry\b.*\ndef (\w+)", re.MULTILINE)

@@ -417,6 +417,8 @@ of the pelvis from a bend of the trunk, as both hardly change their distance."""
 def write_ik_setup(result: Result, target: Path, choices: Choices) -> None:
     """Write the setup of OpenSim's inverse kinematics on the .osim and .trc of the same name.
 
+    It names the time range: without one, OpenSim 4.6 ends at 2.0 s and reports success.
+
     Raises ConfigError if no joint of the model is ever seen.
     """
     (motion,) = result.motions.values()

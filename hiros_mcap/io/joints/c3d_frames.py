@@ -1,6 +1,6 @@
 """All frames of a C3D file, also beyond the 65535 that its 16 bits count.
 
-ezc3d (1.7) returns 65535 frames of a longer file. Their number is in TRIAL:ACTUAL_START_FIELD and
+ezc3d (1.7.2) returns 65535 frames of a longer file. Their number is in TRIAL:ACTUAL_START_FIELD and
 ACTUAL_END_FIELD (Vicon; two words each), in POINT:LONG_FRAMES, or in the size of the file alone.
 https://www.c3d.org describes these parameters.
 """
