@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import re
 import shlex
 import shutil
@@ -12,14 +13,18 @@ from pathlib import Path
 from typing import Any
 
 import detector_files
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import hiros_mcap
 from hiros_cli.app import run
 from hiros_cli.commands import program
 from hiros_mcap import open_result
 from hiros_mcap.config import Config, settable
+from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.joints.mapping import DETECTOR_FILES
+from hiros_mcap.io.rgb_cameras import placed_cameras, poses_of, read_rgb_cameras
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -125,6 +130,7 @@ def laboratory(walking, tmp_path_factory):
         (folder / path).parent.mkdir()
         shutil.copy(folder / "kitchen.mcap", folder / path)
     write_import(folder)
+    write_films(folder)
     return folder
 
 
@@ -148,6 +154,33 @@ def write_import(folder):
     rows = [f"{1.7e12 + 33 * i:.0f},1,{i},1400,0,{i + 400},1400,0,200,1700,{i}" for i in range(90)]
     for name in ("left.csv", "right.csv"):
         (folder / name).write_text("\n".join([f"timestamp,id,{head}", *rows]))
+
+
+def write_films(folder):
+    """Write keypoints of four cameras as OpenPose does, and their calibration."""
+    log, tables = folder / "filmed.mcap", []
+    scene = "--camera rgb --cameras 4 --people 1 --rate 60 --seconds 1.2 --joints halpe-26 --quiet"
+    assert run(["simulate", str(log), *scene.split()]) == 0
+    with McapReader(log) as reader:
+        cameras = read_rgb_cameras(reader)
+        tree, _ = placed_cameras(reader, None, cameras)
+    for name, pose in poses_of(cameras, tree, tree.common_root([c.name for c in cameras])).items():
+        camera = next(c for c in cameras if c.name == name)
+        world, number = pose.inverse(), len(tables) + 1
+        tables.append(
+            f"[cam{number}]\nsize = {list(camera.lens.size)}\n"
+            f"matrix = {camera.lens.matrix.tolist()}\n"
+            f"distortions = {camera.lens.distortion.tolist()}\n"
+            f"rotation = {Rotation.from_quat(world.xyzw).as_rotvec().tolist()}\n"
+            f"translation = {world.translation.tolist()}\n"
+        )
+        (folder / f"cam{number}_json").mkdir()
+        for k, frame in enumerate(camera.frames):
+            points = np.nan_to_num(np.dstack([frame.pixels, frame.scores]))
+            people = [{"pose_keypoints_2d": person.ravel().tolist()} for person in points]
+            text = json.dumps({"people": people})
+            (folder / f"cam{number}_json" / f"cam{number}_{k:06}.json").write_text(text)
+    (folder / "Calib.toml").write_text("".join(tables))
 
 
 def test_every_detector_has_a_recipe():
