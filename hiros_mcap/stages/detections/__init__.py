@@ -7,4 +7,7 @@ hidden.py             joints that a camera cannot see; hidden_joints.py, impossi
 sides.py              left and right (the page); facing_evidence.py, facing.py,
                       facing_live.py, body_axes.py
 detection_params.py   the parameters
+
+May change: what is doubted of a view. Must not: ids, stamps and frames. Doubts are columns; no
+view is taken out here.
 """

@@ -6,4 +6,6 @@ butterworth.py     the paper's filter
 state_space.py     the causal and the smoothing Kalman filter
 link_lengths.py    lengths that stay as they are
 filter_params.py   the parameters
+
+May change: the method and its noise. Must not: stamps, ids, and gaps, which stay gaps.
 """

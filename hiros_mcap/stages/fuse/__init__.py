@@ -9,4 +9,7 @@ fusion_noise.py      how well each camera sees; residuals.py
 displaced_views.py   views of a camera that is not where its pose says
 constrain.py         constant lengths afterwards; pair_lengths.py, pose_prior.py
 fuse_params.py       the parameters
+
+May change: the noise, the windows, what is doubted. Must not: ids; and results may not depend
+on how frames are cut into blocks.
 """

@@ -5,4 +5,6 @@ merging.py        its compiled loops
 instants.py       which views belong to one instant
 unseen.py         people whom no camera sees for a moment
 merge_params.py   the parameters
+
+May change: how views are weighed. Must not: who is who, which the tracker decided.
 """

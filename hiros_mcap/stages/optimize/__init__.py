@@ -6,4 +6,7 @@ optimizing.py         the solver's compiled loops; normal_equations.py
 ceres.py              the solver of the paper
 limb_calibration.py   the lengths themselves, section 3.3.1
 optimize_params.py    the parameters
+
+May change: the energy and its weights. Must not: people whose lengths are not accepted; they
+pass as they are.
 """

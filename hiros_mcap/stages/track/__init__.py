@@ -7,4 +7,7 @@ support.py          who counts as a person
 identity.py         who is who: displaced.py, likeness.py, reidentify.py
 coverage.py         where each camera looks
 track_params.py     the parameters
+
+May change: the cost, the gate, who counts as a person. Must not: the ids of a person once
+given, and the order of messages.
 """
