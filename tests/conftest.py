@@ -78,9 +78,9 @@ def walking(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def whole_crossing():
+def whole_crossing(tmp_path_factory):
     """Two people who cross, three cameras, 5 s: for what needs a longer log."""
-    return SAMPLES / "two_people_crossing.mcap"
+    return beginning("two_people_crossing.mcap", 5.0, tmp_path_factory)
 
 
 @pytest.fixture(scope="session")

@@ -6,7 +6,7 @@ import os
 import sys
 import time
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -244,23 +244,22 @@ def _show(job: Job, records: Sequence[LogRecord], folder: str) -> None:
     from rich.text import Text
 
     from hiros_cli.run_report import page, table
-    from hiros_mcap.many.run_logs import column_totals, columns_of
+    from hiros_mcap.many.run_logs import column_totals, columns_of, values_of
     from hiros_mcap.wording import quantity
 
     columns = [name for name in columns_of(records) if name in shown_columns(job.command)]
     good = ("done", "equal")
     named = [*zip(_without_common([r.log for r in records]), records, strict=True)]
     rows = [
-        (log, r.verdict, *(_cell(r.values.get(name)) for name in columns))
+        (log, r.verdict, *(_cell(values_of(r).get(name)) for name in columns))
         for log, r in named
         if len(records) <= _ALL_ROWS or r.verdict not in good
     ]
     n_shown, totals = len(rows), column_totals(records, job)
-    added = [totals[name]["sum"] if name in totals else None for name in columns]
-    means = [totals[name]["mean"] if name in totals else None for name in columns]
-    if any(value is not None for value in added):
-        rows.append(("sum", "", *map(_cell, added)))
-    rows.append(("mean", "", *map(_cell, means)))
+    for kind in ("sum", "mean"):
+        cells = [_total(totals.get(name, {}), kind, name) for name in columns]
+        if any(value is not None for value in cells):
+            rows.append((kind, "", *map(_cell, cells)))
     titles = (f">{name.replace('_', ' ')}" for name in columns)
     counts = ", ".join(
         f"{n} {verdict}" for verdict, n in Counter(r.verdict for r in records).items()
@@ -281,12 +280,20 @@ def shown_columns(command: str) -> tuple[str, ...]:
     from hiros_mcap.evaluate.measures import BRIEF
 
     return {
-        "process": ("people", "log_s", "skipped", "times_real_time"),
+        "process": ("people", "log_s", "skipped", "took_s"),
         "eval": ("people", *BRIEF, "left_out_camera"),
         "check": ("differences", *BRIEF),
         "info": ("kind", "seconds", "megabytes", "cameras", "people"),
         "export": ("people", "files"),
     }[command]
+
+
+def _total(totals: Mapping[str, Any], kind: str, column: str) -> float | None:
+    """Return the sum of what can be added up, the mean of the rest; people are ids of a log."""
+    added, is_mean = totals.get("sum"), kind == "mean"
+    if column == "people" or is_mean == (added is not None):
+        return None
+    return totals.get("mean") if is_mean else added
 
 
 def _cell(value: object) -> str:

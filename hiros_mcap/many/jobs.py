@@ -74,7 +74,7 @@ class Job:
     kind: ClassVar[Kind] = "log"
     """Of the output."""
     counted: ClassVar[frozenset[str]]
-    """Columns of which a sum makes sense; of the others the table has means."""
+    """Columns of which a sum makes sense; of the others but ``people`` the table has means."""
     suffix: str = ""
     """Suffix of the output, "" if there is none."""
     settings: Settings | None = None
@@ -104,7 +104,7 @@ class ProcessJob(Job):
     options: ProcessOptions = field(default_factory=ProcessOptions)
 
     command: ClassVar[str] = "process"
-    counted: ClassVar[frozenset[str]] = frozenset({"people", "log_s", "messages", "skipped"})
+    counted: ClassVar[frozenset[str]] = frozenset({"log_s", "messages", "skipped", "took_s"})
     suffix = ".hiros.mcap"
 
     def of(self, log: str) -> ProcessJob:
@@ -137,7 +137,6 @@ class ProcessJob(Job):
             "log_s": summary.log_s,
             "messages": sum(camera.messages for camera in summary.cameras),
             "skipped": summary.skipped,
-            "times_real_time": summary.times_real_time,
         }
         sha256 = Provenance.of_log(target).run.get("input_sha256", "")
         return Finding(values, "done", "", summary.warnings, summary.losses, (target,), sha256)
@@ -163,7 +162,9 @@ class EvalJob(Job):
     """Whether the user named the system or a parameter; otherwise results keep their own."""
 
     command: ClassVar[str] = "eval"
-    counted: ClassVar[frozenset[str]] = frozenset(m.name for m in MEASURES.values() if not m.digits)
+    counted: ClassVar[frozenset[str]] = frozenset(
+        m.name for m in MEASURES.values() if not m.digits and m.name != "people"
+    )
 
     def of(self, log: str) -> EvalJob:
         """Return the job with the parameters of a log."""
@@ -240,7 +241,7 @@ class CheckJob(Job):
     bless: bool = False
 
     command: ClassVar[str] = "check"
-    counted: ClassVar[frozenset[str]] = frozenset({"differences", "people"})
+    counted: ClassVar[frozenset[str]] = frozenset({"differences"})
 
     def run(self, log: Path, target: Path) -> Finding:
         """Compare, or with ``bless`` make the result the golden file."""
@@ -280,7 +281,7 @@ class ExportJob(Job):
 
     command: ClassVar[str] = "export"
     kind: ClassVar[Kind] = "export"
-    counted: ClassVar[frozenset[str]] = frozenset({"people", "files"})
+    counted: ClassVar[frozenset[str]] = frozenset({"files"})
 
     def sides(self, name: str) -> tuple[Path, ...]:
         """Return the files with marker names and with a model."""

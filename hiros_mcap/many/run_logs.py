@@ -224,8 +224,13 @@ def _in_one_line(error: Exception, log: str) -> str:
 
 
 def columns_of(records: Sequence[LogRecord]) -> list[str]:
-    """Return the names of all values that a log has, in their order."""
-    return list(dict.fromkeys(name for record in records for name in record.values))
+    """Return the names of all values that a log has, in their order, and the time it took."""
+    return [*dict.fromkeys(name for record in records for name in record.values), "took_s"]
+
+
+def values_of(record: LogRecord) -> dict[str, Any]:
+    """Return the values of a log by :func:`columns_of`."""
+    return {**record.values, "took_s": record.seconds}
 
 
 def column_totals(records: Sequence[LogRecord], job: Job) -> dict[str, dict[str, Any]]:
@@ -235,7 +240,7 @@ def column_totals(records: Sequence[LogRecord], job: Job) -> dict[str, dict[str,
     """
     totals = {}
     for name in columns_of(records):
-        values = [record.values.get(name) for record in records]
+        values = [values_of(record).get(name) for record in records]
         numbers = [float(x) for x in values if isinstance(x, int | float) and math.isfinite(x)]
         if numbers:
             totals[name] = {
@@ -253,11 +258,10 @@ def as_csv(records: Sequence[LogRecord]) -> str:
     """Return the table of all logs as CSV: log, verdict, what was measured, time, error."""
     columns, text = columns_of(records), io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["log", "verdict", *columns, "seconds", "warnings", "error"])
+    writer.writerow(["log", "verdict", *columns, "warnings", "error"])
     for r in records:
-        values = [r.values.get(name, "") for name in columns]
-        last = f"{r.seconds:.3f}", "; ".join(r.warnings), r.error
-        writer.writerow([r.log, r.verdict, *values, *last])
+        values = [values_of(r).get(name, "") for name in columns]
+        writer.writerow([r.log, r.verdict, *values, "; ".join(r.warnings), r.error])
     return text.getvalue()
 
 

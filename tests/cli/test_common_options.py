@@ -39,12 +39,12 @@ def test_a_warning_is_shown_once_whatever_is_logged(long_lab, capsys):
         run(["process", str(long_lab), *LATE, "-q", "--verbose", "--log-file", str(log_file)]) == 0
     )
     told = capsys.readouterr().err
-    assert told.count("camera_1/skeletons: 79 % of 149 messages not used") == 1
+    assert told.count("camera_1/skeletons: 79 % of 147 messages not used") == 1
     assert told.count("hiros: warning: /camera_1/") == 1
     assert f"hiros: {long_lab}: system fuse: tracked, merged, optimized, filtered\n" in told
     logged = log_file.read_text()
     assert logged.startswith("# hiros log\n")
-    assert logged.count("camera_1/skeletons: 79 % of 149 messages not used") == 1
+    assert logged.count("camera_1/skeletons: 79 % of 147 messages not used") == 1
     assert f"{long_lab}: 0.073 s: track born person 0" in logged
 
 

@@ -138,7 +138,6 @@ def test_files_say_what_the_log_says(kind, tmp_path, scene):
         assert (a.frame_id, a.source) == ("camera_0", "camera_0")
 
 
-SAMPLE = Path(__file__).parents[2] / "sample_data" / "two_people_crossing.mcap"
 RECIPES = {
     "openpose": ("openpose", 'axes = ["x", "z", "-y"]\n[time]\nrate = 30', 21),
     "mediapipe": ("mediapipe.json", "", 21),
@@ -156,21 +155,23 @@ RECIPES = {
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory):
+def written(whole_crossing, tmp_path_factory):
     """A folder with what each detector writes of the same two people."""
     folder = tmp_path_factory.mktemp("written")
-    files.write_all(folder, SAMPLE)
+    files.write_all(folder, whole_crossing)
     return folder
 
 
 @pytest.mark.parametrize("detector", RECIPES)
-def test_files_of_a_detector_show_the_people_where_they_were(detector, tmp_path, written):
+def test_files_of_a_detector_show_the_people_where_they_were(
+    detector, tmp_path, written, whole_crossing
+):
     name, more, n_joints = RECIPES[detector]
     detector = re.split("[ ,]", detector)[0]
     mapping = tmp_path / "own.toml"
     mapping.write_text(f'detector = "{detector}"\n{more}\n')
     import_joints([written / name], tmp_path / "log.mcap", mapping if more else Path(detector))
-    expected, markers = files.truth_of(SAMPLE)
+    expected, markers = files.truth_of(whole_crossing)
     with open_log(tmp_path / "log.mcap") as log:
         found, names = list(log.frames()), log.model.marker_names
         assert log.model.n_links >= n_joints - 6
@@ -259,8 +260,8 @@ def test_a_detector_of_a_camera_has_a_frame_and_confidences_of_its_own(tmp_path,
     assert frame.stamp == 1_700_000_000_000_000_000
 
 
-def test_zed_writes_one_of_several_skeletons(tmp_path, written):
-    frames, markers = files.truth_of(SAMPLE)
+def test_zed_writes_one_of_several_skeletons(tmp_path, whole_crossing):
+    frames, markers = files.truth_of(whole_crossing)
     for count in (34, 38):
         files.zed(tmp_path / f"{count}.json", frames[:2], markers, count)
     both = [tmp_path / "34.json", tmp_path / "38.json"]
