@@ -40,6 +40,8 @@ _DENORMALISED = 1e-3
 _ZERO = 1e-6
 _LISTED = 12
 _SAME_M, _SAME_RAD = 1e-4, math.radians(0.01)  # what rounding may change
+_FARTHEST_M = 100.0
+"""Nobody is seen by cameras that are so far apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -732,3 +734,12 @@ def same_place(poses: Mapping[str, Rigid]) -> list[list[str]]:
         else:
             groups.append([name])
     return [group for group in groups if len(group) > 1]
+
+
+def far_apart(poses: Mapping[str, Rigid]) -> dict[str, float]:
+    """Return the cameras that are so far from all others that their poses are not in m, and how."""
+    places = np.array([pose.translation for pose in poses.values()]).reshape(-1, 3)
+    distances = np.linalg.norm(places[:, None] - places, axis=-1)
+    np.fill_diagonal(distances, np.inf)
+    nearest = dict(zip(poses, distances.min(axis=1, initial=np.inf).tolist(), strict=True))
+    return {name: apart for name, apart in nearest.items() if _FARTHEST_M < apart < np.inf}

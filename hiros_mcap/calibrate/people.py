@@ -22,7 +22,7 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
-from hiros_mcap.body.transforms import same_place
+from hiros_mcap.body.transforms import far_apart, same_place
 from hiros_mcap.calibrate.camera_change import find_moves, split_views, with_times
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
@@ -221,7 +221,7 @@ def far_shifts(
 def _given_poses(log: Log, views: Sequence[CameraView]) -> tuple[str, dict[int, Rigid]]:
     """Return the fixed frame and the poses in it that the log's transforms give.
 
-    Two cameras cannot have the same pose: nobody has calibrated them.
+    Two cameras cannot have the same pose: nobody has calibrated them. Poses in mm tell nothing.
     """
     known = log.transforms.frames
     frames = {c: view.frame for c, view in enumerate(views) if view.frame in known}
@@ -233,7 +233,8 @@ def _given_poses(log: Log, views: Sequence[CameraView]) -> tuple[str, dict[int, 
         return ROOM if WORLD in known else WORLD, {}
     named = {str(c): pose for c, pose in given.items()}
     alike = {int(name) for group in same_place(named) for name in group}
-    return root, {c: pose for c, pose in given.items() if c not in alike}
+    wrong = alike | {int(name) for name in far_apart(named)}
+    return root, {c: pose for c, pose in given.items() if c not in wrong}
 
 
 def _register_pairs(

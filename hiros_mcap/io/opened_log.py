@@ -14,7 +14,14 @@ import numpy as np
 
 import hiros_schemas
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.body.transforms import Mover, PoseChange, TimedPoses, TransformTree, same_place
+from hiros_mcap.body.transforms import (
+    Mover,
+    PoseChange,
+    TimedPoses,
+    TransformTree,
+    far_apart,
+    same_place,
+)
 from hiros_mcap.errors import LogError, explained, naming
 from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.io.camera_clock import CameraTimes
@@ -45,6 +52,9 @@ from hiros_mcap.io.log_accounts import (
 from hiros_mcap.io.unread_channels import not_read
 from hiros_mcap.skeletons import Frame, SkeletonModel, Stamps
 from hiros_mcap.wording import quantity
+
+_MILLIMETRES_M = 1000.0
+"""Cameras of one room that seem to be farther apart have poses in mm; in cm, it would be large."""
 
 Spans = Sequence[tuple[int, int]]
 """Log times, ns: first and last of each part of a log."""
@@ -301,6 +311,25 @@ class Log:
             return None
         return self.transforms.lookup(camera.frames[0], self.fixed_frame, 0)
 
+    @cached_property
+    def far_apart(self) -> str:
+        """Which cameras' poses cannot be in m, in words; "" if all can, or if one lacks."""
+        frames = sorted({name for camera in self.cameras for name in camera.frames})
+        try:
+            fixed = self.fixed_frame
+            far = far_apart({name: self.transforms.lookup(name, fixed, 0) for name in frames})
+        except LogError:
+            return ""
+        metres = max(far.values(), default=0.0)
+        unit, factor = ("mm", 1000) if metres > _MILLIMETRES_M else ("cm", 100)
+        if not far:
+            return ""
+        return (
+            f"cameras are {metres / 1000.0:.2g} km apart ({', '.join(far)}): the translations look "
+            f"like {unit}, not m; divide them by {factor}, or pass the camera poses with "
+            "--extrinsics FILE"
+        )
+
     @property
     def warnings(self) -> tuple[str, ...]:
         """Reasons to doubt the cameras' messages or poses, with their remedies.
@@ -316,6 +345,7 @@ class Log:
             yield "the room is empty: the cameras sent no message; check the detectors"
         frames = sorted({name for camera in self.cameras for name in camera.frames} - {fixed})
         poses = {name: self.transforms.lookup(name, fixed, 0) for name in frames}
+        yield from filter(None, [self.far_apart])
         yield from map(not_used, self.unread)
         yield from map(not_read, self.strangers)
         yield from filter(None, (unit_warning(c.channel.topic, c.size) for c in self.cameras))

@@ -259,7 +259,7 @@ def align_cameras(
 
 
 def _missing_poses(log: Log) -> LogError | None:
-    """Return which poses the log lacks, None if it has all."""
+    """Return which poses the log lacks, or why those that it has cannot be; None if it has all."""
     if log.transforms.frames:
         log.check_fixed_frame()
     try:
@@ -268,7 +268,7 @@ def _missing_poses(log: Log) -> LogError | None:
         if any(moves(log, frame) for camera in log.cameras for frame in camera.frames):
             raise
         return error
-    return None
+    return LogError(log.far_apart, path=log.path) if log.far_apart else None
 
 
 def _compared(survey: Survey, clocks: ClockAlignment) -> PoseAlignment:
@@ -394,6 +394,8 @@ def pose_faults(log: Log) -> list[str]:
 
     Only some seconds of the log are read. A log whose cameras cannot be compared has no faults.
     """
+    if log.far_apart:
+        return []
     faults, shared = camera_faults(log), shared_frames(log)
     cameras = sorted(camera for camera in fixed_cameras(log, faults) if camera.movable or shared)
     if len(cameras) < 2:
@@ -465,6 +467,7 @@ def _from_nothing(
         moves=tuple(_moves_of(calibration)),
         better=(poses, calibration.fixed_frame),
         contradictions=(
+            *filter(None, [original.far_apart]),
             *mended(original, log, calibration),
             *log.transforms.doubts(name for camera in original.cameras for name in camera.frames),
         ),

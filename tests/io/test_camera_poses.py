@@ -92,6 +92,21 @@ def test_cameras_at_one_place_are_noticed(crossing, tmp_path, capsys):
     assert "all cameras stand at the same place" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("in_mm", [("camera_0", "camera_1", "camera_2"), ("camera_1",)])
+def test_transforms_in_mm_are_named_as_such(in_mm, whole_crossing, tmp_path, capsys):
+    poses = {f"camera_{k}": pose(whole_crossing, f"camera_{k}") for k in range(3)}
+    rows: list[Pose] = [
+        (0, name, tuple(x * (1000.0 if name in in_mm else 1.0) for x in place), xyzw)
+        for name, (place, xyzw) in poses.items()
+    ]
+    log = with_poses(whole_crossing, tmp_path / "mm.mcap", rows, own=False)
+    message = f"km apart ({', '.join(in_mm)}): the translations look like mm, not m; divide them"
+    assert command(["info", str(log)]) == 0
+    assert message in capsys.readouterr().err
+    assert command(["process", "-q", "-o", str(tmp_path / "out.mcap"), str(log)]) in (0, 2)
+    assert message in capsys.readouterr().err
+
+
 def test_a_log_without_transforms_says_what_to_do(crossing, tmp_path, capsys):
     log = with_poses(crossing, tmp_path / "none.mcap", [], own=False)
     assert command(["process", str(log)]) == 2
