@@ -144,10 +144,11 @@ def test_markers_are_gathered_as_rosbags_decodes_them(namespaces, seconds, scene
         gathered = azure_kinect._gathered(data)
         assert (gathered is None) == (frame.n_people == 0)
         if gathered:
-            stamp, frame_id, ids, kinds, placed = gathered
+            stamp, frame_id, spaces, ids, kinds, placed = gathered
             markers = made.ROS2.deserialize_cdr(data, made.MARKERS).markers
             assert stamp == seconds * 10**9 + markers[0].header.stamp.nanosec
             assert frame_id == markers[0].header.frame_id
+            assert spaces.tolist() == [marker.ns.encode() for marker in markers]
             assert ids.tolist() == [marker.id for marker in markers]
             assert kinds.tolist() == [[marker.type, marker.action] for marker in markers]
             poses = [(m.pose.position, m.pose.orientation) for m in markers]
@@ -472,6 +473,44 @@ def test_fewer_joints_are_told_by_their_ids(case, logs, scene, tmp_path):
         for frame, other in zip(log.detections(), whole.detections(), strict=True):
             np.testing.assert_array_equal(frame.positions, other.positions[:, slots])
         assert any("joints" in text and "/camera_0/" in text for text in log.remarks)
+
+
+def with_texts(spheres):
+    text = made.default("visualization_msgs/msg/Marker", header=spheres[0].header, id=5, type=9)
+    line = made.default("visualization_msgs/msg/Marker", header=spheres[0].header, id=9000, type=5)
+    return [text, *spheres, line]
+
+
+def numbered_from_0(spheres, space="body_{}"):
+    for one in spheres:
+        one.ns, one.id = space.format(one.id // 100), one.id % 100
+    return spheres
+
+
+DRAWN = {
+    "text and lines": with_texts,
+    "a namespace per body": numbered_from_0,
+    "ids come again": lambda spheres: numbered_from_0(spheres, ""),
+    "text in namespaces": lambda spheres: with_texts(numbered_from_0(spheres)),
+}
+
+
+@pytest.mark.parametrize("case", DRAWN)
+def test_spheres_are_read_whatever_is_drawn_beside_them(case, logs, scene, tmp_path):
+    def drawn(scene):
+        for row in azure(scene):
+            spheres = made.markers_of(row)
+            yield made.with_markers(row, DRAWN[case](spheres) if spheres else [])
+
+    path = write_ros2(tmp_path / "log.mcap", scene, drawn)
+    with open_log(path) as log, open_log(logs["azure kinect"]) as whole:
+        frames = list(log.detections())
+        for frame, other in zip(frames, whole.detections(), strict=True):
+            np.testing.assert_array_equal(frame.positions, other.positions)
+        said = [text for text in log.remarks if "left out that are no spheres" in text]
+        assert (len(said) == 3) == ("text" in case)
+    ids = {tuple(frame.ids) for frame in frames if frame.n_people == 2}
+    assert len(ids) == 1 and all(one != other for one, other in ids)
 
 
 def test_too_few_spheres_are_counted_in_the_error(scene, tmp_path, capsys):

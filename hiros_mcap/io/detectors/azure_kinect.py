@@ -7,6 +7,9 @@ body's id times 100 plus the joint's number in the Body Tracking SDK
 ROS 2 publish the same; some leave out joints that they do not trust, or delete the markers of the
 capture before. Old SDKs have 26 joints: the same without hands, hand tips and thumbs, numbered
 without gaps (``k4abt_joint_id_t`` in k4abttypes.h).
+
+Nodes behind the driver add text and lines, which are left out, or number the joints of each body
+from 0, mostly in a namespace of its own.
 """
 
 from __future__ import annotations
@@ -27,7 +30,7 @@ from hiros_mcap.io.detectors.detector_reader import (
     nanoseconds,
     seen_people,
 )
-from hiros_mcap.skeletons import ORIENTATION, SECOND, Floats, Stamps
+from hiros_mcap.skeletons import ORIENTATION, SECOND, Flags, Floats, Stamps
 from hiros_mcap.wording import quantity
 
 TOPIC = "body_tracking_data"
@@ -39,6 +42,8 @@ _FIRST = 8  # byte of the first marker, behind the encapsulation and the number 
 _LONGEST = 256  # bytes of a marker's namespace
 _FACTOR = 100
 """Between the ids of two bodies."""
+_OF_BODIES = 10_000 * _FACTOR
+"""Between the ids of two bodies whose joints have the same ids."""
 _FEWEST = 20
 """Joints of a body, on a topic of any name, that tell it from other spheres."""
 _HANDS = np.array([8, 9, 10, 15, 16, 17])
@@ -49,11 +54,13 @@ _TELLING = 10
 
 
 class Spheres(NamedTuple):
-    """N markers of a capture."""
+    """N markers of a capture, and at last its spheres."""
 
     stamp: int
     """ns."""
     frame_id: str
+    spaces: npt.NDArray[np.bytes_]
+    """(N,) namespaces."""
     ids: Stamps
     """(N,)."""
     kinds: Stamps
@@ -71,11 +78,15 @@ class AzureKinectMarkers(DetectorReader):
         self._model = body_model("azure-kinect")
         self._known: set[str] = set()
         """Topics that have shown bodies."""
+        self._numbers: dict[str, dict[tuple[bytes, int], int]] = {}
+        """Of bodies by namespace and which one it is there, on topics whose ids do not tell."""
         self._old: dict[str, bool] = {}
         """Topic -> whether its joints are numbered as those of an SDK of 26."""
         self._bodies: Counter[str] = Counter()
         self._fewer: Counter[str] = Counter()
         """Bodies by topic: all, and those with fewer joints than the SDK has."""
+        self._others: Counter[str] = Counter()
+        """Markers by topic that are no spheres."""
 
     def read(self, message: DetectorMessage) -> Iterable[SeenPeople] | None:
         """Group the markers by body; a message without markers is of a camera that sees nobody.
@@ -91,9 +102,12 @@ class AzureKinectMarkers(DetectorReader):
         spheres = _added(_gathered(data) or _decoded(message.fields.markers))
         if not len(spheres.ids):
             return nobody
+        is_sphere = spheres.kinds[:, 0] == _SPHERE
+        spheres = self._numbered(message.topic, _chosen(spheres, is_sphere))
         if not self._are_joints(spheres, 1 if known else _FEWEST):
             self.hint = self.hint or _hint(message.topic, spheres)
             return None
+        self._others[message.topic] += int((~is_sphere).sum())
         bodies, joints = self._joints(message.topic, spheres)
         people = seen_people(
             self._model,
@@ -108,15 +122,31 @@ class AzureKinectMarkers(DetectorReader):
         return [people]
 
     def _are_joints(self, spheres: Spheres, fewest: int) -> bool:
-        """Whether markers are spheres with the ids of joints, and a body has ``fewest`` of them."""
+        """Whether spheres have the ids of joints, and a body has ``fewest`` of them."""
         ids, n_bodies = spheres.ids, len(np.unique(spheres.ids // _FACTOR))
         return bool(
-            (spheres.kinds == (_SPHERE, _ADD)).all()
-            and len(ids) >= fewest * n_bodies
+            len(ids) >= max(1, fewest * n_bodies)
             and len(np.unique(ids)) == len(ids)
             and (ids >= 0).all()
             and (ids % _FACTOR < self._model.n_markers).all()
         )
+
+    def _numbered(self, topic: str, spheres: Spheres) -> Spheres:
+        """Give bodies ids of their own where joints are numbered from 0 in each.
+
+        Then namespaces tell them apart, or that a joint comes again.
+        """
+        if topic not in self._numbers and len(np.unique(spheres.ids)) == len(spheres.ids):
+            return spheres
+        numbers, seen, offsets = (
+            self._numbers.setdefault(topic, {}),
+            Counter[tuple[bytes, int]](),
+            [],
+        )
+        for joint in zip(spheres.spaces.tolist(), spheres.ids.tolist(), strict=True):
+            offsets.append(numbers.setdefault((joint[0], seen[joint]), len(numbers)))
+            seen[joint] += 1
+        return spheres._replace(ids=spheres.ids + _OF_BODIES * np.array(offsets, np.int64))
 
     def _joints(self, topic: str, spheres: Spheres) -> tuple[Stamps, Floats]:
         """Ids of the bodies (P,), and the poses of their joints (P, M, 7); NaN where one lacks."""
@@ -154,6 +184,9 @@ class AzureKinectMarkers(DetectorReader):
                     f"{topic}: {quantity(n, 'skeleton')} of {self._bodies[topic]} with fewer than "
                     f"{self._model.n_markers} joints; the others are taken as not seen"
                 )
+        for topic, n in self._others.items():
+            if n:
+                yield f"{topic}: {quantity(n, 'marker')} left out that are no spheres"
 
     def _nobody(self, message: DetectorMessage) -> SeenPeople:
         return seen_people(self._model, message, "", np.empty((0, self._model.n_markers, 3)))
@@ -161,8 +194,7 @@ class AzureKinectMarkers(DetectorReader):
 
 def _hint(topic: str, spheres: Spheres) -> str:
     """Return why spheres are no bodies; "" if there are none."""
-    is_sphere = (spheres.kinds == (_SPHERE, _ADD)).all(axis=1)
-    n, n_bodies = int(is_sphere.sum()), len(np.unique(spheres.ids[is_sphere] // _FACTOR))
+    n, n_bodies = len(spheres.ids), len(np.unique(spheres.ids // _FACTOR))
     if not n:
         return ""
     return (
@@ -174,10 +206,13 @@ def _hint(topic: str, spheres: Spheres) -> str:
 
 def _added(spheres: Spheres) -> Spheres:
     """Leave out the markers that only take others away."""
-    kept = ~np.isin(spheres.kinds[:, 1], _DELETIONS)
-    return spheres._replace(
-        ids=spheres.ids[kept], kinds=spheres.kinds[kept], poses=spheres.poses[kept]
-    )
+    return _chosen(spheres, ~np.isin(spheres.kinds[:, 1], _DELETIONS))
+
+
+def _chosen(markers: Spheres, kept: Flags) -> Spheres:
+    """Return some of the markers."""
+    stamp, frame_id, *columns = markers
+    return Spheres(stamp, frame_id, *(np.asarray(column)[kept] for column in columns))
 
 
 def _decoded(markers: Sequence[Any]) -> Spheres:
@@ -187,6 +222,7 @@ def _decoded(markers: Sequence[Any]) -> Spheres:
     return Spheres(
         nanoseconds(header.stamp),
         header.frame_id,
+        np.array([marker.ns.encode() for marker in markers]),
         np.array([marker.id for marker in markers], np.int64),
         np.array([(marker.type, marker.action) for marker in markers], np.int64),
         np.array([(p.x, p.y, p.z, q.x, q.y, q.z, q.w) for p, q in places], np.float64),
@@ -223,7 +259,10 @@ def _gathered(data: bytes) -> Spheres | None:
     heads = _numbers(content, ids, "<i4", 3).astype(np.int64)
     frame_id = str(header[12 : 11 + length], "utf-8", "replace")
     stamp = sec * SECOND + nanosec
-    return Spheres(stamp, frame_id, heads[:, 0], heads[:, 1:], _numbers(content, poses, "<f8", 7))
+    spans = zip((name + 4).tolist(), (name + 4 + lengths).tolist(), strict=True)
+    spaces = np.array([data[begin:end] for begin, end in spans])  # the NUL at the end is dropped
+    placed = _numbers(content, poses, "<f8", 7)
+    return Spheres(stamp, frame_id, spaces, heads[:, 0], heads[:, 1:], placed)
 
 
 def _numbers(content: npt.NDArray[np.uint8], places: Stamps, kind: str, n: int) -> Any:
