@@ -23,11 +23,10 @@ from hiros_mcap.body.rotations import (
     from_vector,
     nearest_rotation,
     to_matrix,
+    to_vector,
 )
 from hiros_mcap.kernels.array_types import chosen
 from hiros_mcap.kernels.ray_equations import (
-    BEHIND,
-    CAUCHY,
     LAG,
     UNKNOWNS,
     RayCameras,
@@ -50,7 +49,11 @@ FIRST_PX, LEAST_PX = 10.0, 0.5
 RAYLEIGH = 1.17741
 """Median length of a vector of two errors with standard deviation 1."""
 PRIOR_RAD, PRIOR_M = np.radians(1.0), 0.05
-"""How wrong a given pose usually is, when the rig is put where most of the given poses are."""
+"""How wrong a given pose usually is; how large the errors of a log are is found from it."""
+WRONG = np.geomspace(0.01, 30.0, 60)
+"""Errors of given poses that are tried, in units of the usual ones."""
+WEIGHINGS, TAILS = 10, 3.0
+"""Rounds in which given poses are weighed; degrees of freedom of their errors (Student's t)."""
 _DAMPING, _MOST_DAMPING = 1e-4, 1e4
 _NO_STEP = 1e-9
 """Share of the largest eigenvalue below which no data tell an unknown: the frame of the rig."""
@@ -127,21 +130,6 @@ def adjust(
         distances = np.sqrt(squares) * noise
         noise = _noise(distances)
     return Bundle(points, cameras, places, focals, distances, free)
-
-
-def point_losses(points: RayPoints, cameras: RayCameras) -> Floats:
-    """(P,) robust loss of each joint, at the place that fits its rays best.
-
-    The scales of the cameras count, so that losses with different poses compare.
-    """
-    fixed, squares = (
-        np.zeros((len(cameras.lags), UNKNOWNS), np.bool_),
-        np.zeros(points.weights.shape),
-    )
-    _, places = _descend(points, cameras, triangulated(points, cameras), fixed)
-    ray_loss(points, cameras, places, squares)
-    losses = np.log1p(np.minimum(squares / CAUCHY**2, BEHIND))
-    return np.asarray(np.nansum(points.weights * losses, axis=1))
 
 
 def _noise(distances: Floats) -> float:
@@ -286,6 +274,75 @@ def placed(bundle: Bundle, given: RayCameras, held: Flags) -> Bundle:
     )
     places = scale * bundle.places @ turn.T + shift
     return bundle._replace(cameras=moved, places=np.ascontiguousarray(places))
+
+
+def weighed(bundle: Bundle, given: RayCameras, errors: Floats) -> RayCameras:
+    """Weigh the poses that fit the people best against the given ones.
+
+    What people tell well is theirs; what they hardly tell, such as a turn of all cameras that
+    shifts the whole room, stays as it is given. How wrong the given poses are is found where people
+    do tell it: the errors that make the poses found most likely (empirical Bayes, Morris 1983).
+    One camera may be much more wrong than the others (Student's t).
+
+    Parameters
+    ----------
+    bundle : in the frame of the given poses. errors : (C, 7) :func:`standard_errors`.
+    """
+    n, free = len(given.lags), bundle.free.ravel()
+    posed = np.flatnonzero(free & (np.arange(free.size) % UNKNOWNS != LAG))
+    if not posed.size:
+        return bundle.cameras
+    known, apart = _known_poses(bundle, posed), _between(given, bundle.cameras).ravel()[posed]
+    usual = np.tile(np.repeat([PRIOR_RAD, PRIOR_M, 1.0], (3, 3, 1)), n)[posed]
+    moved, wrong = np.zeros(free.size), np.ones(n)
+    for _ in range(WEIGHINGS):
+        unit = usual * wrong[posed // UNKNOWNS]
+        told, variances, axes = _modes(known * np.outer(unit, unit), errors.ravel()[posed] / unit)
+        found = axes.T @ (apart / unit)
+        spreads = WRONG[:, None] ** 2 + variances[told]
+        fits = (np.log(spreads) + found[told] ** 2 / spreads).sum(axis=1)
+        size = WRONG[np.argmin(fits)]
+        moved[posed] = unit * (axes @ (found / (1.0 + variances / size**2)))
+        steps = np.zeros(free.size)
+        steps[posed] = moved[posed] / (size * usual)
+        squares = (steps.reshape(n, UNKNOWNS) ** 2).sum(axis=1)
+        wrong = np.sqrt((TAILS + squares) / (TAILS + LAG))
+    back = np.zeros(free.size)
+    back[posed] = moved[posed] - apart
+    return _moved(bundle.cameras, back.reshape(bundle.free.shape))
+
+
+def _known_poses(bundle: Bundle, posed: Stamps) -> Floats:
+    """(N, N) what the rays tell of some unknowns of poses, whatever the lags are."""
+    work = RayWork.allocate(len(bundle.free))
+    hessian, _ = equations(bundle.points, bundle.cameras, bundle.places, 0.0, work)
+    timed = np.flatnonzero(bundle.free[:, LAG]) * UNKNOWNS + LAG
+    tied = hessian[np.ix_(posed, timed)]
+    lags = np.linalg.solve(hessian[np.ix_(timed, timed)], tied.T)
+    return np.asarray(hessian[np.ix_(posed, posed)] - tied @ lags)
+
+
+def _modes(known: Floats, errors: Floats) -> tuple[Flags, Floats, Floats]:
+    """Return which axes the rays tell, the variances along all, and the axes (N, N) as columns.
+
+    Rays err together, so variances are larger than those of independent rays: by the one factor
+    that brings these to the standard errors.
+    """
+    sizes, axes = np.linalg.eigh(known)
+    told = sizes > _NO_STEP * sizes[-1]
+    alone = (axes[:, told] ** 2 / sizes[told]).sum(axis=1)
+    factor = np.median(errors**2 / alone)
+    return told, np.where(told, factor / np.where(told, sizes, 1.0), np.inf), axes
+
+
+def _between(cameras: RayCameras, others: RayCameras) -> Floats:
+    """(C, 7) the steps from cameras to others, as :func:`_moved` takes them, without lags."""
+    steps = np.zeros((len(cameras.lags), UNKNOWNS))
+    turns = others.rotations @ np.swapaxes(cameras.rotations, 1, 2)
+    steps[:, :3] = to_vector(from_matrix(turns))
+    apart = centres_of(others) - centres_of(cameras)
+    steps[:, 3:LAG] = -np.einsum("cij,cj->ci", others.rotations, apart)
+    return steps
 
 
 def centres_of(cameras: RayCameras) -> Floats:

@@ -1,15 +1,14 @@
 """Poses and lags of RGB cameras, refined from the people whom they film before a run.
 
-The given poses are about right. New ones replace them only if they also fit better what they were
-not found on: other joints at other times. The errors of a detector belong to a joint and last for
+The given poses are about right. The people correct what they tell better
+(:func:`hiros_mcap.rays.bundle.weighed`). The errors of a detector belong to a joint and last for
 seconds.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from itertools import product
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,9 +22,9 @@ from hiros_mcap.rays.bundle import (
     adjust,
     cameras_at,
     placed,
-    point_losses,
     poses_of,
     standard_errors,
+    weighed,
     with_common_velocities,
 )
 from hiros_mcap.rays.image_tracks import ImageView, instants_of, sample_images, views_of
@@ -56,12 +55,8 @@ NEAR_PX = 10.0
 MOST_S, STRETCHES = 60.0, 4
 """Of a longer log, so many stretches are looked at, as long in all."""
 BLOCKS, LONGEST_BLOCK_S = 10, 2.0
-CERTAIN = 3.0
-"""Poses are better if they are so by this many standard errors on what was held out."""
 TIMED_S = 0.01
 """A lag with a larger standard error is not known: nobody moves enough."""
-SURE_DEG, SURE_M = 1.0, 0.1
-"""A pose with a larger standard error is not known."""
 
 
 class RayRig(NamedTuple):
@@ -76,11 +71,9 @@ class RayRig(NamedTuple):
     before: dict[str, float]
     """Camera -> median reprojection error with the given poses and the lags, px."""
     after: dict[str, float]
-    """The same with the new poses, whether they are used or not."""
-    errors: dict[str, tuple[float, float, float]]
-    """Camera -> standard errors of the new pose and lag: degrees, m, s."""
+    """The same with the new poses."""
     reason: str
-    """Why the given poses stay; "" if the new ones are used."""
+    """Why the given poses stay; "" if people tell better ones."""
     untimed: tuple[str, ...]
     """Cameras whose lag the people do not tell; their stamps stay as they are."""
     regular: bool
@@ -111,7 +104,6 @@ def refine_rig(
     frames: Mapping[str, Sequence[KeypointFrame]],
     lenses: Mapping[str, Intrinsics],
     poses: Mapping[str, Rigid],
-    held: Collection[str] = (),
     *,
     clocks: bool = True,
 ) -> RayRig:
@@ -120,18 +112,17 @@ def refine_rig(
     Parameters
     ----------
     frames : of all cameras, each by time. poses : where they stand in the room, about.
-    held : cameras whose poses are right by definition. clocks : whether lags are looked for.
+    clocks : whether lags are looked for.
 
     The rig as a whole stays where the given poses put it, and has their size.
     """
     views, names = views_of(_stretches(frames), lenses), list(frames)
     given, free = cameras_at([poses[name] for name in names]), free_unknowns(views, clocks)
-    free[[name in held for name in names], :LAG] = False
     fit, regular = _best_fit(views, given, free)
     if fit is None:
         unknown, lags = dict.fromkeys(names, math.nan), dict.fromkeys(names, 0.0)
         reason = "no two cameras see the same person"
-        return RayRig(dict(poses), lags, unknown, unknown, unknown, {}, reason, (), False)
+        return RayRig(dict(poses), lags, unknown, unknown, unknown, reason, (), False)
     untimed = free[:, LAG] & ~(errors_of(fit)[:, LAG] < TIMED_S)
     if untimed.any():
         free[untimed, LAG] = False
@@ -250,34 +241,28 @@ def _verdict(
     fit: RigFit, names: list[str], poses: Mapping[str, Rigid], given: RayCameras,
     untimed: Flags,
 ) -> RayRig:  # fmt: skip
-    """Say which poses and lags to use, and why."""
-    errors, points, cameras = errors_of(fit), fit.bundle.points, fit.bundle.cameras
-    given = given._replace(lags=cameras.lags, scales=cameras.scales)
-    kept = adjust(points, given, fit.bundle.focals, np.zeros_like(fit.bundle.free))
-    degrees = np.degrees(np.linalg.norm(errors[:, :3], axis=1))
-    metres = np.linalg.norm(errors[:, 3:LAG], axis=1)
-    weak, reason = (degrees > SURE_DEG) | (metres > SURE_M), ""
-    if weak.all():
-        reason = "the people tell no pose to a degree and 10 cm"
-    elif _certainty(fit, given) <= CERTAIN:
-        reason = "new poses do not fit better what they were not found on"
+    """Say which poses and lags to use."""
+    bundle = fit.bundle
+    given = given._replace(lags=bundle.cameras.lags)
+    new, still = weighed(bundle, given, errors_of(fit)), np.zeros_like(bundle.free)
+    before, after = (
+        medians(adjust(bundle.points, cameras, bundle.focals, still).distances)
+        for cameras in (given, new)
+    )
 
     def table(values: Iterable[Any]) -> dict[str, Any]:
         return dict(zip(names, values, strict=True))
 
-    found = table(poses_of(cameras))
-    stays = table(weak | bool(reason))
+    found, moves = poses_of(new), bundle.free[:, :LAG].any(axis=1)
     lags = np.where(untimed, 0.0, fit.lags)
     lags -= np.sort(lags)[(len(lags) - 1) // 2]
-    before, after = (medians(bundle.distances) for bundle in (kept, fit.bundle))
     return RayRig(
-        {name: poses[name] if stays[name] else found[name] for name in names},
+        table(found[c] if moves[c] else poses[name] for c, name in enumerate(names)),
         table(lags.tolist()),
-        table(((before if reason else after) / RAYLEIGH).tolist()),
+        table((after / RAYLEIGH).tolist()),
         table(before.tolist()),
         table(after.tolist()),
-        table(zip(degrees.tolist(), metres.tolist(), errors[:, LAG].tolist(), strict=True)),
-        reason,
+        "",
         tuple(name for name, out in table(untimed).items() if out),
         regular=False,
     )
@@ -287,26 +272,3 @@ def medians(distances: Floats) -> Floats:
     """(C,) median distance of each camera's rays, px; NaN where it sees nothing."""
     columns = (column[np.isfinite(column)] for column in distances.T)
     return np.array([np.median(column) if len(column) else np.nan for column in columns])
-
-
-def _certainty(fit: RigFit, given: RayCameras) -> float:
-    """Return by how many standard errors new poses fit better joints that they were not found on.
-
-    Poses are found on half of the joints in every other block of time, and tried on the others.
-    The lags are the same in both.
-    """
-    points, cameras = fit.bundle.points, fit.bundle.cameras
-    free, blocks, gains = fit.bundle.free.copy(), fit.blocks, np.zeros(len(fit.rows))
-    free[:, LAG] = False
-    for late, odd in product((0, 1), repeat=2):
-        train = (blocks % 2 == late) & (fit.rows[:, 2] % 2 == odd)
-        test = (blocks % 2 != late) & (fit.rows[:, 2] % 2 != odd)
-        if min(np.count_nonzero(train), np.count_nonzero(test)) < LEAST_RAYS:
-            return 0.0
-        learned = adjust(chosen(points, train), given, fit.bundle.focals, free, rounds=2)
-        new = learned.cameras._replace(scales=cameras.scales)
-        rest = chosen(points, test)
-        gains[test] += point_losses(rest, given) - point_losses(rest, new)
-    sums = np.bincount(np.unique(blocks, return_inverse=True)[1], gains)
-    error = float(np.std(sums, ddof=1) * np.sqrt(len(sums))) if len(sums) > 2 else 0.0
-    return float(sums.sum()) / error if error > 0.0 else 0.0

@@ -45,33 +45,32 @@ def test_the_same_input_gives_the_same_rig(people):
     ]
 
 
-def test_right_poses_stay(people):
+def test_right_poses_stay_nearly(people):
     scene = film(people, RIG, seed=2)
     rig = refine_rig(scene.frames, scene.lenses, RIG)
-    assert "do not fit better" in rig.reason
-    assert rig.poses == RIG
+    degrees, metres, _ = off(rig, scene)
+    assert (degrees, metres) < (0.25, 0.02)
 
 
-def test_one_person_on_one_spot_tells_a_lag_and_no_pose():
+def test_poses_a_little_off_do_not_get_worse(people):
+    """What people hardly tell, a shift of all cameras, stays as the given poses have it."""
+    for seed in range(3):
+        given = turned(RIG, 0.25, seed=seed)
+        scene = film(people, RIG, seed=seed)
+        rig = refine_rig(scene.frames, scene.lenses, given)
+        assert off(rig, scene)[0] < 0.3
+
+
+def test_one_person_on_one_spot_tells_a_lag_and_hardly_a_pose():
     scene = film(walking(people=1, seconds=12.0, action="lunge"), RIG, rate=60.0, lags=LAGS)
-    given = turned(RIG, 1.0)
-    rig = refine_rig(scene.frames, scene.lenses, given)
-    assert "no pose" in rig.reason
-    assert rig.poses == given
+    rig = refine_rig(scene.frames, scene.lenses, turned(RIG, 1.0))
+    assert off(rig, scene)[0] < 1.1
     assert off(rig, scene)[2] < 0.015
 
 
 def test_regular_motion_is_said():
     scene = film(walking(people=1, seconds=12.0, action="jump"), RIG, lags=LAGS)
     assert refine_rig(scene.frames, scene.lenses, RIG).regular
-
-
-def test_a_camera_that_is_held_stays_and_the_others_follow_it(people):
-    scene, given = film(people, RIG, seed=3), dict(turned(RIG, 2.0, seed=3), cam1=RIG["cam1"])
-    rig = refine_rig(scene.frames, scene.lenses, given, held=["cam1"])
-    metres, degrees = rig.poses["cam1"].apart(RIG["cam1"])
-    assert (metres, degrees) < (1e-6, 1e-4)
-    assert off(rig, scene)[0] < 0.7
 
 
 def test_whom_only_one_camera_sees_is_nobody(people):
