@@ -45,6 +45,7 @@ class Recorded(NamedTuple):
     data: bytes
     definition: str
     encoding: str = "ros2msg"
+    """"" in MCAP: the channel has no schema."""
 
 
 def sample(n=150):
@@ -133,7 +134,8 @@ def _mcap(path, messages, declared):
         for m in declared:
             if m.type not in schemas:
                 text = m.definition.encode()
-                schemas[m.type] = writer.register_schema(m.type, m.encoding, text)
+                named = m.encoding and writer.register_schema(m.type, m.encoding, text)
+                schemas[m.type] = named or 0
             if m.topic not in channels:
                 channels[m.topic] = writer.register_channel(m.topic, "cdr", schemas[m.type])
         for m in messages:

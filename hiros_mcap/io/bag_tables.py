@@ -16,13 +16,12 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-import hiros_schemas
-from hiros_mcap.errors import LogError
+from hiros_mcap.errors import LogError, naming
 from hiros_mcap.io.container import McapWriter, Recovery
 from hiros_mcap.io.container.file import is_packed, unpack_message
 from hiros_mcap.io.container.losses import ChannelLoss, Damage, Lost, merged
 from hiros_mcap.io.container.reader import PACKED_MESSAGES
-from hiros_mcap.io.ros_cdr import exact_types, idl_types, ros2_types, types_of
+from hiros_mcap.io.ros_cdr import definition, exact_types, types_of
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -231,31 +230,14 @@ class _SqliteBag:
     def types(self, topics: Collection[BagTopic]) -> Mapping[str, Typestore]:
         """Return the types of some topics, see :class:`Bag`.
 
-        Bags of before 2023 have no definitions, and a recorder may not have found one; then those
-        of ROS 2 Humble and of hiros count.
+        Bags of before 2023 have no definitions, and a recorder may not have found one.
         """
         with _one_error(self._KIND, self.path):
             return {name: self._store(name) for name in {topic.type for topic in topics}}
 
     def _store(self, name: str) -> Typestore:
-        encoding, text = self._definition(name)
-        if text and encoding == "ros2idl":
-            return idl_types(name, text)
-        if text and encoding == "ros2msg":
-            return exact_types({name: text})
-        known = (
-            hiros_schemas.SKELETON_GROUP,
-            hiros_schemas.STAMPED_SKELETON,
-            hiros_schemas.OBJECTS_STAMPED,
-        )
-        store = ros2_types({known_name: hiros_schemas.text(known_name) for known_name in known})
-        if name not in store.fielddefs:
-            raise LogError(
-                f"holds messages of {name} without their definition; record them with the package "
-                f"of {name} installed",
-                path=self.path,
-            )
-        return store
+        with naming(self.path):
+            return exact_types({name: definition(name, *self._definition(name))})
 
     def _definition(self, name: str) -> tuple[str, str]:
         """Return how the definition of a type is written, and its text; "" if there is none."""

@@ -23,7 +23,7 @@ from hiros_mcap.io.bag_files import (
     kind_of,
     other_parts,
 )
-from hiros_mcap.io.channels import HUMANS, OTHER_FILES
+from hiros_mcap.io.channels import HUMANS, OTHER_FILES, without_definition
 from hiros_mcap.io.container import (
     McapReader,
     McapWriter,
@@ -172,7 +172,7 @@ def open_recording(
             counts[topics[ident]] += n
     else:
         reader, counts = _read_parts(path, files.parts, recover, memory, topic)
-    reader.remarks = (*reader.remarks, *files.remarks)
+    reader.remarks = (*reader.remarks, *files.remarks, *without_definition(reader, _wanted()))
     reader.warnings = tuple(_missing(files.promised, counts))
     return reader
 

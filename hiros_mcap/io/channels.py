@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
@@ -11,6 +11,7 @@ import hiros_schemas
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import McapReader, McapWriter
+from hiros_mcap.io.container.records import Channel
 from hiros_mcap.io.layout import Layout
 from hiros_mcap.io.ros_cdr import CdrWriter
 from hiros_mcap.wording import quantity
@@ -110,20 +111,41 @@ class CameraChannel:
 
 def channels_of(reader: McapReader) -> tuple[ChannelInfo, ...]:
     """List the channels of a file in the order of their topics."""
-    channels = []
-    for channel in reader.channels.values():
-        schema = reader.schema(channel)
-        channels.append(
-            ChannelInfo(
-                id=channel.id,
-                topic=channel.topic,
-                schema=schema.name if schema else "",
-                encoding=channel.message_encoding,
-                count=reader.counts.get(channel.id, 0),
-                metadata=channel.metadata,
-            )
+    channels = [
+        ChannelInfo(
+            id=channel.id,
+            topic=channel.topic,
+            schema=type_name(reader, channel),
+            encoding=channel.message_encoding,
+            count=reader.counts.get(channel.id, 0),
+            metadata=channel.metadata,
         )
+        for channel in reader.channels.values()
+    ]
     return tuple(sorted(channels, key=lambda info: (info.topic, info.id)))
+
+
+def type_name(reader: McapReader, channel: Channel) -> str:
+    """Return the type of a channel, "" if it has none; /tf and /tf_static need not say theirs."""
+    schema = reader.schema(channel)
+    if schema is None:
+        moves = channel.message_encoding == "cdr" and is_transform_topic(channel.topic)
+        return hiros_schemas.TF_MESSAGE if moves else ""
+    return schema.name
+
+
+def without_definition(reader: McapReader, types: Collection[str]) -> Iterator[str]:
+    """Yield a note on each type, of ``types`` (``pkg/Type``), whose definition was not recorded."""
+    topics: dict[str, list[str]] = {}
+    for channel in reader.channels.values():
+        schema, name = reader.schema(channel), type_name(reader, channel)
+        if not (schema and schema.data.strip()) and name.replace("/msg/", "/") in types:
+            topics.setdefault(name, []).append(channel.topic)
+    for name, of_type in topics.items():
+        yield (
+            f"{', '.join(sorted(of_type))}: recorded without the definition of {name}; hiros takes "
+            "the one that it knows"
+        )
 
 
 def select_skeletons(

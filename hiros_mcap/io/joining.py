@@ -11,6 +11,7 @@ from pathlib import Path
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.bag_files import files_of, kind_of, unpacked_name
 from hiros_mcap.io.bag_tables import Bag, append_bag, open_bag, recover_bag
+from hiros_mcap.io.channels import type_name
 from hiros_mcap.io.container import McapReader, McapWriter, RecoveringReader, Recovery
 from hiros_mcap.io.container.file import MAX_WINDOW, LogFile
 from hiros_mcap.io.container.losses import RECOVERY_METADATA, Damage, Lost, joined
@@ -69,8 +70,7 @@ def topics_of(part: Part) -> Iterator[tuple[int, str, str, int]]:
         yield from ((topic.id, topic.name, topic.type, topic.n_messages) for topic in part.topics)
         return
     for channel in part.channels.values():
-        schema = part.schema(channel)
-        yield channel.id, channel.topic, schema.name if schema else "", part.counts[channel.id]
+        yield channel.id, channel.topic, type_name(part, channel), part.counts[channel.id]
 
 
 class Everything:

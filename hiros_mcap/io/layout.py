@@ -14,13 +14,14 @@ from typing import Any
 
 import hiros_schemas
 from hiros_mcap.errors import LogError, SchemaError
-from hiros_mcap.io.ros_cdr import CdrWriter, decoder_of, exact_types
+from hiros_mcap.io.ros_cdr import CdrWriter, decoder_of, definition, exact_types
 
 Bytes = bytes | bytearray | memoryview
 
 MAX_SCHEMA = 1 << 20
 
 _NAME = hiros_schemas.SKELETON_GROUP
+_ENCODINGS = "ros2msg", "ros2idl"
 _TIME = "builtin_interfaces/Time"
 _INTEGERS = frozenset(
     ("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"),
@@ -87,9 +88,11 @@ def check_schema(name: str, encoding: str, data: bytes, *, topic: str | None = N
 
 
 def _layout(name: str, encoding: str, data: bytes) -> Layout:
-    if encoding != "ros2msg":
-        raise hiros_schemas.DefinitionError(f"schema encoding {encoding!r} is not 'ros2msg'")
-    definitions = _parse(name, data)
+    if encoding not in _ENCODINGS and data:
+        raise hiros_schemas.DefinitionError(
+            f"schema encoding {encoding!r} is neither ros2msg nor ros2idl; record it with rosbag2"
+        )
+    definitions = _parse(name, encoding, data)
     leaves = hiros_schemas.leaves(definitions, name)
     difference = _difference(leaves)
     if not difference:
@@ -98,15 +101,17 @@ def _layout(name: str, encoding: str, data: bytes) -> Layout:
     return Layout(_generic_reader(definitions), difference)
 
 
-def _parse(name: str, data: bytes) -> hiros_schemas.Definitions:
+def _parse(name: str, encoding: str, data: bytes) -> hiros_schemas.Definitions:
     if hiros_schemas.short_name(name) != hiros_schemas.short_name(_NAME):
         raise hiros_schemas.DefinitionError(f"schema {name!r} is not {_NAME}")
     if len(data) > MAX_SCHEMA:
         raise hiros_schemas.DefinitionError(f"schema is larger than {MAX_SCHEMA} bytes")
     try:
-        text = bytes(data).decode()
+        text = definition(name, encoding, bytes(data).decode())
     except UnicodeDecodeError as error:
         raise hiros_schemas.DefinitionError("schema is not UTF-8 text") from error
+    except LogError as error:
+        raise hiros_schemas.DefinitionError(error.fault) from error
     # Recorders may leave out the types that every ROS 2 system has built in.
     return {_TIME: _PUBLISHED[_TIME], **hiros_schemas.parse(name, text)}
 

@@ -27,10 +27,12 @@ import numpy as np
 import numpy.typing as npt
 
 import hiros_schemas
+from hiros_mcap.errors import LogError
 from hiros_mcap.io.channels import OUTPUT_PREFIX, TF_TOPICS, TRUTH_PREFIX, ChannelInfo, channels_of
 from hiros_mcap.io.container import McapReader, Records
 from hiros_mcap.io.container.records import Chunk, Message, Schema
 from hiros_mcap.io.log_accounts import LATEST
+from hiros_mcap.io.ros_cdr import definition
 from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
 from hiros_mcap.skeletons import Flags, Stamps
 from hiros_mcap.wording import quantity
@@ -114,9 +116,10 @@ def stamp_place(schema: Schema, encoding: str) -> int:
     """
     if encoding not in ("cdr", "ros1"):
         return 0
-    with suppress(hiros_schemas.DefinitionError, UnicodeDecodeError):
+    with suppress(hiros_schemas.DefinitionError, UnicodeDecodeError, LogError):
         name, place = hiros_schemas.short_name(schema.name), _STAMP_AT
-        texts = hiros_schemas.parse(name, bytes(schema.data).decode())
+        text = definition(name, schema.encoding, bytes(schema.data).decode())
+        texts = hiros_schemas.parse(name, text)
         for _ in range(4):  # messages in messages
             first = next(iter(texts.get(name, ())), None)
             if first is None:

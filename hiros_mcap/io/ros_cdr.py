@@ -8,11 +8,12 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+import hiros_schemas
 from hiros_mcap.errors import LogError
 from hiros_mcap.skeletons import Floats
 
@@ -59,7 +60,28 @@ def exact_types(texts: Mapping[str, str]) -> Typestore:
     return _with_types(get_typestore(Stores.EMPTY), texts)
 
 
-def idl_types(name: str, text: str) -> Typestore:
+@lru_cache(maxsize=64)
+def definition(name: str, encoding: str, text: str) -> str:
+    """Return the definition of a type as ``ros2msg`` has it, which a recorder may write otherwise.
+
+    IDL is translated. Where the recorder found no definition, that of hiros counts. Other encodings
+    are not changed. Raises LogError if there is no definition, or it cannot be parsed.
+    """
+    if text.strip() and encoding == "ros2idl":
+        with _parsing(name):
+            return str(_idl_types(name, text).generate_msgdef(long_name(name), ros_version=2)[0])
+    if text.strip():
+        return text
+    try:
+        return hiros_schemas.text(name)
+    except KeyError:
+        raise LogError(
+            f"holds messages of {name} without their definition; record them with the package of "
+            f"{name} installed"
+        ) from None
+
+
+def _idl_types(name: str, text: str) -> Typestore:
     """Types of a complete definition in IDL, as rosbag2 stores it; raises LogError for other text.
 
     Files follow each other, each below a line of 80 ``=`` and its name.

@@ -663,8 +663,8 @@ def test_schema_of_exponential_size_is_refused():
 @pytest.mark.parametrize(
     ("name", "encoding", "fault"),
     [
-        (NAME, "ros2idl", "schema encoding 'ros2idl'"),
-        (NAME, "", "schema encoding ''"),
+        (NAME, "ros2idl", "cannot be parsed"),
+        (NAME, "", "schema encoding '' is neither ros2msg nor ros2idl"),
         ("std_msgs/msg/String", "ros2msg", "is not hiros_skeleton_msgs"),
         ("SkeletonGroup", "ros2msg", "not the name of a message type"),
     ],

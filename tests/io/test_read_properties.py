@@ -87,6 +87,7 @@ def test_arbitrary_bytes_are_an_error_or_a_frame(exact, message):
 @few
 @given(st.one_of(st.text(), st.text("[]<=#/ \n0123abcMSG:_-ADint8stringfloat64", max_size=200)))
 def test_arbitrary_text_is_no_schema(text):
+    text = text if text.strip() else "x"  # without a text, hiros knows the definition
     with pytest.raises(SchemaError):
         check_schema(NAME, "ros2msg", text.encode())
 

@@ -179,10 +179,65 @@ def test_what_nobody_needs_is_counted(messages, tmp_path, capsys):
     assert "not copied from the bag: /odd (acme_msgs/msg/Odd, 1)" in capsys.readouterr().out
 
 
-def test_the_definition_of_hiros_counts_where_the_recorder_found_none(messages, result, tmp_path):
-    bare = [m._replace(definition="", encoding="unknown") for m in messages]
-    folder = record(tmp_path / "lab", bare, storage="sqlite3")
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+@pytest.mark.parametrize("encoding", ["unknown", "ros2msg"])
+def test_the_definition_of_hiros_counts_where_the_recorder_found_none(
+    storage, encoding, messages, result, tmp_path
+):
+    bare = [m._replace(definition="", encoding=encoding) for m in messages]
+    folder = record(tmp_path / "lab", bare, storage=storage)
     assert processed(folder, tmp_path / "out.mcap") == result
+    if storage == "mcap":
+        notes = overview_of(folder / "lab_0.mcap").remarks
+        assert any("recorded without the definition of tf2_msgs/msg/TFMessage" in t for t in notes)
+
+
+IDL = {"float64": "double", "float32": "float", "[]": "sequence<{}>", "": "{}"}
+
+
+def in_idl(name):
+    """The definition of a type as rosidl translates it to IDL, files one after the other."""
+    files = []
+    for key, fields in hiros_schemas.parse(name, hiros_schemas.text(name)).items():
+        package, kind = key.split("/")
+        lines = [
+            f"{IDL[f.array].format(IDL.get(f.type, f.type.replace('/', '::msg::')))} {f.name};"
+            for f in fields
+        ]
+        body = f"struct {kind} {{ {' '.join(lines)} }};"
+        title = f"{'=' * 80}\nIDL: {package}/msg/{kind}\n"
+        files.append(f"{title}module {package} {{ module msg {{ {body} }}; }};\n")
+    return "\n".join(files)
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_definitions_in_idl_are_read(storage, messages, result, tmp_path):
+    texts = {kind: in_idl(kind) for kind in {m.type for m in messages}}
+    idl = [m._replace(definition=texts[m.type], encoding="ros2idl") for m in messages]
+    assert (
+        processed(record(tmp_path / "lab", idl, storage=storage), tmp_path / "out.mcap") == result
+    )
+
+
+@pytest.mark.parametrize("mode", ["none", "file"])
+def test_transforms_need_no_definition(mode, messages, result, tmp_path, capsys):
+    bare = [m._replace(encoding="") if m.topic == "/tf_static" else m for m in messages]
+    folder = record(tmp_path / "lab", bare, mode=mode)
+    assert processed(folder, tmp_path / "out.mcap") == result
+    assert run(["info", str(folder)]) == 0
+    assert "/tf_static: recorded without the definition of tf2_msgs" in capsys.readouterr().out
+
+
+def test_a_type_that_only_its_owner_defines_is_named_with_a_remedy(messages, tmp_path, capsys):
+    kind = "zed_interfaces/msg/ObjectsStamped"
+    bare = [
+        m if m.topic == "/tf_static" else m._replace(type=kind, definition="") for m in messages
+    ]
+    log = record(tmp_path / "lab", bare) / "lab_0.mcap"
+    assert run(["process", str(log)]) == 2
+    assert f"without their definition; record them with the package of {kind}" in (
+        capsys.readouterr().err
+    )
 
 
 def test_a_bag_of_ros_1_may_hold_a_type_that_nobody_needs(messages, tmp_path):

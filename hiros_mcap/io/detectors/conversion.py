@@ -40,7 +40,14 @@ from hiros_mcap.io.detectors.keypoint_messages import JOINTS, KEYPOINT_TYPES, LA
 from hiros_mcap.io.detectors.model_fitting import UNION, Fit, chosen_model
 from hiros_mcap.io.detectors.rgb_keypoints import RGB_TOPIC, RgbKeypoints, RgbRig
 from hiros_mcap.io.layout import Layout, check_schema
-from hiros_mcap.io.ros_cdr import RosMessage, cdr_of, decoder_of, long_name, types_of
+from hiros_mcap.io.ros_cdr import (
+    RosMessage,
+    cdr_of,
+    decoder_of,
+    definition,
+    long_name,
+    types_of,
+)
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_mcap.wording import quantity
 
@@ -190,14 +197,17 @@ def source_of(reader: McapReader, info: ChannelInfo, *, selected: bool) -> Input
     """Prepare a channel; raises LogError for a definition that cannot be used."""
     schema = reader.schema(reader.channels[info.id])
     name = type_of(info)
-    if schema is None or info.encoding not in ENCODINGS:
-        raise not_cdr(info)
     kind = TRANSFORMS if is_transforms(info) else name
-    if info.encoding == "cdr" and name in (SKELETONS, TRANSFORMS):
+    if info.encoding not in ENCODINGS:
+        raise not_cdr(info)
+    if schema is None or (info.encoding == "cdr" and name == TRANSFORMS):
+        return InputChannel(info, kind, selected, is_native=True, cdr=_same, decode=_same)
+    if info.encoding == "cdr" and name == SKELETONS:
         layouts: dict[str, Layout] = {}
-        read = partial(_published, layouts, schema, info.topic) if name == SKELETONS else _same
+        read = partial(_published, layouts, schema, info.topic)
         return InputChannel(info, kind, selected, is_native=True, cdr=read, decode=_same)
-    store = types_of({name: bytes(schema.data).decode(errors="replace")})
+    text = definition(name, schema.encoding, bytes(schema.data).decode(errors="replace"))
+    store = types_of({name: text})
     cdr: Callable[[Any], Any] = cdr_of(store, name) if info.encoding == "ros1" else _same
     return InputChannel(info, kind, selected, False, cdr, decoder_of(store, name))
 
