@@ -643,7 +643,7 @@ def test_translated_message_of_several_cameras_can_be_split():
         (TEXT.replace("int32 id", "int32 id id2 = 3", 1) + "\n" + "=" * 80, "lacks its line"),
         (TEXT + "\n" + "=" * 80 + "\nMSG: std_msgs/Header\nint8 x\n", "defined twice"),
         (TEXT.replace("string name", "???"), "no field"),
-        ("", "lacks the field"),
+        ("int8 x", "lacks the field"),
         ("\0\0garbage", "no field"),
     ],
 )  # fmt: skip
