@@ -38,11 +38,9 @@ from hiros_mcap.kernels.ray_equations import (
 )
 from hiros_mcap.skeletons import Flags, Floats, Stamps
 
-ROUNDS = 4
-"""How often the noise of the cameras' keypoints is measured anew."""
 STEPS = 12
 """Most steps in each round."""
-ENOUGH = 1e-4
+ENOUGH = 1e-3
 """A step that lowers the loss by a smaller share is the last of a round."""
 FIRST_PX, LEAST_PX = 10.0, 0.5
 """Noise before it is measured, and the least."""
@@ -110,7 +108,7 @@ def with_common_velocities(points: RayPoints, cameras: RayCameras) -> RayPoints:
 
 
 def adjust(
-    points: RayPoints, cameras: RayCameras, focals: Floats, free: Flags, rounds: int = ROUNDS
+    points: RayPoints, cameras: RayCameras, focals: Floats, free: Flags, rounds: int = 4
 ) -> Bundle:
     """Refine poses, lags and places together.
 
@@ -119,7 +117,7 @@ def adjust(
     cameras : about right; the scales are not used. focals : (C,) px.
     free : (C, 7) the unknowns that may change: rotation, shift, lag. The frame, the scale and the
         common time of cameras that are all free stay about where they are; see
-        :func:`placed`.
+        :func:`placed`. rounds : how often the noise of keypoints is measured anew.
     """
     places = triangulated(points, cameras)
     squares, noise = np.zeros(points.weights.shape), FIRST_PX

@@ -41,7 +41,7 @@ _QUICK_PROOF = 0.05  # s; where there are only two, and both do
 _FOLLOWS = 0.4  # share of a new difference that the velocity takes
 _WHITE = 0.02  # m; noise of a ray before any is known
 _LEAST_NOISE, _MOST_NOISE = 0.004, 0.06  # m
-_LEARNS = 2.0  # s
+_LEARNS, _LEARNS_EACH = 2.0, 0.1  # s: time constant; how often it is enough
 _UNEQUAL = 2.0  # a camera that is believed more comes to look better: how much better, at most
 _LEAST_FREEDOM = 0.2
 
@@ -330,7 +330,10 @@ class People3D:
 
     def _learn(self, instant: int, seen: Detections, found: Sequence[Found]) -> None:
         """Let the noise of each camera follow the distances of its rays from the joints."""
-        share = min((instant - self._last) * 1e-9 / _LEARNS, 1.0) if self._last else 0.0
+        seconds = (instant - self._last) * 1e-9
+        if seconds < _LEARNS_EACH:
+            return
+        share = min(seconds / _LEARNS, 1.0) if self._last else 0.0
         self._last = instant
         squares: dict[int, list[float]] = {}
         for one in found:

@@ -38,6 +38,8 @@ GATES = (0.08, 0.05, 0.04)
 """Mean distance of rays, x / z, within which people are the same, round by round."""
 ROUNDS, STILL_S = 8, 5e-4
 """Most rounds; one that changes the lags by less is the last."""
+FIRST, AGAIN = 4, 2
+"""How often the noise of keypoints is measured while poses are adjusted: first, and later."""
 LEAST_SHARE = 0.15
 """Of the way to the right lag, a step goes at least so far."""
 INSTANTS, JOINTS = 100, 4000
@@ -199,7 +201,8 @@ def fit_rig(
         movable = free & _seeing(points)[:, None]
         if np.count_nonzero(_seeing(points)) < 2:
             return fit
-        bundle = adjust(points, cameras._replace(lags=np.zeros(n)), focals, movable)
+        start, rounds = cameras._replace(lags=np.zeros(n)), AGAIN if fit else FIRST
+        bundle = adjust(points, start, focals, movable, rounds)
         bundle = placed(bundle, given, np.asarray(~movable[:, :LAG].any(axis=1)))
         cameras, step = bundle.cameras, bundle.cameras.lags
         # Velocities are noisy, so steps are too short: by a share that two steps tell (secant).
@@ -244,20 +247,23 @@ def _verdict(
     """Say which poses and lags to use."""
     bundle = fit.bundle
     given = given._replace(lags=bundle.cameras.lags)
-    new, still = weighed(bundle, given, errors_of(fit)), np.zeros_like(bundle.free)
+    cameras, still = weighed(bundle, given, errors_of(fit)), np.zeros_like(bundle.free)
     before, after = (
-        medians(adjust(bundle.points, cameras, bundle.focals, still).distances)
-        for cameras in (given, new)
+        medians(adjust(bundle.points, each, bundle.focals, still, AGAIN).distances)
+        for each in (given, cameras)
     )
 
     def table(values: Iterable[Any]) -> dict[str, Any]:
         return dict(zip(names, values, strict=True))
 
-    found, moves = poses_of(new), bundle.free[:, :LAG].any(axis=1)
+    free = np.asarray(bundle.free[:, :LAG].any(axis=1))
     lags = np.where(untimed, 0.0, fit.lags)
     lags -= np.sort(lags)[(len(lags) - 1) // 2]
     return RayRig(
-        table(found[c] if moves[c] else poses[name] for c, name in enumerate(names)),
+        table(
+            new if is_free else poses[name]
+            for name, new, is_free in zip(names, poses_of(cameras), free, strict=True)
+        ),
         table(lags.tolist()),
         table((after / RAYLEIGH).tolist()),
         table(before.tolist()),
