@@ -83,6 +83,13 @@ class InputParams(Params):
         "ones are used (--calibrate). given: those of the log or of --extrinsics, as published "
         "methods take them.",
     )
+    rays: Literal["found", "none"] | list[str] = Field(
+        "found",
+        description="Cameras whose 3D skeletons have a depth that the detector guesses from one "
+        "image. Only the directions of their joints count, triangulated as keypoints of RGB "
+        "cameras are. found: those whose people disagree with other cameras' far more along their "
+        "rays than across. none: no camera. Or a list of cameras or topics; live, only that.",
+    )
     moved: bool = fixed(True, "Look for cameras that were moved in the middle of the log.")
 
 

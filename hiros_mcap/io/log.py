@@ -11,11 +11,12 @@ What a log is stands in :mod:`.opened_log`; here it is found out.
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import math
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -282,6 +283,34 @@ def _rgb_cameras(
         if not others:
             raise
         return None, [f"RGB cameras are not used: {error.fault}"]
+
+
+def with_rays(log: Log, topics: Collection[str], remark: str, *, refine: bool) -> Log:
+    """Return the log with cameras whose depth is guessed taken as rays: triangulated together.
+
+    Parameters
+    ----------
+    topics : of these cameras. remark : says so. refine : as of :func:`~.rgb_cameras.rgb_rig`.
+
+    Raises LogError if fewer than two cameras see somebody, or their poses are not known.
+    """
+    from hiros_mcap.io.rgb_cameras import guessed_depth, rgb_rig, too_few
+
+    wanted = {camera.channel.topic for camera in log.cameras}
+    filmed = set(log.rig.models if log.rig else ()) | set(topics)
+    guessing = [camera for camera in log.cameras if camera.channel.topic in topics]
+    with naming(log.path):
+        guessed = guessed_depth(log.reader, log.model, guessing)
+        selects = (wanted | filmed).__contains__
+        rig = rgb_rig(log.reader, log.transforms, selects, guessed, refine=refine)
+        if rig is None:
+            raise too_few(sorted(topics), sorted(topics))
+        rig = replace(rig, remarks=(remark, *rig.remarks))
+        reader = converted(log.reader, Selection(selects=selects, rig=rig))
+        kept = [glob.escape(topic) for topic in sorted(wanted - filmed)]
+        cameras, model, tree = skeletons_of(reader, rig.tree, [*kept, RGB_TOPIC])
+    reader.warnings = (*log.reader.warnings, *rig.warnings)
+    return replace(log, reader=reader, cameras=cameras, model=model, transforms=tree)
 
 
 def _look_beside(log: Log) -> None:

@@ -20,25 +20,23 @@ from hiros_mcap.io.camera_frames import (
     transforms_of,
 )
 from hiros_mcap.io.channels import CameraChannel, ChannelInfo, channels_of
+from hiros_mcap.io.codec import Decoder
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.detectors.conversion import source_of
-from hiros_mcap.io.detectors.keypoint_messages import (
-    decode_keypoints,
-    is_keypoints,
-    joint_model,
-    lateness,
-)
-from hiros_mcap.io.detectors.rgb_keypoints import RgbRig
+from hiros_mcap.io.detectors.keypoint_messages import is_keypoints, joint_model, lateness
+from hiros_mcap.io.detectors.rgb_keypoints import RgbRig, keypoints_in
 from hiros_mcap.io.layout import PUBLISHED
 from hiros_mcap.io.log_accounts import LATEST
 from hiros_mcap.io.ros_messages import CAMERA_INFO, intrinsics_of, open_messages
 from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame
 from hiros_mcap.rays.rig_refinement import MOST_S, STRETCHES, RayRig, refine_rig
+from hiros_mcap.rays.skeleton_rays import LENS, GuessedDepth, looking_at
 from hiros_mcap.skeletons import SECOND, SkeletonModel
 from hiros_mcap.wording import quantity
 
 _EVER = (0, 2**63 - 1)
+_NONE = GuessedDepth()
 _POOR_PX = 25.0  # median reprojection error beyond which poses, lenses or sizes are wrong
 
 
@@ -58,9 +56,11 @@ class RgbCamera(NamedTuple):
 
 def read_rgb_cameras(
     reader: McapReader, span: tuple[int, int] = _EVER, step: int = 0,
-    selects: Callable[[str], bool] = lambda _: True,
+    selects: Callable[[str], bool] = lambda _: True, guessed: GuessedDepth = _NONE,
 ) -> list[RgbCamera]:  # fmt: skip
     """Read all cameras of a log that have keypoints and a lens; messages that are damaged are not.
+
+    Those with ``guessed`` depth need no lens.
 
     Parameters
     ----------
@@ -69,16 +69,26 @@ def read_rgb_cameras(
 
     Raises LogError if the log cannot be read.
     """
-    infos = [i for i in channels_of(reader) if i.count and is_keypoints(i) and selects(i.topic)]
+    infos = _channels(reader, selects, guessed)
     lenses = _lenses(reader) if infos else {}
+    lenses |= dict.fromkeys(guessed.turns, LENS)
     cameras: dict[str, RgbCamera] = {}
     for info in infos:
-        for name, frames in _frames_of(reader, info, lenses, span, step).items():
+        model = guessed.models.get(info.topic) or joint_model(info)
+        for name, frames in _frames_of(reader, info, model, lenses, guessed, span, step).items():
             if name not in lenses:
                 continue
-            camera = RgbCamera(info.topic, name, lenses[name], joint_model(info), [])
+            camera = RgbCamera(info.topic, name, lenses[name], model, [])
             cameras.setdefault(name, camera).frames.extend(frames)
     return [camera._replace(frames=_together(camera.frames)) for camera in cameras.values()]
+
+
+def _channels(
+    reader: McapReader, selects: Callable[[str], bool], guessed: GuessedDepth
+) -> list[ChannelInfo]:
+    """Return the wanted channels of keypoints, and those whose depth is guessed."""
+    infos = (info for info in channels_of(reader) if info.count and selects(info.topic))
+    return [info for info in infos if is_keypoints(info) or info.topic in guessed.models]
 
 
 def _together(frames: list[KeypointFrame]) -> list[KeypointFrame]:
@@ -95,11 +105,11 @@ def _together(frames: list[KeypointFrame]) -> list[KeypointFrame]:
 
 
 def _frames_of(
-    reader: McapReader, info: ChannelInfo, lenses: Mapping[str, Intrinsics],
-    span: tuple[int, int], step: int,
+    reader: McapReader, info: ChannelInfo, model: SkeletonModel, lenses: Mapping[str, Intrinsics],
+    guessed: GuessedDepth, span: tuple[int, int], step: int,
 ) -> dict[str, list[KeypointFrame]]:  # fmt: skip
     """Read a channel of keypoints: optical frame -> images."""
-    source, joints = source_of(reader, info, selected=True), joint_model(info).n_markers
+    source, decoder = source_of(reader, info, selected=True), Decoder(model)
     frames: dict[str, list[KeypointFrame]] = {}
     due, late = span[0], round(lateness(info) * SECOND)
     for message in reader.messages({info.id}):
@@ -107,13 +117,31 @@ def _frames_of(
             continue
         due = message.log_time + step
         with suppress(LogError):
-            found = decode_keypoints(source.message(message), joints, lenses)
-            stamp = (found.stamp or message.log_time) - late
-            frame = KeypointFrame(
-                found.frame_id, stamp, message.log_time, found.pixels, found.scores
-            )
-            frames.setdefault(found.frame_id, []).append(frame)
+            for found in keypoints_in(source.message(message), decoder, lenses, guessed.turns):
+                stamp = (found.stamp or message.log_time) - late
+                frame = KeypointFrame(
+                    found.frame_id, stamp, message.log_time, found.pixels, found.scores
+                )
+                frames.setdefault(found.frame_id, []).append(frame)
     return frames
+
+
+def guessed_depth(
+    reader: McapReader, model: SkeletonModel, channels: Sequence[CameraChannel]
+) -> GuessedDepth:
+    """Find out where cameras look whose depth is guessed: towards the first people."""
+    decoder, turns = Decoder(model), dict[str, Rigid]()
+    for camera in channels:
+        source = source_of(reader, camera.channel, selected=True)
+        for message in reader.messages({camera.channel.id}):
+            with suppress(LogError):
+                for frame in decoder.decode_message(source.message(message).cdr):
+                    name = frame.frame_id.lstrip("/")
+                    if name not in turns and np.isfinite(frame.positions[..., 0]).any():
+                        turns[name] = looking_at(frame.positions)
+            if turns.keys() >= set(camera.frames):
+                break
+    return GuessedDepth({camera.channel.topic: model for camera in channels}, turns)
 
 
 def _lenses(reader: McapReader) -> dict[str, Intrinsics]:
@@ -146,8 +174,8 @@ def poses_of(
 
 
 def rgb_rig(
-    reader: McapReader, tree: TransformTree | None, selects: Callable[[str], bool], *,
-    refine: bool = True, clocks: bool = True,
+    reader: McapReader, tree: TransformTree | None, selects: Callable[[str], bool],
+    guessed: GuessedDepth = _NONE, *, refine: bool = True, clocks: bool = True,
 ) -> RgbRig | None:  # fmt: skip
     """Find out how the RGB cameras of a log stand; None if it has no keypoints.
 
@@ -155,6 +183,7 @@ def rgb_rig(
     ----------
     tree : the cameras' poses, of a file; None = those of the log.
     selects : says of a topic whether its keypoints are wanted.
+    guessed : 3D skeletons that count as keypoints.
     refine, clocks : whether poses and lags are found from the people where they tell better ones.
 
     Raises
@@ -164,17 +193,18 @@ def rgb_rig(
     ConfigError
         a file with poses lacks a camera.
     """
-    infos = [i for i in channels_of(reader) if i.count and is_keypoints(i) and selects(i.topic)]
+    infos = _channels(reader, selects, guessed)
     if not infos:
         return None
-    cameras = sampled_cameras(reader, selects)
+    cameras = sampled_cameras(reader, selects, guessed)
     lensed = {camera.topic for camera in cameras}
     if len(cameras) < 2:
         raise too_few([i.topic for i in infos], [c.topic for c in cameras])
     known, channels = placed_cameras(reader, tree, cameras)
     fixed = known.common_root([channel.frames[0] for channel in channels])
+    turns = {camera.name: guessed.turns.get(camera.name, Rigid.identity()) for camera in cameras}
     poses = {
-        camera.name: known.lookup(channel.frames[0], fixed, 0)
+        camera.name: known.lookup(channel.frames[0], fixed, 0) @ turns[camera.name]
         for camera, channel in zip(cameras, channels, strict=True)
     }
     given = _given_lags(known, cameras, channels)
@@ -185,29 +215,34 @@ def rgb_rig(
     is_moved = refine and not found.reason
     homes = {c.name: channel.frames[0] for c, channel in zip(cameras, channels, strict=True)}
     if is_moved:
-        moved = {homes[name]: {0: pose} for name, pose in found.poses.items()}
+        moved = {homes[n]: {0: pose @ turns[n].inverse()} for n, pose in found.poses.items()}
         known = known.with_poses(moved, fixed)
     lags = {c.name: given.get(c.name, 0.0) + found.lags.get(c.name, 0.0) for c in cameras}
     return RgbRig(
-        known, fixed, lenses, {i.topic: joint_model(i) for i in infos}, homes, lags,
+        known, fixed, lenses,
+        {i.topic: guessed.models.get(i.topic) or joint_model(i) for i in infos}, homes, lags,
         {c.topic: lags[c.name] for c in cameras}, is_moved,
         tuple(_remarks(found, is_moved)), tuple(_warnings(found, infos, lensed, is_moved)),
+        guessed.turns,
     )  # fmt: skip
 
 
-def sampled_cameras(reader: McapReader, selects: Callable[[str], bool]) -> list[RgbCamera]:
+def sampled_cameras(
+    reader: McapReader, selects: Callable[[str], bool], guessed: GuessedDepth = _NONE
+) -> list[RgbCamera]:
     """Read the images that tell how cameras stand: of a long log, some stretches."""
-    idents = {i.id for i in channels_of(reader) if is_keypoints(i)}
+    idents = {info.id for info in _channels(reader, selects, guessed)}
     chunks = [c for c in reader.contents.chunks if c.holds(idents) and c.start_time <= LATEST]
     begin = min((c.start_time for c in chunks), default=0)
     end = max((c.end_time for c in chunks), default=0)
     length = int(MOST_S * SECOND / STRETCHES)
     if end - begin <= MOST_S * SECOND:
-        return read_rgb_cameras(reader, selects=selects)
+        return read_rgb_cameras(reader, selects=selects, guessed=guessed)
     cameras: dict[str, RgbCamera] = {}
     for k in range(STRETCHES):
         first = begin + (end - begin) * k // STRETCHES
-        for camera in read_rgb_cameras(reader, (first, first + length), selects=selects):
+        span = first, first + length
+        for camera in read_rgb_cameras(reader, span, selects=selects, guessed=guessed):
             cameras.setdefault(camera.name, camera._replace(frames=[])).frames.extend(camera.frames)
     return list(cameras.values())
 

@@ -16,6 +16,7 @@ from operator import attrgetter
 from typing import TYPE_CHECKING
 
 from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import TimedPoses, same_place
 from hiros_mcap.calibrate.given_poses import (
     Move,
@@ -24,6 +25,7 @@ from hiros_mcap.calibrate.given_poses import (
     is_better,
     with_strays,
 )
+from hiros_mcap.calibrate.guessed_depth import DepthErrors, guessing_cameras
 from hiros_mcap.calibrate.moved_cameras import split_moved
 from hiros_mcap.calibrate.survey import (
     MOST_S,
@@ -107,6 +109,8 @@ class PoseAlignment:
 
     left_out: frozenset[str] = frozenset()
     """Cameras whose poses nobody knows, so that the run does without them."""
+    guessed: Mapping[str, DepthErrors] = field(default_factory=dict)
+    """Cameras that guess depths, which nothing else was found for: to be taken as rays."""
 
     def used_in(self, log: Log) -> Log:
         """Return the log with the frames, the poses, and of the cameras, that the run uses."""
@@ -240,7 +244,7 @@ def align_cameras(
     "require" and they do not confirm a camera's pose, or if the log has no frame of the name that
     the user gave for the results.
     """
-    way = config.input.clocks
+    way, rays = config.input.clocks, config.input.rays == "found"
     if way == "causal" or (mode == "off" and way == "off"):
         return align_clocks(log, config, reorder), PoseAlignment()
     missing = None if mode == "off" else _missing_poses(log)
@@ -249,10 +253,12 @@ def align_cameras(
     if missing is not None:
         poses = _from_nothing(survey, clocks, missing, mode)
     elif mode == "off":
-        poses = _compared(survey, clocks)
+        poses = _compared(survey, clocks, rays=rays)
         kept = PoseAlignment(contradictions=poses.contradictions, agreements=poses.agreements)
     else:
-        poses = _refined_poses(survey, clocks, mode, moved=config.input.moved)
+        poses = _refined_poses(survey, clocks, mode, moved=config.input.moved, rays=rays)
+    if poses.guessed:
+        return clocks, poses
     if clocks.times:
         poses = replace(poses, cameras=clocks.take_offsets(poses.cameras))
     return clocks, kept if mode == "off" else poses
@@ -271,11 +277,17 @@ def _missing_poses(log: Log) -> LogError | None:
     return LogError(log.far_apart, path=log.path) if log.far_apart else None
 
 
-def _compared(survey: Survey, clocks: ClockAlignment) -> PoseAlignment:
-    """Compare the log's poses as they are with the people, for the clocks alone."""
-    cameras = fixed_cameras(survey.log, camera_faults(survey.log))
+def _compared(survey: Survey, clocks: ClockAlignment, *, rays: bool) -> PoseAlignment:
+    """Compare the log's poses as they are with the people, for the clocks alone.
+
+    ``rays`` : as of :func:`_refined_poses`.
+    """
+    cameras = sorted(fixed_cameras(survey.log, camera_faults(survey.log)))
     fixed = [camera._replace(movable=False) for camera in cameras]
     posed = compare_poses(survey, clocks.corrections, fixed, clocks.lags)
+    as_they_are = replace(posed, cameras=cameras)
+    if rays and (guessed := guessing_cameras(as_they_are, symmetry_of(survey.log.model).mirror)):
+        return PoseAlignment(guessed=guessed)
     alignment = _aligned(posed, survey.log.span[0], {})
     contradictions = tuple(map(said, shared_wrongly(survey.log, posed.rig).items()))
     return replace(
@@ -284,15 +296,20 @@ def _compared(survey: Survey, clocks: ClockAlignment) -> PoseAlignment:
 
 
 def _refined_poses(
-    survey: Survey, clocks: ClockAlignment, mode: Calibration, *, moved: bool
+    survey: Survey, clocks: ClockAlignment, mode: Calibration, *, moved: bool, rays: bool
 ) -> PoseAlignment:
-    """Compare the log's poses with those that the people give; use the better ones."""
+    """Compare the log's poses with those that the people give; use the better ones.
+
+    ``moved``, ``rays`` : whether to look for cameras that were moved, and that guess depths.
+    """
     log = survey.log
     faults = camera_faults(log)
     free = [camera.name for camera in fixed_cameras(log, faults) if camera.movable]
     if len(free) == 1:
         faults |= {free[0]: _ALONE}
     posed = compare_poses(survey, clocks.corrections, fixed_cameras(log, faults), clocks.lags)
+    if rays and (guessed := guessing_cameras(posed, symmetry_of(log.model).mirror)):
+        return PoseAlignment(guessed=guessed)
     if separated := _separated(survey, clocks, mode, posed):
         return separated
     if not free and mode != "require" and all(camera.reason == UNLINKED for camera in posed.rig):

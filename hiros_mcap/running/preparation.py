@@ -6,17 +6,18 @@ recording that is scored against itself. :func:`prepare` is the order.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from hiros_mcap.body.limb_table import LimbTable
+from hiros_mcap.calibrate.guessed_depth import DepthErrors
 from hiros_mcap.config import ClockParams, Config
-from hiros_mcap.errors import ConfigError
+from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
 from hiros_mcap.io.camera_frames import cameras_called
-from hiros_mcap.io.log import Log, Reading
+from hiros_mcap.io.log import Log, Reading, with_rays
 from hiros_mcap.running.clock_alignment import ClockAlignment
 from hiros_mcap.running.observe import Stopwatch
 from hiros_mcap.running.pose_alignment import PoseAlignment, align_cameras
@@ -89,7 +90,13 @@ def prepare(log: Log, config: Config, options: ProcessOptions, watch: Stopwatch)
     # Clocks and poses together: by the times of all messages, and by the people.
     mode, reorder = _calibration(log, config, options), _reorder_of(config, options.system)
     with watch.timing("calibrate"):
+        log = _rays_given(log, config, options)
         clocks, poses = align_cameras(log, config, mode, reorder)
+        if poses.guessed:
+            log = _rays_found(log, poses.guessed, config, options)
+            alone = config.input.model_copy(update={"rays": "none"})
+            at_rest = config.model_copy(update={"input": alone})
+            clocks, poses = align_cameras(log, at_rest, mode, reorder)
     log = poses.used_in(log)
     offsets = () if clocks.given else clocks.offsets
     known = KnownCameras(
@@ -181,6 +188,53 @@ def _calibration(log: Log, config: Config, options: ProcessOptions) -> Calibrati
             "--extrinsics"
         )
     return "off"
+
+
+def _rays_given(log: Log, config: Config, options: ProcessOptions) -> Log:
+    """Take the cameras as rays that the configuration names; raises ConfigError for a stranger."""
+    names = config.input.rays
+    if isinstance(names, str) or log.is_live or not names:
+        return log
+    channels = {
+        name: camera.channel.topic
+        for camera in log.cameras
+        for name in (*camera.sources.values(), *camera.frames, camera.channel.topic)
+    }
+    if unknown := [name for name in names if name not in channels]:
+        raise ConfigError(
+            f"input.rays: the log has no camera {unknown[0]!r} (there are: "
+            f"{', '.join(sorted(channels))})"
+        )
+    topics = {channels[name] for name in names}
+    remark = f"{', '.join(names)}: taken as rays, as input.rays says"
+    return with_rays(log, topics, remark, refine=_is_refined(config, options))
+
+
+def _rays_found(
+    log: Log, guessed: Mapping[str, DepthErrors], config: Config, options: ProcessOptions
+) -> Log:
+    """Take the cameras as rays that guess depths; the log as it is if that is not possible."""
+    topics = {
+        camera.channel.topic
+        for camera in log.cameras
+        if not guessed.keys().isdisjoint(camera.sources.values())
+    }
+    errors = ", ".join(
+        f"{name} {1000 * e.along:.0f} against {1000 * e.across:.0f} mm"
+        for name, e in guessed.items()
+    )
+    remark = (
+        f"the detector guesses depths ({errors} across the rays): only the directions of joints "
+        "count, triangulated as those of RGB cameras; input.rays=none takes them as they are"
+    )
+    try:
+        return with_rays(log, topics, remark, refine=_is_refined(config, options))
+    except LogError:
+        return log
+
+
+def _is_refined(config: Config, options: ProcessOptions) -> bool:
+    return options.calibrate != "off" and config.input.poses != "given"
 
 
 def _with_clocks(config: Config, log: Log) -> Config:

@@ -83,7 +83,8 @@ class Selection(NamedTuple):
     @property
     def is_usual(self) -> bool:
         """Whether SkeletonGroups can stay as they are."""
-        return not self.several and (self.model, self.unit) == ("", "m")
+        guesses = self.rig is not None and bool(self.rig.turns)
+        return not (self.several or guesses) and (self.model, self.unit) == ("", "m")
 
 
 class InputChannel(NamedTuple):
@@ -246,11 +247,11 @@ def _probe(
     are looked at to their end.
     """
     selected = [source for source in sources if source.selected]
-    groups = [[s] for s in selected if s.type not in (TRANSFORMS, *KEYPOINT_TYPES)]
+    filmed = rig.models if rig is not None else {}
+    others = [s for s in selected if s.type not in (TRANSFORMS, *KEYPOINT_TYPES)]
+    groups = [[s] for s in others if s.info.topic not in filmed]
     transforms = [s for s in selected if s.type == TRANSFORMS]
-    layouts: dict[str, dict[str, SkeletonModel]] = {}
-    if rig is not None:
-        layouts = {topic: {RGB_TOPIC: model} for topic, model in rig.models.items()}
+    layouts = {topic: {RGB_TOPIC: model} for topic, model in filmed.items()}
     hints: list[str] = []
     for group in [*groups, transforms] if transforms else groups:
         readers = [kind() for kind in detector_readers()]
@@ -341,11 +342,12 @@ class Conversion:
         """
         topic, moves = source.info.topic, source.type == TRANSFORMS
         images = source.type in KEYPOINT_TYPES
+        guesses = self.rgb.rig is not None and topic in self.rgb.rig.models and not images
         copies = (
             moves
             or (images and self.copies_images)
             or not source.selected
-            or self._fits_target(source)
+            or (self._fits_target(source) and not guesses)
         )
         reads = source.selected and (moves or images or not copies)
         try:

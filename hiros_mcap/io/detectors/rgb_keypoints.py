@@ -2,20 +2,23 @@
 
 This reader takes the messages of all RGB cameras of a log, and keeps a :class:`Triangulator`. Of a
 file it is told beforehand how the cameras stand (:mod:`hiros_mcap.io.rgb_cameras`); live it learns
-that from transforms and lenses as they come.
+that from transforms and lenses as they come. 3D skeletons whose depth is guessed are keypoints, too
+(:mod:`hiros_mcap.rays.skeleton_rays`).
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import TransformTree
 from hiros_mcap.errors import LogError
+from hiros_mcap.io.codec import Decoder
 from hiros_mcap.io.detectors.detector_reader import (
     DetectorMessage,
     DetectorReader,
@@ -23,9 +26,11 @@ from hiros_mcap.io.detectors.detector_reader import (
     add_links,
 )
 from hiros_mcap.io.detectors.keypoint_messages import KEYPOINT_TYPES, Keypoints, decode_keypoints
+from hiros_mcap.io.detectors.skeleton_groups import GROUP
 from hiros_mcap.rays.confidence import TRIANGULATED, confidence_of
 from hiros_mcap.rays.intrinsics import Intrinsics
-from hiros_mcap.rays.keypoints import KeypointFrame
+from hiros_mcap.rays.keypoints import KeypointFrame, cleaned
+from hiros_mcap.rays.skeleton_rays import keypoints_of
 from hiros_mcap.rays.triangulator import LocatedPeople, Triangulator
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.wording import quantity
@@ -56,6 +61,28 @@ class RgbRig:
     """Whether poses are not those of the log."""
     remarks: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    turns: Mapping[str, Rigid] = field(default_factory=dict)
+    """Frame of 3D skeletons whose depth is guessed -> how the optical frame is turned in it."""
+
+
+def keypoints_in(
+    message: DetectorMessage, decoder: Decoder, lenses: Mapping[str, Intrinsics],
+    turns: Mapping[str, Rigid],
+) -> Sequence[Keypoints]:  # fmt: skip
+    """Return the people of a message of keypoints, or of 3D skeletons whose depth is guessed.
+
+    ``decoder`` knows the joints; for the others see :class:`RgbRig`. Raises LogError for a message
+    that is damaged.
+    """
+    if message.type != GROUP:
+        return [decode_keypoints(message, decoder.model.n_markers, lenses)]
+    found = []
+    for frame in decoder.decode_message(message.cdr, message.log_time):
+        name = frame.frame_id.lstrip("/")
+        pixels = keypoints_of(frame.positions, turns.get(name, Rigid.identity()))
+        stamp = max(frame.stamps.tolist(), default=0) or frame.stamp
+        found.append(Keypoints(stamp, name, *cleaned(pixels, frame.marker_confidences)))
+    return found
 
 
 class RgbKeypoints(DetectorReader):
@@ -66,12 +93,13 @@ class RgbKeypoints(DetectorReader):
     rig : the cameras; None = not known (yet), so that nothing can be triangulated.
     """
 
-    types = KEYPOINT_TYPES
+    types = (*KEYPOINT_TYPES, GROUP)
 
     def __init__(self) -> None:
         self.rig: RgbRig | None = None
         self.model: SkeletonModel | None = None
         self._triangulator: Triangulator | None = None
+        self._decoders: dict[SkeletonModel, Decoder] = {}
         self._homeless: Counter[str] = Counter()
         """Messages of cameras whose lens or place is not known, by optical frame."""
         self._foreign: Counter[str] = Counter()
@@ -80,20 +108,23 @@ class RgbKeypoints(DetectorReader):
     def read(self, message: DetectorMessage) -> Iterable[SeenPeople] | None:
         """Take the keypoints of an image; return the people of the instants that are complete."""
         if self.rig is None:  # live, where lenses and poses may come later
-            return []
+            return None if message.type == GROUP else []
         if message.topic not in self.rig.models:
             return None
         model = self.rig.models[message.topic]
-        found = decode_keypoints(message, model.n_markers, self.rig.lenses)
-        lens = self.rig.lenses.get(found.frame_id)
-        if lens is None:
-            self._homeless[found.frame_id] += 1
-            return []
-        if self.model not in (None, model):
-            self._foreign[message.topic] += 1
-            return []
-        self.model = model
-        return list(self._located(message, found, lens, self.rig))
+        if model not in self._decoders:
+            self._decoders[model] = Decoder(model)
+        people = list[SeenPeople]()
+        for found in keypoints_in(message, self._decoders[model], self.rig.lenses, self.rig.turns):
+            lens = self.rig.lenses.get(found.frame_id)
+            if lens is None:
+                self._homeless[found.frame_id] += 1
+            elif self.model not in (None, model):
+                self._foreign[message.topic] += 1
+            else:
+                self.model = model
+                people += self._located(message, found, lens, self.rig)
+        return people
 
     def rest(self) -> Iterator[SeenPeople]:
         """Return the people of the last instants."""
@@ -112,6 +143,7 @@ class RgbKeypoints(DetectorReader):
         try:
             home = rig.homes.get(name, name)
             pose = rig.tree.lookup(home, rig.fixed_frame, stamp, message.log_time)
+            pose = pose @ rig.turns[name] if name in rig.turns else pose
         except LogError:
             self._homeless[name] += 1
             return
