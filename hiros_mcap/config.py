@@ -18,9 +18,17 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 import tomli_w
-from pydantic import ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from hiros_mcap._version import __version__
+from hiros_mcap.body.body_size import AXES, METRES, by_camera
 from hiros_mcap.defaults import DEFAULT_SYSTEM, NO_PRESET, takes_presets
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.remote import is_remote
@@ -62,7 +70,16 @@ class InputParams(Params):
         "mediapipe-33, or the topic of a camera. Empty: as in the log, the union if there are "
         "several.",
     )
-    unit: Literal["m", "cm", "mm"] = Field("m", description="Unit of the log's positions.")
+    unit: str = Field(
+        "m",
+        description="Unit of the log's positions: m, cm or mm. Of some cameras: left=mm,right=cm, "
+        "by their topics or parts of them.",
+    )
+    negate: str = Field(
+        "",
+        description="Axis of the detections, x, y or z, whose sign is changed, because a camera's "
+        "axes are left-handed. Of some cameras: left=x,right=x.",
+    )
 
     clocks: Literal["lookahead", "causal", "off"] = Field(
         "lookahead",
@@ -91,6 +108,12 @@ class InputParams(Params):
         "rays than across. none: no camera. Or a list of cameras or topics; live, only that.",
     )
     moved: bool = fixed(True, "Look for cameras that were moved in the middle of the log.")
+
+    @field_validator("unit", "negate")
+    @classmethod
+    def _are_of_cameras(cls, text: str, info: ValidationInfo) -> str:
+        by_camera(text, AXES if info.field_name == "negate" else METRES)
+        return text
 
 
 _MOST_S = 4e9

@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from hiros_mcap.body.body_size import METRES
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.truth import MAX_GAP_NS, Truth
 from hiros_mcap.io.channels import TRUTH_PREFIX
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.detectors.body_models import joints_of
-from hiros_mcap.io.detectors.body_size import METRES
 from hiros_mcap.io.joints.marker_files import MARKER_FILES
 from hiros_mcap.io.joints.text_tables import SECONDS, number_of, read_table, seconds_of
 from hiros_mcap.io.log import Source, open_log

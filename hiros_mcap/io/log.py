@@ -28,6 +28,7 @@ from threading import Event
 import numpy as np
 
 import hiros_schemas
+from hiros_mcap.body.body_size import body_size
 from hiros_mcap.body.transforms import TransformTree, read_extrinsics
 from hiros_mcap.errors import LogError, explained, naming
 from hiros_mcap.io.bags import open_recording, transforms_beside
@@ -49,7 +50,6 @@ from hiros_mcap.io.codec import Decoder, ModelBuilder, OtherSkeletonError
 from hiros_mcap.io.container import Batch, McapReader, Message, Records
 from hiros_mcap.io.container.reader import MEMORY
 from hiros_mcap.io.copied_channels import copied_channels
-from hiros_mcap.io.detectors.body_size import body_size
 from hiros_mcap.io.detectors.conversion import (
     ENCODINGS,
     Selection,

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 import hiros_schemas
+from hiros_mcap.body.body_size import unit_of, unit_warning
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import (
     Mover,
@@ -36,7 +37,6 @@ from hiros_mcap.io.channels import (
 from hiros_mcap.io.codec import Decoded, Decoder, RestPoses
 from hiros_mcap.io.container import LogOrder, McapReader, Recovery
 from hiros_mcap.io.container.losses import RECOVERY_METADATA
-from hiros_mcap.io.detectors.body_size import unit_warning
 from hiros_mcap.io.detectors.rgb_keypoints import RgbRig
 from hiros_mcap.io.layout import Layout
 from hiros_mcap.io.log_accounts import (
@@ -348,7 +348,10 @@ class Log:
         yield from filter(None, [self.far_apart])
         yield from map(not_used, self.unread)
         yield from map(not_read, self.strangers)
-        yield from filter(None, (unit_warning(c.channel.topic, c.size) for c in self.cameras))
+        units = {c.channel.topic: unit_of(c.size) for c in self.cameras if c.frames}
+        alike = len(set(units.values())) < 2
+        sizes = ((c.channel.topic, c.size) for c in self.cameras)
+        yield from filter(None, (unit_warning(*size, alike=alike) for size in sizes))
         changes: dict[str, list[PoseChange]] = {}
         for change in self.transforms.changes_above([*frames, fixed]):
             changes.setdefault(change.child, []).append(change)

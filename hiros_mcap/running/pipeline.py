@@ -210,8 +210,8 @@ def open_input(
 
 
 def skeletons_read(config: Config) -> Selection:
-    """Return which skeleton a log is read as, and in which unit."""
-    return Selection(config.input.model, config.input.unit)
+    """Return which skeleton a log is read as, in which unit, and with which axes."""
+    return Selection(config.input.model, config.input.unit, config.input.negate)
 
 
 def check_limbs(options: ProcessOptions) -> None:

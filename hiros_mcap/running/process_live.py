@@ -128,9 +128,9 @@ def _causal(config: Config, options: ProcessOptions) -> Config:
         raise ConfigError("--two-pass reads the whole log first, which live input does not allow")
     if options.recover or options.strict:
         raise ConfigError("--recover and --strict are for files; live input is read as it comes")
-    if config.input.model or config.input.unit != "m":
+    if config.input.model or config.input.unit != "m" or config.input.negate:
         raise ConfigError(
-            "--model and --unit are for files; live input is read as it is, in metres"
+            "--model, --unit and --negate are for files; live input is read as it is, in metres"
         )
     if config.input.clocks == "off":
         return config

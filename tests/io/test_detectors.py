@@ -18,6 +18,7 @@ from mcap.writer import Writer
 import hiros_schemas
 from hiros_cli.app import run
 from hiros_mcap import plugins
+from hiros_mcap.body.body_size import unit_of
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate import evaluate, load_truth
@@ -25,7 +26,6 @@ from hiros_mcap.io import detectors
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.detectors import azure_kinect, detector_readers
 from hiros_mcap.io.detectors.body_models import BODY_MODELS, body_model, joints_of, name_of
-from hiros_mcap.io.detectors.body_size import unit_of
 from hiros_mcap.io.detectors.conversion import Selection
 from hiros_mcap.io.detectors.detector_reader import DetectorMessage
 from hiros_mcap.io.detectors.model_fitting import union_of
@@ -303,7 +303,7 @@ def test_a_wrong_unit_is_noticed_and_can_be_given(factor, unit, tmp_path, scene)
             f"the positions are in {unit}, not in m; read them with --unit {unit}"
             in (log.warnings[0])
         )
-    with open_log(path, skeletons=Selection(unit=unit)) as log:  # type: ignore[arg-type]
+    with open_log(path, skeletons=Selection(unit=unit)) as log:
         assert log.warnings == ()
         frame = next(frame for frame in log.frames() if frame.n_people)
     expected = next(f for _, f in scene.detections if f.n_people and f.source == frame.source)

@@ -660,7 +660,7 @@ def test_what_needs_the_whole_log_is_refused():
 @pytest.mark.parametrize("changed", [{"unit": "mm"}, {"model": "kinect-v2"}])
 def test_what_converts_skeletons_is_refused(changed):
     config = load_config(named={"--option": {"input": changed}})
-    with pytest.raises(ConfigError, match="--model and --unit are for files"):
+    with pytest.raises(ConfigError, match="--model, --unit and --negate are for files"):
         process_live(McapInput(0, "pipe"), None, config=config)
 
 

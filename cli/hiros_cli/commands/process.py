@@ -61,7 +61,17 @@ class InputOptions:
         "Skeleton of the output: union, azure-kinect, zed-38, ..., or a camera's topic.",
         panel=INPUT,
     )
-    unit: str | None = option("UNIT", "Unit of the positions: m (default), cm or mm.", panel=INPUT)
+    unit: str | None = option(
+        "UNIT",
+        "Unit of the positions: m (default), cm or mm; left=mm,right=cm of some cameras.",
+        panel=INPUT,
+    )
+    negate: str | None = option(
+        "AXIS",
+        "Change the sign of x, y or z of detections whose axes are left-handed; left=x of one "
+        "camera.",
+        panel=INPUT,
+    )
     clock: list[str] | None = option(
         "CAMERA=SECONDS", "Add seconds to the stamps of a camera; may be repeated.", panel=INPUT
     )
@@ -94,7 +104,7 @@ class InputOptions:
 
     def parameters(self) -> dict[str, Table]:
         """Return the parameters that have options of their own, by option."""
-        named = {"fixed_frame": self.fixed_frame, "model": self.model, "unit": self.unit}
+        named = {name: getattr(self, name) for name in ("fixed_frame", "model", "unit", "negate")}
         tables: dict[str, Table] = {
             f"--{name.replace('_', '-')}": {"input": {name: value}}
             for name, value in named.items()

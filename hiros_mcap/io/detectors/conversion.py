@@ -12,11 +12,14 @@ from contextlib import suppress
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 import hiros_schemas
+from hiros_mcap.body.body_size import AXES, METRES, by_camera, factors_of, is_called
 from hiros_mcap.body.transforms import parse_tf
-from hiros_mcap.errors import LogError
+from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.bags import MemoryReader
 from hiros_mcap.io.channels import (
     HUMANS,
@@ -34,7 +37,6 @@ from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapReader, McapWriter, Message, Schema
 from hiros_mcap.io.detectors import detector_readers
 from hiros_mcap.io.detectors.body_models import name_of
-from hiros_mcap.io.detectors.body_size import METRES
 from hiros_mcap.io.detectors.detector_reader import DetectorMessage, DetectorReader, SeenPeople
 from hiros_mcap.io.detectors.keypoint_messages import JOINTS, KEYPOINT_TYPES, LATE
 from hiros_mcap.io.detectors.model_fitting import UNION, Fit, chosen_model
@@ -48,10 +50,8 @@ from hiros_mcap.io.ros_cdr import (
     long_name,
     types_of,
 )
-from hiros_mcap.skeletons import SkeletonModel
+from hiros_mcap.skeletons import Floats, SkeletonModel
 from hiros_mcap.wording import quantity
-
-Unit = Literal["m", "cm", "mm"]
 
 SKELETONS = hiros_schemas.short_name(hiros_schemas.SKELETON_GROUP)
 TRANSFORMS = hiros_schemas.short_name(hiros_schemas.TF_MESSAGE)
@@ -69,8 +69,10 @@ class Selection(NamedTuple):
 
     model: str = ""
     """As in :func:`hiros_mcap.io.detectors.model_fitting.chosen_model`."""
-    unit: Unit = "m"
-    """Of the positions in the log."""
+    unit: str = "m"
+    """Of the positions in the log; as :func:`~hiros_mcap.body.body_size.by_camera` reads it."""
+    negate: str = ""
+    """Axis whose sign is changed, in the same way."""
     selects: Callable[[str], bool] = lambda _: True
     """Says of a topic whether its skeletons are wanted."""
     several: bool = False
@@ -84,7 +86,8 @@ class Selection(NamedTuple):
     def is_usual(self) -> bool:
         """Whether SkeletonGroups can stay as they are."""
         guesses = self.rig is not None and bool(self.rig.turns)
-        return not (self.several or guesses) and (self.model, self.unit) == ("", "m")
+        plain = (self.model, self.unit, self.negate) == ("", "m", "")
+        return plain and not (self.several or guesses)
 
 
 class InputChannel(NamedTuple):
@@ -128,6 +131,7 @@ def converted(reader: McapReader, selection: Selection) -> McapReader:
     ``reader`` stays open. Raises LogError, and ConfigError for a model that is not there.
     """
     sources = _sources(reader, selection)
+    _check_names(selection, [source.info.topic for source in sources if source.selected])
     if selection.is_usual and not any(source.needs_conversion for source in sources):
         return reader
     layouts, hints = _probe(reader, sources, selection.rig)
@@ -150,6 +154,18 @@ def converted(reader: McapReader, selection: Selection) -> McapReader:
     new.rig = selection.rig
     new.faults = {t: (n, conversion.first[t]) for t, n in conversion.faulty.items()}
     return new
+
+
+def _check_names(selection: Selection, topics: Sequence[str]) -> None:
+    """Raise ConfigError if a unit or an axis is of a camera that is not there."""
+    units, axes = by_camera(selection.unit, METRES), by_camera(selection.negate, AXES)
+    for name, named in (("--unit", units), ("--negate", axes)):
+        for camera in named:
+            if not any(is_called(topic, camera) for topic in topics):
+                raise ConfigError(
+                    f"{name}: there is no camera {camera!r}; name a topic or a part of it: "
+                    f"{', '.join(sorted(topics))}"
+                )
 
 
 def of_people(reader: McapReader, selects: Callable[[str], bool]) -> list[ChannelInfo]:
@@ -313,7 +329,7 @@ class Conversion:
         self._readers = [kind() for kind in detector_readers()]
         self.rgb = next(r for r in self._readers if isinstance(r, RgbKeypoints))
         self.rgb.rig = selection.rig
-        self._fits: dict[tuple[SkeletonModel, SkeletonModel], tuple[Fit, Encoder]] = {}
+        self._fits: dict[tuple[str, SkeletonModel], tuple[Fit, Encoder]] = {}
         self._ids: dict[str, int] = {}
         self._missing: dict[str, Counter[str]] = {}
         self._declined: Counter[str] = Counter()
@@ -408,8 +424,14 @@ class Conversion:
     def _fits_target(self, source: InputChannel) -> bool:
         """Whether a channel has SkeletonGroups of the model that results are to have, in m."""
         model = self._models.get(source.info.topic)
-        fits = self.target in (None, model) and self._selection.unit == "m"
-        return source.type == SKELETONS and fits
+        fits = self.target in (None, model) and (self._factors(source.info.topic) == 1.0).all()
+        return source.type == SKELETONS and bool(fits)
+
+    def _factors(self, topic: str) -> Floats:
+        """(3,) factors of the positions on a topic; that of RGB cameras is made by hiros."""
+        if topic == RGB_TOPIC:
+            return np.ones(3)
+        return factors_of(topic, self._selection.unit, self._selection.negate)
 
     def _groups(self, people: Iterable[SeenPeople]) -> Iterator[RosMessage]:
         """Yield people as SkeletonGroups."""
@@ -417,9 +439,10 @@ class Conversion:
             if not (self._selection.selects(topic) or topic == RGB_TOPIC):
                 continue
             self._models.setdefault(topic, model)
-            key = model, self.target or model
+            key = topic, model
             if key not in self._fits:
-                self._fits[key] = Fit(*key, METRES[self._selection.unit]), Encoder(key[1])
+                target = self.target or model
+                self._fits[key] = Fit(model, target, self._factors(topic)), Encoder(target)
             fit, encoder = self._fits[key]
             if names := fit.left_out(frame):
                 self._missing.setdefault(topic, Counter()).update(names)

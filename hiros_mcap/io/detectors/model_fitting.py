@@ -12,10 +12,13 @@ from hiros_mcap.io.detectors.body_models import BODY_MODELS, Joint, body_model, 
 from hiros_mcap.io.detectors.detector_reader import add_links
 from hiros_mcap.skeletons import (
     ACCELERATION,
+    ANGULAR_ACCELERATION,
+    ANGULAR_VELOCITY,
     ORIENTATION,
     POSITION,
     STATE,
     VELOCITY,
+    Floats,
     Frame,
     People,
     SkeletonModel,
@@ -117,10 +120,12 @@ def _check_common(wanted: str, model: SkeletonModel, models: Mapping[str, Skelet
 class Fit:
     """Turns frames of one model into frames of another."""
 
-    def __init__(self, source: SkeletonModel, target: SkeletonModel, factor: float = 1.0) -> None:
-        """``factor`` turns the source's unit into metres."""
+    def __init__(
+        self, source: SkeletonModel, target: SkeletonModel, factors: Floats | None = None
+    ) -> None:
+        """``factors`` (3,) turn the source's positions into metres, and its axes right-handed."""
         self.target = target
-        self._factor = factor
+        self._factors = np.ones(3) if factors is None else factors
         self._same = source == target
         slots, joints = _slots(target), joints_of(source.marker_names)
         # Of two names for one joint, the first counts.
@@ -156,13 +161,16 @@ class Fit:
         return [self._names[self._missing[k]] for k in np.flatnonzero(here.any(axis=0))]
 
     def _scaled(self, people: People) -> People:
-        if self._factor == 1.0:
+        if (self._factors == 1.0).all():
             return people
         people = people.copy()
         for states in (people.markers, people.links, people.boxes):
             for part in (POSITION, VELOCITY, ACCELERATION):
-                states[..., part] *= self._factor
-        people.boxes[:, STATE:] *= self._factor
+                states[..., part] *= self._factors
+            if self._factors.prod() < 0.0:  # turns of left-handed axes are others
+                for part in (ORIENTATION, ANGULAR_VELOCITY, ANGULAR_ACCELERATION):
+                    states[..., part] = np.nan
+        people.boxes[:, STATE:] *= abs(self._factors[0])
         return people
 
 

@@ -13,12 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hiros_mcap.body.body_size import LARGEST, METRES, SMALLEST, body_size
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.detectors.body_models import linked
-from hiros_mcap.io.detectors.body_size import LARGEST, METRES, SMALLEST, body_size
 from hiros_mcap.io.detectors.detector_reader import add_links
 from hiros_mcap.io.joints.image_series import (
     ImageSeries,

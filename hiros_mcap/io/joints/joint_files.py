@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hiros_mcap.body.body_size import METRES
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.detectors.body_models import KEYPOINT_MODELS, body_model
-from hiros_mcap.io.detectors.body_size import METRES
 from hiros_mcap.io.joints.mapping import ColumnMapping, FileMapping, of_columns
 from hiros_mcap.io.joints.marker_files import MARKER_FILES
 from hiros_mcap.io.joints.text_tables import (

@@ -5,6 +5,7 @@
     detector = "openpose"       # what the entries below change of this detector's
     unit = "mm"
     axes = ["x", "-z", "y"]     # the file's axes that are x, y, z of the log
+    negate = "x"                # if the file's axes are left-handed
     frame = "world"
 
     [time]
@@ -198,6 +199,8 @@ class FileMapping(BaseModel):
     unit: Literal["m", "cm", "mm"] = "m"
     """If it is set, it counts more than what a file says itself."""
     axes: list[str] = ["x", "y", "z"]
+    negate: Literal["", "x", "y", "z"] = ""
+    """Axis of a left-handed file whose sign is changed, before ``axes`` are picked."""
     time: TimeMapping = TimeMapping()
     columns: ColumnMapping = ColumnMapping()
     joints: dict[str, str] = {}
@@ -224,7 +227,10 @@ class FileMapping(BaseModel):
         if sorted(axis.removeprefix("-") for axis in axes) != list(_AXES):
             raise ValueError('should be x, y and z in some order, with signs, as ["x", "-z", "y"]')
         if np.linalg.det(rotation_of(axes)) < 0:
-            raise ValueError("should not mirror people: change one sign")
+            raise ValueError(
+                "should not mirror people: change one sign; if the file's own axes are "
+                'left-handed, name one of them: negate = "x"'
+            )
         return axes
 
     @field_validator("joints")
@@ -236,7 +242,8 @@ class FileMapping(BaseModel):
 
     def rotated(self, positions: Floats) -> Floats:
         """Return positions (..., 3) of the file in the axes of the log."""
-        return np.asarray(positions @ rotation_of(self.axes).T)
+        signs = [-1.0 if axis == self.negate else 1.0 for axis in _AXES]
+        return np.asarray(positions * signs @ rotation_of(self.axes).T)
 
 
 def rotation_of(axes: list[str]) -> Floats:

@@ -17,8 +17,8 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from hiros_mcap.body.body_size import METRES
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io.detectors.body_size import METRES
 from hiros_mcap.io.joints.c3d_frames import all_points, layout_of, parsed
 from hiros_mcap.io.joints.text_tables import number_of, text_of, unit_of, with_points
 from hiros_mcap.skeletons import Floats

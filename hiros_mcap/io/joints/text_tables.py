@@ -15,8 +15,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
+from hiros_mcap.body.body_size import METRES
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io.detectors.body_size import METRES
 from hiros_mcap.outside import read_text
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
