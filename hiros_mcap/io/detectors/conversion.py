@@ -161,7 +161,7 @@ def _check_names(selection: Selection, topics: Sequence[str]) -> None:
     units, axes = by_camera(selection.unit, METRES), by_camera(selection.negate, AXES)
     for name, named in (("--unit", units), ("--negate", axes)):
         for camera in named:
-            if not any(is_called(topic, camera) for topic in topics):
+            if camera and not any(is_called(topic, camera) for topic in topics):
                 raise ConfigError(
                     f"{name}: there is no camera {camera!r}; name a topic or a part of it: "
                     f"{', '.join(sorted(topics))}"
