@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import TransformTree
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.camera_frames import (
@@ -211,7 +212,7 @@ def rgb_rig(
     frames = {c.name: [_on_time(f, given.get(c.name, 0.0)) for f in c.frames] for c in cameras}
     lenses = {c.name: c.lens for c in cameras}
     found = refine_rig(frames, lenses, poses, clocks=clocks and not given)
-    _check_poses(found, frames, lenses, poses)
+    _check_poses(found, frames, lenses, poses, cameras[0].model)
     is_moved = refine and not found.reason
     homes = {c.name: channel.frames[0] for c, channel in zip(cameras, channels, strict=True)}
     if is_moved:
@@ -293,23 +294,51 @@ def too_few(topics: Sequence[str], lensed: Sequence[str]) -> LogError:
 
 def _check_poses(
     found: RayRig, frames: Mapping[str, Sequence[KeypointFrame]],
-    lenses: Mapping[str, Intrinsics], poses: Mapping[str, Rigid],
+    lenses: Mapping[str, Intrinsics], poses: Mapping[str, Rigid], model: SkeletonModel,
 ) -> None:  # fmt: skip
-    """Raise LogError if poses fit only when they are read the other way round."""
-    if _worst(found.before) < _POOR_PX:
+    """Raise LogError if poses or images fit only when they are read the other way round."""
+    worst = _worst(found.before)
+    if worst < _POOR_PX:
         return
-    turned = {name: pose.inverse() for name, pose in poses.items()}
-    other = refine_rig(frames, lenses, turned, clocks=False)
-    if _worst(other.before) < min(_POOR_PX, _worst(found.before) / 2):
+
+    def fits(frames: Mapping[str, Sequence[KeypointFrame]], poses: Mapping[str, Rigid]) -> str:
+        other = _worst(refine_rig(frames, lenses, poses, clocks=False).before)
+        return f"{other:.0f} px" if other < min(_POOR_PX, worst / 2) else ""
+
+    if px := fits(frames, {name: pose.inverse() for name, pose in poses.items()}):
         raise LogError(
             "the poses of the RGB cameras are the other way round: those of the room in the camera "
-            f"would fit the people to {_worst(other.before):.0f} px; invert them"
+            f"would fit the people to {px}; invert them"
         )
-    if math.isinf(_worst(found.before)):
+    poor = [name for name, error in found.before.items() if error > _POOR_PX]
+    for names in (poor, list(frames)):
+        if names and (px := fits(_mirrored(frames, lenses, names, model), poses)):
+            raise LogError(
+                f"the images of {', '.join(names)} are mirrored: the other way round they fit to "
+                f"{px}; run the detector on the video as the camera saw it (ffmpeg's hflip turns "
+                "it back)"
+            )
+    if math.isinf(worst):
         raise LogError(
             "no two RGB cameras see the same person, by their poses and lenses; check both, or "
             "find the poses by `hiros calibrate people`"
         )
+
+
+def _mirrored(
+    frames: Mapping[str, Sequence[KeypointFrame]], lenses: Mapping[str, Intrinsics],
+    names: Sequence[str], model: SkeletonModel,
+) -> dict[str, Sequence[KeypointFrame]]:  # fmt: skip
+    """Mirror the images of some cameras, and with them the sides of people."""
+    sides = symmetry_of(model).mirror
+    turned: dict[str, Sequence[KeypointFrame]] = dict(frames)
+    for name in names:
+        start, step = np.array([lenses[name].size[0] - 1.0, 0.0]), np.array([-1.0, 1.0])
+        turned[name] = [
+            f._replace(pixels=(start + step * f.pixels)[:, sides], scores=f.scores[:, sides])
+            for f in frames[name]
+        ]
+    return turned
 
 
 def _worst(errors: Mapping[str, float]) -> float:

@@ -316,7 +316,7 @@ def _known_poses(bundle: Bundle, posed: Stamps) -> Floats:
     hessian, _ = equations(bundle.points, bundle.cameras, bundle.places, 0.0, work)
     timed = np.flatnonzero(bundle.free[:, LAG]) * UNKNOWNS + LAG
     tied = hessian[np.ix_(posed, timed)]
-    lags = np.linalg.solve(hessian[np.ix_(timed, timed)], tied.T)
+    lags = np.linalg.pinv(hessian[np.ix_(timed, timed)], hermitian=True) @ tied.T
     return np.asarray(hessian[np.ix_(posed, posed)] - tied @ lags)
 
 
@@ -329,7 +329,7 @@ def _modes(known: Floats, errors: Floats) -> tuple[Flags, Floats, Floats]:
     sizes, axes = np.linalg.eigh(known)
     told = sizes > _NO_STEP * sizes[-1]
     alone = (axes[:, told] ** 2 / sizes[told]).sum(axis=1)
-    factor = np.median(errors**2 / alone)
+    factor = np.median(errors**2 / np.maximum(alone, np.finfo(np.float64).tiny))
     return told, np.where(told, factor / np.where(told, sizes, 1.0), np.inf), axes
 
 

@@ -8,6 +8,13 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Rigid, from_matrix, from_vector
 from hiros_mcap.evaluate.truth import Truth
+from hiros_mcap.io.channels import add_static_poses
+from hiros_mcap.io.container import McapWriter
+from hiros_mcap.io.detectors.keypoint_messages import (
+    add_camera_info,
+    add_keypoint_channel,
+    encode_detections,
+)
 from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame
 from hiros_mcap.simulate import SimulateParams, simulate
@@ -110,3 +117,16 @@ def film(truth, poses, *, rate=30.0, lags=None, seed=0, noise=1.0, joints=JOINTS
             for s, p, rows in zip(stamps, pixels, order, strict=True)
         ]
     return Film(frames, dict.fromkeys(poses, LENS), dict(poses), lags)
+
+
+def film_log(path, scene, joints, poses):
+    """Write a film as a log, with these joints and poses of the cameras."""
+    with McapWriter(path) as writer:
+        stamp = min(frames[0].stamp for frames in scene.frames.values())
+        add_static_poses(writer, poses, "room", stamp)
+        for name, frames in scene.frames.items():
+            add_camera_info(writer, f"/{name}/camera_info", scene.lenses[name], name, stamp)
+            channel = add_keypoint_channel(writer, f"/{name}/keypoints", ",".join(joints))
+            for frame in frames:
+                writer.write(channel, frame.stamp, encode_detections(frame, name))
+        writer.commit()
