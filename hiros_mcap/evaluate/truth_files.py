@@ -83,7 +83,8 @@ def read_mocap(path: Path) -> Truth:
     orientations = np.full((*markers.positions.shape[:2], 0, 4), np.nan)
     model = SkeletonModel.of(markers.names, [])
     people = tuple(range(len(markers.people)))
-    return _truth(path, markers.times, markers.positions, orientations, model, people)
+    truth = _truth(path, markers.times, markers.positions, orientations, model, people)
+    return replace(truth, notes=(markers.doubt,) if markers.doubt else ())
 
 
 def read_csv(path: Path) -> Truth:

@@ -19,8 +19,7 @@ from hiros_mcap.io.export.choices import Choices, pauses
 from hiros_mcap.io.export.opensim_model import rows_of
 from hiros_mcap.io.export.rajagopal import NEEDS, PELVIS, bridged, coordinates
 from hiros_mcap.io.export.tables import write_lines
-from hiros_mcap.io.joints.c3d_frames import MOST_FRAMES
-from hiros_mcap.io.joints.marker_files import open_c3d
+from hiros_mcap.io.joints.c3d_file import MOST_FRAMES, open_c3d
 from hiros_mcap.io.result import safe_name
 from hiros_mcap.outputs import BVH_START, EXPORT_MARK
 from hiros_mcap.skeletons import Floats, SkeletonModel
@@ -219,7 +218,7 @@ def write_c3d(result: Result, target: Path, choices: Choices) -> None:
         written = Path(folder) / "written.c3d"
         file.write(str(written))
         with suppress(ConfigError):
-            if open_c3d(written)["data"]["points"].shape[-1] == n:
+            if len(open_c3d(written).points) == n:
                 shutil.copyfile(written, target)
                 return
     raise LogError("cannot be written: the file was cut", path=result.path)

@@ -13,13 +13,13 @@ import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from hiros_mcap.body.body_size import METRES
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io.joints.c3d_frames import all_points, layout_of, parsed
+from hiros_mcap.io.joints.c3d_file import C3dFile, open_c3d
 from hiros_mcap.io.joints.text_tables import number_of, text_of, unit_of, with_points
 from hiros_mcap.skeletons import Floats
 
@@ -156,8 +156,6 @@ def _length(text: str, where: str) -> str:
     )
 
 
-_BIG_ENDIAN = bytes([86])
-"""Processor type of SGI's, in the fourth byte of the parameters."""
 _NO_MARKERS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
 
 
@@ -169,14 +167,12 @@ def read_c3d(path: Path, unit: str = "") -> Markers:
     Raises ConfigError if it is none, or has no markers.
     """
     file = open_c3d(path)
-    point, points = file["parameters"]["POINT"], file["data"]["points"]
-    labels = [label.strip() for label in _listed(point, "LABELS")][: points.shape[1]]
-    no_markers = {label.strip() for name in _NO_MARKERS for label in _listed(point, name)}
-    unit_name = (point.get("UNITS", {}).get("value") or ["mm"])[0].strip() or "mm"
+    points = file.points
+    labels = file.texts("POINT", "LABELS")[: points.shape[1]]
+    no_markers = {label for name in _NO_MARKERS for label in file.texts("POINT", name)}
+    unit_name = next(iter(file.texts("POINT", "UNITS")), "") or "mm"
     unit = unit or _length(unit_name, f"{path}: POINT:UNITS")
-    rate = float((point.get("RATE", {}).get("value") or [0.0])[0])
-    if not rate > 0:
-        raise ConfigError(f"{path}: POINT:RATE is {rate:g}, so its frames have no times")
+    rate = sum(file.numbers("POINT", "RATE")[:1])
     columns: dict[tuple[str, str], int] = {}
     for k, label in enumerate(labels):
         if not label or label in no_markers or label.startswith("*"):
@@ -185,54 +181,25 @@ def read_c3d(path: Path, unit: str = "") -> Markers:
         if (person, name) in columns:
             raise ConfigError(f"{path}: POINT:LABELS names the marker {label} twice")
         columns[person, name] = k
-    if not columns or not points.shape[-1]:
-        raise ConfigError(f"{path}: holds no marker")
+    if not columns or not len(points):
+        raise ConfigError(f"{path}: has no markers{_instead(file)}")
+    if not rate > 0:
+        raise ConfigError(f"{path}: POINT:RATE is {rate:g}, so its frames have no times")
     people = tuple(dict.fromkeys(person for person, _ in columns))
     names = list(dict.fromkeys(name for _, name in columns))
-    metres = METRES[unit] * points[:3]  # NaN where the residual is negative
-    positions = np.full((points.shape[-1], len(people), len(names), 3), np.nan)
+    positions = np.full((len(points), len(people), len(names), 3), np.nan)
     for (person, name), k in columns.items():
-        positions[:, people.index(person), names.index(name)] = metres[:, k].T
-    times = np.arange(points.shape[-1]) / rate
+        positions[:, people.index(person), names.index(name)] = METRES[unit] * points[:, k]
+    times = np.arange(len(points)) / rate
     whose = tuple(person or "0" for person in people)
-    return Markers(names, times, positions, whose, unit)
+    return Markers(names, times, positions, whose, unit, file.doubt)
 
 
-def open_c3d(path: Path) -> Any:
-    """Return a C3D file as ezc3d reads it, with all of its frames.
-
-    Raises ConfigError if it is none, is cut off, or its counts contradict its size.
-    """
-    with path.open("rb") as start:
-        header = start.read(512)
-        start.seek(512 * (header[0] - 1) + 3 if header[:1] > b"\0" else 0)
-        order: Literal["big", "little"] = "big" if start.read(1) == _BIG_ENDIAN else "little"
-    if header[1:2] != b"P":  # the second byte of every C3D file
-        raise ConfigError(f"{path}: not a C3D file")
-    if int.from_bytes(header[16:18], order) < 2:  # the first block is the header; ezc3d would crash
-        raise ConfigError(f"{path}: is cut off: its header names no block where the data begin")
-    file = parsed(path, path)
-    first, last = (int.from_bytes(header[k : k + 2], order) for k in (6, 8))
-    layout = layout_of(path, file, 512 * (int.from_bytes(header[16:18], order) - 1))
-    file["data"]["points"] = all_points(path, file, layout, last - first + 1)
-    used, found = file["data"]["points"].shape[1:]
-    labels = len(_listed(file["parameters"]["POINT"], "LABELS"))
-    if labels > used and layout.tells_count and layout.held > found + layout.filling:
-        raise ConfigError(
-            f"{path}: POINT:LABELS names {labels} points, POINT:USED counts {used}, and its "
-            f"{found} frames are too long for them; one of these is damaged"
-        )
-    return file
-
-
-def _listed(point: Any, name: str) -> list[str]:
-    """Return the texts of a parameter of points and of those that continue it."""
-    texts = list(point.get(name, {}).get("value") or [])
-    number = 2
-    while labels := point.get(f"{name}{number}", {}).get("value"):
-        texts += labels
-        number += 1
-    return texts
+def _instead(file: C3dFile) -> str:
+    """Say what a file without markers holds; "" if nothing that is known."""
+    kinds = {"ROTATION": "rotations", "ANALOG": "analog data"}
+    held = [word for group, word in kinds.items() if any(file.numbers(group, "USED")[:1])]
+    return f", only {' and '.join(held)}" if held else ""
 
 
 MARKER_FILES = {".trc": read_trc, ".c3d": read_c3d}
