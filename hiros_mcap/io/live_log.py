@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -239,11 +239,12 @@ def open_live(
     topics: Sequence[str] | None = None,
     extrinsics: str | os.PathLike[str] | None = None,
     fixed_frame: str | None = None,
+    rays: Collection[str] = (),
 ) -> LiveLog:
     """Listen to an MCAP until it is known what is in it: people, cameras, and where they stand.
 
     That takes a second of the log, or longer if nobody is there. For the parameters see
-    :func:`hiros_mcap.io.log.open_log`.
+    :func:`hiros_mcap.io.log.open_log`; ``rays`` are of :class:`LiveConversion`.
 
     Raises
     ------
@@ -258,7 +259,7 @@ def open_live(
     tree = None if extrinsics is None else read_extrinsics(Path(extrinsics))
     reader = LiveReader(source)
     selects = partial(is_selected, topics=topics, output_prefix=OUTPUT_PREFIX)
-    conversion = LiveConversion(reader, selects, tree)
+    conversion = LiveConversion(reader, selects, tree, rays)
     log_times = LiveLogTimes(reader)
     reader.convert = lambda message: conversion.converted(log_times.right(message))
     reader.rest = conversion.held_back

@@ -24,20 +24,24 @@ from hiros_mcap.io.channels import CameraChannel, ChannelInfo, channels_of
 from hiros_mcap.io.codec import Decoder
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.detectors.conversion import source_of
-from hiros_mcap.io.detectors.keypoint_messages import is_keypoints, joint_model, lateness
-from hiros_mcap.io.detectors.rgb_keypoints import RgbRig, keypoints_in
+from hiros_mcap.io.detectors.keypoint_messages import (
+    decode_keypoints,
+    is_keypoints,
+    joint_model,
+    lateness,
+)
+from hiros_mcap.io.detectors.rgb_keypoints import RgbRig, keypoints_of_guess
 from hiros_mcap.io.layout import PUBLISHED
 from hiros_mcap.io.log_accounts import LATEST
 from hiros_mcap.io.ros_messages import CAMERA_INFO, intrinsics_of, open_messages
 from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame
 from hiros_mcap.rays.rig_refinement import MOST_S, STRETCHES, RayRig, refine_rig
-from hiros_mcap.rays.skeleton_rays import LENS, GuessedDepth, looking_at
+from hiros_mcap.rays.skeleton_rays import LENS, NONE_GUESSED, GuessedDepth, looking_at
 from hiros_mcap.skeletons import SECOND, SkeletonModel
 from hiros_mcap.wording import quantity
 
 _EVER = (0, 2**63 - 1)
-_NONE = GuessedDepth()
 _POOR_PX = 25.0  # median reprojection error beyond which poses, lenses or sizes are wrong
 
 
@@ -57,7 +61,7 @@ class RgbCamera(NamedTuple):
 
 def read_rgb_cameras(
     reader: McapReader, span: tuple[int, int] = _EVER, step: int = 0,
-    selects: Callable[[str], bool] = lambda _: True, guessed: GuessedDepth = _NONE,
+    selects: Callable[[str], bool] = lambda _: True, guessed: GuessedDepth = NONE_GUESSED,
 ) -> list[RgbCamera]:  # fmt: skip
     """Read all cameras of a log that have keypoints and a lens; messages that are damaged are not.
 
@@ -118,7 +122,13 @@ def _frames_of(
             continue
         due = message.log_time + step
         with suppress(LogError):
-            for found in keypoints_in(source.message(message), decoder, lenses, guessed.turns):
+            detected = source.message(message)
+            if info.topic in guessed.models:
+                skeletons = decoder.decode_message(detected.cdr, message.log_time)
+                images = [keypoints_of_guess(frame, guessed) for frame in skeletons]
+            else:
+                images = [decode_keypoints(detected, model.n_markers, lenses)]
+            for found in images:
                 stamp = (found.stamp or message.log_time) - late
                 frame = KeypointFrame(
                     found.frame_id, stamp, message.log_time, found.pixels, found.scores
@@ -142,7 +152,7 @@ def guessed_depth(
                         turns[name] = looking_at(frame.positions)
             if turns.keys() >= set(camera.frames):
                 break
-    return GuessedDepth({camera.channel.topic: model for camera in channels}, turns)
+    return GuessedDepth(dict.fromkeys((c.channel.topic for c in channels), model), turns)
 
 
 def _lenses(reader: McapReader) -> dict[str, Intrinsics]:
@@ -176,7 +186,7 @@ def poses_of(
 
 def rgb_rig(
     reader: McapReader, tree: TransformTree | None, selects: Callable[[str], bool],
-    guessed: GuessedDepth = _NONE, *, refine: bool = True, clocks: bool = True,
+    guessed: GuessedDepth = NONE_GUESSED, *, refine: bool = True, clocks: bool = True,
 ) -> RgbRig | None:  # fmt: skip
     """Find out how the RGB cameras of a log stand; None if it has no keypoints.
 
@@ -224,12 +234,12 @@ def rgb_rig(
         {i.topic: guessed.models.get(i.topic) or joint_model(i) for i in infos}, homes, lags,
         {c.topic: lags[c.name] for c in cameras}, is_moved,
         tuple(_remarks(found, is_moved)), tuple(_warnings(found, infos, lensed, is_moved)),
-        guessed.turns,
+        guessed,
     )  # fmt: skip
 
 
 def sampled_cameras(
-    reader: McapReader, selects: Callable[[str], bool], guessed: GuessedDepth = _NONE
+    reader: McapReader, selects: Callable[[str], bool], guessed: GuessedDepth = NONE_GUESSED
 ) -> list[RgbCamera]:
     """Read the images that tell how cameras stand: of a long log, some stretches."""
     idents = {info.id for info in _channels(reader, selects, guessed)}

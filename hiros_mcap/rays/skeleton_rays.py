@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -20,10 +19,13 @@ LENS = Intrinsics(
 class GuessedDepth(NamedTuple):
     """Channels of 3D skeletons whose depth is guessed."""
 
-    models: Mapping[str, SkeletonModel] = {}
+    models: dict[str, SkeletonModel]
     """Of the joints on each topic."""
-    turns: Mapping[str, Rigid] = {}
+    turns: dict[str, Rigid]
     """Coordinate frame -> how the optical frame is turned in it."""
+
+
+NONE_GUESSED = GuessedDepth({}, {})
 
 
 def looking_at(positions: Floats) -> Rigid:

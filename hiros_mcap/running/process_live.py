@@ -86,6 +86,7 @@ def process_live(
             topics=options.topics or None,
             extrinsics=options.extrinsics,
             fixed_frame=config.input.fixed_frame or None,
+            rays=() if isinstance(config.input.rays, str) else config.input.rays,
         )
         if started is not None:
             started(log)

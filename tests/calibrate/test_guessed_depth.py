@@ -11,7 +11,9 @@ from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.logs import evaluate_log
 from hiros_mcap.evaluate.truth import Truth
+from hiros_mcap.io.container.live_input import McapInput
 from hiros_mcap.running.pipeline import process
+from hiros_mcap.running.process_live import process_live
 
 NAMES = ("camera_0", "camera_1", "camera_2")
 AS_THEY_ARE = load_config(None, ["input.rays=none"])
@@ -97,3 +99,16 @@ def test_cameras_are_named_beforehand_by_name_or_topic(scene, poses, tmp_path):
     unknown = load_config(None, ['input.rays=["camera_7"]'])
     with pytest.raises(ConfigError, match="has no camera 'camera_7'"):
         process(tmp_path / "log.mcap", None, config=unknown)
+
+
+def test_a_live_run_takes_the_named_cameras_as_rays(scene, poses, tmp_path):
+    errors = []
+    log = write(tmp_path / "log.mcap", list(guessed(scene, NAMES)), scene.model, poses)
+    for rays in ("found", '["camera_0", "/camera_1/people", "camera_2"]'):
+        config = load_config(None, [f"input.rays={rays}"], system="fuse-realtime")
+        with log.open("rb") as source:
+            live = McapInput(source.fileno(), "pipe")
+            process_live(live, tmp_path / "live.mcap", config=config)
+        results = evaluate_log(tmp_path / "live.mcap", Truth.of(scene.truth), ["/hiros/filtered"])
+        errors += [result.scores.mean for result in results.values()]
+    assert errors[1] < 0.5 * errors[0]

@@ -38,11 +38,11 @@ __all__ = [
 ]
 
 _READERS: list[type[DetectorReader]] = [
-    RgbKeypoints,  # also asks for SkeletonGroups whose depth is guessed
     SkeletonGroups,
     AzureKinectMarkers,
     ZedBodies,
     HumanFrames,
+    RgbKeypoints,
 ]
 
 

@@ -50,6 +50,7 @@ from hiros_mcap.io.ros_cdr import (
     long_name,
     types_of,
 )
+from hiros_mcap.rays.skeleton_rays import NONE_GUESSED
 from hiros_mcap.skeletons import Floats, SkeletonModel
 from hiros_mcap.wording import quantity
 
@@ -85,7 +86,7 @@ class Selection(NamedTuple):
     @property
     def is_usual(self) -> bool:
         """Whether SkeletonGroups can stay as they are."""
-        guesses = self.rig is not None and bool(self.rig.turns)
+        guesses = self.rig is not None and bool(self.rig.guessed.models)
         plain = (self.model, self.unit, self.negate) == ("", "m", "")
         return plain and not (self.several or guesses)
 
@@ -329,7 +330,8 @@ class Conversion:
         self._readers = [kind() for kind in detector_readers()]
         self.rgb = next(r for r in self._readers if isinstance(r, RgbKeypoints))
         self.rgb.rig = selection.rig
-        self._fits: dict[tuple[str, SkeletonModel], tuple[Fit, Encoder]] = {}
+        self._guessed = selection.rig.guessed if selection.rig else NONE_GUESSED
+        self._fits: dict[tuple[str, SkeletonModel, SkeletonModel], tuple[Fit, Encoder]] = {}
         self._ids: dict[str, int] = {}
         self._missing: dict[str, Counter[str]] = {}
         self._declined: Counter[str] = Counter()
@@ -358,12 +360,11 @@ class Conversion:
         """
         topic, moves = source.info.topic, source.type == TRANSFORMS
         images = source.type in KEYPOINT_TYPES
-        guesses = self.rgb.rig is not None and topic in self.rgb.rig.models and not images
         copies = (
             moves
             or (images and self.copies_images)
             or not source.selected
-            or (self._fits_target(source) and not guesses)
+            or (self._fits_target(source) and topic not in self._guessed.models)
         )
         reads = source.selected and (moves or images or not copies)
         try:
@@ -438,15 +439,24 @@ class Conversion:
         for topic, model, frame in people:
             if not (self._selection.selects(topic) or topic == RGB_TOPIC):
                 continue
+            if topic in self._guessed.models:
+                fit, _ = self._fit(topic, model, self._guessed.models[topic])
+                yield from self._groups(self.rgb.take(topic, fit(frame)))
+                continue
             self._models.setdefault(topic, model)
-            key = topic, model
-            if key not in self._fits:
-                target = self.target or model
-                self._fits[key] = Fit(model, target, self._factors(topic)), Encoder(target)
-            fit, encoder = self._fits[key]
+            fit, encoder = self._fit(topic, model, self.target or model)
             if names := fit.left_out(frame):
                 self._missing.setdefault(topic, Counter()).update(names)
             yield RosMessage(topic, SKELETONS, frame.log_time, encoder.encode(fit(frame)))
+
+    def _fit(
+        self, topic: str, model: SkeletonModel, target: SkeletonModel
+    ) -> tuple[Fit, Encoder]:
+        """Return what turns frames of a topic into those, and into messages, of another model."""
+        key = topic, model, target
+        if key not in self._fits:
+            self._fits[key] = Fit(model, target, self._factors(topic)), Encoder(target)
+        return self._fits[key]
 
     def remarks(self) -> Iterator[str]:
         """Say what was converted, and what was left out."""

@@ -6,9 +6,11 @@ all get their union, as in a file.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
+
+import numpy as np
 
 import hiros_schemas
 from hiros_mcap.body.transforms import TransformTree
@@ -28,12 +30,14 @@ from hiros_mcap.io.detectors.conversion import (
     source_of,
     type_of,
 )
+from hiros_mcap.io.detectors.detector_reader import SeenPeople
 from hiros_mcap.io.detectors.keypoint_messages import KEYPOINT_TYPES, is_keypoints, joint_model
 from hiros_mcap.io.detectors.model_fitting import chosen_model
 from hiros_mcap.io.detectors.rgb_keypoints import RgbRig
 from hiros_mcap.io.detectors.skeleton_groups import SkeletonGroups
 from hiros_mcap.io.ros_cdr import RosMessage
 from hiros_mcap.io.ros_messages import intrinsics_of
+from hiros_mcap.rays.skeleton_rays import LENS, GuessedDepth, looking_at
 
 _PROBED = 100
 """Messages of a channel that show nobody, after which it is taken to be of another use."""
@@ -50,6 +54,7 @@ class LiveConversion(Conversion):
     reader : knows the channels; gets those of the new messages.
     selects : says of a topic whether its skeletons are wanted.
     tree : poses of the cameras, of a file; None = the transforms that come.
+    rays : topics, cameras and frames of 3D skeletons whose depth is guessed.
     """
 
     copies_images = False
@@ -59,9 +64,11 @@ class LiveConversion(Conversion):
         reader: LiveReader,
         selects: Callable[[str], bool],
         tree: TransformTree | None = None,
+        rays: Collection[str] = (),
     ) -> None:
         super().__init__(reader, Selection(selects=selects), (), {})
-        self._rig = RgbRig(tree or TransformTree(), "", {}, {})
+        self._guessed, self._rays = GuessedDepth({}, {}), frozenset(rays)
+        self._rig = RgbRig(tree or TransformTree(), "", {}, {}, guessed=self._guessed)
         self._teaches: dict[int, tuple[str, ChannelInfo]] = {}
         """Channel -> what of the RGB cameras it tells."""
         self._lenses: set[int] = set()
@@ -84,6 +91,11 @@ class LiveConversion(Conversion):
             yield message
             return
         topic = source.info.topic
+        if self._rays and source.type == SKELETONS and topic not in self._guessed.models:
+            with suppress(LogError):
+                self._learn_guess(SkeletonGroups().read(source.message(message)))
+        if topic in self._guessed.models:
+            self._live.hide(message.channel_id)
         before = self._declined[topic]
         made = [self._message(new, message, source) for new in self.rewritten(source, message)]
         yield from made
@@ -115,6 +127,25 @@ class LiveConversion(Conversion):
                 self._rig.lenses[lens.header.frame_id] = intrinsics_of(lens, info.topic)
         if kind and self.rgb.rig is None:
             self._stand()
+
+    def _learn_guess(self, people: Iterable[SeenPeople]) -> None:
+        """Learn whether people are of a camera that guesses depths, and where it looks."""
+        for topic, model, frame in people:
+            name = frame.frame_id.lstrip("/")
+            is_named = not self._rays.isdisjoint({topic, name, frame.source})
+            if is_named and name not in self._guessed.turns and np.isfinite(frame.positions).any():
+                self._guessed.turns[name] = looking_at(frame.positions)
+                self._guessed.models.setdefault(topic, model)
+                self._rig.models.setdefault(topic, model)
+                self._rig.lenses[name] = LENS
+                self._stand()
+
+    def _groups(self, people: Iterable[SeenPeople]) -> Iterator[RosMessage]:
+        """Yield people as SkeletonGroups."""
+        people = list(people)
+        if self._rays:
+            self._learn_guess(people)
+        yield from super()._groups(people)
 
     def _stand(self) -> None:
         """Begin to triangulate when two RGB cameras have a lens and a place in one room."""
@@ -161,7 +192,11 @@ class LiveConversion(Conversion):
 
     def _message(self, new: RosMessage, message: Message, source: InputChannel | None) -> Message:
         """Return a new message, on the old channel where that has the type."""
-        keeps_channel = source is not None and source.is_native and new.type == source.type
+        keeps_channel = (
+            source is not None
+            and source.is_native
+            and (new.type, new.topic) == (source.type, source.info.topic)
+        )
         if source is not None and new.type == SKELETONS and source.type != SKELETONS:
             known = self._layouts.get(source.info.topic, {})
             self._layouts[source.info.topic] = {**known, new.topic: self._models[new.topic]}
@@ -212,7 +247,8 @@ class LiveConversion(Conversion):
             return None
         self._sources[info.id] = source
         # Whoever comes when results have their skeleton gets that one.
-        return None if is_group and source.is_native and self.target is None else source
+        stays = is_group and source.is_native and self.target is None and not self._rays
+        return None if stays else source
 
     def _group_source(self, ident: int) -> InputChannel | None:
         """Return how the SkeletonGroups of a channel are read; None for other channels."""

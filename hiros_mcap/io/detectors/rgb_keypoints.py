@@ -9,7 +9,7 @@ that from transforms and lenses as they come. 3D skeletons whose depth is guesse
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -18,7 +18,6 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import TransformTree
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.codec import Decoder
 from hiros_mcap.io.detectors.detector_reader import (
     DetectorMessage,
     DetectorReader,
@@ -26,11 +25,10 @@ from hiros_mcap.io.detectors.detector_reader import (
     add_links,
 )
 from hiros_mcap.io.detectors.keypoint_messages import KEYPOINT_TYPES, Keypoints, decode_keypoints
-from hiros_mcap.io.detectors.skeleton_groups import GROUP
 from hiros_mcap.rays.confidence import TRIANGULATED, confidence_of
 from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame, cleaned
-from hiros_mcap.rays.skeleton_rays import keypoints_of
+from hiros_mcap.rays.skeleton_rays import NONE_GUESSED, GuessedDepth, keypoints_of
 from hiros_mcap.rays.triangulator import LocatedPeople, Triangulator
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.wording import quantity
@@ -61,28 +59,16 @@ class RgbRig:
     """Whether poses are not those of the log."""
     remarks: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
-    turns: Mapping[str, Rigid] = field(default_factory=dict)
-    """Frame of 3D skeletons whose depth is guessed -> how the optical frame is turned in it."""
+    guessed: GuessedDepth = NONE_GUESSED
+    """3D skeletons that are taken as keypoints; the above have their topics and frames, too."""
 
 
-def keypoints_in(
-    message: DetectorMessage, decoder: Decoder, lenses: Mapping[str, Intrinsics],
-    turns: Mapping[str, Rigid],
-) -> Sequence[Keypoints]:  # fmt: skip
-    """Return the people of a message of keypoints, or of 3D skeletons whose depth is guessed.
-
-    ``decoder`` knows the joints; for the others see :class:`RgbRig`. Raises LogError for a message
-    that is damaged.
-    """
-    if message.type != GROUP:
-        return [decode_keypoints(message, decoder.model.n_markers, lenses)]
-    found = []
-    for frame in decoder.decode_message(message.cdr, message.log_time):
-        name = frame.frame_id.lstrip("/")
-        pixels = keypoints_of(frame.positions, turns.get(name, Rigid.identity()))
-        stamp = max(frame.stamps.tolist(), default=0) or frame.stamp
-        found.append(Keypoints(stamp, name, *cleaned(pixels, frame.marker_confidences)))
-    return found
+def keypoints_of_guess(frame: Frame, guessed: GuessedDepth) -> Keypoints:
+    """Return 3D skeletons whose depth is guessed as keypoints of :data:`.skeleton_rays.LENS`."""
+    name = frame.frame_id.lstrip("/")
+    pixels = keypoints_of(frame.positions, guessed.turns.get(name, Rigid.identity()))
+    stamp = max(frame.stamps.tolist(), default=0) or frame.stamp
+    return Keypoints(stamp, name, *cleaned(pixels, frame.marker_confidences))
 
 
 class RgbKeypoints(DetectorReader):
@@ -93,13 +79,12 @@ class RgbKeypoints(DetectorReader):
     rig : the cameras; None = not known (yet), so that nothing can be triangulated.
     """
 
-    types = (*KEYPOINT_TYPES, GROUP)
+    types = KEYPOINT_TYPES
 
     def __init__(self) -> None:
         self.rig: RgbRig | None = None
         self.model: SkeletonModel | None = None
         self._triangulator: Triangulator | None = None
-        self._decoders: dict[SkeletonModel, Decoder] = {}
         self._homeless: Counter[str] = Counter()
         """Messages of cameras whose lens or place is not known, by optical frame."""
         self._foreign: Counter[str] = Counter()
@@ -108,23 +93,19 @@ class RgbKeypoints(DetectorReader):
     def read(self, message: DetectorMessage) -> Iterable[SeenPeople] | None:
         """Take the keypoints of an image; return the people of the instants that are complete."""
         if self.rig is None:  # live, where lenses and poses may come later
-            return None if message.type == GROUP else []
+            return []
         if message.topic not in self.rig.models:
             return None
-        model = self.rig.models[message.topic]
-        if model not in self._decoders:
-            self._decoders[model] = Decoder(model)
-        people = list[SeenPeople]()
-        for found in keypoints_in(message, self._decoders[model], self.rig.lenses, self.rig.turns):
-            lens = self.rig.lenses.get(found.frame_id)
-            if lens is None:
-                self._homeless[found.frame_id] += 1
-            elif self.model not in (None, model):
-                self._foreign[message.topic] += 1
-            else:
-                self.model = model
-                people += self._located(message, found, lens, self.rig)
-        return people
+        joints = self.rig.models[message.topic].n_markers
+        found = decode_keypoints(message, joints, self.rig.lenses)
+        return list(self._located(message.topic, message.log_time, found, self.rig))
+
+    def take(self, topic: str, frame: Frame) -> list[SeenPeople]:
+        """Take 3D skeletons whose depth is guessed, of the topic's model; return as read() does."""
+        if self.rig is None:
+            return []
+        found = keypoints_of_guess(frame, self.rig.guessed)
+        return list(self._located(topic, frame.log_time, found, self.rig))
 
     def rest(self) -> Iterator[SeenPeople]:
         """Return the people of the last instants."""
@@ -132,24 +113,30 @@ class RgbKeypoints(DetectorReader):
             yield from map(self._people, self._triangulator.rest())
 
     def _located(
-        self, message: DetectorMessage, found: Keypoints, lens: Intrinsics, rig: RgbRig
+        self, topic: str, log_time: int, found: Keypoints, rig: RgbRig
     ) -> Iterator[SeenPeople]:
         """Yield the people of the instants that an image completes."""
-        if self._triangulator is None and self.model is not None:
-            self._triangulator = Triangulator(self.model)
-        triangulator = self._triangulator
-        assert triangulator is not None  # noqa: S101 - for the type
-        stamp, name = found.stamp or message.log_time, found.frame_id
+        name, lens, model = found.frame_id, rig.lenses.get(found.frame_id), rig.models[topic]
+        if lens is None:
+            self._homeless[name] += 1
+            return
+        if self.model not in (None, model):
+            self._foreign[topic] += 1
+            return
+        self.model = model
+        self._triangulator = triangulator = self._triangulator or Triangulator(model)
+        stamp = found.stamp or log_time
         try:
             home = rig.homes.get(name, name)
-            pose = rig.tree.lookup(home, rig.fixed_frame, stamp, message.log_time)
-            pose = pose @ rig.turns[name] if name in rig.turns else pose
+            pose = rig.tree.lookup(home, rig.fixed_frame, stamp, log_time)
         except LogError:
             self._homeless[name] += 1
             return
+        if name in rig.guessed.turns:
+            pose = pose @ rig.guessed.turns[name]
         if name not in triangulator.lenses:
             triangulator.add_camera(name, lens, rig.lags.get(name, 0.0))
-        frame = KeypointFrame(name, stamp, message.log_time, found.pixels, found.scores)
+        frame = KeypointFrame(name, stamp, log_time, found.pixels, found.scores)
         yield from map(self._people, triangulator.add(frame, pose))
 
     def _people(self, skeletons: LocatedPeople) -> SeenPeople:
