@@ -449,9 +449,7 @@ class Conversion:
                 self._missing.setdefault(topic, Counter()).update(names)
             yield RosMessage(topic, SKELETONS, frame.log_time, encoder.encode(fit(frame)))
 
-    def _fit(
-        self, topic: str, model: SkeletonModel, target: SkeletonModel
-    ) -> tuple[Fit, Encoder]:
+    def _fit(self, topic: str, model: SkeletonModel, target: SkeletonModel) -> tuple[Fit, Encoder]:
         """Return what turns frames of a topic into those, and into messages, of another model."""
         key = topic, model, target
         if key not in self._fits:
