@@ -20,11 +20,10 @@ from hiros_cli.many_logs import exit_code
 from hiros_mcap.config import Settings
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.container import McapReader, McapWriter
-from hiros_mcap.io.remote import place_of
 from hiros_mcap.many.find import are_many, distinct_names, find_logs
 from hiros_mcap.many.jobs import Finding, Job, ProcessJob
 from hiros_mcap.many.manifest import Identity, LogRecord, Manifest
-from hiros_mcap.many.run_logs import column_totals, in_processes, run_logs, run_one
+from hiros_mcap.many.run_logs import column_totals, in_processes, locked, run_logs, run_one
 
 SAMPLES = Path(__file__).parents[1] / "sample_data"
 BAG = "rosbag2_bagfile_information:\n  version: 8\n"
@@ -194,7 +193,7 @@ def test_a_stopped_run_has_its_manifest(recordings, tmp_path):
     runs = run_logs(job, find_logs([str(recordings)]), out, in_processes(1))
     done = [next(runs)[0], next(runs)[0]]
     runs.close()  # type: ignore[attr-defined]
-    assert set(Manifest("process", place_of(out)).records) == {record.log for record in done}
+    assert set(Manifest("process", Path(out)).records) == {record.log for record in done}
 
 
 def test_a_log_that_kills_its_process_is_reported(recordings):
@@ -235,8 +234,7 @@ def test_foreign_files_are_kept(walking, tmp_path):
 
 
 def test_two_runs_do_not_share_a_folder(tmp_path):
-    place = place_of(str(tmp_path))
-    with place.locked(), pytest.raises(LogError, match="another run"), place.locked():
+    with locked(tmp_path), pytest.raises(LogError, match="another run"), locked(tmp_path):
         pass
 
 
@@ -429,16 +427,13 @@ def test_a_log_is_known_if_nothing_has_changed():
         assert manifest.knows(replace(record, **{field: value}), {"a.mcap": 3}) is None, field
 
 
-class SlowPlace:
-    """A folder on a slow disk, and a clock that tells how long it takes to write, s."""
+class SlowDisk:
+    """A clock that tells how long it takes to write, s."""
 
     def __init__(self, takes):
         self.takes, self.now, self.written = takes, 1000.0, 0
 
-    def read_text(self, name):
-        return None
-
-    def write_text(self, name, text):
+    def write_text(self, file, text):
         self.now, self.written = self.now + self.takes, self.written + 1
 
     def monotonic(self):
@@ -447,11 +442,12 @@ class SlowPlace:
 
 @pytest.mark.parametrize(("takes", "pause"), [(0.0, 1.0), (0.5, 10.0)])
 def test_a_manifest_is_written_once_a_second_and_takes_a_twentieth_of_the_time(
-    takes, pause, monkeypatch
+    takes, pause, monkeypatch, tmp_path
 ):
-    place = SlowPlace(takes)
+    place = SlowDisk(takes)
     monkeypatch.setattr("hiros_mcap.many.manifest.time", place)
-    manifest, record = Manifest("process", place), LogRecord("/a.mcap", "a", "done")
+    monkeypatch.setattr("hiros_mcap.many.manifest.write_text", place.write_text)
+    manifest, record = Manifest("process", tmp_path), LogRecord("/a.mcap", "a", "done")
     manifest.add(record)
     place.now += 0.9 * pause
     manifest.add(record)

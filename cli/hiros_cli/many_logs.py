@@ -22,7 +22,6 @@ from hiros_mcap.errors import ConfigError
 if TYPE_CHECKING:
     from hiros_mcap.many.jobs import Job
     from hiros_mcap.many.manifest import LogRecord
-    from hiros_mcap.many.run_logs import Runner
 
 _ALL_ROWS = 40
 _LONGEST_REASON = 200
@@ -40,11 +39,6 @@ class ManyLogs:
         show_default="0",
         panel=MANY,
     )
-    cluster: str | None = option(
-        "ADDRESS",
-        "Run on a Dask cluster: its address, or a scheduler file (.json).",
-        panel=MANY,
-    )
     csv: Path | None = option("FILE", "Also write the table of all logs as CSV.", panel=MANY)
     force: bool = FORCE
     json: bool = JSON
@@ -58,7 +52,7 @@ class ManyLogs:
         from hiros_mcap.io.remote import is_remote
         from hiros_mcap.many.find import are_many
 
-        asked = self.jobs is not None or self.cluster is not None or is_remote(folder)
+        asked = self.jobs is not None or is_remote(folder)
         if not (asked or are_many(logs)):
             self.refuse_alone()
             return False
@@ -91,18 +85,21 @@ def run(job: Job, named: Sequence[str], many: ManyLogs, folder: str = "") -> NoR
 
     Raises HirosError or OSError if the logs are not found, or the folder cannot be written.
     """
+    from hiros_mcap.io.remote import is_remote
     from hiros_mcap.many.find import find_logs
-    from hiros_mcap.many.run_logs import as_csv, run_logs, to_dict
+    from hiros_mcap.many.run_logs import as_csv, in_processes, run_logs, to_dict
     from hiros_mcap.outputs import write_text
 
     check_outputs((many.csv, "table of logs"), inputs=(), force=many.force)
+    if is_remote(folder):
+        raise ConfigError(f"{folder}: results go to a folder of this machine; name it with -o")
     logs = find_logs(named, folder)
     if folder.endswith((".mcap", ".json", ".csv")) and not Path(folder).is_dir():
         raise ConfigError(f"{folder}: with many logs, -o names a folder, not a file")
     _name_settings(job, logs)
     by_log: dict[str, LogRecord] = {}
     with _follower(len(logs), quiet=many.quiet) as follower:
-        runner = _runner(many, logs, folder)
+        runner = in_processes(many.jobs or 0)
         try:
             for record, is_new in run_logs(job, logs, folder, runner, force=many.force):
                 by_log[record.log] = record
@@ -144,17 +141,6 @@ def exit_code(records: Sequence[LogRecord]) -> int:
         if verdict in verdicts:
             return code
     return 0
-
-
-def _runner(many: ManyLogs, logs: Sequence[str], folder: str) -> Runner:
-    from hiros_mcap.many.run_logs import in_processes
-
-    if many.cluster is None:
-        return in_processes(many.jobs or 0)
-    from hiros_mcap.many.cluster_runner import on_cluster
-
-    paths = [*logs[:1], *([folder] if folder else [])]
-    return on_cluster(many.cluster, paths)
 
 
 def short(log: str) -> str:

@@ -68,8 +68,6 @@ def find_logs(named: Sequence[str], leave_out: str = "") -> list[str]:
             raise _no_match(text)
         if not logs:
             raise ConfigError(f"{text}: there is no log (.mcap, .bag, .db3 or ROS 2 bag folder)")
-        if remote.is_remote(leave_out):
-            logs = [one for one in logs if not one.startswith(leave_out.rstrip("/") + "/")]
         distinct.update(dict.fromkeys(logs))
     return list(distinct)
 

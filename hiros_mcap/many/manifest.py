@@ -17,7 +17,7 @@ from pydantic import AfterValidator, TypeAdapter, ValidationError
 
 from hiros_mcap._version import __version__
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io.remote import Place
+from hiros_mcap.outputs import write_text
 from hiros_mcap.wording import plain
 
 Verdict = Literal["done", "doubtful", "recovered", "equal", "different", "skipped", "failed"]
@@ -25,7 +25,7 @@ Verdict = Literal["done", "doubtful", "recovered", "equal", "different", "skippe
 golden file; skipped: not a log for this command; failed: see the error."""
 _PERIOD_S = 1.0
 _SHARE = 20
-"""A manifest that takes 1 s to write, such as a remote one, is written every 20 s."""
+"""A manifest that takes 1 s to write, as on a slow disk, is written every 20 s."""
 
 
 def _checked_name(text: str) -> str:
@@ -92,24 +92,24 @@ _CONTENT = TypeAdapter(_Content)
 
 
 class Manifest:
-    """The records of a folder, by log; a manifest without a place is kept in memory only."""
+    """The records of a folder, by log; a manifest without a folder is kept in memory only."""
 
-    def __init__(self, command: str, place: Place | None = None) -> None:
+    def __init__(self, command: str, folder: Path | None = None) -> None:
         self.command = command
         self.records: dict[str, LogRecord] = {}
-        self._place = place
-        self._file = f"hiros-{command}.json"
+        self._file = None if folder is None else folder / f"hiros-{command}.json"
         self._next = 0.0
         self._changed = False
-        if place is not None and (text := place.read_text(self._file)) is not None:
-            self.records = {record.log: record for record in self._parsed(text)}
+        if self._file is not None and self._file.exists():
+            self.records = {record.log: record for record in self._read(self._file)}
 
-    def _parsed(self, text: str) -> Iterable[LogRecord]:
+    @staticmethod
+    def _read(file: Path) -> Iterable[LogRecord]:
         try:
-            return _CONTENT.validate_json(text).logs
+            return _CONTENT.validate_json(file.read_bytes()).logs
         except ValidationError:
             raise ConfigError(
-                f"{self._place}/{self._file}: is not a manifest of this version of hiros; choose "
+                f"{file}: is not a manifest of this version of hiros; choose "
                 "another folder, or remove the file to begin anew"
             ) from None
 
@@ -122,12 +122,12 @@ class Manifest:
 
     def save(self) -> None:
         """Write the manifest if there is anything new."""
-        if self._place is None or not self._changed:
+        if self._file is None or not self._changed:
             return
         start = time.monotonic()
         logs = [self.records[log] for log in sorted(self.records)]
         data = plain(_Content("hiros.manifest", 1, self.command, logs))
-        self._place.write_text(self._file, json.dumps(data, indent=1) + "\n")
+        write_text(self._file, json.dumps(data, indent=1) + "\n")
         self._changed = False
         end = time.monotonic()
         self._next = end + max(_PERIOD_S, _SHARE * (end - start))

@@ -20,12 +20,11 @@ import socket
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from statistics import fmean, median
-from threading import Lock
 from typing import Any
 
 from pydantic import BaseModel
@@ -33,11 +32,10 @@ from pydantic import BaseModel
 from hiros_mcap.errors import HirosError, LogError
 from hiros_mcap.io import remote
 from hiros_mcap.io.log import digest_of
-from hiros_mcap.io.remote import Place, place_of
 from hiros_mcap.many.find import base_name, distinct_names
 from hiros_mcap.many.jobs import Job
 from hiros_mcap.many.manifest import Identity, LogRecord, Manifest
-from hiros_mcap.outputs import remove_parts
+from hiros_mcap.outputs import check_outputs, remove_parts
 from hiros_mcap.wording import plain, plain_value
 from hiros_mcap.workers import run_tasks
 
@@ -61,20 +59,21 @@ def run_logs(
     Parameters
     ----------
     logs : absolute paths or addresses, see :func:`hiros_mcap.many.find.find_logs`.
-    folder : where the results go, a path or an address; "" keeps nothing.
+    folder : where the results go; "" keeps nothing.
     force : replace files that hiros did not write.
 
     Raises LogError if the folder cannot be written, or a file in it must not be replaced;
     ConfigError if the manifest is damaged.
     """
     with ExitStack() as stack:
-        place = place_of(folder) if folder else None
+        place = Path(folder).absolute() if folder else None
+        sizes = {}
         if place is not None:
-            place.create()
-            stack.enter_context(place.locked())
+            _create(place)
+            stack.enter_context(locked(place))
+            sizes = {path.name: path.stat().st_size for path in place.iterdir() if path.is_file()}
         manifest = Manifest(job.command, place)
         planned = _planned(job, logs, manifest)
-        sizes = {} if place is None else place.sizes()
         done = {
             r.log: old for r in planned if (old := manifest.knows(r, sizes)) and _is_same(r, old)
         }
@@ -82,12 +81,12 @@ def run_logs(
         if place is not None and job.suffix:
             names = {record.name for record in todo}
             ours = manifest.exported() if job.kind == "export" else {}
-            there = [
-                file
-                for file, size in sizes.items()
-                if _base(file, job.suffix) in names and ours.get(file) != size
-            ]
-            place.check(there, job.kind, logs, force)
+            inputs = [log for log in logs if not remote.is_remote(log)]
+            beside = [log for log in inputs if Path(log).parent.resolve() == place.resolve()]
+            for file, size in sizes.items():
+                if _base(file, job.suffix) in names and ours.get(file) != size:
+                    output = [(place / file, job.kind)]
+                    check_outputs(output, beside, force=force, remedy="--force")
         for former in done.values():
             yield former, False
 
@@ -96,12 +95,47 @@ def run_logs(
             return replace(todo[k], verdict="failed", error=error)
 
         tasks = [(job, record, folder) for record in todo]
-        if folder and not remote.is_remote(folder):
-            stack.callback(remove_parts, Path(folder))
+        if place is not None:
+            stack.callback(remove_parts, place)
         stack.callback(manifest.save)
         for _, record in runner(run_one, tasks, lost=lost):
             manifest.add(record)
             yield record, True
+
+
+def _create(folder: Path) -> None:
+    """Make a folder unless it is there; raises LogError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        is_file = isinstance(error, FileExistsError | NotADirectoryError)
+        reason = "it is a file" if is_file else error.strerror or error
+        raise LogError(f"is no folder that can be written: {reason}", path=folder) from None
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keep other runs away from a folder; the lock ends with the process, however it ends.
+
+    Raises LogError if another run has it.
+    """
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            fault = "another run of hiros writes there; wait for it, or choose another folder"
+            raise LogError(fault, path=folder) from None
+        except OSError:
+            pass  # not every file system has locks
+        yield
+    finally:
+        os.close(handle)
 
 
 def _base(file: str, suffix: str) -> str:
@@ -161,45 +195,37 @@ def _settings(job: Job) -> bytes:
     return f"{job.command}\n{settings}\n".encode()
 
 
-_one_at_a_time = Lock()
-"""A worker of a cluster may have several threads; they would only wait for each other."""
-
-
 def run_one(job: Job, record: LogRecord, folder: str) -> LogRecord:
     """Do the work for one log; whatever is wrong with it becomes the record."""
-    with _one_at_a_time:
-        start = time.perf_counter()
-        try:
-            record = _run(job.of(record.log), record, place_of(folder) if folder else None)
-        except (HirosError, OSError) as error:
-            record = replace(record, verdict="failed", error=_in_one_line(error, record.log))
-        except MemoryError:
-            record = replace(record, verdict="failed", error="not enough memory; use fewer --jobs")
-        except Exception as error:  # noqa: BLE001 - a fault of hiros must not stop the others
-            what = f"{type(error).__name__}: {error}"
-            record = replace(record, verdict="failed", error=f"bug: {what}", bug=True)
-        worker = f"{socket.gethostname()}:{os.getpid()}"
-        return replace(record, seconds=time.perf_counter() - start, worker=worker)
+    start = time.perf_counter()
+    try:
+        record = _run(job.of(record.log), record, Path(folder).absolute() if folder else None)
+    except (HirosError, OSError) as error:
+        record = replace(record, verdict="failed", error=_in_one_line(error, record.log))
+    except MemoryError:
+        record = replace(record, verdict="failed", error="not enough memory; use fewer --jobs")
+    except Exception as error:  # noqa: BLE001 - a fault of hiros must not stop the others
+        what = f"{type(error).__name__}: {error}"
+        record = replace(record, verdict="failed", error=f"bug: {what}", bug=True)
+    worker = f"{socket.gethostname()}:{os.getpid()}"
+    return replace(record, seconds=time.perf_counter() - start, worker=worker)
 
 
-def _run(job: Job, record: LogRecord, place: Place | None) -> LogRecord:
+def _run(job: Job, record: LogRecord, folder: Path | None) -> LogRecord:
     with ExitStack() as stack:
         # Compared with what is there before: a log may change while it is read.
         identity = identity_of(record.log)
         log = stack.enter_context(remote.local_copy(record.log))
-        with ExitStack() as output:
-            target = Path()
-            if place is not None and job.suffix:
-                target = output.enter_context(place.writing()) / (record.name + job.suffix)
-            try:
-                finding = job.run(log, target)
-            except HirosError as error:
-                raise HirosError(str(error).replace(str(log), record.log)) from error
-            files = {file.name: file.stat().st_size for file in finding.files}
+        target = folder / (record.name + job.suffix) if folder and job.suffix else Path()
+        try:
+            finding = job.run(log, target)
+        except HirosError as error:
+            raise HirosError(str(error).replace(str(log), record.log)) from error
+        files = {file.name: file.stat().st_size for file in finding.files}
         sha256, verdict = finding.sha256, finding.verdict
         if verdict == "done":
             verdict = "recovered" if finding.losses else "doubtful" if finding.warnings else "done"
-        if place is not None and not sha256:
+        if folder is not None and not sha256:
             with digest_of(log) as digest:
                 sha256 = digest.result()
         return replace(

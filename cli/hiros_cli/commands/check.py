@@ -65,7 +65,7 @@ def check(
     is_many = not is_suite and many.wanted(targets)
     for_log = {"golden": golden, "tolerances": tolerances, "channel": channel}
     for_suite = {"only": only, "keep": keep, "junit": junit, "markdown": markdown}
-    wrong = {**for_log, "cluster": many.cluster} if is_suite else for_suite
+    wrong = for_log if is_suite else for_suite
     target_kind = "a suite" if is_suite else "an output; a suite's name ends in .toml"
     for name, value in wrong.items():
         if value:
