@@ -65,9 +65,19 @@ def guessing_cameras(posed: PosedViews, mirror: Ints) -> dict[str, DepthErrors]:
         return {}
     # Wrong poses and clocks also make people disagree, but better ones are found for these.
     refined = refine_together(views, given, mirror, FROM_GIVEN)
-    errors = zip(views, depth_errors(views, refined.rig, mirror), strict=True)
-    found = {view.name: error for view, error in errors if error.is_guess}
-    return found if len(found) > 1 else {}
+    known = [*zip(views, depth_errors(views, refined.rig, mirror), strict=True)]
+    guessing = [view for view, error in known if error.is_guess]
+    if len(guessing) < 2:
+        return {}
+    # A camera with the joints of most others, which guess, has their detector.
+    alike = [joints_of(view) for view in guessing if 2 * len(guessing) > len(views)]
+    return {view.name: error for view, error in known if error.is_guess or joints_of(view) in alike}
+
+
+def joints_of(view: CameraView) -> frozenset[int]:
+    """Return the joints that a camera ever shows."""
+    shown = [track.weights.any(axis=0) for track in view.tracks]
+    return frozenset(np.flatnonzero(np.any(shown, axis=0)).tolist() if shown else ())
 
 
 def depth_errors(views: Sequence[CameraView], rig: Rig, mirror: Ints) -> list[DepthErrors]:

@@ -43,6 +43,9 @@ from hiros_mcap.wording import quantity
 
 _EVER = (0, 2**63 - 1)
 _POOR_PX = 25.0  # median reprojection error beyond which poses, lenses or sizes are wrong
+_SHAPE_PX = 10.0
+"""Median distance up to which poses stay as given where depths are guessed: so is the shape of the
+body. It errs by as much from each side, and would turn the cameras by some tenths of a degree."""
 
 
 class RgbCamera(NamedTuple):
@@ -223,6 +226,8 @@ def rgb_rig(
     lenses = {c.name: c.lens for c in cameras}
     found = refine_rig(frames, lenses, poses, clocks=clocks and not given)
     _check_poses(found, frames, lenses, poses, cameras[0].model)
+    if guessed.models and not found.reason and _worst(found.before) < _SHAPE_PX:
+        found = found._replace(reason="bodies that are guessed tell no better ones")
     is_moved = refine and not found.reason
     homes = {c.name: channel.frames[0] for c, channel in zip(cameras, channels, strict=True)}
     if is_moved:

@@ -112,3 +112,12 @@ def test_a_live_run_takes_the_named_cameras_as_rays(scene, poses, tmp_path):
         results = evaluate_log(tmp_path / "live.mcap", Truth.of(scene.truth), ["/hiros/filtered"])
         errors += [result.scores.mean for result in results.values()]
     assert errors[1] < 0.5 * errors[0]
+
+
+def test_given_poses_that_are_right_stay_where_bodies_are_guessed(scene, poses, tmp_path):
+    _, summary = run(tmp_path, scene, guessed(scene, NAMES), poses)
+    assert any("stay as given" in note for note in summary.notes)
+    tilted = Rigid(from_vector(np.array([0.0, 0.04, 0.0])), np.zeros(3))
+    off = poses | {"camera_1": poses["camera_1"] @ tilted}
+    _, summary = run(tmp_path, scene, guessed(scene, NAMES), off)
+    assert any("come from the people" in note for note in summary.notes)
