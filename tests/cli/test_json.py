@@ -25,8 +25,8 @@ def documented():
     for line in (ROOT / "docs/json.md").read_text().splitlines():
         if line.startswith("## "):
             schema = line[4:-1]
-        elif schema and (found := re.match(r"\| `([^`]+)` \|", line)):
-            fields.setdefault(schema, set()).add(found[1])
+        elif schema and line.startswith("| `"):
+            fields.setdefault(schema, set()).update(re.findall(r"`([^`]+)`", line.split(" | ")[0]))
     return fields
 
 
