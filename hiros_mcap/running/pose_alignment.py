@@ -47,13 +47,11 @@ from hiros_mcap.calibrate.verdict import (
 from hiros_mcap.config import Config
 from hiros_mcap.errors import LogError
 from hiros_mcap.events import CAMERA_MOVED, Event, Events
-from hiros_mcap.frames import Block
 from hiros_mcap.io.log import Log
 from hiros_mcap.running.clock_alignment import ClockAlignment, align_clocks
 from hiros_mcap.running.process_options import Calibration
 from hiros_mcap.running.shared_frames import agreements, mended, said, shared_wrongly
 from hiros_mcap.running.summary import PoseSummary
-from hiros_mcap.stages.track.likeness import DISPLACED
 
 if TYPE_CHECKING:
     from hiros_mcap.calibrate.people import PeopleCalibration
@@ -63,7 +61,7 @@ CHECKED_S = 10.0
 WRONG_DEG, WRONG_MM = 1.0, 30.0
 """Least error of a pose that a quick check reports: it shows in the results if it stays."""
 
-_AT_ONE_TIME, _ENOUGH = 200_000_000, 2  # ns, and cameras
+_ENOUGH = 2  # cameras
 
 _NOWHERE = (
     "all cameras stand at the same place with the same orientation, so that nobody has measured "
@@ -90,8 +88,6 @@ class PoseAlignment:
     """Cameras that were moved in the middle of the log."""
     late: Event | None = None
     """A camera that was moved for too short a time to tell a pose."""
-    not_used: int = 0
-    """Detections that :meth:`without_late` left out."""
     alike: tuple[list[str], ...] = ()
     """Cameras that the log puts at one place with one orientation, where the people do not."""
     contradictions: tuple[str, ...] = ()
@@ -130,31 +126,6 @@ class PoseAlignment:
         """Whether the run uses poses other than the log's."""
         return any(camera.used for camera in self.cameras)
 
-    def without_late(self, blocks: Iterable[Block]) -> Iterator[Block]:
-        """Leave out what a camera sees after it was moved, as long as its pose is not known.
-
-        Where fewer than two other cameras see as many people, its view may be all that shows one.
-        """
-        self.not_used, late = 0, self.late
-        if late is None:
-            yield from blocks
-            return
-        latest: dict[str, tuple[int, int]] = {}  # other camera -> stamp and number of its people
-        for block in blocks:
-            kept = []
-            messages = zip(block.messages(), block.sizes.tolist(), strict=True)
-            for k, ((stamp, source, _), n) in enumerate(messages):
-                if source != late.source:
-                    latest[source] = stamp, n
-                elif stamp >= late.stamp:
-                    counts = [m for t, m in latest.values() if abs(stamp - t) <= _AT_ONE_TIME]
-                    if sum(m >= n for m in counts) >= _ENOUGH:
-                        self.not_used += n
-                        continue
-                kept.append(k)
-            if kept:
-                yield block if len(kept) == len(block) else block.select(kept)
-
     @property
     def misplaced(self) -> frozenset[str]:
         """The misfits if others fit each other: of two cameras, nobody knows which is wrong."""
@@ -174,7 +145,6 @@ class PoseAlignment:
             events.note(move.stamp, CAMERA_MOVED, source=move.camera, detail=move.distance)
         if self.late:
             events.log.append(self.late)
-            events.count(DISPLACED, self.late.source, self.not_used)
 
     def warnings(self) -> Iterator[str]:
         """Yield what makes the poses doubtful, and the remedy."""

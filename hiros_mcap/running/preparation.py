@@ -55,7 +55,7 @@ class Prepared:
         if self.clocks.causal:
             return self._causal_detections(reading)
         blocks = self.clocks.correct(reading.blocks())
-        return self.poses.without_late(self.clocks.ordered(blocks))
+        return self.clocks.ordered(blocks)
 
     def _causal_detections(self, reading: Reading) -> Iterator[Block]:
         """Correct clocks and poses by the messages so far; wait for late ones.
