@@ -51,6 +51,7 @@ from hiros_mcap.calibrate.survey import (
     FixedCamera,
     Survey,
     applied,
+    axes_in_words,
     check_frames,
     fixed_cameras,
     names_of,
@@ -126,6 +127,8 @@ def calibrate_people(
     log = with_own_frames(log, shared)
     check_frames(log)
     survey = survey or Survey(log, MOST_S, fixed=False)
+    if survey.left_handed:
+        raise LogError(survey.left_handed, path=log.path)
     views = _views(survey, corrections or {})  # tracklets
     if len(views) < 2:
         raise LogError("has one camera only; poses need two or more", path=log.path)
@@ -147,12 +150,14 @@ def calibrate_people(
     ]
     fit = solved.fit
     if fit is None:
+        _check_axes(survey, cameras)
         return PeopleCalibration(root, *_whole(cameras), tuple(cameras))
     anchor = next((c for c, view in enumerate(views) if view.frame == root), None)
     rig, gauge = _in_fixed_frame(log, fit, given, anchor)  # transforms, or the floor
     for c, camera in _placed(solved, fit, rig, given):  # verdict
         cameras[c] = camera
     _check_apart(log, shared, cameras)
+    _check_axes(survey, cameras)
     cameras = with_times(cameras, moves, log.span)
     joints = _by_joint(fit.refined, log.model)
     people_mm = 1000.0 * fit.refined.people
@@ -166,6 +171,13 @@ def _check_apart(
     for frame, channels in shared.items():
         if see_alike(names := names_of(channels), cameras):
             raise LogError(applied(names, frame), path=log.path)
+
+
+def _check_axes(survey: Survey, cameras: Sequence[CalibratedCamera]) -> None:
+    """Raise LogError if a camera has no pose whose axes seem to be left-handed."""
+    unplaced = {camera.name for camera in cameras if camera.verdict not in SURE}
+    if unplaced & survey.wrong_axes.axes.keys():
+        raise LogError(axes_in_words(survey.log, survey.wrong_axes.axes), path=survey.log.path)
 
 
 def see_alike(names: Iterable[str], cameras: Iterable[CalibratedCamera]) -> bool:

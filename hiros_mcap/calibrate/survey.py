@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from hiros_mcap.body.rotations import Rigid, to_matrix
 from hiros_mcap.calibrate.camera_views import CameraView, Sighting, sightings_from, view_of
+from hiros_mcap.calibrate.handedness import WrongAxes, left_handed
 from hiros_mcap.errors import LogError, naming
 from hiros_mcap.frames import rows_between
 from hiros_mcap.io.camera_clock import CameraTimes, ClockCorrection
@@ -90,6 +91,23 @@ class Survey:
     def is_whole(self) -> bool:
         """Whether the sightings are from the whole log."""
         return len(self._spans) == 1
+
+    @property
+    def left_handed(self) -> str:
+        """Which cameras' axes are left-handed for sure, in words with the remedy; "" if none."""
+        return axes_in_words(self.log, self.wrong_axes.axes) if self.wrong_axes.sure else ""
+
+    @cached_property
+    def wrong_axes(self) -> WrongAxes:
+        """Which cameras' axes are left-handed."""
+        cameras = fixed_cameras(self.log, camera_faults(self.log)) if self.fixed else ()
+        poses = {camera.name: camera.pose for camera in cameras if camera.movable}
+        own = dict(self.seen)
+        for name in poses.keys() & own.keys():
+            turn, place = to_matrix(poses[name].xyzw), poses[name].translation
+            positions = (self.seen[name].positions - place) @ turn
+            own[name] = own[name]._replace(positions=positions.astype(np.float32))
+        return left_handed(own, poses, self.log.model)
 
     def many(self, corrections: Mapping[str, ClockCorrection]) -> dict[str, list[Sighting]]:
         """Return what :meth:`sightings` does, of as much of the log as is useful."""
@@ -292,6 +310,18 @@ def in_own_frame(camera: FixedCamera, view: CameraView) -> CameraView:
     turn, place = to_matrix(camera.pose.xyzw), camera.pose.translation
     tracks = [track._replace(positions=(track.positions - place) @ turn) for track in view.tracks]
     return replace(view, tracks=tracks)
+
+
+def axes_in_words(log: Log, wrong: Mapping[str, str]) -> str:
+    """Say which cameras (with their axis) are left-handed, and name the option that mends it."""
+    topics = {name: c.channel.topic for c in log.cameras if c.frames for name in c.sources.values()}
+    same = len(wrong) == len(topics) and len(set(wrong.values())) == 1
+    parts, options = [], []
+    for axis in sorted(set(wrong.values())):
+        names = sorted(name for name in wrong if wrong[name] == axis)
+        parts.append(f"the axes of {in_words(names)} are left-handed: negate {axis}")
+        options += [axis] if same else [f"{topics[name]}={axis}" for name in names]
+    return f"{'; '.join(parts)} (--negate {','.join(options)})" if parts else ""
 
 
 def _seconds_with_people(seen: Mapping[str, Sequence[Sighting]]) -> int:

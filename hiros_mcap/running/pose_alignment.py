@@ -67,6 +67,7 @@ _NOWHERE = (
     "all cameras stand at the same place with the same orientation, so that nobody has measured "
     "their poses (--calibrate off uses them all the same)"
 )
+_AS_THEY_ARE = "--calibrate off takes them as they are"
 _DOUBTFUL = (
     "hiros calibrate people LOG -o cameras.toml writes what is known of doubtful poses, and "
     "--extrinsics cameras.toml uses them"
@@ -220,11 +221,14 @@ def align_cameras(
     missing = None if mode == "off" else _missing_poses(log)
     survey = Survey(log, None if missing is None else MOST_S, fixed=missing is None)
     clocks = align_clocks(log, config, reorder, survey.times)
+    if survey.left_handed and mode != "off":
+        raise LogError(f"{survey.left_handed}; {_AS_THEY_ARE}", path=log.path)
     if missing is not None:
         poses = _from_nothing(survey, clocks, missing, mode)
     elif mode == "off":
-        poses = _compared(survey, clocks, rays=rays)
-        kept = PoseAlignment(contradictions=poses.contradictions, agreements=poses.agreements)
+        poses = _compared(survey, clocks, rays=rays and not survey.left_handed)
+        contradictions = *filter(None, [survey.left_handed]), *poses.contradictions
+        kept = PoseAlignment(contradictions=contradictions, agreements=poses.agreements)
     else:
         poses = _refined_poses(survey, clocks, mode, moved=config.input.moved, rays=rays)
     if poses.guessed:
@@ -383,11 +387,14 @@ def pose_faults(log: Log) -> list[str]:
     """
     if log.far_apart:
         return []
+    survey = Survey(log, CHECKED_S)
+    if survey.left_handed:
+        return [survey.left_handed]
     faults, shared = camera_faults(log), shared_frames(log)
     cameras = sorted(camera for camera in fixed_cameras(log, faults) if camera.movable or shared)
     if len(cameras) < 2:
         return []
-    posed = compare_poses(Survey(log, CHECKED_S), {}, cameras, {})
+    posed = compare_poses(survey, {}, cameras, {})
     if wrong := shared_wrongly(log, posed.rig, or_alone=True):
         give = "hiros process and hiros calibrate people give each channel a frame of its own"
         return [f"{said(frame)}. {give}, if the people tell the poses" for frame in wrong.items()]
