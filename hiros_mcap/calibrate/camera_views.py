@@ -37,6 +37,21 @@ class CameraView:
     """s, of the lines through a joint's positions."""
 
 
+class Seen(NamedTuple):
+    """The people whom one camera saw in N frames."""
+
+    stamps: Stamps
+    """(N,) ns, as logged."""
+    log_times: Stamps
+    """(N,) ns."""
+    counts: Stamps
+    """(N,) people in each frame."""
+    positions: npt.NDArray[np.float32]
+    """(P, M, 3) of all people, m; NaN = absent."""
+    confidences: npt.NDArray[np.float32]
+    """(P, M) 0..1; NaN = not given."""
+
+
 def view_of(
     name: str, frame: str, sightings: Sequence[Sighting], mirror: Ints, shift: float = 0.0
 ) -> CameraView:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations, product
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,11 +25,9 @@ import numpy.typing as npt
 from hiros_mcap.body.body_size import AXES
 from hiros_mcap.body.forward_cues import CUES, FacingMarkers
 from hiros_mcap.body.rotations import Rigid, to_matrix
+from hiros_mcap.calibrate.camera_views import Seen
 from hiros_mcap.rays.confidence import TRIANGULATED
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
-
-if TYPE_CHECKING:
-    from hiros_mcap.calibrate.survey import Seen
 
 _SIGNS = np.array([1.0, -1.0, 1.0, 1.0])
 """Of :data:`CUES`: elbows point backwards."""

@@ -15,10 +15,9 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from hiros_mcap.body.rotations import Rigid, to_matrix
-from hiros_mcap.calibrate.camera_views import CameraView, Sighting, sightings_from, view_of
+from hiros_mcap.calibrate.camera_views import CameraView, Seen, Sighting, sightings_from, view_of
 from hiros_mcap.calibrate.handedness import WrongAxes, left_handed
 from hiros_mcap.errors import LogError, naming
 from hiros_mcap.frames import rows_between
@@ -40,21 +39,6 @@ ODD_S = 10.0
 
 Span = tuple[int, int]
 """Log times, ns."""
-
-
-class Seen(NamedTuple):
-    """The people whom one camera saw in N frames."""
-
-    stamps: Stamps
-    """(N,) ns, as logged."""
-    log_times: Stamps
-    """(N,) ns."""
-    counts: Stamps
-    """(N,) people in each frame."""
-    positions: npt.NDArray[np.float32]
-    """(P, M, 3) of all people, m; NaN = absent."""
-    confidences: npt.NDArray[np.float32]
-    """(P, M) 0..1; NaN = not given."""
 
 
 class Survey:
