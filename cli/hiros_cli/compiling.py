@@ -16,8 +16,7 @@ from time import monotonic
 
 _ADDRESSES = 512 << 20  # bytes; below that, libraries abort the program while they are loaded
 _POLL_S = 0.3
-_SILENCE_S = 60.0
-"""Where there is no bar, a line comes that often."""
+_SILENCE_S = 60.0  # where there is no bar, a line comes that often
 _SPACE = 32 << 20  # bytes; all kernels take a tenth of that
 
 

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from hiros_mcap.many.manifest import LogRecord
 
 _ALL_ROWS = 40
-_LONGEST_REASON = 200
-"""Logs up to which the table has a row for each."""
+_LONGEST_REASON = 200  # logs up to which the table has a row for each
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,8 +36,7 @@ Item = TypeVar("Item")
 Content = tuple[Sequence[str], Sequence[Sequence[str]]]
 """Header and rows: the first column is text, the others are numbers."""
 
-_SPACE = 2
-"""Between columns."""
+_SPACE = 2  # between columns
 
 
 def console() -> Console:

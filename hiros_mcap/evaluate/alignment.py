@@ -31,24 +31,16 @@ from hiros_mcap.evaluate.smoothness import lag
 from hiros_mcap.evaluate.truth import Alignment, Truth
 from hiros_mcap.skeletons import Floats
 
-_INSTANTS = 60
-"""Instants of a track on which candidates are compared."""
-_FRAMES = 3000
-"""Frames of the result on which the winner is refined."""
-_TRACKS = 6
-"""Longest tracks that candidates are made of."""
+_INSTANTS = 60  # instants of a track on which candidates are compared
+_FRAMES = 3000  # frames of the result on which the winner is refined
+_TRACKS = 6  # longest tracks that candidates are made of
 _STEP, _FINE_STEP = 0.25, 0.05
 """s between the shifts that are tried: a walking person moves 30 cm in the first."""
-_BEST = 5
-"""Shifts of a pair that are tried finely."""
-_LEAST_OVERLAP = 0.5
-"""Of the shorter of truth and track, that they have in common at a shift."""
-_STILL_M = 0.03
-"""RMS by which joints move about their mean, below which only noise moves."""
-_UNEXPLAINED = 0.5
-"""Share of a person's motion that the right shift leaves at most."""
-_NEAR_M = 0.5
-"""Median distance of a joint beyond which the truth is of something else."""
+_BEST = 5  # shifts of a pair that are tried finely
+_LEAST_OVERLAP = 0.5  # of the shorter of truth and track, that they have in common at a shift
+_STILL_M = 0.03  # RMS by which joints move about their mean, below which only noise moves
+_UNEXPLAINED = 0.5  # share of a person's motion that the right shift leaves at most
+_NEAR_M = 0.5  # median distance of a joint beyond which the truth is of something else
 
 
 def aligned(truth: Truth, channels: Mapping[str, Channel], parts: Collection[str]) -> Truth:

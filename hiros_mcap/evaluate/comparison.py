@@ -83,15 +83,11 @@ class Entry:
 class MeanDifference:
     """Mean distance of a system less that of another, on what both have, mm."""
 
-    against: str
-    """The other system."""
-    mm: float
-    """Negative: this system is nearer."""
-    low: float
-    """Lower end of the 95 % interval, mm; NaN if there are fewer than two seconds."""
+    against: str  # the other system
+    mm: float  # Negative: this system is nearer
+    low: float  # lower end of the 95 % interval, mm; NaN if there are fewer than two seconds
     high: float
-    seconds: int
-    """Blocks of a second that the interval is made of."""
+    seconds: int  # blocks of a second that the interval is made of
 
     @property
     def is_sure(self) -> bool:
@@ -117,29 +113,21 @@ class Outcome:
 
     log: str
     name: str
-    cameras: tuple[str, ...]
-    """That it was given."""
-    milliseconds: float
-    """Without compiling or loading the kernels."""
+    cameras: tuple[str, ...]  # that it was given
+    milliseconds: float  # without compiling or loading the kernels
     scores: Scores | None = None
     distance: ErrorStats | None = None
     """Of the detections where all systems have somebody; neither the error nor a bound on it."""
-    disagreement: float = float("nan")
-    """Median of these distances, mm."""
-    spread: float = float("nan")
-    """Mean of the varying distances, mm."""
-    misses: int = 0
-    """Detections at which the system has nobody, but another one has."""
-    detections: int = 0
-    """Detections at which some system has somebody."""
-    difference: MeanDifference | None = None
-    """From the first system; None for the first itself."""
+    disagreement: float = float("nan")  # median of these distances, mm
+    spread: float = float("nan")  # mean of the varying distances, mm
+    misses: int = 0  # detections at which the system has nobody, but another one has
+    detections: int = 0  # detections at which some system has somebody
+    difference: MeanDifference | None = None  # from the first system; None for the first itself
     coverage: float = float("nan")
     ids: int = 0
     limb_variation: float = float("nan")
     jitter: float = float("nan")
-    people: float = float("nan")
-    """Mean number of people in the result."""
+    people: float = float("nan")  # mean number of people in the result
 
     @property
     def error(self) -> float:
@@ -153,15 +141,13 @@ class Task:
 
     log: Path
     entry: Entry
-    sources: tuple[str, ...] | None = None
-    """Cameras to use; None = all."""
+    sources: tuple[str, ...] | None = None  # cameras to use; None = all
     truth: str | None = None
 
 
 _READ: dict[tuple[object, ...], tuple[Recording, Truth | None]] = {}
 """The recording that this process has read last, and its truth."""
-_WARM: set[tuple[str, str]] = set()
-"""Systems and chains that have run in this process."""
+_WARM: set[tuple[str, str]] = set()  # systems and chains that have run in this process
 
 
 def comparison(

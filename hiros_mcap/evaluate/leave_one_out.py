@@ -51,8 +51,7 @@ class LeftOut:
     result that is wrong."""
     distance: ErrorStats
     median: float
-    spread: float
-    """Detectors differ by centimetres all the time; systems differ in the rest."""
+    spread: float  # detectors differ by centimetres all the time; systems differ in the rest
     offset: float
     parts: Mapping[str, ErrorStats]
     joints: Mapping[str, ErrorStats]
@@ -62,16 +61,13 @@ class LeftOut:
 class SelfScores:
     """Scores of a log that need no truth: consistency, and each camera against the others."""
 
-    consistency: Consistency
-    """Of the result of all cameras, last stage."""
+    consistency: Consistency  # of the result of all cameras, last stage
     cameras: tuple[LeftOut, ...]
     disagreement: Mapping[tuple[str, str], float]
     """Median distance between the same joint in two cameras at one time, mm. Both are compared
     with the result of all, so the motion between their exposures does not count."""
-    sides: SideScores
-    """Left and right of the result of all cameras."""
-    images: tuple[ImageScores, ...] = ()
-    """Of the RGB cameras."""
+    sides: SideScores  # left and right of the result of all cameras
+    images: tuple[ImageScores, ...] = ()  # of the RGB cameras
 
 
 @dataclass(slots=True)
@@ -79,14 +75,11 @@ class _Residuals:
     """R detections of a camera that match somebody."""
 
     stamps: Stamps
-    people: Stamps
-    """(R,) row of the person in the result of the other cameras."""
-    displacement: Floats
-    """(R, M, 3) detection minus reference, m."""
+    people: Stamps  # (R,) row of the person in the result of the other cameras
+    displacement: Floats  # (R, M, 3) detection minus reference, m
     mirrored: Flags
     unmatched: int
-    detections: Stamps | Ints
-    """(R,) number of the detection among all of the camera."""
+    detections: Stamps | Ints  # (R,) number of the detection among all of the camera
 
 
 def leave_one_out(
@@ -275,8 +268,7 @@ class Distances:
     Of a truth: what each true person is in each second, with M = 1.
     """
 
-    stamps: Stamps
-    """(D,) ns."""
+    stamps: Stamps  # (D,) ns
     joints: npt.NDArray[np.float32]
     """(D, M) distance of each joint, mm; NaN where the system has nobody there, or no such joint.
     Left and right are as the camera has them."""

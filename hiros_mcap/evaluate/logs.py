@@ -51,8 +51,7 @@ from hiros_mcap.running.recording import Recording
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.systems import system_names
 
-_FIRST_MESSAGES = 100
-"""Cameras of a channel that take turns are all among them."""
+_FIRST_MESSAGES = 100  # cameras of a channel that take turns are all among them
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,11 +70,9 @@ class Consistency:
     frames: int
     people: tuple[PersonSpan, ...]
     limb_variation: float
-    limbs: Mapping[str, float]
-    """The same by link."""
+    limbs: Mapping[str, float]  # the same by link
     jitter: float
-    jitters: Mapping[str, float] = field(default_factory=dict)
-    """The same by joint."""
+    jitters: Mapping[str, float] = field(default_factory=dict)  # the same by joint
 
     @property
     def n_people(self) -> int:
@@ -87,8 +84,7 @@ class Consistency:
 class Channel:
     """The content of a channel of skeletons, in a log or after a run."""
 
-    path: Path | str
-    """The log; an address if it is remote."""
+    path: Path | str  # the log; an address if it is remote
     frames: Sequence[Frame]
     model: SkeletonModel
     skipped: Mapping[str, int] = field(default_factory=dict)
@@ -104,8 +100,7 @@ class ChannelResult:
     scores: Scores
     matches: Matches
     model: SkeletonModel
-    skipped: Mapping[str, int]
-    """Messages that gave no frame, by reason."""
+    skipped: Mapping[str, int]  # messages that gave no frame, by reason
     coverage: EllipsoidCoverage | None = None
     """Whether its uncertainty is right; None if it states none."""
 

@@ -20,18 +20,15 @@ MATCH_DISTANCE = 1.0
 
 _NOBODY = Frame.empty(0, SkeletonModel.of([], []))
 _ROWS = "stamps", "people", "ids", "poses", "true_poses", "orientations", "true_orientations"
-_CHUNK = 256
-"""Instants at which the truth is interpolated at once."""
+_CHUNK = 256  # instants at which the truth is interpolated at once
 
 
 @dataclass(frozen=True, slots=True)
 class Track:
     """One id over T frames."""
 
-    stamps: Stamps
-    """(T,) ns."""
-    poses: Floats
-    """(T, M, 3) m."""
+    stamps: Stamps  # (T,) ns
+    poses: Floats  # (T, M, 3) m
 
 
 def tracks_of(frames: Iterable[Frame]) -> dict[int, Track]:
@@ -50,30 +47,22 @@ def tracks_of(frames: Iterable[Frame]) -> dict[int, Track]:
 class Matches:
     """R matched skeletons of a channel, and what was not matched."""
 
-    stamps: Stamps
-    """(R,) ns."""
-    people: Stamps
-    """(R,) row of the true person in the truth."""
-    ids: Ints
-    """(R,) id of the skeleton."""
-    poses: Floats
-    """(R, M, 3) m."""
+    stamps: Stamps  # (R,) ns
+    people: Stamps  # (R,) row of the true person in the truth
+    ids: Ints  # (R,) id of the skeleton
+    poses: Floats  # (R, M, 3) m
     true_poses: Floats
-    orientations: Floats
-    """(R, L, 4) x y z w."""
+    orientations: Floats  # (R, L, 4) x y z w
     true_orientations: Floats
-    tracks: Mapping[int, Track] = field(default_factory=dict)
-    """Every id, matched or not."""
+    tracks: Mapping[int, Track] = field(default_factory=dict)  # every id, matched or not
     frames: int = 0
     span: tuple[int, int] | None = None
     """Stamps of the first and the last frame, ns, also of those that the truth does not cover."""
     similarities: list[FrameSimilarity] = field(default_factory=list)
     missed: list[Flags] = field(default_factory=list)
     """(M,) each: which markers the truth has of a true person whom no skeleton matches."""
-    false: int = 0
-    """Skeletons that match nobody; those of a partial truth are of somebody else."""
-    silent: int = 0
-    """Instants with people but without a frame; see :func:`silent_instants`."""
+    false: int = 0  # skeletons that match nobody; those of a partial truth are of somebody else
+    silent: int = 0  # instants with people but without a frame; see :func:`silent_instants`
     nearest: float = math.inf
     """Least distance of a skeleton from a true person, mean over joints, m."""
 
@@ -88,8 +77,7 @@ SHORTEST_NS = 50_000_000
 """A step between frames that is not longer is never silence."""
 _IRREGULAR_NS = 100_000_000
 """Cameras that take turns make steps of many lengths, up to this one; longer steps are gaps."""
-_SLACK = 1.5
-"""Silence is longer than this many usual steps, so that one lost frame counts."""
+_SLACK = 1.5  # silence is longer than this many usual steps, so that one lost frame counts
 _ENDS_NS = 100_000_000
 """Cameras and truth do not start and stop together: shorter silence at the ends does not count."""
 
@@ -227,12 +215,9 @@ def _median_text(positions: Floats) -> str:
 
 
 _LEAST_SECONDS = 2.0
-_LEAST_SHARE = 0.25
-"""Of the scored frames, that somebody without a label is there."""
-_UNMATCHED = 0.9
-"""Of his frames, that no true person matches."""
-_WALKS_M = 0.5
-"""RMS distance of somebody who walks about from his own mean position."""
+_LEAST_SHARE = 0.25  # of the scored frames, that somebody without a label is there
+_UNMATCHED = 0.9  # of his frames, that no true person matches
+_WALKS_M = 0.5  # RMS distance of somebody who walks about from his own mean position
 _LEAST_MATCHED = 0.5
 """Of all true people and instants: a result that finds fewer says nothing about the truth."""
 

@@ -31,27 +31,21 @@ _TEX = {c: f"\\{c}" for c in "&%$#_{}"} | {
 class Measure:
     """A number that says how good something is."""
 
-    name: str
-    """In golden files, thresholds and tables of many logs."""
-    title: str
-    """Of its column."""
+    name: str  # in golden files, thresholds and tables of many logs
+    title: str  # of its column
     unit: str
-    text: str
-    """Definition, for a legend."""
+    text: str  # definition, for a legend
     floor: float = 0.0
     """Changes up to this never count in a check; 0 for counts, which may not get worse at all."""
     digits: int = 1
     better: Literal["less", "more", "same", "near 0"] = "less"
     at: str = ""
     """Path in the scores, and in JSON below them, of attributes or keys; "" is the name."""
-    sd: str = ""
-    """Path of its standard deviation, if the column shows that beside it."""
+    sd: str = ""  # path of its standard deviation, if the column shows that beside it
     interval: tuple[str, str] = ("", "")
     """Paths of the ends of its 95 % interval, which files of tables have."""
-    scale: float = 1.0
-    """Number in the scores -> number in the unit."""
-    is_optional: bool = False
-    """Whether there is no column if no row has it."""
+    scale: float = 1.0  # number in the scores -> number in the unit
+    is_optional: bool = False  # whether there is no column if no row has it
 
     @property
     def field(self) -> str:
@@ -267,15 +261,12 @@ class Sheet(NamedTuple):
     """A table before its numbers become text."""
 
     title: str
-    first: str
-    """Title of the column of names."""
+    first: str  # title of the column of names
     rows: Sequence[tuple[str, object]]
     """Names and the scores from which the measures take their numbers."""
     measures: Sequence[Measure]
-    unit: str = ""
-    """Of all measures that have one of this kind, which the title states."""
-    log: str = ""
-    """Which log it is of, if there are sheets of several."""
+    unit: str = ""  # of all measures that have one of this kind, which the title states
+    log: str = ""  # which log it is of, if there are sheets of several
 
     @property
     def columns(self) -> list[Measure]:

@@ -16,8 +16,7 @@ from hiros_mcap.skeletons import Floats, Stamps
 
 ALPHAS = np.arange(0.05, 0.99, 0.05)
 """Similarities at which a match counts, averaged over by HOTA (Luiten et al. 2021, eq. 10)."""
-_KEEP = 1000.0
-"""Bonus of a pair that the frame before had, over any similarity."""
+_KEEP = 1000.0  # bonus of a pair that the frame before had, over any similarity
 _TINY = 1e-12
 
 
@@ -27,24 +26,18 @@ class FrameSimilarity:
 
     true_ids: tuple[int, ...]
     ids: tuple[int, ...]
-    similarity: Floats
-    """(true, found) 0..1."""
+    similarity: Floats  # (true, found) 0..1
 
 
 @dataclass(frozen=True, slots=True)
 class TrackingScores:
     """The three families of tracking measures, 0..1 but for MOTA, which may be negative."""
 
-    mota: float
-    """1 - (missing + false + switches) / true (Bernardin and Stiefelhagen 2008)."""
-    motp: float
-    """Mean similarity of the matches."""
-    switches: int
-    """Id switches by CLEAR MOT, which keeps a match as long as it is possible."""
-    idf1: float
-    """F1 of the one-to-one map from true people to ids (Ristani et al. 2016)."""
-    hota: float
-    """Luiten et al. 2021: mean over similarities of sqrt(DetA AssA)."""
+    mota: float  # 1 - (missing + false + switches) / true (Bernardin and Stiefelhagen 2008)
+    motp: float  # mean similarity of the matches
+    switches: int  # id switches by CLEAR MOT, which keeps a match as long as it is possible
+    idf1: float  # F1 of the one-to-one map from true people to ids (Ristani et al. 2016).
+    hota: float  # luiten et al. 2021: mean over similarities of sqrt(DetA AssA).
 
 
 def tracking_scores(frames: Sequence[FrameSimilarity]) -> TrackingScores:

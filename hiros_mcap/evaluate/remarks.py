@@ -13,10 +13,8 @@ from hiros_mcap.evaluate.truth import Truth, shared_links, shared_markers
 
 _GAIN, _GAIN_MM = 0.1, 1.0
 """Share of the mean error, and mm, that another time of the truth takes away at least."""
-_NEAR_END_MS = 30
-"""A lag so near to the longest one that is tried may be longer."""
-_MANY_FALSE = 0.1
-"""False people per frame that may be people whom the truth lacks."""
+_NEAR_END_MS = 30  # a lag so near to the longest one that is tried may be longer
+_MANY_FALSE = 0.1  # false people per frame that may be people whom the truth lacks
 
 
 def warnings_of(

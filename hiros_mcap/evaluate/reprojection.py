@@ -23,8 +23,7 @@ from hiros_mcap.io.log import Source, open_log, reading
 from hiros_mcap.io.rgb_cameras import RgbCamera, poses_of, read_rgb_cameras
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
 
-_CHUNK = 256
-"""Images whose people are projected at once."""
+_CHUNK = 256  # images whose people are projected at once
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +60,7 @@ class ImageScores:
     """An RGB camera against results; see :data:`measures.REPROJECTION`."""
 
     topic: str
-    result: Reprojection
-    """Against the result of all cameras."""
+    result: Reprojection  # against the result of all cameras
     left_out: Reprojection | None = None
     """Against the result of the others; None if it was not left out."""
 

@@ -61,8 +61,7 @@ class Scores:
     mean_at_lag: float
     first_frames: float
     missing: int
-    false: int | None
-    """None if the truth is partial."""
+    false: int | None  # none if the truth is partial
     switches: int
     frames: int
     silent: int
@@ -76,8 +75,7 @@ class Scores:
     link_angles: Mapping[str, AngleStats] = field(default_factory=dict)
     signed_angles: Mapping[str, AngleStats] = field(default_factory=dict)
     """Of the signed joint angles of body.anatomy, those that the markers give."""
-    mean_low: float = np.nan
-    """Lower end of the 95 % interval of the mean, over blocks of a second."""
+    mean_low: float = np.nan  # lower end of the 95 % interval of the mean, over blocks of a second
     mean_high: float = np.nan
 
     @property
@@ -285,13 +283,10 @@ _SQUARE_68, _SQUARE_95 = 3.5059, 7.8147
 class EllipsoidCoverage:
     """Shares of the true joints; right are 0.68 and 0.95."""
 
-    joints: int
-    """Joints whose uncertainty and truth are known."""
-    within_68: float
-    """Share inside the ellipsoid that holds 68 % of a normal distribution."""
+    joints: int  # joints whose uncertainty and truth are known
+    within_68: float  # share inside the ellipsoid that holds 68 % of a normal distribution
     within_95: float
-    ratio: float
-    """Root mean square of error / stated standard deviation, per axis: 1 is right."""
+    ratio: float  # root mean square of error / stated standard deviation, per axis: 1 is right
 
     def __str__(self) -> str:
         return (

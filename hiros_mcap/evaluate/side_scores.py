@@ -35,14 +35,11 @@ far from its line when it is bent by about 15 degrees; a straight one points any
 class FacingTrack:
     """Where one person was and faced at T instants."""
 
-    stamps: Stamps
-    """(T,) ns, increasing."""
-    facing: Floats
-    """(T, 3) unit vectors at a right angle to the trunk; NaN = not known."""
+    stamps: Stamps  # (T,) ns, increasing
+    facing: Floats  # (T, 3) unit vectors at a right angle to the trunk; NaN = not known
     velocity: Floats
     """(T, 3) at a right angle to the trunk, m/s; NaN = not known, or the trunk is not upright."""
-    cues: Floats
-    """(T, CUES, 3) m, in the order of body.forward_cues.CUES; 0 or NaN = not known."""
+    cues: Floats  # (T, CUES, 3) m, in the order of body.forward_cues.CUES; 0 or NaN = not known
 
     def along(self) -> tuple[Floats, Floats]:
         """(T,) Speed, m/s, and cosine between facing and walking direction."""
@@ -55,12 +52,9 @@ class FacingTrack:
 class SideScores:
     """Signs that left and right of a result are wrong."""
 
-    walking: int
-    """Frames, summed over people, in which somebody is faster than WALKING."""
-    backwards: int
-    """Those of them in which he faces away from where he goes."""
-    jumps: int
-    """How often the facing turns by more than 100 degrees from one frame to the next."""
+    walking: int  # frames, summed over people, in which somebody is faster than WALKING
+    backwards: int  # those of them in which he faces away from where he goes
+    jumps: int  # how often the facing turns by more than 100 degrees from one frame to the next
     contradicting: Mapping[str, float]
     """Cue -> share of the frames that show it in which it points backwards."""
     mirrored: Mapping[str, int]

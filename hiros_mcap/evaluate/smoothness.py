@@ -14,12 +14,9 @@ from hiros_mcap.skeletons import Floats, SkeletonModel
 MOST_MS = 180
 """Longest delay that is tried: filters of this field lag by up to 150 ms, clocks err either way."""
 _COARSE_MS, _FINE_MS = 30, 5
-_SAMPLES = 400
-"""The lag is measured on about this many matches; more do not change it."""
-_STANDS_STILL = 4e-6
-"""m2: somebody who moves less than 2 mm in 60 ms shows no lag."""
-_PAUSE = 2.5
-"""Usual steps: a longer one interrupts a track."""
+_SAMPLES = 400  # the lag is measured on about this many matches; more do not change it
+_STANDS_STILL = 4e-6  # m2: somebody who moves less than 2 mm in 60 ms shows no lag
+_PAUSE = 2.5  # usual steps: a longer one interrupts a track
 
 
 def lengths_of(poses: Floats, model: SkeletonModel) -> Floats:

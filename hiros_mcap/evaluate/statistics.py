@@ -90,8 +90,7 @@ class AngleStats:
     """Errors of a joint's angle, degrees (Hi-ROS eq. 20, with the mean and SD of the error)."""
 
     rmse: float
-    deviation: float
-    """Without the constant offset that two conventions may have."""
+    deviation: float  # without the constant offset that two conventions may have
     bias: float
     count: int
     singular: int = 0

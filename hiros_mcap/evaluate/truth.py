@@ -22,11 +22,9 @@ _Y_TO_Z = np.array([0.5**0.5, 0.0, 0.0, 0.5**0.5])
 class Alignment(NamedTuple):
     """Pose, scale and shift that :func:`hiros_mcap.evaluate.alignment.align` gives a truth."""
 
-    pose: Rigid
-    """Of the truth's frame in that of the result."""
+    pose: Rigid  # of the truth's frame in that of the result
     scale: float = 1.0
-    seconds: float = 0.0
-    """Added to the times of the truth."""
+    seconds: float = 0.0  # added to the times of the truth
 
     @property
     def degrees(self) -> float:
@@ -56,24 +54,18 @@ class Alignment(NamedTuple):
 class Truth:
     """True skeletons as arrays over time: T instants, N people."""
 
-    stamps: Stamps
-    """(T,) ns, increasing."""
-    positions: Floats
-    """(T, N, M, 3) m, NaN where a person or a marker is absent."""
-    orientations: Floats
-    """(T, N, L, 4) orientations of the links, x y z w."""
-    people: tuple[int, ...] = ()
-    """Id of each of the N people."""
-    model: SkeletonModel | None = None
-    """Of the true skeletons; None = that of the result."""
+    stamps: Stamps  # (T,) ns, increasing
+    positions: Floats  # (T, N, M, 3) m, NaN where a person or a marker is absent
+    orientations: Floats  # (T, N, L, 4) orientations of the links, x y z w
+    people: tuple[int, ...] = ()  # id of each of the N people
+    model: SkeletonModel | None = None  # of the true skeletons; None = that of the result
     partial: bool = False
     """Whether there were people besides these, of whom the truth knows nothing."""
     alignment: Alignment | None = None
     """How it was aligned with the result; None if it is as in the file."""
     from_begin: bool = False
     """Whether its times may count from the log's start, as those of motion capture files do."""
-    notes: tuple[str, ...] = ()
-    """Guesses that were made while it was read."""
+    notes: tuple[str, ...] = ()  # guesses that were made while it was read
 
     @classmethod
     def of(cls, frames: Iterable[Frame], model: SkeletonModel | None = None) -> Truth:

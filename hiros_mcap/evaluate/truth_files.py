@@ -26,15 +26,12 @@ from hiros_mcap.io.log import Source, open_log
 from hiros_mcap.io.log_accounts import zeros_in_words
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
-_LAST_TIME = 9e9
-"""s; later times do not fit into 64 bits of nanoseconds."""
+_LAST_TIME = 9e9  # s; later times do not fit into 64 bits of nanoseconds
 _LARGEST_M, _SMALLEST_M = 10.0, 0.02
 """Nobody is as large or as small as this, between any two of his markers along an axis."""
 _ENOUGH_MARKERS = 2
-_UNIT_LENGTH = 0.02
-"""By which the length of a quaternion may differ from 1: files round."""
-_ROOT = "pelvis", ""
-"""The joint from which positions count in a file that is relative to a person."""
+_UNIT_LENGTH = 0.02  # by which the length of a quaternion may differ from 1: files round
+_ROOT = "pelvis", ""  # the joint from which positions count in a file that is relative to a person
 _LINK = ("parent", "child")
 _QUATERNION = ("qx", "qy", "qz", "qw")
 

@@ -57,28 +57,22 @@ class Finding:
     values: Mapping[str, Any] = field(default_factory=dict)
     """Name of a column, with its unit -> the value that was measured."""
     verdict: Verdict = "done"
-    error: str = ""
-    """Why the log was skipped, or in what it differs."""
+    error: str = ""  # why the log was skipped, or in what it differs
     warnings: tuple[str, ...] = ()
     losses: str = ""
-    files: tuple[Path, ...] = ()
-    """Files that were written."""
-    sha256: str = ""
-    """Of the log, if the job knows it."""
+    files: tuple[Path, ...] = ()  # files that were written
+    sha256: str = ""  # of the log, if the job knows it
 
 
 class Job:
     """Does the work of a command for one log."""
 
     command: ClassVar[str]
-    kind: ClassVar[Kind] = "log"
-    """Of the output."""
+    kind: ClassVar[Kind] = "log"  # of the output
     counted: ClassVar[frozenset[str]]
     """Columns of which a sum makes sense; of the others but ``people`` the table has means."""
-    suffix: str = ""
-    """Suffix of the output, "" if there is none."""
-    settings: Settings | None = None
-    """Where the parameters come from; None = the job needs none."""
+    suffix: str = ""  # suffix of the output, "" if there is none
+    settings: Settings | None = None  # where the parameters come from; None = the job needs none
 
     def of(self, log: str) -> Self:
         """Return the job as it is done for a log, which may have parameters of its own."""
@@ -146,8 +140,7 @@ class ProcessJob(Job):
 class EvalJob(Job):
     """Scores results, or recordings after a run on them."""
 
-    settings: Settings
-    """System and parameters by which recordings are processed."""
+    settings: Settings  # system and parameters by which recordings are processed
     truth: str | None = None
     """Folder with a file of the same name for each log, or a channel; None = the log's own."""
     channels: tuple[str, ...] = ()
@@ -234,8 +227,7 @@ class EvalJob(Job):
 class CheckJob(Job):
     """Compares results with golden files of the same names."""
 
-    golden: Path
-    """Folder."""
+    golden: Path  # folder
     tolerances: Tolerances | None = None
     channels: tuple[str, ...] = ()
     bless: bool = False

@@ -24,8 +24,7 @@ Verdict = Literal["done", "doubtful", "recovered", "equal", "different", "skippe
 """done; doubtful: done, with warnings; recovered: done, with losses; equal and different: from a
 golden file; skipped: not a log for this command; failed: see the error."""
 _PERIOD_S = 1.0
-_SHARE = 20
-"""A manifest that takes 1 s to write, as on a slow disk, is written every 20 s."""
+_SHARE = 20  # a manifest that takes 1 s to write, as on a slow disk, is written every 20 s
 
 
 def _checked_name(text: str) -> str:
@@ -42,10 +41,8 @@ FileName = Annotated[str, AfterValidator(_checked_name)]
 class Identity:
     """By which an input is known."""
 
-    size: int
-    """Bytes; of a folder, those of its files."""
-    modified: str
-    """Time of the last change, or what a server gives instead."""
+    size: int  # Bytes; of a folder, those of its files
+    modified: str  # time of the last change, or what a server gives instead
     sha256: str = ""
 
 
@@ -53,15 +50,12 @@ class Identity:
 class LogRecord:
     """Outcome of one log."""
 
-    log: str
-    """Absolute path or address."""
-    name: FileName
-    """By which its files in the output folder are called."""
+    log: str  # absolute path or address
+    name: FileName  # by which its files in the output folder are called
     verdict: Verdict
     error: str = ""
     warnings: tuple[str, ...] = ()
-    losses: str = ""
-    """Losses of a damaged log, one line."""
+    losses: str = ""  # losses of a damaged log, one line
     values: Mapping[str, Any] = field(default_factory=dict)
     """Values that were measured: columns of the table of all logs."""
     files: Mapping[FileName, int] = field(default_factory=dict)
@@ -70,12 +64,9 @@ class LogRecord:
     configuration: str = ""
     """SHA-256 of everything that the result depends on besides the log and the version."""
     version: str = __version__
-    seconds: float = 0.0
-    """Time that it took, s."""
-    worker: str = ""
-    """Which process did it."""
-    bug: bool = False
-    """Whether the error is a fault of hiros."""
+    seconds: float = 0.0  # time that it took, s
+    worker: str = ""  # which process did it
+    bug: bool = False  # whether the error is a fault of hiros
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,8 +35,7 @@ RIGID = 0.49
 benchmarks/planning.py."""
 _LIVELY = 1.0
 """Power of ten by which hands and feet are livelier than the trunk: one level of ``fuse``."""
-_HIDDEN = 0.5
-"""s that a joint is hidden: half a stride. A guess is new each time."""
+_HIDDEN = 0.5  # s that a joint is hidden: half a stride. A guess is new each time.
 MEAN_OF_NORMAL = 2 * np.sqrt(2 / np.pi) / np.sqrt(3)
 """Mean length of a normal error in space, to its root mean square."""
 
@@ -45,12 +44,9 @@ MEAN_OF_NORMAL = 2 * np.sqrt(2 / np.pi) / np.sqrt(3)
 class View:
     """Contribution of one camera, or of several together, to each joint in scenes (n, P)."""
 
-    information: Floats
-    """(n, P, J, bands) sum of 1 / S_c, s/m2."""
-    error: Floats
-    """(n, P, J, bands) sum of A_c / S_c^2, of a band's mean."""
-    cameras: Stamps
-    """(n, P) how many cameras detect the person."""
+    information: Floats  # (n, P, J, bands) sum of 1 / S_c, s/m2
+    error: Floats  # (n, P, J, bands) sum of A_c / S_c^2, of a band's mean
+    cameras: Stamps  # (n, P) how many cameras detect the person
 
     def plus(self, other: View, sign: int = 1) -> View:
         """Return both together, or without the other."""

@@ -41,8 +41,7 @@ _DIRECTIONS = np.radians([0.0, -25.0, 25.0])  # beside the direction of the room
 _AIM_HEIGHT, _AIM_FAR = 1.0, 3.5  # m; the axis meets the middle of a body, at most so far away
 _STEPS = ((0.25, 12.0, 6.0), (0.12, 6.0, 3.0))  # m along the walls, degrees aside and up
 _APART = 0.5  # m, of two cameras
-_ENOUGH = 1e-4
-"""Gain, relative to the error, for which a camera is moved."""
+_ENOUGH = 1e-4  # gain, relative to the error, for which a camera is moved
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +50,8 @@ class Outlook:
 
     error_mm: float
     """Mean error of the joints of those whom a camera sees; NaN if none sees anybody."""
-    one: float
-    """Share, 0 to 1, of these people whom at least one camera detects."""
-    two: float
-    """The same of two cameras."""
+    one: float  # share, 0 to 1, of these people whom at least one camera detects
+    two: float  # the same of two cameras
     three: float
 
 
@@ -66,10 +63,8 @@ class PlannedCamera:
     x: float
     y: float
     height: float
-    bearing_deg: float
-    """Direction of its axis over the floor, from x to y."""
-    tilt_deg: float
-    """Of its axis below the horizon."""
+    bearing_deg: float  # direction of its axis over the floor, from x to y
+    tilt_deg: float  # of its axis below the horizon
     then: Outlook
     """Outlook of the rig without this camera; for a further camera, of the rig with it."""
 
@@ -78,21 +73,17 @@ class PlannedCamera:
 class RoomPlan:
     """Cameras in a room and what is expected of them."""
 
-    params: SimulateParams
-    """The room, with its cameras' poses."""
+    params: SimulateParams  # the room, with its cameras' poses
     expected: Outlook
-    parts_mm: Mapping[str, float]
-    """Part of the body -> expected error."""
+    parts_mm: Mapping[str, float]  # part of the body -> expected error
     joints_mm: Mapping[str, float]
     cameras: Sequence[PlannedCamera]
-    further: PlannedCamera
-    """Where one more camera helps most."""
+    further: PlannedCamera  # where one more camera helps most
     floor: FloorGrid
     errors_mm: Floats
     """(rows, columns) of each cell of the floor: mean over people who face all ways; NaN where no
     camera sees anybody."""
-    two: Floats
-    """(rows, columns) share in which at least two cameras detect the person."""
+    two: Floats  # (rows, columns) share in which at least two cameras detect the person
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON, without the picture's numbers."""
@@ -181,12 +172,9 @@ class Placed(NamedTuple):
 
     pose: Rigid
     view: View
-    along: float = np.nan
-    """m along the walls, anticlockwise from the corner of least x and y."""
-    bearing: float = np.nan
-    """Direction of its axis over the floor, rad from x to y."""
-    tilt: float = np.nan
-    """rad below the horizon."""
+    along: float = np.nan  # m along the walls, anticlockwise from the corner of least x and y
+    bearing: float = np.nan  # direction of its axis over the floor, rad from x to y
+    tilt: float = np.nan  # rad below the horizon
 
     @property
     def stand(self) -> tuple[float, float, float]:

@@ -20,10 +20,8 @@ _PHASES = 8  # of a stride
 class FloorGrid:
     """The part of a room that people use, in cells."""
 
-    x: Floats
-    """(columns,) middles of the cells, m."""
-    y: Floats
-    """(rows,) m."""
+    x: Floats  # (columns,) middles of the cells, m
+    y: Floats  # (rows,) m
 
     @classmethod
     def of(cls, area: Area, cells: int) -> FloorGrid:

@@ -34,20 +34,16 @@ from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
 
 SAME_PERSON = 0.3
 """m, mean joint distance: closer skeletons of two results are of the same person."""
-_BATCH = 256
-"""Skeletons that are compared at once."""
+_BATCH = 256  # skeletons that are compared at once
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
     """Something that was, and is not any more."""
 
-    where: str
-    """Channel, or "configuration", "calibration", "metrics", ..."""
-    what: str
-    """A parameter, a quantity, a metric."""
-    was: str
-    """In the golden file."""
+    where: str  # channel, or "configuration", "calibration", "metrics", ...
+    what: str  # a parameter, a quantity, a metric
+    was: str  # in the golden file
     now: str
     detail: str = ""
 
@@ -61,14 +57,10 @@ class Difference:
 class Divergence:
     """The first frame in which two channels differ."""
 
-    frame: int
-    """Index in the golden channel."""
-    stamp: int
-    """ns since the epoch."""
-    seconds: float
-    """Since the golden channel's first frame."""
-    what: str
-    """The difference there: person, joint, by how much."""
+    frame: int  # index in the golden channel
+    stamp: int  # ns since the epoch
+    seconds: float  # since the golden channel's first frame
+    what: str  # the difference there: person, joint, by how much
 
 
 @dataclass(slots=True)
@@ -76,8 +68,7 @@ class ChannelComparison:
     """A channel against its golden self."""
 
     topic: str
-    frames: int = 0
-    """In the golden channel."""
+    frames: int = 0  # in the golden channel
     skeletons: int = 0
     missing_frames: int = 0
     extra_frames: int = 0
@@ -89,8 +80,7 @@ class ChannelComparison:
     """New id -> frames in which the golden channel has nobody there."""
     renamed: Counter[tuple[int, int]] = field(default_factory=Counter)
     """(golden person, new id) -> frames in which the person has another id than usual."""
-    seen: Counter[int] = field(default_factory=Counter)
-    """Golden person -> frames."""
+    seen: Counter[int] = field(default_factory=Counter)  # golden person -> frames
     quantities: dict[str, QuantityComparison] = field(default_factory=dict)
     """By name, in the order of :data:`hiros_mcap.regression.quantities.QUANTITIES`."""
     first: Divergence | None = None
@@ -137,8 +127,7 @@ class Comparison:
     """An output against its golden log."""
 
     channels: list[ChannelComparison]
-    missing_channels: list[str] = field(default_factory=list)
-    """In the golden log only."""
+    missing_channels: list[str] = field(default_factory=list)  # in the golden log only
     lengths: dict[tuple[int, str], tuple[float, float]] = field(default_factory=dict)
     """(golden person, link) -> calibrated length in the golden log and now, m; NaN = none."""
 

@@ -48,15 +48,12 @@ class Quantity:
     tolerance: float
     """Distances up to this do not count, unless a file says so. The defaults forgive another
     machine, not another algorithm. In m, degrees, s and their derivatives."""
-    unit: str
-    """Of a distance as it is shown."""
-    values: str
-    """Unit of the numbers themselves."""
+    unit: str  # of a distance as it is shown
+    values: str  # unit of the numbers themselves
     read: Read
     distance: Distance
     names: Names
-    scale: float = 1.0
-    """Unit of the tolerance -> unit of a distance as it is shown."""
+    scale: float = 1.0  # unit of the tolerance -> unit of a distance as it is shown
 
     @property
     def limit(self) -> str:
@@ -224,8 +221,7 @@ def beside(golden: Path) -> Tolerances:
 class Pair:
     """The same person in a frame of the golden log and in the new one."""
 
-    index: int
-    """Of the golden frame."""
+    index: int  # of the golden frame
     was: Frame
     was_row: int
     now: Frame
@@ -243,18 +239,14 @@ class QuantityComparison:
 
     quantity: Quantity
     largest: float = 0.0
-    worst: dict[str, float] = field(default_factory=dict)
-    """Element -> its largest distance."""
+    worst: dict[str, float] = field(default_factory=dict)  # element -> its largest distance
     vanished: Counter[str] = field(default_factory=Counter)
     """Element -> skeletons in which it is absent now."""
     appeared: Counter[str] = field(default_factory=Counter)
     """Element -> skeletons in which it was absent before."""
-    place: str = ""
-    """Where the distance is largest: element, person, time."""
-    was: str = ""
-    """The numbers there in the golden log."""
-    now: str = ""
-    """The numbers there in the new one."""
+    place: str = ""  # where the distance is largest: element, person, time
+    was: str = ""  # the numbers there in the golden log
+    now: str = ""  # the numbers there in the new one
     _squares: float = 0.0
     _count: int = 0
 

@@ -141,14 +141,10 @@ class CaseResult:
 
     name: str
     status: Status
-    error: str = ""
-    """Why it cannot be compared."""
-    differences: tuple[Difference, ...] = ()
-    """Changes of parameters, version and input come first."""
-    first: tuple[tuple[str, Divergence], ...] = ()
-    """Channel and first diverging frame."""
-    notes: tuple[str, ...] = ()
-    """Which stages are equal, improvements, and what --bless accepted."""
+    error: str = ""  # why it cannot be compared
+    differences: tuple[Difference, ...] = ()  # changes of parameters, version and input come first
+    first: tuple[tuple[str, Divergence], ...] = ()  # channel and first diverging frame
+    notes: tuple[str, ...] = ()  # which stages are equal, improvements, and what --bless accepted
     metrics: dict[str, float] = field(default_factory=dict)
     seconds: float = 0.0
 
@@ -287,8 +283,7 @@ class Golden:
     """The golden file that an output is compared with."""
 
     path: Path
-    tolerances: Tolerances | None = None
-    """None = those beside the golden file, else the defaults."""
+    tolerances: Tolerances | None = None  # none = those beside the golden file, else the defaults
     channels: Sequence[str] = ()
     """Globs of the channels that a new golden log keeps; empty = the last stage's."""
 

@@ -51,19 +51,14 @@ STILL = "nobody moves enough to tell"
 class ClockAlignment:
     """The clocks of a run's cameras."""
 
-    corrections: dict[str, ClockCorrection] = field(default_factory=dict)
-    """By camera."""
+    corrections: dict[str, ClockCorrection] = field(default_factory=dict)  # by camera
     faults: list[ClockFault] = field(default_factory=list)
-    wait: float = 0.0
-    """s: how late messages are; 0 if no later than the stages can take."""
-    given: Mapping[str, float] = field(default_factory=dict)
-    """Camera -> seconds that the user adds."""
-    reorder: float = 0.0
-    """Longest time, s, by which the stages take messages that are late."""
+    wait: float = 0.0  # s: how late messages are; 0 if no later than the stages can take
+    given: Mapping[str, float] = field(default_factory=dict)  # camera -> seconds that the user adds
+    reorder: float = 0.0  # longest time, s, by which the stages take messages that are late
     times: Mapping[str, CameraTimes] = field(default_factory=dict)
     """Camera -> the times of its messages, as logged; empty unless clocks are to be found."""
-    causal: bool = False
-    """Whether each message is corrected by those before it."""
+    causal: bool = False  # whether each message is corrected by those before it
     offsets: list[tuple[int, str, float]] = field(default_factory=list)
     """From which stamp on, ns, which camera's clock is ahead by how many s, as far as found and
     corrected; 0 ns if before the run."""

@@ -42,23 +42,16 @@ faster or slower for a moment."""
 class _FollowedClock:
     """One camera: how its stamps are corrected, and its last messages."""
 
-    offset: int = 0
-    """ns, added to stamps."""
-    drift: float = 0.0
-    """Added per unit of time since ``origin``."""
-    origin: int = 0
-    """Stamp, ns, before the correction."""
-    latest: int = 0
-    """Stamp of the last message, ns, before the correction."""
-    proved: int = 0
-    """ns that are to be added to the stamps."""
-    added: int = 0
-    """ns of it that are in ``offset`` already."""
+    offset: int = 0  # ns, added to stamps
+    drift: float = 0.0  # added per unit of time since ``origin``
+    origin: int = 0  # stamp, ns, before the correction
+    latest: int = 0  # stamp of the last message, ns, before the correction
+    proved: int = 0  # ns that are to be added to the stamps
+    added: int = 0  # ns of it that are in ``offset`` already
     stamps: array[int] = field(default_factory=partial(array, "q"))
     """Corrected stamps of the last messages, ns."""
     log_times: array[int] = field(default_factory=partial(array, "q"))
-    floor: int | None = None
-    """Least lag of corrected messages, ns."""
+    floor: int | None = None  # least lag of corrected messages, ns
 
     def corrected(self, stamp: int) -> int:
         """Return a stamp without what is known to be wrong."""

@@ -28,8 +28,7 @@ class MessageRate:
 
     last: int = 0
     intervals: int = 0
-    time: int = 0
-    """ns."""
+    time: int = 0  # ns
 
     def add(self, stamps: Stamps) -> None:
         """Take note of messages, in order."""
@@ -85,10 +84,8 @@ class DetectionSample:
     """The first detections of every camera, which may tell why nobody is found."""
 
     frames: Counter[str] = field(default_factory=Counter)
-    sizes: list[float] = field(default_factory=list)
-    """Median absolute coordinate of each frame, m."""
-    all_zero: bool = True
-    """Whether every marker has the confidence 0."""
+    sizes: list[float] = field(default_factory=list)  # median absolute coordinate of each frame, m
+    all_zero: bool = True  # whether every marker has the confidence 0
 
     def add(self, block: Block) -> None:
         """Take note of the frames of cameras that are not yet known well enough."""
@@ -198,8 +195,7 @@ class Stopwatch:
     """Adds up the CPU time of steps that pull from each other in one thread."""
 
     def __init__(self) -> None:
-        self.cpu: defaultdict[str, float] = defaultdict(float)
-        """Of each step, s."""
+        self.cpu: defaultdict[str, float] = defaultdict(float)  # of each step, s
         self.started = time.perf_counter()
         self._running = ""
         self._since = cpu_time()

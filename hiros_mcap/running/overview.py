@@ -61,12 +61,10 @@ class ChannelRow:
     """A channel of the file."""
 
     topic: str
-    type: str
-    """Name of the schema, "" if there is none."""
+    type: str  # name of the schema, "" if there is none
     encoding: str
     messages: int
-    rate_hz: float
-    """Messages per second between the first and the last; NaN below two."""
+    rate_hz: float  # messages per second between the first and the last; NaN below two
     seconds: float
     """Time between the first and the last message, s; NaN without messages. Of results it is the
     time of the data, of all else the log time."""
@@ -78,14 +76,10 @@ class CameraRow:
 
     name: str
     topic: str
-    frame: str
-    """Frame of its detections, "" if no message says."""
-    fault: str
-    """Why that frame cannot be expressed in the fixed frame, "" if it can."""
-    frames: int
-    """Messages with something new in them."""
-    rate_hz: float
-    """Frames per second of the camera's own time, gaps of more than 1 s left out."""
+    frame: str  # frame of its detections, "" if no message says
+    fault: str  # why that frame cannot be expressed in the fixed frame, "" if it can
+    frames: int  # messages with something new in them
+    rate_hz: float  # frames per second of the camera's own time, gaps of more than 1 s left out
     longest_gap_s: float
     """Longest time, s, between two frames, or beyond 1 s before the first or after the last."""
     least_people: int
@@ -98,19 +92,15 @@ class KeypointRow:
     """An RGB camera whose keypoints can be read."""
 
     topic: str
-    camera: str
-    """Its optical frame."""
-    joints: str
-    """Model of the joints."""
+    camera: str  # its optical frame
+    joints: str  # model of the joints
     images: int
-    rate_hz: float
-    """Images per second; NaN below two."""
+    rate_hz: float  # images per second; NaN below two
     least_people: int
     most_people: int
     mean_people: float
     width: int
-    height: int
-    """Of the images, px."""
+    height: int  # of the images, px
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,8 +110,7 @@ class PersonRow:
     topic: str
     id: int
     frames: int
-    seconds: float
-    """Time between the first and the last frame, s."""
+    seconds: float  # time between the first and the last frame, s
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,10 +118,8 @@ class ParameterRow:
     """A parameter that is not what the preset says."""
 
     name: str
-    value: str
-    """As TOML."""
-    default: str
-    """As TOML, "" if this version of hiros has no such parameter."""
+    value: str  # as TOML
+    default: str  # as TOML, "" if this version of hiros has no such parameter
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,13 +129,10 @@ class RunRow:
     version: str
     system: str
     stages: tuple[str, ...]
-    preset: str
-    """The preset that explains most parameters, "" if the file does not hold them."""
-    changed: tuple[ParameterRow, ...]
-    """Parameters with other values than in that preset."""
+    preset: str  # the preset that explains most parameters, "" if the file does not hold them
+    changed: tuple[ParameterRow, ...]  # parameters with other values than in that preset
     fixed_frame: str
-    warnings: tuple[str, ...]
-    """Warnings of the run."""
+    warnings: tuple[str, ...]  # warnings of the run
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,29 +144,22 @@ class Overview:
     seconds: float
     """Time between the first and the last message, of the skeletons if there are any, s."""
     megabytes: float
-    has_checksums: bool
-    """Whether a damaged message would be noticed."""
+    has_checksums: bool  # whether a damaged message would be noticed
     channels: tuple[ChannelRow, ...]
     people: tuple[PersonRow, ...] = ()
     """Of the last stage's channel, or of the truth in a file with nothing else."""
-    run: RunRow | None = None
-    """How the results came about; None where there are none."""
-    fault: str = ""
-    """Why the log cannot be processed, "" if it can."""
-    fixed_frame: str = ""
-    """Frame that results would be in, "" if there is none."""
+    run: RunRow | None = None  # how the results came about; None where there are none
+    fault: str = ""  # why the log cannot be processed, "" if it can
+    fixed_frame: str = ""  # frame that results would be in, "" if there is none
     cameras: tuple[CameraRow, ...] = ()
     keypoints: tuple[KeypointRow, ...] = ()
     markers: tuple[str, ...] = ()
     links: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
-    """Reasons to doubt results of the log, with their remedies."""
-    remarks: tuple[str, ...] = ()
-    """Notes about the log."""
+    warnings: tuple[str, ...] = ()  # reasons to doubt results of the log, with their remedies
+    remarks: tuple[str, ...] = ()  # notes about the log
     skipped: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     """Messages that give nothing, by topic and reason."""
-    clocks: tuple[str, ...] = ()
-    """Faults of the cameras' clocks, by the times of the messages."""
+    clocks: tuple[str, ...] = ()  # faults of the cameras' clocks, by the times of the messages
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON; numbers that are not finite are None."""

@@ -83,12 +83,9 @@ class PoseAlignment:
     cameras: list[PoseSummary] = field(default_factory=list)
     calibration: PeopleCalibration | None = None
     """The calibration by people, if the poses were found from them alone."""
-    misfits: frozenset[str] = frozenset()
-    """Cameras whose people are not where the others see them."""
-    moves: tuple[Move, ...] = ()
-    """Cameras that were moved in the middle of the log."""
-    late: Event | None = None
-    """A camera that was moved for too short a time to tell a pose."""
+    misfits: frozenset[str] = frozenset()  # cameras whose people are not where the others see them
+    moves: tuple[Move, ...] = ()  # cameras that were moved in the middle of the log
+    late: Event | None = None  # a camera that was moved for too short a time to tell a pose
     alike: tuple[list[str], ...] = ()
     """Cameras that the log puts at one place with one orientation, where the people do not."""
     contradictions: tuple[str, ...] = ()
@@ -97,8 +94,7 @@ class PoseAlignment:
     """Cameras that publish in one frame, and see the same people at one place in it."""
     own_frames: frozenset[str] = frozenset()
     """Topics whose detections are in a frame that is called as the topic, whatever they name."""
-    poses_of: str = "the log"
-    """Source of the poses that the people's replaced."""
+    poses_of: str = "the log"  # source of the poses that the people's replaced
     to_given: Mapping[str, Rigid] = field(default_factory=dict)
     """Camera -> motion of its people back to the log's pose, where the run uses a better one."""
     better: tuple[Mapping[str, TimedPoses], str] | None = None

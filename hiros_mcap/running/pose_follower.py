@@ -57,8 +57,7 @@ _EFFORT = FROM_GIVEN._replace(points=2000, cameras=5)
 """A comparison of many people costs as much as that of one or two. With three times the points,
 live results of four to eight people are the same to .1 mm. Of many cameras, its cost grows with
 their number, not with the number of pairs."""
-_EVERY_S = 60
-"""Afterwards at all multiples of this."""
+_EVERY_S = 60  # afterwards at all multiples of this
 _TAKES = 3
 """Ticks from the beginning of a comparison to its result: it goes on beside the run, which would
 otherwise stand still for a quarter of a second."""
@@ -91,17 +90,13 @@ class PoseFollower:
         self._seen: dict[str, PeopleFollowed] = {}
         """The people that each camera sees, where the log's poses put them, at times before its
         clock was corrected."""
-        self._latest: dict[str, int] = {}
-        """Stamp of each camera's last sighting, ns."""
-        self._start = self._tick = 0
-        """Log time of the first message, ns, and ticks since then."""
+        self._latest: dict[str, int] = {}  # stamp of each camera's last sighting, ns
+        self._start = self._tick = 0  # log time of the first message, ns, and ticks since then
         self._given: dict[str, Rigid] = {}
-        self._goals: dict[str, Rigid] = {}
-        """Camera -> the better pose that is proven."""
+        self._goals: dict[str, Rigid] = {}  # camera -> the better pose that is proven
         self._poses: dict[str, Rigid] = {}
         """Camera -> the pose that is used, between the given one and the goal."""
-        self._moves: dict[str, PoseArrays] = {}
-        """Camera -> how its detections move."""
+        self._moves: dict[str, PoseArrays] = {}  # camera -> how its detections move
         self._comparison: Callable[[], None] | None = None
         """Waits for the result of the comparison that has begun, and takes it."""
 

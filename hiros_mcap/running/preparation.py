@@ -38,8 +38,7 @@ class Prepared:
     """A log, and what is known of its cameras."""
 
     log: Log
-    config: Config
-    """With the clocks of a file with poses."""
+    config: Config  # with the clocks of a file with poses
     options: ProcessOptions
     clocks: ClockAlignment
     poses: PoseAlignment

@@ -39,8 +39,7 @@ class Recording:
 
     prepared: Prepared
     blocks: Sequence[Block]
-    images: Sequence[RgbCamera] = ()
-    """RGB cameras with their keypoints, at corrected times."""
+    images: Sequence[RgbCamera] = ()  # RGB cameras with their keypoints, at corrected times
 
     @classmethod
     def read(

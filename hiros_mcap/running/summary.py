@@ -26,10 +26,8 @@ class PoseSummary:
     verdict: str
     """good: they confirm it. improved: they know a better one. doubtful: they do not know enough.
     impossible: they tell nothing, or contradict it."""
-    reason: str = ""
-    """Why it is doubtful or impossible, "" otherwise."""
-    used: bool = False
-    """Whether the run used their pose in place of the log's."""
+    reason: str = ""  # why it is doubtful or impossible, "" otherwise
+    used: bool = False  # whether the run used their pose in place of the log's
     moved_mm: float = math.nan
     """How far the pose that was used is from the log's; NaN if it is the log's, or the log has
     none."""
@@ -38,25 +36,21 @@ class PoseSummary:
     """Offset to add to its stamps by the people's motion, besides that by the times of its
     messages; NaN if no motion tells. Significant offsets are corrected: see
     :attr:`CameraSummary.clock`."""
-    error_mm: float = math.nan
-    """Standard error of the people's pose against the other cameras."""
+    error_mm: float = math.nan  # standard error of the people's pose against the other cameras
     error_deg: float = math.nan
     error_ms: float = math.nan
     since_s: float = math.nan
     """When the camera was moved to this pose, s from the log's start; NaN if it stood there from
     the start. A camera that was moved is listed twice."""
-    until_s: float = math.nan
-    """When it was moved away from this pose; NaN if it stayed."""
+    until_s: float = math.nan  # when it was moved away from this pose; NaN if it stayed
 
 
 @dataclass(frozen=True, slots=True)
 class PlacementSummary:
     """How uncertain it is where the rig as a whole stands: the people in a log cannot show it."""
 
-    error_mm: float
-    """Standard deviation of the cameras' middle along an axis."""
-    error_deg: float
-    """Standard deviation of the orientation about an axis."""
+    error_mm: float  # standard deviation of the cameras' middle along an axis
+    error_deg: float  # standard deviation of the orientation about an axis
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +61,7 @@ class DelaySummary:
     """
 
     median_s: float
-    most_s: float
-    """95 % of the results were known sooner."""
+    most_s: float  # 95 % of the results were known sooner
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,18 +72,13 @@ class CameraSummary:
     topic: str
     rate_hz: float
     """Messages per second of the camera's own time, gaps left out; NaN below two messages."""
-    messages: int
-    """Messages read from the channel."""
-    used: int
-    """Messages that contributed to results."""
+    messages: int  # messages read from the channel
+    used: int  # messages that contributed to results
     skipped: Mapping[str, int] = field(default_factory=dict)
     """Messages that were left out, by reason: not read, or read and not merged."""
-    flips: int = 0
-    """Detections left out because left and right were swapped."""
-    outliers: int = 0
-    """Markers and links left out because the other cameras disagreed."""
-    clock: tuple[ClockFault, ...] = ()
-    """Faults of the times of its messages."""
+    flips: int = 0  # detections left out because left and right were swapped
+    outliers: int = 0  # markers and links left out because the other cameras disagreed
+    clock: tuple[ClockFault, ...] = ()  # faults of the times of its messages
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,8 +88,7 @@ class ScatterSummary:
     name: str
     ratio: float
     """How many times as far as expected they are; 1 = as the model says. NaN if seen too little."""
-    worst_joint: str
-    """The joint with the largest ratio, "" if none was seen often enough."""
+    worst_joint: str  # the joint with the largest ratio, "" if none was seen often enough
     worst_ratio: float
     common: float
     """Median share, 0..1, of a person's squared residuals that is the same for all joints: near 1,
@@ -112,19 +99,15 @@ class ScatterSummary:
 class LimbSummary:
     """The calibration of one person's limb lengths."""
 
-    frames: int
-    """Frames that the lengths were measured in."""
+    frames: int  # frames that the lengths were measured in
     median_cv: float
     """Median over the links of the coefficient of variation of the measured length; NaN if not
     measured."""
     worst_cv: float
     """Largest coefficient of variation (standard deviation / mean) of a link's length."""
-    worst_link: str
-    """The link that varied most, "" if none was measured."""
-    accepted: bool
-    """False: the person passed through the optimizer unchanged."""
-    reason: str = ""
-    """Why the calibration was not accepted, "" if it was."""
+    worst_link: str  # the link that varied most, "" if none was measured
+    accepted: bool  # False: the person passed through the optimizer unchanged
+    reason: str = ""  # why the calibration was not accepted, "" if it was
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,14 +115,10 @@ class PersonSummary:
     """One person from the first to the last frame in which a camera saw them."""
 
     id: int
-    first_ns: int
-    """Stamp of the first frame, ns since the epoch."""
-    last_ns: int
-    """Stamp of the last frame, ns since the epoch."""
-    frames: int
-    """Frames of the last stage that contain the person."""
-    cameras: tuple[str, ...]
-    """Names of the cameras that saw the person."""
+    first_ns: int  # stamp of the first frame, ns since the epoch
+    last_ns: int  # stamp of the last frame, ns since the epoch
+    frames: int  # frames of the last stage that contain the person
+    cameras: tuple[str, ...]  # names of the cameras that saw the person
     predicted: int = 0
     """Frames with a confidence below 0.1: nobody saw the person, who was predicted."""
     limbs: LimbSummary | None = None
@@ -156,8 +135,7 @@ class StageTime:
     """CPU time of one step. Some steps run at the same time."""
 
     name: str
-    cpu_s: float
-    """CPU time, s."""
+    cpu_s: float  # CPU time, s
 
 
 @dataclass(frozen=True, slots=True)

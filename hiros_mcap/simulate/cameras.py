@@ -28,22 +28,15 @@ class SimulatedCamera:
 
     index: int
     kind: CameraKind
-    matrix: Floats
-    """(3, 3) true rotation from camera to world."""
-    pose: Rigid
-    """True pose in the world, of camera coordinates (x right, y down, z forward)."""
-    published: Rigid
-    """The pose on /tf_static, with the errors of a calibration."""
-    captured: Stamps
-    """(n,) when light hit the sensor, ns: true time."""
+    matrix: Floats  # (3, 3) true rotation from camera to world
+    pose: Rigid  # true pose in the world, of camera coordinates (x right, y down, z forward)
+    published: Rigid  # the pose on /tf_static, with the errors of a calibration
+    captured: Stamps  # (n,) when light hit the sensor, ns: true time
     stamped: Stamps
     """(n,) the same on the camera's own clock: the skeletons' src_time, the keypoints' stamp."""
-    sent: Stamps
-    """(n,) header.stamp: when the detector was done, on the camera's clock."""
-    logged: Stamps
-    """(n,) when the message reached the log, ns: true time."""
-    kept: Flags
-    """(n,) whether the frame arrives at all."""
+    sent: Stamps  # (n,) header.stamp: when the detector was done, on the camera's clock
+    logged: Stamps  # (n,) when the message reached the log, ns: true time
+    kept: Flags  # (n,) whether the frame arrives at all
 
     @property
     def name(self) -> str:

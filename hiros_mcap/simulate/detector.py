@@ -51,18 +51,13 @@ EXTREMITY = np.array([_extremity(marker) for marker in MARKERS])
 class SimulatedDetections:
     """The report of P detections in n frames, in the camera's coordinates."""
 
-    positions: Floats
-    """(n, P, M, 3) m."""
-    orientations: Floats
-    """(n, P, L, 4) unit quaternions x y z w."""
-    confidences: Floats
-    """(n, P, M)."""
-    guessed: Mask
-    """(n, P, M) whether the joint is not seen but guessed."""
+    positions: Floats  # (n, P, M, 3) m
+    orientations: Floats  # (n, P, L, 4) unit quaternions x y z w
+    confidences: Floats  # (n, P, M)
+    guessed: Mask  # (n, P, M) whether the joint is not seen but guessed
     invented: Mask
     """(n, P, M) whether it is behind somebody else, and the detector does not know that."""
-    present: Mask
-    """(n, P) whether the body is reported at all; the rest is meaningless where not."""
+    present: Mask  # (n, P) whether the body is reported at all; the rest is meaningless where not
 
     @classmethod
     def of(cls, n: int, people: int, confidence: float) -> SimulatedDetections:

@@ -35,14 +35,10 @@ SPIN_SECONDS = 1.107
 class Style:
     """How one person performs: nobody repeats another's movement exactly."""
 
-    side: str
-    """The preferred hand, "left" or "right"."""
-    tempo: float
-    """Speed relative to the average."""
-    phase: float
-    """Where in the action's cycle the person starts, turns."""
-    extent: float
-    """Amplitude relative to the average."""
+    side: str  # the preferred hand, "left" or "right"
+    tempo: float  # speed relative to the average
+    phase: float  # where in the action's cycle the person starts, turns
+    extent: float  # amplitude relative to the average
 
     @classmethod
     def of(cls, rng: np.random.Generator) -> Style:

@@ -40,12 +40,9 @@ _FEET = {  # Joint -> the marker that it is fixed to, x forward, y up, z to the 
 class SimulatedKeypoints(NamedTuple):
     """The report of P detections of J joints in n images."""
 
-    pixels: Floats
-    """(n, P, J, 2) px; NaN where a joint was not found."""
-    scores: Floats
-    """(n, P, J) 0 to 1."""
-    present: Mask
-    """(n, P) whether the person is reported at all."""
+    pixels: Floats  # (n, P, J, 2) px; NaN where a joint was not found
+    scores: Floats  # (n, P, J) 0 to 1
+    present: Mask  # (n, P) whether the person is reported at all
 
     def image(self, k: int) -> tuple[Floats, Floats]:
         """Pixels (P, J, 2) and scores (P, J) of one image, those with the best scores first."""

@@ -50,14 +50,10 @@ class Segment(NamedTuple):
     """Links that turn and grow together."""
 
     name: str
-    ends: tuple[str, ...]
-    """Markers at the far ends of the links."""
-    turns: float = 1.0
-    """Errors of the direction beside those of an upper arm (measured)."""
-    mistakes: float = 1.0
-    """The same of slips and guesses."""
-    lengths: float = 1.0
-    """Errors of the length beside those of a leg."""
+    ends: tuple[str, ...]  # markers at the far ends of the links
+    turns: float = 1.0  # errors of the direction beside those of an upper arm (measured)
+    mistakes: float = 1.0  # the same of slips and guesses
+    lengths: float = 1.0  # errors of the length beside those of a leg
 
 
 _MIDDLE = (
@@ -101,12 +97,9 @@ _GROUPS = (_LEFT_ARM, _RIGHT_ARM, _LEFT_LEG, _RIGHT_LEG, _WIDTHS, _HEAD, _BODY)
 class TrueView:
     """A camera's true view of a person in n frames."""
 
-    positions: Floats
-    """(n, M, 3) in the camera's coordinates, m."""
-    covered: Mask
-    """(n, M) joints that others hide, or that are out of the picture."""
-    rate: float
-    """Frames per second."""
+    positions: Floats  # (n, M, 3) in the camera's coordinates, m
+    covered: Mask  # (n, M) joints that others hide, or that are out of the picture
+    rate: float  # frames per second
 
     @property
     def speed(self) -> Floats:
@@ -132,14 +125,10 @@ class TrueView:
 class LimbErrors:
     """The errors of a view."""
 
-    turn: Floats
-    """(n, G, 3) rotation vector of each segment, rad."""
-    scale: Floats
-    """(n, G) log of its length beside the true one."""
-    shift: Floats
-    """(n, 3) of the whole body, m."""
-    joints: Floats
-    """(n, M, 3) of each joint by itself, m."""
+    turn: Floats  # (n, G, 3) rotation vector of each segment, rad
+    scale: Floats  # (n, G) log of its length beside the true one
+    shift: Floats  # (n, 3) of the whole body, m
+    joints: Floats  # (n, M, 3) of each joint by itself, m
 
     def scaled(self, noise: float) -> LimbErrors:
         """Return all errors, ``noise`` times as large."""
@@ -198,10 +187,8 @@ def exchanged(rng: np.random.Generator, view: TrueView, share: float, seconds: f
 class Pace(NamedTuple):
     """How often a detector decides anew about a person."""
 
-    per_frame: Floats
-    """(n,) decisions in a frame, on average."""
-    moving: Floats
-    """(n,) share of them that movement brings."""
+    per_frame: Floats  # (n,) decisions in a frame, on average
+    moving: Floats  # (n,) share of them that movement brings
 
     @classmethod
     def of(cls, view: TrueView, params: LimbErrorParams) -> Pace:

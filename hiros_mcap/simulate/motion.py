@@ -39,24 +39,15 @@ _TO_SHOULDER = (
 class Gait:
     """How somebody walks or runs. Lengths in metres for a person of 1.75 m."""
 
-    cadence: float
-    """Strides (two steps) per second."""
-    duty: float
-    """Part of the stride that a foot is on the ground; below one half is running."""
-    clearance: float
-    """Height of the toes in mid-swing, m."""
-    heel_rise: float
-    """Largest plantar flexion at push-off, rad."""
-    drop: float
-    """How much lower than standing the pelvis is on average, m."""
-    bob: float
-    """Amplitude of its vertical oscillation, m; positive = highest in mid-stance."""
-    arm_swing: float
-    """Amplitude of the shoulder's flexion, rad."""
-    elbow: float
-    """Mean flexion of the elbow, rad."""
-    lean: float
-    """Forward lean of the trunk, rad."""
+    cadence: float  # strides (two steps) per second
+    duty: float  # part of the stride that a foot is on the ground; below one half is running
+    clearance: float  # height of the toes in mid-swing, m
+    heel_rise: float  # largest plantar flexion at push-off, rad
+    drop: float  # how much lower than standing the pelvis is on average, m
+    bob: float  # amplitude of its vertical oscillation, m; positive = highest in mid-stance
+    arm_swing: float  # amplitude of the shoulder's flexion, rad
+    elbow: float  # mean flexion of the elbow, rad
+    lean: float  # forward lean of the trunk, rad
 
 
 WALK = Gait(0.92, 0.58, 0.05, 0.6, 0.058, 0.014, 0.42, 0.35, 0.03)
@@ -70,20 +61,13 @@ CRAWL = Gait(0.60, 0.62, 0.03, 0.0, 0.0, 0.005, 0.0, 0.0, 1.45)  # on hands and 
 class Posture:
     """The posture that an action prescribes at n instants."""
 
-    body: BodyModel
-    """Whose posture it is."""
-    pelvis: Floats
-    """(n, 3) position of the PELVIS in the world, m."""
-    heading: Floats
-    """(n,) direction that the person faces, rad."""
-    toes: Floats
-    """(n, 2, 3) position of FOOT_LEFT and FOOT_RIGHT in the world, m."""
-    foot_heading: Floats
-    """(n, 2) direction of each foot, rad."""
-    foot_pitch: Floats
-    """(n, 2) plantar flexion from flat on the ground (heel up), rad."""
-    foot_turn: Floats
-    """(n, 2) rotation of each foot, thus pitched, about its shank, rad."""
+    body: BodyModel  # whose posture it is
+    pelvis: Floats  # (n, 3) position of the PELVIS in the world, m
+    heading: Floats  # (n,) direction that the person faces, rad
+    toes: Floats  # (n, 2, 3) position of FOOT_LEFT and FOOT_RIGHT in the world, m
+    foot_heading: Floats  # (n, 2) direction of each foot, rad
+    foot_pitch: Floats  # (n, 2) plantar flexion from flat on the ground (heel up), rad
+    foot_turn: Floats  # (n, 2) rotation of each foot, thus pitched, about its shank, rad
     angles: dict[str, Floats] = field(default_factory=dict)
     """(n, 3) flexion, adduction, internal rotation of a segment in its parent, rad; absent = 0.
     The pelvis' parent is the upright frame that faces ``heading``."""

@@ -31,10 +31,8 @@ _CHANNEL = re.compile("[XYZ](position|rotation)", re.IGNORECASE)
 class Clip:
     """Joints over time."""
 
-    joints: Mapping[str, Floats]
-    """Name -> (F, 3), z up, any unit."""
-    rate: float
-    """Frames per second."""
+    joints: Mapping[str, Floats]  # name -> (F, 3), z up, any unit
+    rate: float  # frames per second
 
     @property
     def frames(self) -> int:
@@ -73,8 +71,7 @@ def euler(angles: Floats, axes: str) -> Rotation:
 class _AsfBone:
     direction: Floats
     """(3,) from start to end, in the global frame of the rest pose, times the length."""
-    frame: Floats
-    """(3, 3) rotation of the bone's own axes in the rest pose."""
+    frame: Floats  # (3, 3) rotation of the bone's own axes in the rest pose
     dofs: tuple[str, ...] = ()
     parent: str = "root"
 
@@ -83,8 +80,7 @@ class _AsfBone:
 class AsfSkeleton:
     """The skeleton of an ASF file."""
 
-    bones: dict[str, _AsfBone]
-    """In the order in which parents come before children."""
+    bones: dict[str, _AsfBone]  # in the order in which parents come before children
     degrees: bool
     root_order: tuple[str, ...]
 

@@ -50,12 +50,9 @@ _INSIDE = np.array([[marker in inside for *_, inside in _CAPSULES] for marker in
 class Sight:
     """The visible markers of P people in n frames; each (n, P, M)."""
 
-    framed: Mask
-    """The joint is within the field of view and the range."""
-    covered: Mask
-    """Another person is in front of the joint."""
-    hidden: Mask
-    """Another person or the person's own body is in front of the joint."""
+    framed: Mask  # the joint is within the field of view and the range
+    covered: Mask  # another person is in front of the joint
+    hidden: Mask  # another person or the person's own body is in front of the joint
 
 
 def sight_of(points: Floats, rig: RigParams, *, solid: bool = True) -> Sight:

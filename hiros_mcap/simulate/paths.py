@@ -156,8 +156,7 @@ class Passing:
     radius: float
     period: float
     seconds: float
-    start: float
-    """Time, s, of the first half turn."""
+    start: float  # time, s, of the first half turn
 
     def _rounds(self, t: Floats) -> tuple[Floats, Floats]:
         """Half turns that were begun before, and how much of the next one is over, 0 to 1."""

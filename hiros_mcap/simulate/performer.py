@@ -69,16 +69,11 @@ class Performer:
     clip: Clip
     paths: Mapping[str, CubicHermiteSpline]
     """Role ("left knee") -> position over frames, in the recording's unit."""
-    centre: Floats
-    """(3,) Middle of the hips' path over the floor, in the recording's unit."""
-    scale: float
-    """Metres per unit of the recording: the ratio of the lengths of the legs."""
-    place: Floats = field(default_factory=lambda: np.zeros(2))
-    """(2,) m, where ``centre`` is put."""
-    heading: float = 0.0
-    """rad, by which the recording is rotated about the vertical."""
-    ground: float = 0.0
-    """m, by which it is lifted to stand on the floor."""
+    centre: Floats  # (3,) Middle of the hips' path over the floor, in the recording's unit
+    scale: float  # metres per unit of the recording: the ratio of the lengths of the legs
+    place: Floats = field(default_factory=lambda: np.zeros(2))  # (2,) m, where ``centre`` is put
+    heading: float = 0.0  # rad, by which the recording is rotated about the vertical
+    ground: float = 0.0  # m, by which it is lifted to stand on the floor
 
     @classmethod
     def of(cls, body: BodyModel, clip: Clip, name: str) -> Performer:

@@ -25,10 +25,8 @@ class Bank(Generic[P]):
 
     def __init__(self, empty: P, forget_after: float = 10.0) -> None:
         self.past = empty
-        self.rows: dict[int, int] = {}
-        """Person to row."""
-        self.last_seen: dict[int, int] = {}
-        """Person to the latest time of a sighting, ns."""
+        self.rows: dict[int, int] = {}  # person to row
+        self.last_seen: dict[int, int] = {}  # person to the latest time of a sighting, ns
         self._patience = round(forget_after * 1e9)
         self._free: list[int] = []
 

@@ -61,8 +61,7 @@ class TimeOrder:
         self._held = HeldFrames()
         self._waiting: list[tuple[int, str, int]] = []
         """A heap: stamp, camera and number of each message that is held."""
-        self._latest_of: dict[str, int] = {}
-        """Camera -> its latest stamp, ns."""
+        self._latest_of: dict[str, int] = {}  # camera -> its latest stamp, ns
         self._latest = self._now = self._begin = 0
         """Latest stamp and log time, and the first stamp, ns."""
         self._patience = round(delay * 1e9)
@@ -110,13 +109,10 @@ class TimeOrder:
 class _Camera:
     """The latest messages of a camera."""
 
-    late: deque[tuple[int, int]] = field(default_factory=deque)
-    """Log time and lateness of each, ns."""
+    late: deque[tuple[int, int]] = field(default_factory=deque)  # log time and lateness of each, ns
     count: int = 0
-    usual: int = 0
-    """ns by which nearly all messages are late at most."""
-    period: float = _TOLERATED
-    """ns from one message to the next; long until it is known."""
+    usual: int = 0  # ns by which nearly all messages are late at most
+    period: float = _TOLERATED  # ns from one message to the next; long until it is known
 
     def add(self, log_time: int, late: int) -> bool:
         """Remember a message; return whether the lateness was found again."""

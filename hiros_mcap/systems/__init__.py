@@ -50,8 +50,7 @@ class Run:
     known: KnownCameras = field(default_factory=KnownCameras)
     """Where the cameras stand and how their clocks go."""
     fixed_frame: str = ""
-    system: str = DEFAULT_SYSTEM
-    """Name of the system that is run."""
+    system: str = DEFAULT_SYSTEM  # name of the system that is run
     derivatives: Collection[str] | None = None
     """Channels whose velocities and accelerations somebody takes; None = all."""
     noise: FusionNoise | None = None
@@ -76,15 +75,13 @@ class Run:
 class System:
     """A way from detections to clean skeletons: a table of stages."""
 
-    text: str
-    """One line for a list of systems."""
+    text: str  # one line for a list of systems
     stages: Callable[[Run], Stages]
     """Sets up the stages of a run. It imports their modules: the kernels of a system that nobody
     runs are neither compiled nor loaded."""
     chains: tuple[str, ...]
     """Legal selections of the stages by their letters (T M O F); the last one is all of them."""
-    sections: tuple[str, ...]
-    """Sections of the configuration that its stages read."""
+    sections: tuple[str, ...]  # sections of the configuration that its stages read
     of: str = ""
     """Name of the system that this is with other parameters (``presets``), "" if there is none."""
 

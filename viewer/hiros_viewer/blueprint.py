@@ -41,33 +41,24 @@ _BEHIND = 0.1  # of _AHEAD: where the eye is, so that feet near the camera are s
 class Content:
     """Facts about a recording that a layout needs."""
 
-    stages: Sequence[str]
-    """In the order of the chain; the last one is the result."""
+    stages: Sequence[str]  # in the order of the chain; the last one is the result
     people: Sequence[int]
-    cameras: Sequence[str]
-    """As in entity paths."""
-    boxes: Floats
-    """(B, 2, 3) m: boxes round people at some times, lowest and highest corner."""
+    cameras: Sequence[str]  # as in entity paths
+    boxes: Floats  # (B, 2, 3) m: boxes round people at some times, lowest and highest corner
     camera_poses: Mapping[str, Rigid] = field(default_factory=dict)
     """Of those cameras whose poses are known, in the fixed frame."""
-    layers: Sequence[Layer] = (Layer(),)
-    """The logs, several if they are overlaid."""
-    has_error: bool = False
-    """Whether the result was compared with a truth."""
+    layers: Sequence[Layer] = (Layer(),)  # the logs, several if they are overlaid
+    has_error: bool = False  # whether the result was compared with a truth
     shows_truth: bool = False
     """Whether the truth is drawn in the room, where it makes the result thin."""
     shows_uncertainty: bool = False
     """Whether ellipsoids are drawn round joints, whose own size would hide them."""
-    has_moves: bool = False
-    """Whether the cameras' poses before and after a calibration are shown."""
-    has_predicted: bool = False
-    """Whether somebody is in the result while no camera sees them."""
+    has_moves: bool = False  # whether the cameras' poses before and after a calibration are shown
+    has_predicted: bool = False  # whether somebody is in the result while no camera sees them
     lanes: Mapping[str, str] = field(default_factory=dict)
     """Path of a lane -> what it shows: "person", "no data" or a fault of a camera's view."""
-    moved: Collection[str] = ()
-    """Stages whose joints are not those of the result."""
-    longest: int = 0
-    """Who of the people is there for longest: whose curves are seen first."""
+    moved: Collection[str] = ()  # stages whose joints are not those of the result
+    longest: int = 0  # who of the people is there for longest: whose curves are seen first
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Kind of curve -> from where to where its axis goes; other axes fit their curves."""
     images: Mapping[str, tuple[int, int]] = field(default_factory=dict)

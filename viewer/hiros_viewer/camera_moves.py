@@ -22,12 +22,9 @@ class CameraMove:
     """A camera's pose before and after a calibration, or before and after somebody moved it."""
 
     name: str
-    before: Rigid | None
-    """By the log's transforms; None if it has none."""
-    after: Rigid
-    """By the file."""
-    entry: CameraEntry
-    """The file's entry of the pose ``after``."""
+    before: Rigid | None  # by the log's transforms; None if it has none
+    after: Rigid  # by the file
+    entry: CameraEntry  # the file's entry of the pose ``after``
     since_s: float = 0.0
     """Seconds from the log's start at which the camera was moved there; 0 = at once."""
 

@@ -46,8 +46,7 @@ class Line(NamedTuple):
 
     name: str
     colour: RGB
-    width: float = 1.5
-    """Points on the screen."""
+    width: float = 1.5  # points on the screen
 
 
 def ended(times: Stamps, values: Floats, last: Stamps | None) -> tuple[Stamps, Floats]:

@@ -57,32 +57,23 @@ MOST_PEOPLE = 12  # on a page: the curves of each take some seconds to draw
 class Body:
     """One person over time."""
 
-    seconds: Floats
-    """(T,) since the channel's first frame."""
-    poses: Floats
-    """(T, M, 3) m."""
-    orientations: Floats
-    """(T, L, 4) x y z w of the links; NaN where absent."""
-    true_poses: Floats | None = None
-    """(T, M, 3) m; None without a truth."""
-    true_orientations: Floats | None = None
-    """(T, L, 4) x y z w; None without a truth."""
-    marks: Sequence[Mark] = ()
-    """Where the curves are to be doubted, or missing."""
+    seconds: Floats  # (T,) since the channel's first frame
+    poses: Floats  # (T, M, 3) m
+    orientations: Floats  # (T, L, 4) x y z w of the links; NaN where absent
+    true_poses: Floats | None = None  # (T, M, 3) m; None without a truth
+    true_orientations: Floats | None = None  # (T, L, 4) x y z w; None without a truth
+    marks: Sequence[Mark] = ()  # where the curves are to be doubted, or missing
 
 
 @dataclass(frozen=True, slots=True)
 class Curves:
     """The data of a channel that can be plotted."""
 
-    title: str
-    """The log and the channel."""
+    title: str  # the log and the channel
     model: SkeletonModel
     people: Mapping[int, Body]
-    images: Sequence[ImageScores] = ()
-    """The RGB cameras against the channel."""
-    about: Sequence[str] = ()
-    """When the log was recorded and how the result was made; the verdict."""
+    images: Sequence[ImageScores] = ()  # the RGB cameras against the channel
+    about: Sequence[str] = ()  # when the log was recorded and how the result was made; the verdict
 
     def body(self, person: int | None) -> tuple[int, Body]:
         """Return a person, or the one who is there for longest.

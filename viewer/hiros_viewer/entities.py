@@ -68,14 +68,10 @@ Rows = tuple[Stamps, Stamps]
 class Layer:
     """Which of several overlaid logs is drawn."""
 
-    prefix: str = ""
-    """Put before the log's entities."""
-    name: str = ""
-    """Put before people's names and the names of curves; "" if there is one log."""
-    number: int = 0
-    """Of several logs: that of the colour which everybody in it has."""
-    file: str = ""
-    """Its name outside the viewer, if that is another one."""
+    prefix: str = ""  # put before the log's entities
+    name: str = ""  # put before people's names and the names of curves; "" if there is one log
+    number: int = 0  # of several logs: that of the colour which everybody in it has
+    file: str = ""  # its name outside the viewer, if that is another one
 
     def named(self, text: str) -> str:
         """Return what something is called in this log."""
@@ -109,8 +105,7 @@ class Entities:
     ) -> None:
         self.recording = recording
         self.model = model
-        self.start = 0
-        """ns; what seconds count from."""
+        self.start = 0  # ns; what seconds count from
         self._root = root
         self._above = _LABEL_ABOVE_M + _LABEL_STEP_M * layer.number
         self._layer = layer

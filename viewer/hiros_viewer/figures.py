@@ -34,10 +34,8 @@ PAUSE_S = 0.25
 class Mark(NamedTuple):
     """A span of one person's curves."""
 
-    kind: str
-    """A key of :data:`MARKED`."""
-    start: float
-    """s since the channel's first frame."""
+    kind: str  # a key of :data:`MARKED`
+    start: float  # s since the channel's first frame
     end: float
     remark: str = ""
 
@@ -92,13 +90,10 @@ class Curve(NamedTuple):
 
     name: str
     colour: str
-    x: Floats
-    """(T,)"""
-    y: Floats
-    """(T,); NaN where the line is interrupted."""
+    x: Floats  # (T,)
+    y: Floats  # (T,); NaN where the line is interrupted
     width: float = 1.2
-    has_dots: bool = False
-    """Whether its points are shown."""
+    has_dots: bool = False  # whether its points are shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,8 +104,7 @@ class CurvePlot:
     y_range: tuple[float, float]
     title: str = ""
     y_title: str = ""
-    has_zero: bool = False
-    """Whether a line marks 0."""
+    has_zero: bool = False  # whether a line marks 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,12 +112,10 @@ class CurveGrid:
     """Plots beside and below each other that share their x axis."""
 
     rows: Sequence[Sequence[CurvePlot]]
-    height: float
-    """Of all plots, inches."""
+    height: float  # of all plots, inches
     x_range: tuple[float, float]
     x_title: str = "s"
-    marks: Sequence[Mark] = ()
-    """Spans of x that are shown as bands in all plots."""
+    marks: Sequence[Mark] = ()  # spans of x that are shown as bands in all plots
 
 
 def around(values: Floats, margin: float) -> tuple[float, float]:

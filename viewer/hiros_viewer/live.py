@@ -46,10 +46,8 @@ class LiveView:
         self._names: dict[str, str] = {}
         self._waiting = Gatherer()
         self._laid_out = self._is_live = False
-        self._due = 0.0
-        """When to draw next, s of a monotonic clock."""
-        self._delays: deque[int] = deque(maxlen=_RECENT)
-        """ns, of the latest results."""
+        self._due = 0.0  # when to draw next, s of a monotonic clock
+        self._delays: deque[int] = deque(maxlen=_RECENT)  # ns, of the latest results
 
     def begin(self, log: Log, chain: Sequence[str]) -> None:
         """Draw the cameras."""

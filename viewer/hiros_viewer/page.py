@@ -31,8 +31,7 @@ if TYPE_CHECKING:
 
 MOST_POINTS = 5000
 """Of a curve: five minutes at 15 Hz, finer than a screen shows and small enough to send."""
-_PIXELS = 84
-"""Per inch of a figure."""
+_PIXELS = 84  # per inch of a figure
 _LEGEND_PX = 24
 _STYLE = """
 :root { color-scheme: light dark; } .about { color: #57606a; margin: .2rem 0; }
@@ -71,12 +70,10 @@ class Page:
 
     def __init__(self, title: str, about: Sequence[str] = ()) -> None:
         self.title = title
-        self.about = about
-        """Lines below the title: of which log, when, how, and the verdict."""
+        self.about = about  # lines below the title: of which log, when, how, and the verdict
         self._parts: list[str] = []
         self._figures = 0
-        self._curves: dict[str, str] = {}
-        """Element -> its plots."""
+        self._curves: dict[str, str] = {}  # element -> its plots
 
     def heading(self, text: str) -> None:
         """Start a section."""

@@ -124,13 +124,10 @@ def svg_of(figure: Figure, prefix: str) -> str:
 
 
 _CAMERA, _FURTHER, _WALL, _HATCH = "#111111", "#0a7d4b", "#444444", "#555555"
-_WIDTH = 8.0
-"""Inches."""
+_WIDTH = 8.0  # inches
 _BESIDE = 0.6  # m, around the room
-_WEDGE = 0.45
-"""m; length of the sign that shows which way a camera looks."""
-_ENOUGH = 0.8
-"""Share of people that two cameras should see; below, the floor is hatched."""
+_WEDGE = 0.45  # m; length of the sign that shows which way a camera looks
+_ENOUGH = 0.8  # share of people that two cameras should see; below, the floor is hatched
 
 
 def floor_figure(plan: RoomPlan) -> Figure:

@@ -33,8 +33,7 @@ HORIZON_NS = 3_000_000_000
 """Frames wait for others of their time; most are at most this much later in a log."""
 BATCH = 4000
 """Frames that are drawn at once, about."""
-_FIRST_BATCH = 400
-"""Before anything was drawn: the first picture comes soon."""
+_FIRST_BATCH = 400  # before anything was drawn: the first picture comes soon
 
 Channel = tuple[str, str]
 """A stage, or that these are detections; and their camera, "" for a stage."""
@@ -44,16 +43,11 @@ Channel = tuple[str, str]
 class Poses:
     """P people in N frames of a channel, in the order of their stamps."""
 
-    times: Stamps
-    """(N, 2) stamp and log time of each frame, ns."""
-    counts: Stamps
-    """(N,) people in each frame; theirs are the next rows of the other arrays."""
-    ids: npt.NDArray[np.integer[Any]]
-    """(P,)"""
-    positions: Floats
-    """(P, M, 3) m, C-contiguous."""
-    confidences: Floats
-    """(P, M) of the markers."""
+    times: Stamps  # (N, 2) stamp and log time of each frame, ns
+    counts: Stamps  # (N,) people in each frame; theirs are the next rows of the other arrays
+    ids: npt.NDArray[np.integer[Any]]  # (P,)
+    positions: Floats  # (P, M, 3) m, C-contiguous
+    confidences: Floats  # (P, M) of the markers
 
     @classmethod
     def of(cls, frame: Frame) -> Poses:
@@ -138,8 +132,7 @@ class Gatherer:
     """Frames of all channels that wait for others of their time."""
 
     def __init__(self) -> None:
-        self.size = 0
-        """Frames that came since some were taken."""
+        self.size = 0  # frames that came since some were taken
         self._parts = defaultdict[Channel, list[Poses]](list)
         self._newest = 0
         self._is_first = True
@@ -211,12 +204,9 @@ class Visit(NamedTuple):
     """Rows of one person."""
 
     person: int
-    times: Stamps
-    """(R, 2) stamp and log time, ns."""
-    people: Stamps
-    """(R,) which of the poses is shown, or HIDDEN."""
-    begins: Flags
-    """(R,) where somebody is shown who was not before."""
+    times: Stamps  # (R, 2) stamp and log time, ns
+    people: Stamps  # (R,) which of the poses is shown, or HIDDEN
+    begins: Flags  # (R,) where somebody is shown who was not before
 
 
 @dataclass(slots=True)
@@ -229,8 +219,7 @@ class Visits:
     """
 
     patience: int
-    last: Stamps | None = None
-    """(2,) times of the newest frame."""
+    last: Stamps | None = None  # (2,) times of the newest frame
     shown: dict[int, Stamps] = field(default_factory=dict)
     """Whoever is not hidden -> (2,) times of their newest row."""
 
@@ -294,8 +283,7 @@ class Visits:
 class Crowd:
     """Whether anybody is shown of an entity for everybody whom a camera sees."""
 
-    _last: Stamps | None = None
-    """(2,) times of the newest row."""
+    _last: Stamps | None = None  # (2,) times of the newest row
     _shown: bool = False
 
     def rows(self, poses: Poses) -> tuple[Stamps, Stamps]:

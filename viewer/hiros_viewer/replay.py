@@ -72,20 +72,16 @@ _NAMES = "AB"
 class ViewOptions:
     """Choice of what to show of a log, and how."""
 
-    layout: str = "overview"
-    """A key of :data:`hiros_viewer.blueprint.LAYOUTS`."""
-    time_range: tuple[float, float] | None = None
-    """Seconds from the log's start; None = all of it."""
-    extrinsics: Path | None = None
-    """File with the cameras' poses, instead of the log's transforms."""
+    layout: str = "overview"  # a key of :data:`hiros_viewer.blueprint.LAYOUTS`
+    time_range: tuple[float, float] | None = None  # seconds from the log's start; None = all of it
+    extrinsics: Path | None = None  # file with the cameras' poses, instead of the log's transforms
     stage: str = ""
     """Stage whose curves are drawn and that two logs are compared by; "" = the last one."""
     truth: str | None = None
     """File with the true people, or a channel of the log; None = the log's own, if it has one."""
     calibration: Path | None = None
     """File with the cameras' poses that are compared with the log's, and used."""
-    uncertainty: bool = False
-    """Whether to draw how well the joints are known, as ellipsoids."""
+    uncertainty: bool = False  # whether to draw how well the joints are known, as ellipsoids
     configs: Sequence[Config] = ()
     """Of each log, how it is read if it is a recording: its frame, skeleton and unit."""
     images: Sequence[str] = ()
@@ -97,17 +93,13 @@ class Source:
     """A log as the viewer reads it."""
 
     model: SkeletonModel
-    cameras: Mapping[str, Rigid]
-    """Name -> pose in the fixed frame."""
-    names: Mapping[str, str]
-    """A detection's source -> the camera's name."""
+    cameras: Mapping[str, Rigid]  # name -> pose in the fixed frame
+    names: Mapping[str, str]  # a detection's source -> the camera's name
     stages: tuple[str, ...]
     events: tuple[Event, ...]
-    start: int
-    """ns; what seconds count from."""
+    start: int  # ns; what seconds count from
     topics: tuple[str, ...]
-    report: Mapping[str, Mapping[str, Any]]
-    """By camera: what the run that made the result counted."""
+    report: Mapping[str, Mapping[str, Any]]  # by camera: what the run that made the result counted
     later: Mapping[str, Mapping[float, Rigid]]
     """By camera that was moved: the poses after that, by the seconds from the start of the log."""
 
@@ -165,8 +157,7 @@ class _Replay:
         self, path: Path, recording: rr.RecordingStream, options: ViewOptions, layer: Layer
     ) -> None:
         self.path, self.recording, self.options, self.layer = path, recording, options, layer
-        self._window: tuple[int, int] | None = None
-        """ns; None before the first frame."""
+        self._window: tuple[int, int] | None = None  # ns; None before the first frame
         self._is_long = False
         self._step = 0
         self._laid_out = False

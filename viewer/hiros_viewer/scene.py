@@ -114,58 +114,44 @@ class Scene:
         self.model = model
         self.final = final
         self.people: set[int] = set()
-        self.start: int | None = None
-        """ns; what seconds count from. None = the first frame."""
-        self.bounds: list[Floats] = []
-        """(2, 3) m each: the box around somebody, from feet to head."""
-        self.camera_poses: Mapping[str, Rigid] = {}
-        """By name, in the fixed frame."""
+        self.start: int | None = None  # ns; what seconds count from. None = the first frame.
+        self.bounds: list[Floats] = []  # (2, 3) m each: the box around somebody, from feet to head
+        self.camera_poses: Mapping[str, Rigid] = {}  # by name, in the fixed frame
         self.truth: Truth | None = None
         """The truth to compare the last stage with, on the markers of the model."""
         self.shows_truth = False
         """Whether the truth is to be seen in the room; its error is plotted in any case."""
         self.uncertainties: Uncertainties | None = None
         """How well joints are known, to be drawn as ellipsoids."""
-        self.images: list[CameraImages] = []
-        """Of the RGB cameras."""
-        self.has_moves = False
-        """Whether poses before and after a calibration were drawn."""
+        self.images: list[CameraImages] = []  # of the RGB cameras
+        self.has_moves = False  # whether poses before and after a calibration were drawn
         self.ranges: dict[str, tuple[float, float]] = {}
         """Kind of curve, as "speed" or "limbs/thigh" -> where its values are."""
-        self.moved: set[str] = set()
-        """Stages whose joints are not those of the last one."""
-        self.has_predicted = False
-        """Whether somebody whom no camera saw is in the last stage."""
+        self.moved: set[str] = set()  # stages whose joints are not those of the last one
+        self.has_predicted = False  # whether somebody whom no camera saw is in the last stage
         self.lanes: dict[str, str] = {}
         """Path of a lane -> what it shows: a person, a fault of a camera's view, or no data."""
-        self.n_true = 0
-        """Frames of the last stage whose instant the truth covers."""
+        self.n_true = 0  # frames of the last stage whose instant the truth covers
         self.layer, self.prefix = layer, layer.prefix
         self._crowds = defaultdict[str, Crowd](Crowd)
         """By camera; in the order in which cameras were first seen."""
         self._marks = defaultdict[Channel, Crowd](Crowd)
         """By camera and kind of fault: its detections that have it."""
         self._stages: dict[str, Visits] = {}
-        self._curves: dict[str, Stamps] = {}
-        """By path: (2,) times of the newest row."""
+        self._curves: dict[str, Stamps] = {}  # by path: (2,) times of the newest row
         self._texts = defaultdict[str, list[TextRow]](list)
         """By path: rows that are still to be sent."""
-        self._lane_styles: dict[str, Line] = {}
-        """By path."""
+        self._lane_styles: dict[str, Line] = {}  # by path
         self._earlier = defaultdict[tuple[str, int], EarlierPoses](EarlierPoses)
         """By stage and person."""
-        self._pasts = defaultdict[int, _Past](_Past)
-        """By person."""
+        self._pasts = defaultdict[int, _Past](_Past)  # by person
         self._true_ids = defaultdict[int, dict[int, int]](dict)
         """By person: stamp -> the true person who is nearest."""
-        self._newest: Stamps | None = None
-        """(2,) times of the last message."""
+        self._newest: Stamps | None = None  # (2,) times of the last message
         self._waiting = Waiting()
         mirror = symmetry_of(model).mirror
-        self._checks = defaultdict[str, ViewCheck](lambda: ViewCheck(mirror))
-        """By camera."""
-        self._lengths = Counter[int]()
-        """Frames of the last stage that everybody is in."""
+        self._checks = defaultdict[str, ViewCheck](lambda: ViewCheck(mirror))  # by camera
+        self._lengths = Counter[int]()  # frames of the last stage that everybody is in
         self._root = _root_slot(model)
         self._recording = recording
         self._entities = Entities(recording, model, self._root, layer)
@@ -558,12 +544,9 @@ class Scene:
 class _Past:
     """Last row of a person's curves, from which the next rows go on."""
 
-    _times: Stamps | None = None
-    """(2,) of the newest row."""
-    _root: Floats | None = None
-    """(3,) m, in that row."""
-    _angles: Floats | None = None
-    """(A,) joint angles, rad, each where it was last known."""
+    _times: Stamps | None = None  # (2,) of the newest row
+    _root: Floats | None = None  # (3,) m, in that row
+    _angles: Floats | None = None  # (A,) joint angles, rad, each where it was last known
 
     def angles(self, times: Stamps, jumping: Floats, most: Floats) -> Floats:
         """Continue angles (T, A), at most (A,) rad, over jumps of 360 degrees but not pauses."""

@@ -25,10 +25,8 @@ FAULTS = (MIRRORED, FAR_OFF)
 _MIRRORED_M, _MIRRORED_SHARE = 0.1, 0.6
 """A detection is mirrored if it is this far from the result, and much nearer with sides swapped."""
 _FAR_OFF_M = 0.2
-_LAPSE_NS = 250_000_000
-"""A fault goes on if it is seen again within this time."""
-_SHORTEST_NS = 100_000_000
-"""A shorter fault is noise."""
+_LAPSE_NS = 250_000_000  # a fault goes on if it is seen again within this time
+_SHORTEST_NS = 100_000_000  # a shorter fault is noise
 _MOST = 10_000
 """Frames of a camera, or poses of a person, that wait, at most, if the result never comes."""
 Compared = tuple[str, Poses, Floats, Stamps]
@@ -41,8 +39,7 @@ class Waiting:
     """Detections of all cameras that the result has not come to."""
 
     _parts: defaultdict[str, list[Poses]] = field(default_factory=lambda: defaultdict(list))
-    _last: Poses | None = None
-    """The newest frame of the result."""
+    _last: Poses | None = None  # the newest frame of the result
 
     def add(self, camera: str, detections: Poses) -> None:
         """Let detections wait; the oldest are dropped if there are too many."""
@@ -78,10 +75,8 @@ class Waiting:
 class EarlierPoses:
     """Poses of one person at one stage, in the order of time, that the result has not reached."""
 
-    stamps: Stamps = field(default_factory=lambda: np.zeros(0, np.int64))
-    """(T,) ns."""
-    poses: Floats | None = None
-    """(T, M, 3) m; None before there are any."""
+    stamps: Stamps = field(default_factory=lambda: np.zeros(0, np.int64))  # (T,) ns
+    poses: Floats | None = None  # (T, M, 3) m; None before there are any
 
     def add(self, stamps: Stamps, poses: Floats) -> None:
         """Append poses (T, M, 3); only the newest are kept if the result never comes."""
@@ -114,14 +109,10 @@ FaultySpan = tuple[str, Stamps, Stamps]
 class ViewCheck:
     """Compares one camera's detections with the result."""
 
-    mirror: Ints
-    """(M,) Marker on the other side."""
-    seen: int = 0
-    """People of the result whom the camera reports, over all messages."""
-    people: int = 0
-    """People of the result, over all messages."""
-    seconds: dict[str, float] = field(default_factory=dict)
-    """By kind: how long the view was wrong."""
+    mirror: Ints  # (M,) Marker on the other side
+    seen: int = 0  # people of the result whom the camera reports, over all messages
+    people: int = 0  # people of the result, over all messages
+    seconds: dict[str, float] = field(default_factory=dict)  # by kind: how long the view was wrong
     distances: list[Floats] = field(default_factory=list)
     """Of each message: mean distance to the result, mm."""
     _open: dict[str, Stamps] = field(default_factory=dict)

@@ -31,8 +31,7 @@ if TYPE_CHECKING:
 _PATIENCE = 0.1  # s: how soon a request to stop is heard
 _PAUSE = 0.01  # s between looks at a file that does not grow
 _BLOCK = 1 << 18
-_LARGEST_RECORD = MAX_CHUNK + (1 << 16)
-"""Bytes: a chunk without compression, and its head."""
+_LARGEST_RECORD = MAX_CHUNK + (1 << 16)  # Bytes: a chunk without compression, and its head
 _AFTERWARDS_S = 1.0
 """How long to look for more behind the end mark; a writer that stops later is not waited for."""
 

@@ -24,8 +24,7 @@ from hiros_mcap.io.container.walk import Contents
 from hiros_mcap.kernels.record_index import COLUMNS
 
 T = TypeVar("T")
-_TOGETHER = 32
-"""Messages that are handed out together at most: results wait for all of them."""
+_TOGETHER = 32  # messages that are handed out together at most: results wait for all of them
 
 
 class LiveReader(McapReader):

@@ -28,14 +28,11 @@ class Lost(StrEnum):
 class Damage:
     """A part of a file that cannot be read."""
 
-    offset: int
-    """First byte."""
-    end: int
-    """First byte after it."""
+    offset: int  # first byte
+    end: int  # first byte after it
     fault: str
     lost: Lost
-    file: str = ""
-    """Name of the file, for a recording of several."""
+    file: str = ""  # name of the file, for a recording of several
 
     @property
     def place(self) -> str:
@@ -49,8 +46,7 @@ class ChannelLoss:
 
     topic: str
     recovered: int
-    lost: int | None
-    """None = unknown."""
+    lost: int | None  # none = unknown
 
     def __str__(self) -> str:
         number = "an unknown number of messages"
@@ -61,10 +57,8 @@ class ChannelLoss:
 class Recovery:
     """Damages and losses that a walk through the files of a log found."""
 
-    damages: tuple[Damage, ...] = ()
-    """In the order of the files; empty for a healthy log."""
-    channels: tuple[ChannelLoss, ...] = ()
-    """In the order of their topics."""
+    damages: tuple[Damage, ...] = ()  # in the order of the files; empty for a healthy log
+    channels: tuple[ChannelLoss, ...] = ()  # in the order of their topics
     unchecked: int = 0
     """Recovered messages that no checksum covers: damage inside them cannot be noticed."""
 

@@ -119,10 +119,8 @@ class Records(NamedTuple):
     """The messages of one chunk, decompressed and checked."""
 
     data: Bytes
-    messages: Table
-    """One row per message, columns as in kernels.record_index."""
-    offset: int
-    """First byte of the chunk in the file."""
+    messages: Table  # one row per message, columns as in kernels.record_index
+    offset: int  # first byte of the chunk in the file
 
     @property
     def keys(self) -> Keys:
@@ -233,8 +231,7 @@ class McapReader:
         self._file = path if isinstance(path, LogFile) else LogFile(path)
         self._memory = memory
         self.path: Path | str = self._file.path
-        self.cpu_s = 0.0
-        """CPU time, s, of the threads that read ahead."""
+        self.cpu_s = 0.0  # CPU time, s, of the threads that read ahead
         try:
             self._contents = self._walk()
             largest = max((chunk.size for chunk in self._contents.chunks), default=0)

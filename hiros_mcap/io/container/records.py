@@ -83,30 +83,21 @@ class Chunk:
     ``offset`` to ``end`` are bare records, neither compressed nor protected by a checksum.
     """
 
-    offset: int
-    """First byte of the record."""
-    end: int
-    """First byte after the record."""
-    start_time: int
-    """Claimed earliest log time, ns."""
-    end_time: int
-    """Claimed latest log time, ns."""
-    size: int
-    """Uncompressed, bytes."""
-    crc: int
-    """CRC-32 of the uncompressed records, 0 = none."""
-    compression: str
-    """zstd, lz4 or nothing."""
+    offset: int  # first byte of the record
+    end: int  # first byte after the record
+    start_time: int  # claimed earliest log time, ns
+    end_time: int  # claimed latest log time, ns
+    size: int  # uncompressed, bytes
+    crc: int  # CRC-32 of the uncompressed records, 0 = none
+    compression: str  # zstd, lz4 or nothing
     data_offset: int
     """First byte of the (compressed) records; they reach to ``data_offset + data_size``."""
     data_size: int
-    index_end: int
-    """First byte after the message index records that follow the chunk."""
+    index_end: int  # first byte after the message index records that follow the chunk
     counts: Mapping[int, int] | None
     """Messages per channel id by the message index; None where the file has no index of it."""
     loose: bool = False
-    retimed: bool = False
-    """Whether its times are not those of the record, see McapReader.retime."""
+    retimed: bool = False  # whether its times are not those of the record, see McapReader.retime
 
     def holds(self, channels: Iterable[int]) -> bool:
         """Whether any of the channels has a message in here, as far as is known."""

@@ -102,8 +102,7 @@ class McapWriter:
         self.schemas: dict[int, r.Schema] = {}
         self.channels: dict[int, r.Channel] = {}
         self.counts: Counter[int] = Counter()
-        self.cpu_s = 0.0
-        """CPU time, s, of the background thread so far."""
+        self.cpu_s = 0.0  # CPU time, s, of the background thread so far
         self._compression = compression
         self._chunk_size = chunk_size
         self._times: list[int] = []

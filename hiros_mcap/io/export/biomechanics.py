@@ -27,10 +27,8 @@ from hiros_mcap.skeletons import Floats, SkeletonModel
 if TYPE_CHECKING:
     from hiros_mcap.io.result import Motion, Result
 
-_CLOSE_DEG = 3.0
-"""No bone deviates by more in a pose that the model can take."""
-_FEW = 0.01
-"""Share of the frames in which a bone may deviate without a word."""
+_CLOSE_DEG = 3.0  # no bone deviates by more in a pose that the model can take
+_FEW = 0.01  # share of the frames in which a bone may deviate without a word
 
 
 def only(result: Result) -> Motion:

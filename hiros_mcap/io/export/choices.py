@@ -20,16 +20,12 @@ def warn_in_python(text: str) -> None:
 class Choices(NamedTuple):
     """Options of a writer, besides the result and the file."""
 
-    parts: tuple[str, ...]
-    """"joints", "angles"."""
+    parts: tuple[str, ...]  # "joints", "angles"
     keep_gaps: bool = False
     """Whether a format whose programs read no gaps leaves out their rows instead of bridging."""
-    mass: float | None = None
-    """Of the person, kg; None if it is not known."""
-    model: Path | None = None
-    """Model of OpenSim to scale, instead of writing one."""
-    warn: Callable[[str], object] = warn_in_python
-    """Is called with what the file lacks."""
+    mass: float | None = None  # of the person, kg; None if it is not known
+    model: Path | None = None  # model of OpenSim to scale, instead of writing one
+    warn: Callable[[str], object] = warn_in_python  # is called with what the file lacks
 
 
 _MOST_PAUSES = 3

@@ -41,16 +41,13 @@ WHAT = ("joints", "angles", "both")
 class ExportFormat:
     """A kind of file."""
 
-    text: str
-    """Description, for a list."""
+    text: str  # description, for a list
     write: Callable[[Result, Path, Choices], None]
     """Writes the parts "joints" and "angles" of a result."""
     parts: tuple[str, ...] = ("joints", "angles")
     """Parts that it can hold; the first is the default."""
-    one_person: bool = False
-    """Whether it holds one person only."""
-    steady: bool = False
-    """Whether its instants must have a fixed rate."""
+    one_person: bool = False  # whether it holds one person only
+    steady: bool = False  # whether its instants must have a fixed rate
 
 
 _for_one = partial(ExportFormat, parts=("joints",), one_person=True)

@@ -132,18 +132,13 @@ class _OpenSimBody(NamedTuple):
 
     name: str
     parent: str
-    place: Floats
-    """(3,) of the joint in the parent; the joint is the origin of the body."""
-    end: Floats
-    """(3,) of its other end in the body."""
-    radii: Floats
-    """(3,) of the ellipsoid."""
-    turns: Sequence[tuple[str, Floats]]
-    """Coordinates and the axes that they turn about."""
+    place: Floats  # (3,) of the joint in the parent; the joint is the origin of the body
+    end: Floats  # (3,) of its other end in the body
+    radii: Floats  # (3,) of the ellipsoid
+    turns: Sequence[tuple[str, Floats]]  # coordinates and the axes that they turn about
     range_deg: tuple[float, float] = (-180.0, 180.0)
     clamped: bool = False
-    moves: Sequence[str] = ()
-    """Coordinates of the translations along x, y, z."""
+    moves: Sequence[str] = ()  # coordinates of the translations along x, y, z
 
 
 def write_osim(result: Result, target: Path, choices: Choices) -> None:

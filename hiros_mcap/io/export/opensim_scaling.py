@@ -38,12 +38,9 @@ Key = tuple[str, str]
 class _ModelJoint(NamedTuple):
     """A joint of the user's model."""
 
-    parent: str
-    """Name of the body that it hangs on."""
-    place: Floats
-    """(3,) in the ground, m, while all coordinates have their defaults."""
-    key: Key | None
-    """None if no coordinate tells which joint it is."""
+    parent: str  # name of the body that it hangs on
+    place: Floats  # (3,) in the ground, m, while all coordinates have their defaults
+    key: Key | None  # none if no coordinate tells which joint it is
 
 
 def scaled(

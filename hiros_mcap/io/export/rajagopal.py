@@ -51,12 +51,9 @@ pose that the model can take.
 class Hinge:
     """Two bones and the hinge between them, in the frame of the first bone's body."""
 
-    bone: Floats
-    """(3,) from the upper joint to the hinge."""
-    axis: Floats
-    """(3,) of the hinge."""
-    next: Floats
-    """(3,) the second bone where the coordinate is 0."""
+    bone: Floats  # (3,) from the upper joint to the hinge
+    axis: Floats  # (3,) of the hinge
+    next: Floats  # (3,) the second bone where the coordinate is 0
     range_deg: tuple[float, float]
     """Of the coordinate; beyond that of the model where people go beyond it."""
     twist_deg: float = 0.0

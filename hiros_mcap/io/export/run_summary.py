@@ -13,8 +13,7 @@ from hiros_mcap.io.ros_cdr import CdrWriter
 
 SUMMARY = f"{OUTPUT_PREFIX}/summary"
 _OK, _WARN = 0, 1
-_RECENT_NS = 10_000_000_000
-"""How long an event that is a warning makes the status one."""
+_RECENT_NS = 10_000_000_000  # how long an event that is a warning makes the status one
 
 
 class SummaryExport:
@@ -28,8 +27,7 @@ class SummaryExport:
     def __init__(self, writer: McapWriter, events: Events) -> None:
         self._writer, self._events = writer, events
         self._channel = add_ros_channel(writer, SUMMARY, hiros_schemas.DIAGNOSTICS, LATCHED_QOS)
-        self._since: dict[int, int] = {}
-        """Person -> stamp, ns, at which they were first seen."""
+        self._since: dict[int, int] = {}  # person -> stamp, ns, at which they were first seen
         self._here: set[int] = set()
         self._due = 0
 

@@ -148,8 +148,7 @@ def _numbers(values: Floats) -> list[float | None]:
     return [None if math.isnan(v) else round(v, 6) for v in values.tolist()]
 
 
-_MOST_COLUMNS = 16384
-"""As many as a sheet of a spreadsheet has."""
+_MOST_COLUMNS = 16384  # as many as a sheet of a spreadsheet has
 
 FieldPath = tuple[tuple[int, str], ...]
 """Place and name of a field in a message, of one in that field, and so on: they can be sorted."""

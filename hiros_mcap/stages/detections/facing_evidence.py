@@ -74,8 +74,7 @@ class MeasuredViews(NamedTuple):
     centres: F2  # (N, 3) mean position of the markers, m
     cues: F2  # (N, CUES * 2) vectors that point forwards, m; 0 = not known
     axes: F3  # (N, 3, 3) the person's: two across the trunk, one along it; NaN = not known
-    starts: I1
-    """(N,) how often the axes were chosen anew; facings before and after are unrelated."""
+    starts: I1  # (N,) how often the axes were chosen anew; facings before and after are unrelated
     weights: F1  # (N,) 1 for a camera of 30 Hz or slower, less for a faster one
 
     @classmethod
@@ -123,8 +122,7 @@ class FacingTables(NamedTuple):
     """Tables that the kernels share."""
 
     directions: F2  # (BINS, 2) unit vectors
-    turns: F2
-    """(LONGEST_GAP + 1, HALF + 1) probability of a turn by so many bins in so many cells."""
+    turns: F2  # (LONGEST_GAP + 1, HALF + 1) probability of a turn by so many bins in so many cells
     agreement: F2
     """(CUES, 2) learned: how often a cue points the same way in views whose labels contradict each
     other, and how often it was asked. It tells physical cues from those that follow the label."""

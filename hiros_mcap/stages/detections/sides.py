@@ -139,8 +139,7 @@ class _Sides:
         self._tables = FacingTables.make()
         self._cameras = CameraNumbers()
         self._held: list[_Piece] = []
-        self._decided = 0
-        """Cell before which everything is decided; 0 = nothing was seen yet."""
+        self._decided = 0  # cell before which everything is decided; 0 = nothing was seen yet
 
     def take(self, block: Block) -> Iterator[Block]:
         """Take frames; yield those that are decided."""

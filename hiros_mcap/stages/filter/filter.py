@@ -103,16 +103,14 @@ class _SkeletonFilter:
         nobody = _nobody(model, params.order, self._method)
         self._bank = Bank(nobody, params.max_gap + params.lookahead)
         self._work = self._method.work(params.order, _SLOTS)
-        self._numbers: dict[int, int] = {}
-        """Source and id to the person's number in the bank."""
+        self._numbers: dict[int, int] = {}  # source and id to the person's number in the bank
         self._n_people = 0
         self._sources = CameraNumbers()
         self._sample_times: list[_SampleTime] = []
         self._ahead = LookAhead(max(params.lookahead - _JITTER, 0.0))
         self._waiting = np.empty((0, 3), np.int64)
         """Bank row, step (-1 = none) and source of the people in the frames that wait."""
-        self._last: tuple[int, int] | None = None
-        """Stamp and log time of the latest frame."""
+        self._last: tuple[int, int] | None = None  # stamp and log time of the latest frame
 
     def update(self, block: Block) -> Iterator[Block]:
         """Filter frames; yield those whose look-ahead is complete."""

@@ -49,8 +49,7 @@ from hiros_mcap.threads import run_each
 UNKNOWN_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
 _FORGET = 600.0  # s; somebody who returns has the same body
 _PIECE = 256  # poses that are projected together
-_LEAST_LEFT = 0.25
-"""Of the variance. A longer step says that there was more noise than assumed."""
+_LEAST_LEFT = 0.25  # of the variance. A longer step says that there was more noise than assumed.
 _STEPS_KEPT = 10.0  # s; time constant of the mean of the steps
 _SWEEPS, _TOLERANCE = 20, 1e-3
 """Most sweeps of the projection onto the lengths, and the relative accuracy at which they end."""

@@ -35,8 +35,7 @@ class FuseParams(Params):
         description="Standard deviation of the slow offset of a camera, per joint, m. 0 = cameras "
         "have none; then the error is larger and its estimate far too small.",
     )
-    offset_time: ClassVar[float] = 1.7
-    """Time constant, s, with which such an offset wanders."""
+    offset_time: ClassVar[float] = 1.7  # time constant, s, with which such an offset wanders
     freedom: int = fixed(
         4,
         "Degrees of freedom of the noise (Student's t). With fewer, outliers count less. 4 to "

@@ -41,8 +41,7 @@ _GOES_ON, _STOPS = 0.2, 0.15
 """s that an unseen joint keeps its velocity, as in the tracker; time constant of the stop, s.
 
 People whom nobody sees are as likely to turn as to go on."""
-_LEAST_SCALE = 0.01
-"""Of s, above: an offset's variance is at most 10 000 times as large then."""
+_LEAST_SCALE = 0.01  # of s, above: an offset's variance is at most 10 000 times as large then
 _CHANGES = 3.0  # 1/s: how often a joint goes over to another level
 
 
@@ -122,8 +121,7 @@ class JointStates(NamedTuple):
     levels: F3  # (R, M, LEVELS) probability of each level of the acceleration
     wrong: F3
     measured: F3
-    agreed: F3
-    """(R, M, C) each camera's last measurement, as in :class:`~.outliers.CameraDoubts`."""
+    agreed: F3  # (R, M, C) each camera's last measurement, as in :class:`~.outliers.CameraDoubts`
 
     @classmethod
     def unknown(cls, people: int, markers: int, cameras: int) -> JointStates:

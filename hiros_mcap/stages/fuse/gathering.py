@@ -39,8 +39,7 @@ WIDTHS = (VELOCITY.stop, POSE)
 
 _NEAREST = 0.3  # m; noise is not assumed to fall any further nearer to a camera
 _HORIZON_NS = 200_000_000  # ns for which the mean before is where the next one begins
-_SCALE = 0.35
-"""rad from the mean at which a view counts half."""
+_SCALE = 0.35  # rad from the mean at which a view counts half
 _ROUNDS = 5  # of reweighting
 
 

@@ -51,11 +51,9 @@ class PoseError:
         self._placement: PlacementError | None = None
         if angle > 0 and shift > 0 and known.to_given:
             self._placement = placement_error(known.places, known.to_given, angle, shift)
-        self._observed = deque[float](maxlen=_REMEMBERED)
-        """Observed over assumed variances."""
+        self._observed = deque[float](maxlen=_REMEMBERED)  # observed over assumed variances
         self._most = 0
-        self.ratio = 1.0
-        """Estimated over assumed variance."""
+        self.ratio = 1.0  # estimated over assumed variance
         self._learned: int | None = None
 
     def is_due(self, now: int) -> bool:

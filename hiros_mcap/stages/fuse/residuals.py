@@ -54,8 +54,7 @@ _MOMENT = 300_000_000  # ns; errors that last for less average out, in the smoot
 _SHARE, _CHI2_3 = 0.8, 4.64163
 """A share of the residuals, and the quantile of the chi-square distribution with three degrees."""
 _ALONE = 0.9  # of the weight: the result follows such a camera, and shows nothing of its error
-_LEAST = 0.7
-"""Least factor of the standard deviations: a detector that filters hides its noise."""
+_LEAST = 0.7  # least factor of the standard deviations: a detector that filters hides its noise
 
 
 class ResidualMeter:
@@ -73,15 +72,13 @@ class ResidualMeter:
     ) -> None:
         self._is_causal = causal
         self._noise, self._events, self._mirror = noise, events, mirror
-        self._held: list[Smoothed] = []
-        """Not yet compared."""
+        self._held: list[Smoothed] = []  # not yet compared
         self._recent: dict[str, Floats] = {}
         """Camera -> histograms (M, B) of its residuals, of which the old ones count less."""
         self._ratios: dict[str, Floats] = {}
         """Camera -> (M,) size of these as a multiple of the expected one."""
         self._last: int | None = None
-        self._waiting = 0
-        """Frames in ``_held``."""
+        self._waiting = 0  # frames in ``_held``
 
     def compared(self, windows: Iterable[Smoothed]) -> Iterator[Block]:
         """Take the next frames, one for each instant; yield them as :meth:`scaled`.

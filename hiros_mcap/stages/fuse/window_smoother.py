@@ -95,15 +95,12 @@ class WindowSmoother:
         self._majority = Majority(model.n_markers)
         self._names: tuple[str, ...] = ()
         self._ahead = LookAhead()
-        self._views: list[Sightings] = []
-        """Not yet filtered; instants are numbered through the log."""
+        self._views: list[Sightings] = []  # not yet filtered; instants are numbered through the log
         self._next = self._batch = 0
         """The number of the first instant on which nobody has voted; the latest batch."""
-        self._taken = 0
-        """Time, ns, before which the filters have taken over everything."""
+        self._taken = 0  # time, ns, before which the filters have taken over everything
         self._origin: int | None = None
-        self._log_time = 0
-        """Of the latest instant, ns."""
+        self._log_time = 0  # of the latest instant, ns
         m = model.n_markers
         self._bank = Bank(JointStates.unknown(0, m, 0), _FORGET)
 

@@ -40,16 +40,11 @@ _SIZES = {"constant_position": 1, "constant_velocity": 2, "constant_acceleration
 class PredictedPeople(NamedTuple):
     """The filters of all people: R rows, M joints, S elements of the state."""
 
-    stamps: Stamps
-    """(R,) time of the state, ns."""
-    started: Flags
-    """(R, M) joints that were measured at least once."""
-    seen: Stamps
-    """(R, M) time of the last measurement, ns."""
-    states: Floats
-    """(R, M, S, 3) position, m, and its derivatives per step."""
-    covariances: Floats
-    """(R, M, S, S), per R and step."""
+    stamps: Stamps  # (R,) time of the state, ns
+    started: Flags  # (R, M) joints that were measured at least once
+    seen: Stamps  # (R, M) time of the last measurement, ns
+    states: Floats  # (R, M, S, 3) position, m, and its derivatives per step
+    covariances: Floats  # (R, M, S, S), per R and step
 
 
 def predict(

@@ -46,14 +46,10 @@ def associate(
 class Centroids(NamedTuple):
     """The filters K_i of T tracks."""
 
-    stamps: Stamps
-    """(T,) time of the state, ns."""
-    states: Floats
-    """(T, 2, 2) position, m, and velocity, m/s, on the floor."""
-    covariances: Floats
-    """(T, 2, 2) of position and velocity along an axis."""
-    detections: Stamps
-    """(T,) how many detections were associated."""
+    stamps: Stamps  # (T,) time of the state, ns
+    states: Floats  # (T, 2, 2) position, m, and velocity, m/s, on the floor
+    covariances: Floats  # (T, 2, 2) of position and velocity along an axis
+    detections: Stamps  # (T,) how many detections were associated
 
 
 class _Associator:
@@ -64,8 +60,7 @@ class _Associator:
         zero, none = np.zeros(0, np.int64), np.zeros((0, 2, 2))
         self._bank = Bank(Centroids(zero, none, none, zero), params.max_gap)
         self._tracks, self._people = itertools.count(), itertools.count()
-        self._ids: dict[int, int] = {}
-        """Confirmed track -> id."""
+        self._ids: dict[int, int] = {}  # confirmed track -> id
 
     def update(self, frame: Frame) -> Frame:
         """Give every detection of one message its id (III-A)."""

@@ -26,8 +26,7 @@ class AssociateParams(Params):
     )
     position_noise: ClassVar[float] = 0.1
     """SD per axis, m, of a detection's centroid about the person's centroid."""
-    acceleration: ClassVar[float] = 3.0
-    """SD per axis, m/s2, of a person's acceleration over 1/30 s."""
+    acceleration: ClassVar[float] = 3.0  # SD per axis, m/s2, of a person's acceleration over 1/30 s
     max_gap: Seconds = advanced(
         1.5,
         gt=0,
@@ -143,5 +142,4 @@ class MovingAverageParams(Params):
         le=10_000,
         description="Number of detections in the average (as in OpenPTrack's MAF).",
     )
-    lifetime: ClassVar[float] = 0.6
-    """Time, s, after which a detection no longer counts."""
+    lifetime: ClassVar[float] = 0.6  # time, s, after which a detection no longer counts

@@ -64,14 +64,11 @@ class Instants:
         self._near = _NEAR if in_step else math.inf
         self._buffer: dict[str, tuple[int, int]] = {}
         """Source to the stamp and number of its message."""
-        self._sources: dict[str, deque[int]] = {}
-        """Source to the stamps of its latest messages."""
+        self._sources: dict[str, deque[int]] = {}  # source to the stamps of its latest messages
         self._all_known = False
         self._newest = -1
-        self._first = self._last = 0
-        """Times of the oldest and the newest message in the buffer."""
-        self._log_time = 0
-        """Of the latest message in the buffer."""
+        self._first = self._last = 0  # times of the oldest and the newest message in the buffer
+        self._log_time = 0  # of the latest message in the buffer
 
     def add(self, stamp: int, source: str, log_time: int, number: int) -> list[Instant]:
         """Take a message; return the instants that it completes: none, one or two."""

@@ -44,10 +44,8 @@ class Unseen:
         self._places: dict[int, Floats] = {}
         """Person who is not seen to the place of the latest view, (3,) m."""
         self._gone: set[int] = set()
-        self._shown: Block
-        """The messages, of which ``_done`` are noted; see :meth:`show`."""
-        self._came: dict[int, int] = {}
-        """Person to the time of the first view, ns."""
+        self._shown: Block  # the messages, of which ``_done`` are noted; see :meth:`show`
+        self._came: dict[int, int] = {}  # person to the time of the first view, ns
         self._hidden: dict[int, tuple[int, str]] = {}
         """Person to the time, ns, and camera of the latest view left out as distorted since."""
 

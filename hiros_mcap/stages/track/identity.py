@@ -49,12 +49,10 @@ class Identities:
         self._limbs = LimbScatter(mirror)
         self._ids = itertools.count()
         self._absent: list[PersonCues] = []
-        self._heard: dict[str, int] = {}
-        """Camera to the time of its latest message, ns."""
+        self._heard: dict[str, int] = {}  # camera to the time of its latest message, ns
         self._last = self._looked = 0
         """Time of the last message, and of the last look at everybody's limbs, ns."""
-        self._pauses: list[tuple[int, int]] = []
-        """When all cameras were silent: from, to, ns."""
+        self._pauses: list[tuple[int, int]] = []  # when all cameras were silent: from, to, ns
         self._places: dict[int, tuple[Floats, Floats]] = {}
         """Number of a track to where it was at the last look but one, and at the last, m."""
         self._patience = round(_PATIENCE * params.lookahead * 1e9)

@@ -126,5 +126,4 @@ class TrackParams(Params):
     innovation_gate: ClassVar[float] = 3.0
     """Gate in SDs: a marker or link farther than this from its prediction corrects the track
     less."""
-    max_speed: ClassVar[float] = 12.0
-    """Largest speed of a marker, m/s (a throwing hand reaches 10)."""
+    max_speed: ClassVar[float] = 12.0  # largest speed of a marker, m/s (a throwing hand reaches 10)

@@ -159,8 +159,7 @@ class TrackedPeople:
         self.tracks: list[PersonTrack] = []
         self.bank = Bank(Tracks.allocate(0, model.n_markers, model.n_links))
         self.cameras = Cameras.allocate(0)
-        self.names = CameraNumbers()
-        """Camera to its row in ``cameras``."""
+        self.names = CameraNumbers()  # camera to its row in ``cameras``
         self._numbers = itertools.count()
 
     def messages_of(self, block: Block) -> CameraMessages:
