@@ -493,6 +493,10 @@ def _listing(names: list[str]) -> str:
     return ", ".join(names[:_LISTED]) + more
 
 
+_MOST_ROWS, _LEAST_ROW = 2000, 64
+"""Frames of a message, which all robots, cameras and people of a room do not have; bytes of one."""
+
+
 def parse_tf(data: bytes | bytearray | memoryview) -> list[Transform]:
     """Read a tf2_msgs/TFMessage in CDR; raises LogError for damaged bytes.
 
@@ -503,6 +507,8 @@ def parse_tf(data: bytes | bytearray | memoryview) -> list[Transform]:
         order = {b"\0\0": ">", b"\0\1": "<"}[bytes(data[:2])]
         content = memoryview(data)[4:]
         (count,) = struct.unpack_from(order + "I", content, 0)
+        if _MOST_ROWS < count <= len(content) // _LEAST_ROW:
+            raise LogError(f"a tf message has {count} frames; at most {_MOST_ROWS} are read")
         at, transforms = 4, []
         for _ in range(count):
             transform, at = _parse_transform(content, at, order)

@@ -558,19 +558,43 @@ def test_a_body_that_the_zed_only_guesses_is_not_trusted(scene, tmp_path):
         assert np.nanmax(frame.marker_confidences[0]) == 0.0
 
 
-def test_a_long_chain_of_frames_is_read(scene, tmp_path):
-    names = body_model("ros4hri").marker_names
-    chain = ["body", *(f"f{k}" for k in range(1500))]
+def chained(n):
+    """The rows of a body of which all joints are below a chain of so many frames."""
+    chain = ["body", *(f"f{k}" for k in range(n))]
     rows = [("camera_0", "body_x", (0, 0, 3), (0, 0, 0, 1))]
     rows += [(f"{a}_x", f"{b}_x", (0, 0, 0.002), (0, 0, 0, 1)) for a, b in pairwise(chain)]
-    rows += [(f"{chain[-1]}_x", f"{name}_x", (k, 0, 0), (0, 0, 0, 1)) for k, name in
-             enumerate(names) if name != "body"]  # fmt: skip
+    names = body_model("ros4hri").marker_names[1:]
+    return rows + [
+        (f"{chain[-1]}_x", f"{name}_x", (k, 0, 0), (0, 0, 0, 1)) for k, name in enumerate(names)
+    ]
 
+
+def test_a_chain_of_frames_is_read(scene, tmp_path):
     def humans(scene):
         for t in range(2):
             stamp = 1_700_000_000_000_000_000 + t * 100_000_000
-            yield "/tf", made.TF, stamp, made.tf_message(stamp, rows)
+            yield "/tf", made.TF, stamp, made.tf_message(stamp, chained(150))
 
     with open_log(write_ros2(tmp_path / "log.mcap", scene, humans)) as log:
         (frame, *_) = [frame for frame in log.frames() if frame.n_people]
-    assert frame.positions[0, 5, 2] == pytest.approx(6.0)
+    assert frame.positions[0, 5, 2] == pytest.approx(3.3)
+
+
+@pytest.mark.parametrize(
+    ("n", "said"),
+    [
+        (300, "/tf: 4 messages left out; the first one: body_x has 315 frames, more than the 200"),
+        (3000, "/tf: 4 messages left out; the first one: a tf message has 3015 frames; at most"),
+    ],
+)
+def test_a_body_with_more_frames_than_any_human_is_left_out(n, said, scene, tmp_path):
+    def both(scene):
+        for k, row in enumerate(made.humans(scene)):
+            yield from [row, (*row[:3], made.tf_message(row[2], chained(n)))][: 1 + (k % 40 == 0)]
+
+    with open_log(write_ros2(tmp_path / "log.mcap", scene, both)) as log:
+        assert next(text for text in log.warnings if "/tf:" in text).startswith(said)
+        found = [frame.positions for frame in log.detections()]
+    with open_log(write_ros2(tmp_path / "healthy.mcap", scene, made.humans)) as log:
+        for frame, positions in zip(log.detections(), found, strict=True):
+            np.testing.assert_array_equal(frame.positions, positions)

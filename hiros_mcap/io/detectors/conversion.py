@@ -151,7 +151,8 @@ def converted(reader: McapReader, selection: Selection) -> McapReader:
     new = MemoryReader(Path(reader.path), conversion.write, reader.memory)
     new.checked, new.recovery = reader.has_checksums, reader.recovery
     new.left_out = {**reader.left_out, **conversion.left_out}
-    new.remarks, new.warnings = (*reader.remarks, *conversion.remarks()), reader.warnings
+    new.remarks = (*reader.remarks, *conversion.remarks())
+    new.warnings = (*reader.warnings, *conversion.warnings())
     new.rig = selection.rig
     new.faults = {t: (n, conversion.first[t]) for t, n in conversion.faulty.items()}
     return new
@@ -479,6 +480,13 @@ class Conversion:
         for topic, n in self._declined.items():
             if n:
                 yield f"{topic}: {quantity(n, 'message')} without skeletons left out"
+
+    def warnings(self) -> Iterator[str]:
+        """Say which transforms were left out; those of cameras are in their accounts."""
+        for topic, n in self.faulty.items():
+            if topic not in self._models:
+                found = quantity(n, "message")
+                yield f"{topic}: {found} left out; the first one: {self.first[topic]}"
 
     def _fusion(self) -> Iterator[str]:
         """Say which models became one."""

@@ -2,7 +2,8 @@
 
 A body with the id ``abcde`` is the frame ``body_abcde``, whose parent is the camera's frame, and
 below it the links of the package human_description: ``l_shoulder_abcde``, ``head_abcde``, ...
-A body is read once all frames of one instant are there, which the next instant shows.
+A body is read once all frames of one instant are there, which the next instant shows. A message is
+refused that gives a body more frames than any human has.
 hri_msgs itself has 2D skeletons only; they cannot be fused.
 """
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import Transform, parse_tf
+from hiros_mcap.errors import LogError
 from hiros_mcap.io.channels import is_static_topic
 from hiros_mcap.io.detectors.body_models import body_model
 from hiros_mcap.io.detectors.detector_reader import (
@@ -30,8 +32,8 @@ ROOT = "body_"
 _LINK = re.compile(r"(?P<part>.+)_(?P<body>[^_]+)")
 _LEAST = 6
 """Joints of human_description below a frame ``body_X`` that make it a human, not a robot's part."""
-
-
+_MOST = 200
+"""Frames of a human: those of human_description, with hands, face and marks of any model."""
 _SAME_NS = 5_000_000
 """Frames whose stamps differ by less belong to one instant: several nodes publish them."""
 _BACK_NS = 1_000_000_000
@@ -52,10 +54,6 @@ class _Human:
         """The frame that it is in, "" as long as nobody said."""
         return self.frames["body"].parent.lstrip("/") if "body" in self.frames else ""
 
-    def is_human(self, parts: Collection[str]) -> bool:
-        """Whether it has enough of a human's joints."""
-        return "body" in self.frames and len(self.frames.keys() & set(parts)) >= _LEAST
-
 
 class HumanFrames(DetectorReader):
     """Reads /tf and /tf_static; the camera is the frame in which the bodies are."""
@@ -73,15 +71,17 @@ class HumanFrames(DetectorReader):
         """Take note of the frames; return the bodies whose instant is over."""
         done: list[SeenPeople] = []
         is_new = False
-        for transform in parse_tf(message.cdr):
-            match = _LINK.fullmatch(transform.child.lstrip("/"))
-            if match is None:
-                continue
-            part, name = match["part"], match["body"]
+        links = [
+            (match["part"], match["body"], transform)
+            for transform in parse_tf(message.cdr)
+            if (match := _LINK.fullmatch(transform.child.lstrip("/")))
+        ]
+        self._check(links)
+        for part, name, transform in links:
             body = self._bodies.setdefault(name, _Human(len(self._bodies)))
             if part in self._parts and not is_static_topic(message.topic):
                 done += self._advance(body, transform.stamp, message)
-                is_new |= body.is_human(self._parts)
+                is_new |= self._is_human(body.frames)
             body.frames[part] = transform
         return done if is_new else None
 
@@ -89,6 +89,22 @@ class HumanFrames(DetectorReader):
         """Return the last instant of every camera."""
         for camera in self._instants:
             yield from self._finish(camera)
+
+    def _is_human(self, frames: Collection[str]) -> bool:
+        """Whether a body with these frames has enough of a human's joints."""
+        return "body" in frames and len(self._parts.intersection(frames)) >= _LEAST
+
+    def _check(self, links: Iterable[tuple[str, str, Transform]]) -> None:
+        """Raise LogError if a human has more frames than there can be."""
+        frames: dict[str, set[str]] = {}
+        for part, name, _ in links:
+            if name not in frames:
+                frames[name] = {*self._bodies[name].frames} if name in self._bodies else set()
+            frames[name].add(part)
+        for name, parts in frames.items():
+            if len(parts) > _MOST and self._is_human(parts):
+                text = f"has {len(parts)} frames, more than the {_MOST} of a human"
+                raise LogError(f"{ROOT}{name} {text}")
 
     def _advance(self, body: _Human, stamp: int, message: DetectorMessage) -> Iterable[SeenPeople]:
         """Note that a frame of a body has a stamp; return its camera's last instant if it ends."""
@@ -110,7 +126,7 @@ class HumanFrames(DetectorReader):
         people = {
             name: body
             for name, body in self._bodies.items()
-            if body.camera == camera and body.stamp == instant and body.is_human(self._parts)
+            if body.camera == camera and body.stamp == instant and self._is_human(body.frames)
         }
         if not people:
             return
