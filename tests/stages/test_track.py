@@ -69,11 +69,11 @@ def settings(**changes):
     return settings_of(association.TrackSettings, TrackParams(), **plain | changes)
 
 
-def compared(tracks, markers, links, confidence=1.0, **changes):  # fmt: skip
+def compared(tracks, markers, links, confidence=1.0, since=0, **changes):  # fmt: skip
     """Compare tracks at 1 s with detections at rest, markers (P, M, 3) and links (P, L, 4)."""
     (p, m), n = markers.shape[:2], links.shape[1]
     people, same = People.allocate(p, m, n), np.arange(m, dtype=np.int32)
-    used = settings(same=same, mirror=same, **changes)
+    used = settings(**{"same": same, "mirror": same} | changes)
     people.markers[..., POSITION], people.markers[..., VELOCITY] = markers, 0.0
     people.links[..., ORIENTATION], people.links[..., ANGULAR_VELOCITY] = links, 0.0
     people.marker_confidences[:] = people.link_confidences[:] = confidence
@@ -83,7 +83,7 @@ def compared(tracks, markers, links, confidence=1.0, **changes):  # fmt: skip
     )
     work.wanted.fill(True)
     association.predict(SECOND, rows, tracks, used, work)
-    association.association_cost(rows, people, tracks, used, work)
+    association.association_cost(rows, since, people, tracks, used, work)
     return work
 
 
@@ -128,6 +128,33 @@ def test_eq11_fast_markers_count_less(speed, weight):
     assert distances(
         np.zeros((1, 3)), np.array([[1.0, 0, 0]]), speed=speed, decay=0.25
     )[0] == pytest.approx(weight, abs=1e-4)  # fmt: skip
+
+
+def test_markers_that_only_an_absent_detector_has_do_not_count():
+    places = np.arange(24.0).reshape(8, 3)
+    tracks = tracks_at(places[None], np.empty((1, 0, 4)))
+    tracks.seen[0, 4:] -= SECOND // 2
+    tracks.positions[0, 4:] += 2.0
+    pairs = compared(tracks, places[None], np.empty((1, 0, 4)), horizon=0.2)
+    assert pairs.distances[0, 0] == pytest.approx(0.0, abs=1e-12)
+    tracks.seen[0, 2:] -= SECOND // 2  # too few are left, so that all count
+    pairs = compared(tracks, places[None], np.empty((1, 0, 4)), horizon=0.2)
+    assert pairs.distances[0, 0] > 1.0
+
+
+def test_a_camera_does_not_confirm_the_sides_that_it_swapped_itself():
+    """Four markers were shown by another camera since, four by nobody else."""
+    mirror = np.array([1, 0, 3, 2, 5, 4, 7, 6], np.int32)
+    places = np.array([[0.3 * (-1) ** m, 0.0, 0.2 * m] for m in range(8)])
+    tracks = tracks_at(places[None].copy(), np.empty((1, 0, 4)))
+    tracks.positions[0, 4:] = places[mirror][4:]
+    tracks.seen[0, 4:] -= 20_000_000
+    sides = {"flip_aware": True, "mirror": mirror}
+    for since, is_found in ((SECOND - 10_000_000, True), (SECOND - 30_000_000, False)):
+        pairs = compared(
+            tracks, places[mirror][None], np.empty((1, 0, 4)), since=since, **sides
+        )  # fmt: skip
+        assert pairs.mirrored[0, 0] == is_found
 
 
 def test_eq8_adds_the_velocity_difference():

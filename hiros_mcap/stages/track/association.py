@@ -107,6 +107,8 @@ class TrackWork(NamedTuple):
     gates: F1  # (T,) largest distance of a detection, m
     # The two factors of eq 11.
     marker_velocities: F2  # (T, M) w_v
+    side_weights: F2
+    """(T, M) the same; 0 for markers that do not tell whether a detector swapped the sides."""
     link_velocities: F2  # (T, L)
     marker_confidences: F2  # (P, M) kappa
     link_confidences: F2  # (P, L)
@@ -130,7 +132,7 @@ class TrackWork(NamedTuple):
         """Arrays for at most that many tracks and detections."""
         t, p, m, n = n_tracks, n_people, n_markers, n_links
         tracks = (t, m, 3), (t, n, 4), t, t
-        weights = (t, m), (t, n), (p, m), (p, n)
+        weights = (t, m), (t, m), (t, n), (p, m), (p, n)
         pairs = p, (t, p), (t, p), (t, p), p
         detections = (p, m), (p, 6), (p, OUTLINE), p, p
         assignment = AssignmentWork.allocate(max(t, p))
@@ -243,8 +245,41 @@ def _bound(states: Floats) -> tuple[float, float, float, float, float, float]:
 
 
 @inlined
+def _leave_out_stale(row: int, tracks: Tracks, horizon: float, weights: Floats) -> None:
+    """Let markers not count that were not seen for long while others were: they are guesses.
+
+    So are those of a track that another detector follows now, which does not have them.
+    """
+    latest, n = np.int64(tracks.seen[row, 0]), 0
+    for m in range(len(weights)):
+        latest = max(latest, tracks.seen[row, m])
+    oldest = latest - np.int64(horizon * 1e9)
+    for m in range(len(weights)):
+        n += tracks.seen[row, m] >= oldest
+    for m in range(len(weights)):
+        if n >= _FEWEST_SEEN and tracks.seen[row, m] < oldest:
+            weights[m] = 0.0
+
+
+@inlined
+def _weigh_sides(row: int, since: int, tracks: Tracks, weights: Floats, out: Floats) -> None:
+    """Fill ``side_weights`` of a track.
+
+    Joints that no other camera has shown since a camera's latest message, since its detector alone
+    knows them, confirm that camera's own mistake.
+    """
+    n = 0
+    for m in range(len(weights)):
+        n += tracks.seen[row, m] > since
+    for m in range(len(weights)):
+        tells = n < _FEWEST_SEEN or tracks.seen[row, m] > since
+        out[m] = weights[m] if tells else 0.0
+
+
+@inlined
 def _compare(
-    rows: Stamps, people: People, tracks: Tracks, settings: TrackSettings, work: TrackWork,
+    rows: Stamps, since: int, people: People, tracks: Tracks, settings: TrackSettings,
+    work: TrackWork,
 ) -> None:  # fmt: skip
     """Fill ``distances`` and ``mirrored``: a detection is mirrored if that halves its distance.
 
@@ -258,7 +293,7 @@ def _compare(
         for c in range(6):
             bounds[j, c] = low_high[c]
     for i in range(len(rows)):
-        pose, weight = work.positions[i], work.marker_velocities[i]
+        pose, weight, sides = work.positions[i], work.marker_velocities[i], work.side_weights[i]
         reach = max(work.gates[i], settings.min_distance)
         margin = 1.001 * reach  # rounding must not leave out a pair on the edge
         x0, y0, z0, x1, y1, z1 = _bound(pose)
@@ -277,18 +312,23 @@ def _compare(
                 continue
             if not weighed:
                 _velocity_weights(tracks.velocities[rows[i]], settings, weight)
+                _leave_out_stale(rows[i], tracks, settings.horizon, weight)
+                _weigh_sides(rows[i], since, tracks, weight, sides)
                 weighed = True
             seen, confidence = people.markers[j], work.marker_confidences[j]
             # Beyond twice the reach a detection is mirrored if that brings it within the reach.
             distance = weighted_mean_distance(
                 pose, seen, settings.same, weight, confidence, 2.0 * reach
             )
-            swapped = np.inf
+            swapped = straight = np.inf
             if settings.flip_aware and distance > _NOT_MIRRORED:
                 swapped = weighted_mean_distance(
-                    pose, seen, settings.mirror, weight, confidence, reach
+                    pose, seen, settings.mirror, sides, confidence, reach
                 )
-            work.mirrored[i, j] = swapped < 0.5 * distance
+                straight = weighted_mean_distance(
+                    pose, seen, settings.same, sides, confidence, 2.0 * reach
+                )
+            work.mirrored[i, j] = swapped < 0.5 * straight
             work.distances[i, j] = swapped if work.mirrored[i, j] else distance
     _leave_to_nearest(len(rows), len(people.ids), settings, work)
 
@@ -320,13 +360,13 @@ def _linear_distance(
     weighs_velocities = settings.velocity_weight > 0.0 and markers.shape[1] > _TO_VELOCITY
     for m in range(len(markers)):
         d = point_distance(work.positions[i, m], markers[m])
-        if math.isnan(d):
+        if math.isnan(d) or weights[m] == 0.0:
             continue
         common += 1
         if weighs_velocities and not math.isnan(markers[m, _TO_VELOCITY]):
             d += settings.velocity_weight * point_distance(velocities[m], markers[m, _TO_VELOCITY:])
         total += weights[m] * confidences[m] * d
-    return total / common  # eq 8
+    return total / common if common else np.inf  # eq 8
 
 
 @inlined
@@ -378,16 +418,17 @@ def _fill_cost(
 
 @kernel
 def association_cost(
-    rows: Stamps, people: People, tracks: Tracks, settings: TrackSettings, work: TrackWork,
+    rows: Stamps, since: int, people: People, tracks: Tracks, settings: TrackSettings,
+    work: TrackWork,
 ) -> None:  # fmt: skip
     """Compare every predicted track with every detection (eq 6 and 8 to 11).
 
     Eq 8 and 9 are means (alpha = 1, as in the published code). Fills the ``distances`` of
     ``work``, which the gate is for, since they depend on no velocities; ``mirrored``; and
     ``cost``, for the ``wanted`` detections. The orientations of a mirrored detection are wrong, so
-    its cost is its distance.
+    its cost is its distance. ``since`` is the time of the camera's message before, ns.
     """
-    _compare(rows, people, tracks, settings, work)
+    _compare(rows, since, people, tracks, settings, work)
     _fill_cost(rows, people, tracks, settings, work)
 
 
@@ -403,10 +444,13 @@ def _distance_of_seen(
     Those that it guesses may be half a metre off.
     """
     total, n, markers = 0.0, 0, people.markers[j]
-    which = settings.mirror if work.mirrored[i, j] else settings.same
+    which, weights = settings.same, work.marker_velocities[i]
+    if work.mirrored[i, j]:
+        which, weights = settings.mirror, work.side_weights[i]
     for m in range(len(which)):
         distance = point_distance(work.positions[i, m], markers[which[m]])
-        if work.hidden[j, which[m]] < MOSTLY_HIDDEN and not math.isnan(distance):
+        is_seen = weights[m] > 0.0 and work.hidden[j, which[m]] < MOSTLY_HIDDEN
+        if is_seen and not math.isnan(distance):
             total, n = total + distance, n + 1
     return total / n if n >= _FEWEST_SEEN else work.distances[i, j]
 

@@ -271,7 +271,7 @@ def update(
             displaced or _is_somebody_lost(stamp, known.persons, tracks, settings.max_gap)
         ):
             return k, 0
-        cameras.heard[camera] = stamp
+        since, cameras.heard[camera] = cameras.heard[camera], stamp
         if not displaced:
             least = settings.min_marker_confidence, settings.min_skeleton_confidence
             screen(group, least[0], least[1], work.faults)
@@ -284,7 +284,7 @@ def update(
             if _is_wanted(n, work) and len(rows):
                 # Called from here: each call between would compile them once more.
                 predict(stamp, rows, tracks, settings, work)  # eq 7
-                association_cost(rows, group, tracks, settings, work)  # eq 6 and 8 to 11
+                association_cost(rows, since, group, tracks, settings, work)  # eq 6 and 8 to 11
                 solve(work.cost, len(rows), n, work.assignment, work.match)  # Munkres
                 _take(stamp, camera, rows, not rest, group, tracks, settings, work)
                 correct(stamp, rows, work, group, tracks, settings)  # Kalman filter
