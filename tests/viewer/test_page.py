@@ -86,4 +86,4 @@ def test_a_page_is_dark_where_the_reader_wants_that():
     style = page().html().split("<style>")[1].split("</style>")[0]
     assert "color-scheme: light dark" in style
     dark = style.split("@media (prefers-color-scheme: dark)")[1]
-    assert "background: #141414" in dark and "svg, .curves { filter: invert" in dark
+    assert "--page: #141414" in dark and "svg, .curves { filter: invert" in dark

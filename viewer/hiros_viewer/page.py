@@ -34,22 +34,30 @@ MOST_POINTS = 5000
 _PIXELS = 84  # per inch of a figure
 _LEGEND_PX = 24
 _STYLE = """
-:root { color-scheme: light dark; } .about { color: #57606a; margin: .2rem 0; }
+:root { color-scheme: light dark; --page: #fff; --edge: #0003; }
+.about { color: #57606a; margin: .2rem 0; }
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 80rem; padding: 0 1rem;
-       color: #1b1f24; background: #fff; }
+       color: #1b1f24; background: var(--page); }
 h1 { font-size: clamp(1.1rem, 5vw, 1.6rem); overflow-wrap: anywhere; }
 h2 { font-size: 1.2rem; margin-top: 2.2rem; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; margin: .6rem 0; }
 th, td { padding: .2rem .45rem; text-align: right; border-bottom: 1px solid #e3e6ea; }
-th:first-child, td:first-child { text-align: left; } td + td { white-space: nowrap; }
+th:first-child, td:first-child { text-align: left; background: var(--page);
+                                 position: sticky; left: 0; }
+td + td { white-space: nowrap; } td.long { white-space: normal; min-width: 8em; }
 th { border-bottom: 2px solid #9aa4af; font-weight: 600; }
 caption, figcaption { text-align: left; color: #57606a; font-size: .9rem; padding: .3rem 0; }
 caption span { display: inline-block; position: sticky; left: 0; max-width: calc(100vw - 3rem); }
 figure { margin: 1rem 0; overflow-x: auto; } figcaption { position: sticky; left: 0; }
 figure > svg { width: 100%; min-width: 40rem; max-width: 62rem; height: auto; }
-.wide { overflow-x: auto; }
+.wide { overflow-x: auto; background: /* an edge where more of a table is beside the screen */
+        linear-gradient(to left, var(--page) 30%, transparent) right / 3rem 100% no-repeat local,
+        linear-gradient(to left, var(--edge), transparent) right / .8rem 100% no-repeat scroll; }
+@media (max-width: 40rem) {
+  body { margin: 1rem auto; } table { font-size: .87rem; } th, td { padding: .2rem .3rem; }
+}
 @media (prefers-color-scheme: dark) {
-  body { color: #dde3ea; background: #141414; } /* as white inverted, below */
+  :root { --page: #141414; --edge: #fff3; } body { color: #dde3ea; } /* as white inverted, below */
   .about, caption, figcaption { color: #9aa4af; }
   th, td { border-color: #2c333b; } th { border-color: #57606a; }
   figure > svg, .curves { filter: invert(.92) hue-rotate(180deg); }
@@ -88,9 +96,7 @@ class Page:
     ) -> None:
         """Add a table; the first column is aligned left, the others right."""
         head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
-        body = "".join(
-            "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>\n" for row in rows
-        )
+        body = "".join(f"<tr>{''.join(map(_cell, row))}</tr>\n" for row in rows)
         title = f"<caption><span>{escape(caption)}</span></caption>" if caption else ""
         self._parts.append(
             f'<div class="wide"><table>{title}<thead><tr>{head}</tr></thead>\n'
@@ -140,6 +146,13 @@ class Page:
 def breakable(text: str) -> str:
     """Return a text as HTML that may wrap behind the signs inside names of files and channels."""
     return re.sub(r"(?<=[\w.])([_./:]+)(?=\w)", r"\1<wbr>", escape(text))
+
+
+def _cell(text: str) -> str:
+    """Return a cell of a table: numbers stay on one line, sentences and long names may wrap."""
+    return (
+        f'<td class="long">{breakable(text)}</td>' if len(text) > 16 else f"<td>{escape(text)}</td>"
+    )
 
 
 def _script(text: str) -> str:
