@@ -15,7 +15,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import tomli_w
 from pydantic import (
@@ -24,7 +24,6 @@ from pydantic import (
     ValidationError,
     ValidationInfo,
     field_validator,
-    model_validator,
 )
 
 from hiros_mcap._version import __version__
@@ -134,43 +133,6 @@ class ClockParams(Params):
         return dict(self.__pydantic_extra__)
 
 
-Factor = Annotated[float, Field(ge=1e-6, le=1000)]
-
-
-class NoiseParams(Params):
-    """White noise of the detectors, as ``hiros calibrate noise`` writes it; what is given counts.
-
-    sigma, power, guessed and the tables joints and cameras; see
-    :class:`hiros_mcap.calibrate.noise.NoiseModel`.
-    """
-
-    model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, Factor | dict[str, Factor]]
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        for name, value in self.__pydantic_extra__.items():
-            if name not in (*_NOISE_NUMBERS, *_NOISE_TABLES):
-                raise ValueError(f"{name}: there is no such key")
-            if isinstance(value, dict) != (name in _NOISE_TABLES):
-                raise ValueError(f"{name} should be a {_NOISE_KINDS[name in _NOISE_TABLES]}")
-        return self
-
-    @property
-    def numbers(self) -> dict[str, float]:
-        """Those of sigma (m), power and guessed that are given."""
-        return {k: v for k, v in self.__pydantic_extra__.items() if isinstance(v, float)}
-
-    def table(self, name: str) -> dict[str, float]:
-        """Joint -> factor of the deviation ("joints"), or camera -> of the variance ("cameras")."""
-        table = self.__pydantic_extra__.get(name, {})
-        return table if isinstance(table, dict) else {}
-
-
-_NOISE_NUMBERS, _NOISE_TABLES = ("sigma", "power", "guessed"), ("joints", "cameras")
-_NOISE_KINDS = "number", "table"
-
-
 class OutputParams(Params):
     """How results are written."""
 
@@ -214,9 +176,6 @@ class Config(Params):
     input: InputParams = _part(InputParams, "Reading the cameras.")
     clock: ClockParams = _part(
         ClockParams, "Seconds to add to the stamps of a camera: camera = seconds."
-    )
-    noise: NoiseParams = _part(
-        NoiseParams, "White noise of the detectors, by hiros calibrate noise."
     )
     output: OutputParams = _part(OutputParams, "Writing the results.")
     track: TrackParams = _part(TrackParams, "Tracking (Hi-ROS 3.1).")

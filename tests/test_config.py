@@ -67,7 +67,7 @@ def test_times_noises_and_rates_have_finite_bounds():
 
 @pytest.mark.parametrize(
     "assignment",
-    ["fuse.acceleration=1e9", "fuse.offset=1e9", "noise.sigma=1e9", "filter.cutoff=1e-12"],
+    ["fuse.acceleration=1e9", "fuse.offset=1e9", "filter.cutoff=1e-12"],
 )
 def test_numbers_beyond_physics_are_one_line(assignment):
     name = assignment.partition("=")[0]
@@ -92,8 +92,7 @@ def test_a_system_states_the_sections_that_it_reads(name):
     stages = system(name).stages(Run(MODEL, config=cast(Config, reads)))
     left_out = {"predict"} if len(stages) > len(system(name).chains[-1]) else set()  # of lee
     assert reads.sections - left_out == {*system(name).sections}
-    noise = ("noise",) if "fuse" in system(name).sections else ()
-    assert sections_of(name) == ("input", "clock", *noise, "output", *system(name).sections)
+    assert sections_of(name) == ("input", "clock", "output", *system(name).sections)
 
 
 def test_only_the_sections_asked_for_are_printed():

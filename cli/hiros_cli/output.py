@@ -52,7 +52,7 @@ SCHEMA_VERSIONS: Mapping[str, int] = {
     "check": 1,
     "recover": 2,
     "calibrate.people": 1,
-    "calibrate.noise": 1,
+    "calibrate.noise": 2,
     "calibrate.ball": 1,
     "export": 1,
     "logs": 1,

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.calibrate.guessed_depth import DepthErrors
@@ -28,9 +27,6 @@ from hiros_mcap.stages.known_cameras import KnownCameras
 from hiros_mcap.stages.merge.instants import by_instants
 from hiros_mcap.stages.time_order import Lateness, in_time_order
 from hiros_mcap.systems import LETTERS, Run, Stages, chain_of, sections_of, system
-
-if TYPE_CHECKING:
-    from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,8 +121,7 @@ def set_up(
     config, options : of the stages, if they are not those of the preparation.
     read : gives the detections, for a first pass; None reads the log.
 
-    Raises ConfigError for a calibration window that starts after the end of the log, and for a
-    joint with a known noise that the log does not have.
+    Raises ConfigError for a calibration window that starts after the end of the log.
     """
     log, config = prepared.log, config or prepared.config
     options, read = options or prepared.options, read or prepared.detections
@@ -139,7 +134,6 @@ def set_up(
         fixed_frame=log.fixed_frame,
         system=options.system,
         derivatives=config.output.with_derivatives(chain_of(options.system, options.stages)),
-        noise=_given_noise(log, config, options),
     )
     _calibrate_first(run, chain_of(options.system, options.stages), read)
     return run
@@ -265,21 +259,6 @@ def _check_windows(log: Log, config: Config) -> None:
                 f"{log.path}: ends after {seconds:.1f} s, before the calibration window "
                 f"{first:g}:{last:g} starts"
             )
-
-
-def _given_noise(log: Log, config: Config, options: ProcessOptions) -> FusionNoise | None:
-    """Return the measured noise of the detectors, if the configuration has some and it is used.
-
-    Raises ConfigError for a joint that the log's skeleton does not have.
-    """
-    if "fuse" not in sections_of(options.system) or not config.noise.model_extra:
-        return None
-    from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
-
-    fuse, noise = config.fuse, config.noise
-    usual = FusionNoise.default(log.model, fuse.acceleration, fuse.offset, fuse.offset_time)
-    tables = noise.table("joints"), noise.table("cameras")
-    return usual.measured(log.model, noise.numbers, *tables)
 
 
 def _calibrate_first(run: Run, chain: Sequence[str], read: Callable[[], Iterable[Block]]) -> None:

@@ -17,7 +17,7 @@ import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hiros_mcap import plugins
 from hiros_mcap.body.limb_table import LimbTable
@@ -30,9 +30,6 @@ from hiros_mcap.params import Params
 from hiros_mcap.skeletons import STATE, Floats, SkeletonModel
 from hiros_mcap.stages.known_cameras import KnownCameras
 from hiros_mcap.stages.merge.merge_params import MergeParams
-
-if TYPE_CHECKING:
-    from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 
 Stages = Mapping[str, BlockStage]
 """Output channel -> the stage that fills it, in order; ``frames.by_frame`` takes frames."""
@@ -53,8 +50,6 @@ class Run:
     system: str = DEFAULT_SYSTEM  # name of the system that is run
     derivatives: Collection[str] | None = None
     """Channels whose velocities and accelerations somebody takes; None = all."""
-    noise: FusionNoise | None = None
-    """Measured noise of cameras and joints; None = not measured before the run."""
 
     @property
     def cameras(self) -> Mapping[str, Floats]:
@@ -114,7 +109,7 @@ def fuse(run: Run) -> Stages:
     mended = _mended_views(run, guesses=False)
     fusion = run.stage(
         fuse_blocks, config.fuse, merging=config.merge, fixed_frame=run.fixed_frame,
-        known=run.known, noise=run.noise,
+        known=run.known,
     )  # fmt: skip
     widths = run.widths("tracked", VIEW_WIDTHS)
     return {
@@ -325,7 +320,7 @@ def _installed(name: str) -> System:
 def sections_of(name: str) -> tuple[str, ...]:
     """Return the sections of the configuration that a system reads; ConfigError as in system."""
     sections = system(name).sections
-    return ("input", "clock", *(("noise",) if "fuse" in sections else ()), "output", *sections)
+    return ("input", "clock", "output", *sections)
 
 
 def chain_of(name: str, stages: str = "") -> tuple[str, ...]:

@@ -86,7 +86,7 @@ def test_a_camera_that_is_noisier_is_named(params):
     _, cameras = found(detections({"b": 2.5}), **params)
     (note,) = scatter_notes(cameras)
     assert "detections of b scatter" in note
-    assert "hiros calibrate noise" in note
+    assert "noisier than assumed" in note
 
 
 def test_a_camera_that_stands_elsewhere_is_told_from_a_noisy_one():

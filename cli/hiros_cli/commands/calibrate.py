@@ -188,15 +188,11 @@ def noise(
     window: str | None = option("START:END", "Only this part, s from the log's start."),
     json: bool = JSON,
 ) -> None:
-    """Measure the detectors' noise; print it as TOML for --config.
-
-    --system malaguti uses [kalman]; --system fuse and fuse-realtime use [noise], the white noise by
-    camera, joint, range and confidence.
-    """
+    """Measure the detectors' noise; print it as TOML for --config, for --system malaguti."""
     log.stat()
     span = None if window is None else seconds_range("--window", window)
     prepare(quiet=json)
-    from hiros_mcap.calibrate.noise import measure_noise, measure_noise_model
+    from hiros_mcap.calibrate.noise import measure_noise
     from hiros_mcap.running.pipeline import ProcessOptions, open_input
     from hiros_mcap.stages.malaguti.associate import associate
     from hiros_mcap.wording import number
@@ -214,13 +210,6 @@ def noise(
             if span is None or span[0] <= (frame.stamp - start) / 1e9 <= span[1]
         ]
         scatter = measure_noise(frames, opened.model)
-        places = {
-            name: pose.translation
-            for camera in opened.cameras
-            if (pose := opened.pose_of(camera)) is not None
-            for name in camera.sources.values()
-        }
-        white = measure_noise_model(frames, opened.model, places)
     if not scatter.cameras:
         raise ConfigError(f"{log}: no camera sees anybody twice; there is no noise to measure")
     warnings = []
@@ -234,14 +223,12 @@ def noise(
     if json:
         from hiros_mcap.wording import plain
 
-        print_json("calibrate.noise", {**plain(scatter), "white": plain(white)}, warnings)
+        print_json("calibrate.noise", plain(scatter), warnings)
         return
     print(f"# {scatter.detections} detections; SD per axis of a joint about its mean, mm")
     for kind, table in (("camera", scatter.cameras), ("joint", scatter.joints)):
         for name, deviation in table.items():
             print(f"# {kind} {name}: {number(1000 * deviation, 1)}")
-    if white.joints:
-        print(f"# White noise, which is new in every frame\n{white.toml()}\n")
     if scatter.deviation > STILL_M:  # stdout may go into a file without the warning
         print("# more than 10 cm: somebody moved; choose a part without motion with --window")
     print(f"[kalman]\nmeasurement_noise = {scatter.deviation:.5f}")

@@ -43,7 +43,6 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.body.symmetry import symmetry_of
-from hiros_mcap.calibrate.noise import GUESSED_BELOW
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, CameraMessages, CameraNumbers, Doubts, places_of
 from hiros_mcap.kernels.array_types import F1, F2, I1, I2, J2, arrays
@@ -53,7 +52,7 @@ from hiros_mcap.kernels.points import norm3, point_distance
 from hiros_mcap.skeletons import UNTRACKED, Floats, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.detections.detection_params import PlausibleParams
-from hiros_mcap.stages.detections.visibility import HONEST
+from hiros_mcap.stages.detections.visibility import GUESSED_BELOW, HONEST
 
 DISTORTED, CONTRADICTORY = "distorted", "implausible marker"
 """Kinds of events: views that are left out, and markers that count less."""

@@ -10,11 +10,14 @@ from __future__ import annotations
 
 import math
 
-from hiros_mcap.calibrate.noise import GUESSED_BELOW, GUESSED_SHARE
 from hiros_mcap.kernels.compile import inlined, kernel
 from hiros_mcap.kernels.line_of_sight import Capsules, hidden_by
 from hiros_mcap.skeletons import Floats
 
+GUESSED_BELOW, GUESSED_SHARE = 0.5, 0.75
+"""Confidence below which a detector guesses, at most, and as a share of its greatest confidences.
+Azure Kinect gives 0.66 to joints that it sees and 0.33 to those that it guesses. A detector that is
+never surer than 0.4 does not guess everything."""
 HONEST = 0.06  # m; deviation of a joint that is seen: a Kinect v2 at 3 to 4 m, hands included
 INVENTED = 0.2  # m; of one that a detector invents: on a Kinect log, .2 to .8 m off (3 axes)
 _RATES = 0.03  # share of guessed joints from which on a detector is taken to rate joints

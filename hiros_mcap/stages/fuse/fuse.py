@@ -39,7 +39,7 @@ from hiros_mcap.stages.merge.unseen import Unseen
 def fuse_blocks(
     blocks: Iterable[Block], model: SkeletonModel, params: FuseParams | None = None,
     events: Events | None = None, *, merging: MergeParams | None = None, fixed_frame: str = "",
-    known: KnownCameras | None = None, noise: FusionNoise | None = None,
+    known: KnownCameras | None = None,
 ) -> Iterator[Block]:  # fmt: skip
     """Fuse the tracked skeletons of all cameras.
 
@@ -49,7 +49,7 @@ def fuse_blocks(
     model, params : the skeleton; see :class:`FuseParams`.
     events : counts as :func:`hiros_mcap.stages.merge.merge.merge_blocks` does.
     merging : how instants are made and sides corrected.
-    known : of the cameras. noise : of cameras and joints; None = the defaults.
+    known : of the cameras.
 
     Yields
     ------
@@ -58,7 +58,7 @@ def fuse_blocks(
     """
     events, params = events or Events(), params or FuseParams()
     merging, known = merging or MergeParams(), known or KnownCameras()
-    noise = noise or noise_of(model, params)
+    noise = FusionNoise.default(model, params.acceleration, params.offset, params.offset_time)
     if params.follow_noise:
         noise = RunningNoise.of(noise)
     angle = math.radians(params.pose_angle)
@@ -79,12 +79,3 @@ def fuse_blocks(
         yield from residuals.compared(smoothed)  # 4
     yield from residuals.compared(smoother.rest())
     residuals.finish()
-
-
-def noise_of(
-    model: SkeletonModel, params: FuseParams, measured: FusionNoise | None = None
-) -> FusionNoise:
-    """Return what is assumed of cameras and joints, or ``measured``."""
-    return measured or FusionNoise.default(
-        model, params.acceleration, params.offset, params.offset_time
-    )
