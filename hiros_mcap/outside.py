@@ -9,9 +9,12 @@ from __future__ import annotations
 import codecs
 import json
 import os
+import re
 import stat
+import sys
 import tomllib
 from collections.abc import Iterator
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,6 +22,10 @@ from hiros_mcap.errors import ConfigError
 
 MOST_BYTES = 16 << 20
 """Largest file of settings, bytes."""
+_MOST_YAML = 1 << 20
+"""Largest YAML file, bytes; its reader takes seconds for it."""
+_MOST_PARTS = 1 << 20
+"""Values beside each other in a YAML file, whose aliases repeat what they name."""
 _DEEPEST = 64
 """Tables and lists in each other; nothing that hiros reads has more than 6."""
 _LARGEST = 1 << 64
@@ -51,18 +58,21 @@ def read_text(path: str | os.PathLike[str], most: int = MOST_BYTES) -> str:
         raise ConfigError(f"{path}: {error}") from None
 
 
-def parse(text: str, kind: Literal["JSON", "TOML"], where: object) -> Any:
+def parse(text: str, kind: Literal["JSON", "TOML", "YAML"], where: object) -> Any:
     """Return what a text holds; raises ConfigError that names ``where``.
 
     Refused are texts nested deeper than 64 levels, keys that occur twice, whole numbers beyond 64
-    bits and text that is no Unicode.
+    bits and text that is no Unicode; of YAML also tags of programs, merge keys, and aliases that
+    make much of little.
     """
     try:
         if kind == "TOML":
             value: Any = tomllib.loads(text)
-        else:
+        elif kind == "JSON":
             value = json.loads(text, object_pairs_hook=_table)
-        _check(value)
+        else:
+            value = _yaml(text)
+        _check(value, _MOST_PARTS if kind == "YAML" else sys.maxsize - 1)
     except RecursionError:
         raise ConfigError(f"{where}: not {kind}: nested too deeply") from None
     except ValueError as error:
@@ -76,6 +86,25 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     return table
 
 
+def read_yaml(path: str | os.PathLike[str]) -> Any:
+    """Read a YAML file of at most 1 MiB; raises ConfigError naming it."""
+    return parse(read_text(path, _MOST_YAML), "YAML", path)
+
+
+def _yaml(text: str) -> Any:
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+    if re.search(r"<<\s*:", text):
+        raise ValueError("has a merge key (<<)")
+    try:
+        return YAML(typ="safe").load(text)
+    except YAMLError as error:
+        mark = error.problem_mark if isinstance(error, MarkedYAMLError) else None
+        place = f"line {mark.line + 1}: " if mark else ""
+        raise ValueError(f"{place}{getattr(error, 'problem', '') or error}") from None
+
+
 def _table(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     table = dict(pairs)
     if len(table) < len(pairs):
@@ -85,13 +114,15 @@ def _table(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return table
 
 
-def _check(value: object) -> None:
-    """Raise ValueError for what json and tomllib take and nothing else does."""
+def _check(value: object, most: int) -> None:
+    """Raise ValueError for what these readers take and nothing else does."""
     level = [value]
     for _ in range(_DEEPEST):
-        level = [inner for item in level for inner in _parts(item)]
+        level = [*islice(chain.from_iterable(map(_parts, level)), most + 1)]
         if not level:
             return
+        if len(level) > most:
+            raise ValueError("its aliases make too much of it")
     raise ValueError("nested too deeply")
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from hiros_mcap.body.foreign_cameras import read_calibration
 from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.body.transforms import read_extrinsics
 from hiros_mcap.config import load_config
@@ -54,7 +55,13 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "poses.json": ("JSON", read_extrinsics),
     "metrics": ("JSON", load_metrics),
     "joints.json": ("JSON", imported),
+    "lens.yaml": ("YAML", read_calibration),
 }
+LENS = """image_width: 640
+image_height: 480
+camera_matrix: {data: []}
+distortion_coefficients: {data: []}
+"""
 ODD = {
     "TOML": {
         "nested": "a = " + "[" * DEEP,
@@ -78,6 +85,17 @@ ODD = {
         "people": '[{"time": 0, "people": [null]}]',
         "joints": '[{"time": 0, "people": [{"joints": {"HEAD": {"x": 1}}}]}]',
         "not text": "\udcff",
+    },
+    "YAML": {
+        "nested": "[" * 5000,
+        "aliases": "a: &a [1, 2]\n" + LENS.replace("[]", f"[{', '.join(['*a'] * 9)}]"),
+        "itself": "a: &a [*a]",
+        "tag": "a: !!python/object/apply:os.getcwd []",
+        "merge keys": "a: &a {x: 1}\nb: {<<: [*a, *a]}",
+        "large": "a" * (2 << 20),
+        "number": "a: " + "9" * 5000,
+        "twice": "a: 1\na: 2",
+        "lens": LENS,
     },
 }
 

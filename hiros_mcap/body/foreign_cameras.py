@@ -20,7 +20,7 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Rigid, from_matrix, from_vector
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.outside import parse, read_text
+from hiros_mcap.outside import parse, read_text, read_yaml
 from hiros_mcap.skeletons import Floats
 
 _FARTHEST_M = 50.0
@@ -159,17 +159,14 @@ def _qualisys(path: Path) -> Iterator[LensAndPose]:
 
 
 def _ros(path: Path) -> LensAndPose:
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
+    raw = read_yaml(path)
     try:
-        raw = YAML(typ="safe").load(read_text(path))
         size = [raw["image_width"], raw["image_height"]]
         matrix, distortion = (
             raw[key]["data"] for key in ("camera_matrix", "distortion_coefficients")
         )
         model = str(raw.get("distortion_model") or "plumb_bob")
-    except (YAMLError, TypeError, KeyError, AttributeError, RecursionError, ValueError):
+    except (TypeError, KeyError, AttributeError, ValueError):
         raise ConfigError(
             f"{path}: not a camera_info of ROS: needs image_width, image_height, camera_matrix and "
             "distortion_coefficients"

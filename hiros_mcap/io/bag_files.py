@@ -8,12 +8,15 @@ The recorder names the parts of ``lab`` ``lab_0.mcap``, ``lab_1.mcap``, since RO
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import NamedTuple
 
-from hiros_mcap.errors import LogError
+from pydantic import BaseModel, ValidationError
+
+from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.outside import read_yaml
+from hiros_mcap.params import explain
 
 METADATA = "metadata.yaml"
 STORAGES = (".mcap", ".db3")
@@ -43,6 +46,8 @@ class Files(NamedTuple):
     """Messages of each topic that metadata.yaml counts; of "", those of no topic that it names."""
     remarks: Sequence[str] = ()
     """Guesses about the files, for notes."""
+    warnings: Sequence[str] = ()
+    """That metadata.yaml was not used."""
 
 
 def kind_of(path: Path) -> str:
@@ -76,14 +81,19 @@ def is_recording(folder: Path) -> bool:
     It has a metadata.yaml of rosbag2. Without it, such as after a power loss, its logs have the
     names that rosbag2 gives the parts of a recording.
     """
-    try:
-        with (folder / METADATA).open(encoding="utf-8", errors="replace") as file:
-            if is_metadata(file.read(4096)):
-                return True
-    except OSError:
-        pass
+    if _is_of_rosbag2(folder / METADATA):
+        return True
     try:
         return are_splits(folder.name, [path.name for path in _inside(folder)])
+    except OSError:
+        return False
+
+
+def _is_of_rosbag2(path: Path) -> bool:
+    """Whether a file begins as a metadata.yaml of rosbag2."""
+    try:
+        with path.open(encoding="utf-8", errors="replace") as file:
+            return is_metadata(file.read(4096))
     except OSError:
         return False
 
@@ -134,26 +144,25 @@ def files_of(path: Path, *, recover: bool = False) -> Files:
 
     Raises LogError if files that are listed are missing, or nothing says what a folder holds.
     """
-    about = _described(path if path.is_dir() else path.parent) if path.exists() else None
+    if not path.exists():
+        return Files([path])
     if not path.is_dir():
-        is_whole = about is not None and [unpacked_name(name) for name in about.names] == [
-            unpacked_name(path.name)
-        ]
-        return Files([path], about.counts if about is not None and is_whole else {})
+        about = _described(path.parent, is_named=False)
+        is_whole = [*map(unpacked_name, about.names)] == [unpacked_name(path.name)]
+        return Files([path], about.counts if is_whole else {}, warnings=about.faults)
+    about = _described(path, is_named=True)
     inside = _inside(path)
-    if about is not None and about.names:
+    if about.names:
         listed = [_found(path / name) for name in about.names]
         if recover:
             return Files(sorted({*inside, *listed}, key=_numbered), about.counts)
         return Files(_complete(path, listed, inside), about.counts)
     if len(inside) == 1 or (recover and inside):
-        return Files(inside)
+        return Files(inside, warnings=about.faults)
     if are_splits(path.name, [part.name for part in inside]):
-        remark = (
-            f"{METADATA} is missing; by their names, the {len(inside)} files of the folder are one "
-            "recording"
-        )
-        return Files(inside, remarks=[remark])
+        remark = f"by their names, the {len(inside)} files of the folder are one recording"
+        missing = "" if about.faults else f"{METADATA} is missing; "
+        return Files(inside, remarks=[missing + remark], warnings=about.faults)
     kinds = {"SQLite" if ".db3" in part.name.lower() else "MCAP" for part in inside} or {"MCAP"}
     raise LogError(
         f"is a folder with {len(inside)} {' and '.join(sorted(kinds))} files; name one"
@@ -198,42 +207,64 @@ def _numbered(path: Path) -> tuple[list[tuple[int, str]], str]:
     return [(int(p), "") if p.isdecimal() else (-1, p) for p in parts], path.name
 
 
+class _Name(BaseModel):
+    name: str
+
+
+class _Topic(BaseModel):
+    topic_metadata: _Name
+    message_count: int
+
+
+class _Recorded(BaseModel):
+    """What hiros takes from metadata.yaml."""
+
+    relative_file_paths: list[str]
+    compression_format: str | None = None
+    compression_mode: str | None = None
+    message_count: int = 0
+    topics_with_message_count: list[_Topic] = []
+
+
 class _Description(NamedTuple):
-    """The content of metadata.yaml: names of the files, and messages of each topic."""
+    """The content of metadata.yaml."""
 
-    names: Sequence[str]
-    counts: Mapping[str, int]
+    names: Sequence[str] = ()
+    """Of the files."""
+    counts: Mapping[str, int] = {}
+    """Messages of each topic; of "", those of no topic."""
+    faults: Sequence[str] = ()
+    """Why it was not used, if it cannot be understood."""
 
 
-def _described(folder: Path) -> _Description | None:
-    """Read metadata.yaml; None if there is none, or it cannot be understood.
+def _described(folder: Path, *, is_named: bool) -> _Description:
+    """Read metadata.yaml; without ``is_named``, one that does not look as of rosbag2 is none.
 
     Raises LogError for a compression that only a plugin of rosbag2 can undo.
     """
+    path = folder / METADATA
+    if not path.exists() or not (is_named or _is_of_rosbag2(path)):
+        return _Description()
     try:
-        text = (folder / METADATA).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        return None
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
-    try:
-        info = YAML(typ="safe").load(text)[_RECORDED]
-        names = [PurePath(name).name for name in info["relative_file_paths"]]
-        kind = str(info.get("compression_format") or "zstd")
-        if str(info.get("compression_mode") or "none").lower() == "none":
-            kind = "zstd"
-        counts = Counter({"": int(info.get("message_count") or 0)})
-        for topic in info.get("topics_with_message_count") or ():
-            n = int(topic["message_count"])
-            counts += Counter({topic["topic_metadata"]["name"]: n})
-            counts[""] = max(0, counts[""] - n)
-    except (YAMLError, TypeError, KeyError, ValueError, AttributeError, RecursionError):
-        return None
-    if kind != "zstd":
+        raw = read_yaml(path)
+        info = _Recorded.model_validate(raw.get(_RECORDED) if isinstance(raw, dict) else None)
+    except ConfigError as error:
+        return _Description(faults=[f"{error}; it was not used"])
+    except ValidationError as error:
+        where, fault = explain(error)
+        text = f"{path}: {'.'.join([_RECORDED, *where])}: {fault}"
+        return _Description(faults=[f"{text}; it was not used"])
+    kind = info.compression_format or "zstd"
+    if kind != "zstd" and (info.compression_mode or "none").lower() != "none":
         raise LogError(
             f"is compressed by {kind!r}, which hiros cannot undo; convert it with `ros2 bag "
             "convert`, or record with --compression-format zstd",
             path=folder,
         )
-    return _Description(names, counts)
+    counts: dict[str, int] = {}
+    for topic in info.topics_with_message_count:
+        name = topic.topic_metadata.name
+        counts[name] = counts.get(name, 0) + topic.message_count
+    counts[""] = max(0, info.message_count - sum(counts.values()))
+    names = [PurePath(name).name for name in info.relative_file_paths]
+    return _Description(names, {topic: n for topic, n in counts.items() if n > 0})

@@ -173,7 +173,7 @@ def open_recording(
     else:
         reader, counts = _read_parts(path, files.parts, recover, memory, topic)
     reader.remarks = (*reader.remarks, *files.remarks, *without_definition(reader, _wanted()))
-    reader.warnings = tuple(_missing(files.promised, counts))
+    reader.warnings = (*files.warnings, *_missing(files.promised, counts))
     return reader
 
 

@@ -378,3 +378,41 @@ def test_counts_that_are_right_or_missing_do_not_warn(messages, tmp_path):
     assert overview_of(folder).warnings == ()
     (folder / "metadata.yaml").write_text(text.replace("message_count: 150", "message_count: 953"))
     assert overview_of(folder).warnings[0].startswith("metadata.yaml counts 953 messages")
+
+
+def aliases(key):
+    """Ten lines that mean a billion values."""
+    lines = "".join(f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 10))
+    return f"a0: &a0 [x, x]\n{lines}{key}: *a9\n"
+
+
+BAG = "rosbag2_bagfile_information"
+DAMAGED_METADATA = {
+    "empty": lambda text: "",
+    "cut": lambda text: text[: text.index("relative_file_paths") + 24],
+    "tag": lambda text: text.replace(f"{BAG}:", f"{BAG}: !!python/object/apply:os.getcwd"),
+    "unknown tag": lambda text: text.replace("message_count:", "message_count: !count", 1),
+    "aliases": lambda text: aliases("x") + text,
+    "merge keys": lambda text: "a: &a {x: 1}\nb: {<<: [*a, *a]}\n" + text,
+    "a list": lambda text: f"- {BAG}",
+    "files that are numbers": lambda text: f"{BAG}: {{relative_file_paths: [[1], 2]}}",
+    "a count that is a word": lambda text: text.replace("message_count: ", "message_count: x"),
+    "an endless count": lambda text: text.replace("message_count: ", "message_count: .inf #"),
+    "a tab": lambda text: text.replace("  ", "\t"),
+    "no text": lambda text: text + "\udcff",
+    "nested": lambda text: text + "[" * 5000,
+    "many names": lambda text: text + "".join(f"/a_topic_{k}: 1\n" for k in range(100_000)),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGED_METADATA)
+def test_metadata_that_cannot_be_understood_is_one_warning(damage, messages, healthy, tmp_path):
+    folder = record(tmp_path / "lab", messages)
+    path = folder / "metadata.yaml"
+    text = DAMAGED_METADATA[damage](path.read_text())
+    path.write_bytes(text.encode(errors="surrogateescape"))
+    (warning,) = overview_of(folder).warnings
+    assert warning.startswith(str(path)) and warning.endswith("; it was not used")
+    assert "\n" not in warning and len(warning) < 400
+    with open_log(folder) as log, open_log(healthy) as whole:
+        assert log.reader.counts == whole.reader.counts
