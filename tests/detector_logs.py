@@ -285,16 +285,16 @@ def groups(scene):
             yield topics[m.channel_id], bytes(m.data), m.log_time
 
 
-def write_ros2(path, scene, make):
-    """Write a log in MCAP by the mcap library."""
+def write_ros2(path, scene, make, texts=None):
+    """Write a log in MCAP by the mcap library; ``texts`` are definitions of other releases."""
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start("ros2", "test")
         channels: dict[tuple[str, str], int] = {}
         for topic, name, log_time, data in [*scene.others, *make(scene)]:
             if (topic, name) not in channels:
-                text = hiros_schemas.text(name).encode()
-                schema = writer.register_schema(name, "ros2msg", text)
+                text = (texts or {}).get(name) or hiros_schemas.text(name)
+                schema = writer.register_schema(name, "ros2msg", text.encode())
                 channels[topic, name] = writer.register_channel(topic, "cdr", schema)
             writer.add_message(channels[topic, name], log_time, data, log_time)
         writer.finish()

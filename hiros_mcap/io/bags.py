@@ -23,7 +23,7 @@ from hiros_mcap.io.bag_files import (
     kind_of,
     other_parts,
 )
-from hiros_mcap.io.channels import HUMANS, OTHER_FILES, without_definition
+from hiros_mcap.io.channels import HUMANS, OTHER_TYPES, without_definition
 from hiros_mcap.io.container import (
     McapReader,
     McapWriter,
@@ -143,7 +143,7 @@ class _People(Everything):
         """Raise LogError if nothing can show people."""
         if not self.shows_people:
             topics = ", ".join(sorted(self._listed)) or "none"
-            fault = f"has no SkeletonGroup topic; {OTHER_FILES}"
+            fault = f"has no SkeletonGroup topic, {OTHER_TYPES}"
             raise LogError(fault, path=path, listing=f"it has {topics}")
 
 

@@ -29,7 +29,10 @@ REPORT_ATTACHMENT = "hiros/report.json"
 """The summary, without what differs from run to run."""
 PROVENANCE = "hiros.provenance"
 """Metadata of how a result came about."""
-OTHER_FILES = "`hiros import` reads files of other detectors; docs/detectors.md says how"
+OTHER_TYPES = (
+    "nor another type that hiros reads; for messages of another detector, write a reader of your "
+    "own (docs/detectors.md; entry point hiros.detectors)"
+)
 TRUTH_PREFIX = "/truth"
 TF_TOPICS = ("/tf_static", "/tf")
 HUMANS = "hri_msgs/"
@@ -126,7 +129,12 @@ def channels_of(reader: McapReader) -> tuple[ChannelInfo, ...]:
 
 
 def type_name(reader: McapReader, channel: Channel) -> str:
-    """Return the type of a channel, "" if it has none; /tf and /tf_static need not say theirs."""
+    """Return the type of a channel, "" if it has none; /tf and /tf_static need not say theirs.
+
+    Channels of one type and different uses have different types here, see ``McapReader.types``.
+    """
+    if channel.id in reader.types:
+        return reader.types[channel.id]
     schema = reader.schema(channel)
     if schema is None:
         moves = channel.message_encoding == "cdr" and is_transform_topic(channel.topic)
@@ -171,7 +179,7 @@ def select_skeletons(
     channels = tuple(channels)
     skeletons = [info for info in channels if info.has_type(hiros_schemas.SKELETON_GROUP)]
     if not skeletons:
-        raise LogError(f"has no SkeletonGroup channel; {OTHER_FILES}", listing=_listing(channels))
+        raise LogError(f"has no SkeletonGroup channel, {OTHER_TYPES}", listing=_listing(channels))
     detections = [i for i in skeletons if not _is_below(i.topic, output_prefix.rstrip("/"))]
     if topics is None:
         chosen = [i for i in detections if not _is_below(i.topic, TRUTH_PREFIX)]

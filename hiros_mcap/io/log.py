@@ -55,6 +55,7 @@ from hiros_mcap.io.detectors.conversion import (
     Selection,
     converted,
     is_of_other_detector,
+    name_detections,
     of_people,
 )
 from hiros_mcap.io.detectors.keypoint_messages import is_keypoints
@@ -376,6 +377,7 @@ def open_reader(
     reader = open_recording(Path(path), recover=recover, memory=memory, topic=topic)
     try:
         mend_log_times(reader)
+        name_detections(reader)
     except BaseException:
         reader.close()
         raise

@@ -148,7 +148,7 @@ def test_a_bag_can_be_processed(bag, tmp_path):
 def test_a_bag_without_skeletons_says_what_it_has(maker, tmp_path, messages, capsys):
     path = maker(tmp_path, [m for m in messages if m[1] != SKELETONS])
     with pytest.raises(
-        LogError, match=r"no SkeletonGroup topic; .*it has /chatter \(std_msgs"
+        LogError, match=r"no SkeletonGroup topic, .*it has /chatter \(std_msgs"
     ) as bad:
         open_log(path)
     assert "/tf_static" in str(bad.value)
@@ -161,7 +161,7 @@ def test_a_bag_without_skeletons_says_what_it_has(maker, tmp_path, messages, cap
     text = capsys.readouterr().out
     assert re.search(r"^/chatter +1 +- +0\.0  String", text, re.MULTILINE)
     last = text.rstrip().splitlines()[-2]
-    assert last.startswith("nothing to process: has no SkeletonGroup topic; `hiros import`")
+    assert last.startswith("nothing to process: has no SkeletonGroup topic, nor another type")
 
 
 @pytest.mark.parametrize(("topics", "more"), [(6, ""), (8, " and 2 more topics")])

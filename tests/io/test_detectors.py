@@ -23,7 +23,7 @@ from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate import evaluate, load_truth
 from hiros_mcap.io import detectors
-from hiros_mcap.io.container import McapReader
+from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.detectors import azure_kinect, detector_readers
 from hiros_mcap.io.detectors.body_models import BODY_MODELS, body_model, joints_of, name_of
 from hiros_mcap.io.detectors.conversion import Selection
@@ -535,6 +535,66 @@ def test_ids_in_a_row_are_no_joints(scene, tmp_path):
     path = write_ros2(tmp_path / "log.mcap", scene, in_a_row)
     with pytest.raises(LogError, match=r"ids should be body \* 100 \+ joint"):
         open_log(path)
+
+
+# yolo_ros: keypoints in space
+
+
+YOLO = hiros_schemas.DETECTION_ARRAY
+FLAT = r"(?m)^yolo_msgs/(BoundingBox.D|Mask|KeyPoint2DArray) \w+\n"
+ONLY_IN_SPACE = re.sub(FLAT, "", hiros_schemas.text(YOLO))
+
+
+def detections(frame, names, store, in_space=True):
+    """A DetectionArray of yolo_ros; it leaves out joints without a depth."""
+    kind = {name: store.types[f"yolo_msgs/msg/{name}"] for name in ("KeyPoint3D", "Detection")}
+    point, found = store.types["geometry_msgs/msg/Point"], []
+    for joints in points_in(frame, names, "coco-17") if in_space else []:
+        seen = [(k, row) for k, row in enumerate(joints.tolist(), 1) if not np.isnan(row[0])]
+        points = [kind["KeyPoint3D"](k, point(*row), 0.5) for k, row in seen]
+        where = made.default(
+            "yolo_msgs/msg/KeyPoint3DArray", store, data=points, frame_id=frame.frame_id
+        )
+        found.append(
+            made.default("yolo_msgs/msg/Detection", store, score=0.8, id="3", keypoints3d=where)
+        )
+    header = made.header(made.stamp_of(frame), "colour", store)
+    return store.types[YOLO](header, found)
+
+
+@pytest.mark.parametrize("text", [hiros_schemas.text(YOLO), ONLY_IN_SPACE], ids=["all", "3D"])
+def test_keypoints_in_space_are_skeletons(text, scene, tmp_path):
+    store = made.store_of({YOLO: text})
+
+    def yolo(scene):
+        for k, (topic, frame) in enumerate(scene.detections):
+            data = store.serialize_cdr(detections(frame, scene.names, store, k % 7 > 0), YOLO)
+            yield topic.replace("skeletons", "yolo"), YOLO, frame.log_time, bytes(data)
+
+    with open_log(write_ros2(tmp_path / "log.mcap", scene, yolo, {YOLO: text})) as log:
+        frames = list(log.frames())
+        assert log.model.marker_names == body_model("coco-17").marker_names
+        assert log.fixed_frame == "world"
+    for k, (frame, (_, given)) in enumerate(zip(frames, scene.detections, strict=True)):
+        assert frame.n_people == given.n_people * (k % 7 > 0)
+        if frame.n_people:
+            expected = points_in(given, scene.names, "coco-17")
+            np.testing.assert_array_equal(frame.positions, expected)
+            assert frame.frame_id == given.frame_id
+            assert set(frame.ids) == {3}
+
+
+@pytest.mark.parametrize("kind", ["geometry_msgs/msg/PoseArray", "opt_msgs/msg/SkeletonArray"])
+def test_a_log_of_unknown_types_names_the_reader_of_your_own(kind, tmp_path, capsys):
+    with McapWriter(tmp_path / "log.mcap") as writer:
+        channel = writer.add_channel("/camera_0/people", writer.add_schema(kind, b"int8 x"))
+        writer.write(channel, 5, bytes(8))
+        writer.commit()
+    assert run(["process", str(tmp_path / "log.mcap")]) == 2
+    text = capsys.readouterr().err
+    assert "write a reader of your own (docs/detectors.md; entry point hiros.detectors)" in text
+    assert f"/camera_0/people ({kind}, 1)" in text
+    assert "hiros import" not in text
 
 
 # ZED and ROS4HRI: what cannot be true

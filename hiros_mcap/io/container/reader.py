@@ -216,6 +216,7 @@ class McapReader:
     recovery : what is lost of a damaged file; None if such a file is refused.
     left_out : type and number of messages of the topics of a recording that the file lacks.
     remarks : what was converted for the file. warnings : what is missing of it.
+    types : channel -> what its messages hold, where their type does not tell.
     faults : by topic, how many messages could not be converted, and why the first one could not.
     waited_s : time in which more of the file was waited for.
     """
@@ -231,6 +232,7 @@ class McapReader:
         self._file = path if isinstance(path, LogFile) else LogFile(path)
         self._memory = memory
         self.path: Path | str = self._file.path
+        self.types: dict[int, str] = {}
         self.cpu_s = 0.0  # CPU time, s, of the threads that read ahead
         try:
             self._contents = self._walk()

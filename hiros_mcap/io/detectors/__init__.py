@@ -23,6 +23,7 @@ from hiros_mcap.io.detectors.detector_reader import (
 from hiros_mcap.io.detectors.human_frames import HumanFrames
 from hiros_mcap.io.detectors.rgb_keypoints import RgbKeypoints
 from hiros_mcap.io.detectors.skeleton_groups import SkeletonGroups
+from hiros_mcap.io.detectors.yolo_bodies import YoloBodies
 from hiros_mcap.io.detectors.zed import ZedBodies
 from hiros_mcap.plugins import DETECTORS, faulty, installed, load
 
@@ -42,6 +43,7 @@ _READERS: list[type[DetectorReader]] = [
     AzureKinectMarkers,
     ZedBodies,
     HumanFrames,
+    YoloBodies,
     RgbKeypoints,
 ]
 

@@ -38,7 +38,13 @@ from hiros_mcap.io.container import McapReader, McapWriter, Message, Schema
 from hiros_mcap.io.detectors import detector_readers
 from hiros_mcap.io.detectors.body_models import name_of
 from hiros_mcap.io.detectors.detector_reader import DetectorMessage, DetectorReader, SeenPeople
-from hiros_mcap.io.detectors.keypoint_messages import JOINTS, KEYPOINT_TYPES, LATE
+from hiros_mcap.io.detectors.keypoint_messages import (
+    DETECTIONS_IN_SPACE,
+    JOINTS,
+    KEYPOINT_TYPES,
+    LATE,
+    has_keypoints_in_space,
+)
 from hiros_mcap.io.detectors.model_fitting import UNION, Fit, chosen_model
 from hiros_mcap.io.detectors.rgb_keypoints import RGB_TOPIC, RgbKeypoints, RgbRig
 from hiros_mcap.io.layout import Layout, check_schema
@@ -62,6 +68,8 @@ ENCODINGS = "cdr", "ros1"
 """Of messages that can be read, as they are or converted."""
 _PROBED = 16 * 2**20
 """Bytes of a channel that are looked at to learn whether it shows people, and which joints."""
+_PEOPLE = 30
+"""Messages with people that tell whether a detector has depths."""
 _LISTED = 12
 
 
@@ -210,6 +218,26 @@ def _sources(reader: McapReader, selection: Selection) -> list[InputChannel]:
     if hints or not any(source.selected for source in sources):
         sources = [s._replace(selected=True) if s.type == TRANSFORMS else s for s in sources]
     return sources
+
+
+def name_detections(reader: McapReader) -> None:
+    """Let ``reader.types`` tell channels of detections whose keypoints are in space.
+
+    They are told by the first people on them.
+    """
+    for info in channels_of(reader):
+        is_named = info.has_type(hiros_schemas.DETECTION_ARRAY)
+        if not (is_named and info.count and info.encoding in ENCODINGS):
+            continue
+        source, found = source_of(reader, info, selected=True), list[bool]()
+        for message in reader.messages({info.id}):
+            with suppress(LogError):
+                in_space = has_keypoints_in_space(source.message(message))
+                found += [] if in_space is None else [in_space]
+            if len(found) >= _PEOPLE or any(found):
+                break
+        if any(found):
+            reader.types[info.id] = DETECTIONS_IN_SPACE
 
 
 def source_of(reader: McapReader, info: ChannelInfo, *, selected: bool) -> InputChannel:

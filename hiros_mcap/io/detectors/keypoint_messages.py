@@ -30,12 +30,14 @@ JOINTS = "hiros:joints"
 """Key of a channel's metadata: which model of the table numbers the joints, or their names."""
 LATE = "hiros:late"
 """Key of a channel's metadata: s by which its stamps are late, as hiros found from the people."""
-_USUAL = "coco-17"
+USUAL_JOINTS = "coco-17"
 _HRI_MODEL = "hri-18"
 _HRI = body_model(_HRI_MODEL)
 _DETECTIONS, _SKELETON2D = map(
     hiros_schemas.short_name, (hiros_schemas.DETECTION_ARRAY, hiros_schemas.SKELETON_2D)
 )
+DETECTIONS_IN_SPACE = f"{_DETECTIONS}3D"
+"""What a channel of detections with keypoints in space is called, see :mod:`.yolo_bodies`."""
 KEYPOINT_TYPES = _DETECTIONS, _SKELETON2D
 """Types that are read, ``pkg/Type``."""
 
@@ -57,7 +59,7 @@ def joint_model(info: ChannelInfo) -> SkeletonModel:
     """Return the model by which a channel of keypoints numbers the joints."""
     if info.has_type(hiros_schemas.SKELETON_2D):
         return _HRI
-    name = info.metadata.get(JOINTS, _USUAL)
+    name = info.metadata.get(JOINTS, USUAL_JOINTS)
     return body_model(name) if name in BODY_MODELS else linked(name.split(","))
 
 
@@ -91,6 +93,15 @@ def decode_keypoints(
     return _numbered(walked, joints, lens.size if lens else None)
 
 
+def has_keypoints_in_space(message: DetectorMessage) -> bool | None:
+    """Whether the people of a DetectionArray have keypoints in space; None if it shows nobody.
+
+    Raises LogError for a message that is damaged.
+    """
+    found = _walked(bytes(message.cdr)) or _of_fields(message.fields)
+    return found.in_space if found.in_space or found.people else None
+
+
 def decode_detections(message: Any, joints: int, size: tuple[int, int] | None = None) -> Keypoints:
     """Return the people of a DetectionArray whose model has so many joints.
 
@@ -108,19 +119,26 @@ class _Detected(NamedTuple):
     frame_id: str
     people: list[tuple[Stamps, Floats]]
     """Ids (K,), and u, v, px, and score (K, 3)."""
+    in_space: bool
+    """Whether somebody has keypoints in space, too."""
 
 
 def _of_fields(message: Any) -> _Detected:
     """Return the keypoints of a message that is decoded."""
-    found = (d.keypoints.data for d in message.detections if len(d.keypoints.data))
+    flat, solid = (
+        [getattr(d, name).data for d in message.detections if hasattr(d, name)]
+        for name in ("keypoints", "keypoints3d")
+    )
     people = [
         (
             np.array([k.id for k in keypoints], np.int64),
             np.array([(k.point.x, k.point.y, k.score) for k in keypoints], np.float64),
         )
-        for keypoints in found
+        for keypoints in flat
+        if len(keypoints)
     ]
-    return _Detected(nanoseconds(message.header.stamp), message.header.frame_id, people)
+    stamp, frame_id = nanoseconds(message.header.stamp), message.header.frame_id
+    return _Detected(stamp, frame_id, people, any(map(len, solid)))
 
 
 _KEYPOINT = np.dtype([("id", "<i4"), ("pad", "<i4"), ("values", "<f8", 3)])
@@ -134,7 +152,7 @@ def _walked(data: bytes) -> _Detected | None:
     """
     if data[:2] != HEADER[:2]:
         return None
-    body, people = data[4:], []
+    body, people, in_space = data[4:], [], False
     try:
         sec, nanosec = struct.unpack_from("<iI", body)
         at = _behind_text(body, 8)
@@ -155,12 +173,13 @@ def _walked(data: bytes) -> _Detected | None:
                 people.append((ids, table["values"]))
                 at = first + joints * _KEYPOINT.itemsize
             joints, at = _count(body, at)
+            in_space |= joints > 0
             at = _behind_text(body, _aligned(at + 4, 8) - 8 + 40 * joints if joints else at)
     except (struct.error, ValueError, IndexError):
         return None
     if not 0 <= len(body) - at < 4:
         return None
-    return _Detected(sec * SECOND + nanosec, frame_id, people)
+    return _Detected(sec * SECOND + nanosec, frame_id, people, in_space)
 
 
 def _aligned(at: int, size: int) -> int:
