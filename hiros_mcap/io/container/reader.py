@@ -225,6 +225,7 @@ class McapReader:
     left_out: Mapping[str, tuple[str, int]] = MappingProxyType({})
     remarks: Sequence[str] = ()
     warnings: Sequence[str] = ()
+    types: Mapping[int, str] = MappingProxyType({})
     faults: Mapping[str, tuple[int, str]] = MappingProxyType({})
     waited_s = 0.0
 
@@ -232,7 +233,6 @@ class McapReader:
         self._file = path if isinstance(path, LogFile) else LogFile(path)
         self._memory = memory
         self.path: Path | str = self._file.path
-        self.types: dict[int, str] = {}
         self.cpu_s = 0.0  # CPU time, s, of the threads that read ahead
         try:
             self._contents = self._walk()

@@ -237,7 +237,7 @@ def name_detections(reader: McapReader) -> None:
             if len(found) >= _PEOPLE or any(found):
                 break
         if any(found):
-            reader.types[info.id] = DETECTIONS_IN_SPACE
+            reader.types = {**reader.types, info.id: DETECTIONS_IN_SPACE}
 
 
 def source_of(reader: McapReader, info: ChannelInfo, *, selected: bool) -> InputChannel:
