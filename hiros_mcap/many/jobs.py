@@ -269,16 +269,14 @@ class ExportJob(Job):
     least_confidence: float = LEAST_CONFIDENCE
     keep_gaps: bool = False
     mass: float | None = None
-    model: Path | None = None
 
     command: ClassVar[str] = "export"
     kind: ClassVar[Kind] = "export"
     counted: ClassVar[frozenset[str]] = frozenset({"files"})
 
     def sides(self, name: str) -> tuple[Path, ...]:
-        """Return the files with marker names and with a model."""
-        marker_set = (Path(self.marker_set),) if Path(self.marker_set).is_file() else ()
-        return marker_set if self.model is None else (*marker_set, self.model)
+        """Return the file with marker names."""
+        return (Path(self.marker_set),) if Path(self.marker_set).is_file() else ()
 
     def run(self, log: Path, target: Path) -> Finding:
         """Write a result in the format."""
@@ -296,7 +294,6 @@ class ExportJob(Job):
             self.least_confidence,
             keep_gaps=self.keep_gaps,
             mass=self.mass,
-            model=self.model,
             warn=warnings.append,
         )
         values = {"people": len(result.people), "files": len(files)}

@@ -70,12 +70,7 @@ def export(
     ),
     mass: float | None = option(
         "KG",
-        "For .osim: mass of the person; other files need none. Default: none, or that of --model.",
-    ),
-    model: Path | None = option(
-        "FILE.osim",
-        "For .osim: scale this model, muscles and all, with OpenSim. Default: a model of bones "
-        "alone.",
+        "For .osim: mass of the person; other files need none. Default: none.",
     ),
     topic: str = option(
         "TOPIC",
@@ -104,7 +99,7 @@ def export(
         prepare(quiet=many.quiet)
         names = str(Path(marker_set).absolute()) if Path(marker_set).is_file() else marker_set
         part = (what, person, channel, rate, start, end)
-        job = ExportJob(suffix, *part, names, least_confidence, keep_gaps, mass, model)
+        job = ExportJob(suffix, *part, names, least_confidence, keep_gaps, mass)
         run(job, logs, many, output)
     log = one_log(context, logs[0])
     prepare(quiet=many.quiet)
@@ -115,8 +110,7 @@ def export(
         if marker_set:
             result, what = renamed(result, load_marker_set(marker_set, result.model)), "joints"
         files = [file for target in targets for file in files_of(target, result.people)]
-        inputs = (log, model)
-        check_outputs(*((path, "export") for path in files), inputs=inputs, force=many.force)
+        check_outputs(*((path, "export") for path in files), inputs=(log,), force=many.force)
         warnings: list[str] = []
         written = write(
             result,
@@ -125,7 +119,6 @@ def export(
             least_confidence,
             keep_gaps=keep_gaps,
             mass=mass,
-            model=model,
             warn=warnings.append,
         )
     for text in warnings:

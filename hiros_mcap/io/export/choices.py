@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +23,6 @@ class Choices(NamedTuple):
     keep_gaps: bool = False
     """Whether a format whose programs read no gaps leaves out their rows instead of bridging."""
     mass: float | None = None  # of the person, kg; None if it is not known
-    model: Path | None = None  # model of OpenSim to scale, instead of writing one
     warn: Callable[[str], object] = warn_in_python  # is called with what the file lacks
 
 

@@ -106,7 +106,6 @@ def export(
     *,
     keep_gaps: bool = False,
     mass: float | None = None,
-    model: str | os.PathLike[str] | None = None,
     warn: Callable[[str], object] = warn_in_python,
 ) -> list[Path]:
     """Write a result in the format of the target's suffix.
@@ -122,8 +121,7 @@ def export(
     least_confidence : markers below it are gaps; 0 writes them all.
     keep_gaps : leave out the rows of a MOT file that have gaps, instead of bridging them.
     mass : of the person, kg, for the bodies of a .osim file; without it they have none.
-    model : .osim file to scale to the person, instead of writing a model of our own.
-        Other files need neither.
+        Other files need no mass.
     warn : is called with what a file lacks or bridges; by default Python's own warning.
 
     Returns
@@ -144,11 +142,10 @@ def export(
     if mass is not None and not 1 <= mass <= 1000:
         raise ConfigError(f"{targets[0]}: mass: should be 1 to 1000 kg, is {mass:g}")
     result = _prepared(result, least_confidence)
-    scaled = None if model is None else Path(model)
     written = []
     with ExitStack() as together:  # the files get their names when all are written
         for path, chosen in parts.items():
-            kind, choices = format_of(path), Choices(chosen, keep_gaps, mass, scaled, warn)
+            kind, choices = format_of(path), Choices(chosen, keep_gaps, mass, warn)
             whole = steady(result) if kind.steady else result
             files = files_of(path, whole.people)
             each = [whole] if len(files) == 1 else [whole.select(p) for p in whole.people]

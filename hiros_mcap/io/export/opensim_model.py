@@ -142,19 +142,13 @@ class _OpenSimBody(NamedTuple):
 
 
 def write_osim(result: Result, target: Path, choices: Choices) -> None:
-    """Write one person's model, with the marker names of the result; or scale the user's.
+    """Write one person's model, with the marker names of the result.
 
-    Raises ConfigError if the hips are never seen, or the user's model cannot be scaled.
+    Raises ConfigError if the hips are never seen.
     """
     (motion,) = result.motions.values()
     lengths = sized(result, motion, choices)
     names, spine = marker_names(result.model), _spine(result.model, motion)
-    if choices.model is not None:
-        from hiros_mcap.io.export.opensim_scaling import scaled
-
-        text = scaled(choices.model, lengths, names, spine, choices.mass)
-        write_lines(target, text.splitlines())
-        return
     bodies = _bodies(lengths, _shoulders(result.model, motion, lengths))
     markers = _markers(names, {body.name: body.end for body in bodies}, HIPS + spine)
     mass = choices.mass or 0.0
