@@ -94,7 +94,7 @@ def test_a_fisheye_lens_has_four_coefficients(tmp_path):
         ("a.qca.txt", "<calibration>", "not a calibration of Qualisys"),
         ("a.qca.txt", '<!DOCTYPE c [<!ENTITY a "b">]><c/>', "it defines entities"),
         ("a.yaml", ROS.replace("image_width", "width"), "not a camera_info of ROS"),
-        ("a.yaml", "a: [", "not a camera_info of ROS"),
+        ("a.yaml", "a: [", "not YAML: line 1: expected the node"),
     ],
 )
 def test_a_faulty_calibration_is_one_line(name, text, fault, tmp_path):
