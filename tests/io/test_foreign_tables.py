@@ -117,6 +117,28 @@ def test_a_header_that_counts_one_row_too_many_is_doubtful_and_two_an_error(tmp_
         imported(tmp_path / "a.trc")
 
 
+@pytest.mark.parametrize(
+    ("values", "fault"),
+    [
+        ("30\t30\t-1\t3\tmm", "line 3: NumFrames is -1, which counts nothing; correct it"),
+        ("30\t30\t1e9\t3\tmm", "is cut off: it has 6 of the 1000000000 frames"),
+        ("30\t30\tnan\t3\tmm", "line 3: NumFrames is nan, which counts nothing"),
+        ("30\t30\t6\t-3\tmm", "line 3: NumMarkers is -3, which counts nothing"),
+        ("30\t30\t6\t1e9\tmm", "line 4 names 3 markers, but line 3 says 1000000000"),
+    ],
+)
+def test_numbers_of_a_trc_file_that_count_nothing_are_refused(values, fault, tmp_path):
+    (tmp_path / "a.trc").write_text(trc(values=values))
+    with pytest.raises(ConfigError, match=fault):
+        read_trc(tmp_path / "a.trc")
+
+
+@pytest.mark.parametrize("values", ["nan\t30\t6\t3\tmm", "30\tinf\t6\t3\tmm", "30\t30\t\t\tmm"])
+def test_rates_that_are_no_number_and_counts_that_are_empty_change_nothing(values, tmp_path):
+    (tmp_path / "a.trc").write_text(trc(values=values))
+    assert_same(imported(tmp_path / "a.trc")["a"])
+
+
 def test_commas_that_are_decimal_and_between_cells_are_one_line_with_the_remedy(tmp_path):
     (tmp_path / "a.trc").write_text(trc(between=",", point=","))
     with pytest.raises(ConfigError, match="more numbers .* separate the cells by tabs"):

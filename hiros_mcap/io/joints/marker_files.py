@@ -62,13 +62,14 @@ def read_trc(path: Path, unit: str = "") -> Markers:
         twice = next(name for name in names if names.count(name) > 1)
         raise ConfigError(f"{path}: line 4: names the marker {twice} twice")
     rows = list(_trc_rows(path, lines, delimiter, 2 + 3 * len(names)))
-    count = header.get("NumMarkers", "")
-    if count.isdecimal() and int(count[:18]) != len(names):
+    count = _trc_count(path, header, "NumMarkers")
+    if count not in (None, len(names)):
         raise ConfigError(
             f"{path}: line 4 names {len(names)} markers, but line 3 says {count}; correct it"
         )
     # A last line without an end may be cut off.
-    doubt = _check_frames(path, header.get("NumFrames", ""), rows, int(text.endswith("\n")))
+    allowed = int(text.endswith("\n"))
+    doubt = _check_frames(path, _trc_count(path, header, "NumFrames") or 0, rows, allowed)
     with_points(rows)
     numbers = np.full((len(rows), 1 + 3 * len(names)), np.nan)
     for k, (where, cells) in enumerate(rows):
@@ -91,8 +92,25 @@ def _trc_header(keys: str, values: str) -> tuple[dict[str, str], str]:
     )
     header = dict(zip(names, cells, strict=True)) if len(names) == len(cells) else {}
     # The unit is the only word among numbers.
-    word = next((cell for cell in cells if cell[:1].isalpha()), "")
+    word = next((cell for cell in cells if cell[:1].isalpha() and not _is_number(cell)), "")
     return header, word or header.get("Units", "")
+
+
+def _trc_count(path: Path, header: dict[str, str], key: str) -> int | None:
+    """Return a number of the header; None without one. Raises ConfigError if it counts nothing."""
+    if not (text := header.get(key, "")):
+        return None
+    if not _is_number(text) or float(text) < 0 or not float(text).is_integer():
+        raise ConfigError(f"{path}: line 3: {key} is {text}, which counts nothing; correct it")
+    return int(float(text))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _trc_rows(
@@ -120,15 +138,12 @@ def _trc_rows(
         yield where, cells
 
 
-def _check_frames(
-    path: Path, expected: str, rows: list[tuple[str, list[str]]], allowed: int
-) -> str:
+def _check_frames(path: Path, count: int, rows: list[tuple[str, list[str]]], allowed: int) -> str:
     """Return what is doubtful about the number of rows, of which a program may count one too many.
 
     Rows that are missing in the middle are a pause. Raises ConfigError if more than ``allowed``
     are missing at the end.
     """
-    count = int(expected[:18]) if expected.isdecimal() else 0
     ends = [rows[k][1][0] for k in (0, -1)] if rows else []
     if len(ends) == 2 and all(number.isdecimal() for number in ends):
         found = max(int(ends[1][:18]) - int(ends[0][:18]) + 1, len(rows))
@@ -136,7 +151,7 @@ def _check_frames(
         found = len(rows)
     if count <= found:
         return ""
-    text = f"it has {len(rows)} of the {expected} frames of its line 3"
+    text = f"it has {len(rows)} of the {count} frames of its line 3"
     if rows and count <= found + allowed:
         return f"{text}; unless NumFrames is wrong, it was cut off"
     raise ConfigError(f"{path}: is cut off: {text}; export it again, or correct NumFrames")
