@@ -115,8 +115,7 @@ class _Edge:
                 then = "at one time" if log_time <= self._stamps[-1] else "in turns"
                 return (
                     f"has two static transforms in {self.parent!r} {then} that disagree by "
-                    f"{change.distance}: {_at(self._pose(-1))}; and {_at(new)}. Keep one "
-                    "publisher, or pass the camera poses with --extrinsics FILE"
+                    f"{change.distance}: {_at(self._pose(-1))}; and {_at(new)}"
                 )
             self.changes.append(change)
         self.add(log_time, numbers)

@@ -72,7 +72,7 @@ _DOUBTFUL = (
     "hiros calibrate people LOG -o cameras.toml writes what is known of doubtful poses, and "
     "--extrinsics cameras.toml uses them"
 )
-_GAUGES = "the room's origin is arbitrary", "the transforms of the others place them"
+_GAUGES = "the room's origin is arbitrary", "its transforms only place the rig in the room"
 _ALONE = "no other camera stands still in a frame of its own"
 
 
