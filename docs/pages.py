@@ -143,7 +143,7 @@ def _tables(params: Any) -> Iterator[str]:
         ]
         if rows:
             heading = f"**{title}**\n\n" if title else ""
-            header = "| parameter | default | allowed | what it is |\n|---|---|---|---|\n"
+            header = "| parameter | default | what it is, and what is allowed |\n|---|---|---|\n"
             yield heading + header + "\n".join(rows)
 
 
@@ -152,7 +152,8 @@ def _row(params: Any, name: str, schema: Mapping[str, Any]) -> str:
 
     description = " ".join((type(params).model_fields[name].description or "").split())
     default = toml_value(getattr(params, name))
-    cells = (f"`{name}`", f"`{default}`", allowed(schema), _text(description))
+    limits = f" Allowed: {values}." if (values := allowed(schema)) else ""
+    cells = (f"`{name}`", f"`{default}`", _text(description + limits))
     return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
 
 
