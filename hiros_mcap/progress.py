@@ -1,4 +1,4 @@
-"""How far something is, for people: a bar on a terminal or in a notebook, nothing for a pipe."""
+"""How far something is, for people: a bar on a terminal or in a notebook, else a line a minute."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from threading import Event, Thread
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
@@ -20,6 +21,10 @@ class Progress(Protocol):
 
     def update(self, done: int, total: int) -> None:
         """Take note that ``done`` of ``total`` is done, in whatever unit; of a log, ns."""
+
+
+MINUTE_S = 60.0
+"""s between two lines where there is no terminal."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,16 +46,47 @@ class Bar:
             self.progress.update(self.task, completed=done, total=total)
 
 
+@dataclass(slots=True)
+class JobLines:
+    """Says once a minute how far a run is, where there is no terminal: in the log of a job."""
+
+    label: str
+    share: float = 0.0
+
+    def update(self, done: int, total: int) -> None:
+        """Say that ``done`` of ``total`` is done."""
+        self.share = done / total if total else 0.0
+
+    def tell(self, ended: Event, interval_s: float) -> None:
+        """Print a line on stderr at each interval until ``ended``."""
+        minutes = 0
+        while not ended.wait(interval_s):
+            minutes += 1
+            share = f"{self.share:.0%} after " if self.share else ""
+            sys.stderr.write(f"hiros: {self.label}: {share}{minutes} min\n")
+            sys.stderr.flush()
+
+
 @contextmanager
-def bar(label: str, *, quiet: bool, notebook: bool = False, live: bool = False) -> Iterator[Bar]:
+def bar(
+    label: str, *, quiet: bool, notebook: bool = False, live: bool = False
+) -> Iterator[Progress]:
     """Show a bar with the time on stderr until the end.
 
     The time is what remains, or what has passed as long as nobody says how much there is to do.
-    Without a terminal there is no bar, but where ``notebook`` allows it in one.
+    Without a terminal there is a line a minute, but none from a library (``notebook``), which has
+    a bar in a notebook alone.
     """
     shown_on = None if quiet else _console(notebook=notebook)
     if shown_on is None:
-        yield Bar()
+        lines, ended = JobLines(label), Event()
+        teller = Thread(target=lines.tell, args=(ended, MINUTE_S), daemon=True)
+        if not (quiet or notebook or live):
+            teller.start()
+        try:
+            yield lines
+        finally:
+            ended.set()
         return
     from rich.progress import (
         BarColumn,

@@ -12,11 +12,9 @@ import tempfile
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from time import monotonic
 
 _ADDRESSES = 512 << 20  # bytes; below that, libraries abort the program while they are loaded
 _POLL_S = 0.3
-_SILENCE_S = 60.0  # where there is no bar, a line comes that often
 _SPACE = 32 << 20  # bytes; all kernels take a tenth of that
 
 
@@ -90,18 +88,8 @@ def _compile(missing: Mapping[str, Sequence[Path]], *, quiet: bool) -> None:
     texts = {name: text for name, text in sources().items() if name in missing}
 
     def show() -> None:
-        spoken = started = monotonic()
         while not over.wait(_POLL_S):
-            done = sum(file.exists() for file in files)
-            shown.update(done, len(files))
-            if shown.progress is None and not quiet and monotonic() - spoken >= _SILENCE_S:
-                spoken = monotonic()
-                print(
-                    f"hiros: compiling kernels: {done} of {len(files)} after "
-                    f"{spoken - started:.0f} s",
-                    file=sys.stderr,
-                    flush=True,
-                )
+            shown.update(sum(file.exists() for file in files), len(files))
 
     # Where there is no memory for several processes, this one compiles what is left, as it goes.
     with bar("compiling kernels", quiet=quiet) as shown, contextlib.suppress(HirosError):

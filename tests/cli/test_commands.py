@@ -28,7 +28,7 @@ from hiros_cli.commands import program
 from hiros_cli.commands.simulate import simulate_params
 from hiros_cli.compiling import importing, independent, prepare
 from hiros_cli.options import EXAMPLES
-from hiros_mcap import __version__, kernels, workers
+from hiros_mcap import __version__, kernels, progress, workers
 from hiros_mcap.config import load_config
 from hiros_mcap.defaults import SYSTEM_NAMES
 from hiros_mcap.errors import ConfigError
@@ -151,12 +151,12 @@ def test_config_takes_the_system_as_its_argument(capsys):
 
 
 def test_a_long_compilation_without_a_bar_says_each_while_that_it_goes_on(monkeypatch, capsys):
-    monkeypatch.setattr(compiling, "_SILENCE_S", 0.0)
+    monkeypatch.setattr(progress, "MINUTE_S", 0.1)
     monkeypatch.setattr(compiling, "_POLL_S", 0.01)
     files = {"hiros_mcap.kernels.cdr": [Path("ready"), Path("other")]}
     monkeypatch.setattr(workers, "run_tasks", lambda *_: (time.sleep(t) for t in (0.3, 0.0)))
     compiling._compile(files, quiet=False)
-    assert "hiros: compiling kernels: 0 of 2 after 0 s" in capsys.readouterr().err
+    assert "hiros: compiling kernels: 1 min" in capsys.readouterr().err
     compiling._compile(files, quiet=True)
     assert capsys.readouterr().err == ""
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import io
 import sys
+import time
 
 import pytest
 
 from hiros_cli.app import run
+from hiros_mcap import progress
 
 COMMANDS = {
     "process": ["process", "LAB", "-o", "OUT.mcap", "--calibrate", "off"],
@@ -19,6 +21,7 @@ COMMANDS = {
     "view": ["view", "RESULT", "--save", "OUT.rrd", "--time-range", "0:1"],
     "people": ["calibrate", "people", "WALK"],
     "recover": ["recover", "LAB", "-o", "OUT.mcap"],
+    "plan": ["plan", "--room", "4x4", "--cameras", "2"],
 }
 
 
@@ -56,3 +59,17 @@ def test_a_terminal_shows_a_bar_and_a_pipe_nothing(name, logs, tmp_path, monkeyp
     assert "━" in told(tmp_path / "terminal")
     kind = io.StringIO
     assert "━" not in told(tmp_path / "pipe")
+
+
+def test_the_log_of_a_job_has_a_line_a_minute(logs, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(progress, "MINUTE_S", 0.02)
+    out = tmp_path / "out.mcap"
+    arguments = ["process", logs["WALK"], "-o", str(out), "--calibrate", "off"]
+    assert run(arguments) == 0
+    assert ": 1 min\n" in capsys.readouterr().err
+    assert run([*arguments, "-q"]) == 0
+    assert "min\n" not in capsys.readouterr().err
+    with progress.bar("work", quiet=False) as shown:
+        shown.update(1, 4)
+        time.sleep(0.1)
+    assert "hiros: work: 25% after 1 min\n" in capsys.readouterr().err

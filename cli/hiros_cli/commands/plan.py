@@ -12,6 +12,7 @@ from hiros_cli.compiling import prepare
 from hiros_cli.options import FORCE, JSON, OUTPUT, QUIET, TABLE, flag, option
 from hiros_cli.output import check_outputs, print_json
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.progress import bar
 
 if TYPE_CHECKING:
     from hiros_mcap.evaluate.measures import Sheet
@@ -80,7 +81,8 @@ def plan(
         if text is not None:
             given.setdefault("rig", {})[name] = _pair(f"--{name}", text, mark)
     params = simulate_params({**given, "people": people, "noise": noise})
-    rig_plan = make_plan(params, height, poses)
+    with bar("planning", quiet=json or quiet):
+        rig_plan = make_plan(params, height, poses)
     if output is not None:
         save_rig(output, rig_plan.params)
     if picture is not None:
