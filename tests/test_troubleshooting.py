@@ -67,9 +67,10 @@ def notes(tree):
 
 
 def fixed_part(message):
-    """Return the first words of a message that are always the same, three or more if it can."""
+    """Return the first words of a message that are always the same, three to six if it can."""
     parts = [part.strip(" :,.()") for part in re.split(r"\.\.\.|\{\w+\}|[`;]|\. ", message)]
-    return next((part for part in parts if part.count(" ") > 1), max(parts, key=len))
+    part = next((part for part in parts if part.count(" ") > 1), max(parts, key=len))
+    return " ".join(part.split(" ")[:6]).rstrip(" :,.()")
 
 
 def sources():
