@@ -20,7 +20,7 @@ from hiros_mcap.evaluate.truth import MAX_GAP_NS, Truth
 from hiros_mcap.io.channels import TRUTH_PREFIX
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.detectors.body_models import joints_of
-from hiros_mcap.io.joints.marker_files import MARKER_FILES
+from hiros_mcap.io.joints.marker_files import has_markers, read_markers
 from hiros_mcap.io.joints.text_tables import SECONDS, number_of, read_table, seconds_of
 from hiros_mcap.io.log import Source, open_log
 from hiros_mcap.io.log_accounts import zeros_in_words
@@ -46,10 +46,11 @@ def load_truth(path: Source, topic: str = f"{TRUTH_PREFIX}/*") -> Truth:
 
     Raises LogError or ConfigError if the file cannot be read, or holds no truth.
     """
-    readers = {".csv": read_csv, **dict.fromkeys(MARKER_FILES, read_mocap)}
     name = Path(path.path if isinstance(path, McapReader) else path)
-    if (read := readers.get(name.suffix.lower())) is not None:
-        return read(name)
+    if has_markers(name):
+        return read_mocap(name)
+    if name.suffix.lower() == ".csv":
+        return read_csv(name)
     with open_log(path, topics=[topic], output_prefix="/none") as log:
         check_only(name, topic, [camera.channel.topic for camera in log.cameras])
         reading = log.read()
@@ -69,14 +70,14 @@ def check_only(path: Path | str, topic: str, matching: Sequence[str]) -> None:
 
 
 def read_mocap(path: Path) -> Truth:
-    """Read markers from a TRC or C3D file; times are seconds from the log's start.
+    """Read markers from a file of motion capture; times are seconds from the log's start.
 
     The file's unit scales to metres. Coordinates are taken as they are: the file's axes must be
     those of the log's fixed frame. People are numbered in the order of the file.
 
-    Raises ConfigError if the file is of another kind.
+    Raises ConfigError if the file is faulty.
     """
-    markers = MARKER_FILES[path.suffix.lower()](path)
+    markers = read_markers(path)
     orientations = np.full((*markers.positions.shape[:2], 0, 4), np.nan)
     model = SkeletonModel.of(markers.names, [])
     people = tuple(range(len(markers.people)))
@@ -213,7 +214,7 @@ def _check_unit(path: Path, positions: Floats) -> None:
     people = np.where(unknown, np.nan, positions)[enough]
     if not len(people):
         return
-    is_mocap = path.suffix.lower() in MARKER_FILES
+    is_mocap = has_markers(path)
     size = float(np.median((np.nanmax(people, axis=1) - np.nanmin(people, axis=1)).max(axis=-1)))
     if size > _LARGEST_M:
         unit = "millimetres" if size > 30 * _LARGEST_M else "centimetres"

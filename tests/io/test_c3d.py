@@ -29,7 +29,9 @@ def record(group, name, processor, values=None):
     """A group, or a parameter of texts, floats or a whole number."""
     order, data = ORDER[processor], b"\0"
     if isinstance(values, list):
-        data = struct.pack("bBBB", -1, 2, 4, len(values)) + "".join(values).encode() + b"\0"
+        width = max(map(len, values), default=4)
+        text = "".join(value.ljust(width) for value in values)
+        data = struct.pack("bBBB", -1, 2, width, len(values)) + text.encode() + b"\0"
     elif isinstance(values, float):
         data = b"\4\0" + real(values, processor) + b"\0"
     elif values is not None:
@@ -42,7 +44,7 @@ def c3d(path, points=POINTS, processor=84, scale=-1.0, header=None, frames=None,
     """Write points with an analog sample per frame; ``header`` and ``frames`` count what is not."""
     order, (n, m, _) = ORDER[processor], points.shape
     point = {"USED": m, "SCALE": scale, "FRAMES": n if frames is None else frames, "RATE": 100.0}
-    point |= {"LABELS": ["A   ", "B   "][:m], "UNITS": ["mm  "]} | parameters
+    point |= {"LABELS": ["A", "B"][:m], "UNITS": ["mm"]} | parameters
     records = [record(-1, "POINT", processor), record(-2, "ANALOG", processor)]
     records += [record(1, name, processor, values) for name, values in point.items()]
     block = b"\1P\1" + bytes([processor]) + b"".join([*records, record(2, "USED", processor, 1)])
@@ -111,3 +113,35 @@ def test_texts_without_letters_take_no_memory(tmp_path):
     many = path.read_bytes().replace(b"\xff\2\4\1none", b"\xff\7\0\xff\xff\xff\xff\xff")
     path.write_bytes(many)
     assert read_c3d(path).names == ["A", "B"]
+
+
+BODIES = [f"{body}:Marker{k}" for body in ("ArmL", "SWL") for k in (1, 2)]
+ANNA, BEN = ([f"{who}:{name}" for name in ("HEAD", "C7")] for who in ("Anna", "Ben"))
+
+
+@pytest.mark.parametrize(
+    ("labels", "people", "names", "said"),
+    [
+        (
+            BODIES,
+            ["0"],
+            ["ArmL_Marker1", "ArmL_Marker2", "SWL_Marker1", "SWL_Marker2"],
+            "one person",
+        ),
+        (
+            [*BODIES[:2], *ANNA],
+            ["Anna"],
+            ["ArmL_Marker1", "ArmL_Marker2", "HEAD", "C7"],
+            "one person",
+        ),
+        ([*ANNA, *BEN, "Sync:Sync"], ["Anna", "Ben"], ["HEAD", "C7"], "bodies Sync are left out"),
+        ([*ANNA, *BEN], ["Anna", "Ben"], ["HEAD", "C7"], ""),
+        (["Anna:HEAD", "Ben:HEAD"], ["Anna", "Ben"], ["HEAD"], ""),
+    ],
+)
+def test_rigid_bodies_are_no_people(labels, people, names, said, tmp_path):
+    points = np.arange(24.0 * len(labels)).reshape(8, -1, 3)
+    markers = read_c3d(c3d(tmp_path / "a.c3d", points, LABELS=labels))
+    assert ([*markers.people], markers.names) == (people, names)
+    assert said in markers.doubt and bool(said) == bool(markers.doubt)
+    np.testing.assert_allclose(markers.positions[:, 0, 0], points[:, 0] / 1000)

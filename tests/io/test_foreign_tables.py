@@ -282,6 +282,56 @@ def test_a_truth_in_csv_is_read_likewise(begin, text, tmp_path):
     assert truth.stamps.tolist() == pytest.approx(stamps, abs=1000)
 
 
+def nexus(between=",", point=".", subject="P1:", before="", first=101):
+    """A table of Vicon Nexus: POINTS at 8 Hz, mm, and a trajectory without a name."""
+    labels = ["", ""] + [cell for name in (*NAMES, "*7") for cell in (subject + name, "", "")]
+    lines = ["Trajectories", "8", between.join(labels)]
+    lines.append(between.join(["Frame", "Sub Frame", *4 * "XYZ"]))
+    lines.append(between.join(["", "", *12 * ["mm"]]))
+    for k, points in enumerate(POINTS):
+        cells = [str(first + k), "0", *(f"{v:.3f}" for v in 1000 * points.ravel()), "", "", ""]
+        lines.append(between.join(cells).replace(".", point))
+    return before + "\n".join(lines) + "\n"
+
+
+DEVICES = "Devices\n1000\n,,Force\nFrame,Sub Frame,Fx\n,,N\n1,0,3.5\n\n"
+FOREIGN_NEXUS = {
+    "commas": nexus(),
+    "empty lines before": nexus(before="\n,,,\n"),
+    "tabs and decimal commas": nexus("\t", ","),
+    "semicolons and decimal commas": nexus(";", ","),
+    "no subject": nexus(subject=""),
+    "after the devices, before the models": nexus(before=DEVICES) + DEVICES.replace("Dev", "\nDev"),
+    "a line without its last cells": nexus().replace(",,,\n", "\n"),
+}
+
+
+@pytest.mark.parametrize("kind", FOREIGN_NEXUS)
+def test_trajectories_of_vicon_nexus_are_read(kind, tmp_path):
+    (tmp_path / "a.csv").write_text(FOREIGN_NEXUS[kind])
+    frames = imported(tmp_path / "a.csv")["a"]
+    assert_same(frames)
+    assert_times(frames, RELATIVE_START)
+    assert load_truth(tmp_path / "a.csv").positions[:, 0] == pytest.approx(POINTS, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        (DEVICES, "has no Trajectories, only Devices; export them, too"),
+        (nexus()[:-40], "line 11: is cut off"),
+        (nexus().replace(",mm", ",deg"), "line 5: unit 'deg' is none of"),
+        (nexus().replace("900.000", "high", 1), "line 6: 'high' is not a number"),
+        ("Trajectories\n8\n\n", "line 1: has no trajectories"),
+        (nexus().replace("Trajectories\n8", "Trajectories\n-8"), "names no marker, or the line be"),
+    ],
+)
+def test_a_faulty_table_of_vicon_nexus_is_one_line(text, fault, tmp_path):
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(ConfigError, match=fault):
+        imported(tmp_path / "a.csv")
+
+
 def c3d(path, points, names, count=None, **trial):
     """A C3D file of (T, M, 3) points that says mm."""
     file = ezc3d.c3d()

@@ -36,7 +36,7 @@ from hiros_mcap.io.joints.joint_files import (
     unit_set,
 )
 from hiros_mcap.io.joints.mapping import FileMapping, TimeMapping, names_by_count, read_mapping
-from hiros_mcap.io.joints.marker_files import MARKER_FILES
+from hiros_mcap.io.joints.marker_files import has_markers, read_markers
 from hiros_mcap.io.log_accounts import zeros_in_words
 from hiros_mcap.progress import Bar, Progress
 from hiros_mcap.skeletons import POSITION, Floats, Frame, Ints, SkeletonModel
@@ -299,8 +299,8 @@ def _check_size(path: Path, frames: Iterable[Frame], mapping: FileMapping) -> No
     if math.isnan(size) or SMALLEST <= size <= LARGEST:
         return
     unit, said = str(mapping.unit), ""
-    if path.suffix.lower() in MARKER_FILES and not unit_set(mapping):
-        unit, said = MARKER_FILES[path.suffix.lower()](path).unit, ", as the file says"
+    if has_markers(path) and not unit_set(mapping):
+        unit, said = read_markers(path).unit, ", as the file says"
     in_file = size / METRES[unit]
     units = [name for name, metres in METRES.items() if _USUAL[0] <= in_file * metres <= _USUAL[1]]
     remedy = f'write unit = "{units[0]}"' if units else "correct the unit"

@@ -15,7 +15,7 @@ from hiros_mcap.body.body_size import METRES
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.detectors.body_models import KEYPOINT_MODELS, body_model
 from hiros_mcap.io.joints.mapping import ColumnMapping, FileMapping, of_columns
-from hiros_mcap.io.joints.marker_files import MARKER_FILES
+from hiros_mcap.io.joints.marker_files import MARKER_FILES, has_markers, read_markers
 from hiros_mcap.io.joints.text_tables import (
     SECONDS,
     Table,
@@ -74,14 +74,14 @@ def read_sightings(
         ".csv": _csv,
         ".json": _json,
         ".npy": _numpy,
-        **dict.fromkeys(MARKER_FILES, _markers),
     }
     if path.is_dir():
         yield from _folder(path, mapping, warn, progress)
         return
-    reader = readers.get(path.suffix.lower())
+    reader = _markers if has_markers(path) else readers.get(path.suffix.lower())
     if reader is None:
-        raise ConfigError(f"{path}: is none of {', '.join(readers)}, which hiros imports")
+        kinds = ", ".join([*readers, *MARKER_FILES])
+        raise ConfigError(f"{path}: is none of {kinds}, which hiros imports")
     yield from reader(path, mapping, warn)
 
 
@@ -93,7 +93,7 @@ def unit_set(mapping: FileMapping) -> str:
 def _markers(path: Path, mapping: FileMapping, warn: Warn) -> Iterator[PersonInFile]:
     if mapping.time.rate:
         raise ConfigError(f"{path}: time.rate is for files without times; this one has times")
-    markers = MARKER_FILES[path.suffix.lower()](path, unit_set(mapping))
+    markers = read_markers(path, unit_set(mapping))
     if markers.doubt:
         warn(f"{path}: {markers.doubt}")
     names = tuple(markers.names)

@@ -1,4 +1,4 @@
-"""Files of motion capture: TRC (OpenSim, Cortex) of one person, C3D (Vicon, Qualisys, OptiTrack).
+"""Files of motion capture: TRC (OpenSim, Cortex), C3D (Vicon, Qualisys, OptiTrack), Nexus' CSV.
 
 https://www.c3d.org describes C3D. These parameters count: POINT:LABELS (and LABELS2 and so on, of
 more than 255 points), POINT:UNITS, POINT:RATE, and the lists of points that are no markers, as the
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -171,6 +171,8 @@ def _length(text: str, where: str) -> str:
     )
 
 
+_NUMBERED = re.compile(r"marker[ _]?\d+", re.I)
+_EDGES = '",;\t '
 _NO_MARKERS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
 
 
@@ -188,26 +190,66 @@ def read_c3d(path: Path, unit: str = "") -> Markers:
     unit_name = next(iter(file.texts("POINT", "UNITS")), "") or "mm"
     unit = unit or _length(unit_name, f"{path}: POINT:UNITS")
     rate = sum(file.numbers("POINT", "RATE")[:1])
-    columns: dict[tuple[str, str], int] = {}
-    for k, label in enumerate(labels):
-        if not label or label in no_markers or label.startswith("*"):
-            continue
-        person, _, name = label.rpartition(":")
-        if (person, name) in columns:
-            raise ConfigError(f"{path}: POINT:LABELS names the marker {label} twice")
-        columns[person, name] = k
-    if not columns or not len(points):
+    kept = {
+        k: label
+        for k, label in enumerate(labels)
+        if label and label not in no_markers and not label.startswith("*")
+    }
+    if not kept or not len(points):
         raise ConfigError(f"{path}: has no markers{_instead(file)}")
     if not rate > 0:
         raise ConfigError(f"{path}: POINT:RATE is {rate:g}, so its frames have no times")
-    people = tuple(dict.fromkeys(person for person, _ in columns))
+    times, metres = np.arange(len(points)) / rate, METRES[unit] * points[:, [*kept]]
+    return _by_person(f"{path}: POINT:LABELS", [*kept.values()], times, metres, unit, file.doubt)
+
+
+def _by_person(
+    where: str, labels: list[str], times: Floats, points: Floats, unit: str, doubt: str = ""
+) -> Markers:
+    """Return (T, K, 3) points, m, as the markers of the people before the colons of their labels.
+
+    Raises ConfigError if two have the same label.
+    """
+    parts = [label.rpartition(":")[::2] for label in labels]
+    owners = [*dict.fromkeys(owner for owner, _ in parts)]
+    bodies = _rigid_bodies(parts)
+    people = [owner for owner in owners if owner not in bodies] or [""]
+    doubts = [doubt] if doubt else []
+    if bodies:
+        fate = "left out" if len(people) > 1 else "taken as parts of one person"
+        doubts.append(f"the rigid bodies {', '.join(bodies)} are {fate}")
+    columns: dict[tuple[str, str], int] = {}
+    for k, (owner, name) in enumerate(parts):
+        key = (owner, name) if owner not in bodies else (people[0], f"{owner}_{name}")
+        if key in columns:
+            raise ConfigError(f"{where} names the marker {labels[k]} twice")
+        if len(people) == 1 or owner not in bodies:
+            columns[key] = k
     names = list(dict.fromkeys(name for _, name in columns))
     positions = np.full((len(points), len(people), len(names), 3), np.nan)
     for (person, name), k in columns.items():
-        positions[:, people.index(person), names.index(name)] = METRES[unit] * points[:, k]
-    times = np.arange(len(points)) / rate
+        positions[:, people.index(person), names.index(name)] = points[:, k]
     whose = tuple(person or "0" for person in people)
-    return Markers(names, times, positions, whose, unit, file.doubt)
+    return Markers(names, times, positions, whose, unit, "; ".join(doubts))
+
+
+def _rigid_bodies(parts: Sequence[tuple[str, str]]) -> list[str]:
+    """Return who of several owners of markers are no people, but rigid bodies.
+
+    OptiTrack's Motive numbers the markers of a rigid body: ``ArmL:Marker1``. Beside others who have
+    more, nobody has one marker only.
+    """
+    markers: dict[str, list[str]] = {}
+    for owner, name in parts:
+        markers.setdefault(owner, []).append(name)
+    if len(markers) < 2:
+        return []
+    most = max(map(len, markers.values()))
+    return [
+        owner
+        for owner, names in markers.items()
+        if owner and (len(names) == 1 < most or all(map(_NUMBERED.fullmatch, names)))
+    ]
 
 
 def _instead(file: C3dFile) -> str:
@@ -217,5 +259,77 @@ def _instead(file: C3dFile) -> str:
     return f", only {' and '.join(held)}" if held else ""
 
 
+_SECTIONS = ("Trajectories", "Model Outputs", "Devices", "Joints", "Segments")
+
+
+def is_nexus(path: Path) -> bool:
+    """Whether a table begins with a section as Vicon Nexus exports it: its name, then its rate."""
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        lines = [line.strip(_EDGES) for line in file.read(4096).splitlines()]
+    first, second = ([line for line in lines if line] + ["", ""])[:2]
+    return first in _SECTIONS and _is_number(second)
+
+
+def read_nexus(path: Path, unit: str = "") -> Markers:
+    """Read the trajectories of a table of Vicon Nexus; ``unit``, or else its own, scales to metres.
+
+    The section has a line each of its name, rate, labels (``Anna:LASI``), columns (Frame, Sub
+    Frame, X, Y, Z, ...) and units, and ends with an empty line. Times count from the first frame.
+
+    Raises ConfigError if it has no such section, or one of its lines is faulty.
+    """
+    lines = text_of(path).splitlines()
+    names = [line.strip(_EDGES) for line in lines]
+    if "Trajectories" not in names:
+        found = ", ".join(name for name in _SECTIONS if name in names)
+        raise ConfigError(f"{path}: has no Trajectories, only {found}; export them, too")
+    begin = names.index("Trajectories")
+    end = next((k for k in range(begin, len(names)) if not names[k]), len(names))
+    delimiter = max("\t;,", key=",".join(lines[begin + 3 : begin + 4]).count)
+    rows = [
+        (f"{path}: line {k + 1}", _stripped(lines[k].split(delimiter)))
+        for k in range(begin + 1, end)
+    ]
+    if len(rows) < 5:
+        raise ConfigError(f"{path}: line {begin + 1}: has no trajectories")
+    head, rows = rows[:4], rows[4:]
+    rate = number_of(head[0][1][0], head[0][0])
+    axes = [cell.upper() for cell in head[2][1]]
+    kept = {
+        k: label
+        for k, label in enumerate(head[1][1])
+        if label and axes[k : k + 3] == ["X", "Y", "Z"] and "*" not in label
+    }
+    if not kept or not rate > 0:
+        raise ConfigError(f"{head[1][0]}: names no marker, or the line before no rate")
+    unit = unit or _length(head[3][1][min(kept)], head[3][0])
+    with_points(rows)
+    width = max(kept) + 3
+    numbers = np.full((len(rows), width), np.nan)
+    for row, (where, cells) in zip(numbers, rows, strict=True):
+        if len(cells) % 3 != 2 and len(cells) < width:
+            raise ConfigError(f"{where}: is cut off")
+        row[: len(cells)] = [number_of(cell, where) for cell in cells[:width]]
+        if math.isnan(row[0]):
+            raise ConfigError(f"{where}: has no frame")
+    points = METRES[unit] * np.stack([numbers[:, k : k + 3] for k in kept], axis=1)
+    times = (numbers[:, 0] - numbers[0, 0]) / rate
+    return _by_person(head[1][0], [*kept.values()], times, points, unit)
+
+
 MARKER_FILES = {".trc": read_trc, ".c3d": read_c3d}
-"""Readers of motion capture by suffix."""
+"""Readers of motion capture by suffix; a table may be of Nexus, too."""
+
+
+def has_markers(path: Path) -> bool:
+    """Whether a file is one of motion capture, by its suffix and, of a table, its first lines."""
+    suffix = path.suffix.lower()
+    return suffix in MARKER_FILES or (suffix == ".csv" and path.is_file() and is_nexus(path))
+
+
+def read_markers(path: Path, unit: str = "") -> Markers:
+    """Read a file that :func:`has_markers`; ``unit``, or else its own, scales to metres.
+
+    Raises ConfigError if it is faulty.
+    """
+    return MARKER_FILES.get(path.suffix.lower(), read_nexus)(path, unit)
