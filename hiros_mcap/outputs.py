@@ -34,8 +34,6 @@ EXPORT_MARK = "written by hiros"
 BVH_START = "HIERARCHY \t "
 """BVH has no comments; blanks at the end of its first line mean nothing."""
 CSV_START, JSONL_START = "person,time (s),", '{"person": '
-LOG_TIME = "log time (ns)"
-"""The first column of a topic's table."""
 
 _SCORES = re.compile(rb"(Log,)?(Channel|System|Left out|Cameras),[^\n]*\(mm\)")
 """First line of a table of scores as CSV."""
@@ -177,7 +175,7 @@ _IS_OURS: Mapping[Kind, Callable[[bytes], bool]] = {
     "table of logs": lambda head: head.startswith(TABLE_MARK.encode()),
     "table of scores": lambda head: EXPORT_MARK.encode() in head or bool(_SCORES.match(head)),
     "export": lambda head: (
-        head.startswith(tuple(map(str.encode, (CSV_START, JSONL_START, BVH_START, LOG_TIME))))
+        head.startswith(tuple(map(str.encode, (CSV_START, JSONL_START, BVH_START))))
         or EXPORT_MARK.encode() in head
     ),
 }

@@ -96,7 +96,7 @@ class MemoryReader(McapReader):
 
 
 class _People(Everything):
-    """The choice of the messages of people, or of a wanted topic.
+    """The choice of the messages of people.
 
     Attributes
     ----------
@@ -106,12 +106,11 @@ class _People(Everything):
     recovery : what is lost of the files.
     """
 
-    def __init__(self, topic: str) -> None:
-        self._topic = topic
+    def __init__(self) -> None:
         self.left_out: dict[str, tuple[str, int]] = {}
         self.counts: Counter[str] = Counter()
         self.remarks: dict[str, None] = {}
-        self.checked, self.shows_people = True, bool(topic)
+        self.checked, self.shows_people = True, False
         self.recovery = Recovery()
         self._listed: dict[str, None] = {}
 
@@ -127,7 +126,7 @@ class _People(Everything):
             self.counts[topic] += n
             self.shows_people |= isinstance(part, McapReader) or _shows_people(name)
             self._listed[f"{topic} ({name or 'no type'})"] = None
-            if name and (topic == self._topic if self._topic else _short(name) in wanted):
+            if name and _short(name) in wanted:
                 taken.append(ident)
             else:
                 _, before = self.left_out.get(topic, ("", 0))
@@ -147,9 +146,7 @@ class _People(Everything):
             raise LogError(fault, path=path, listing=f"it has {topics}")
 
 
-def open_recording(
-    path: Path, *, recover: bool = False, memory: int = MEMORY, topic: str = ""
-) -> McapReader:
+def open_recording(path: Path, *, recover: bool = False, memory: int = MEMORY) -> McapReader:
     """Open the files of a recording of any kind as one MCAP.
 
     One MCAP file is read as it is. Of anything else, the skeletons and transforms become an MCAP in
@@ -159,9 +156,9 @@ def open_recording(
     ----------
     path : a file or a folder.
     recover : take what can be read of damaged files; ``recovery`` says what is lost.
-    memory : bytes that reading may take. topic : what to take instead of skeletons.
+    memory : bytes that reading may take.
 
-    Raises LogError if a file is missing or damaged, or holds no skeletons and no topic was named.
+    Raises LogError if a file is missing or damaged, or holds no skeletons.
     """
     files = files_of(path, recover=recover)
     if len(files.parts) == 1 and not kind_of(files.parts[0]):
@@ -171,17 +168,17 @@ def open_recording(
         for ident, n in reader.counts.items():
             counts[topics[ident]] += n
     else:
-        reader, counts = _read_parts(path, files.parts, recover, memory, topic)
+        reader, counts = _read_parts(path, files.parts, recover, memory)
     reader.remarks = (*reader.remarks, *files.remarks, *without_definition(reader, _wanted()))
     reader.warnings = (*files.warnings, *_missing(files.promised, counts))
     return reader
 
 
 def _read_parts(
-    path: Path, parts: Sequence[Path], recover: bool, memory: int, topic: str
+    path: Path, parts: Sequence[Path], recover: bool, memory: int
 ) -> tuple[McapReader, Counter[str]]:
     """Read a recording into memory; return also how many messages its topics have."""
-    choice = _People(topic)
+    choice = _People()
 
     def write(writer: McapWriter) -> None:
         choice.recovery = join(parts, writer, choice, recover=recover)

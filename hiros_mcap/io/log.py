@@ -367,14 +367,13 @@ def open_reader(
     *,
     recover: bool = False,
     memory: int = MEMORY,
-    topic: str = "",
 ) -> McapReader:
     """Open the container of a log of any kind, see :func:`open_log`; raises LogError.
 
-    Of a bag and of a split recording, it has the skeletons and transforms, or the named topic. Log
-    times that cannot be right are mended, see :mod:`.log_times`.
+    Of a bag and of a split recording, it has the skeletons and transforms. Log times that cannot be
+    right are mended, see :mod:`.log_times`.
     """
-    reader = open_recording(Path(path), recover=recover, memory=memory, topic=topic)
+    reader = open_recording(Path(path), recover=recover, memory=memory)
     try:
         mend_log_times(reader)
         name_detections(reader)

@@ -26,7 +26,6 @@ from hiros_mcap.io.bag_output import LATCHED_QOS, needs_latching
 from hiros_mcap.io.bags import _missing
 from hiros_mcap.io.channels import ChannelInfo
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.export.tables import export_topic
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.overview import overview_of
 from hiros_mcap.running.pipeline import process
@@ -114,13 +113,6 @@ MAKERS = [sqlite, sqlite_without_definitions, bare_db3, ros1_bag]
 def bag(request, tmp_path, messages):
     maker: Callable[[Path, list[Message]], Path] = request.param
     return maker(tmp_path, messages)
-
-
-def test_any_topic_of_a_bag_becomes_a_table(bag, tmp_path):
-    assert export_topic(bag, "/chatter", tmp_path / "x.csv") == 1
-    assert (tmp_path / "x.csv").read_text().splitlines()[1].endswith(",hello")
-    with pytest.raises(LogError, match=r"/nope: has no messages of this topic; it has .*/chatter"):
-        export_topic(bag, "/nope", tmp_path / "y.csv")
 
 
 def test_a_bag_says_what_the_mcap_says(bag, messages):

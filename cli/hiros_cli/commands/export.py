@@ -72,18 +72,9 @@ def export(
         "KG",
         "For .osim: mass of the person; other files need none. Default: none.",
     ),
-    topic: str = option(
-        "TOPIC",
-        "Instead of people, the raw messages of any ROS 2 topic, to .csv or .parquet: a row per "
-        "message, a column per field.",
-        default="",
-    ),
     many: ManyLogs = GROUP,
 ) -> None:
     """Write joints and angles as CSV, TRC, MOT, OSIM, C3D, BVH."""
-    if topic:
-        _topic(context, logs, topic, Path(output), many)
-        return
     from hiros_mcap.io.export.files import export as write
     from hiros_mcap.io.export.files import files_of, format_of, load_marker_set, renamed
 
@@ -141,32 +132,6 @@ def _check_marker_set(target: Path, what: str) -> None:
 
     if target.suffix.lower() not in SUFFIXES or what not in ("", "joints"):
         raise ConfigError(f"{target}: --marker-set is for the joints of {' and '.join(SUFFIXES)}")
-
-
-def _topic(
-    context: typer.Context, logs: list[str], topic: str, target: Path, many: ManyLogs
-) -> None:
-    """Write the raw messages of a topic."""
-    taken = {"logs", "output", "topic", "force", "quiet", "json"}
-    for name in context.params.keys() - taken:
-        source = context.get_parameter_source(name)
-        if source is not None and source.name == "COMMANDLINE":
-            shown = name.replace("_", "-")
-            raise ConfigError(f"--topic is for raw messages; leave out --{shown}")
-    many.wanted(logs, topic=topic)
-    log = one_log(context, logs[0])
-    check_outputs((target, "export"), inputs=(log,), force=many.force)
-    from hiros_mcap.io.export.tables import export_topic
-
-    warnings: list[str] = []
-    with bar(f"exporting {log.name}", quiet=many.quiet):
-        rows = export_topic(log, topic, target, warnings.append)
-    for text in warnings:
-        warn(text)
-    if many.json:
-        print_json("export", {"log": logs[0], "files": [str(target)]}, warnings)
-    elif not many.quiet:
-        print(f"wrote {rows} messages to {target}")
 
 
 def import_(
