@@ -381,11 +381,13 @@ def pose_faults(log: Log) -> list[str]:
 
     Only some seconds of the log are read. A log whose cameras cannot be compared has no faults.
     """
-    if log.far_apart:
-        return []
-    survey = Survey(log, CHECKED_S)
-    if survey.left_handed:
-        return [survey.left_handed]
+    try:
+        posed = bool(log.fixed_frame) and not log.far_apart
+    except LogError:
+        posed = False
+    survey = Survey(log, CHECKED_S, fixed=posed)
+    if survey.left_handed or not posed:
+        return [*filter(None, [survey.left_handed])]
     faults, shared = camera_faults(log), shared_frames(log)
     cameras = sorted(camera for camera in fixed_cameras(log, faults) if camera.movable or shared)
     if len(cameras) < 2:

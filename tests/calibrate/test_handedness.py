@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from odd_logs import changed, scaled
+from odd_logs import changed, published, scaled
 
 from hiros_cli.app import run as command
 from hiros_mcap.body.symmetry import symmetry_of
@@ -54,6 +54,12 @@ def test_the_axis_and_the_option_are_named(axis, camera, crossing, tmp_path, cap
 def test_without_poses_people_stand_upright_before_the_camera(axis, crossing, tmp_path):
     message = said(negated(crossing, tmp_path / "log.mcap", axis), fixed=False)
     assert message.endswith(f"left-handed: negate {axis} (--negate {axis})")
+
+
+def test_info_says_it_of_a_log_without_poses(crossing, tmp_path, capsys):
+    log = published(negated(crossing, tmp_path / "log.mcap", "y"), tmp_path / "bare.mcap", {})
+    assert command(["info", str(log)]) == 0
+    assert "left-handed: negate y (--negate y)" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("axis", SIGNS)

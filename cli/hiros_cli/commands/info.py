@@ -43,7 +43,7 @@ def info(
     config = settings_of(logs[0]).load()
     skeletons = skeletons_read(config)
     overview = overview_of(source, topics=topic, extrinsics=extrinsics, skeletons=skeletons)
-    if overview.kind == "recording" and not overview.fault:
+    if overview.kind == "recording" and overview.cameras:
         from hiros_mcap.running.pose_alignment import pose_faults
 
         options = ProcessOptions(topics=tuple(topic or ()), extrinsics=extrinsics)

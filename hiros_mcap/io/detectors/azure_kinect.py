@@ -184,6 +184,11 @@ class AzureKinectMarkers(DetectorReader):
                     f"{topic}: {quantity(n, 'skeleton')} of {self._bodies[topic]} with fewer than "
                     f"{self._model.n_markers} joints; the others are taken as not seen"
                 )
+        for topic in sorted(self._numbers.keys() & self._known):
+            yield (
+                f"{topic}: the ids of joints do not tell bodies apart; their namespaces do, or "
+                "that a joint comes again"
+            )
         for topic, n in self._others.items():
             if n:
                 yield f"{topic}: {quantity(n, 'marker')} left out that are no spheres"
