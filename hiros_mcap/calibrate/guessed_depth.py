@@ -59,6 +59,8 @@ def guessing_cameras(posed: PosedViews, mirror: Ints) -> dict[str, DepthErrors]:
 
     ``mirror`` : (M,) slot of each joint's counterpart.
     """
+    if len(posed.views) < 2:  # RGB cameras alone are one view
+        return {}
     own = [k for k, camera in enumerate(posed.cameras) if camera.movable]
     views, given = [posed.views[k] for k in own], Rig.of([posed.cameras[k].pose for k in own])
     if not any(error.is_guess for error in depth_errors(views, given, mirror)):

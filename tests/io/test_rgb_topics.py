@@ -43,3 +43,10 @@ def test_a_result_of_rgb_cameras_says_how_it_was_made(log, tmp_path, capsys):
     assert run(["process", str(log), "-o", str(out), "-q"]) == 0
     assert run(["info", str(out)]) == 0
     assert "system fuse" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("poses", ["given", "refined"])
+def test_rgb_cameras_alone_are_one_view(poses, log, tmp_path):
+    out = tmp_path / "out.mcap"
+    arguments = ["process", str(log), "-o", str(out), "-q", "--topics", "/camera_[123]/keypoints"]
+    assert run([*arguments, "--set", f"input.poses={poses}"]) == 0
