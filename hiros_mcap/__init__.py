@@ -1,4 +1,4 @@
-"""Turns a log of several cameras' 3D skeletons into one clean, smooth skeleton per person."""
+"""Turns a log of several cameras' skeletons into one clean, smooth skeleton per person."""
 
 import logging
 from typing import TYPE_CHECKING, Any

@@ -1,4 +1,4 @@
-"""Several systems on the same log: who is nearest to the truth, or what each does without one.
+"""Several systems on the same log: errors against a truth; without one, against left-out cameras.
 
 A process reads a log once for all systems that prepare it alike, and keeps it in memory. Clocks and
 poses are corrected as in ``hiros process``.

@@ -1,7 +1,7 @@
-"""A door before a server on this computer: few clients, and a bound of bytes for each.
+"""A proxy before a server: it bounds the number of clients, and the bytes that wait for each.
 
-The library that speaks Foxglove's protocol bounds neither, and cannot disconnect anybody. So it
-listens on this computer only, and every byte passes here on its way.
+The library that speaks Foxglove's protocol bounds neither, and cannot disconnect anybody. So its
+server listens on this computer only, and clients connect to the proxy.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Gestures: changes of a posture over time.
 
 The gestures of the Hi-ROS evaluation (Guidolin et al. 2023, Table 5), those of Lee et al. (2022,
-section 2.3) that are not among them, and bodies that are not upright or fast.
+section 2.3) that are not among them, and what is hard: people on the floor, and fast ones.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ CLICK_ERROR = cast("type[Exception]", typer.BadParameter.__mro__[2])
 
 app = typer.Typer(
     name="hiros",
-    help="Turn a log of several cameras' 3D skeletons into one clean, smooth skeleton per person.",
+    help="Turn a log of several cameras' skeletons into one clean, smooth skeleton per person.",
     epilog="`hiros help COMMAND` shows a command's options.",
     add_completion=False,
     rich_markup_mode=None,

@@ -8,7 +8,7 @@ those of People, and the :class:`~hiros_mcap.frames.Doubts`. Three steps write c
 - hidden: by how much variances are larger, and where joints must be.
 
 The tracker may still write ids into the arrays of its blocks. So the views are copied once, when
-their sides are decided. Who takes a table may write into it, and hands it on.
+their sides are decided. From then on, the step that holds a table may write into it.
 """
 
 from __future__ import annotations

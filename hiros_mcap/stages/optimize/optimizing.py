@@ -1,4 +1,4 @@
-"""Around the solver of the optimizer: lengths measured, outliers found, poses written.
+"""Kernels around the optimizer's solver: they measure lengths, find outliers and write poses.
 
 Hi-ROS 2023, sections 3.3.1 and 3.3.2. Loops, not slices: numba compiles them several times faster.
 """
