@@ -48,5 +48,5 @@ def test_a_result_of_rgb_cameras_says_how_it_was_made(log, tmp_path, capsys):
 @pytest.mark.parametrize("poses", ["given", "refined"])
 def test_rgb_cameras_alone_are_one_view(poses, log, tmp_path):
     out = tmp_path / "out.mcap"
-    arguments = ["process", str(log), "-o", str(out), "-q", "--topics", "/camera_[123]/keypoints"]
+    arguments = ["process", str(log), "-o", str(out), "-q", "--topic", "/camera_[123]/keypoints"]
     assert run([*arguments, "--set", f"input.poses={poses}"]) == 0
