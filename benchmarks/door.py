@@ -29,8 +29,9 @@ from typing import NamedTuple
 
 import numpy as np
 import zstandard
-from detector_logs import GROUP, MARKERS, ROS2, TF, Scene, azure_message, scene
+from detector_logs import GROUP, MARKERS, ROS2, TF, Scene, azure_message, default, scene
 from mcap.writer import Writer
+from rosbag2_recorder import in_idl
 from rosbags.rosbag2 import Writer as FolderWriter
 from rosbags.rosbag2.enums import StoragePlugin
 
@@ -182,6 +183,60 @@ def _earlier(m: Message, ns: int) -> Message:
     return replace(earlier, data=bytes(ROS2.serialize_cdr(group, m.kind)))
 
 
+def twice(frame: Frame, _: int) -> Frame:
+    """Each person is in the message two times."""
+    return frame.select([k for k in range(frame.n_people) for _ in range(2)])
+
+
+def negated(frame: Frame, _: int, *, axis: int) -> Frame:
+    """The camera's axes are left-handed."""
+    markers = frame.markers.copy()
+    markers[:, :, axis] *= -1.0
+    return frame.replace(markers=markers)
+
+
+def in_mm(frame: Frame, _: int) -> Frame:
+    """The camera counts in mm."""
+    markers = frame.markers.copy()
+    markers[:, :, :3] *= 1000.0
+    return frame.replace(markers=markers)
+
+
+def relayed(messages: list[Message], place: Place) -> list[Message]:
+    """Another node publishes what cameras say once more, and the recorder takes both."""
+    rows = zip(messages, place.holds(messages), strict=True)
+    return [
+        copy
+        for m, inside in rows
+        for copy in [m, *([replace(m, topic=f"/relay{m.topic}")] if inside else [])]
+    ]
+
+
+def unread(messages: list[Message], place: Place) -> list[Message]:
+    """A camera publishes a type that hiros does not know."""
+    rows = zip(messages, place.holds(messages), strict=True)
+    other = "geometry_msgs/msg/PoseArray"
+    return [
+        replace(m, kind=other, frame=None, data=bytes(64)) if inside else m for m, inside in rows
+    ]
+
+
+def transforms_in_mm(messages: list[Message], place: Place) -> list[Message]:
+    """Translations on /tf_static are in mm, of all cameras or of the last one."""
+    changed = []
+    for m in messages:
+        if m.topic == "/tf_static":
+            whole = ROS2.deserialize_cdr(m.data, TF)
+            for transform in whole.transforms:
+                last = transform.child_frame_id == f"camera_{CAMERAS - 1}"
+                for name in "xyz" if last or place.cameras == "each" else "":
+                    shift = transform.transform.translation
+                    setattr(shift, name, 1000.0 * getattr(shift, name))
+            m = replace(m, data=bytes(ROS2.serialize_cdr(whole, TF)))
+        changed.append(m)
+    return changed
+
+
 @dataclass(frozen=True)
 class Written:
     """How a recording is written."""
@@ -190,6 +245,10 @@ class Written:
     """Whether cameras publish the Azure Kinect's MarkerArrays, not SkeletonGroups."""
     joints: int = 32
     """Markers a body of such a MarkerArray."""
+    drawn: str = ""
+    """"text" above the bodies of such an array, or "from 0": joints of each body from 0."""
+    definitions: str = ""
+    """"idl", "none", or "no transforms": /tf_static without a type."""
     container: str = "mcap"
 
     def write(self, messages: Sequence[Message], encoder: Encoder, folder: Path) -> Path:
@@ -205,6 +264,7 @@ class Written:
         if self.azure:
             array = azure_message(m.frame)
             array.markers = [mark for mark in array.markers if mark.id % 100 < self.joints]
+            _draw(array.markers, self.drawn)
             data = bytes(ROS2.serialize_cdr(array, MARKERS))
             return f"/{m.camera}/body_tracking_data", MARKERS, m.log_time, data
         return m.topic, m.kind, m.log_time, encoder.encode(m.frame)
@@ -221,8 +281,7 @@ class Written:
             channels: dict[str, int] = {}
             for topic, kind, time, data in rows:
                 if topic not in channels:
-                    text = hiros_schemas.text(kind).encode()
-                    schema = writer.register_schema(kind, "ros2msg", text)
+                    schema = self._schema(writer, topic, kind)
                     channels[topic] = writer.register_channel(topic, "cdr", schema)
                 counts[topic] = counts.get(topic, 0) + 1
                 payload = zstandard.compress(data) if packed else data
@@ -234,6 +293,16 @@ class Written:
         (path.parent / "metadata.yaml").write_text(_metadata(rows, kinds, counts))
         return path.parent
 
+    def _schema(self, writer: Writer, topic: str, kind: str) -> int:
+        """Return the schema of a topic, 0 for none."""
+        if self.definitions == "no transforms" and topic == "/tf_static":
+            return 0
+        if self.definitions == "idl":
+            return writer.register_schema(kind, "ros2idl", in_idl(kind).encode())
+        known = kind != "geometry_msgs/msg/PoseArray" and self.definitions != "none"
+        text = hiros_schemas.text(kind) if known else ""
+        return writer.register_schema(kind, "ros2msg", text.encode())
+
     def _bag(self, rows: Sequence[tuple[str, str, int, bytes]], folder: Path) -> Path:
         """Write a folder with an SQLite bag."""
         path = folder / "sqlite"
@@ -244,6 +313,17 @@ class Written:
                     connections[topic] = writer.add_connection(topic, kind, typestore=ROS2)
                 writer.write(connections[topic], time, data)
         return path
+
+
+def _draw(markers: list, drawn: str) -> None:
+    """Change the markers of an array as a node behind the driver does."""
+    bodies = {mark.id // 100: mark for mark in markers}
+    if drawn == "from 0":
+        for mark in markers:
+            mark.ns, mark.id = f"body_{mark.id // 100}", mark.id % 100
+    elif drawn == "text":
+        name = "visualization_msgs/msg/Marker"
+        markers += [default(name, header=m.header, id=9000 + k, type=9) for k, m in bodies.items()]
 
 
 def _metadata(rows, kinds: Mapping[str, str], counts: Mapping[str, int]) -> str:
@@ -268,6 +348,11 @@ def _metadata(rows, kinds: Mapping[str, str], counts: Mapping[str, int]) -> str:
 PLAIN = Written()
 WRITTEN = {
     "MarkerArray, 26 joints": Written(azure=True, joints=26),
+    "MarkerArray with text": Written(azure=True, drawn="text"),
+    "MarkerArray, ids from 0": Written(azure=True, drawn="from 0"),
+    "definitions in IDL": Written(definitions="idl"),
+    "no definitions": Written(definitions="none"),
+    "transforms without a type": Written(definitions="no transforms"),
     "messages compressed": Written(container="messages"),
     "SQLite": Written(container="sqlite"),
 }
@@ -308,6 +393,13 @@ def faults(messages: Sequence[Message], model: SkeletonModel) -> Iterator[Fault]
         "logged at 0": (partial(logged, at=0), "*"),
         "logged years ahead": (partial(logged, at=begin + 10**17), "*"),
         "simulated time": (simulated_time, "all, each*"),
+        "people twice": (of_frames(twice), "all*"),
+        "relayed": (relayed, "all*"),
+        "a type that is not read": (unread, "all, one*"),
+        "x negated": (of_frames(partial(negated, axis=0)), "all*"),
+        "y negated": (of_frames(partial(negated, axis=1)), "all*"),
+        "detections in mm": (of_frames(in_mm), "all*"),
+        "transforms in mm": (transforms_in_mm, "all*"),
     }
     for name, (change, globs) in changes.items():
         for where, place in PLACES.items():

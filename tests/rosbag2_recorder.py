@@ -17,6 +17,7 @@ import zstandard
 from mcap.writer import Writer
 from ruamel.yaml import YAML
 
+import hiros_schemas
 from hiros_mcap.io.container import McapReader
 
 SAMPLE = Path(__file__).parent.parent / "sample_data" / "one_person_walking.mcap"
@@ -60,6 +61,24 @@ def sample(n=150):
                 row = Recorded(channel.topic, schema.name, m.log_time, bytes(m.data), text)
                 found.append(row)
     return found[:n]
+
+
+IDL = {"float64": "double", "float32": "float", "[]": "sequence<{}>", "": "{}"}
+
+
+def in_idl(name):
+    """The definition of a type as rosidl translates it to IDL, files one after the other."""
+    files = []
+    for key, fields in hiros_schemas.parse(name, hiros_schemas.text(name)).items():
+        package, kind = key.split("/")
+        lines = [
+            f"{IDL[f.array].format(IDL.get(f.type, f.type.replace('/', '::msg::')))} {f.name};"
+            for f in fields
+        ]
+        body = f"struct {kind} {{ {' '.join(lines)} }};"
+        title = f"{'=' * 80}\nIDL: {package}/msg/{kind}\n"
+        files.append(f"{title}module {package} {{ module msg {{ {body} }}; }};\n")
+    return "\n".join(files)
 
 
 SINCE_LYRICAL = "{k}_{folder}_2026_11_27-10_0{k}_00"

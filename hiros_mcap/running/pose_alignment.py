@@ -382,11 +382,11 @@ def pose_faults(log: Log) -> list[str]:
     Only some seconds of the log are read. A log whose cameras cannot be compared has no faults.
     """
     try:
-        posed = bool(log.fixed_frame) and not log.far_apart
+        known = bool(log.fixed_frame) and not log.far_apart
     except LogError:
-        posed = False
-    survey = Survey(log, CHECKED_S, fixed=posed)
-    if survey.left_handed or not posed:
+        known = False
+    survey = Survey(log, CHECKED_S, fixed=known)
+    if survey.left_handed or not known:
         return [*filter(None, [survey.left_handed])]
     faults, shared = camera_faults(log), shared_frames(log)
     cameras = sorted(camera for camera in fixed_cameras(log, faults) if camera.movable or shared)

@@ -9,7 +9,7 @@ import pytest
 import zstandard
 from generators import rosbags_types
 from mcap.reader import make_reader
-from rosbag2_recorder import SINCE_LYRICAL, Recorded, record, sample, write_metadata
+from rosbag2_recorder import SINCE_LYRICAL, Recorded, in_idl, record, sample, write_metadata
 from rosbags import rosbag1
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -190,24 +190,6 @@ def test_the_definition_of_hiros_counts_where_the_recorder_found_none(
     if storage == "mcap":
         notes = overview_of(folder / "lab_0.mcap").remarks
         assert any("recorded without the definition of tf2_msgs/msg/TFMessage" in t for t in notes)
-
-
-IDL = {"float64": "double", "float32": "float", "[]": "sequence<{}>", "": "{}"}
-
-
-def in_idl(name):
-    """The definition of a type as rosidl translates it to IDL, files one after the other."""
-    files = []
-    for key, fields in hiros_schemas.parse(name, hiros_schemas.text(name)).items():
-        package, kind = key.split("/")
-        lines = [
-            f"{IDL[f.array].format(IDL.get(f.type, f.type.replace('/', '::msg::')))} {f.name};"
-            for f in fields
-        ]
-        body = f"struct {kind} {{ {' '.join(lines)} }};"
-        title = f"{'=' * 80}\nIDL: {package}/msg/{kind}\n"
-        files.append(f"{title}module {package} {{ module msg {{ {body} }}; }};\n")
-    return "\n".join(files)
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
