@@ -27,7 +27,7 @@ from hiros_mcap.io.joints.importing import import_joints
 from hiros_mcap.io.result import stored_events, stored_report
 from hiros_mcap.regression.differences import limbs_of
 from hiros_mcap.regression.quantities import load_tolerances
-from hiros_mcap.regression.suite import load_metrics, load_suite
+from hiros_mcap.regression.suite import load_suite
 from hiros_mcap.running.overview import overview_of
 from hiros_mcap.skeletons import SkeletonModel
 
@@ -53,7 +53,6 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "suite": ("TOML", load_suite),
     "poses.toml": ("TOML", read_extrinsics),
     "poses.json": ("JSON", read_extrinsics),
-    "metrics": ("JSON", load_metrics),
     "joints.json": ("JSON", imported),
     "lens.yaml": ("YAML", read_calibration),
 }

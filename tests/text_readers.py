@@ -18,7 +18,7 @@ from hiros_mcap.io.foxglove import FoxgloveInput
 from hiros_mcap.io.joints.importing import import_joints
 from hiros_mcap.io.result import StoredReport
 from hiros_mcap.regression.quantities import load_tolerances
-from hiros_mcap.regression.suite import load_metrics, load_suite
+from hiros_mcap.regression.suite import load_suite
 from hiros_mcap.skeletons import SkeletonModel
 
 MODEL = SkeletonModel.of(["HEAD"], [])
@@ -62,7 +62,6 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "suite": ("toml", load_suite),
     "poses in TOML": ("toml", read_extrinsics),
     "poses in JSON": ("json", read_extrinsics),
-    "metrics": ("json", load_metrics),
     "joints in JSON": ("json", imported),
     "joints in CSV": ("csv", imported),
     "joints in TRC": ("trc", imported),
@@ -117,7 +116,6 @@ _WORDS = st.sampled_from(
         "warnings",
         "cameras",
         "metrics",
-        "hiros_golden_metrics",
         "provenance",
         "advertise",
         "frames",

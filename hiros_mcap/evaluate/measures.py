@@ -1,4 +1,4 @@
-"""The measures: what each number is called, its unit, what is better, where it stands.
+"""The measures: what each number is called, its unit, where it stands.
 
 ``hiros eval``, ``compare``, ``check``, many logs, ``--json``, pages and docs read this table.
 """
@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.statistics import PARTS
@@ -35,10 +35,8 @@ class Measure:
     title: str  # of its column
     unit: str
     text: str  # definition, for a legend
-    floor: float = 0.0
-    """Changes up to this never count in a check; 0 for counts, which may not get worse at all."""
     digits: int = 1
-    better: Literal["less", "more", "same", "near 0"] = "less"
+    is_signed: bool = False  # whether its size is what counts
     at: str = ""
     """Path in the scores, and in JSON below them, of attributes or keys; "" is the name."""
     sd: str = ""  # path of its standard deviation, if the column shows that beside it
@@ -67,7 +65,7 @@ class Measure:
 
     def compared(self, scores: object) -> float:
         """Return the number that a check compares: less or more of it is better."""
-        return abs(self.of(scores)) if self.better == "near 0" else self.of(scores)
+        return abs(self.of(scores)) if self.is_signed else self.of(scores)
 
     def cell(self, scores: object) -> str:
         """Return the number as text."""
@@ -92,13 +90,13 @@ def _at(record: object, path: str) -> float:
     return float(value) if isinstance(value, int | float) else math.nan
 
 
-def _of_parts(floor: float) -> tuple[Measure, ...]:
+def _of_parts() -> tuple[Measure, ...]:
     """Return the mean distance by part of the body."""
     joints = "neither of the limbs", "elbows and beyond", "knees and beyond"
     text = "mean distance of the joints of this part"
     return tuple(
         Measure(
-            *(part.replace(" ", "_"), part.capitalize(), "mm", f"{text}: {which}", floor),
+            *(part.replace(" ", "_"), part.capitalize(), "mm", f"{text}: {which}"),
             at=f"parts.{part}.mean",
             is_optional=True,
         )
@@ -108,14 +106,14 @@ def _of_parts(floor: float) -> tuple[Measure, ...]:
 
 # fmt: off
 CONSISTENCY = (
-    Measure("people", "People", "", "ids in the result", 0, 0, "same", at="n_people"),
+    Measure("people", "People", "", "ids in the result", 0, at="n_people"),
     Measure("frames", "Frames", "", "frames of the result; against a truth, those that it covers",
-            0, 0, "same"),
+            0),
     Measure("limb_cv", "Limb CV", "",
             "coefficient of variation of a link's length, mean over people and links",
-            1e-3, 4, at="limb_variation"),
+            4, at="limb_variation"),
     Measure("jitter", "Jitter", "mm",
-            "mean norm of the second difference of a joint's positions between frames", 0.1),
+            "mean norm of the second difference of a joint's positions between frames"),
 )
 """Measures that need no truth."""
 _PEOPLE, _FRAMES, _LIMB_CV, _JITTER = CONSISTENCY
@@ -123,49 +121,47 @@ _PEOPLE, _FRAMES, _LIMB_CV, _JITTER = CONSISTENCY
 ERRORS = (
     Measure("mpjpe", "Mean", "mm",
             "distance of a joint from the true one, mean over joints, people and frames",
-            0.1, at="mean", interval=("mean_low", "mean_high")),
-    Measure("mpjpe_sd", "SD", "mm", "its standard deviation", 0.1, at="deviation"),
-    Measure("mpjpe_rms", "RMSE", "mm", "its root mean square", 0.1, at="rmse"),
-    Measure("mpjpe_95", "95 %", "mm", "95 % of the distances are less", 0.2, at="percentile_95"),
-    Measure("mpjpe_99", "99 %", "mm", "99 % of the distances are less", 0.5, at="percentile_99"),
-    *_of_parts(0.1),
+            at="mean", interval=("mean_low", "mean_high")),
+    Measure("mpjpe_sd", "SD", "mm", "its standard deviation", at="deviation"),
+    Measure("mpjpe_rms", "RMSE", "mm", "its root mean square", at="rmse"),
+    Measure("mpjpe_95", "95 %", "mm", "95 % of the distances are less", at="percentile_95"),
+    Measure("mpjpe_99", "99 %", "mm", "99 % of the distances are less", at="percentile_99"),
+    *_of_parts(),
     *(Measure(f"pck_{mm}", f"PCK {mm}", "%", "share of true joints that the result has within "
-              f"{mm} mm; joints of missing people count as not there", 0.1, 1, "more", scale=100)
+              f"{mm} mm; joints of missing people count as not there", 1, scale=100)
       for mm in (50, 100)),
     Measure("first_frames", "First 5", "mm",
-            "mean distance in the first five frames of an id that appears after the log's start",
-            0.5),
+            "mean distance in the first five frames of an id that appears after the log's start"),
 )
 MOTION = (
     Measure("angle_rmse", "Bending", "deg", "RMSE (SD) of eight unsigned bending angles: "
             "shoulders, elbows, hips, knees, from marker positions (Hi-ROS eq. 20)",
-            0.05, 2, sd="angle_deviation"),
+            2, sd="angle_deviation"),
     Measure("link_angle_rmse", "By links", "deg",
-            "the same angles from link orientations (Hi-ROS eq. 21)",
-            0.05, 2, sd="link_angle_deviation"),
+            "the same angles from link orientations (Hi-ROS eq. 21)", 2, sd="link_angle_deviation"),
     Measure("orientation_error", "Orientation", "deg",
-            "mean angle between a link's orientation and the true one", 0.05, 2),
+            "mean angle between a link's orientation and the true one", 2),
     Measure("limb_error", "Limbs", "mm",
-            "mean difference of a link's length from the true one", 0.1),
+            "mean difference of a link's length from the true one"),
     _LIMB_CV,
     _JITTER,
     Measure("lag", "Lag", "ms", "delay of the result: the shift of the truth with the least "
-            "squared error, at most 180 ms either way", 1.0, better="near 0"),
+            "squared error, at most 180 ms either way", is_signed=True),
     Measure("mean_at_lag", "Mean at lag", "mm", "mean distance if all stamps are moved by the lag. "
             "Where clocks are wrong, no stamp shows the time base that they have in common: read "
-            "this one beside the mean", 0.1),
+            "this one beside the mean"),
 )
 PEOPLE = (
     _FRAMES,
-    Measure("silent", "Silent", "", "instants of the truth without a frame of the result", 0, 0),
+    Measure("silent", "Silent", "", "instants of the truth without a frame of the result", 0),
     Measure("missing", "Missing", "",
-            "true people without a skeleton; sum over frames and silent instants", 0, 0),
+            "true people without a skeleton; sum over frames and silent instants", 0),
     Measure("false", "False", "", "skeletons of nobody, or of somebody twice; sum over frames; "
-            "blank if the truth is partial", 0, 0),
+            "blank if the truth is partial", 0),
     Measure("id_switches", "Switches", "",
-            "how often the nearest skeleton of a true person changed its id", 0, 0, at="switches"),
+            "how often the nearest skeleton of a true person changed its id", 0, at="switches"),
     *(Measure(name, name.upper(), "", "as TrackEval computes it, with the similarity 1 - distance "
-              "/ `--match-distance`", 1e-3, 3, "more", at=f"tracking.{name}")
+              "/ `--match-distance`", 3, at=f"tracking.{name}")
       for name in ("mota", "idf1", "hota")),
 )
 MEASURES: Mapping[str, Measure] = {m.name: m for m in (_PEOPLE, *ERRORS, *MOTION, *PEOPLE)}
@@ -182,13 +178,13 @@ LEFT_OUT = (
     Measure("p95", "95 %", "mm", "95 % of them are less", at="distance.percentile_95"),
     Measure("spread", "Spread", "mm", "its mean without what is constant: the median displacement "
             "of each joint of a person"),
-    *_of_parts(0),
+    *_of_parts(),
     Measure("offset", "Offset", "mm", "norm of the mean displacement over all joints: mostly the "
             "error of the camera's pose"),
-    Measure("detections", "Detections", "", "skeletons that the camera reports", 0, 0),
-    Measure("unmatched", "Of nobody", "", "those that match nobody", 0, 0),
+    Measure("detections", "Detections", "", "skeletons that the camera reports", 0),
+    Measure("unmatched", "Of nobody", "", "those that match nobody", 0),
     Measure("mirrored", "Mirrored", "", "those that fit better with left and right swapped; they "
-            "are in the distances, too", 0, 0),
+            "are in the distances, too", 0),
 )
 """Of a camera that was left out (``hiros eval`` without a truth)."""
 
@@ -199,9 +195,9 @@ REPROJECTION = (
     *(Measure(f"left_out_{name}", f"Left out: {title}", "px", "the same against the result of the "
               "other cameras", at=f"left_out.distance.{path}", is_optional=True)
       for name, title, path in (("median", "median", "median"), ("p95", "95 %", "percentile_95"))),
-    Measure("detections", "Detections", "", "people whom the detector found in the images", 0, 0,
+    Measure("detections", "Detections", "", "people whom the detector found in the images", 0,
             at="result.detections"),
-    Measure("unmatched", "Of nobody", "", "those who are nobody in the result", 0, 0,
+    Measure("unmatched", "Of nobody", "", "those who are nobody in the result", 0,
             at="result.unmatched"),
 )
 """Of an RGB camera, in its image."""
@@ -210,7 +206,7 @@ DIFFERENCE = Measure("difference", "Difference from the first", "mm",
     "mean distance less that of the first system, on what both have", at="difference.mm",
     interval=("difference.low", "difference.high"), is_optional=True)
 """Of a system from the first one, which stands below the table on a terminal."""
-_TIME = Measure("milliseconds", "ms/message", "", "CPU time of the stages per message", 0, 3)
+_TIME = Measure("milliseconds", "ms/message", "", "CPU time of the stages per message", 3)
 SELF = (
     Measure("mean", "Mean", "mm", "distance of a left-out camera from the result of the others, "
             "mean, on the same detections and joints for all systems, mirrored ones included",
@@ -221,11 +217,11 @@ SELF = (
             "its mean without the median displacement of each joint of a person"),
     Measure("misses", "Misses", "", "detections at which this system has nobody, but another one "
             "has. They are in nobody's distances: a system gains nothing by having nobody where it "
-            "is hard", 0, 0),
-    Measure("detections", "Of", "", "detections at which some system has somebody", 0, 0),
+            "is hard", 0),
+    Measure("detections", "Of", "", "detections at which some system has somebody", 0),
     Measure("coverage", "Coverage", "%", "share of the left-out cameras' skeletons near somebody "
-            "whom the others see", better="more", scale=100),
-    Measure("ids", "Ids", "", "number of different ids in the result", 0, 0),
+            "whom the others see", scale=100),
+    Measure("ids", "Ids", "", "number of different ids in the result", 0),
     _LIMB_CV,
     _JITTER,
     _TIME,
@@ -237,7 +233,7 @@ PLANNED = (
             at="error_mm"),
     *(Measure(f"cameras_{n}", f"{n} camera{'s' * (n > 1)}", "%",
               f"share of people whom at least {n} detect{'s' * (n == 1)}",
-              at=word, scale=100, better="more")
+              at=word, scale=100)
       for n, word in enumerate(("one", "two", "three"), start=1)),
 )
 """Of a rig in a room (``hiros plan``)."""

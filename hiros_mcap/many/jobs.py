@@ -237,13 +237,9 @@ class CheckJob(Job):
 
     def run(self, log: Path, target: Path) -> Finding:
         """Compare, or with ``bless`` make the result the golden file."""
-        from hiros_mcap.regression.suite import GOLDEN_SUFFIXES, Golden, check_output
+        from hiros_mcap.regression.suite import GOLDEN_SUFFIX, Golden, check_output
 
-        name = base_name(log.name)
-        if self.bless and not any((self.golden / (name + s)).is_file() for s in GOLDEN_SUFFIXES):
-            path = self.golden / f"{name}.mcap"
-        else:
-            path = beside(self.golden, name, GOLDEN_SUFFIXES, "golden file")
+        path = self.golden / f"{base_name(log.name)}{GOLDEN_SUFFIX}"
         golden = Golden(path, self.tolerances, self.channels)
         result = check_output(log, golden, bless=self.bless)
         if result.status == "error":

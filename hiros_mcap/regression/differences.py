@@ -412,20 +412,6 @@ class Provenance:
             parameters = stored_parameters(reader)
         return cls({name: value for name, value in run.items() if name in _RUN}, parameters)
 
-    @classmethod
-    def from_json(cls, data: object, path: Path) -> Provenance:
-        """Read its fields as JSON has them; None is nothing.
-
-        Raises ConfigError if it is something else.
-        """
-        tables = data if isinstance(data, dict) else {} if data is None else {"": None}
-        if not set(tables) <= {"run", "parameters"} or not all(
-            isinstance(table, dict) and all(isinstance(text, str) for text in table.values())
-            for table in tables.values()
-        ):
-            raise ConfigError(f"{path}: provenance: is not what hiros check writes")
-        return cls(**tables)
-
 
 def changes(now: Provenance, was: Provenance) -> list[Difference]:
     """Return what changed, parameters first; nothing if the golden file does not tell."""

@@ -82,27 +82,3 @@ def metrics_of(
         scores = evaluate_log(path, truth, [topic])[topic].scores
         values = {name: m.compared(scores) for name, m in MEASURES.items()} | values
     return {name: value for name, value in values.items() if not math.isnan(value)}
-
-
-def worse(
-    new: Mapping[str, float], golden: Mapping[str, float], share: float
-) -> tuple[list[Difference], list[Difference]]:
-    """Compare metrics: (what got worse by more than ``share``, what got better by more).
-
-    Counts are compared exactly. A metric that only the golden ones have is worse.
-    """
-    losses, gains = [], []
-    for name, was in golden.items():
-        now, measure = new.get(name, math.nan), MEASURES[name]
-        before = measure.shown(was)
-        if math.isnan(now):
-            losses.append(Difference("metrics", name, before, "not known any more"))
-            continue
-        slack = max(share * abs(was), measure.floor) if measure.floor else 0.0
-        change = Difference("metrics", name, before, measure.shown(now))
-        loss = now - was if measure.better != "more" else was - now
-        if loss > slack or (measure.better == "same" and loss):
-            losses.append(change)
-        elif -loss > slack:
-            gains.append(change)
-    return losses, gains

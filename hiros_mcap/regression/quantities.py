@@ -161,8 +161,7 @@ LIMITS = {quantity.limit: quantity.tolerance for quantity in QUANTITIES}
 class Tolerances(Params):
     """Differences that do not count: of :data:`QUANTITIES` by the names of their limits, and these.
 
-    If a change is meant to alter the numbers, compare metrics instead: give the suite a golden file
-    of metrics (``.json``) or thresholds.
+    If a change is meant to alter the numbers, give the suite thresholds on metrics instead.
     """
 
     model_config = ConfigDict(extra="allow")
@@ -172,9 +171,6 @@ class Tolerances(Params):
     frames: NonNegativeFloat = Field(0.0, le=1, description="Share of frames that may be missing.")
     people: NonNegativeFloat = Field(
         0.0, le=1, description="Share of a channel's skeletons that may be missing, new or renamed."
-    )
-    metrics: NonNegativeFloat = Field(
-        0.05, description="Share by which a metric may get worse; counts may not at all."
     )
 
     @model_validator(mode="after")

@@ -8,7 +8,7 @@
     [[log]]
     name = "two people crossing"
     input = "two_people_crossing.mcap"
-    golden = "golden/two_people_crossing.mcap"   # or .json: metrics alone
+    golden = "golden/two_people_crossing.mcap"
     require = ["mpjpe <= 25 mm", "id_switches = 0"]
 
 Paths are relative to the suite's file. Golden files are small, because they are kept under version
@@ -17,13 +17,11 @@ control.
 
 from __future__ import annotations
 
-import json
-import math
 import os
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -35,7 +33,6 @@ from hiros_mcap.defaults import default_system
 from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.evaluate import load_truth
 from hiros_mcap.evaluate.logs import output_channels, read_channel
-from hiros_mcap.evaluate.measures import MEASURES
 from hiros_mcap.io.channels import (
     CONFIG_ATTACHMENT,
     LIMBS_ATTACHMENT,
@@ -45,8 +42,8 @@ from hiros_mcap.io.channels import (
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_reader
-from hiros_mcap.outputs import check_outputs, write_text
-from hiros_mcap.outside import parse, read_text, read_toml
+from hiros_mcap.outputs import check_outputs
+from hiros_mcap.outside import read_toml
 from hiros_mcap.params import Params
 from hiros_mcap.progress import Bar, Progress
 from hiros_mcap.regression.differences import (
@@ -56,14 +53,14 @@ from hiros_mcap.regression.differences import (
     changes,
     compare_logs,
 )
-from hiros_mcap.regression.metrics import Threshold, metrics_of, worse
+from hiros_mcap.regression.metrics import Threshold, metrics_of
 from hiros_mcap.regression.quantities import Tolerances, beside, validated
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Floats, Frame
 from hiros_mcap.workers import run_tasks
 
 Status = Literal["equal", "different", "error"]
-GOLDEN_SUFFIXES = (".mcap", ".json")
+GOLDEN_SUFFIX = ".mcap"
 
 
 class Case(Params):
@@ -71,9 +68,7 @@ class Case(Params):
 
     name: str = Field("", description="Of the case. Default: the input's name.")
     input: str = Field(description="The recording.")
-    golden: str = Field(
-        "", description="Compact log (.mcap) or metrics (.json) to compare with; made by --bless."
-    )
+    golden: str = Field("", description="Compact log (.mcap) to compare with; made by --bless.")
     channels: tuple[str, ...] = Field(
         (), description="Globs of the channels in the golden log. Default: the last stage's."
     )
@@ -106,8 +101,8 @@ class Case(Params):
             raise ValueError("names a file with a null character, which no file can have")
         if not self.golden and not self.require:
             raise ValueError("expects nothing: give it a golden file or thresholds (require)")
-        if self.golden and Path(self.golden).suffix not in GOLDEN_SUFFIXES:
-            raise ValueError(f"golden {self.golden!r} is neither .mcap nor .json")
+        if self.golden and Path(self.golden).suffix != GOLDEN_SUFFIX:
+            raise ValueError(f"golden {self.golden!r} is no .mcap file")
         return self
 
     @property
@@ -256,7 +251,7 @@ def _check_case(folder: Path, case: Case, out: Path, *, bless: bool) -> CaseResu
             Tolerances(**case.tolerances) if case.tolerances else None,
             case.channels,
         )
-        result = golden.check(result, out, topic, bless=bless)
+        result = golden.check(result, out, bless=bless)
     required = (Threshold.parse(text) for text in case.require)
     unmet = tuple(d for threshold in required if (d := threshold.difference(metrics)))
     if not unmet:
@@ -269,13 +264,13 @@ def check_output(output: Path, golden: Golden, *, bless: bool = False) -> CaseRe
 
     Raises HirosError if the two cannot be compared.
     """
-    if golden.path.suffix not in GOLDEN_SUFFIXES:
-        raise ConfigError(f"{golden.path}: a golden file ends in .mcap (a log) or .json (metrics)")
+    if golden.path.suffix != GOLDEN_SUFFIX:
+        raise ConfigError(f"{golden.path}: a golden file ends in {GOLDEN_SUFFIX}")
     if not golden.path.is_file() and not bless:
         raise ConfigError(f"{golden.path}: no such golden file; --bless makes it")
     topic = output_channels(output)[-1]
     result = CaseResult(output.name, "equal", metrics=metrics_of(output, topic))
-    return golden.check(result, output, topic, bless=bless)
+    return golden.check(result, output, bless=bless)
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,38 +282,31 @@ class Golden:
     channels: Sequence[str] = ()
     """Globs of the channels that a new golden log keeps; empty = the last stage's."""
 
-    def check(self, result: CaseResult, output: Path, topic: str, *, bless: bool) -> CaseResult:
+    def check(self, result: CaseResult, output: Path, *, bless: bool) -> CaseResult:
         """Return the result with what differs, or make the output the golden file."""
         if not self.path.is_file():
             if not bless:
                 fault = f"{self.path}: there is no golden file yet; --bless makes it"
                 return replace(result, status="error", error=fault)
-            self._replace(result.metrics, output, topic)
+            self._replace(output)
             return replace(result, notes=("accepted: a new golden file",))
-        provenance, gains, compared = self._compare(result, output)
+        provenance, compared = self._compare(result, output)
         changed = changes(Provenance.of_log(output), provenance)
         if bless:
-            new = [*compared.differences, *gains]
+            new = compared.differences
             if not (new or changed or not provenance):
                 return replace(result, notes=("unchanged; the golden file is kept",))
-            self._replace(result.metrics, output, topic)
+            self._replace(output)
             accepted = [f"accepted: {change}" for change in (*changed, *new)]
             return replace(result, notes=tuple(accepted or ["accepted: how the result was made"]))
-        notes = (*compared.notes, *(f"better: {gain}" for gain in gains))
         if not compared.differences:
-            return replace(compared, notes=notes)
+            return compared
         differences = (*changed, *compared.differences)
-        return replace(compared, status="different", differences=differences, notes=notes)
+        return replace(compared, status="different", differences=differences)
 
-    def _compare(
-        self, result: CaseResult, output: Path
-    ) -> tuple[Provenance, list[Difference], CaseResult]:
-        """Return how the golden file was made, metrics that are better, and what differs."""
+    def _compare(self, result: CaseResult, output: Path) -> tuple[Provenance, CaseResult]:
+        """Return how the golden file was made, and what differs."""
         tolerances = self.tolerances or beside(self.path)
-        if self.path.suffix == ".json":
-            golden, provenance = load_metrics(self.path)
-            lost, gains = worse(result.metrics, golden, tolerances.metrics)
-            return provenance, gains, replace(result, differences=tuple(lost))
         provenance, notes = Provenance.of_log(self.path), []
         kinds = [p.parameters.get(LOG_TIME) for p in (provenance, Provenance.of_log(output))]
         one_kind = kinds[0] == kinds[1] or None in kinds
@@ -342,18 +330,13 @@ class Golden:
         first = tuple((c.topic, c.first) for c in differ if c.first is not None)
         lines = tuple(line for lines in by_channel.values() for line in lines)
         compared = replace(result, differences=lines, first=first, notes=tuple(notes))
-        return provenance, [], compared
+        return provenance, compared
 
-    def _replace(self, metrics: Mapping[str, float], output: Path, topic: str) -> None:
+    def _replace(self, output: Path) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        if self.path.suffix == ".json":
-            save_metrics(self.path, topic, metrics, Provenance.of_log(output))
-        else:
-            write_golden(output, self.path, self.channels)
+        write_golden(output, self.path, self.channels)
 
 
-VERSION = 1
-"""Of a file of metrics."""
 _GRID = np.repeat([2.0**-23, 2.0**-16, 2.0**-10, 2.0**-23], [7, 6, 6, 3])
 """Of the columns of a Box: poses, velocities, accelerations, sizes. The numbers of a golden log are
 multiples of these, so that they compress: at most a sixth of the default tolerances, such as 0.12
@@ -403,36 +386,3 @@ def compact(frame: Frame) -> Frame:
 
 def _rounded(numbers: Floats, grid: Floats) -> Floats:
     return np.asarray(np.rint(numbers / grid) * grid)
-
-
-def save_metrics(
-    path: Path, channel: str, metrics: Mapping[str, float], provenance: Provenance
-) -> None:
-    """Write golden metrics: JSON, one number a line, so that a change shows in a diff."""
-    rounded = {name: float(f"{value:.6g}") for name, value in metrics.items()}
-    data = {
-        "hiros_golden_metrics": VERSION,
-        "channel": channel,
-        "metrics": rounded,
-        "provenance": asdict(provenance),
-    }
-    write_text(path, json.dumps(data, indent=1) + "\n")
-
-
-def load_metrics(path: Path) -> tuple[dict[str, float], Provenance]:
-    """Read golden metrics, and how they were made.
-
-    Raises ConfigError if the file is not what :func:`save_metrics` writes, or names a metric that
-    does not exist.
-    """
-    data = parse(read_text(path), "JSON", path)
-    values = data.get("metrics") if isinstance(data, dict) else None
-    if not isinstance(values, dict) or data.get("hiros_golden_metrics") != VERSION:
-        raise ConfigError(f"{path}: is not a file of golden metrics, version {VERSION}")
-    for name, value in values.items():
-        if name not in MEASURES:
-            raise ConfigError(f"{path}: no metric {name!r} (there are: {', '.join(MEASURES)})")
-        if not isinstance(value, int | float) or not math.isfinite(value):
-            raise ConfigError(f"{path}: {name} is not a number")
-    numbers = {name: float(value) for name, value in values.items()}
-    return numbers, Provenance.from_json(data.get("provenance"), path)

@@ -22,7 +22,6 @@ from hiros_mcap.evaluate.measures import (
     SELF,
     table_of,
 )
-from hiros_mcap.regression.metrics import worse
 from hiros_mcap.wording import plain
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -71,22 +70,6 @@ def test_each_measure_is_in_the_scores_and_in_json():
     assert MEASURES["mpjpe"].of(scores) == 0.0
     assert MEASURES["hota"].of(scores) == pytest.approx(1.0)
     assert [m.of(consistency(frames, MODEL)) for m in CONSISTENCY[:2]] == [1, 30]
-
-
-@pytest.mark.parametrize("measure", MEASURES.values(), ids=list(MEASURES))
-def test_what_is_worse_depends_on_the_measure(measure):
-    name, step = measure.name, 10 * (measure.floor or 1.0)
-    more, less = ({name: 100.0 + sign * step} for sign in (1, -1))
-    lost, gained = (
-        [bool(side) for side in worse(new, {name: 100.0}, 1e-6)] for new in (more, less)
-    )
-    expected = {
-        "less": ([True, False], [False, True]),
-        "near 0": ([True, False], [False, True]),
-        "more": ([False, True], [True, False]),
-        "same": ([True, False], [True, False]),
-    }
-    assert (lost, gained) == expected[measure.better]
 
 
 def test_columns_have_their_unit_unless_the_title_states_it():
