@@ -38,7 +38,7 @@ NECK = ("neck", "spineshoulder", "spine_shoulder", "spine_chest")
 LOWER_SPINE = ("spine_naval", "spinemid", "spine_mid", "spine", "naval")
 HEAD = ("head", "nose")
 _FACE = ("ear", "eye")
-TOE = ("foot", "toe", "bigtoe", "big_toe", "toebase")
+TOE = ("foot", "toe", "bigtoe", "big_toe", "toebase", "foot_index", "footindex")
 
 # Segment -> names of the markers at both ends of the link that turns with it.
 _LINKS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {

@@ -19,6 +19,7 @@ import hiros_schemas
 from hiros_cli.app import run
 from hiros_mcap import plugins
 from hiros_mcap.body.body_size import unit_of
+from hiros_mcap.body.forward_cues import FacingMarkers
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate import evaluate, load_truth
@@ -198,6 +199,13 @@ def test_the_joints_of_a_marker_are_those_of_the_sdk(tmp_path, scene):
 def test_body_formats_of_the_zed_have_their_joints():
     counts = [body_model(name).n_markers for name in ("zed-18", "zed-34", "zed-38", "zed-70")]
     assert counts == [18, 34, 38, 70]
+
+
+@pytest.mark.parametrize("name", BODY_MODELS)
+def test_feet_with_toes_show_the_facing(name):
+    model = body_model(name)
+    has_toes = re.search("toe|foot", " ".join(model.marker_names).lower()) is not None
+    assert len(FacingMarkers.of(model).feet) == 2 * has_toes
 
 
 @pytest.mark.parametrize("name", BODY_MODELS)
