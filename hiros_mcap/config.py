@@ -115,8 +115,7 @@ class InputParams(Params):
         return text
 
 
-_MOST_S = 4e9
-"""No correction of a clock is larger: the stamps of messages span 137 years."""
+_MOST_S = 4e9  # no correction of a clock is larger: the stamps of messages span 137 years
 
 
 class ClockParams(Params):
@@ -306,8 +305,7 @@ class Settings:
 
     system: str = DEFAULT_SYSTEM
     preset: str = NO_PRESET
-    file: Path | None = None
-    """None = the file hiros.toml of each log."""
+    file: Path | None = None  # none = the file hiros.toml of each log
     assignments: tuple[str, ...] = ()
     named: Mapping[str, Table] = field(default_factory=dict)
 

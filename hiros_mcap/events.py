@@ -80,14 +80,10 @@ _WARNING_WORDS = "lost", "withdrawn", "rejected", "clock", "moved", "displaced",
 class Event:
     """Something that happened at an instant and that a user may want to see."""
 
-    stamp: Annotated[int, Field(ge=0, lt=1 << 63)]
-    """ns since the epoch."""
-    kind: str
-    """"track born", "track lost", "flip", "limbs calibrated", ..."""
-    person: int
-    """Id of the person, -1 if of nobody."""
-    source: str
-    """The camera, "" if of none."""
+    stamp: Annotated[int, Field(ge=0, lt=1 << 63)]  # ns since the epoch
+    kind: str  # "track born", "track lost", "flip", "limbs calibrated", ...
+    person: int  # id of the person, -1 if of nobody
+    source: str  # the camera, "" if of none
     detail: str
 
     @property

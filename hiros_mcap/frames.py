@@ -41,23 +41,15 @@ class Doubts(NamedTuple):
 class Block:
     """N frames whose people are rows of common arrays. Nobody writes into the rows of a block."""
 
-    stamps: Stamps
-    """(N,) time of each frame, ns."""
-    log_times: Stamps
-    """(N,) ns."""
-    sources: Stamps
-    """(N,) number of each camera among ``names``."""
-    frame_ids: Stamps
-    """(N,) number of each coordinate frame among ``names``."""
-    names: tuple[str, ...]
-    """Of cameras and coordinate frames."""
-    rows: Stamps
-    """(N, 2) first row of each frame's people, and the row after the last."""
+    stamps: Stamps  # (N,) time of each frame, ns
+    log_times: Stamps  # (N,) ns
+    sources: Stamps  # (N,) number of each camera among ``names``
+    frame_ids: Stamps  # (N,) number of each coordinate frame among ``names``
+    names: tuple[str, ...]  # of cameras and coordinate frames
+    rows: Stamps  # (N, 2) first row of each frame's people, and the row after the last
     people: People
-    uncertainty: Uncertainty | None = None
-    """Of the same rows; None = no stage has said anything."""
-    doubts: Doubts | None = None
-    """Of the same rows; None = no stage has looked."""
+    uncertainty: Uncertainty | None = None  # of the same rows; None = no stage has said anything
+    doubts: Doubts | None = None  # of the same rows; None = no stage has looked
 
     def __repr__(self) -> str:
         return f"<Block {len(self)} frames, {int(self.sizes.sum())} people>"
@@ -265,8 +257,7 @@ class HeldFrames:
     def __init__(self) -> None:
         self._blocks: list[tuple[Stamps, Block]] = []
         """Numbers of the frames that wait in a block, and these frames."""
-        self.count = 0
-        """Frames so far: the number of the next one."""
+        self.count = 0  # frames so far: the number of the next one
 
     def add(self, block: Block) -> int:
         """Hold the frames of a block; return the number of the first."""

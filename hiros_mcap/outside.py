@@ -22,14 +22,11 @@ from hiros_mcap.errors import ConfigError
 
 MOST_BYTES = 16 << 20
 """Largest file of settings, bytes."""
-_MOST_YAML = 1 << 20
-"""Largest YAML file, bytes; its reader takes seconds for it."""
+_MOST_YAML = 1 << 20  # largest YAML file, bytes; its reader takes seconds for it
 _MOST_PARTS = 1 << 20
 """Values beside each other in a YAML file, whose aliases repeat what they name."""
-_DEEPEST = 64
-"""Tables and lists in each other; nothing that hiros reads has more than 6."""
-_LARGEST = 1 << 64
-"""Whole numbers beyond it fit into no field."""
+_DEEPEST = 64  # tables and lists in each other; nothing that hiros reads has more than 6
+_LARGEST = 1 << 64  # whole numbers beyond it fit into no field
 
 
 def read_text(path: str | os.PathLike[str], most: int = MOST_BYTES) -> str:

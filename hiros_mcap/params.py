@@ -20,8 +20,7 @@ Metres = Annotated[float, Field(ge=0, le=10)]
 """A standard deviation of positions, m. With 10 m a measurement says nothing within a room."""
 Accelerations = Annotated[float, Field(ge=1e-6, le=1e5)]
 """How strongly people accelerate, in m/s2 or m2/s3. A throwing hand has 1000 m/s2."""
-_LARGEST = 1e9
-"""No number of any parameter is larger, unless it is infinite."""
+_LARGEST = 1e9  # no number of any parameter is larger, unless it is infinite
 _LARGEST_INTEGER = 1 << 53
 
 

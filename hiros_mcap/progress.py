@@ -33,8 +33,7 @@ class Bar:
 
     progress: RichProgress | None = None
     task: TaskID | None = None
-    live: bool = False
-    """Whether a log has no end yet: then it shows how much of it has come."""
+    live: bool = False  # whether a log has no end yet: then it shows how much of it has come
 
     def update(self, done: int, total: int) -> None:
         """Say that ``done`` of ``total`` is done, in whatever unit; of a live log, ns."""

@@ -109,25 +109,18 @@ class People(NamedTuple):
     Kernels take it as it is (``kernels.compile.PEOPLE``).
     """
 
-    ids: Ints
-    """(P,) person, UNTRACKED (-1) where unknown."""
-    stamps: Stamps
-    """(P,) source time per person, ns; 0 = not given."""
-    confidences: Floats
-    """(P,) 0..1, NaN = not given."""
+    ids: Ints  # (P,) person, UNTRACKED (-1) where unknown
+    stamps: Stamps  # (P,) source time per person, ns; 0 = not given
+    confidences: Floats  # (P,) 0..1, NaN = not given
     markers: Floats
     """(P, M, W) KinematicState of each marker; m, m/s, rad/s, m/s2, rad/s2.
 
     W is 19, or less where no stage has filled in the rest: 7 in a log of poses, 10 with velocities.
     """
-    marker_confidences: Floats
-    """(P, M) 0..1, NaN = not given."""
-    links: Floats
-    """(P, L, W) KinematicState of each link; W as of the markers, or another."""
-    link_confidences: Floats
-    """(P, L) 0..1, NaN = not given."""
-    boxes: Floats
-    """(P, 22) bounding box: KinematicState of its centre, then height, length, width."""
+    marker_confidences: Floats  # (P, M) 0..1, NaN = not given
+    links: Floats  # (P, L, W) KinematicState of each link; W as of the markers, or another
+    link_confidences: Floats  # (P, L) 0..1, NaN = not given
+    boxes: Floats  # (P, 22) bounding box: KinematicState of its centre, then height, length, width
 
     def __repr__(self) -> str:
         n, m, links = len(self.ids), self.markers.shape[1], self.links.shape[1]
@@ -177,10 +170,8 @@ class Uncertainty(NamedTuple):
 
     deviations: Floats
     """(P, M) standard deviation of the position along each axis, m; NaN = unknown."""
-    cameras: Stamps
-    """(P, M) the cameras that contributed: bit k is that of ``names[k]``."""
-    names: tuple[str, ...]
-    """Sources of the cameras."""
+    cameras: Stamps  # (P, M) the cameras that contributed: bit k is that of ``names[k]``
+    names: tuple[str, ...]  # sources of the cameras
     shared: Floats
     """(P, M) part of the deviations that neighbouring markers share: the cameras' poses, m."""
 

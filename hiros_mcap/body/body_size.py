@@ -14,8 +14,7 @@ METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0}
 AXES = ("x", "y", "z")
 SMALLEST, LARGEST = 0.03, 10.0
 """m; no detector of people sees anybody outside of these, a hand alone included."""
-_MILLIMETRES = 300.0
-"""Above this, a size is more likely given in mm than in cm."""
+_MILLIMETRES = 300.0  # above this, a size is more likely given in mm than in cm
 
 
 def by_camera(text: str, values: Collection[str]) -> dict[str, str]:

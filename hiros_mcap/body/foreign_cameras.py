@@ -33,16 +33,11 @@ class LensAndPose(NamedTuple):
     """What a calibration tells of a camera."""
 
     name: str
-    size: tuple[int, int] | None
-    """Of the image, px; None if the file has no lens, as ``matrix``."""
-    matrix: Floats | None
-    """(3, 3) focal lengths and principal point, px."""
-    distortion: Floats
-    """Coefficients in the order of OpenCV."""
-    model: str
-    """"plumb_bob", "rational_polynomial" or "equidistant"."""
-    pose: Rigid | None
-    """In the room; None if the file has none."""
+    size: tuple[int, int] | None  # of the image, px; None if the file has no lens, as ``matrix``
+    matrix: Floats | None  # (3, 3) focal lengths and principal point, px
+    distortion: Floats  # coefficients in the order of OpenCV
+    model: str  # "plumb_bob", "rational_polynomial" or "equidistant"
+    pose: Rigid | None  # in the room; None if the file has none
 
 
 def read_calibration(path: Path) -> list[LensAndPose]:

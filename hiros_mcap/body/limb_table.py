@@ -32,12 +32,10 @@ from hiros_mcap.skeletons import Floats, SkeletonModel
 class Limb:
     """Length of one link of one person (Hi-ROS 2023, eq 13)."""
 
-    length: Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=True)]
-    """Nominal length, m."""
+    length: Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=True)]  # nominal length, m
     deviation: Annotated[float, Field(ge=0.0, allow_inf_nan=False, strict=True)] = 0.0
     """Standard deviation of one measurement of it, m."""
-    frames: Annotated[int, Field(ge=0, strict=True)] = 0
-    """Number of measurements."""
+    frames: Annotated[int, Field(ge=0, strict=True)] = 0  # number of measurements
 
 
 class _LimbFile(Params):
@@ -49,8 +47,7 @@ class LimbTable:
     """The calibrated people of a session: link names to limbs, per person id."""
 
     people: dict[int, dict[str, Limb]] = field(default_factory=dict)
-    origin: str = "limbs"
-    """The file's name once loaded, for error messages."""
+    origin: str = "limbs"  # the file's name once loaded, for error messages
 
     def lengths(self, person: int, model: SkeletonModel) -> Floats:
         """(L,) nominal lengths of a person, m, NaN where a link has none.

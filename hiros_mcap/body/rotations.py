@@ -128,10 +128,8 @@ def slerp(a_xyzw: Floats, b_xyzw: Floats, share: float) -> Floats:
 class Rigid(NamedTuple):
     """A rigid transform of points; see :meth:`moved`."""
 
-    xyzw: Floats
-    """(4,) unit quaternion."""
-    translation: Floats
-    """(3,) m."""
+    xyzw: Floats  # (4,) unit quaternion
+    translation: Floats  # (3,) m
 
     def __matmul__(self, first: Rigid) -> Rigid:
         """Return the transform that does ``first``, then this one."""

@@ -28,10 +28,8 @@ class Symmetry:
 
     mirror: Ints
     """(M,) slot of the marker on the other side; its own for a marker without a counterpart."""
-    link_mirror: Ints
-    """(L,) the same for links, by the markers that they join."""
-    lateral: Ints
-    """(K, 2) (left, right) slots of shoulders and hips; empty if no names match."""
+    link_mirror: Ints  # (L,) the same for links, by the markers that they join
+    lateral: Ints  # (K, 2) (left, right) slots of shoulders and hips; empty if no names match
 
     @property
     def has_sides(self) -> bool:

@@ -40,8 +40,7 @@ _DENORMALISED = 1e-3
 _ZERO = 1e-6
 _LISTED = 12
 _SAME_M, _SAME_RAD = 1e-4, math.radians(0.01)  # what rounding may change
-_FARTHEST_M = 100.0
-"""Nobody is seen by cameras that are so far apart."""
+_FARTHEST_M = 100.0  # nobody is seen by cameras that are so far apart
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +63,7 @@ class PoseChange(NamedTuple):
 
     child: str
     parent: str
-    log_time: int
-    """From when on the new pose counts, ns."""
+    log_time: int  # from when on the new pose counts, ns
     metres: float
     radians: float
 
@@ -85,8 +83,7 @@ class _Edge:
     def __init__(self, parent: str, *, static: bool, topic: str = "") -> None:
         self.parent = parent
         self.static = static
-        self.topic = topic
-        """Where it was published, if in a namespace."""
+        self.topic = topic  # where it was published, if in a namespace
         self.changes: list[PoseChange] = []
         self._stamps = array("q")
         self._numbers = array("d")  # 7 per stamp: x y z w, x y z. An hour of /tf has millions.
@@ -188,20 +185,17 @@ class TransformTree:
         self._edges: dict[str, _Edge] = {}
         self._faults: dict[str, str] = {}
         self._parents: set[str] = set()
-        self._rivals: dict[str, list[str]] = {}
-        """Child -> its parents, where it has several."""
+        self._rivals: dict[str, list[str]] = {}  # child -> its parents, where it has several
         self._fixed: dict[tuple[str, str], Rigid] = {}
         self.normalised: Counter[str] = Counter()
         """Quaternions of a length off by more than 1e-3 that were put right, by child frame."""
         self.takes_namespaces = False
         """Whether transforms in a namespace count for frames without a global one. Otherwise they
         count for frames of which nothing else is known."""
-        self.look_alikes: Sequence[str] = ()
-        """Topics that may hold transforms, and are not read."""
+        self.look_alikes: Sequence[str] = ()  # topics that may hold transforms, and are not read
         self.unheard = ""
         """Warning that static transforms were sent, but not kept; "" if there is none."""
-        self.source = ""
-        """The file that the poses are from, "" if they are the log's."""
+        self.source = ""  # the file that the poses are from, "" if they are the log's
         self.clocks: Mapping[str, float] = {}
         """Camera -> seconds to add to its stamps, as the file says."""
         self.renamed: dict[str, str] = {}
@@ -545,16 +539,13 @@ class CameraEntry(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
 
     frame: Annotated[str, Field(min_length=1)]
-    parent: Annotated[str, Field(min_length=1)] = "world"
-    """Frame that the pose is in."""
+    parent: Annotated[str, Field(min_length=1)] = "world"  # frame that the pose is in
     translation: Annotated[list[float], Field(min_length=3, max_length=3)]
     quaternion_xyzw: Annotated[list[float], Field(min_length=4, max_length=4)]
     since: Annotated[int, Field(ge=0)] = 0
     """Log time, ns, at which the camera was moved to this pose; 0 = it always stood there."""
-    verdict: str = ""
-    """Good, doubtful, ...; "" in a file that somebody else wrote."""
-    reason: str = ""
-    """Why it is doubtful, "" otherwise."""
+    verdict: str = ""  # good, doubtful, ...; "" in a file that somebody else wrote
+    reason: str = ""  # why it is doubtful, "" otherwise
     error_deg: float | None = None
     error_mm: float | None = None
     residual_mm: float | None = None
@@ -582,12 +573,9 @@ class RoomTable(BaseModel):
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
-    area: tuple[float, float, float, float]
-    """Least x and y, greatest x and y, m."""
-    fov: tuple[float, float]
-    """Field of view of each camera, across and upright, degrees."""
-    range: tuple[float, float]
-    """Nearest and farthest depth that a camera sees, m."""
+    area: tuple[float, float, float, float]  # least x and y, greatest x and y, m
+    fov: tuple[float, float]  # field of view of each camera, across and upright, degrees
+    range: tuple[float, float]  # nearest and farthest depth that a camera sees, m
 
 
 class _Extrinsics(BaseModel):

@@ -57,25 +57,19 @@ class ColorRange(NamedTuple):
 class DepthCamera(NamedTuple):
     """How the depth and the colour image of a camera belong together."""
 
-    rays: Floats
-    """(H, W, 2) x / z and y / z of the depth image's pixels."""
-    focal: float
-    """Of the depth image, pixels."""
+    rays: Floats  # (H, W, 2) x / z and y / z of the depth image's pixels
+    focal: float  # of the depth image, pixels
     colour: Intrinsics | None
     """Lens of the colour image; None if each depth pixel belongs to the same colour pixel."""
-    to_colour: Rigid
-    """From the frame of the depth image to that of the colour image."""
+    to_colour: Rigid  # from the frame of the depth image to that of the colour image
 
 
 class BallFit(NamedTuple):
     """The ball in one frame of a camera."""
 
-    centre: Floats
-    """(3,) m, in the frame of the colour image."""
-    inliers: int
-    """Depth pixels on it."""
-    radius: float
-    """Radius of the sphere that fits these pixels best, m."""
+    centre: Floats  # (3,) m, in the frame of the colour image
+    inliers: int  # depth pixels on it
+    radius: float  # radius of the sphere that fits these pixels best, m
 
 
 def find_ball(

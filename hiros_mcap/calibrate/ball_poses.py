@@ -43,18 +43,12 @@ ADVICE = "carry the ball through the common view of {} for 30 s, near and far, h
 class BallTrack(NamedTuple):
     """Where one camera saw the ball."""
 
-    camera: str
-    """Its name for the user."""
-    frame: str
-    """Coordinate frame of the centres."""
-    stamps: Stamps
-    """(N,) ns."""
-    centres: Floats
-    """(N, 3) m; NaN = not seen."""
-    radii: Sequence[float] = ()
-    """m, as images show them."""
-    skipped: Mapping[str, int] = {}
-    """Depth images without a ball, by reason."""
+    camera: str  # its name for the user
+    frame: str  # coordinate frame of the centres
+    stamps: Stamps  # (N,) ns
+    centres: Floats  # (N, 3) m; NaN = not seen
+    radii: Sequence[float] = ()  # m, as images show them
+    skipped: Mapping[str, int] = {}  # depth images without a ball, by reason
 
     @classmethod
     def of(cls, camera: str, frame: str, points: Sequence[tuple[int, Any]]) -> BallTrack:
@@ -68,18 +62,12 @@ class Placement(NamedTuple):
     """Camera b in the frame of camera a."""
 
     pose: Rigid
-    common: int
-    """Centres at common times."""
-    used: int
-    """Those that fit."""
-    residual: float
-    """Root mean square distance of these, m."""
-    error_deg: float
-    """Standard error of the orientation, degrees."""
-    error_m: float
-    """Standard error of the position, m."""
-    extents: Floats
-    """(3,) SD of the path along its principal axes, m."""
+    common: int  # centres at common times
+    used: int  # those that fit
+    residual: float  # root mean square distance of these, m
+    error_deg: float  # standard error of the orientation, degrees
+    error_m: float  # standard error of the position, m
+    extents: Floats  # (3,) SD of the path along its principal axes, m
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,14 +78,10 @@ class BallCamera(CameraResult):
     mean square distance of the centres that fit.
     """
 
-    seen: int = 0
-    """Frames with the ball."""
-    against: str = ""
-    """The camera that it was registered with; "" for the first one."""
-    common: int = 0
-    """Centres at common times with that camera."""
-    used: int = 0
-    """Those that fit."""
+    seen: int = 0  # frames with the ball
+    against: str = ""  # the camera that it was registered with; "" for the first one
+    common: int = 0  # centres at common times with that camera
+    used: int = 0  # those that fit
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,13 +90,10 @@ class BallCalibration:
 
     fixed_frame: str
     verdict: Verdict
-    reason: str
-    """Doubts about the pose, and a better recording."""
+    reason: str  # doubts about the pose, and a better recording
     cameras: tuple[BallCamera, ...]
-    gauge: str
-    """Origin of the fixed frame: transforms, or the first camera."""
-    radius: float = math.nan
-    """Median radius that was measured, m; NaN without images."""
+    gauge: str  # origin of the fixed frame: transforms, or the first camera
+    radius: float = math.nan  # median radius that was measured, m; NaN without images
     skipped: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     """Depth images without a result, by camera and reason."""
 

@@ -55,8 +55,7 @@ MOVED_M = 0.02
 class BoardCamera(CameraResult):
     """The pose of one camera by the board, and how well it is known."""
 
-    seen: int = 0
-    """Frames with all four markers."""
+    seen: int = 0  # frames with all four markers
 
 
 class BoardReport(NamedTuple):
@@ -66,10 +65,8 @@ class BoardReport(NamedTuple):
     verdict: Verdict
     reason: str
     cameras: tuple[BoardCamera, ...]
-    gauge: str
-    """How the cameras were joined: "transforms", or "board" where each one sees it."""
-    skipped: dict[str, dict[str, int]]
-    """Depth images without a result, by camera and reason."""
+    gauge: str  # how the cameras were joined: "transforms", or "board" where each one sees it
+    skipped: dict[str, dict[str, int]]  # depth images without a result, by camera and reason
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -46,16 +46,13 @@ BIN_S, LEAST_BINS = 1.0, 2
 class CameraChange(NamedTuple):
     """When the second of two cameras was moved, and where it stood in the first one."""
 
-    begin: float
-    """Until then it stood at the first pose, s of the first camera's time."""
-    end: float
-    """From then on it stood at the second one; nobody was seen in between."""
+    begin: float  # until then it stood at the first pose, s of the first camera's time
+    end: float  # from then on it stood at the second one; nobody was seen in between
     early: Rig
     late: Rig
     metres: float = 0.0
     """How much nearer people are by the right one of both poses, in the part that gains less."""
-    part: int = 1
-    """Which of its poses it got; a camera that comes back gets a former one."""
+    part: int = 1  # which of its poses it got; a camera that comes back gets a former one
 
     @property
     def seconds(self) -> float:
@@ -253,12 +250,10 @@ def located(pair: Sequence[CameraView], early: Rig, late: Rig, mirror: Ints) -> 
 class SecondPose(NamedTuple):
     """The gain if a camera had another pose from some time on."""
 
-    share: float = 0.0
-    """Of the misfit that is gone then."""
+    share: float = 0.0  # of the misfit that is gone then
     metres: float = 0.0
     """How far one pose for all puts people off in the part that is seen less, root mean square."""
-    seconds: float = 0.0
-    """From when on, common time."""
+    seconds: float = 0.0  # from when on, common time
 
 
 def second_poses(residuals: RigResiduals, points: Points) -> list[SecondPose]:

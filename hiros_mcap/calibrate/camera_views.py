@@ -27,29 +27,21 @@ class CameraView:
     """One camera and whom it sees."""
 
     name: str
-    frame: str
-    """Coordinate frame of its detections."""
-    tracks: list[Tracklet]
-    """Tracklets, by time. Seconds count from the middle of the log."""
+    frame: str  # coordinate frame of its detections
+    tracks: list[Tracklet]  # tracklets, by time. Seconds count from the middle of the log.
     shift: float
     """s that were added to the camera's stamps because they are far from the log's times."""
-    half_width: float
-    """s, of the lines through a joint's positions."""
+    half_width: float  # s, of the lines through a joint's positions
 
 
 class Seen(NamedTuple):
     """The people whom one camera saw in N frames."""
 
-    stamps: Stamps
-    """(N,) ns, as logged."""
-    log_times: Stamps
-    """(N,) ns."""
-    counts: Stamps
-    """(N,) people in each frame."""
-    positions: npt.NDArray[np.float32]
-    """(P, M, 3) of all people, m; NaN = absent."""
-    confidences: npt.NDArray[np.float32]
-    """(P, M) 0..1; NaN = not given."""
+    stamps: Stamps  # (N,) ns, as logged
+    log_times: Stamps  # (N,) ns
+    counts: Stamps  # (N,) people in each frame
+    positions: npt.NDArray[np.float32]  # (P, M, 3) of all people, m; NaN = absent
+    confidences: npt.NDArray[np.float32]  # (P, M) 0..1; NaN = not given
 
 
 def view_of(
@@ -114,12 +106,9 @@ SHORTEST_S = 0.3
 class Sighting(NamedTuple):
     """The people whom a camera sees in one frame."""
 
-    seconds: float
-    """Time on the camera's clock, s."""
-    positions: Floats
-    """(P, M, 3) in the camera's frame, m; NaN = absent."""
-    weights: Floats
-    """(P, M) 0 = absent."""
+    seconds: float  # time on the camera's clock, s
+    positions: Floats  # (P, M, 3) in the camera's frame, m; NaN = absent
+    weights: Floats  # (P, M) 0 = absent
 
 
 _Growing = list[tuple[float, Floats, Floats]]
@@ -138,10 +127,8 @@ class PeopleFollowed:
         self._mirror = mirror
         self._growing: list[_Growing] = []
         self._done: list[_Growing] = []
-        self._waiting: list[Sighting] = []
-        """By time."""
-        self.times: list[float] = []
-        """s, of the frames."""
+        self._waiting: list[Sighting] = []  # by time
+        self.times: list[float] = []  # s, of the frames
 
     def add(self, sighting: Sighting) -> None:
         """Take a frame; one that comes over LATE_S after a later one is left out."""

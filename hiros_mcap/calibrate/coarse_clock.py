@@ -27,10 +27,8 @@ APART_S = 0.3
 class Landmarks(NamedTuple):
     """The joints that a signature needs."""
 
-    left: Stamps
-    """(F,) slots."""
-    right: Stamps
-    """(F,) slots."""
+    left: Stamps  # (F,) slots
+    right: Stamps  # (F,) slots
     pelvis: Stamps
     """Slots whose mean is the pelvis: one, both hips, or all joints of an unknown skeleton."""
 

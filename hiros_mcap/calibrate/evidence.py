@@ -35,8 +35,7 @@ WHOLE = 8
 NEARBY_M = 0.75
 """A camera that showed somebody within this looks at a place: people go so far between two of the
 instants that are compared."""
-_REACH = 3
-"""Cells that it reaches: places are rounded to cells of a third of it, 25 cm."""
+_REACH = 3  # cells that it reaches: places are rounded to cells of a third of it, 25 cm
 
 
 def shared_view(

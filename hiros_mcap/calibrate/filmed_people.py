@@ -70,10 +70,8 @@ REGULAR = 0.95
 class _Size(NamedTuple):
     """How large the rig is, and who said so."""
 
-    scale: float
-    """m per unit of the rig."""
-    error: float
-    """Its standard error as a share."""
+    scale: float  # m per unit of the rig
+    error: float  # its standard error as a share
     source: str
 
 

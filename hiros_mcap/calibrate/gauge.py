@@ -34,8 +34,7 @@ CHI2_3_MEDIAN = 2.36597
 """Median of a chi-square distribution with three degrees of freedom."""
 _AXES = 3
 ROUNDS = 20
-_UNKNOWN = 1.0
-"""Standard error, radians or m, from which on a pose tells nothing."""
+_UNKNOWN = 1.0  # standard error, radians or m, from which on a pose tells nothing
 STILL = 1e-5
 """A step that changes less, m or radians, is the last."""
 
@@ -46,12 +45,9 @@ Placement = tuple[Floats, Floats]
 class PlacementError(NamedTuple):
     """How uncertain it is where the rig as a whole stands."""
 
-    middle: Floats
-    """(3,) of the cameras, m."""
-    turn: Floats
-    """(3, 3) covariance of a small rotation about the middle, rad2."""
-    shift: float
-    """Variance of the middle along each axis, m2."""
+    middle: Floats  # (3,) of the cameras, m
+    turn: Floats  # (3, 3) covariance of a small rotation about the middle, rad2
+    shift: float  # variance of the middle along each axis, m2
 
     def variances(self, positions: Floats) -> Floats:
         """(...) Mean variance along each axis, m2, of positions (..., 3), m."""

@@ -31,8 +31,7 @@ from hiros_mcap.skeletons import Ints
 _APART_MM = 60.0
 """Where a clock is wrong by most of a second, people who walk slowly may still fit: they are off by
 8 to 11 cm, and not by 4 to 5."""
-_DELAY_S = 0.1
-"""Lags of right clocks mostly differ by less."""
+_DELAY_S = 0.1  # lags of right clocks mostly differ by less
 
 Corrections = Mapping[str, ClockCorrection]
 """What is known of the cameras' clocks, by name."""
@@ -42,14 +41,11 @@ class Move(NamedTuple):
     """A camera was moved."""
 
     camera: str
-    stamp: int
-    """Of its first message afterwards, ns."""
-    log_time: int
-    """Of the same message."""
+    stamp: int  # of its first message afterwards, ns
+    log_time: int  # of the same message
     metres: float
     degrees: float
-    part: int = 1
-    """Which of its poses it got; a camera that comes back gets a former one."""
+    part: int = 1  # which of its poses it got; a camera that comes back gets a former one
 
     @property
     def distance(self) -> str:
@@ -64,15 +60,12 @@ class PosedViews:
     A camera that was moved has a row for each of its poses, in the order of time.
     """
 
-    cameras: list[FixedCamera]
-    """With the poses that the log gives."""
+    cameras: list[FixedCamera]  # with the poses that the log gives
     views: list[CameraView]
     rig: list[CalibratedCamera]
-    gains: list[SecondPose]
-    """By how much a second pose would explain each camera better."""
+    gains: list[SecondPose]  # by how much a second pose would explain each camera better
     moves: tuple[Move, ...] = ()
-    late: Event | None = None
-    """A camera that was moved for too short a time to tell a pose."""
+    late: Event | None = None  # a camera that was moved for too short a time to tell a pose
 
     def pose(self, k: int) -> Rigid:
         """Return the pose of a row's camera that is used."""

@@ -43,10 +43,8 @@ _NORMAL = 0.455  # median of the square of a normal variable with variance 1
 class DepthErrors(NamedTuple):
     """Errors of a camera's joints beside the other cameras'."""
 
-    along: float
-    """Standard deviation along the ray beyond that across it, m; NaN = not known."""
-    across: float
-    """Standard deviation of the disagreement across the rays, m."""
+    along: float  # standard deviation along the ray beyond that across it, m; NaN = not known
+    across: float  # standard deviation of the disagreement across the rays, m
 
     @property
     def is_guess(self) -> bool:

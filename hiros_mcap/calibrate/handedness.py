@@ -29,13 +29,11 @@ from hiros_mcap.calibrate.camera_views import Seen
 from hiros_mcap.rays.confidence import TRIANGULATED
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
 
-_SIGNS = np.array([1.0, -1.0, 1.0, 1.0])
-"""Of :data:`CUES`: elbows point backwards."""
+_SIGNS = np.array([1.0, -1.0, 1.0, 1.0])  # of :data:`CUES`: elbows point backwards
 _WEIGHTS, _LENGTHS_M = np.array([2.0, 1.7, 1.7, 3.0]), np.array([0.05, 0.05, 0.05, 0.06])
 """Of the cues, and at which length they count about fully. A Kinect's labels agree with all of them
 in 94, 92, 84 and 100 % of the views in which they are right."""
-_CLEAR = 1.0
-"""Least sum of the cues; below it nothing points anywhere."""
+_CLEAR = 1.0  # least sum of the cues; below it nothing points anywhere
 _REVERSED = 0.75
 """Share of the views that contradict their labels: 80 % and more with left-handed axes, up to 20 %
 with healthy ones, of nine recordings of Kinects and eleven simulated ones."""
@@ -52,14 +50,10 @@ _AT_ONCE_NS, _MOST = 50_000_000, 300
 class _Views(NamedTuple):
     """What the P people of a camera show."""
 
-    contradict: Flags
-    """(P,) whether the labels contradict the cues, of those who show both."""
-    facing: Flags
-    """(P,) whether these people face the camera."""
-    up: Floats
-    """(3,) sum of unit vectors along the trunks, in the camera's axes."""
-    middle: Floats
-    """(3,) sum of the bodies' middles, in the camera's axes, m."""
+    contradict: Flags  # (P,) whether the labels contradict the cues, of those who show both
+    facing: Flags  # (P,) whether these people face the camera
+    up: Floats  # (3,) sum of unit vectors along the trunks, in the camera's axes
+    middle: Floats  # (3,) sum of the bodies' middles, in the camera's axes, m
 
     @property
     def is_reversed(self) -> bool:
@@ -70,8 +64,7 @@ class _Views(NamedTuple):
 class WrongAxes(NamedTuple):
     """Which cameras are left-handed."""
 
-    axes: dict[str, str]
-    """Camera -> axis with the wrong sign."""
+    axes: dict[str, str]  # camera -> axis with the wrong sign
     sure: bool
     """False if some cameras contradict the others, and no poses tell more: then the detector may
     as well exchange the names of left and right."""

@@ -168,10 +168,8 @@ class ImageChannels:
     """The channels of one camera, and the first CameraInfo of each image."""
 
     name: str
-    colour: str
-    """Topic of the colour images."""
-    depth: str
-    """Topic of the depth images."""
+    colour: str  # topic of the colour images
+    depth: str  # topic of the depth images
     colour_frame: str
     depth_frame: str
     colour_info: Any
@@ -181,8 +179,7 @@ class ImageChannels:
 class _Channel(NamedTuple):
     topic: str
     frame: str
-    content: Any
-    """The first message."""
+    content: Any  # the first message
 
 
 def pair_channels(log: RosMessages, types: Mapping[str, str]) -> list[ImageChannels]:

@@ -45,8 +45,7 @@ SOME_JOINTS = 500
 """Enough for a mean."""
 UNKNOWN = 1.0
 """Standard error, rad, m or s, from which on an unknown is not known at all."""
-_LOST = 1e3
-"""A step that is longer, rad, m or s, is rounding: no data tell the unknown any more."""
+_LOST = 1e3  # a step that is longer, rad, m or s, is rounding: no data tell the unknown any more
 BLOCK_S, BLOCKS = 2.0, 10
 """Errors that are further apart in time are taken for independent; more in a long log."""
 
@@ -54,18 +53,12 @@ BLOCK_S, BLOCKS = 2.0, 10
 class Points(NamedTuple):
     """P joints of people at instants that at least two of C cameras see."""
 
-    seconds: Floats
-    """(P,) common time."""
-    people: Stamps
-    """(P,) which skeleton it belongs to: one person at one instant."""
-    joints: Stamps
-    """(P,) slot of the marker."""
-    positions: Floats
-    """(C, P, 3) in the cameras' frames, m."""
-    velocities: Floats
-    """(C, P, 3) in the cameras' frames, m/s."""
-    weights: Floats
-    """(C, P) 0 where a camera does not see it."""
+    seconds: Floats  # (P,) common time
+    people: Stamps  # (P,) which skeleton it belongs to: one person at one instant
+    joints: Stamps  # (P,) slot of the marker
+    positions: Floats  # (C, P, 3) in the cameras' frames, m
+    velocities: Floats  # (C, P, 3) in the cameras' frames, m/s
+    weights: Floats  # (C, P) 0 where a camera does not see it
 
 
 class Refinement(NamedTuple):
@@ -73,20 +66,17 @@ class Refinement(NamedTuple):
 
     views: Sequence[CameraView]
     start: Rig
-    rig: Rig
-    """The first camera stands at the origin."""
+    rig: Rig  # the first camera stands at the origin
     instants: Floats
     points: Points
     residuals: RigResiduals
-    free: Flags
-    """(C, 8) which unknowns were refined."""
+    free: Flags  # (C, 8) which unknowns were refined
     errors: Floats
     """(C, 8) standard errors of the unknowns, see :func:`standard_errors`;
     infinite where too little is seen."""
     people: float
     """How far the poses' errors move the mean of the cameras' joints, m: root mean square."""
-    timed: Flags
-    """(C,) whether motion tells the camera's clock."""
+    timed: Flags  # (C,) whether motion tells the camera's clock
 
     @property
     def clocks(self) -> Floats:

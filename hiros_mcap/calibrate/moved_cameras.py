@@ -115,8 +115,7 @@ class _Splitter:
     _survey: Survey
     _corrections: Corrections
     _mirror: Ints
-    _shifts: Mapping[str, float]
-    """Camera -> s by which its times are later than stated."""
+    _shifts: Mapping[str, float]  # camera -> s by which its times are later than stated
 
     def views_of(
         self, cameras: Sequence[FixedCamera], sightings: Mapping[str, list[Sighting]]

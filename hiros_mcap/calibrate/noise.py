@@ -16,10 +16,8 @@ class Noise:
 
     deviation: float
     """m: SD per axis of a joint, mean over joints, cameras and people; NaN without data."""
-    joints: dict[str, float]
-    """The same by joint, m."""
-    cameras: dict[str, float]
-    """The same by camera, m."""
+    joints: dict[str, float]  # the same by joint, m
+    cameras: dict[str, float]  # the same by camera, m
     detections: int
 
 

@@ -49,16 +49,12 @@ SAME_DEG, SAME_M, SAME_S = 20.0, 0.4, 0.3
 class PairFit(NamedTuple):
     """How well one pose and lag of two cameras explain what both see."""
 
-    rig: Rig
-    """The first camera stands at the origin."""
-    distances: Floats
-    """Distances, m, of the skeletons that fit."""
+    rig: Rig  # the first camera stands at the origin
+    distances: Floats  # distances, m, of the skeletons that fit
     common: int
     """Skeletons that could fit: the fewer people of both cameras, summed over the instants."""
-    motion: float = 0.0
-    """Correlation of the cameras' velocities."""
-    quality: float = 0.0
-    """Sum over the skeletons that fit of max(0, 1 - (distance / scale)^2)."""
+    motion: float = 0.0  # correlation of the cameras' velocities
+    quality: float = 0.0  # sum over the skeletons that fit of max(0, 1 - (distance / scale)^2)
 
     @property
     def share(self) -> float:

@@ -90,13 +90,11 @@ class PeopleCalibration:
 
     fixed_frame: str
     verdict: Verdict
-    reason: str
-    """The fault and a better recording; "" without a fault."""
+    reason: str  # the fault and a better recording; "" without a fault
     cameras: tuple[CalibratedCamera, ...]
     joints: dict[str, float] = field(default_factory=dict)
     """Median distance of each joint to the mean of the other cameras, mm."""
-    gauge: str = ""
-    """Origin of the fixed frame: transforms, floor, or the first camera."""
+    gauge: str = ""  # origin of the fixed frame: transforms, floor, or the first camera
     people_mm: float = math.nan
     """How far the poses' errors move the mean of the cameras' joints, root mean square."""
 
@@ -271,10 +269,8 @@ class Solution(NamedTuple):
 
     fit: FittingRig | None
     """Those that fit each other, or that were refined last; None if no two are linked."""
-    faults: dict[int, str]
-    """Camera -> why its pose cannot be trusted."""
-    last: dict[int, FittingRig]
-    """Camera that does not fit -> the last fit in which it was."""
+    faults: dict[int, str]  # camera -> why its pose cannot be trusted
+    last: dict[int, FittingRig]  # camera that does not fit -> the last fit in which it was
 
     @property
     def is_fitting(self) -> bool:

@@ -73,12 +73,9 @@ class Effort(NamedTuple):
     """How much cameras are refined on."""
 
     instants: int
-    points: int
-    """Joints at instants that are enough; more people need fewer instants."""
-    gates: tuple[float, ...]
-    """Within which distance, m, people are the same, round by round."""
-    drifts: bool
-    """Whether the drifts of the clocks are refined in a log of more than two minutes."""
+    points: int  # joints at instants that are enough; more people need fewer instants
+    gates: tuple[float, ...]  # within which distance, m, people are the same, round by round
+    drifts: bool  # whether the drifts of the clocks are refined in a log of more than two minutes
     cameras: int = sys.maxsize
     """Of more cameras fewer joints count: all pairs of cameras that see a joint cost time."""
 

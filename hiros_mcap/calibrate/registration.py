@@ -18,23 +18,17 @@ from hiros_mcap.body.rotations import Rigid, from_matrix, nearest_rotation
 from hiros_mcap.errors import RegistrationError
 from hiros_mcap.skeletons import Flags, Floats, Stamps, nearest_stamps
 
-_FLAT = 1e-9
-"""Points lie on a line below this ratio of their second to their first singular value."""
-_SAMPLE = 400
-"""Points on which the candidates for a sphere are compared; the fit uses all points."""
-_ROUNDS = 30
-"""Rounds after which inliers may still change; few clouds need ten."""
+_FLAT = 1e-9  # points lie on a line below this ratio of their second to their first singular value
+_SAMPLE = 400  # points on which the candidates for a sphere are compared; the fit uses all points
+_ROUNDS = 30  # rounds after which inliers may still change; few clouds need ten
 
 
 class SphereFit(NamedTuple):
     """A sphere of known radius among points."""
 
-    centre: Floats
-    """(3,) m."""
-    inliers: Flags
-    """(N,) which points lie on it."""
-    rms: float
-    """Root mean square of the inliers' distances from the surface, m."""
+    centre: Floats  # (3,) m
+    inliers: Flags  # (N,) which points lie on it
+    rms: float  # root mean square of the inliers' distances from the surface, m
 
 
 def fit_sphere(

@@ -20,14 +20,10 @@ CELL_S = 0.1
 class Rig(NamedTuple):
     """Poses and clocks of C cameras; a point x of a camera is at R x + p in the common frame."""
 
-    rotations: Floats
-    """(C, 3, 3)"""
-    shifts: Floats
-    """(C, 3) m."""
-    clocks: Floats
-    """(C,) s to add to the time of each camera."""
-    drifts: Floats
-    """(C,) s of that per second of the common time."""
+    rotations: Floats  # (C, 3, 3)
+    shifts: Floats  # (C, 3) m
+    clocks: Floats  # (C,) s to add to the time of each camera
+    drifts: Floats  # (C,) s of that per second of the common time
 
     @classmethod
     def alone(cls, n_cameras: int) -> Rig:
@@ -69,14 +65,10 @@ class Rig(NamedTuple):
 class Samples(NamedTuple):
     """N skeletons, each of one camera at one instant, in the frame of the camera."""
 
-    instants: Stamps
-    """(N,) index of the instant, never decreasing."""
-    cameras: Stamps
-    """(N,) index of the camera."""
-    tracks: Stamps
-    """(N,) index of its tracklet in the camera."""
-    lines: Lines
-    """Their joints."""
+    instants: Stamps  # (N,) index of the instant, never decreasing
+    cameras: Stamps  # (N,) index of the camera
+    tracks: Stamps  # (N,) index of its tracklet in the camera
+    lines: Lines  # their joints
 
 
 def lines_of(view: CameraView, track: int, seconds: Floats) -> Lines:

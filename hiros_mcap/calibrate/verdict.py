@@ -49,16 +49,11 @@ class Limits(NamedTuple):
     """The limits of a grade: a pose of that grade keeps to all of them."""
 
     error_deg: float
-    error_m: float
-    """Largest standard errors."""
-    seconds: float
-    """Shortest common view."""
-    size: float
-    """By how much people may differ in size."""
-    wander: float
-    """Largest distance of the bodies' middles, m."""
-    spread: float
-    """Least standard deviation of the places where people are, m."""
+    error_m: float  # largest standard errors
+    seconds: float  # shortest common view
+    size: float  # by how much people may differ in size
+    wander: float  # largest distance of the bodies' middles, m
+    spread: float  # least standard deviation of the places where people are, m
 
 
 GOOD = Limits(error_deg=0.7, error_m=0.1, seconds=8.0, size=0.01, wander=0.033, spread=0.25)
@@ -85,40 +80,27 @@ TIMED = USABLE._replace(seconds=2.0)
 class Evidence:
     """The evidence for the pose of one camera."""
 
-    share: float
-    """Share of the skeletons in common with other cameras that fit."""
-    residual: float
-    """Median distance, m, of a person in this camera and in others."""
-    seconds: float
-    """Common view with other cameras, s."""
-    spread: float
-    """How far the people spread in it: the square root of their variance, m."""
+    share: float  # share of the skeletons in common with other cameras that fit
+    residual: float  # median distance, m, of a person in this camera and in others
+    seconds: float  # common view with other cameras, s
+    spread: float  # how far the people spread in it: the square root of their variance, m
     share_error: float = 0.0
     """Standard error of the share, if the pose was measured; otherwise nothing excuses it."""
-    size: float = 1.0
-    """Size of the people in this camera against the others."""
-    wander: float = 0.0
-    """Distance of the bodies' middles in this camera and in the others, m."""
+    size: float = 1.0  # size of the people in this camera against the others
+    wander: float = 0.0  # distance of the bodies' middles in this camera and in the others, m
     limbs: float = 1.0
     """Correlation of the limbs' motion with that in the other cameras; 1 if nobody moves."""
     path: float = 0.0
     """Distance of the people's paths from those in the others, beyond the joints' errors, m."""
     repetition: float = float("inf")
     """How closely the people's motion fits itself at another time, m."""
-    people: float = 1.0
-    """How many people it shares with other cameras at a time."""
-    late: float = 0.0
-    """How much its clock differs from the other cameras', s."""
-    rival: bool = False
-    """Whether a quite different pose explains the data nearly as well."""
-    error_deg: float = 0.0
-    """Standard error of the orientation, degrees."""
-    error_m: float = 0.0
-    """Standard error of the position."""
-    halves_deg: float = 0.0
-    """Difference of the orientations found in each half of the log, degrees."""
-    partner: str = ""
-    """The camera with which it has most in common."""
+    people: float = 1.0  # how many people it shares with other cameras at a time
+    late: float = 0.0  # how much its clock differs from the other cameras', s
+    rival: bool = False  # whether a quite different pose explains the data nearly as well
+    error_deg: float = 0.0  # standard error of the orientation, degrees
+    error_m: float = 0.0  # standard error of the position
+    halves_deg: float = 0.0  # difference of the orientations found in each half of the log, degrees
+    partner: str = ""  # the camera with which it has most in common
 
 
 def verdict_of(evidence: Evidence, *, moved: bool) -> tuple[Verdict, str]:
@@ -214,21 +196,16 @@ class CameraResult:
     """One camera: its pose, how sure it is, and why it may be wrong."""
 
     name: str
-    frame: str
-    """Coordinate frame of its detections or images."""
+    frame: str  # coordinate frame of its detections or images
     verdict: Verdict = "good"
-    reason: str = ""
-    """Why it is doubtful or impossible, "" otherwise."""
-    pose: Rigid | None = None
-    """In the fixed frame."""
+    reason: str = ""  # why it is doubtful or impossible, "" otherwise
+    pose: Rigid | None = None  # in the fixed frame
     clock_s: float = math.nan
     """s to add to its stamps; NaN if that is not known: keep the log's stamps."""
     error_deg: float = math.nan
     """Standard error of the orientation, degrees; NaN where nothing tells it."""
-    error_mm: float = math.nan
-    """The same of the position."""
-    residual_mm: float = math.nan
-    """How far what it sees is from what the others see."""
+    error_mm: float = math.nan  # the same of the position
+    residual_mm: float = math.nan  # how far what it sees is from what the others see
 
     def to_dict(self, parent: str) -> dict[str, Any]:
         """Plain data for JSON; numbers that are not known are None. ``parent`` has the pose."""
@@ -256,10 +233,8 @@ class CalibratedCamera(CameraResult):
     drift_ppm: float = 0.0
     """How fast the clock's offset grows, from the middle of the log; 0 in logs of less than two
     minutes."""
-    error_ms: float = math.nan
-    """Standard error of the clock."""
-    seconds: float = 0.0
-    """s in which another camera sees the same people."""
+    error_ms: float = math.nan  # standard error of the clock
+    seconds: float = 0.0  # s in which another camera sees the same people
     moved_deg: float = math.nan
     """Difference from the log's pose; NaN if that stays, or there is none."""
     moved_mm: float = math.nan
@@ -267,12 +242,9 @@ class CalibratedCamera(CameraResult):
     """When it was moved to this pose, s from the log's start; NaN if it always stood there."""
     until_s: float = math.nan
     """When it was moved away from this pose; such a camera is listed twice."""
-    since: int = 0
-    """The first of both as a log time, ns; 0 if it always stood there."""
-    partner: str = ""
-    """The camera with which it has most in common."""
-    evidence: Evidence | None = None
-    """The evidence of the verdict."""
+    since: int = 0  # the first of both as a log time, ns; 0 if it always stood there
+    partner: str = ""  # the camera with which it has most in common
+    evidence: Evidence | None = None  # the evidence of the verdict
 
     @property
     def acceptable(self) -> bool:

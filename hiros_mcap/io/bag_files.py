@@ -40,14 +40,11 @@ _NAMED = 4
 class Files(NamedTuple):
     """The files of a recording."""
 
-    parts: Sequence[Path]
-    """In their order."""
+    parts: Sequence[Path]  # in their order
     promised: Mapping[str, int] = {}
     """Messages of each topic that metadata.yaml counts; of "", those of no topic that it names."""
-    remarks: Sequence[str] = ()
-    """Guesses about the files, for notes."""
-    warnings: Sequence[str] = ()
-    """That metadata.yaml was not used."""
+    remarks: Sequence[str] = ()  # guesses about the files, for notes
+    warnings: Sequence[str] = ()  # that metadata.yaml was not used
 
 
 def kind_of(path: Path) -> str:
@@ -229,12 +226,9 @@ class _Recorded(BaseModel):
 class _Description(NamedTuple):
     """The content of metadata.yaml."""
 
-    names: Sequence[str] = ()
-    """Of the files."""
-    counts: Mapping[str, int] = {}
-    """Messages of each topic; of "", those of no topic."""
-    faults: Sequence[str] = ()
-    """Why it was not used, if it cannot be understood."""
+    names: Sequence[str] = ()  # of the files
+    counts: Mapping[str, int] = {}  # messages of each topic; of "", those of no topic
+    faults: Sequence[str] = ()  # why it was not used, if it cannot be understood
 
 
 def _described(folder: Path, *, is_named: bool) -> _Description:

@@ -20,8 +20,7 @@ from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.ros_cdr import ros2_types
 from hiros_mcap.outputs import BAG_MARK, bag_files, target_kind, write_text
 
-_VERSION = 8
-"""The releases of ROS 2 from Humble on can read it."""
+_VERSION = 8  # the releases of ROS 2 from Humble on can read it
 
 
 @contextmanager

@@ -32,11 +32,9 @@ class BagTopic(NamedTuple):
 
     id: int
     name: str
-    type: str
-    """``pkg/msg/Type``."""
+    type: str  # ``pkg/msg/Type``
     n_messages: int
-    profiles: str = ""
-    """Quality of service, as YAML."""
+    profiles: str = ""  # quality of service, as YAML
 
 
 class Bag(Protocol):

@@ -79,8 +79,7 @@ class MemoryReader(McapReader):
     """
 
     checked = False
-    rig: RgbRig | None = None
-    """The RGB cameras whose keypoints became skeletons in it."""
+    rig: RgbRig | None = None  # the RGB cameras whose keypoints became skeletons in it
 
     def __init__(self, path: Path, write: Callable[[McapWriter], object], memory: int) -> None:
         sink = MemorySink(path)

@@ -63,18 +63,13 @@ class ClockFault:
     """Something wrong with the times of a camera's messages."""
 
     camera: str
-    kind: str
-    """"clock step", "clock drift", "clock offset", "late delivery" or "wrong time"."""
+    kind: str  # "clock step", "clock drift", "clock offset", "late delivery" or "wrong time"
     seconds: float
     """By how much the clock went or is ahead, s (a drift: s per s; a late delivery: the delay)."""
-    at_ns: int
-    """Corrected stamp of the first message that it concerns, ns since the epoch."""
-    corrected: bool
-    """Whether the results are free of it."""
-    messages: int = 0
-    """Messages that were late."""
-    reason: str = ""
-    """Why the stamps stay, if they do."""
+    at_ns: int  # corrected stamp of the first message that it concerns, ns since the epoch
+    corrected: bool  # whether the results are free of it
+    messages: int = 0  # messages that were late
+    reason: str = ""  # why the stamps stay, if they do
 
     @property
     def size(self) -> str:
@@ -92,10 +87,8 @@ class ClockFault:
 class CameraTimes:
     """When a camera's N messages were stamped and logged, in the order of the log."""
 
-    stamps: Stamps
-    """(N,) ns, camera's clock."""
-    log_times: Stamps
-    """(N,) ns, recorder's clock."""
+    stamps: Stamps  # (N,) ns, camera's clock
+    log_times: Stamps  # (N,) ns, recorder's clock
 
     @property
     def lags(self) -> Floats:
@@ -117,18 +110,13 @@ class CameraTimes:
 class ClockCorrection:
     """Correction of a camera's stamps: steps, and a drift on top of them."""
 
-    begins: tuple[int, ...] = (-(2**63),)
-    """Log times, ns, from which each of ``offsets`` holds."""
-    offsets: tuple[int, ...] = (0,)
-    """ns."""
-    drift: float = 0.0
-    """Added per unit of the camera's time since ``origin``."""
-    origin: int = 0
-    """ns, of the camera's clock after the steps."""
+    begins: tuple[int, ...] = (-(2**63),)  # log times, ns, from which each of ``offsets`` holds
+    offsets: tuple[int, ...] = (0,)  # ns
+    drift: float = 0.0  # added per unit of the camera's time since ``origin``
+    origin: int = 0  # ns, of the camera's clock after the steps
     floor: int | None = None
     """Least lag of corrected messages, ns. One that does not fit it at all gets it."""
-    longest: float = LONGEST_WAIT
-    """Longest lag beyond ``floor``, s, of a message with a right time."""
+    longest: float = LONGEST_WAIT  # longest lag beyond ``floor``, s, of a message with a right time
 
     def apply(self, stamps: Stamps, log_times: Stamps) -> Stamps:
         """Return the corrected stamps of messages, (N,) ns."""
@@ -168,14 +156,11 @@ class ClockCorrection:
 class ClockVerdict:
     """Corrections, faults and lags of all clocks of a log."""
 
-    corrections: Mapping[str, ClockCorrection] = field(default_factory=dict)
-    """By camera."""
-    faults: tuple[ClockFault, ...] = ()
-    """In the order of their times."""
+    corrections: Mapping[str, ClockCorrection] = field(default_factory=dict)  # by camera
+    faults: tuple[ClockFault, ...] = ()  # in the order of their times
     times: Mapping[str, CameraTimes] = field(default_factory=dict)
     """By camera, after the corrections."""
-    wait: float = 0.0
-    """Longest time, s, that a message has to wait for older ones of other cameras."""
+    wait: float = 0.0  # longest time, s, that a message has to wait for older ones of other cameras
 
     @property
     def lags(self) -> dict[str, float]:

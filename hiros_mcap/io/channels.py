@@ -69,13 +69,10 @@ class ChannelInfo:
 
     id: int
     topic: str
-    schema: str
-    """Name of the message type, "" if the channel has none."""
+    schema: str  # name of the message type, "" if the channel has none
     encoding: str
-    count: int
-    """Messages in the file."""
-    metadata: Mapping[str, str]
-    """As recorded; rosbag2 keeps the quality of service here."""
+    count: int  # messages in the file
+    metadata: Mapping[str, str]  # as recorded; rosbag2 keeps the quality of service here
 
     def has_type(self, name: str) -> bool:
         """Whether messages are of a type, ``pkg/msg/Type``; the form ``pkg/Type`` is the same."""
@@ -90,17 +87,13 @@ class CameraChannel:
     layout: Layout
     sources: Mapping[str, str]
     """The name that each of its cameras goes by; usually there is one camera."""
-    frames: tuple[str, ...]
-    """Coordinate frames of its detections; none if nobody is on it."""
-    size: float = math.nan
-    """Size of the first people on it, m; NaN if nobody is."""
+    frames: tuple[str, ...]  # coordinate frames of its detections; none if nobody is on it
+    size: float = math.nan  # size of the first people on it, m; NaN if nobody is
     own_frame: str = ""
     """The frame that its detections are taken to be in, whatever frame its messages name; "" for
     the frame that they name."""
-    lag: int = 0
-    """Log time minus stamp, ns, of its first people with a stamp; 0 if there are none."""
-    begin: int = 0
-    """Log time, ns, of the first people on it."""
+    lag: int = 0  # log time minus stamp, ns, of its first people with a stamp; 0 if there are none
+    begin: int = 0  # log time, ns, of the first people on it
 
     @property
     def topic_frame(self) -> str:

@@ -18,8 +18,7 @@ MOST_BYTES = 32 << 20
 """Bytes that wait for a client: 4 s of five cameras and four people, with the results."""
 _MOST_ASKED = 1 << 20
 """Bytes that a client has sent and the server has not read; a subscription takes 40."""
-_SILENT_S = 10.0
-"""A connection that asks for nothing is no client."""
+_SILENT_S = 10.0  # a connection that asks for nothing is no client
 _REASON = f"hiros serves {MOST_CLIENTS} clients at most; disconnect another one\n"
 _REFUSAL = (
     "HTTP/1.1 503 Service Unavailable\r\nContent-Type: text/plain\r\nConnection: close\r\n"

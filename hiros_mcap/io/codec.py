@@ -222,22 +222,17 @@ class Decoded(NamedTuple):
     """N messages, decoded. Their people are rows of common arrays."""
 
     people: People
-    keys: Keys
-    """(N, 3) by which the messages are ordered (io.container.reader)."""
-    channels: list[int]
-    """Of each message."""
-    stamps: list[int]
-    """header.stamp of each message, ns."""
+    keys: Keys  # (N, 3) by which the messages are ordered (io.container.reader)
+    channels: list[int]  # of each message
+    stamps: list[int]  # header.stamp of each message, ns
     parts: list[list[MessagePart]]
     """Of each message: one, none if it cannot be decoded, several if several cameras share it."""
     cleaned: Mapping[int, Mapping[str, int]]
     """Message -> how many numbers were taken out, by kind; no entry if none were."""
     zeros: Mapping[int, npt.NDArray[np.int64]]
     """Message -> (M,) of how many people a marker was at exactly 0 0 0; no entry if of nobody."""
-    faults: Mapping[int, str]
-    """Message -> why it cannot be decoded."""
-    until: int | None
-    """As in the batch."""
+    faults: Mapping[int, str]  # message -> why it cannot be decoded
+    until: int | None  # as in the batch
 
 
 class Decoder:
@@ -480,10 +475,8 @@ class _Section(NamedTuple):
     """Messages in one array of bytes, as the kernels take them."""
 
     data: npt.NDArray[np.uint8]
-    places: cdr.Table
-    """(n, 2) first byte of each message, and the one after its last."""
-    message: int
-    """Number of the first message in the batch."""
+    places: cdr.Table  # (n, 2) first byte of each message, and the one after its last
+    message: int  # number of the first message in the batch
 
 
 def _source_times(section: _Section, reports: cdr.Table) -> cdr.Table:

@@ -32,8 +32,7 @@ _TOO_EARLY = "Unknown channel ID: "
 _ATTEMPTS, _PAUSE_S = 100, 0.01
 _SILENT_S = {"TCP_KEEPIDLE": 15, "TCP_KEEPALIVE": 15, "TCP_KEEPINTVL": 5, "TCP_KEEPCNT": 3}
 """When the system asks a silent server whether it is there; some of the names exist on each."""
-_QUEUED = 4
-"""Messages that wait for a busy run, before the server has to."""
+_QUEUED = 4  # messages that wait for a busy run, before the server has to
 
 Wanted = Callable[[str, str], bool]
 """Tells from topic and message type whether to subscribe."""
@@ -62,8 +61,7 @@ class FoxgloveInput:
         self._stopped = False
         self._ids: dict[int, int] = {}
         """Channel of the server -> our number of it and of the subscription."""
-        self._counts: dict[int, int] = {}
-        """Our number of a channel -> messages so far."""
+        self._counts: dict[int, int] = {}  # our number of a channel -> messages so far
         self._again: Counter[int] = Counter()
         """Channel of the server -> how often it was too early to subscribe."""
 

@@ -20,8 +20,7 @@ from hiros_mcap.io.container.records import Channel, Schema
 from hiros_mcap.io.foxglove import split_address
 
 _LOOPBACK, _PORT = "127.0.0.1", 8765
-_QUEUED = 2048
-"""Messages of a client that wait for the gate, which takes them at once."""
+_QUEUED = 2048  # messages of a client that wait for the gate, which takes them at once
 _LATCHED = 1000
 """Messages with static transforms that a client gets that comes later; a camera has one or two."""
 _log = logging.getLogger(__name__)
@@ -57,8 +56,7 @@ class FoxgloveServer(MessageSink):
         self._channels: dict[int, Any] = {}
         self._static: dict[tuple[int, bytes], None] = {}
         """Messages with static transforms, each once, in order."""
-        self._time = 0
-        """Log time of the latest message, ns."""
+        self._time = 0  # log time of the latest message, ns
         greeter = SimpleNamespace(
             on_subscribe=lambda _, channel: self.greet(channel.id),
             on_unsubscribe=lambda *_: None,

@@ -28,8 +28,7 @@ class LiveDecoder(Decoder):
         super().__init__(model, **options)
         self._options = options
         self._builder = ModelBuilder.of(model)
-        self._whole = Decoder(model, **options)
-        """Reads all that was ever sent."""
+        self._whole = Decoder(model, **options)  # reads all that was ever sent
 
     @property
     def left_out(self) -> list[str]:

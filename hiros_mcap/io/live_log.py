@@ -53,10 +53,8 @@ from hiros_mcap.wording import quantity
 
 LISTEN_S = 1.0
 """s of the log's own time: a camera sends several messages in it."""
-_PATIENCE_S = 10.0
-"""How long after the first skeletons transforms may come."""
-_MOST = 20_000
-"""Messages that are kept while nobody is there: about two minutes of five cameras."""
+_PATIENCE_S = 10.0  # how long after the first skeletons transforms may come
+_MOST = 20_000  # messages that are kept while nobody is there: about two minutes of five cameras
 
 
 class LiveReading(Reading):
@@ -70,8 +68,7 @@ class LiveReading(Reading):
 
     def __init__(self, log: LiveLog, **how: Any) -> None:
         log = replace(log, transforms=deepcopy(log.transforms))
-        self._live: LiveDecoder | None = None
-        """Decoder of the messages; None until the first."""
+        self._live: LiveDecoder | None = None  # decoder of the messages; None until the first
         self._faulty: dict[str, str] = {}
         """Topic of no camera yet -> why its first message could not be read."""
         super().__init__(log, **how)
@@ -79,8 +76,7 @@ class LiveReading(Reading):
         """Channels that have shown nobody yet, so that their frame is not known."""
         self._refused: dict[int, str] = {}
         """Channel -> why it is not read, "" for what holds no detections."""
-        self._spaced: dict[int, bool] = {}
-        """Channel -> whether it has transforms in a namespace."""
+        self._spaced: dict[int, bool] = {}  # channel -> whether it has transforms in a namespace
         self._waiting: Counter[str] = Counter()
         """Messages of cameras that could not be used yet, by topic."""
         log.reader.listeners.append(self._hear)
@@ -187,10 +183,8 @@ class LiveLog(Log):
     reader: LiveReader
     conversion: LiveConversion = field(kw_only=True)
     """Converts messages of other detectors to SkeletonGroups."""
-    log_times: LiveLogTimes = field(kw_only=True)
-    """Corrects log times that cannot be right."""
-    topics: Sequence[str] | None = None
-    """Globs of the channels that are wanted."""
+    log_times: LiveLogTimes = field(kw_only=True)  # corrects log times that cannot be right
+    topics: Sequence[str] | None = None  # globs of the channels that are wanted
 
     is_live = True
     reading = LiveReading
@@ -311,8 +305,7 @@ class _Listener:
         self.log: LiveLog | None = None
         self._reader = reader
         self._attempt = attempt
-        self._next = 0
-        """Log time, ns, of the next attempt; 0 before the first skeletons."""
+        self._next = 0  # log time, ns, of the next attempt; 0 before the first skeletons
         self._people_since = 0
 
     def has_heard_enough(self, message: Message) -> bool:

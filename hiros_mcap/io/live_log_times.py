@@ -23,10 +23,8 @@ class LiveLogTimes:
     def __init__(self, reader: LiveReader) -> None:
         self._reader = reader
         self._places: dict[int, StampPlace | None] = {}
-        self._delays: dict[int, int] = {}
-        """Channel -> log time - stamp, ns, of its last message."""
-        self._last = 0
-        """Log time, ns, of the last message with a stamp."""
+        self._delays: dict[int, int] = {}  # channel -> log time - stamp, ns, of its last message
+        self._last = 0  # log time, ns, of the last message with a stamp
         self._mended: Counter[str] = Counter()
 
     def right(self, message: Message) -> Message:

@@ -100,8 +100,7 @@ class _Learner:
     def __init__(self, layouts: Mapping[int, Layout]) -> None:
         self.builder = ModelBuilder()
         self.first: dict[int, Message] = {}
-        self.fault = ""
-        """Why the first message that teaches nothing does so."""
+        self.fault = ""  # why the first message that teaches nothing does so
         self._layouts = layouts
         self._taught: set[int] = set()
         self._decoder = Decoder(self.builder.build(), layouts=layouts)
@@ -450,8 +449,7 @@ def _camera(
     return CameraChannel(info, layout, sources, frames, size, lag=lag, begin=begin)
 
 
-_NAMELESS = 100
-"""People without a coordinate frame, after whom a channel is taken to name none."""
+_NAMELESS = 100  # people without a coordinate frame, after whom a channel is taken to name none
 
 
 def _after(first: Message, reader: McapReader) -> Iterator[Message]:

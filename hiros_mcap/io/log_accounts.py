@@ -26,10 +26,8 @@ FAR_FUTURE = "log time after the year 2262"
 """Frames count ns in 63 bits; MCAP has 64."""
 LATEST = 2**63 - 1
 _NO_TIME = frozenset([0])
-_ODD_NS = 3600 * 10**9
-"""A stamp of nobody that is farther from those of the people means nothing."""
-_NAMED = 3
-"""Joints at 0 0 0 that a note names."""
+_ODD_NS = 3600 * 10**9  # a stamp of nobody that is farther from those of the people means nothing
+_NAMED = 3  # joints at 0 0 0 that a note names
 
 
 @dataclass(slots=True)
@@ -39,22 +37,18 @@ class Account:
     topic: str
     read: int = 0
     used: int = 0
-    skipped: Counter[str] = field(default_factory=Counter)
-    """Messages that gave no frame, by reason."""
+    skipped: Counter[str] = field(default_factory=Counter)  # messages that gave no frame, by reason
     stale: int = 0
     """Skeletons left out of used messages because the camera had sent exactly them before."""
     cleaned: Counter[str] = field(default_factory=Counter)
     """Numbers taken out because they cannot be true, by kind (see kernels.batch)."""
-    people: int = 0
-    """Skeletons with a joint."""
-    empty_at_first: int = 0
-    """Messages before the first that shows somebody."""
+    people: int = 0  # skeletons with a joint
+    empty_at_first: int = 0  # messages before the first that shows somebody
     zeros: Counter[int] = field(default_factory=Counter)
     """Skeletons with a joint at exactly 0 0 0, which is taken as not seen; by the marker's slot."""
     untimed: int = 0
     """Frames of people without a time of their own, to which the log time was given."""
-    first_error: str = ""
-    """Fault of the first message that could not be decoded."""
+    first_error: str = ""  # fault of the first message that could not be decoded
 
     def notes(self, joints: Sequence[str]) -> Iterator[str]:
         """Yield what was odd in the messages; ``joints`` are the names of the markers."""
@@ -100,10 +94,8 @@ class CameraInput:
         self._names = dict(camera.sources)
         self._only = next(iter(self._names)) if len(self._names) == 1 else ""
         self._frame = camera.frames[0] if len(camera.frames) == 1 else ""
-        self._lag = camera.lag
-        """Log time minus stamp, ns, of the latest people with a stamp."""
-        self._latest = 0
-        """Their stamp, ns; 0 before there were any."""
+        self._lag = camera.lag  # log time minus stamp, ns, of the latest people with a stamp
+        self._latest = 0  # their stamp, ns; 0 before there were any
         self._account = account
         self._previous: dict[str, _Sent] = {}
 

@@ -43,8 +43,7 @@ EARLY = 500_000_000
 """ns: no message is logged so long before its time."""
 _PAUSE = 86_400_000_000_000
 """ns: nobody looks at every message of a log because it pauses for an hour."""
-_ENOUGH = 10
-"""Messages that are logged near their stamps: then that is what right clocks do."""
+_ENOUGH = 10  # messages that are logged near their stamps: then that is what right clocks do
 _STAMP_AT = 4
 """Byte of a message at which its header's stamp begins: behind the encapsulation of CDR, or behind
 the number of a ROS 1 header."""
@@ -56,8 +55,7 @@ _OURS = f"{OUTPUT_PREFIX}/", f"{TRUTH_PREFIX}/"
 class StampPlace(NamedTuple):
     """Where the stamps of a channel's messages lie."""
 
-    byte: int
-    """Of the message; beyond all messages if they have none."""
+    byte: int  # of the message; beyond all messages if they have none
     has_people: bool
     """Whether the messages are SkeletonGroups, whose people have times of their own."""
 

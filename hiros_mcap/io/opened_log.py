@@ -196,27 +196,20 @@ class Log:
     It does not change: methods such as :meth:`only` return another one of the same open file.
     """
 
-    reader: McapReader
-    """Its container."""
-    cameras: Sequence[CameraChannel]
-    """The skeleton channels that are read."""
-    model: SkeletonModel
-    """The skeleton model of all cameras."""
-    transforms: TransformTree
-    """Where the cameras stand."""
-    wanted_frame: str | None = None
-    """The frame that results are to be in, if the user named one."""
+    reader: McapReader  # its container
+    cameras: Sequence[CameraChannel]  # the skeleton channels that are read
+    model: SkeletonModel  # the skeleton model of all cameras
+    transforms: TransformTree  # where the cameras stand
+    wanted_frame: str | None = None  # the frame that results are to be in, if the user named one
     unread: Sequence[ChannelInfo] = ()
     """Channels that show people in an encoding that cannot be read."""
     strangers: Sequence[ChannelInfo] = ()
     """Channels of a type that is not read, though they look like another camera."""
-    owns_file: bool = True
-    """Whether :meth:`close` closes the file; otherwise it was open before."""
+    owns_file: bool = True  # whether :meth:`close` closes the file; otherwise it was open before
 
     is_live: ClassVar[bool] = False
     """Whether the log is still being written, so that it is read once."""
-    reading: ClassVar[type[Reading]] = Reading
-    """Class that reads it."""
+    reading: ClassVar[type[Reading]] = Reading  # class that reads it
 
     def __repr__(self) -> str:
         return f"<Log {self.path}: {len(self.cameras)} skeleton channels, {self.model!r}>"

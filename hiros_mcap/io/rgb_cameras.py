@@ -51,15 +51,11 @@ body. It errs by as much from each side, and would turn the cameras by some tent
 class RgbCamera(NamedTuple):
     """An RGB camera and what a detector found in its images."""
 
-    topic: str
-    """Of its keypoints."""
-    name: str
-    """Its optical frame."""
+    topic: str  # of its keypoints
+    name: str  # its optical frame
     lens: Intrinsics
-    model: SkeletonModel
-    """Of the joints; only their names and links count."""
-    frames: list[KeypointFrame]
-    """In the order of the log."""
+    model: SkeletonModel  # of the joints; only their names and links count
+    frames: list[KeypointFrame]  # in the order of the log
 
 
 def read_rgb_cameras(

@@ -28,10 +28,8 @@ class RosMessage(NamedTuple):
 
     topic: str
     type: str
-    log_time: int
-    """ns."""
-    data: Bytes
-    """CDR; valid as long as it is held."""
+    log_time: int  # ns
+    data: Bytes  # CDR; valid as long as it is held
 
 
 _HEADER = "std_msgs/msg/Header"

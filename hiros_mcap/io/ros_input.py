@@ -18,8 +18,7 @@ from hiros_mcap.io.ros_node import RosNode, definition_of, message_class, not_in
 from hiros_mcap.wording import quantity
 
 _PATIENCE = 0.1  # s: how soon a request to stop is heard
-_LOOK_S = 0.2
-"""Between looks at the graph."""
+_LOOK_S = 0.2  # between looks at the graph
 _QUEUED = 1000
 """Messages of a topic that wait for a busy run; then the oldest ones are lost, and counted."""
 _BEHIND, _TOLERATED = 2 * 10**9, 10**10
@@ -67,11 +66,9 @@ class RosInput:
     ) -> None:
         self.name = node.graph
         self._node, self._wanted, self._needed, self._warn = node, wanted, needed, warn
-        self._stopped = 0
-        """When somebody asked to stop, ns; 0 = go on."""
+        self._stopped = 0  # when somebody asked to stop, ns; 0 = go on
         self._names = node.remapped()
-        self._clock: Any = None
-        """Subscription to /clock."""
+        self._clock: Any = None  # subscription to /clock
         self._time: int | None = None
         """Of /clock, ns, 0 before it came; None without ``use_sim_time``."""
         if node.node.get_parameter("use_sim_time").value:
@@ -83,20 +80,15 @@ class RosInput:
         """Topic in the graph, type, and whether for latched messages alone -> subscription."""
         self._ids: dict[tuple[str, str], int] = {}
         """Topic in the graph and type -> our number of the channel."""
-        self._counts: dict[int, int] = {}
-        """Channel -> messages so far."""
+        self._counts: dict[int, int] = {}  # channel -> messages so far
         self._refused: dict[tuple[str, str], str] = {}
         """Topic in the graph and type -> why it is not read."""
-        self._hashes: dict[str, Any] = {}
-        """Type -> hash of its definition."""
-        self._alone: dict[int, bool] = {}
-        """Channel -> whether it has a single publisher."""
+        self._hashes: dict[str, Any] = {}  # type -> hash of its definition
+        self._alone: dict[int, bool] = {}  # channel -> whether it has a single publisher
         self._numbers: dict[tuple[int, bytes], int] = {}
         """Channel and publisher -> number of its latest message."""
-        self._lost: dict[int, int] = {}
-        """Channel -> messages that were lost on the way."""
-        self._in_time = time.time_ns()
-        """When no message had to wait for long, ns."""
+        self._lost: dict[int, int] = {}  # channel -> messages that were lost on the way
+        self._in_time = time.time_ns()  # when no message had to wait for long, ns
 
     @property
     def fault(self) -> str:

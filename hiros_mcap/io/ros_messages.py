@@ -84,8 +84,7 @@ def _of_files(parts: Sequence[McapReader | Bag], store: Any) -> RosMessages:
     return RosMessages(types, read, store)
 
 
-_Row = tuple[str, int, Cdr]
-"""Topic, log time and CDR of a message."""
+_Row = tuple[str, int, Cdr]  # topic, log time and CDR of a message
 
 
 def _in_file(part: Any, topics: Collection[str], _store: Any) -> Iterator[_Row]:
@@ -124,16 +123,11 @@ class FilmFrame(NamedTuple):
     """An image of a log, or a frame of its video."""
 
     frame_id: str
-    stamp: int
-    """ns."""
-    log_time: int
-    """ns."""
-    format: str
-    """As the message names it; "" of an image that is not compressed."""
-    data: bytes
-    """The compressed image or frame."""
-    pixels: Bytes | None = None
-    """(H, W, 3) blue, green, red of an image that is not compressed."""
+    stamp: int  # ns
+    log_time: int  # ns
+    format: str  # as the message names it; "" of an image that is not compressed
+    data: bytes  # the compressed image or frame
+    pixels: Bytes | None = None  # (H, W, 3) blue, green, red of an image that is not compressed
     is_video: bool = False
 
 

@@ -25,8 +25,7 @@ _OF_PEOPLE = re.compile(
 )
 _GEOMETRY = re.compile(r"(geometry|visualization)_msgs/(?!(msg/)?PoseArray)")
 """Types of many uses: their rate tells nothing."""
-_FEWEST = 5
-"""Messages of a camera."""
+_FEWEST = 5  # messages of a camera
 
 
 def unread_cameras(

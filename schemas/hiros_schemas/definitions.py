@@ -37,8 +37,7 @@ class Field:
     """One field of a message."""
 
     name: str
-    type: str
-    """A primitive ("float64", "string<=8") or a message ("geometry_msgs/Pose")."""
+    type: str  # a primitive ("float64", "string<=8") or a message ("geometry_msgs/Pose")
     array: str
     """"" = a single value, "[]" = a sequence, "[<=3]" = a bounded one, "[3]" = a fixed array."""
 
