@@ -20,7 +20,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -198,6 +198,8 @@ class TransformTree:
         self.source = ""  # the file that the poses are from, "" if they are the log's
         self.clocks: Mapping[str, float] = {}
         """Camera -> seconds to add to its stamps, as the file says."""
+        self.negated: Mapping[str, str] = {}
+        """Camera -> axis of its detections whose sign is changed, as the file says."""
         self.renamed: dict[str, str] = {}
         """Name of a frame in the file -> the frame of the camera that it means."""
         self.remarks: list[str] = []
@@ -542,6 +544,8 @@ class CameraEntry(BaseModel):
     parent: Annotated[str, Field(min_length=1)] = "world"  # frame that the pose is in
     translation: Annotated[list[float], Field(min_length=3, max_length=3)]
     quaternion_xyzw: Annotated[list[float], Field(min_length=4, max_length=4)]
+    negate: Literal["", "x", "y", "z"] = ""
+    """Axis of its detections whose sign is changed, because they are left-handed."""
     since: Annotated[int, Field(ge=0)] = 0
     """Log time, ns, at which the camera was moved to this pose; 0 = it always stood there."""
     verdict: str = ""  # good, doubtful, ...; "" in a file that somebody else wrote
@@ -598,6 +602,7 @@ def read_extrinsics(path: str | Path) -> TransformTree:
         parent = "world"                          # the default
         translation = [0.0, 0.0, 2.5]             # m, position of the camera in its parent
         quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]
+        negate = "x"                              # if its detections have left-handed axes
 
     The calibrations of other programs are read, too; see :mod:`.foreign_cameras`.
 
@@ -610,6 +615,7 @@ def read_extrinsics(path: str | Path) -> TransformTree:
     file = _extrinsics(path)
     cameras, tree = file.camera, TransformTree()
     tree.source, tree.clocks = str(path), file.clock
+    tree.negated = {camera.frame: camera.negate for camera in cameras if camera.negate}
     for camera in cameras:
         _add_camera(tree, camera, f"{path}: {camera.frame}")
     for camera in cameras:

@@ -305,7 +305,10 @@ def axes_in_words(log: Log, wrong: Mapping[str, str]) -> str:
         names = sorted(name for name in wrong if wrong[name] == axis)
         parts.append(f"the axes of {in_words(names)} are left-handed: negate {axis}")
         options += [axis] if same else [f"{topics[name]}={axis}" for name in names]
-    return f"{'; '.join(parts)} (--negate {','.join(options)})" if parts else ""
+    if not parts:
+        return ""
+    option = ",".join(options)
+    return f'{"; ".join(parts)} (--negate {option}, or input.negate = "{option}" in hiros.toml)'
 
 
 def _seconds_with_people(seen: Mapping[str, Sequence[Sighting]]) -> int:

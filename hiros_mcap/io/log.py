@@ -35,6 +35,7 @@ from hiros_mcap.io.bags import open_recording, transforms_beside
 from hiros_mcap.io.camera_frames import (
     as_file_says,
     as_transforms_say,
+    cameras_called,
     note_unused,
     transforms_of,
 )
@@ -224,6 +225,11 @@ def open_log(
             contents = skeletons_of(reader, tree, topics, output_prefix)
         except LogError as error:
             raise explained(error, file.warnings) from None
+        if tree is not None and tree.negated and not selection.negate:
+            negate = ",".join(_negated(tree, contents[0]))
+            with naming(file.path):
+                reader = converted(file, selection._replace(negate=negate))
+            contents = skeletons_of(reader, tree, topics, output_prefix)
         if tree is not None and tree.source:
             note_unused(tree, contents[0], rig.homes.values() if rig else ())
         encodings = ("cdr",) if reader is file else ENCODINGS
@@ -240,6 +246,12 @@ def open_log(
         if tree is None:
             _look_beside(log)
         return log
+
+
+def _negated(tree: TransformTree, cameras: Sequence[CameraChannel]) -> Iterator[str]:
+    """Yield which axes of which topics a file with poses negates."""
+    for name, axis in tree.negated.items():
+        yield from (f"{camera.channel.topic}={axis}" for camera in cameras_called(name, cameras))
 
 
 def _not_taken(reader: McapReader) -> Iterator[ChannelInfo]:

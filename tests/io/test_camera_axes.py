@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from odd_logs import changed, scaled
+from odd_logs import changed, poses_of, scaled
 
 from hiros_cli.app import run as command
 from hiros_mcap.io.detectors.conversion import Selection
@@ -57,6 +57,22 @@ def test_a_left_handed_file_is_imported_with_a_sign_changed():
     points = np.array([[1.0, 2.0, 3.0]])
     mapping = FileMapping(axes=["x", "-z", "y"], negate="x")
     assert mapping.rotated(points).tolist() == [[-1.0, -3.0, 2.0]]
+
+
+def test_a_file_with_poses_may_negate_an_axis(crossing, tmp_path):
+    flip = (-1.0, 1.0, 1.0)
+    log = changed(crossing, tmp_path / "log.mcap", lambda f, _: in_camera(f, flip, "camera_1"))
+    entry = '[[camera]]\nframe = "{}"\ntranslation = {}\nquaternion_xyzw = {}\n{}\n'
+    cameras = tmp_path / "cameras.toml"
+    cameras.write_text(
+        "".join(
+            entry.format(child, list(place), list(turn), 'negate = "x"' * (child == "camera_1"))
+            for _, child, place, turn in poses_of(crossing)
+        )
+    )
+    with open_log(log, extrinsics=cameras) as mended, open_log(crossing) as healthy:
+        for one, other in zip(mended.detections(), healthy.detections(), strict=True):
+            np.testing.assert_allclose(one.positions, other.positions, atol=1e-9)
 
 
 def test_orientations_of_left_handed_axes_are_left_out(crossing):
