@@ -487,6 +487,17 @@ def test_a_second_body_on_a_person_is_not_a_person(since):
     assert events.total("duplicate") > 30
 
 
+@pytest.mark.parametrize(("away", "people"), [(1.0, {0}), (4.0, {0, 1})])
+def test_who_is_shown_elsewhere_from_one_moment_to_the_next_keeps_the_id(away, people):
+    """Nobody goes 4 m in a moment: there, it is somebody else."""
+    places = [*60 * [0.0], *60 * [away]]
+    frames = [
+        seen([person(x)], at(k, c), n) for k, x in enumerate(places) for c, n in enumerate("ab")
+    ]
+    tracked = track(frames, MODEL, TrackParams(), cameras=CAMERAS)
+    assert {i for frame in tracked for i in frame.ids.tolist()} == people
+
+
 def test_a_second_body_is_found_also_beyond_the_gate():
     frames = [seen([person()] + [person(0.5)] * (k > 60), at(k)) for k in range(90)]
     events = Events()

@@ -65,8 +65,10 @@ class Identities:
         ``at_once`` : no more will be known, since the person has left.
         """
         kind, remark = "track born", ""
+        age = math.inf if at_once else group.stamp - track.first
+        if track.former_id == UNTRACKED and age < self._patience and self._somebody_goes(track):
+            return
         if track.former_id == UNTRACKED and self._somebody_absent(track):
-            age = math.inf if at_once else group.stamp - track.first
             if age < self._patience:
                 return
             verdict = self._reidentify(track, scene)
@@ -183,6 +185,19 @@ class Identities:
         disagree = self._params.merge_tracks and person.number not in track.beside
         latest = track.first + (OVERLAP if disagree else 0)
         return person.seen < latest and not person.is_there(track.seen)
+
+    def _somebody_goes(self, track: PersonTrack) -> bool:
+        """Whether a person was last seen just before a newcomer began: a moment later it is absent.
+
+        The newcomer may be that person, whom the detector showed elsewhere.
+        """
+        return self._params.reidentify > 0 and any(
+            person.confirmed
+            and person.seen < track.first
+            and person.is_there(track.seen)
+            and person.number not in track.beside
+            for person in self._people.tracks
+        )
 
     def _somebody_absent(self, track: PersonTrack) -> bool:
         """Whether a newcomer may be anybody known."""
