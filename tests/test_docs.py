@@ -92,6 +92,16 @@ def test_links_lead_to_files(page):
         assert path.exists() or target in generated(), f"{page.name}: {target}"
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_tables_have_as_many_columns_as_their_heads(page):
+    """Another number of them shows as text on the site."""
+    text = re.sub(r"`[^`]*`", "", page.read_text(encoding="utf-8"))
+    for table in re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE):
+        head, rule, *_ = rows = table.splitlines()
+        assert set(rule) <= set("|:- "), head
+        assert {row.count("|") for row in rows} == {head.count("|")}, head
+
+
 def commands(page):
     """Return the commands of a page's indented blocks, without `hiros` and remarks."""
     lines = re.findall(r"^    (?:\$ )?hiros (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
