@@ -8,6 +8,7 @@ from pathlib import Path
 
 from hypothesis import strategies as st
 
+from hiros_mcap.body.foreign_cameras import read_calibration
 from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.body.transforms import read_extrinsics
 from hiros_mcap.config import load_config
@@ -62,6 +63,10 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "suite": ("toml", load_suite),
     "poses in TOML": ("toml", read_extrinsics),
     "poses in JSON": ("json", read_extrinsics),
+    "lenses in TOML": ("toml", read_calibration),
+    "lenses in JSON": ("json", read_calibration),
+    "lenses in YAML": ("yaml", read_calibration),
+    "lenses in XML": ("xml", read_calibration),
     "joints in JSON": ("json", imported),
     "joints in CSV": ("csv", imported),
     "joints in TRC": ("trc", imported),
@@ -176,9 +181,28 @@ _CSV_HEADS = st.sampled_from(
 _TRC_HEADS = st.sampled_from(
     ["PathFileType\nUnits\tNumFrames\nm\t2\nFrame#\tTime\tHEAD\t\t\tFOOT\n\n", "PathFileType\n"]
 )
+_LENS = {
+    **{"image_width": _NUMBERS, "image_height": _NUMBERS, "distortion_model": _LEAVES},
+    **dict.fromkeys(("camera_matrix", "distortion_coefficients"), _TREES),
+    **dict.fromkeys(("matrix", "size", "distortions", "rotation", "translation"), _TREES),
+}
+_LENSES = st.fixed_dictionaries({}, optional=_LENS)
+_QUALISYS = st.dictionaries(
+    st.sampled_from(
+        ["focalLengthU", "centerPointU", "sensorMaxU", "viewrotation", "serial", "r11"]
+    ),
+    _NUMBERS.map(str),
+).map(lambda values: " ".join(f'{key}="{value}"' for key, value in values.items()))
 _KINDS: dict[str, st.SearchStrategy[str]] = {
-    "toml": _TREES.map(_table),
-    "json": (_TREES | _FRAMES | _ADVERTISED).map(json.dumps),
+    "yaml": (_TREES | _LENSES).map(json.dumps),
+    "xml": _QUALISYS.map(
+        lambda values: (
+            f"<calibration><cameras><camera {values}><intrinsic {values}/><transform "
+            f"{values}/></camera></cameras></calibration>"
+        )
+    ),
+    "toml": (_TREES | st.dictionaries(_WORDS, _LENSES)).map(_table),
+    "json": (_TREES | _FRAMES | _ADVERTISED | st.dictionaries(_WORDS, _LENSES)).map(json.dumps),
     "csv": st.tuples(_CSV_HEADS, _cells(",")).map("".join),
     "trc": st.tuples(_TRC_HEADS, _cells("\t")).map("".join),
 }

@@ -27,6 +27,8 @@ from mcap.writer import Writer
 from text_readers import odd_text
 
 from hiros_cli.app import run
+from hiros_mcap.simulate import SimulateParams
+from hiros_mcap.simulate.simulation import write_log
 
 SAMPLES = Path(__file__).parents[1] / "sample_data"
 LENGTH_S = 0.5
@@ -53,6 +55,7 @@ class Command:
 
 
 _PROCESS = "process {in}/log.mcap -o {out}/x.mcap"
+_KEYPOINTS = "import {in}/keypoints.json -o {out}/x.mcap --rate 10 --calibration {in}/lenses.toml"
 COMMANDS = {
     "import CSV": Command("import {in}/joints.csv -o {out}/x.mcap", "joints.csv"),
     "import TRC": Command("import {in}/joints.trc -o {out}/x.mcap", "joints.trc"),
@@ -60,7 +63,11 @@ COMMANDS = {
     "import mapping": Command(
         "import {in}/joints.csv -o {out}/x.mcap --mapping {in}/mapping.toml", "mapping.toml"
     ),
+    "import C3D": Command("import {in}/joints.c3d -o {out}/x.mcap", "joints.c3d"),
+    "import keypoints": Command(_KEYPOINTS, "keypoints.json"),
+    "import lenses": Command(_KEYPOINTS, "lenses.toml"),
     "process": Command(f"{_PROCESS} --markers", "log.mcap"),
+    "process RGB": Command("process {in}/rgb.mcap -o {out}/x.mcap", "rgb.mcap"),
     "process config": Command(f"{_PROCESS} --config {{in}}/settings.toml", "settings.toml"),
     "process TOML poses": Command(f"{_PROCESS} --extrinsics {{in}}/cameras.toml", "cameras.toml"),
     "process JSON poses": Command(f"{_PROCESS} --extrinsics {{in}}/cameras.json", "cameras.json"),
@@ -94,7 +101,11 @@ def write_files(folder):
     _done("process", log, "-o", result, "--system", "hiros")
     (folder / "limbs.toml").write_text("[person.0]\nNECK = { length = 0.13 }\n")
     _done("check", result, "--golden", folder / "golden.mcap", "--bless")
-    _done("export", result, "-o", folder / "joints.trc", "--rate", "30")
+    for suffix in ("trc", "c3d"):
+        _done("export", result, "-o", folder / f"joints.{suffix}", "--rate", "30")
+    rgb = {"cameras": 2, "seconds": LENGTH_S, "rig": {"kinds": ("rgb", "rgb")}}
+    write_log(folder / "rgb.mcap", SimulateParams.model_validate(rgb))
+    _write_keypoints(folder)
     _write_joints(folder)
     (folder / "mapping.toml").write_text(
         'unit = "m"\n[time]\nunit = "s"\nstart = 2026-01-01T00:00:00Z\n'
@@ -126,6 +137,16 @@ def _write_joints(folder):
     (folder / "joints.json").write_text(json.dumps(frames))
     rows = [f"{t},{name},{x},{y},{z}" for t in times for name, (x, y, z) in joints.items()]
     (folder / "joints.csv").write_text("\n".join(["time,joint,x,y,z", *rows]))
+
+
+def _write_keypoints(folder):
+    points = [[300.0 + 4 * k, 100.0 + 9 * k, 0.9] for k in range(17)]
+    frames = [{"people": [{"joints": points}]} for _ in range(3)]
+    (folder / "keypoints.json").write_text(json.dumps(frames))
+    camera = {"name": "keypoints", "size": [640, 480], "distortions": [0.1, 0.0, 0.0, 0.0],
+              "matrix": [[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]],
+              "rotation": [0.0, 0.5, 0.0], "translation": [0.0, 0.0, 3.0]}  # fmt: skip
+    (folder / "lenses.toml").write_text(tomli_w.dumps({"keypoints": camera}))
 
 
 def _write_cameras(folder):
@@ -216,6 +237,16 @@ def _write(content, path):
 
 
 @st.composite
+def altered_bytes(draw, data):
+    """A file of which some bytes are others, mostly near its begin, or which is cut off."""
+    changed = bytearray(data)
+    for _ in range(draw(st.integers(1, 4))):
+        at = draw(st.integers(0, len(data) - 1) | st.integers(0, 2047))
+        changed[at] = draw(st.sampled_from([0, 1, 127, 128, 255]))
+    return bytes(changed[: draw(st.just(len(data)) | st.integers(0, len(data)))])
+
+
+@st.composite
 def altered_log(draw, source):
     """A log whose messages, definitions or attachments say something else, or a damaged one."""
     content = deepcopy(_content(source))
@@ -291,6 +322,8 @@ def altered(name, files):
         return altered_log(source)
     data = source.read_bytes()
     kind = source.suffix[1:]
+    if kind == "c3d":
+        return altered_bytes(data)
     return st.one_of([altered_text(data)] * 3 + [odd_text(kind)])
 
 

@@ -11,7 +11,7 @@ in the camera; the coefficients of its distortion are OpenCV's. A file of ROS ha
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -25,6 +25,8 @@ from hiros_mcap.skeletons import Floats
 
 _FARTHEST_M = 50.0
 """A camera that sees people stands nearer to the origin; in mm, no room is so small."""
+_ROUNDED = 0.01
+"""Most by which rounding moves a number of a rotation matrix times itself."""
 _SUBPIXELS = 64.0
 _QCA_AXES = np.diag([1.0, -1.0, -1.0])
 
@@ -72,8 +74,7 @@ def _of_table(key: str, table: Mapping[str, Any], where: str) -> LensAndPose:
         fault = "rotation and translation should be three numbers"
         rotation = _numbers(table["rotation"], (3, 9), f"{where}: {fault}")
         translation = _numbers(table.get("translation"), (3,), f"{where}: {fault}")
-        is_vector = len(rotation) == 3
-        turn = from_vector(rotation) if is_vector else from_matrix(rotation.reshape(3, 3))
+        turn = from_vector(rotation) if len(rotation) == 3 else _turn(rotation.reshape(3, 3), where)
         pose = _placed(turn, translation, where)
     name = str(table.get("name", key))
     size = table.get("size", table.get("resolution"))
@@ -81,6 +82,13 @@ def _of_table(key: str, table: Mapping[str, Any], where: str) -> LensAndPose:
         return LensAndPose(name, None, None, np.zeros(0), "", pose)
     distortion = table.get("distortions", table.get("distortion")) or []
     return _with_lens(name, size, table["matrix"], distortion, table.get("fisheye"), pose, where)
+
+
+def _turn(matrix: Floats, where: str) -> Floats:
+    """Return the quaternion of a rotation matrix; raises ConfigError for any other matrix."""
+    if np.abs(matrix @ matrix.T - np.eye(3)).max() > _ROUNDED or np.linalg.det(matrix) < 0:
+        raise ConfigError(f"{where}: its matrix is no rotation, but mirrored or damaged")
+    return from_matrix(matrix)
 
 
 def _placed(turn: Floats, shift: Floats, where: str) -> Rigid:
@@ -94,14 +102,21 @@ def _placed(turn: Floats, shift: Floats, where: str) -> Rigid:
     return pose
 
 
+def is_lens(size: Sequence[float], matrix: Floats) -> bool:
+    """Whether an image has pixels, and a (3, 3) matrix the form of a lens, in the right order."""
+    finite = bool(np.isfinite([*size, *matrix.ravel()]).all())
+    there = min(*size, matrix[0, 0], matrix[1, 1]) > 0
+    return finite and there and bool((matrix[[1, 2, 2, 2], [0, 0, 1, 2]] == (0, 0, 0, 1)).all())
+
+
 def _with_lens(
     name: str, size: Any, matrix: Any, distortion: Any, fisheye: Any, pose: Rigid | None, where: str
 ) -> LensAndPose:
     """Return a camera with a lens; raises ConfigError if it is none."""
     width, height = _numbers(size, (2,), f"{where}: size should be width and height, px")
     lens = _numbers(matrix, (9,), f"{where}: matrix should be 3 x 3 numbers").reshape(3, 3)
-    if min(width, height, lens[0, 0], lens[1, 1]) <= 0:
-        raise ConfigError(f"{where}: has no focal length or image size; calibrate the lens")
+    if not is_lens((width, height), lens):
+        raise ConfigError(f"{where}: has no focal lengths or image size; calibrate the lens")
     fault = f"{where}: distortions should be 4, 5, 8, 12 or 14 numbers, or 4 of a fisheye lens"
     found = _numbers(distortion, (0, 4, 5, 8, 12, 14), fault)
     if fisheye and len(found) > 4 and not found[4:].any():
@@ -149,7 +164,7 @@ def _qualisys(path: Path) -> Iterator[LensAndPose]:
         if view:
             size = _numbers([view.get("right"), view.get("bottom")], (2,), fault) + 1
         matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-        pose = _placed(from_matrix(rotation), -rotation @ centre, where)
+        pose = _placed(_turn(rotation, where), -rotation @ centre, where)
         yield _with_lens(name, size, matrix, distortion, False, pose, where)
 
 

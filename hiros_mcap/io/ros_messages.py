@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 import hiros_schemas
+from hiros_mcap.body.foreign_cameras import is_lens
 from hiros_mcap.errors import LogError, naming
 from hiros_mcap.io.bag_files import files_of
 from hiros_mcap.io.bag_tables import Bag
@@ -172,14 +173,16 @@ _CONFIG_BYTES = 12
 def intrinsics_of(info: Any, topic: str) -> Intrinsics:
     """Read the CameraInfo of a topic; raises LogError if the lens is not usable."""
     matrix = np.asarray(info.k, np.float64).reshape(3, 3)
-    if not (matrix[0, 0] > 0.0 and matrix[1, 1] > 0.0):
-        raise LogError("its CameraInfo has no focal length; calibrate the lens", topic=topic)
+    if not is_lens((info.width, info.height), matrix):
+        fault = "its CameraInfo has no focal lengths or image size; calibrate the lens"
+        raise LogError(fault, topic=topic)
     name = info.distortion_model or PLUMB_BOB
     model = FISHEYE if name == "fisheye" else name
     distortion = np.asarray(info.d, np.float64)
-    if len(distortion) not in COUNTS.get(model, ()):
+    if len(distortion) not in COUNTS.get(model, ()) or not np.isfinite(distortion).all():
         known = ", ".join(COUNTS)
-        fault = f"its CameraInfo has {len(distortion)} coefficients of the lens model {name!r}"
+        n = np.isfinite(distortion).sum()
+        fault = f"its CameraInfo has {n} coefficients of the lens model {name!r}"
         raise LogError(f"{fault}; hiros reads {known}", topic=topic)
     return Intrinsics((int(info.width), int(info.height)), matrix, distortion, model)
 

@@ -85,8 +85,23 @@ def test_a_fisheye_lens_has_four_coefficients(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "fault"),
     [
-        ("a.toml", ANIPOSE.replace("1410", "0"), "cam_0: has no focal length or image size"),
+        ("a.toml", ANIPOSE.replace("1410", "0"), "cam_0: has no focal lengths or image size"),
         ("a.toml", ANIPOSE.replace("[1920, 1080]", "[1920]"), "size should be width and height"),
+        (
+            "a.toml",
+            ANIPOSE.replace("[1400, 0, 960]", "[1400, 0, 0]").replace("[0, 0, 1]", "[960, 0, 1]"),
+            "cam_0: has no focal lengths or image size",
+        ),
+        (
+            "a.toml",
+            CALISCOPE.replace("rotation = [[", "rotation = [[-"),
+            "0: its matrix is no rotat",
+        ),
+        (
+            "a.qca.txt",
+            FILES["Calib.qca.txt"].replace('r11="', 'r11="3'),
+            "left: its matrix is no rotation",
+        ),
         ("a.toml", ANIPOSE.replace("[0, 0, 1]", "[0, 1]"), "matrix should be 3 x 3 numbers"),
         ("a.toml", ANIPOSE.replace(", 0.01]", ", 0.01, 1]"), "should be 4, 5, 8, 12 or 14 numbers"),
         ("a.qca.txt", qualisys(90), "left: its video is turned by 90 degrees"),
