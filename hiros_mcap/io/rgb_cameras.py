@@ -42,6 +42,10 @@ from hiros_mcap.skeletons import SECOND, SkeletonModel
 from hiros_mcap.wording import quantity
 
 _EVER = (0, 2**63 - 1)
+_STAMPED = 12
+"""Bytes of a message before what is the same in every CameraInfo of a lens."""
+_ZOOM = 0.02
+"""Share of a focal length by which no focusing changes it."""
 _POOR_PX = 25.0  # median reprojection error beyond which poses, lenses or sizes are wrong
 _SHAPE_PX = 10.0
 """Median distance up to which poses stay as given where depths are guessed: so is the shape of the
@@ -56,6 +60,7 @@ class RgbCamera(NamedTuple):
     lens: Intrinsics
     model: SkeletonModel  # of the joints; only their names and links count
     frames: list[KeypointFrame]  # in the order of the log
+    change: str = ""  # how its lens changes during the log
 
 
 def read_rgb_cameras(
@@ -74,7 +79,7 @@ def read_rgb_cameras(
     Raises LogError if the log cannot be read.
     """
     infos = _channels(reader, selects, guessed)
-    lenses = _lenses(reader) if infos else {}
+    lenses, changes = _lenses(reader) if infos else ({}, {})
     lenses |= dict.fromkeys(guessed.turns, LENS)
     cameras: dict[str, RgbCamera] = {}
     for info in infos:
@@ -82,7 +87,7 @@ def read_rgb_cameras(
         for name, frames in _frames_of(reader, info, model, lenses, guessed, span, step).items():
             if name not in lenses:
                 continue
-            camera = RgbCamera(info.topic, name, lenses[name], model, [])
+            camera = RgbCamera(info.topic, name, lenses[name], model, [], changes.get(name, ""))
             cameras.setdefault(name, camera).frames.extend(frames)
     return [camera._replace(frames=_together(camera.frames)) for camera in cameras.values()]
 
@@ -154,19 +159,36 @@ def guessed_depth(
     return GuessedDepth(dict.fromkeys((c.channel.topic for c in channels), model), turns)
 
 
-def _lenses(reader: McapReader) -> dict[str, Intrinsics]:
-    """Optical frame -> lens."""
+def _lenses(reader: McapReader) -> tuple[dict[str, Intrinsics], dict[str, str]]:
+    """Return the first lens of each optical frame, and how it changes during the log if it does."""
     lenses: dict[str, Intrinsics] = {}
+    changes: dict[str, str] = {}
     with open_messages(reader) as messages:
         topics = [topic for topic, kind in messages.types.items() if kind == CAMERA_INFO]
-        seen: set[str] = set()
+        latest: dict[str, tuple[bytes, int]] = {}
+        firsts: dict[str, Intrinsics] = {}
         for raw in messages.read(topics):
-            if raw.topic not in seen:
-                seen.add(raw.topic)
+            content, due = latest.get(raw.topic, (b"", 0))
+            if raw.log_time < due or bytes(raw.data[_STAMPED:]) == content:
+                continue
+            latest[raw.topic] = bytes(raw.data[_STAMPED:]), raw.log_time + SECOND
+            with suppress(LogError):  # of a depth camera, say, that nobody calibrated
                 info = messages.decode(raw)
-                with suppress(LogError):  # of a depth camera, say, that nobody calibrated
-                    lenses[info.header.frame_id] = intrinsics_of(info, raw.topic)
-    return lenses
+                name, lens = info.header.frame_id, intrinsics_of(info, raw.topic)
+                if raw.topic not in firsts:
+                    firsts[raw.topic] = lenses[name] = lens
+                elif name not in changes and (text := _change(firsts[raw.topic], lens)):
+                    changes[name] = f"{raw.topic}: the lens of {name} changes, {text}"
+    return lenses, changes
+
+
+def _change(first: Intrinsics, lens: Intrinsics) -> str:
+    """Say how a lens differs from the first one; "" if that is a detail of focusing."""
+    if lens.size != first.size:
+        return "its image from {} x {} to {} x {} px".format(*first.size, *lens.size)
+    if abs(lens.focal - first.focal) > _ZOOM * first.focal:
+        return f"its focal length from {first.focal:.0f} to {lens.focal:.0f} px"
+    return ""
 
 
 def poses_of(
@@ -207,7 +229,6 @@ def rgb_rig(
     if not infos:
         return None
     cameras = sampled_cameras(reader, selects, guessed)
-    lensed = {camera.topic for camera in cameras}
     if len(cameras) < 2:
         raise too_few([i.topic for i in infos], [c.topic for c in cameras])
     known, channels = placed_cameras(reader, tree, cameras)
@@ -234,7 +255,7 @@ def rgb_rig(
         known, fixed, lenses,
         {i.topic: guessed.models.get(i.topic) or joint_model(i) for i in infos}, homes, lags,
         {c.topic: lags[c.name] for c in cameras}, is_moved,
-        tuple(_remarks(found, is_moved)), tuple(_warnings(found, infos, lensed, is_moved)),
+        tuple(_remarks(found, is_moved)), tuple(_warnings(found, infos, cameras, is_moved)),
         guessed,
     )  # fmt: skip
 
@@ -380,9 +401,12 @@ def _remarks(found: RayRig, is_moved: bool) -> Iterator[str]:
 
 
 def _warnings(
-    found: RayRig, infos: Sequence[ChannelInfo], lensed: set[str], is_moved: bool
+    found: RayRig, infos: Sequence[ChannelInfo], cameras: Sequence[RgbCamera], is_moved: bool
 ) -> Iterator[str]:
     """Yield reasons to doubt the skeletons of RGB cameras."""
+    for change in dict.fromkeys(camera.change for camera in cameras if camera.change):
+        yield f"{change}; hiros takes the first one throughout, so split the log there"
+    lensed = {camera.topic for camera in cameras}
     if bare := [info.topic for info in infos if info.topic not in lensed]:
         n = quantity(sum(i.count for i in infos if i.topic in bare), "message")
         yield (

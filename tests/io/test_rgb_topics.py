@@ -5,9 +5,14 @@ from __future__ import annotations
 import pytest
 
 from hiros_cli.app import run
+from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
+from hiros_mcap.io.detectors.keypoint_messages import add_camera_info
 from hiros_mcap.io.log import open_log
+from hiros_mcap.io.rgb_cameras import read_rgb_cameras
+from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.simulation import write_log
+from hiros_mcap.skeletons import SECOND
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +41,33 @@ def test_topics_of_keypoints_choose_rgb_cameras(topics, read, lenses, log):
         assert sum("RGB cameras are not used" in text for text in opened.warnings) == (
             topics[-1] == "/camera_1/keypoints"
         )
+
+
+@pytest.mark.parametrize(
+    ("size", "zoom", "said"),
+    [
+        ((1920, 1080), 1.0, []),
+        ((1920, 1080), 1.001, []),  # it focuses
+        ((1920, 1080), 2.0, ["its focal length from 1100 to 2200 px; hiros takes the first one"]),
+        ((640, 480), 1.0, ["its image from 1920 x 1080 to 640 x 480 px; hiros takes the first"]),
+    ],
+)
+def test_a_lens_that_changes_is_a_warning(size, zoom, said, log, tmp_path):
+    path = tmp_path / "log.mcap"
+    with McapReader(log) as reader, McapWriter(path) as writer:
+        ChunkCopier(reader, writer, reader.channels).finish()
+        lens = read_rgb_cameras(reader)[0].lens
+        matrix = lens.matrix * [[zoom], [zoom], [1.0]]
+        stamp = reader.contents.chunks[0].start_time + 2 * SECOND
+        lens = Intrinsics(size, matrix, lens.distortion, lens.model)
+        name = read_rgb_cameras(reader)[0].name
+        topic = next(c.topic for c in reader.channels.values() if c.topic.endswith("camera_info"))
+        add_camera_info(writer, topic, lens, name, stamp)
+        writer.commit()
+    with open_log(path) as opened:
+        found = [text for text in opened.warnings if "the lens of" in text]
+    assert len(found) == len(said)
+    assert all(part in text for part, text in zip(said, found, strict=True))
 
 
 def test_a_result_of_rgb_cameras_says_how_it_was_made(log, tmp_path, capsys):
