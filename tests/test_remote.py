@@ -8,20 +8,17 @@ import shutil
 import socket
 import subprocess
 import sys
-import tempfile
 import time
 import urllib.request
 
 import fsspec
 import pytest
-from rosbag2_recorder import SINCE_LYRICAL, record, sample
+from rosbag2_recorder import record, sample
 
 from hiros_cli.app import run
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.io import remote
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.remote import local_copy
-from hiros_mcap.many.find import find_logs
 
 
 @pytest.fixture(scope="module")
@@ -62,23 +59,6 @@ def store(server, walking, monkeypatch):
     system.clear_instance_cache()
 
 
-def test_logs_of_the_store(store, walking, tmp_path, monkeypatch):
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    out = tmp_path / "out"
-    command = ["process", "s3://lab/in/", "-o", str(out), "--jobs", "1", "-q"]
-    assert run(command) == 0
-    results = ["mon_walk.hiros.mcap", "tue_walk.hiros.mcap"]
-    assert sorted(path.name for path in out.iterdir()) == ["hiros-process.json", *results]
-    assert run(["process", str(walking), "-o", str(tmp_path / "here.mcap"), "-q"]) == 0
-    assert (out / results[0]).read_bytes() == (tmp_path / "here.mcap").read_bytes()
-    assert {path.name for path in tmp_path.iterdir()} == {"here.mcap", "out"}  # no copy is left
-    (out / results[1]).unlink()
-    before = (out / results[0]).stat()
-    assert run(command) == 0  # takes up where the first stopped
-    assert (out / results[0]).stat().st_mtime_ns == before.st_mtime_ns
-    assert (out / results[1]).exists()
-
-
 def test_one_log_of_the_store(store, tmp_path, capsys):
     assert run(["info", "s3://lab/in/mon/walk.mcap", "--json"]) == 0
     assert len(json.loads(capsys.readouterr().out)["cameras"]) == 3
@@ -98,27 +78,18 @@ def test_an_error_names_the_address_and_not_the_copy(walking):
         raise ConfigError(f"{path}: no camera")
 
 
-@pytest.mark.parametrize("names", ["{folder}_{k}", SINCE_LYRICAL])
-@pytest.mark.parametrize(
-    "options", [{}, {"metadata": False}, {"storage": "sqlite3", "mode": "file"}]
-)
-def test_the_parts_of_a_recording_in_the_store_are_one_log(store, names, options, tmp_path):
-    folder = record(tmp_path / "lab", sample(), parts=3, names=names, **options)
-    for path in folder.iterdir():
+@pytest.mark.parametrize("options", [{}, {"metadata": False}, {"storage": "sqlite3"}])
+def test_a_folder_of_the_store_is_one_recording(store, options, tmp_path):
+    for path in record(tmp_path / "lab", sample(), parts=3, **options).iterdir():
         store.put_file(str(path), f"lab/bags/lab/{path.name}")
-    store.put_file(str(next(folder.glob("*0*"))), "lab/bags/other.mcap.txt")
-    for text in ("s3://lab/bags/", "s3://lab/bags/*/*", "s3://lab/bags/lab/*1*"):
-        assert find_logs([text]) == ["s3://lab/bags/lab"]
-    command = ["process", "s3://lab/bags/", "-o", str(tmp_path / "out"), "--jobs", "1", "-q"]
-    assert run(command) == 0
-    assert [path.name for path in (tmp_path / "out").glob("*.mcap")] == ["lab.hiros.mcap"]
+    out = tmp_path / "out.mcap"
+    assert run(["process", "s3://lab/bags/lab", "-o", str(out), "-q"]) == 0
+    assert out.is_file()
 
 
-def test_files_whose_metadata_is_not_of_rosbag2_are_logs_of_their_own(store):
-    store.pipe_file("lab/in/mon/metadata.yaml", b"title: our data")
-    assert len(find_logs(["s3://lab/in/"])) == 2
-    store.pipe_file("lab/in/mon/metadata.yaml", b"rosbag2_bagfile_information: {}")
-    assert find_logs(["s3://lab/in/"]) == ["s3://lab/in/mon", "s3://lab/in/tue/walk.mcap"]
+def test_an_address_is_one_log(tmp_path, capsys):
+    assert run(["info", "s3://lab/a.mcap", "s3://lab/b.mcap"]) == 2
+    assert "s3://lab/a.mcap: an address is for one log; copy several" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
@@ -132,15 +103,6 @@ def test_a_part_in_the_store_names_its_neighbours(store, storage, tmp_path, caps
     text = capsys.readouterr().err
     assert f"{part.name.replace('1', '0')} and 1 more file beside it" in text
     assert "name the folder s3://lab/bags/lab instead" in text
-
-
-def test_a_bag_folder_of_the_store_is_one_log(store, walking, tmp_path):
-    bag = tmp_path / "walk"
-    assert run(["process", str(walking), "-o", f"{bag}/", "-q"]) == 0
-    for path in bag.iterdir():
-        store.put_file(str(path), f"lab/bags/walk/{path.name}")
-    assert run(["info", "s3://lab/bags/", "--csv", str(tmp_path / "t.csv"), "-q"]) == 0
-    assert (tmp_path / "t.csv").read_text().splitlines()[1].startswith("s3://lab/bags/walk,")
 
 
 @pytest.mark.parametrize(
@@ -170,8 +132,11 @@ def ask_for_keys(server, *, after):
 def test_a_wrong_key_is_one_line_with_the_remedy(server, store):
     ask_for_keys(server, after=b"0")
     try:
-        with pytest.raises(LogError, match="permission denied; sign in as"):
-            remote.size_and_date("s3://lab/in/mon/walk.mcap")
+        with (
+            pytest.raises(LogError, match="permission denied; sign in as"),
+            local_copy("s3://lab/in/mon/walk.mcap"),
+        ):
+            pass
     finally:
         ask_for_keys(server, after=b"inf")
 
@@ -181,7 +146,7 @@ def test_a_copy_needs_room(store, monkeypatch):
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
     with (
         pytest.raises(LogError, match="no room for a copy"),
-        remote.local_copy("s3://lab/in/mon/walk.mcap"),
+        local_copy("s3://lab/in/mon/walk.mcap"),
     ):
         pass
 
@@ -197,7 +162,7 @@ def test_a_copy_that_is_cut_off_is_no_log(store, monkeypatch):
     monkeypatch.setattr(type(store), "open", cut)
     with (
         pytest.raises(LogError, match=r"is cut off: \d+ of \d+ bytes came"),
-        remote.local_copy("s3://lab/in/mon/walk.mcap"),
+        local_copy("s3://lab/in/mon/walk.mcap"),
     ):
         pass
 

@@ -6,10 +6,9 @@ and at many places. Results are written to this machine.
 
 from __future__ import annotations
 
-import glob
 import re
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -84,50 +83,6 @@ def _fault(address: str, error: Exception) -> str:
     )
 
 
-def find(address: str) -> list[str]:
-    """Return the addresses of all files that a glob or a folder (it ends in a slash) has.
-
-    Anything else is returned as it is. Raises LogError.
-    """
-    if not (address.endswith("/") or glob.has_magic(address)):
-        return [address]
-    with reached(address) as (system, path):
-        before = address.rstrip("/").removesuffix(path.rstrip("/"))
-        if glob.has_magic(address):
-            return sorted(before + name for name in system.glob(path))
-        system.ls(path)  # `find` says nothing of a bucket that does not exist
-        return sorted(before + name for name in system.find(path))
-
-
-def names_in(folder: str) -> list[str]:
-    """Return the names of the files in a folder behind an address; raises LogError."""
-    with reached(folder) as (system, path):
-        return [PurePosixPath(row["name"]).name for row in files_in(system, path)]
-
-
-def text_of(address: str) -> str:
-    """Return what a small file of text behind an address says; raises LogError."""
-    with reached(address) as (system, path):
-        return bytes(system.cat_file(path, end=1 << 20)).decode(errors="replace")
-
-
-def size_and_date(address: str) -> tuple[int, str]:
-    """Return the size, bytes, and what tells whether a file has changed; of a folder, of its files.
-
-    Raises LogError.
-    """
-    with reached(address) as (system, path):
-        info = system.info(path)
-        rows = [info] if info["type"] == "file" else files_in(system, path)
-        marks = [str(_changed(row)) for row in rows]
-        return sum(row["size"] or 0 for row in rows), max(marks, default="")
-
-
-def _changed(info: Mapping[str, Any]) -> object:
-    names = ("ETag", "etag", "mtime", "LastModified", "updated")
-    return next((info[name] for name in names if info.get(name)), "")
-
-
 def files_in(system: Any, folder: str) -> list[dict[str, Any]]:
     """Return what a file system tells of the files of a folder."""
     rows = system.ls(folder, detail=True)
@@ -166,11 +121,16 @@ def local_copy(log: str) -> Iterator[Path]:
             raise ConfigError(str(error).replace(str(target), log)) from None
 
 
+def _names_in(folder: str) -> list[str]:
+    with reached(folder) as (system, path):
+        return [PurePosixPath(row["name"]).name for row in files_in(system, path)]
+
+
 def _beside(log: str) -> str:
     """Say which files of the same folder may be parts of the same recording; "" for none."""
     folder, _, name = log.rpartition("/")
     with suppress(LogError):
-        if parts := other_parts(name, names_in(folder)):
+        if parts := other_parts(name, _names_in(folder)):
             more = f" and {quantity(len(parts) - 1, 'more file')}" if len(parts) > 1 else ""
             return (
                 f"; {parts[0]}{more} beside it may be parts of the same recording, one of which "

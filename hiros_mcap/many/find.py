@@ -1,4 +1,4 @@
-"""Which logs are meant: files, recordings of several files, folders, globs and addresses."""
+"""Which logs are meant: files, recordings of several files, folders and globs."""
 
 from __future__ import annotations
 
@@ -12,11 +12,8 @@ from pathlib import Path, PurePosixPath
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io import remote
 from hiros_mcap.io.bag_files import (
-    METADATA,
     STORAGES,
-    are_splits,
     is_log_name,
-    is_metadata,
     is_recording,
 )
 
@@ -34,7 +31,7 @@ def are_many(named: Sequence[str]) -> bool:
         return True
     (text,) = named
     if remote.is_remote(text):
-        return text.endswith("/") or glob.has_magic(text)
+        return False
     path = Path(text)
     if path.is_dir():
         return not (is_recording(path) or _is_single(path))
@@ -50,20 +47,26 @@ def _no_match(text: str) -> ConfigError:
 
 
 def find_logs(named: Sequence[str], leave_out: str = "") -> list[str]:
-    """Return absolute paths and addresses of the logs that are named, each once, in their order.
+    """Return absolute paths of the logs that are named, each once, in their order.
 
     A recording of several files is one log, also if a glob names its files.
 
     Parameters
     ----------
-    named : files, folders (searched with all folders below), globs, addresses.
+    named : files, folders (searched with all folders below), globs.
     leave_out : folder of results, which may lie within the others.
 
-    Raises ConfigError if a folder or a glob has no logs; OSError if a file does not exist.
+    Raises ConfigError if a folder or a glob has no logs, and for an address; OSError if a file
+    does not exist.
     """
     distinct: dict[str, None] = {}
     for text in named:
-        logs = list(_remote(text) if remote.is_remote(text) else _local(text, leave_out))
+        if remote.is_remote(text):
+            raise ConfigError(
+                f"{text}: an address is for one log; copy several to this machine first, as by "
+                "`aws s3 sync`"
+            )
+        logs = list(_local(text, leave_out))
         if not logs and glob.has_magic(text):
             raise _no_match(text)
         if not logs:
@@ -115,33 +118,6 @@ def _is_single(folder: Path) -> bool:
 def _is_log(path: Path) -> bool:
     """Whether a name is that of a log. What cannot be read fails by name, and is not left out."""
     return is_log_name(path.name) and not path.is_dir()
-
-
-def _remote(text: str) -> Iterator[str]:
-    """Yield the addresses of the logs among the files of a folder or a glob."""
-    addresses = remote.find(text)
-    if addresses == [text]:
-        yield text
-        return
-    folders: dict[str, list[str]] = {}
-    for address in addresses:
-        folder, _, name = address.rpartition("/")
-        folders.setdefault(folder, []).append(name)
-    for folder, names in folders.items():
-        logs = [name for name in names if is_log_name(name)]
-        # A glob may name some files of a folder only.
-        inside = remote.names_in(folder) if logs and glob.has_magic(text) else names
-        if logs and _is_remote_recording(folder, inside):
-            yield folder
-        else:
-            yield from (f"{folder}/{name}" for name in logs)
-
-
-def _is_remote_recording(folder: str, names: Sequence[str]) -> bool:
-    """Whether a folder behind an address is one recording, see :func:`is_recording`."""
-    if METADATA in names and is_metadata(remote.text_of(f"{folder}/{METADATA}")):
-        return True
-    return are_splits(PurePosixPath(folder).name, [name for name in names if is_log_name(name)])
 
 
 def base_name(log: str) -> str:

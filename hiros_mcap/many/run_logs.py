@@ -30,7 +30,6 @@ from typing import Any
 from pydantic import BaseModel
 
 from hiros_mcap.errors import HirosError, LogError
-from hiros_mcap.io import remote
 from hiros_mcap.io.log import digest_of
 from hiros_mcap.many.find import base_name, distinct_names
 from hiros_mcap.many.jobs import Job
@@ -58,7 +57,7 @@ def run_logs(
 
     Parameters
     ----------
-    logs : absolute paths or addresses, see :func:`hiros_mcap.many.find.find_logs`.
+    logs : absolute paths, see :func:`hiros_mcap.many.find.find_logs`.
     folder : where the results go; "" keeps nothing.
     force : replace files that hiros did not write.
 
@@ -81,8 +80,7 @@ def run_logs(
         if place is not None and job.suffix:
             names = {record.name for record in todo}
             ours = manifest.exported() if job.kind == "export" else {}
-            inputs = [log for log in logs if not remote.is_remote(log)]
-            beside = [log for log in inputs if Path(log).parent.resolve() == place.resolve()]
+            beside = [log for log in logs if Path(log).parent.resolve() == place.resolve()]
             for file, size in sizes.items():
                 if _base(file, job.suffix) in names and ours.get(file) != size:
                     output = [(place / file, job.kind)]
@@ -163,8 +161,6 @@ def _planned(job: Job, logs: Sequence[str], manifest: Manifest) -> list[LogRecor
 
 def identity_of(log: str) -> Identity:
     """Return the size and the time of change of a log; raises OSError or LogError."""
-    if remote.is_remote(log):
-        return Identity(*remote.size_and_date(log))
     path = Path(log)
     if not (path.is_file() or path.is_dir()):
         path.stat()
@@ -179,7 +175,7 @@ def _is_same(planned: LogRecord, former: LogRecord) -> bool:
     """Whether a log of the same size is still what it was: untouched, or the same content."""
     if planned.input.modified == former.input.modified:
         return True
-    if remote.is_remote(former.log) or not former.input.sha256:
+    if not former.input.sha256:
         return False
     with digest_of(Path(former.log)) as digest:
         return digest.result() == former.input.sha256
@@ -212,32 +208,26 @@ def run_one(job: Job, record: LogRecord, folder: str) -> LogRecord:
 
 
 def _run(job: Job, record: LogRecord, folder: Path | None) -> LogRecord:
-    with ExitStack() as stack:
-        # Compared with what is there before: a log may change while it is read.
-        identity = identity_of(record.log)
-        log = stack.enter_context(remote.local_copy(record.log))
-        target = folder / (record.name + job.suffix) if folder and job.suffix else Path()
-        try:
-            finding = job.run(log, target)
-        except HirosError as error:
-            raise HirosError(str(error).replace(str(log), record.log)) from error
-        files = {file.name: file.stat().st_size for file in finding.files}
-        sha256, verdict = finding.sha256, finding.verdict
-        if verdict == "done":
-            verdict = "recovered" if finding.losses else "doubtful" if finding.warnings else "done"
-        if folder is not None and not sha256:
-            with digest_of(log) as digest:
-                sha256 = digest.result()
-        return replace(
-            record,
-            verdict=verdict,
-            error=finding.error,
-            warnings=tuple(text.replace(str(log), record.log) for text in finding.warnings),
-            losses=finding.losses,
-            values=dict(finding.values),
-            files=files,
-            input=replace(identity, sha256=sha256),
-        )
+    # Compared with what is there before: a log may change while it is read.
+    identity, log = identity_of(record.log), Path(record.log)
+    target = folder / (record.name + job.suffix) if folder and job.suffix else Path()
+    finding = job.run(log, target)
+    sha256, verdict = finding.sha256, finding.verdict
+    if verdict == "done":
+        verdict = "recovered" if finding.losses else "doubtful" if finding.warnings else "done"
+    if folder is not None and not sha256:
+        with digest_of(log) as digest:
+            sha256 = digest.result()
+    return replace(
+        record,
+        verdict=verdict,
+        error=finding.error,
+        warnings=tuple(finding.warnings),
+        losses=finding.losses,
+        values=dict(finding.values),
+        files={file.name: file.stat().st_size for file in finding.files},
+        input=replace(identity, sha256=sha256),
+    )
 
 
 def _in_one_line(error: Exception, log: str) -> str:
