@@ -78,7 +78,6 @@ COMMANDS = {
     "info": Command("info {in}/log.mcap", "log.mcap"),
     "info of a result": Command("info {in}/result.mcap --json", "result.mcap"),
     "check": Command("check {in}/result.mcap --golden {in}/golden.mcap", "golden.mcap", _CHECKED),
-    "check metrics": Command("check {in}/suite.toml", "golden.json", _CHECKED, table=True),
     "check suite": Command("check {in}/suite.toml", "suite.toml", _CHECKED, table=True),
     "eval": Command("eval {in}/result.mcap", "result.mcap"),
     "calibrate people": Command("calibrate people {in}/walk.mcap -o {out}/x.toml", "walk.mcap"),
@@ -117,7 +116,7 @@ def write_files(folder):
     )
     (folder / "suite.toml").write_text(
         '[defaults]\npreset = "default"\n[[log]]\nname = "walk"\ninput = "log.mcap"\n'
-        'golden = "golden.json"\nrequire = ["mpjpe <= 500 mm"]\n'
+        'golden = "walk.golden.mcap"\nrequire = ["mpjpe <= 500 mm"]\n'
     )
     _done("check", folder / "suite.toml", "--bless")
     _done("process", log, "--jobs", "1", "-o", folder / "many")
@@ -140,8 +139,8 @@ def _write_joints(folder):
 
 
 def _write_keypoints(folder):
-    points = [[300.0 + 4 * k, 100.0 + 9 * k, 0.9] for k in range(17)]
-    frames = [{"people": [{"joints": points}]} for _ in range(3)]
+    points = [number for k in range(17) for number in (300.0 + 4 * k, 100.0 + 9 * k, 0.9)]
+    frames = [{"people": [{"pose_keypoints_2d": points}]} for _ in range(3)]
     (folder / "keypoints.json").write_text(json.dumps(frames))
     camera = {"name": "keypoints", "size": [640, 480], "distortions": [0.1, 0.0, 0.0, 0.0],
               "matrix": [[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]],
