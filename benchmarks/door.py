@@ -48,6 +48,7 @@ from hiros_mcap.skeletons import Frame, SkeletonModel
 
 PREFIX = "/camera_"
 SECONDS, CAMERAS = 20.0, 3
+OTHER = "geometry_msgs/msg/PoseArray"
 HANDS = ("HAND_LEFT", "HANDTIP_LEFT", "THUMB_LEFT")
 
 
@@ -215,9 +216,8 @@ def relayed(messages: list[Message], place: Place) -> list[Message]:
 def unread(messages: list[Message], place: Place) -> list[Message]:
     """A camera publishes a type that hiros does not know."""
     rows = zip(messages, place.holds(messages), strict=True)
-    other = "geometry_msgs/msg/PoseArray"
     return [
-        replace(m, kind=other, frame=None, data=bytes(64)) if inside else m for m, inside in rows
+        replace(m, kind=OTHER, frame=None, data=bytes(64)) if inside else m for m, inside in rows
     ]
 
 
@@ -297,10 +297,9 @@ class Written:
         """Return the schema of a topic, 0 for none."""
         if self.definitions == "no transforms" and topic == "/tf_static":
             return 0
-        if self.definitions == "idl":
+        if self.definitions == "idl" and kind != OTHER:
             return writer.register_schema(kind, "ros2idl", in_idl(kind).encode())
-        known = kind != "geometry_msgs/msg/PoseArray" and self.definitions != "none"
-        text = hiros_schemas.text(kind) if known else ""
+        text = hiros_schemas.text(kind) if kind != OTHER and self.definitions != "none" else ""
         return writer.register_schema(kind, "ros2msg", text.encode())
 
     def _bag(self, rows: Sequence[tuple[str, str, int, bytes]], folder: Path) -> Path:
