@@ -37,6 +37,8 @@ _CLEAR = 1.0  # least sum of the cues; below it nothing points anywhere
 _REVERSED = 0.75
 """Share of the views that contradict their labels: 80 % and more with left-handed axes, up to 20 %
 with healthy ones, of nine recordings of Kinects and eleven simulated ones."""
+_MOSTLY = 0.5
+"""The same of a camera, where all cameras together have more."""
 _TOWARDS = 0.5
 """Cosine between a person's facing and the way to the camera, from which on they face it."""
 _FEWEST, _FACING = 20, 0.05
@@ -56,9 +58,9 @@ class _Views(NamedTuple):
     middle: Floats  # (3,) sum of the bodies' middles, in the camera's axes, m
 
     @property
-    def is_reversed(self) -> bool:
-        """Whether most views contradict their labels."""
-        return len(self.contradict) > 0 and float(self.contradict.mean()) > _REVERSED
+    def reversed_share(self) -> float:
+        """Share of the views that contradict their labels."""
+        return float(self.contradict.mean()) if len(self.contradict) else 0.0
 
 
 class WrongAxes(NamedTuple):
@@ -88,7 +90,9 @@ def left_handed(
         for name, some in seen.items()
         if name != TRIANGULATED and len(some.positions)
     }
-    suspects = [name for name, view in views.items() if view.is_reversed]
+    every = np.concatenate([np.zeros(0, np.bool_), *(view.contradict for view in views.values())])
+    limit = _MOSTLY if len(every) and every.mean() > _REVERSED else _REVERSED
+    suspects = [name for name, view in views.items() if view.reversed_share > limit]
     contradict = np.concatenate([np.zeros(0, np.bool_), *(views[n].contradict for n in suspects)])
     facing = np.concatenate([np.zeros(0, np.bool_), *(views[n].facing for n in suspects)])
     if len(contradict) < _FEWEST:
