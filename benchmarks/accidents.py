@@ -31,7 +31,7 @@ COMMANDS = {
     "export": ("export", "clean.mcap", "-o", "out.csv"),
     "plot": ("plot", "clean.mcap", "-o", "out.html"),
     "view": ("view", "clean.mcap", "--save", "out.rrd"),
-    "compare": ("compare", "lab.mcap", "--table", "out.md"),
+    "compare": ("compare", "lab.mcap", "--table", "out.csv"),
     "many": ("process", "lab.mcap", "twin.mcap", "-o", "out"),
 }
 """Each writes files whose names begin with "out", beside its inputs."""

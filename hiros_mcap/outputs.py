@@ -173,7 +173,7 @@ _IS_OURS: Mapping[Kind, Callable[[bytes], bool]] = {
     "rosbag2 folder": lambda head: False,
     "rosbag2 metadata": lambda head: head.startswith(BAG_MARK.encode()),
     "table of logs": lambda head: head.startswith(TABLE_MARK.encode()),
-    "table of scores": lambda head: EXPORT_MARK.encode() in head or bool(_SCORES.match(head)),
+    "table of scores": lambda head: bool(_SCORES.match(head)),
     "export": lambda head: (
         head.startswith(tuple(map(str.encode, (CSV_START, JSONL_START, BVH_START))))
         or EXPORT_MARK.encode() in head

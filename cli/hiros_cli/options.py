@@ -90,7 +90,7 @@ def _table(path: Path | None) -> Path | None:
 
 TABLE = option(
     "FILE",
-    "Also write the table as .csv, .md or .tex, with units and 95 % intervals.",
+    "Also write the table as .csv, with units and 95 % intervals.",
     panel=OUTPUT,
     callback=_table,
 )

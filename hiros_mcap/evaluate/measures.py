@@ -9,22 +9,19 @@ import csv
 import io
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.statistics import PARTS
-from hiros_mcap.outputs import EXPORT_MARK, write_text
+from hiros_mcap.outputs import write_text
 from hiros_mcap.wording import number
 
 Rows = list[tuple[str, ...]]
 Table = tuple[tuple[str, ...], Rows]
 """Header and rows; the first column is text, the others are numbers."""
-_TEX = {c: f"\\{c}" for c in "&%$#_{}"} | {
-    "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
-}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,30 +286,15 @@ def text_of(sheet: Sheet) -> Table:
     return header, [(name, *(m.cell(scores) for m in columns)) for name, scores in sheet.rows]
 
 
-# Tables of measures as files for papers and spreadsheets: CSV, Markdown and LaTeX.
-#
-# CSV is one table for programs: a row per name, a column per number with its unit, and columns of
-# their own for a standard deviation and the ends of a 95 % interval. Markdown and LaTeX have a
-# table per sheet for readers, with the interval in the cell.
-
-
 def write_table(path: Path, sheets: Sequence[Sheet]) -> None:
-    """Write sheets, in the format of the suffix; whole or not at all.
+    """Write sheets as CSV, one table for programs; whole or not at all.
 
-    Raises ConfigError as :func:`check_table` does, and LogError if the file cannot be written.
+    It has a row per name, a column per number with its unit, and columns of their own for a
+    standard deviation and the ends of a 95 % interval.
+
+    Raises ConfigError for another suffix, and LogError if the file cannot be written.
     """
-    write_text(path, check_table(path)(sheets))
-
-
-def check_table(path: Path) -> Callable[[Sequence[Sheet]], str]:
-    """Return what makes the text of a file of this name; raises ConfigError for another suffix."""
-    writer = _WRITERS.get(path.suffix.lower())
-    if writer is None:
-        raise ConfigError(f"{path}: a table ends in one of {', '.join(_WRITERS)}")
-    return writer
-
-
-def _csv(sheets: Sequence[Sheet]) -> str:
+    check_table(path)
     several = any(sheet.log for sheet in sheets)
     rows: dict[tuple[str, str], dict[str, float]] = {}
     for sheet in sheets:
@@ -330,61 +312,15 @@ def _csv(sheets: Sequence[Sheet]) -> str:
         values = (row.get(column, math.nan) for column in columns)
         cells = ("" if math.isnan(value) else f"{value:.6g}" for value in values)
         writer.writerow([*([log] if several else []), name, *cells])
-    return text.getvalue()
+    write_text(path, text.getvalue())
 
 
-def _markdown(sheets: Sequence[Sheet]) -> str:
-    def line(cells: Sequence[str]) -> str:
-        return f"| {' | '.join(map(markdown_text, cells))} |"
-
-    parts = [f"<!-- {EXPORT_MARK} -->"]
-    for sheet in sheets:
-        header, *rows = _readable(sheet)
-        rule = line(["---", *["---:"] * (len(header) - 1)])
-        title = f"**{markdown_text(sheet.title)}**"
-        parts.append("\n".join([title, "", line(header), rule, *map(line, rows)]))
-    return "\n\n".join(parts) + "\n"
+def check_table(path: Path) -> None:
+    """Raise ConfigError unless a table can have this name."""
+    if path.suffix.lower() != ".csv":
+        raise ConfigError(f"{path}: a table ends in .csv")
 
 
 def markdown_text(text: str) -> str:
     """Return text in one line that shows as it is, also in a cell of a table."""
     return re.sub(r"([\\`*\[\]|])", r"\\\1", " ".join(text.split())).replace("<", "&lt;")
-
-
-def _latex(sheets: Sequence[Sheet]) -> str:
-    def line(cells: Sequence[str]) -> str:
-        flat = (" ".join(cell.split()) for cell in cells)
-        return " & ".join("".join(_TEX.get(c, c) for c in cell) for cell in flat) + r" \\"
-
-    parts = [f"% {EXPORT_MARK}"]
-    for sheet in sheets:
-        header, *rows = _readable(sheet)
-        body = [line(header), r"\hline", *map(line, rows)]
-        columns = "l" + "r" * (len(header) - 1)
-        begin, end = rf"\begin{{tabular}}{{{columns}}}", r"\end{tabular}"
-        title = f"% {' '.join(sheet.title.split())}"
-        parts.append("\n".join([title, begin, r"\hline", *body, r"\hline", end]))
-    return "\n\n".join(parts) + "\n"
-
-
-def _readable(sheet: Sheet) -> list[list[str]]:
-    """Header and rows; an interval stands behind its number."""
-    columns = sheet.columns
-    header = [
-        m.header() + (" (SD)" if m.sd else " (95 % interval)" if m.interval[0] else "")
-        for m in columns
-    ]
-    rows = [[name, *(_cell(m, scores) for m in columns)] for name, scores in sheet.rows]
-    return [[sheet.first, *header], *rows]
-
-
-def _cell(measure: Measure, scores: object) -> str:
-    figures = measure.figures(scores)
-    low, high = (figures.get(name, math.nan) for name in ("95 % low", "95 % high"))
-    if math.isnan(low):
-        return measure.cell(scores)
-    ends = (number(end, measure.digits) for end in (low, high))
-    return f"{measure.cell(scores)} ({' to '.join(ends)})"
-
-
-_WRITERS = {".csv": _csv, ".md": _markdown, ".tex": _latex}

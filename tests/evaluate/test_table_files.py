@@ -1,4 +1,4 @@
-"""``--table``: the tables of eval, compare and plan as CSV, Markdown and LaTeX."""
+"""``--table``: the tables of eval, compare and plan as CSV."""
 
 from __future__ import annotations
 
@@ -59,42 +59,15 @@ def test_sheets_of_several_logs_are_one_csv_table(tmp_path):
     ]  # fmt: skip
 
 
-def test_markdown_has_a_table_per_sheet(tmp_path):
-    text = written(tmp_path / "x.md")
-    assert "**Joint error, mm**\n\n| Channel | Mean, mm (95 % interval) |\n| --- | ---: |\n" in text
-    assert "| a_b & \\|c\\| | 9.9 (9.5 to 10.2) |\n| bad | 31.0 |" in text
-    assert "| Channel | Angle, deg (SD) | PCK, % | Switches |" in text
-    assert "| a_b & \\|c\\| | 1.50 (0.25) | 50.0 | - |\n| bad | - | - | 3 |" in text
-
-
-def test_markup_in_names_shows_as_it_is(tmp_path):
-    name = "<b>[x](http://y) `c` *d*\ne\\"
-    sheet = JOINTS._replace(rows=[(name, GOOD)], title=name)
-    shown = r"&lt;b>\[x\](http://y) \`c\` \*d\* e\\"
-    text = written(tmp_path / "x.md", [sheet])
-    assert f"**{shown}**\n" in text
-    assert f"| {shown} | 9.9 (9.5 to 10.2) |\n" in text
-    assert "\ne" not in written(tmp_path / "x.tex", [sheet])
-
-
-def test_latex_escapes_what_it_must(tmp_path):
-    text = written(tmp_path / "x.tex")
-    assert "% Joint error, mm\n\\begin{tabular}{lr}\n\\hline\n" in text
-    assert r"Channel & Mean, mm (95 \% interval) \\" in text
-    assert r"a\_b \& |c| & 9.9 (9.5 to 10.2) \\" in text
-    assert text.count(r"\end{tabular}") == 2
-
-
 def test_another_suffix_is_refused_before_anything_is_run(tmp_path, capsys):
-    with pytest.raises(ConfigError, match=r"x.txt: a table ends in one of .csv, .md, .tex"):
+    with pytest.raises(ConfigError, match=r"x.txt: a table ends in .csv"):
         write_table(tmp_path / "x.txt", SHEETS)
     assert run(["plan", "--room", "6x5", "--table", "x.xls"]) == 2
-    assert capsys.readouterr().err.endswith("x.xls: a table ends in one of .csv, .md, .tex\n")
+    assert capsys.readouterr().err.endswith("x.xls: a table ends in .csv\n")
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".md", ".tex"])
-def test_a_table_of_hiros_is_replaced_and_another_file_is_not(suffix, tmp_path, walking):
-    target = tmp_path / f"x{suffix}"
+def test_a_table_of_hiros_is_replaced_and_another_file_is_not(tmp_path, walking):
+    target = tmp_path / "x.csv"
     command = ["eval", str(walking), "--channel", "/hiros/filtered", "-q", "--table", str(target)]
     assert run(command) == 0
     before = target.read_text()
