@@ -5,6 +5,7 @@ A log of skeletons is read by :mod:`hiros_mcap.io.log`, which is much faster.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -118,6 +119,8 @@ def open_messages(path: Path | McapReader) -> Iterator[RosMessages]:
 
 
 Bytes = npt.NDArray[np.uint8]
+# OpenCV reads it when it is loaded. Its own limit is 2**30: 100 kB of PNG would take 6 GB.
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 27))
 
 
 class FilmFrame(NamedTuple):

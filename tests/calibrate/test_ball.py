@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -164,3 +166,31 @@ def test_cameras_whose_clocks_differ_are_refused(tmp_path):
         message.header.stamp.sec += topic == "/ball_1"
     with pytest.raises(RegistrationError, match="check the cameras' clocks"):
         calibrate_ball(write_messages(tmp_path / "a.mcap", messages))
+
+
+HUGE = """
+import struct, zlib
+from types import SimpleNamespace
+import numpy as np
+from hiros_mcap.errors import LogError
+from hiros_mcap.io.ros_messages import colour_image
+
+def part(kind, data):
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+side = 12_000
+pixels = zlib.compress(bytes((side // 8 + 1) * side))
+size = struct.pack(">IIBBBBB", side, side, 1, 0, 0, 0, 0)
+parts = [part(b"IHDR", size), part(b"IDAT", pixels), part(b"IEND", b"")]
+data = np.frombuffer(b"\\x89PNG\\r\\n\\x1a\\n" + b"".join(parts), np.uint8)
+try:
+    colour_image(SimpleNamespace(data=data, format="png"))
+except LogError as error:
+    print(error)
+"""
+
+
+def test_a_picture_that_is_small_and_unpacks_to_gigabytes_is_refused():
+    # OpenCV takes its limit when it is loaded.
+    done = subprocess.run([sys.executable, "-c", HUGE], capture_output=True, text=True, check=True)
+    assert "a compressed image cannot be decoded" in done.stdout
