@@ -51,6 +51,7 @@ from hiros_mcap.calibrate.verdict import (
     weakness_of,
 )
 from hiros_mcap.kernels.rig_equations import CLOCK
+from hiros_mcap.rays.confidence import TRIANGULATED
 from hiros_mcap.skeletons import Flags, Floats, Ints
 
 DRIFT_S = 120.0
@@ -307,6 +308,7 @@ def _better(
     rig = fit.refined.rig
     poses = {k: given[k] for k in kept or range(len(given))}
     errors = np.array([(math.radians(e.error_deg), e.error_m) for e in fit.evidence])
+    errors[[view.name == TRIANGULATED for view in fit.refined.views]] = np.inf  # stands nowhere
     rig = moved(rig, on_transforms(rig, poses, errors))
     better = _certainty(fit.refined, mirror, proven_s) > CERTAIN
     limits = PROVEN._replace(seconds=proven_s)

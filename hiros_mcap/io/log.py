@@ -29,6 +29,7 @@ import numpy as np
 
 import hiros_schemas
 from hiros_mcap.body.body_size import body_size
+from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import TransformTree, read_extrinsics
 from hiros_mcap.errors import LogError, explained, naming
 from hiros_mcap.io.bags import open_recording, transforms_beside
@@ -230,6 +231,8 @@ def open_log(
             with naming(file.path):
                 reader = converted(file, selection._replace(negate=negate))
             contents = skeletons_of(reader, tree, topics, output_prefix)
+        if rig is not None:
+            contents = _beside_others(*contents, rig.fixed_frame)
         if tree is not None and tree.source:
             note_unused(tree, contents[0], rig.homes.values() if rig else ())
         encodings = ("cdr",) if reader is file else ENCODINGS
@@ -246,6 +249,17 @@ def open_log(
         if tree is None:
             _look_beside(log)
         return log
+
+
+def _beside_others(
+    cameras: list[CameraChannel], model: SkeletonModel, tree: TransformTree, fixed: str
+) -> tuple[list[CameraChannel], SkeletonModel, TransformTree]:
+    """Give what RGB cameras see a frame of its own, so that it can be moved to the others."""
+    if len(cameras) < 2:
+        return cameras, model, tree
+    own = {c.topic_frame: {0: Rigid.identity()} for c in cameras if c.channel.topic == RGB_TOPIC}
+    cameras = [c.in_frame(c.topic_frame) if c.topic_frame in own else c for c in cameras]
+    return cameras, model, tree.with_poses(own, fixed)
 
 
 def _negated(tree: TransformTree, cameras: Sequence[CameraChannel]) -> Iterator[str]:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import pytest
 
 from hiros_cli.app import run
+from hiros_mcap.evaluate.logs import evaluate_channels, find_truth, read_results
 from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
 from hiros_mcap.io.detectors.keypoint_messages import add_camera_info
 from hiros_mcap.io.log import open_log
 from hiros_mcap.io.rgb_cameras import read_rgb_cameras
 from hiros_mcap.rays.intrinsics import Intrinsics
+from hiros_mcap.running.pipeline import process
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.skeletons import SECOND
@@ -82,3 +84,16 @@ def test_rgb_cameras_alone_are_one_view(poses, log, tmp_path):
     out = tmp_path / "out.mcap"
     arguments = ["process", str(log), "-o", str(out), "-q", "--topic", "/camera_[123]/keypoints"]
     assert run([*arguments, "--set", f"input.poses={poses}"]) == 0
+
+
+def test_rgb_cameras_do_not_carry_depth_cameras_away(tmp_path):
+    """The room stays where the depth cameras' given poses have it."""
+    path, errors = tmp_path / "log.mcap", []
+    scene = {"people": 2, "cameras": 4, "seconds": 8.0, "action": "cross", "seed": 2}
+    rig = {"kinds": ("depth", "rgb", "depth", "rgb")}
+    write_log(path, SimulateParams.model_validate({**scene, "rig": rig}))
+    for topics in (["/camera_*/skeletons"], ["/camera_*"]):
+        process(path, out := tmp_path / "out.mcap", topics=topics, system="fuse")
+        found = {"/x": read_results(out)["/hiros/filtered"]}
+        errors.append(evaluate_channels(found, find_truth(path))["/x"].scores.mean)
+    assert errors[1] < 1.1 * errors[0]
