@@ -1082,29 +1082,3 @@ def test_a_golden_log_is_overlaid_at_the_same_time(processed, tmp_path):
     arguments = [str(processed), str(golden), "--stage", "filtered", "--time-range", "0:1"]
     assert run(["view", *arguments, "--save", str(target), "-q"]) == 0
     assert {"/a/filtered/person_0", "/b/filtered/person_0"} <= entities(target)
-
-
-def test_a_calibration_shows_poses_before_and_after(crossing, tmp_path):
-    with open_log(crossing) as log:
-        poses, start = {c.frames[0]: log.pose_of(c) for c in log.cameras}, log.span[0]
-    file, target = tmp_path / "cameras.toml", tmp_path / "moved.rrd"
-    lines = []
-    for name, pose in poses.items():
-        assert pose is not None
-        moved = (pose.translation + [0.03 * (name == "camera_1"), 0, 0]).tolist()  # noqa: RUF005
-        lines += ["[[camera]]"]
-        lines += [f'frame = "{name}"', 'parent = "world"', f"translation = {moved}"]
-        lines += [f"quaternion_xyzw = {pose.xyzw.tolist()}", 'verdict = "improved"']
-        lines += ["error_deg = 0.08", "error_mm = 4.2", "residual_mm = 17.0"]
-    again = [line for line in lines[-9:] if not line.startswith("translation")]
-    lines += [*again, "translation = [9.0, 0.0, 0.0]", f"since = {start + 2_500_000_000}"]
-    file.write_text("\n".join(lines))
-    arguments = ["view", str(crossing), "--calibration", str(file), "--save", str(target), "-q"]
-    assert run(arguments) == 0
-    (table,) = texts(target, "/calibration", "TextDocument:text")
-    assert "| camera_1 | 30 mm | 0.00° | improved | 0.08°, 4 mm | 17 mm |" in table
-    (moved_row,) = [line for line in table.splitlines() if ", from 2.5 s on |" in line]
-    assert "| 0.00° | improved |" in moved_row
-    assert "| camera_0 | 0 mm |" in table
-    assert {"/world/before/camera_1/view", "/world/moved/camera_1"} <= entities(target)
-    assert run([*arguments, "--extrinsics", str(file)]) == 2

@@ -16,7 +16,7 @@ from hiros_mcap.body.angles import JOINTS
 from hiros_mcap.body.rotations import Rigid, rotate
 from hiros_mcap.skeletons import Floats
 from hiros_viewer.columns import LOGGED, STAMP, TIMELINE
-from hiros_viewer.entities import CALIBRATION, CAMERA_TABLE, KEY, Layer, person_part
+from hiros_viewer.entities import CAMERA_TABLE, KEY, Layer, person_part
 from hiros_viewer.palette import BEFORE, FAULTY
 
 LIMBS = ("upper arm", "forearm", "thigh", "shin")
@@ -53,7 +53,6 @@ class Content:
     """Whether the truth is drawn in the room, where it makes the result thin."""
     shows_uncertainty: bool = False
     """Whether ellipsoids are drawn round joints, whose own size would hide them."""
-    has_moves: bool = False  # whether the cameras' poses before and after a calibration are shown
     has_predicted: bool = False  # whether somebody is in the result while no camera sees them
     lanes: Mapping[str, str] = field(default_factory=dict)
     """Path of a lane -> what it shows: "person", "no data" or a fault of a camera's view."""
@@ -100,15 +99,12 @@ class Content:
 
 def overview(content: Content) -> rrb.Container:
     """Show the room with the result, and beside it all curves, who is there, and the events."""
-    moves = []
-    if content.has_moves:
-        moves.append(rrb.TextDocumentView(origin=CALIBRATION, name="Cameras before and after"))
     if content.is_raw:
         lanes = [_lanes(content)] if content.lanes else []
         return rrb.Vertical(
             _room(content, "Room", stages=[content.final]),
             _key(),
-            rrb.Horizontal(*moves, _counts(content, _legend_at(content, "LeftBottom")), *lanes),
+            rrb.Horizontal(_counts(content, _legend_at(content, "LeftBottom")), *lanes),
             row_shares=[3, 0.25, 1],
         )
     angles = _tabs(content, [_angles(content, person) for person in content.people])
@@ -119,7 +115,7 @@ def overview(content: Content) -> rrb.Container:
     side += [_series(content, "speed", "Speed, m/s"), _counts(content)]
     below = min(_MOST_BELOW, _NO_LANES + _A_LANE * len(content.lanes))
     wide, pairs = side[: len(side) % 2], side[len(side) % 2 :]
-    curves = [4, *[2.2] * len(wide), 1.2 * len(pairs), *[2] * len(moves)]
+    curves = [4, *[2.2] * len(wide), 1.2 * len(pairs)]
     key = (0.145 if len(content.prefixes) == 2 else 0.105) / (1 - below)  # lines have their height
     shares = [key / (1 - key) * sum(curves), *curves]
     return rrb.Vertical(
@@ -130,7 +126,6 @@ def overview(content: Content) -> rrb.Container:
                 angles,
                 *wide,
                 rrb.Grid(*pairs, grid_columns=2),
-                *moves,
                 row_shares=shares,
             ),
             column_shares=[4, 3],

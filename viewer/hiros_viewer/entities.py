@@ -21,10 +21,8 @@ from hiros_mcap.io.export.markers import RGB, person_colour
 from hiros_mcap.kernels.drawing import Singles, draw_bones, draw_joints, tops
 from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
-from hiros_viewer.camera_moves import CameraMove, markdown, move_table
 from hiros_viewer.columns import Line, TextRow, columns, strips, time_columns
 from hiros_viewer.palette import (
-    BEFORE,
     CAMERAS,
     CLASSES,
     DISPLACEMENT,
@@ -87,7 +85,6 @@ _CAMERA_NOTE = (
     "Coverage: people of the result that the camera reports. Distance: of its detections to the "
     "result, median. Flips: relabelled detections. Outliers: markers left out."
 )
-CALIBRATION = "/calibration"
 KEY = "/key"
 
 
@@ -140,18 +137,6 @@ class Entities:
             self.recording.log("/world/no_data", style, static=True)
         parts = {rr.Points3D.descriptor_positions(): rr.components.Position3DBatch([place])}
         self._send("/world/no_data", times, parts, np.array([1, 0]))
-
-    def moves(self, moves: Sequence[CameraMove]) -> None:
-        """Draw where cameras were before a calibration, lines to where they are, and a table."""
-        for move in moves:
-            if move.before is not None and not move.since_s:
-                path = f"/world/before/{path_part(move.name)}"
-                style = "", BEFORE, BEFORE  # a name would cover that of the pose after
-                self._frustum(path, move.before, style)
-                way = [[move.before.translation, move.after.translation]]
-                line = rr.LineStrips3D(way, colors=[DISPLACEMENT], radii=_ERROR_PX)
-                self.recording.log(f"/world/moved/{path_part(move.name)}", line, static=True)
-        self._document(CALIBRATION, move_table(moves))
 
     def _frustum(
         self, path: str, pose: Rigid, style: tuple[str, RGB, RGB], lens: Intrinsics | None = None
@@ -311,7 +296,9 @@ class Entities:
 
     def camera_table(self, rows: Sequence[Sequence[str]]) -> None:
         """Show numbers of each camera, in the order of :data:`CAMERA_COLUMNS`."""
-        self._document(CAMERA_TABLE, f"{markdown(CAMERA_COLUMNS, rows)}\n\n{_CAMERA_NOTE}")
+        lines = [CAMERA_COLUMNS, ["---"] * len(CAMERA_COLUMNS), *rows]
+        table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+        self._document(CAMERA_TABLE, f"{table}\n\n{_CAMERA_NOTE}")
 
     def joint_lines(
         self, path: str, times: Stamps, ends: tuple[Floats, Floats], *, is_error: bool

@@ -81,5 +81,3 @@ def _meanings(content: Content, layout: str) -> Iterator[tuple[str, str]]:
         yield "White", "the truth"
     if content.shows_uncertainty:
         yield "Ellipsoids", "the true joint is inside with 68 %"
-    if content.has_moves:
-        yield "Grey frusta", "where the cameras were before, with a yellow line to where they are"

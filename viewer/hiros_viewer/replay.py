@@ -38,7 +38,6 @@ from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.running.pipeline import ProcessOptions, process, skeletons_read
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_viewer.blueprint import LAYOUTS, Content
-from hiros_viewer.camera_moves import camera_moves
 from hiros_viewer.destinations import save
 from hiros_viewer.entities import Layer, path_part
 from hiros_viewer.images import CameraImages
@@ -79,8 +78,6 @@ class ViewOptions:
     """Stage whose curves are drawn and that two logs are compared by; "" = the last one."""
     truth: str | None = None
     """File with the true people, or a channel of the log; None = the log's own, if it has one."""
-    calibration: Path | None = None
-    """File with the cameras' poses that are compared with the log's, and used."""
     uncertainty: bool = False  # whether to draw how well the joints are known, as ellipsoids
     configs: Sequence[Config] = ()
     """Of each log, how it is read if it is a recording: its frame, skeleton and unit."""
@@ -164,7 +161,6 @@ class _Replay:
 
     def draw(self, first: Scene | None, is_open: Callable[[], bool]) -> Scene:
         """Draw it; seconds count from the start of the first log when two are overlaid."""
-        extrinsics = self.options.calibration or self.options.extrinsics
         config, topics = Config(), ["*"]
         if has_outputs(self.path):  # in metres; skeletons of keypoints are in it
             topics = _skeletons_of_result(self.path)
@@ -174,7 +170,7 @@ class _Replay:
             self.path,
             topics=topics,
             output_prefix="/none",
-            extrinsics=extrinsics,
+            extrinsics=self.options.extrinsics,
             fixed_frame=config.input.fixed_frame or None,
             skeletons=skeletons_read(config),
         ) as log:
@@ -187,9 +183,6 @@ class _Replay:
             else:
                 scene.begin(source.cameras, source.later)
                 scene.show_images(self._rgb_cameras(log))
-            if self.options.calibration is not None and not only_stages:
-                file, renamed = self.options.calibration, log.transforms.renamed
-                scene.moves(camera_moves(self.path, file, source.cameras, renamed))
             log = log.only(self._topics(source, scene.final))
             left_out = {DETECTIONS, "truth"} if only_stages else {"truth"}
             self._laid_out = only_stages  # by the first log, which has the cameras
@@ -460,7 +453,6 @@ def content_of(scenes: list[Scene]) -> Content:
         shows_truth=any(scene.shows_truth for scene in scenes),
         shows_uncertainty=any(scene.uncertainties is not None for scene in scenes),
         has_error=any(scene.n_true for scene in scenes),
-        has_moves=any(scene.has_moves for scene in scenes),
         has_predicted=any(scene.has_predicted for scene in scenes),
         lanes={path: kind for scene in scenes for path, kind in scene.lanes.items()},
         moved={stage for scene in scenes for stage in scene.moved},

@@ -46,7 +46,6 @@ from hiros_mcap.events import Event
 from hiros_mcap.io.rgb_cameras import RgbCamera
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, SkeletonModel, Stamps
-from hiros_viewer.camera_moves import CameraMove
 from hiros_viewer.columns import GONE_NS, Line, TextRow, after_pauses, ended
 from hiros_viewer.entities import (
     LONGEST_M,
@@ -124,7 +123,6 @@ class Scene:
         self.uncertainties: Uncertainties | None = None
         """How well joints are known, to be drawn as ellipsoids."""
         self.images: list[CameraImages] = []  # of the RGB cameras
-        self.has_moves = False  # whether poses before and after a calibration were drawn
         self.ranges: dict[str, tuple[float, float]] = {}
         """Kind of curve, as "speed" or "limbs/thigh" -> where its values are."""
         self.moved: set[str] = set()  # stages whose joints are not those of the last one
@@ -199,13 +197,6 @@ class Scene:
             if pose is not None:
                 self.camera_poses = {**self.camera_poses, camera.name: pose}
                 self._entities.camera(camera.name, number, pose, camera.lens)
-
-    def moves(self, moves: Sequence[CameraMove]) -> None:
-        """Draw where cameras were before a calibration, and how far they moved."""
-        self.has_moves = True
-        self._entities.moves(moves)
-
-    # -- frames --------------------------------------------------------------------------------
 
     def draw(self, frames: Mapping[Channel, Poses]) -> None:
         """Draw frames of all channels that have the same time: detections, then stages."""

@@ -34,9 +34,6 @@ def view(
         "FILE|TOPIC", "Truth to overlay, with errors. Default: LOG's /truth channel."
     ),
     extrinsics: Path | None = EXTRINSICS,
-    calibration: Path | None = option(
-        "FILE", "Camera poses of `hiros calibrate`, compared with the log's."
-    ),
     images: list[str] | None = option(
         "LOG|CAMERA=FILE",
         "Images beneath keypoints: of another log, or a camera's video (MP4), from its first "
@@ -58,22 +55,20 @@ def view(
         raise ConfigError("view shows at most two logs")
     if sum((save is not None, web, connect is not None)) > 1:
         raise ConfigError("use only one of --save, --web and --connect")
-    if extrinsics is not None and calibration is not None:
-        raise ConfigError("use only one of --extrinsics and --calibration")
     window = None if time_range is None else seconds_range("--time-range", time_range)
     from hiros_viewer import destinations
 
     films = [Path(text.rpartition("=")[2]) for text in images or ()]
     for film in films:
         film.stat()
-    inputs = (*logs, extrinsics, truth, calibration, *films)
+    inputs = (*logs, extrinsics, truth, *films)
     check_outputs((save, "Rerun recording"), inputs=inputs, force=force)
     prepare(quiet=quiet)
     from hiros_viewer.replay import ViewOptions, recording_name, replay
 
     configs = [settings_of(log).load() for log in logs]
     options = ViewOptions(
-        *(layout, window, extrinsics, stage or "", truth, calibration),
+        *(layout, window, extrinsics, stage or "", truth),
         *(uncertainty, configs, images or ()),
     )
     name = recording_name(list(logs), layout)
