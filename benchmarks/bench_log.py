@@ -1,9 +1,10 @@
 """Cost of reading and writing a 60 s log of 5 cameras, 30 Hz, 4 people, 32 markers, 31 links.
 
-    python benchmarks/bench_log.py [--seconds 60] [--flips 300] [--folder DIR]
+    python benchmarks/bench_log.py [--seconds 60] [--flips 300] [--seed 0] [--folder DIR]
 
 Prints CPU and wall time of each path, best of three, for the log compressed and not; the same of
-the mcap library's reader and writer; and how many flipped bits each reader notices.
+the mcap library's reader and writer; and how many flipped bits and cuts each reader notices, in
+these logs and in one of RGB cameras' keypoints.
 
 Only the time counts here, so the simulated detector is the ideal one.
 """
@@ -30,6 +31,8 @@ from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
 from hiros_mcap.io.log import open_log
+from hiros_mcap.simulate import SimulateParams
+from hiros_mcap.simulate.simulation import write_log
 from hiros_mcap.skeletons import ORIENTATION, POSITION, Frame, SkeletonModel
 
 CAMERAS, RATE, PEOPLE, MARKERS = 5, 30, 4, 32
@@ -123,23 +126,23 @@ READERS: dict[str, Callable[[Path], Content]] = {
 }
 
 
-def damaged(path: Path, n: int) -> Iterator[None]:
-    """Flip another random bit of the file each time."""
-    whole, rng = path.read_bytes(), random.Random(0)
-    for _ in range(n):
+def damaged(path: Path, n: int, seed: int) -> Iterator[None]:
+    """Flip another random bit of the file each time, or, one time of four, cut the file."""
+    whole, rng = path.read_bytes(), random.Random(seed)
+    for k in range(n):
         data, at = bytearray(whole), rng.randrange(8 * len(whole))
         data[at // 8] ^= 1 << at % 8
-        path.write_bytes(data)
+        path.write_bytes(data if k % 4 else whole[: at // 8])
         yield
     path.write_bytes(whole)
 
 
-def flips(path: Path, n: int) -> None:
-    """Print how many of ``n`` flipped bits each reader takes without an error."""
+def flips(path: Path, n: int, seed: int) -> None:
+    """Print how many of ``n`` flipped bits and cuts each reader takes without an error."""
     wanted = {name: read(path) for name, read in READERS.items()}
     for name, read in READERS.items():
         unnoticed, wrong = 0, 0
-        for _ in damaged(path, n):
+        for _ in damaged(path, n, seed):
             try:
                 found = read(path)
             except Exception:  # noqa: BLE001 - whatever a reader says against the file
@@ -179,6 +182,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=int, default=60)
     parser.add_argument("--flips", type=int, default=300)
+    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--folder", type=Path)
     arguments = parser.parse_args()
     messages = make_messages(arguments.seconds)
@@ -202,8 +206,13 @@ def main() -> None:
             for job in (write, library_write):
                 job(path, messages[:20], compression)
                 written = f"{job.__name__}, {compression or 'none'}"
-                print(f"\n{arguments.flips} flipped bits, one at a time, in a log by {written}:")
-                flips(path, arguments.flips)
+                print(f"\n{arguments.flips} flipped bits and cuts in a log by {written}:")
+                flips(path, arguments.flips, arguments.seed)
+        if arguments.flips:
+            rgb = {"cameras": 3, "seconds": 8.0, "rig": {"kinds": ["rgb"] * 3}}
+            write_log(path, SimulateParams.model_validate(rgb))
+            print(f"\n{arguments.flips} flipped bits and cuts in a log of RGB cameras:")
+            flips(path, arguments.flips, arguments.seed)
 
 
 if __name__ == "__main__":
