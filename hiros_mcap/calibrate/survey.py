@@ -32,6 +32,8 @@ STRETCHES = 5
 ENOUGH = 0.75
 """If the stretches show people in a smaller share of their time, more of the log is read."""
 MOST_S = 120.0
+_FEW = 200
+"""If the stretches show fewer people, more of the log is read to tell left-handed axes."""
 SPACING_NS = 60_000_000
 """About one frame in this time, every other one at 30 Hz. More tell little: the slow part of a
 detector's errors is the larger one."""
@@ -86,10 +88,11 @@ class Survey:
         """Which cameras' axes are left-handed."""
         cameras = fixed_cameras(self.log, camera_faults(self.log)) if self.fixed else ()
         poses = {camera.name: camera.pose for camera in cameras if camera.movable}
-        own = dict(self.seen)
+        few = sum(len(views.positions) for views in self.seen.values()) < _FEW
+        own = dict(self._more if few else self.seen)
         for name in poses.keys() & own.keys():
             turn, place = to_matrix(poses[name].xyzw), poses[name].translation
-            positions = (self.seen[name].positions - place) @ turn
+            positions = (own[name].positions - place) @ turn
             own[name] = own[name]._replace(positions=positions.astype(np.float32))
         return left_handed(own, poses, self.log.model)
 

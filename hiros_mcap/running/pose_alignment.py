@@ -213,7 +213,9 @@ def align_cameras(
     """
     way, rays = config.input.clocks, config.input.rays == "found"
     if way == "causal" or (mode == "off" and way == "off"):
-        return align_clocks(log, config, reorder), PoseAlignment()
+        fault = "" if log.is_live else _quick_survey(log)[0].left_handed
+        poses = PoseAlignment(contradictions=tuple(filter(None, [fault])))
+        return align_clocks(log, config, reorder), poses
     missing = None if mode == "off" else _missing_poses(log)
     survey = Survey(log, None if missing is None else MOST_S, fixed=missing is None)
     clocks = align_clocks(log, config, reorder, survey.times)
@@ -376,16 +378,21 @@ def _aligned(posed: PosedViews, start: int, faults: Mapping[str, str]) -> PoseAl
     return PoseAlignment(summaries, misfits=misfits, moves=posed.moves, late=posed.late)
 
 
+def _quick_survey(log: Log) -> tuple[Survey, bool]:
+    """Return a look at some seconds of a log, and whether its poses can be those of cameras."""
+    try:
+        known = bool(log.fixed_frame) and not log.far_apart
+    except LogError:
+        known = False
+    return Survey(log, CHECKED_S, fixed=known), known
+
+
 def pose_faults(log: Log) -> list[str]:
     """Return which poses of a log do not fit the people in it, in one line; [] if all do.
 
     Only some seconds of the log are read. A log whose cameras cannot be compared has no faults.
     """
-    try:
-        known = bool(log.fixed_frame) and not log.far_apart
-    except LogError:
-        known = False
-    survey = Survey(log, CHECKED_S, fixed=known)
+    survey, known = _quick_survey(log)
     if survey.left_handed or not known:
         return [*filter(None, [survey.left_handed])]
     faults, shared = camera_faults(log), shared_frames(log)

@@ -73,10 +73,11 @@ def test_a_camera_that_fits_nowhere_is_left_handed(axis, whole_crossing, tmp_pat
             calibrate_people(bare)
 
 
-def test_calibrate_off_takes_axes_as_they_are(crossing, tmp_path, capsys):
+def test_runs_that_keep_poses_warn(crossing, tmp_path, capsys):
     log = negated(crossing, tmp_path / "log.mcap", "x")
-    assert command(["process", "-q", str(log), "--calibrate", "off"]) == 0
-    assert "left-handed: negate x" in capsys.readouterr().err
+    for options in (["--calibrate", "off"], ["--system", "fuse-realtime"]):
+        assert command(["process", "-q", str(log), *options, "-o", str(tmp_path / "o.mcap")]) == 0
+        assert "left-handed: negate x" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("fixed", [True, False])
