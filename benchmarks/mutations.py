@@ -36,7 +36,7 @@ from typing import Any, NamedTuple
 from hiros_mcap.kernels import cache_folder
 
 ROOT = Path(__file__).resolve().parent.parent
-FOLDERS = ("calibrate", "running", "stages", "io", "kernels", "plan", "many", "evaluate")
+FOLDERS = ("calibrate", "rays", "running", "stages", "io", "kernels", "plan", "many", "evaluate")
 OPERATORS: dict[type[ast.AST], tuple[str, str]] = {
     ast.Lt: ("<", "<="), ast.LtE: ("<=", "<"), ast.Gt: (">", ">="), ast.GtE: (">=", ">"),
     ast.Eq: ("==", "!="), ast.NotEq: ("!=", "=="), ast.Add: ("+", "-"), ast.Sub: ("-", "+"),
