@@ -232,14 +232,6 @@ def test_people_who_left_are_forgotten(name, monkeypatch):
 # -- the stages of Hi-ROS --------------------------------------------------------------------------
 
 
-def test_stages_stream():
-    """A stage that is pulled frame by frame, behind another, gives what it gives in one go."""
-    frames: Iterator[Frame] = iter(crossing().frames)
-    for stage in table("hiros", crossing()).values():
-        frames = by_frame(stage)(frames)
-    assert all_same(list(frames), through("TMOF", crossing().frames, crossing()))
-
-
 def test_tracks_move_with_the_room():
     cameras = {name: TURN.apply(place) + SHIFT for name, place in crossing().cameras.items()}
     turned = moved(crossing().frames, TURN, SHIFT)
@@ -250,34 +242,6 @@ def test_tracks_move_with_the_room():
         assert np.allclose(
             here.links[:, :, 7:], there.links[:, :, 7:], rtol=1e-6, atol=1e-6, equal_nan=True
         )
-
-
-def test_merged_people_move_with_the_room():
-    result = list(merge(moved(tracked(), TURN, SHIFT), crossing().model))
-    expected = moved(list(merge(tracked(), crossing().model)), TURN, SHIFT)
-    for here, there in zip(expected, result, strict=True):
-        assert np.allclose(here.markers, there.markers, rtol=1e-6, atol=1e-6, equal_nan=True)
-        dots = np.abs(np.sum(here.orientations * there.orientations, axis=-1))
-        assert np.nanmin(dots, initial=1.0) > 1 - 1e-9
-
-
-def names_of(one, other, rows):
-    """Pairs of ids that the same detections have in two results."""
-    return {
-        (a, b)
-        for here, there, order in zip(one, other, rows, strict=True)
-        for a, b in zip(here.ids[order].tolist(), there.ids.tolist(), strict=True)
-    }
-
-
-def test_the_order_of_detections_only_changes_names():
-    rows = [list(range(frame.n_people))[::-1] for frame in crossing().frames]
-    turned = [frame.select(order) for frame, order in zip(crossing().frames, rows, strict=True)]
-    result = through("T", turned, crossing())
-    sorted_rows = [list(range(f.n_people))[::-1] for f in result]
-    names = names_of(tracked(), result, sorted_rows)
-    assert len(names) == len({a for a, _ in names}) == len({b for _, b in names})
-    assert all((a == -1) == (b == -1) for a, b in names)
 
 
 def test_the_order_of_cameras_at_one_instant_does_not_matter():

@@ -7,20 +7,17 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from builders import at_once, moved, room, same
+from builders import at_once, room, same
 from scipy.spatial.transform import Rotation
 
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import evaluate
 from hiros_mcap.evaluate.logs import read_channel
-from hiros_mcap.frames import by_frame
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.stages.known_cameras import KnownCameras
-from hiros_mcap.stages.lee.cluster import cluster_blocks
 from hiros_mcap.systems import SYSTEMS, Run, chain_of
 
 VARIANTS = ("lee-a1", "lee-a2", "lee-a3", "lee-a4", "lee")
-cluster = by_frame(cluster_blocks)
 
 TURN, SHIFT = Rotation.from_euler("xyz", [0.3, -0.5, 1.2]), np.array([3.0, -1.0, 0.5])
 
@@ -93,20 +90,3 @@ def test_one_person_is_merged_as_in_the_paper(walking, tmp_path):
     assert {int(i) for frame in merged for i in frame.ids} == {0}
     assert len(merged) > 40
     assert len({frame.stamp for frame in merged}) == len(merged)
-
-
-@pytest.mark.parametrize("system", VARIANTS)
-def test_the_room_may_turn_and_shift(system):
-    expected = moved(usual(system), TURN, SHIFT)
-    result = after_tracking(system, moved(tracked(), TURN, SHIFT))
-    for here, there in zip(expected, result, strict=True):
-        assert np.allclose(here.positions, there.positions, atol=1e-6, equal_nan=True)
-
-
-def test_merging_streams():
-    """Pulled one by one, instants come as early as in one go."""
-    pulled = []
-    for frame in cluster(iter(tracked()), pair().model):
-        pulled.append(frame)
-        assert frame.log_time >= max(f.log_time for f in pulled)
-    assert len(pulled) > 80

@@ -98,39 +98,11 @@ def test_channels_have_rates_and_times(kind, tmp_path):
     assert (j.type, j.encoding, j.messages, j.seconds) == ("", "json", 1, 0.0)
 
 
-def test_the_rate_of_a_camera_is_that_of_its_steady_messages(crossing):
-    for camera in overview_of(crossing).cameras:
-        assert camera.rate_hz == pytest.approx(29.5, abs=1)
-
-
 def test_an_empty_mcap_is_shown(tmp_path, capsys):
     with McapWriter(tmp_path / "empty.mcap") as writer:
         writer.commit()
     assert run(["info", str(tmp_path / "empty.mcap")]) == 0
     assert "nothing to process" in capsys.readouterr().out
-
-
-def test_foreign_channels_beside_skeletons_do_no_harm(crossing, tmp_path):
-    log = tmp_path / "mixed.mcap"
-    with McapReader(crossing) as reader, log.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        pose = writer.register_channel(
-            "/pose", "json", writer.register_schema("foxglove.Pose", "jsonschema", b"{}")
-        )
-        idents: dict[int, int] = {}
-        for channel in reader.channels.values():
-            schema = reader.schema(channel)
-            assert schema is not None
-            known = writer.register_schema(schema.name, schema.encoding, schema.data)
-            idents[channel.id] = writer.register_channel(channel.topic, "cdr", known)
-        for message in reader.messages():
-            own = idents[message.channel_id]
-            writer.add_message(own, message.log_time, bytes(message.data), message.log_time)
-            writer.add_message(pose, message.log_time, b"{}", message.log_time)
-        writer.finish()
-    assert overview_of(log).kind == "recording"
-    assert run(["process", str(log), "-o", str(tmp_path / "out.mcap"), "-q"]) == 0
 
 
 @pytest.fixture(scope="module")

@@ -47,14 +47,6 @@ def test_a_pipe_in_and_a_pipe_out(crossing):
     assert b"camera_0" in done.stderr  # the summary
 
 
-def test_quiet_prints_nothing(crossing):
-    with crossing.open("rb") as file:
-        done = subprocess.run(
-            [*HIROS, "process", "-", "-o", "-", "-q"], stdin=file, capture_output=True, check=True
-        )
-    assert done.stderr == b""
-
-
 def test_a_reader_that_has_seen_enough(crossing):
     with crossing.open("rb") as file:
         run = subprocess.Popen(

@@ -127,6 +127,7 @@ REFUSED = [
     ("process walk.mcap -o out.mcap --limbs l.toml --save-limbs l.toml", "l.toml: is an input"),
     ("process walk.mcap -o c.toml --config c.toml", "c.toml: is an input"),
     ("process walk.mcap -o walk.mcap --force", "walk.mcap: is an input"),
+    ("process walk.mcap -o notes.html", "notes.html: exists and is not a log of hiros"),
     ("compare walk.mcap --system raw --html walk.mcap", "walk.mcap: is an input"),
     ("compare walk.mcap --system raw --rrd walk.mcap", "walk.mcap: is an input"),
     ("compare walk.mcap --system raw --html a --rrd a", "a: would be written twice"),

@@ -116,12 +116,6 @@ def test_keep_nothing_copies_nothing(walking, tmp_path):
     assert sorted(counts(target)) == CHANNELS
 
 
-def test_saved_limbs_can_be_loaded(walking, tmp_path):
-    limbs, target = tmp_path / "limbs.toml", tmp_path / "out.mcap"
-    assert run(["process", str(walking), "-o", str(target), "--save-limbs", str(limbs), "-q"]) == 0
-    assert run(["process", str(walking), "-o", str(target), "--limbs", str(limbs), "-q"]) == 0
-
-
 @pytest.mark.parametrize(
     "options",
     [
@@ -200,25 +194,6 @@ def test_bad_input_is_one_line_and_no_output(kind, walking, tmp_path, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
 
 
-def test_no_transforms_is_one_line_that_names_the_way_out(walking, tmp_path, capsys):
-    source, target = tmp_path / "in.mcap", tmp_path / "out.mcap"
-    with walking.open("rb") as old, source.open("wb") as file:
-        reader, writer = make_reader(old), Writer(file)
-        writer.start("ros2")
-        ids: dict[str, int] = {}
-        for schema, channel, message in reader.iter_messages():
-            if channel.topic.startswith("/camera"):
-                if channel.topic not in ids:
-                    known = writer.register_schema(schema.name, schema.encoding, schema.data)
-                    ids[channel.topic] = writer.register_channel(channel.topic, "cdr", known)
-                writer.add_message(
-                    ids[channel.topic], message.log_time, message.data, message.publish_time
-                )
-        writer.finish()
-    assert "--extrinsics" in refused(capsys, "process", source, "-o", target)
-    assert not target.exists()
-
-
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -276,23 +251,6 @@ def test_no_transforms_is_one_line_that_names_the_way_out(walking, tmp_path, cap
 def test_a_wrong_option_is_one_line_and_no_output(options, said, whole_walking, tmp_path, capsys):
     assert said in refused(capsys, "process", whole_walking, "-o", tmp_path / "out.mcap", *options)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_input_is_never_the_output(walking, tmp_path, capsys):
-    source = tmp_path / "in.mcap"
-    source.write_bytes(walking.read_bytes())
-    (tmp_path / "link.mcap").symlink_to(source)
-    assert "is an input" in refused(capsys, "process", source, "-o", tmp_path / "link.mcap")
-    assert source.read_bytes() == walking.read_bytes()
-
-
-def test_somebody_elses_file_is_not_replaced(walking, tmp_path, capsys):
-    target = an_mcap(tmp_path / "precious.mcap")
-    before = target.read_bytes()
-    assert "--force" in refused(capsys, "process", walking, "-o", target)
-    assert target.read_bytes() == before
-    assert run(["process", str(walking), "-o", str(target), "--force", "-q"]) == 0
-    assert "/hiros/merged" in counts(target)
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write anywhere")

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from detector_logs import store_of
 from generators import same
 from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import (
@@ -17,7 +18,7 @@ from rosbags.interfaces import (
     QosReliability,
     QosTime,
 )
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores
 
 import hiros_schemas
 from hiros_cli.app import run
@@ -33,6 +34,7 @@ from hiros_mcap.running.pipeline import process
 pytestmark = pytest.mark.usefixtures("nothing_left")
 SKELETONS, TF = hiros_schemas.SKELETON_GROUP, hiros_schemas.TF_MESSAGE
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "one_person_walking.mcap"
+TEXTS = {name: hiros_schemas.text(name) for name in (SKELETONS, TF)}
 ENDLESS = QosTime(9223372036, 854775807)
 LATCHED = Qos(
     QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL, ENDLESS,
@@ -59,16 +61,8 @@ def messages():
     return [*found[:80], ("/chatter", "std_msgs/msg/String", found[79][2], text)]
 
 
-def store_of(base):
-    store = get_typestore(base)
-    for name in (SKELETONS, TF):
-        types = get_types_from_msg(hiros_schemas.text(name), name)
-        store.register({k: v for k, v in types.items() if k not in store.fielddefs})
-    return store
-
-
 def rosbag2_folder(folder, messages, version, plugin):
-    store = store_of(Stores.ROS2_HUMBLE)
+    store = store_of(TEXTS)
     with rosbag2.Writer(folder, version=version, storage_plugin=plugin) as writer:
         connections = {}
         for topic, name, time, data in messages:
@@ -94,7 +88,7 @@ def bare_db3(folder, messages):
 
 
 def ros1_bag(folder, messages):
-    ros1, ros2 = store_of(Stores.ROS1_NOETIC), store_of(Stores.ROS2_HUMBLE)
+    ros1, ros2 = store_of(TEXTS, Stores.ROS1_NOETIC), store_of(TEXTS)
     path = folder / "lab.bag"
     with rosbag1.Writer(path) as writer:
         connections = {}

@@ -5,12 +5,9 @@ from __future__ import annotations
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from text_readers import READERS, odd_text
+from text_readers import READERS, WORDS_OF_OTHERS, odd_text
 
 from hiros_mcap.errors import HirosError
-
-WORDS_OF_OTHERS = {"events", "report"}
-"""Their callers name the attachment, for any ValueError."""
 
 
 @pytest.mark.parametrize("name", READERS)

@@ -10,7 +10,7 @@ import threading
 import time
 import tracemalloc
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -62,7 +62,6 @@ LIVE = ProcessOptions(system="hiros-realtime")
 AS_KNOWN = load_config(None, ["output.log_time=causal"], system="hiros-realtime")
 """Results of a file are logged when they were known, as live ones are."""
 Messages = dict[str, list[tuple[int, bytes]]]
-Sent = Sequence[tuple[str, Message]]
 
 
 def recorded(path):
@@ -181,16 +180,6 @@ def test_what_came_while_a_run_was_busy_is_handed_out_together(paced, most, cros
     assert sum(n) == sum(reader.counts.values()) == len(recorded(crossing))
 
 
-def test_a_recording_in_chunks_gives_the_same(crossing, by_file):
-    def write(descriptor):
-        data = memoryview(crossing.read_bytes())
-        while data:
-            data = data[os.write(descriptor, data) :]
-
-    _, out = run_live(write)
-    assert results(out) == by_file
-
-
 def test_the_input_is_copied(crossing):
     sent = recorded(crossing)
     _, out = run_live(send(crossing, sent))
@@ -277,21 +266,16 @@ def test_without_transforms_it_gives_up_with_the_remedy(crossing):
         run_live(send(crossing, sent))
 
 
-def test_an_input_that_is_cut_off_gives_what_came(crossing, by_file):
-    sent = recorded(crossing)
-    summary, out = run_live(send(crossing, sent, commit=False))
-    assert results(out) == by_file
-    assert len(summary.warnings) == 1
-    assert "without its end mark" in summary.warnings[0]
-
-
-def test_a_message_that_is_cut_off_is_left_out(crossing):
+@pytest.mark.parametrize("end", [b"", b"\x05" + (1000).to_bytes(8, "little") + b"only a part"])
+def test_an_input_that_is_cut_off_gives_what_came(end, crossing, by_file):
     def write(descriptor):
         send(crossing, recorded(crossing), commit=False)(descriptor)
-        os.write(descriptor, b"\x05" + (1000).to_bytes(8, "little") + b"only a part")
+        os.write(descriptor, end)
 
-    summary, _ = run_live(write)
-    assert "without its end mark" in summary.warnings[0]
+    summary, out = run_live(write)
+    assert results(out) == by_file
+    (warning,) = summary.warnings
+    assert "without its end mark" in warning
 
 
 def test_damage_is_named(crossing):

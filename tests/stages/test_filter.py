@@ -383,30 +383,6 @@ def test_persons_own_time_counts():
     np.testing.assert_allclose(out, times + late, atol=2e-5)
 
 
-def test_never_changes_its_input_and_repeats_itself():
-    rng = np.random.default_rng(10)
-    frames = [frame_at(k / 30, rng.normal(size=3)) for k in range(40)]
-    frames[7].markers[0, 0] = np.nan
-    copies = [(f.markers.copy(), f.links.copy(), f.log_time) for f in frames]
-    first = list(filter_frames(frames, MODEL, FilterParams()))
-    second = list(filter_frames(frames, MODEL, FilterParams()))
-    for f, (markers, links, log_time) in zip(frames, copies, strict=True):
-        np.testing.assert_array_equal(f.markers, markers)
-        np.testing.assert_array_equal(f.links, links)
-        assert f.log_time == log_time
-    for a, b in zip(first, second, strict=True):
-        assert a.markers.tobytes() == b.markers.tobytes()
-
-
-def test_shift_moves_the_result():
-    rng = np.random.default_rng(11)
-    points = rng.normal(size=(40, 3))
-    here = [frame_at(k / 30, p, p + np.array((0, 0.3, 0))) for k, p in enumerate(points)]
-    there = [frame_at(k / 30, p + 5, p + np.array((5, 5.3, 5))) for k, p in enumerate(points)]
-    for a, b in zip(filter_frames(here, MODEL), filter_frames(there, MODEL), strict=True):
-        np.testing.assert_allclose(a.markers[0, :, :3] + 5, b.markers[0, :, :3], atol=1e-7)
-
-
 @pytest.mark.parametrize("lookahead", LOOKAHEADS)
 def test_swinging_limb_keeps_its_length(lookahead):
     times = np.arange(120) / 30
@@ -450,12 +426,6 @@ def test_cutoff_is_lowered_where_the_rate_is_too_low_for_it():
     out = list(filter_frames(frames, MODEL, params(cutoff=6.0), events))
     assert events.total("filter: cut-off lowered") > 0
     assert np.isfinite([f.markers[0, 0, 0] for f in out]).all()
-
-
-def test_no_frames_and_empty_frames():
-    assert list(filter_frames([], MODEL)) == []
-    nobody = [Frame.empty(0, MODEL, stamp=START + k) for k in range(3)]
-    assert [f.stamp for f in filter_frames(nobody, MODEL)] == [f.stamp for f in nobody]
 
 
 @pytest.mark.parametrize("order", [1, 4])
@@ -608,22 +578,6 @@ def test_straight_motion_has_its_velocity_and_no_acceleration(p, velocity, inter
     middle = list(filter_frames(frames, MODEL, p))[75]
     np.testing.assert_allclose(middle.markers[0, 0, 7:10], velocity, atol=0.01)
     np.testing.assert_allclose(middle.markers[0, 0, 13:16], 0, atol=0.1)
-
-
-@few
-@given(CHOICES, INTERVALS, st.integers(-START, START), st.integers(0, 2**32 - 1))
-def test_shift_of_time_shifts_the_result(p, intervals, shift, seed):
-    points = np.random.default_rng(seed).normal(size=(len(intervals), 3))
-    frames = [frame_at(t, x) for t, x in zip(np.cumsum(intervals), points, strict=True)]
-    later = [
-        f.replace(stamp=f.stamp + shift, stamps=f.stamps + shift, log_time=f.log_time + shift)
-        for f in frames
-        if f.stamp + shift > 0
-    ]
-    found = filter_frames(later, MODEL, p)
-    for a, b in zip(filter_frames(frames, MODEL, p), found, strict=False):
-        np.testing.assert_array_equal(a.markers, b.markers)
-        assert (b.stamp, b.log_time) == (a.stamp + shift, a.log_time + shift)
 
 
 @few

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from builders import moved
-from scipy.spatial.transform import Rotation
 from stick_figures import MODEL, at, person, seen
 
 from hiros_mcap.body.limb_thickness import capsules_of
@@ -156,41 +154,6 @@ def test_an_event_says_who_was_hidden_by_whom_from_where_and_how_long():
     assert (event.stamp, event.kind, event.person, event.source) == (at(ALONE), "hidden", 7, "a")
     assert event.detail == f"behind person 8 for {(BEHIND - 1) / 30:.1f} s"
     assert events.counts["hidden", "a"] > 0
-
-
-def both(frames):
-    """Positions of 7 and 8 after the run, in this order."""
-    return [f.positions[np.argsort(f.ids)] for f in frames_of([run(frames)])]
-
-
-def test_the_order_of_people_does_not_matter():
-    frames = log(raised())
-    np.testing.assert_array_equal(both([f.select([1, 0]) for f in frames]), both(frames))
-
-
-def test_moving_the_room_moves_the_result():
-    turn, shift = Rotation.from_euler("xyz", [0.3, -0.5, 1.2]), np.array([3.0, -1.0, 0.5])
-    cameras = {name: turn.apply(place) + shift for name, place in CAMERAS.items()}
-    there = run(moved(log(raised()), turn, shift), cameras=cameras)
-    here = moved(list(frames_of([run(log(raised()))])), turn, shift)
-    for one, other in zip(frames_of([there]), here, strict=True):
-        np.testing.assert_allclose(one.positions, other.positions, atol=1e-9)
-
-
-@pytest.mark.parametrize("size", [1, 7])
-def test_cutting_into_blocks_changes_nothing(size):
-    frames = log(raised())
-    blocks = [join(list(map(Block.of, frames[k : k + size]))) for k in range(0, len(frames), size)]
-    cut = list(mend_hidden_blocks(blocks, MODEL, None, None, CAMERAS))
-    whole = run(frames)
-    np.testing.assert_array_equal(join(cut).people.markers, whole.people.markers)
-    np.testing.assert_array_equal(join(cut).doubts.variances, whole.doubts.variances)
-
-
-def test_the_input_is_unchanged():
-    frames = log(raised())
-    run(frames)
-    np.testing.assert_array_equal(frames[-1].positions[0], raised())
 
 
 def test_limbs_have_the_radii_of_the_table():

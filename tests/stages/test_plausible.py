@@ -10,7 +10,7 @@ from stick_figures import MIRROR, MODEL, SECOND, at, person, seen
 
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, Doubts, frames_of, join
+from hiros_mcap.frames import Block, Doubts, frames_of
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
 from hiros_mcap.stages.detections.plausible import PlausibleParams, drop_implausible_blocks
@@ -187,16 +187,6 @@ def test_detections_without_an_id_and_without_links_stay():
 def test_without_it_nothing_changes():
     frames = behind([*noisy(KNOWN), squeezed()])
     assert not is_blank(run(frames, limbs=False)[-1])
-
-
-def test_the_cut_into_blocks_does_not_matter():
-    frames = behind([*noisy(KNOWN), *[squeezed()] * 10, *noisy(10)])
-    whole = join([*map(Block.of, frames)])
-    (at_once,) = drop_implausible_blocks([whole], MODEL, None, None, CAMERAS)
-    one_by_one = run(frames)
-    for one, other in zip(views_of([at_once]).frames(), one_by_one, strict=True):
-        np.testing.assert_array_equal(one.positions, other.positions)
-    np.testing.assert_array_equal(at_once.doubts.variances, np.concatenate(doubts(frames)))
 
 
 def test_the_merger_carries_a_person_whose_views_are_left_out():

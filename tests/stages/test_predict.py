@@ -200,11 +200,3 @@ def test_people_do_not_mix_and_strangers_pass():
         for one, two in zip(alone, both, strict=True):
             assert np.array_equal(one.markers[0], two.markers[row], equal_nan=True)
     assert np.array_equal(both[-1].markers[2], frames[-1].markers[2], equal_nan=True)
-
-
-def test_the_input_is_unchanged():
-    frames = stream(np.arange(5.0))
-    before = [frame.markers.copy() for frame in frames]
-    list(predict(frames, MODEL))
-    for frame, markers in zip(frames, before, strict=True):
-        assert np.array_equal(frame.markers, markers, equal_nan=True)

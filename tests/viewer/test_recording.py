@@ -18,7 +18,7 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side, symmetry_of
 from hiros_mcap.body.transforms import transform_to_fixed
 from hiros_mcap.defaults import LEAST_CONFIDENCE
-from hiros_mcap.errors import ConfigError, HirosError
+from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.logs import evaluate_log, read_channel
 from hiros_mcap.evaluate.truth_files import load_truth
 from hiros_mcap.io.channels import add_skeleton_channel
@@ -689,17 +689,6 @@ def test_a_mirrored_view_is_marked_and_listed(processed, tmp_path, monkeypatch):
     assert "/wrong_view/camera_1/mirrored" in entities(target)
 
 
-def test_a_time_range(processed, tmp_path):
-    target = tmp_path / "part.rrd"
-    arguments = ["view", str(processed), "--time-range", "1:2", "--save", str(target), "-q"]
-    assert run(arguments) == 0
-    with open_log(processed) as log:
-        start = log.span[0]
-    stamps = np.array(sorted(rows(target, "/filtered/person_0", "Points3D:positions")))
-    assert stamps[0] >= start + 1_000_000_000
-    assert stamps[-2] <= start + 2_000_000_000
-
-
 def test_a_time_range_has_its_results_though_they_were_logged_much_later(processed, tmp_path):
     """A system may wait until it knows limbs; nobody may be there meanwhile."""
     late, target = tmp_path / "late.mcap", tmp_path / "late.rrd"
@@ -933,13 +922,6 @@ def test_logs_without_a_common_stage_are_refused_in_one_line(crossing, processed
     assert "do not both hold a stage" in capsys.readouterr().err
 
 
-def test_a_raw_recording_is_drawn_too(crossing, tmp_path):
-    target = tmp_path / "raw.rrd"
-    assert run(["view", str(crossing), "--save", str(target), "-q", "--layout", "cameras"]) == 0
-    assert "/detections/camera_1" in entities(target)
-    assert "/filtered/person_0" not in entities(target)
-
-
 def test_frames_are_drawn_many_at_a_time_and_in_their_own_order(processed, monkeypatch):
     """So memory stays bounded, and rerun is called seldom."""
     for name, value in (("BATCH", 30), ("_FIRST_BATCH", 30), ("HORIZON_NS", 1_000_000_000)):
@@ -1051,15 +1033,6 @@ def test_nothing_listens_where_it_should_connect():
         connect(f"rerun+http://127.0.0.1:{free_port()}/proxy", "x", lambda recording: None)
     with pytest.raises(ConfigError, match="not of the form"):
         connect("http://127.0.0.1", "x", lambda recording: None)
-
-
-def test_a_damaged_list_of_events_is_told(processed):
-    from hiros_mcap.events import events_from_json
-
-    for text in ("{", "[1]", '[{"stamp": 1}]'):
-        with pytest.raises((ValueError, TypeError)):
-            events_from_json(text)
-    assert issubclass(ConfigError, HirosError)
 
 
 def test_systems_are_overlaid_each_in_its_own_tree(walking, tmp_path):
