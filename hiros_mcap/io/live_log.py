@@ -92,8 +92,8 @@ class LiveReading(Reading):
         )
         faults = (*self._refused.values(), self.log.reader.source.fault)
         faulty = (f"{topic}: not used: {fault}" for topic, fault in self._faulty.items())
-        late = self._late_joints()
-        return (*super().warnings, *waiting, *filter(None, faults), *faulty, *late)
+        late, lenses = self._late_joints(), self.log.conversion.seen_lenses.changes.values()
+        return (*super().warnings, *waiting, *filter(None, faults), *faulty, *late, *lenses)
 
     def _late_joints(self) -> Iterator[str]:
         """Yield which joints came too late for the results."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from itertools import groupby, pairwise
 from typing import NamedTuple
 
@@ -33,7 +34,7 @@ from hiros_mcap.io.detectors.keypoint_messages import (
 from hiros_mcap.io.detectors.rgb_keypoints import RgbRig, keypoints_of_guess
 from hiros_mcap.io.layout import PUBLISHED
 from hiros_mcap.io.log_accounts import LATEST
-from hiros_mcap.io.ros_messages import CAMERA_INFO, intrinsics_of, open_messages
+from hiros_mcap.io.ros_messages import CAMERA_INFO, SeenLenses, open_messages
 from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame
 from hiros_mcap.rays.rig_refinement import MOST_S, STRETCHES, RayRig, refine_rig
@@ -42,10 +43,6 @@ from hiros_mcap.skeletons import SECOND, SkeletonModel
 from hiros_mcap.wording import quantity
 
 _EVER = (0, 2**63 - 1)
-_STAMPED = 12
-"""Bytes of a message before what is the same in every CameraInfo of a lens."""
-_ZOOM = 0.02
-"""Share of a focal length by which no focusing changes it."""
 _POOR_PX = 25.0  # median reprojection error beyond which poses, lenses or sizes are wrong
 _SHAPE_PX = 10.0
 """Median distance up to which poses stay as given where depths are guessed: so is the shape of the
@@ -79,15 +76,17 @@ def read_rgb_cameras(
     Raises LogError if the log cannot be read.
     """
     infos = _channels(reader, selects, guessed)
-    lenses, changes = _lenses(reader) if infos else ({}, {})
-    lenses |= dict.fromkeys(guessed.turns, LENS)
+    seen = _lenses(reader) if infos else SeenLenses()
+    lenses = seen.lenses | dict.fromkeys(guessed.turns, LENS)
     cameras: dict[str, RgbCamera] = {}
     for info in infos:
         model = guessed.models.get(info.topic) or joint_model(info)
         for name, frames in _frames_of(reader, info, model, lenses, guessed, span, step).items():
             if name not in lenses:
                 continue
-            camera = RgbCamera(info.topic, name, lenses[name], model, [], changes.get(name, ""))
+            camera = RgbCamera(
+                info.topic, name, lenses[name], model, [], seen.changes.get(name, "")
+            )
             cameras.setdefault(name, camera).frames.extend(frames)
     return [camera._replace(frames=_together(camera.frames)) for camera in cameras.values()]
 
@@ -159,36 +158,14 @@ def guessed_depth(
     return GuessedDepth(dict.fromkeys((c.channel.topic for c in channels), model), turns)
 
 
-def _lenses(reader: McapReader) -> tuple[dict[str, Intrinsics], dict[str, str]]:
-    """Return the first lens of each optical frame, and how it changes during the log if it does."""
-    lenses: dict[str, Intrinsics] = {}
-    changes: dict[str, str] = {}
+def _lenses(reader: McapReader) -> SeenLenses:
+    """Return what a log tells of lenses."""
+    seen = SeenLenses()
     with open_messages(reader) as messages:
         topics = [topic for topic, kind in messages.types.items() if kind == CAMERA_INFO]
-        latest: dict[str, tuple[bytes, int]] = {}
-        firsts: dict[str, Intrinsics] = {}
         for raw in messages.read(topics):
-            content, due = latest.get(raw.topic, (b"", 0))
-            if raw.log_time < due or bytes(raw.data[_STAMPED:]) == content:
-                continue
-            latest[raw.topic] = bytes(raw.data[_STAMPED:]), raw.log_time + SECOND
-            with suppress(LogError):  # of a depth camera, say, that nobody calibrated
-                info = messages.decode(raw)
-                name, lens = info.header.frame_id, intrinsics_of(info, raw.topic)
-                if raw.topic not in firsts:
-                    firsts[raw.topic] = lenses[name] = lens
-                elif name not in changes and (text := _change(firsts[raw.topic], lens)):
-                    changes[name] = f"{raw.topic}: the lens of {name} changes, {text}"
-    return lenses, changes
-
-
-def _change(first: Intrinsics, lens: Intrinsics) -> str:
-    """Say how a lens differs from the first one; "" if that is a detail of focusing."""
-    if lens.size != first.size:
-        return "its image from {} x {} to {} x {} px".format(*first.size, *lens.size)
-    if abs(lens.focal - first.focal) > _ZOOM * first.focal:
-        return f"its focal length from {first.focal:.0f} to {lens.focal:.0f} px"
-    return ""
+            seen.take(raw.topic, raw.log_time, raw.data, partial(messages.decode, raw))
+    return seen
 
 
 def poses_of(
@@ -404,8 +381,7 @@ def _warnings(
     found: RayRig, infos: Sequence[ChannelInfo], cameras: Sequence[RgbCamera], is_moved: bool
 ) -> Iterator[str]:
     """Yield reasons to doubt the skeletons of RGB cameras."""
-    for change in dict.fromkeys(camera.change for camera in cameras if camera.change):
-        yield f"{change}; hiros takes the first one throughout, so split the log there"
+    yield from dict.fromkeys(camera.change for camera in cameras if camera.change)
     lensed = {camera.topic for camera in cameras}
     if bare := [info.topic for info in infos if info.topic not in lensed]:
         n = quantity(sum(i.count for i in infos if i.topic in bare), "message")

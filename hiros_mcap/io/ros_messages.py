@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -188,6 +188,55 @@ def intrinsics_of(info: Any, topic: str) -> Intrinsics:
         fault = f"its CameraInfo has {n} coefficients of the lens model {name!r}"
         raise LogError(f"{fault}; hiros reads {known}", topic=topic)
     return Intrinsics((int(info.width), int(info.height)), matrix, distortion, model)
+
+
+_STAMPED = 12
+"""Bytes of a message before what is the same in every CameraInfo of a lens."""
+_ZOOM = 0.02
+"""Share of a focal length by which no focusing changes it."""
+
+
+class SeenLenses:
+    """What messages of CameraInfo tell.
+
+    Attributes
+    ----------
+    lenses : the first lens of each optical frame.
+    changes : how it changes later, if it does, as a warning.
+    """
+
+    def __init__(self) -> None:
+        self.lenses: dict[str, Intrinsics] = {}
+        self.changes: dict[str, str] = {}
+        self._firsts: dict[str, Intrinsics] = {}
+        self._latest: dict[str, tuple[bytes, int]] = {}
+        """Topic -> content, and when another one is looked at: an autofocus changes it always."""
+
+    def take(self, topic: str, log_time: int, data: Cdr, decode: Callable[[], Any]) -> None:
+        """Take a message, which is decoded if it tells something new."""
+        content, due = self._latest.get(topic, (b"", 0))
+        if log_time < due or bytes(data[_STAMPED:]) == content:
+            return
+        self._latest[topic] = bytes(data[_STAMPED:]), log_time + SECOND
+        with suppress(LogError):  # of a depth camera, say, that nobody calibrated
+            info = decode()
+            name, lens = info.header.frame_id, intrinsics_of(info, topic)
+            if topic not in self._firsts:
+                self._firsts[topic] = self.lenses[name] = lens
+            elif name not in self.changes and (text := _change(self._firsts[topic], lens)):
+                self.changes[name] = (
+                    f"{topic}: the lens of {name} changes, {text}; hiros takes the first one "
+                    "throughout, so split the log there"
+                )
+
+
+def _change(first: Intrinsics, lens: Intrinsics) -> str:
+    """Say how a lens differs from the first one; "" if that is a detail of focusing."""
+    if lens.size != first.size:
+        return "its image from {} x {} to {} x {} px".format(*first.size, *lens.size)
+    if abs(lens.focal - first.focal) > _ZOOM * first.focal:
+        return f"its focal length from {first.focal:.0f} to {lens.focal:.0f} px"
+    return ""
 
 
 def is_depth(message: Any) -> bool:

@@ -7,7 +7,9 @@ import pytest
 from hiros_cli.app import run
 from hiros_mcap.evaluate.logs import evaluate_channels, find_truth, read_results
 from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
+from hiros_mcap.io.container.live_input import McapInput
 from hiros_mcap.io.detectors.keypoint_messages import add_camera_info
+from hiros_mcap.io.live_log import open_live
 from hiros_mcap.io.log import open_log
 from hiros_mcap.io.rgb_cameras import read_rgb_cameras
 from hiros_mcap.rays.intrinsics import Intrinsics
@@ -70,6 +72,10 @@ def test_a_lens_that_changes_is_a_warning(size, zoom, said, log, tmp_path):
         found = [text for text in opened.warnings if "the lens of" in text]
     assert len(found) == len(said)
     assert all(part in text for part, text in zip(said, found, strict=True))
+    with path.open("rb") as file, open_live(McapInput(file.fileno(), "live")) as live:
+        reading = live.read()
+        list(reading.frames())
+    assert [text for text in reading.warnings if "the lens of" in text] == found
 
 
 def test_a_result_of_rgb_cameras_says_how_it_was_made(log, tmp_path, capsys):

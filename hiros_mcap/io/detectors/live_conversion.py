@@ -36,7 +36,7 @@ from hiros_mcap.io.detectors.model_fitting import chosen_model
 from hiros_mcap.io.detectors.rgb_keypoints import RgbRig
 from hiros_mcap.io.detectors.skeleton_groups import SkeletonGroups
 from hiros_mcap.io.ros_cdr import RosMessage
-from hiros_mcap.io.ros_messages import intrinsics_of
+from hiros_mcap.io.ros_messages import SeenLenses
 from hiros_mcap.rays.skeleton_rays import LENS, GuessedDepth, looking_at
 
 _PROBED = 100
@@ -68,11 +68,11 @@ class LiveConversion(Conversion):
     ) -> None:
         super().__init__(reader, Selection(selects=selects), (), {})
         self._guessed, self._rays = GuessedDepth({}, {}), frozenset(rays)
-        self._rig = RgbRig(tree or TransformTree(), "", {}, {}, guessed=self._guessed)
+        self.seen_lenses = SeenLenses()
+        lenses = self.seen_lenses.lenses
+        self._rig = RgbRig(tree or TransformTree(), "", lenses, {}, guessed=self._guessed)
         self._teaches: dict[int, tuple[str, ChannelInfo]] = {}
         """Channel -> what of the RGB cameras it tells."""
-        self._lenses: set[int] = set()
-        """Channels of CameraInfo that were read."""
         self._live = reader
         self._read_as: dict[int, InputChannel | None] = {}
         """Channel -> how it is read, None = it stays as it is."""
@@ -120,11 +120,11 @@ class LiveConversion(Conversion):
         with suppress(LogError):
             if kind == "pose" and not self._rig.tree.source:
                 add_transforms(self._rig.tree, info.topic, message.data, message.log_time)
-            elif kind == "lens" and ident not in self._lenses:
-                source = source_of(self._live, info, selected=True)
-                lens = source.message(message).fields
-                self._lenses.add(ident)
-                self._rig.lenses[lens.header.frame_id] = intrinsics_of(lens, info.topic)
+            elif kind == "lens":
+                source = source_of(self._live, info, selected=True).message(message)
+                self.seen_lenses.take(
+                    info.topic, message.log_time, source.cdr, lambda: source.fields
+                )
         if kind and self.rgb.rig is None:
             self._stand()
 
