@@ -20,11 +20,11 @@ from pathlib import Path
 
 import numpy as np
 from scenes import params_of, use_detector
+from side_scores import ALONG, WALKING, FacingTrack, facing_tracks, side_scores
 
 from hiros_mcap.body.transforms import Transform, TransformTree, transform_to_fixed
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate.logs import read_channel
-from hiros_mcap.evaluate.side_scores import ALONG, WALKING, FacingTrack, facing_tracks, side_scores
 from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.simulate import simulate

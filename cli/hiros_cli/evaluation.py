@@ -133,7 +133,6 @@ def _print_self(output: Output, scores: SelfScores, notes: Iterable[str]) -> Non
             else []
         ),
         ["Result of all cameras:", f"people: {people}", *score_tables.lines_of(result)],
-        ("Left and right of this result", score_tables.side_table(scores.sides)),
         *(joints.items() if output.joints else ()),
         notes=notes,
     )

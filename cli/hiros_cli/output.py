@@ -47,7 +47,7 @@ SCHEMA_VERSIONS: Mapping[str, int] = {
     "process": 1,
     "info": 1,
     "eval": 1,
-    "eval.self": 2,
+    "eval.self": 3,
     "compare": 2,
     "check": 1,
     "recover": 2,

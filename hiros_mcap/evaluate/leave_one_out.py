@@ -20,7 +20,6 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.logs import Consistency, consistency
 from hiros_mcap.evaluate.match import match
 from hiros_mcap.evaluate.reprojection import ImageScores, image_scores, reprojection
-from hiros_mcap.evaluate.side_scores import SideScores, side_scores
 from hiros_mcap.evaluate.statistics import (
     ErrorStats,
     mean_of,
@@ -66,7 +65,6 @@ class SelfScores:
     disagreement: Mapping[tuple[str, str], float]
     """Median distance between the same joint in two cameras at one time, mm. Both are compared
     with the result of all, so the motion between their exposures does not count."""
-    sides: SideScores  # left and right of the result of all cameras
     images: tuple[ImageScores, ...] = ()  # of the RGB cameras
 
 
@@ -103,14 +101,12 @@ def leave_one_out(
     everybody = _fused(recording, config, options, frames_of)
     cameras, _ = leave_each_out(recording, frames_of, config, options, progress)
     residuals = {topic: _residuals(frames, everybody, model) for topic, frames in frames_of.items()}
-    mirrored = {topic: int(each.mirrored.sum()) for topic, each in residuals.items()}
     return SelfScores(
         consistency=consistency(everybody, model),
         cameras=cameras,
         disagreement={
             (a, b): _disagreement(residuals[a], residuals[b]) for a, b in combinations(frames_of, 2)
         },
-        sides=side_scores(everybody, model, mirrored),
         images=_images(source, recording, everybody, config, options),
     )
 

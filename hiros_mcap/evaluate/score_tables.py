@@ -11,11 +11,10 @@ from hiros_mcap.evaluate import measures
 from hiros_mcap.evaluate.comparison import Outcome
 from hiros_mcap.evaluate.leave_one_out import LeftOut, SelfScores
 from hiros_mcap.evaluate.logs import Consistency
-from hiros_mcap.evaluate.measures import SELF, Measure, Rows, Sheet, Table, table_of, text_of
+from hiros_mcap.evaluate.measures import SELF, Measure, Sheet, Table, table_of, text_of
 from hiros_mcap.evaluate.remarks import other_clock
 from hiros_mcap.evaluate.reprojection import ImageScores
 from hiros_mcap.evaluate.scores import Scores
-from hiros_mcap.evaluate.side_scores import SideScores
 from hiros_mcap.evaluate.statistics import AngleStats, ErrorStats
 from hiros_mcap.wording import number
 
@@ -118,27 +117,6 @@ def lines_of(result: Consistency) -> list[str]:
 def notes_without_truth(scores: SelfScores) -> list[str]:
     """Return what a reader of scores without a truth has to know."""
     return [TWO_CAMERAS] if len(scores.cameras) == 2 else []
-
-
-SIGNS = "Signs, no errors: people may walk backwards, and a detector may turn every head aside."
-
-
-def side_table(sides: SideScores) -> Table:
-    """Signs that left and right of a result are wrong, a row each."""
-    walking = max(sides.walking, 1)
-    rows: Rows = [
-        (f"{camera}: mirrored detections", str(n), "") for camera, n in sides.mirrored.items()
-    ]
-    share = number(100 * sides.backwards / walking, 1, " %")
-    rows += [
-        ("frames that walk backwards", str(sides.backwards), f"{share} of {sides.walking}"),
-        ("turns by more than 100 degrees between frames", str(sides.jumps), ""),
-    ]
-    rows += [
-        (f"{cue} against the facing", "", number(100 * value, 1, " %"))
-        for cue, value in sides.contradicting.items()
-    ]
-    return ("Sign", "Number", "Share"), rows
 
 
 def system_sheets(outcomes: Sequence[Outcome]) -> list[Sheet]:

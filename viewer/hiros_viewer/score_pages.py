@@ -133,8 +133,6 @@ def self_page(log: Path, scores: SelfScores) -> Page:
         [[str(p.id), f"{p.seconds:.1f}", str(p.frames)] for p in result.people],
     )
     page.text("; ".join(score_tables.lines_of(result)))
-    page.heading("Left and right of this result")
-    page.table(*score_tables.side_table(scores.sides), score_tables.SIGNS)
     return page
 
 

@@ -14,8 +14,7 @@ import math
 import numpy as np
 
 from hiros_mcap.body.forward_cues import FacingMarkers
-from hiros_mcap.kernels.array_types import F1, F2, F3
-from hiros_mcap.kernels.compile import entry, inlined, kernel
+from hiros_mcap.kernels.compile import inlined, kernel
 from hiros_mcap.kernels.points import norm3, step_between
 from hiros_mcap.skeletons import Floats, Ints
 
@@ -230,19 +229,3 @@ def upright(axes: Floats, up: Floats) -> float:
         return 0.0
     cosine = component(up[0], up[1], up[2], axes, 2) / length
     return ramp(cosine, _TILTED, _UPRIGHT)
-
-
-@entry
-def find_upright(velocities: F2, axes: F3, up: F1, out: F1) -> None:
-    """Write how upright (N,) the trunks of a whole log are.
-
-    Parameters
-    ----------
-    velocities : (N, 3) m/s; NaN = not known.
-    axes : (N, 3, 3) of the people.
-    up : (4,) zeros; brought to what all of them show.
-    """
-    for i in range(len(out)):
-        learn_up((velocities[i, 0], velocities[i, 1], velocities[i, 2]), axes[i], up)
-    for i in range(len(out)):
-        out[i] = upright(axes[i], up)

@@ -11,7 +11,7 @@ from hiros_mcap.body.forward_cues import CUES, FacingMarkers
 from hiros_mcap.frames import Block, join
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.detections.body_axes import find_upright
+from hiros_mcap.stages.detections.body_axes import learn_up, upright
 from hiros_mcap.stages.detections.facing_evidence import (
     FacingPast,
     FacingTables,
@@ -99,11 +99,13 @@ def _measured(people: People, stamps: Stamps, model: SkeletonModel) -> MeasuredV
 
 def _walking(velocity: Floats, axes: Floats) -> Floats:
     """(N, 3) What of the velocity is at a right angle to an upright trunk, m/s; NaN for others."""
-    upright = np.empty(len(axes))
-    find_upright(velocity, axes, np.zeros(4), upright)
+    up = np.zeros(4)
+    for v, trunk_axes in zip(velocity, axes, strict=True):
+        learn_up((v[0], v[1], v[2]), trunk_axes, up)
+    is_upright = np.array([upright(trunk_axes, up) for trunk_axes in axes])
     trunk = axes[:, 2]
     across = velocity - (velocity * trunk).sum(axis=1, keepdims=True) * trunk
-    return np.where(upright[:, None] > 0.5, across, np.nan)
+    return np.where(is_upright[:, None] > 0.5, across, np.nan)
 
 
 def side_scores(
