@@ -420,7 +420,7 @@ def test_each_cue_speaks_for_whom_it_fits():
     assert limb_cue(cues(9, 5.0, 0.0, n=0.0), old, LEGS) == 0.0
     assert place_cue(cues(9, 2.0, 0.0), old) > 0 > place_cue(cues(9, 2.0, 6.0), old)
     assert place_cue(cues(9, 0.1, 2.0), old) == -math.inf
-    assert place_cue(cues(9, -0.4, 0.0), old) == -math.inf
+    assert place_cue(cues(9, -0.6, 0.0), old) == -math.inf
     assert place_cue(cues(9, -0.2, 0.0), old) > 0
 
 

@@ -176,24 +176,27 @@ class Identities:
         scatter.keep(self._people.bank.rows)
         self._places = {n: places[n] for n in places if n in self._people.bank.rows}
 
-    def _is_unseen_since(self, person: PersonTrack, track: PersonTrack) -> bool:
-        """Whether a person was last seen before a track began, and not for a while.
+    def _latest(self, person: PersonTrack, track: PersonTrack) -> int:
+        """Return when a person was last seen, at most, who may be a track, ns.
 
         If cameras disagree for a moment, the old track may still be seen after the new one began.
         No camera then shows both.
         """
         disagree = self._params.merge_tracks and person.number not in track.beside
-        latest = track.first + (OVERLAP if disagree else 0)
-        return person.seen < latest and not person.is_there(track.seen)
+        return track.first + (OVERLAP if disagree else 0)
+
+    def _is_unseen_since(self, person: PersonTrack, track: PersonTrack) -> bool:
+        """Whether a person was last seen before a track began, and not for a while."""
+        return person.seen < self._latest(person, track) and not person.is_there(track.seen)
 
     def _somebody_goes(self, track: PersonTrack) -> bool:
-        """Whether a person was last seen just before a newcomer began: a moment later it is absent.
+        """Whether a person may be the newcomer, and is unseen in a moment: then it is absent.
 
-        The newcomer may be that person, whom the detector showed elsewhere.
+        The detector showed the person elsewhere.
         """
         return self._params.reidentify > 0 and any(
             person.confirmed
-            and person.seen < track.first
+            and person.seen < min(self._latest(person, track), track.seen)
             and person.is_there(track.seen)
             and person.number not in track.beside
             for person in self._people.tracks
