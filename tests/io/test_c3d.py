@@ -86,6 +86,12 @@ def test_numbers_of_frames_that_all_disagree_with_the_size_are_refused(tmp_path)
     assert (len(markers.times), markers.doubt[:15]) == (5, "counts 5 frames")
 
 
+@pytest.mark.parametrize("used", [1, 3, 200])
+def test_a_number_of_points_that_the_header_does_not_have_is_refused(used, tmp_path):
+    with pytest.raises(ConfigError, match="header and parameters count other points or analog"):
+        read_c3d(c3d(tmp_path / "a.c3d", USED=used))
+
+
 def test_a_file_without_points_says_what_it_holds_instead(tmp_path, capsys):
     path = c3d(tmp_path / "plates.c3d", POINTS[:, :0])
     assert run(["import", str(path), "-o", str(tmp_path / "a.mcap"), "-q"]) == 2

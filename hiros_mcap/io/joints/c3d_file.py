@@ -92,6 +92,11 @@ def open_c3d(path: Path) -> C3dFile:
     n = int(used[0]) & MOST_FRAMES if used else header.points
     if not n:
         return file
+    samples = [channels * header.instants for channels in file.numbers("ANALOG", "USED")[:1]]
+    if n != header.points or samples not in ([], [header.samples]):
+        raise ConfigError(
+            f"{path}: header and parameters count other points or analog samples; one is damaged"
+        )
     is_whole = bool(scale) and scale[0] > 0
     kind = np.dtype(order + ("i2" if is_whole else "f4"))
     width = 4 * n + header.samples
@@ -193,9 +198,7 @@ def _count(
         if rest and len(data) % _BLOCK:
             raise ConfigError(f"{path}: is cut off: it ends within the frame {held + 1}")
         return _without_filling(data, size, least, held), ""
-    channels = sum(file.numbers("ANALOG", "USED")[:1])
-    is_sure = len(said) == 1 and (points, channels * header.instants) == header[:2]
-    if not is_sure or len(file.texts("POINT", "LABELS")) > points:
+    if len(said) > 1 or len(file.texts("POINT", "LABELS")) > points:
         raise ConfigError(
             f"{path}: its {most} frames of {points} points are too few or too short for its size; "
             "one of these is damaged"
