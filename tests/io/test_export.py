@@ -63,16 +63,6 @@ def test_what_is_no_result_is_refused(crossing, log):
         open_result(log, "/hiros/x")
 
 
-def test_walking_bends_each_knee_once_a_step_and_swings_the_hips(result):
-    angles = result.angles().loc[0]
-    for side in ("left", "right"):
-        knee, hip = angles[f"{side} knee flexion"], angles[f"{side} hip flexion"]
-        assert 45 < knee.max() < 80
-        assert -10 < knee.min() < 20
-        assert -35 < hip.min() < 0 < hip.max() < 50
-    assert np.corrcoef(angles["left hip flexion"], angles["right hip flexion"])[0, 1] < -0.5
-
-
 def test_resampling_keeps_pauses():
     times = np.concatenate([np.arange(0, 1, 0.1), np.arange(2, 3, 0.1)])
     motion = Motion(0, times, np.repeat(times, 3).reshape(-1, 1, 3), np.ones((20, 1)))

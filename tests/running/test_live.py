@@ -503,11 +503,11 @@ def test_a_reader_that_goes_away_ends_the_run(crossing):
 
 def test_what_was_waited_for_is_no_work(crossing):
     def write(descriptor):
-        time.sleep(3)
+        time.sleep(1)
         send(crossing, recorded(crossing))(descriptor)
 
     summary, _ = run_live(write)
-    assert 2.9 < summary.waited_s < summary.wall_s
+    assert 0.9 < summary.waited_s < summary.wall_s
     work = summary.wall_s - summary.waited_s
     assert summary.times_real_time == pytest.approx(summary.log_s / work)
     waited = f"{summary.waited_s:.2f} s of them waiting for the input, with hiros-realtime: "

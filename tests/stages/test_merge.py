@@ -98,28 +98,18 @@ def emitted_after(frames, params):
     return [fed for _ in by_frame(merge_blocks)(feed(), MODEL, params)]
 
 
-def test_the_same_camera_again_closes_the_buffer():
-    frames = [seen([person()], at(k), c, ids=[0]) for k, c in ((0, "a"), (0.1, "b"), (1, "a"))]
-    params = PLAIN.model_copy(update={"cameras": 9, "max_delta_time": 9.0})
-    assert emitted_after(frames, params) == [3, 3]
-
-
-def test_a_late_message_closes_the_buffer():
-    frames = [seen([person()], at(k), c, ids=[0]) for k, c in ((0, "a"), (0.1, "b"), (9, "c"))]
-    params = PLAIN.model_copy(update={"cameras": 9, "max_delta_time": 0.07})
-    assert emitted_after(frames, params) == [3, 3]
-
-
-def test_the_last_camera_closes_the_buffer():
-    frames = [seen([person()], at(0, c), f"c{c}", ids=[0]) for c in range(3)]
-    params = PLAIN.model_copy(update={"cameras": 3, "max_delta_time": 9.0})
-    assert emitted_after(frames, params) == [3]
-
-
-def test_the_last_buffer_is_flushed():
-    frames = [seen([person()], at(k, c), f"c{c}", ids=[0]) for k in range(3) for c in range(2)]
-    merged = list(merge(frames[:-1], MODEL, PLAIN.model_copy(update={"cameras": 2})))
-    assert [len(merged), merged[-1].stamp] == [3, frames[-2].stamp]
+@pytest.mark.parametrize(
+    ("last", "cameras", "span", "emitted"),
+    [
+        ((1, "a"), 9, 9.0, [3, 3]),  # the same camera again
+        ((9, "c"), 9, 0.07, [3, 3]),  # a late message
+        ((0.2, "c"), 3, 9.0, [3]),  # the last camera
+    ],
+)
+def test_a_buffer_is_merged_as_soon_as_it_is_closed(last, cameras, span, emitted):
+    frames = [seen([person()], at(k), c, ids=[0]) for k, c in ((0, "a"), (0.1, "b"), last)]
+    params = PLAIN.model_copy(update={"cameras": cameras, "max_delta_time": span})
+    assert emitted_after(frames, params) == emitted
 
 
 def test_flipped_views_are_dropped():
@@ -177,21 +167,6 @@ def test_the_more_confident_view_breaks_a_tie():
     assert merged.positions[0] == pytest.approx(expected)
     assert merged.orientations[0, 3] == pytest.approx(turned)
     assert merged.orientations[0, 2] == pytest.approx([0, 0, 0, 1])
-
-
-def test_three_against_one_are_no_tie():
-    poses = [person() for _ in range(4)]
-    poses[2][6] += [0.3, 0, 0]
-    (merged,) = merge(views(poses), MODEL, PLAIN.model_copy(update={"cameras": 4}))
-    assert merged.positions[0] == pytest.approx(person())
-
-
-def test_votes_can_be_turned_off():
-    poses = [person(), person(), person(0.9)]
-    (merged,) = merge(
-        views(poses), MODEL, PLAIN.model_copy(update={"cameras": 3, "max_position_delta": 0.0})
-    )
-    assert merged.positions[0, 0, 0] == pytest.approx(0.3)
 
 
 def test_the_robust_mean_follows_the_majority():
@@ -308,12 +283,6 @@ def test_a_motion_of_the_world_moves_the_result_alike(seed, cameras):
         assert np.nanmin(dots, initial=1.0) == pytest.approx(1.0)
 
 
-def test_the_largest_group_wins_a_vote():
-    positions = np.array([0.0, 0.05, 1.0, 0.1, 1.02])
-    apart = np.abs(positions[:, None] - positions)
-    assert merging.largest_group(apart, np.ones(5), False, 0.2) in (0, 1, 3)
-
-
 @pytest.mark.parametrize(
     ("cameras", "times", "merged"),
     [
@@ -365,16 +334,6 @@ def test_eq12_falls_back_to_the_confidence_of_the_skeleton(markers, expected):
     assert merged.marker_confidences[0, 0] == pytest.approx(markers, nan_ok=True)
 
 
-def test_links_without_confidences_weigh_as_their_skeletons_do():
-    frames = views([person()] * 2, turns=True)
-    for frame, angle, confidence in zip(frames, (0.0, 0.1), (0.75, 0.25), strict=True):
-        frame.links[0, :, 3:7] = Rotation.from_euler("z", angle).as_quat()
-        frame.confidences[:] = confidence
-    (merged,) = merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 2}))
-    turned = Rotation.from_quat(merged.orientations[0]).as_euler("zyx")[:, 0]
-    assert turned == pytest.approx(np.full(7, 0.025), abs=1e-4)
-
-
 def test_of_two_views_that_face_opposite_ways_the_more_confident_skeleton_is_right():
     frames = both_ways()
     for frame, confidence in zip(frames, (0.1, 0.9), strict=True):
@@ -383,23 +342,15 @@ def test_of_two_views_that_face_opposite_ways_the_more_confident_skeleton_is_rig
     assert merged.positions[0] == pytest.approx(person()[MIRROR])
 
 
-def test_orientations_are_weighed_by_confidence():
+@pytest.mark.parametrize("level", ["confidences", "link_confidences"])
+def test_orientations_are_weighed_by_confidence_of_the_link_or_else_of_the_skeleton(level):
     frames = views([person()] * 2, turns=True)
     for frame, angle, confidence in zip(frames, (0.0, 0.1), (0.75, 0.25), strict=True):
         frame.links[0, :, 3:7] = Rotation.from_euler("z", angle).as_quat()
-        frame.link_confidences[:] = confidence
+        getattr(frame, level)[:] = confidence
     (merged,) = merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 2}))
     turned = Rotation.from_quat(merged.orientations[0]).as_euler("zyx")[:, 0]
     assert turned == pytest.approx(np.full(7, 0.025), abs=1e-4)
-
-
-def test_flipped_views_are_no_outliers():
-    """Flips are dropped before outliers are sought."""
-    events = Events()
-    frames = views([person(), person(), person()[MIRROR]], turns=True)
-    turn_round(frames[2:])
-    list(merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 3}), events))
-    assert events.counts == {("flip", "c2"): 1}
 
 
 def test_flips_lose_their_vote_before_outliers_do_and_both_before_the_mean():

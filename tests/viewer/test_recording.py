@@ -44,6 +44,8 @@ from hiros_viewer.scene import Scene, magnified
 from hiros_viewer.view_check import EarlierPoses
 
 Rows = dict[int, Floats]
+BOX = np.array([[[-1.0, -1.0, 0.0], [1.0, 1.0, 1.8]]])
+"""Where somebody stands, m."""
 
 
 @pytest.fixture(scope="module")
@@ -71,35 +73,36 @@ def test_a_viewer_shows_two_layouts_of_a_log_side_by_side(processed, recording):
         assert (first.recording_id == second.recording_id) == (layout == "overview")
 
 
-def rows(recording, entity, component, timeline="stamp"):
-    """Time, ns -> values of a component of an entity."""
+def chunks(recording, entity=None):
+    """Chunks of an entity, or of all, and their tables."""
     import rerun.chunk
 
+    stream = rerun.chunk.RrdReader(str(recording)).stream()
+    for chunk in (stream.filter(content=entity) if entity else stream).to_chunks():
+        table: Any = chunk.to_record_batch()
+        yield chunk, table
+
+
+def rows(recording, entity, component, timeline="stamp"):
+    """Time, ns -> values of a component of an entity."""
     found: Rows = {}
-    for chunk in rerun.chunk.RrdReader(str(recording)).stream().filter(content=entity).to_chunks():
-        batch: Any = chunk.to_record_batch()
-        if component not in batch.schema.names or timeline not in batch.schema.names:
+    for _, table in chunks(recording, entity):
+        if component not in table.schema.names or timeline not in table.schema.names:
             continue
-        stamps = batch.column(timeline).cast("int64").to_numpy(zero_copy_only=False)
-        for stamp, value in zip(stamps, batch.column(component), strict=True):
+        stamps = table.column(timeline).cast("int64").to_numpy(zero_copy_only=False)
+        for stamp, value in zip(stamps, table.column(component), strict=True):
             found[int(stamp)] = np.array(value.as_py(), float)
     return found
 
 
 def texts(recording, entity, component="TextLog:text"):
-    import rerun.chunk
-
-    chunks = rerun.chunk.RrdReader(str(recording)).stream().filter(content=entity).to_chunks()
-    batches: list[Any] = [chunk.to_record_batch() for chunk in chunks]
-    known = [batch.column(component) for batch in batches if component in batch.schema.names]
+    tables = [table for _, table in chunks(recording, entity)]
+    known = [table.column(component) for table in tables if component in table.schema.names]
     return [str(text) for column in known for row in column.to_pylist() for text in row]
 
 
 def entities(recording):
-    import rerun.chunk
-
-    chunks = rerun.chunk.RrdReader(str(recording)).stream().to_chunks()
-    return {chunk.entity_path for chunk in chunks}
+    return {chunk.entity_path for chunk, _ in chunks(recording)}
 
 
 @pytest.mark.parametrize("stage", ["tracked", "merged", "optimized", "filtered"])
@@ -233,12 +236,9 @@ def unpacked(colour):
 
 def look(recording, entity, component):
     """Return a component that was logged once for all times."""
-    import rerun.chunk
-
-    for chunk in rerun.chunk.RrdReader(str(recording)).stream().filter(content=entity).to_chunks():
-        batch: Any = chunk.to_record_batch()
-        if component in batch.schema.names and "stamp" not in batch.schema.names:
-            return list(batch.column(component)[0].as_py())
+    for _, table in chunks(recording, entity):
+        if component in table.schema.names and "stamp" not in table.schema.names:
+            return list(table.column(component)[0].as_py())
     raise AssertionError(f"{entity} has no {component}")
 
 
@@ -312,12 +312,9 @@ def test_everybody_fills_the_first_view(layout, seed):
 
 
 def test_a_camera_near_the_eye_is_not_drawn():
-    boxes = np.array([[[-1.0, -1.0, 0.0], [1.0, 1.0, 1.8]]])
     poses = {"a": Rigid(np.array([0, 0, 0, 1.0]), np.array([-8.0, 0.0, 1.0]))}
     for _ in range(2):
-        room: Any = LAYOUTS["stages"](
-            Content(["merged", "filtered"], [0], list(poses), boxes, poses)
-        )
+        room: Any = LAYOUTS["stages"](Content(["merged", "filtered"], [0], list(poses), BOX, poses))
         room = room.contents[0]
         hidden = [f"- /world/cameras/{name}/**" in room.contents for name in poses]
         assert hidden == [name == "near" for name in poses]
@@ -342,11 +339,10 @@ def test_a_camera_near_the_eye_is_drawn_if_it_is_not_before_the_people():
 
 
 def test_what_is_below_the_room_grows_with_its_lanes():
-    boxes = np.array([[[-1.0, -1.0, 0.0], [1.0, 1.0, 1.8]]])
     heights = []
     for n in (1, 4, 50):
         lanes = {f"/person_{k}": "person" for k in range(n)}
-        layout: Any = LAYOUTS["overview"](Content(["filtered"], range(n), [], boxes, lanes=lanes))
+        layout: Any = LAYOUTS["overview"](Content(["filtered"], range(n), [], BOX, lanes=lanes))
         heights.append(layout.row_shares[1] / sum(layout.row_shares))
     assert 0.06 * 5 > heights[1] > 40 * 4 / 833 > heights[0]  # 40 of 833 pixels each
     assert heights[2] < 0.4
@@ -354,8 +350,7 @@ def test_what_is_below_the_room_grows_with_its_lanes():
 
 @pytest.mark.parametrize(("n", "are_drawn"), [(12, True), (40, False)])
 def test_detections_of_many_cameras_do_not_cover_the_result(n, are_drawn):
-    boxes = np.array([[[-1.0, -1.0, 0.0], [1.0, 1.0, 1.8]]])
-    content = Content(["filtered"], [0], [f"c{k}" for k in range(n)], boxes)
+    content = Content(["filtered"], [0], [f"c{k}" for k in range(n)], BOX)
     room: Any = LAYOUTS["overview"](content).contents[0].contents[0]
     assert ("+ /detections/c1/**" in room.contents) is are_drawn
     assert ("Thin lines" in legend(content, "overview")) is are_drawn
@@ -366,8 +361,7 @@ def test_detections_of_many_cameras_do_not_cover_the_result(n, are_drawn):
 
 @pytest.mark.parametrize(("n", "has_legend"), [(2, True), (9, False)])
 def test_few_cameras_are_named_beside_their_curves(n, has_legend):
-    boxes = np.array([[[-1.0, -1.0, 0.0], [1.0, 1.0, 1.8]]])
-    content = Content(["filtered"], [0], [f"c{k}" for k in range(n)], boxes)
+    content = Content(["filtered"], [0], [f"c{k}" for k in range(n)], BOX)
     below: Any = cameras(content).contents[-1]
     (view,) = [v for v in below.contents if v.name == "Distance to the result, mm"]
     legend = view.properties["PlotLegend"].visible.as_arrow_array().to_pylist()
@@ -376,10 +370,9 @@ def test_few_cameras_are_named_beside_their_curves(n, has_legend):
 
 @pytest.mark.parametrize(("away", "is_seen"), [(1.0, True), (9.0, False)])
 def test_cameras_are_in_the_first_view_unless_people_would_be_small(away, is_seen):
-    boxes = np.array([[[-1.0, -1.0, 0.0], [1.0, 1.0, 1.8]]])
     places = [np.array([away, side, 1.5]) for side in (-away, away)]
     poses = {f"c{k}": Rigid(np.array([0, 0, 0, 1.0]), place) for k, place in enumerate(places)}
-    shown = in_view("overview", Content(["filtered"], [0], list(poses), boxes, poses))
+    shown = in_view("overview", Content(["filtered"], [0], list(poses), BOX, poses))
     assert bool((np.abs(shown(np.array(places))) < 1).all()) is is_seen
 
 
@@ -789,8 +782,7 @@ def test_a_recording_is_read_with_the_settings_beside_it(crossing, tmp_path, cap
 
 @pytest.mark.parametrize("layout", ["overview", "person", "cameras", "stages"])
 def test_the_legend_names_what_the_layout_shows(layout):
-    box = np.array([[[-1.0, -1.0, 0.0], [1.0, 1.0, 2.0]]])
-    plain = Content(["merged", "filtered"], [0], ["camera_0"], box)
+    plain = Content(["merged", "filtered"], [0], ["camera_0"], BOX)
     words = legend(plain, layout)
     for absent in ("White", "Red", "Magenta", "Faint", "Ellipsoids", "frusta"):
         assert absent not in words
@@ -816,8 +808,7 @@ def rooms_of(container):
 @pytest.mark.parametrize("layout", ["overview", "person", "cameras", "stages"])
 def test_nothing_covers_a_result_beside_its_truth(layout):
     """Five cameras' detections and two stages' displacements hid who is who."""
-    box = np.array([[[-1.0, -1.0, 0.0], [1.0, 1.0, 2.0]]])
-    content = Content(["merged", "filtered"], [0], ["c"], box, shows_truth=True)
+    content = Content(["merged", "filtered"], [0], ["c"], BOX, shows_truth=True)
     (room,) = rooms_of(LAYOUTS[layout](content))
     shown = " ".join(room.contents)
     assert ("+ /truth/**" in shown or "/error_lines" in shown) == (layout in ("overview", "person"))
@@ -825,11 +816,10 @@ def test_nothing_covers_a_result_beside_its_truth(layout):
 
 
 def test_a_layout_without_anything_to_show_is_the_overview():
-    box = np.array([[[-1.0, -1.0, 0.0], [1.0, 1.0, 2.0]]])
     for layout in LAYOUTS:
-        assert fitting(Content(["filtered"], [], [], box), layout) == "overview"
-        assert fitting(Content(["merged", "filtered"], [0], ["c"], box), layout) == layout
-    recording = Content([], [], ["c"], box)
+        assert fitting(Content(["filtered"], [], [], BOX), layout) == "overview"
+        assert fitting(Content(["merged", "filtered"], [0], ["c"], BOX), layout) == layout
+    recording = Content([], [], ["c"], BOX)
     assert "Each camera" not in legend(recording, "stages")
     assert "Each camera has its colour" in legend(replace(recording, cameras=["c", "d"]), "stages")
 
@@ -841,9 +831,8 @@ def test_two_logs_are_overlaid_as_their_cameras_see_them(processed, tmp_path):
 
 
 def test_a_stage_that_changes_nothing_has_no_curves():
-    box = np.array([[[-1.0, -1.0, 0.0], [1.0, 1.0, 2.0]]])
     content = Content(
-        ["tracked", "merged", "optimized", "filtered"], [0], [], box, moved={"merged"}
+        ["tracked", "merged", "optimized", "filtered"], [0], [], BOX, moved={"merged"}
     )
     names = [view.name for view in LAYOUTS["stages"](content).contents[1].contents]
     assert [name for name in names if name.startswith("Joints")] == [
