@@ -82,7 +82,7 @@ def read_mocap(path: Path) -> Truth:
     model = SkeletonModel.of(markers.names, [])
     people = tuple(range(len(markers.people)))
     truth = _truth(path, markers.times, markers.positions, orientations, model, people)
-    return replace(truth, notes=(markers.doubt,) if markers.doubt else ())
+    return replace(truth, notes=(*truth.notes, *filter(None, [markers.doubt])))
 
 
 def read_csv(path: Path) -> Truth:
