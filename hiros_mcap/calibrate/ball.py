@@ -77,7 +77,9 @@ def calibrate_ball(
     try:
         return _calibrated(tracks, tree, radius)
     except RegistrationError as error:
-        raise RegistrationError(f"{path}: {error}") from None
+        bad = [f"{t.camera} {t.skipped['damaged']}" for t in tracks if t.skipped.get("damaged")]
+        images = f"; damaged images: {', '.join(bad)}" if bad else ""
+        raise RegistrationError(f"{path}: {error}{images}") from None
 
 
 def _ready_centres(log: RosMessages, topics: Sequence[str]) -> list[BallTrack]:

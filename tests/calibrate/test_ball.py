@@ -168,6 +168,19 @@ def test_cameras_whose_clocks_differ_are_refused(tmp_path):
         calibrate_ball(write_messages(tmp_path / "a.mcap", messages))
 
 
+def test_damaged_images_are_named_where_there_are_too_few(tmp_path):
+    def cut(head, pixels):
+        picture = as_jpeg(head, pixels)
+        picture.data = picture.data[: len(picture.data) // 3]
+        return picture
+
+    path = ball_path(24)
+    messages = images_of(0, CAMERAS[0], path, colour=cut) + images_of(1, CAMERAS[1], path)
+    log = write_messages(tmp_path / "a.mcap", messages)
+    with pytest.raises(RegistrationError, match="0 common times.*; damaged images: camera_0 24"):
+        calibrate_ball(log, radius=0.12)
+
+
 HUGE = """
 import struct, zlib
 from types import SimpleNamespace
