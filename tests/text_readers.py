@@ -133,7 +133,13 @@ def _cells(separator):
 
 
 _CSV_HEADS = st.sampled_from(
-    ["time,person,joint,x,y,z\n", "time,HEAD_x,HEAD_y,HEAD_z\n", "time,marker,x,y,z\n", ""]
+    [
+        "time,person,joint,x,y,z\n",
+        "time,HEAD_x,HEAD_y,HEAD_z\n",
+        "time,marker,x,y,z\n",
+        "",
+        "Trajectories\n100\n,,P:HEAD,,,P:FOOT\nFrame,Sub Frame,X,Y,Z,X,Y,Z\n,,mm,mm,mm,mm,mm,mm\n",
+    ]
 )
 _TRC_HEADS = st.sampled_from(
     ["PathFileType\nUnits\tNumFrames\nm\t2\nFrame#\tTime\tHEAD\t\t\tFOOT\n\n", "PathFileType\n"]

@@ -321,6 +321,7 @@ def test_trajectories_of_vicon_nexus_are_read(kind, tmp_path):
         (DEVICES, "has no Trajectories, only Devices; export them, too"),
         (nexus()[:-40], "line 11: is cut off"),
         (nexus().replace(",mm", ",deg"), "line 5: unit 'deg' is none of"),
+        (nexus().replace(",mm", ",m", 1), "line 5: unit 'm, mm' is none of"),
         (nexus().replace("900.000", "high", 1), "line 6: 'high' is not a number"),
         ("Trajectories\n8\n\n", "line 1: has no trajectories"),
         (nexus().replace("Trajectories\n8", "Trajectories\n-8"), "names no marker, or the line be"),

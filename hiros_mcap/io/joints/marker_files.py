@@ -264,8 +264,11 @@ _SECTIONS = ("Trajectories", "Model Outputs", "Devices", "Joints", "Segments")
 
 def is_nexus(path: Path) -> bool:
     """Whether a table begins with a section as Vicon Nexus exports it: its name, then its rate."""
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        lines = [line.strip(_EDGES) for line in file.read(4096).splitlines()]
+    try:
+        with path.open(encoding="utf-8-sig", errors="replace") as file:
+            lines = [line.strip(_EDGES) for line in file.read(4096).splitlines()]
+    except OSError:
+        return False
     first, second = ([line for line in lines if line] + ["", ""])[:2]
     return first in _SECTIONS and _is_number(second)
 
@@ -278,33 +281,42 @@ def read_nexus(path: Path, unit: str = "") -> Markers:
 
     Raises ConfigError if it has no such section, or one of its lines is faulty.
     """
+    (at, rates), (where, labels), (_, columns), (there, units), *rows = _trajectories(path)
+    rate, axes = number_of(rates[0], at), [cell.upper() for cell in columns]
+    kept = {
+        k: label
+        for k, label in enumerate(labels)
+        if label and axes[k : k + 3] == ["X", "Y", "Z"] and "*" not in label
+    }
+    if not kept or not rate > 0:
+        raise ConfigError(f"{where}: names no marker, or the line before no rate")
+    said = dict.fromkeys(cell for k in kept for cell in units[k : k + 3])
+    unit = unit or _length(", ".join(said), there)
+    numbers = _frames(rows, max(kept) + 3)
+    points = METRES[unit] * np.stack([numbers[:, k : k + 3] for k in kept], axis=1)
+    times = (numbers[:, 0] - numbers[0, 0]) / rate
+    return _by_person(where, [*kept.values()], times, points, unit)
+
+
+def _trajectories(path: Path) -> list[tuple[str, list[str]]]:
+    """Return place and cells of each line of this section of Nexus, behind its name."""
     lines = text_of(path).splitlines()
     names = [line.strip(_EDGES) for line in lines]
     if "Trajectories" not in names:
         found = ", ".join(name for name in _SECTIONS if name in names)
         raise ConfigError(f"{path}: has no Trajectories, only {found}; export them, too")
-    begin = names.index("Trajectories")
+    begin = names.index("Trajectories") + 1
     end = next((k for k in range(begin, len(names)) if not names[k]), len(names))
-    delimiter = max("\t;,", key=",".join(lines[begin + 3 : begin + 4]).count)
-    rows = [
-        (f"{path}: line {k + 1}", _stripped(lines[k].split(delimiter)))
-        for k in range(begin + 1, end)
-    ]
-    if len(rows) < 5:
-        raise ConfigError(f"{path}: line {begin + 1}: has no trajectories")
-    head, rows = rows[:4], rows[4:]
-    rate = number_of(head[0][1][0], head[0][0])
-    axes = [cell.upper() for cell in head[2][1]]
-    kept = {
-        k: label
-        for k, label in enumerate(head[1][1])
-        if label and axes[k : k + 3] == ["X", "Y", "Z"] and "*" not in label
-    }
-    if not kept or not rate > 0:
-        raise ConfigError(f"{head[1][0]}: names no marker, or the line before no rate")
-    unit = unit or _length(head[3][1][min(kept)], head[3][0])
+    if end - begin < 5:
+        raise ConfigError(f"{path}: line {begin}: has no trajectories")
+    delimiter = max("\t;,", key=lines[begin + 2].count)
+    cells = [_stripped(line.split(delimiter)) for line in lines[begin:end]]
+    return [(f"{path}: line {k}", row) for k, row in enumerate(cells, start=begin + 1)]
+
+
+def _frames(rows: list[tuple[str, list[str]]], width: int) -> Floats:
+    """(T, width) numbers of the rows of a section; NaN for an empty cell."""
     with_points(rows)
-    width = max(kept) + 3
     numbers = np.full((len(rows), width), np.nan)
     for row, (where, cells) in zip(numbers, rows, strict=True):
         if len(cells) % 3 != 2 and len(cells) < width:
@@ -312,9 +324,7 @@ def read_nexus(path: Path, unit: str = "") -> Markers:
         row[: len(cells)] = [number_of(cell, where) for cell in cells[:width]]
         if math.isnan(row[0]):
             raise ConfigError(f"{where}: has no frame")
-    points = METRES[unit] * np.stack([numbers[:, k : k + 3] for k in kept], axis=1)
-    times = (numbers[:, 0] - numbers[0, 0]) / rate
-    return _by_person(head[1][0], [*kept.values()], times, points, unit)
+    return numbers
 
 
 MARKER_FILES = {".trc": read_trc, ".c3d": read_c3d}
