@@ -18,11 +18,8 @@ Change = Callable[[Frame, int], Frame]
 """(what a camera says, how many messages it has sent before) -> what it says instead."""
 
 
-def changed(source, target, change, *, latched=None, keep=True):
-    """Copy a log with other detections; ``latched`` is the log time of its transforms, if given.
-
-    Without ``keep``, the channels of the cameras have no message.
-    """
+def changed(source, target, change, *, keep=True):
+    """Copy a log with other detections; without ``keep``, of the cameras there is no message."""
     with open_log(source) as log, McapWriter(target) as writer:
         writer.copy_definitions(log.reader, log.reader.channels)
         decoder, encoder = Decoder(log.model, exact=True), Encoder(log.model)
@@ -35,8 +32,6 @@ def changed(source, target, change, *, latched=None, keep=True):
                 sent = writer.counts[message.channel_id]
                 (frame,) = decoder.decode_message(data, time)
                 data = encoder.encode(change(frame, sent))
-            elif topic == "/tf_static" and latched is not None:
-                time = latched
             writer.write(message.channel_id, time, data)
         writer.commit()
     return target

@@ -66,8 +66,7 @@ def test_times_noises_and_rates_have_finite_bounds():
 
 
 @pytest.mark.parametrize(
-    "assignment",
-    ["fuse.acceleration=1e9", "fuse.offset=1e9", "filter.cutoff=1e-12"],
+    "assignment", ["fuse.acceleration=1e9", "fuse.offset=1e9", "filter.cutoff=1e-12"]
 )
 def test_numbers_beyond_physics_are_one_line(assignment):
     name = assignment.partition("=")[0]
@@ -243,11 +242,6 @@ def test_a_wrong_file_is_named_with_its_fault(content, said, tmp_path):
     with pytest.raises(ConfigError) as caught:
         load_config(path)
     assert str(caught.value).startswith(f"{path}: {said}")
-
-
-def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(ConfigError, match=r"missing\.toml: cannot be read: No such file"):
-        load_config(tmp_path / "missing.toml")
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from builders import at_once, room, same
+from builders import at_once, moved, room, same
 from scipy.spatial.transform import Rotation
 
 from hiros_mcap.config import load_config
@@ -90,3 +90,11 @@ def test_one_person_is_merged_as_in_the_paper(walking, tmp_path):
     assert {int(i) for frame in merged for i in frame.ids} == {0}
     assert len(merged) > 40
     assert len({frame.stamp for frame in merged}) == len(merged)
+
+
+@pytest.mark.parametrize("system", VARIANTS)
+def test_the_room_may_turn_and_shift(system):
+    expected = moved(usual(system), TURN, SHIFT)
+    result = after_tracking(system, moved(tracked(), TURN, SHIFT))
+    for here, there in zip(expected, result, strict=True):
+        assert np.allclose(here.positions, there.positions, atol=1e-6, equal_nan=True)

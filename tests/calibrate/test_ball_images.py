@@ -33,12 +33,6 @@ def test_centre_with_noise_holes_and_strays():
     assert np.percentile(np.array(errors)[np.isfinite(errors)], 95) < 0.003
 
 
-def test_measured_radius():
-    found = find_ball(*render(np.array([0, 0, 1.2]), 1), CAMERA, RADIUS, ColorRange())
-    assert found is not None
-    assert found.radius == pytest.approx(RADIUS, abs=0.004)
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_things_of_the_same_colour_are_no_ball(seed):
     """A flat box of the ball's colour, a ball of another size, two balls."""

@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from hiros_cli import app
-from hiros_mcap import __version__
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 
@@ -22,10 +21,6 @@ def hiros(*arguments, **options):
     return subprocess.run(  # type: ignore[call-overload, no-any-return]
         [*HIROS, *arguments], capture_output=True, text=True, check=False, **options
     )
-
-
-def test_version():
-    assert hiros("--version").stdout == f"hiros {__version__}\n"
 
 
 def python(code):
@@ -110,13 +105,6 @@ def test_too_little_memory_is_one_line(kib, walking, tmp_path):
     assert result.stderr.startswith("hiros: error: not enough memory")
     assert (result.stdout, result.stderr.count("\n")) == ("", 1)
     assert not list(tmp_path.iterdir())
-
-
-def test_a_pipe_is_refused_at_once(tmp_path):
-    os.mkfifo(tmp_path / "fifo.mcap")
-    result = hiros("process", str(tmp_path / "fifo.mcap"), timeout=20)
-    assert result.returncode == 2
-    assert "is not a regular file" in result.stderr
 
 
 def test_debug_shows_where_an_error_comes_from():

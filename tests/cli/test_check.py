@@ -148,10 +148,7 @@ def test_quiet_leaves_differences_and_errors(suite, tmp_path, capsys):
 def test_faults_are_one_line(walking, output, suite, capsys, arguments, fault):
     assert (
         run(
-            [
-                "check",
-                *(a.format(output=output, suite=suite, recording=walking) for a in arguments),
-            ]
+            ["check", *(a.format(output=output, suite=suite, recording=walking) for a in arguments)]
         )
         == 2
     )

@@ -14,7 +14,6 @@ import sys
 import tempfile
 import time
 import tomllib
-from importlib import import_module
 from itertools import chain
 from pathlib import Path
 from types import SimpleNamespace
@@ -34,7 +33,6 @@ from hiros_mcap.defaults import SYSTEM_NAMES
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.log import open_log
 from hiros_mcap.kernels import shipped
-from hiros_mcap.kernels.compile import EntryKernel
 from hiros_mcap.simulate import SimulateParams
 
 
@@ -55,15 +53,6 @@ def test_info_as_json(crossing, capsys):
         assert camera["most_people"] == 2
         assert 25 < camera["rate_hz"] <= 30.5
         assert camera["frame"] == camera["name"]
-
-
-def test_info_says_which_camera_a_file_lacks(crossing, tmp_path, capsys):
-    extrinsics = tmp_path / "cameras.toml"
-    poses = "translation = [0.0, 0.0, 2.5]\nquaternion_xyzw = [0.0, 0.0, 0.0, 1.0]\n"
-    names = ("camera_0", "camera_1")
-    extrinsics.write_text("".join(f'[[camera]]\nframe = "{name}"\n{poses}' for name in names))
-    assert run(["info", str(crossing), "--extrinsics", str(extrinsics), "--json"]) == 2
-    assert "cameras.toml: has no pose of /camera_2/skeletons" in capsys.readouterr().err
 
 
 def test_simulate_twice_gives_the_same_bytes_and_a_readable_log(tmp_path):
@@ -125,14 +114,6 @@ def test_the_help_of_simulate_states_the_bounds_that_hold(capsys):
     assert "real depth camera has, at most 100." in text
 
 
-def test_config_prints_what_config_reads(tmp_path, capsys):
-    assert run(["config", "--preset", "paper", "--set", "filter.cutoff=5"]) == 0
-    path = tmp_path / "hiros.toml"
-    path.write_text(capsys.readouterr().out)
-    as_printed = load_config(path, preset="paper", system="hiros")
-    assert as_printed == load_config(overrides=["filter.cutoff=5"], preset="paper", system="hiros")
-
-
 def test_config_prints_the_sections_of_the_system(capsys):
     assert run(["config", "--system", "malaguti", "--all"]) == 0
     sections = tomllib.loads(capsys.readouterr().out).keys()
@@ -173,32 +154,9 @@ def test_several_files_of_a_person_and_a_comma_in_a_name(short, tmp_path, monkey
     }  # fmt: skip
 
 
-def test_config_shows_advanced_parameters_if_asked_or_changed(capsys):
-    printed = []
-    for options in ([], ["--all"]):
-        assert run(["config", *options]) == 0
-        printed.append(capsys.readouterr().out)
-    few, everything = map(tomllib.loads, printed)
-    for section, values in few.items():
-        assert values.keys() <= everything[section].keys()
-    n = sum(map(len, everything.values())) - sum(map(len, few.values()))
-    if n:
-        assert f"# {n} advanced parameters have their defaults; --all shows them." in printed[0]
-
-
 def test_warmup_says_when_it_is_done(capsys):
     assert run(["warmup"]) == 0
     assert capsys.readouterr().out.startswith("kernels ready after ")
-
-
-def test_every_kernel_with_a_signature_is_found():
-    for name, source in kernels.sources().items():
-        module = import_module(name)
-        compiled = [kernel for kernel in vars(module).values() if isinstance(kernel, EntryKernel)]
-        assert compiled, f"{name} compiles nothing when it is imported:\n{source[:300]}"
-    names = {name.rpartition(".")[2] for name in kernels.sources()}
-    assert {"tracking", "merging", "window_smoother", "cdr"} <= names
-    assert not {"bytes", "compile", "__init__", "track"} & names
 
 
 def test_imports_at_the_top_level_are_found():

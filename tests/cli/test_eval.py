@@ -239,8 +239,7 @@ def test_joints_that_the_result_lacks_are_listed(processed, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    "command",
-    ["eval {log}", "eval {log} --leave-one-out", "compare {raw} --system raw --jobs 1"],
+    "command", ["eval {log}", "eval {log} --leave-one-out", "compare {raw} --system raw --jobs 1"]
 )
 def test_quiet_prints_nothing(command, processed, walking, capsys):
     arguments = command.format(log=processed, raw=walking).split()

@@ -260,20 +260,8 @@ def test_another_hiros_reads_what_is_served(whole_crossing, tmp_path):
         run.stdin.flush()
         while "running" not in run.stderr.readline().decode():
             pass
-        reader = subprocess.Popen(
-            [
-                *HIROS,
-                "process",
-                address,
-                "-o",
-                str(out),
-                "--keep",
-                "/hiros/markers",
-                "--keep",
-                "/tf*",
-            ],
-            stderr=subprocess.PIPE,
-        )
+        command = f"process {address} -o {out} --keep /hiros/markers --keep /tf*"
+        reader = subprocess.Popen([*HIROS, *command.split()], stderr=subprocess.PIPE)
         assert reader.stderr is not None
         assert b"listening" in reader.stderr.readline()
         time.sleep(1)

@@ -146,6 +146,7 @@ REFUSED = [
     ("check suite.toml --junit a --markdown a", "a: would be written twice"),
     ("check suite.toml --keep .", "walk.mcap: is an input"),
     ("simulate motion.bvh --motion motion.bvh --force", "motion.bvh: is an input"),
+    ("calibrate people walk.mcap -o notes.html", "notes.html: exists and is not"),
     ("simulate notes.html", "notes.html: exists and is not a log of hiros"),
 ]
 

@@ -114,12 +114,7 @@ def test_outliers_do_not_move_the_truth():
     [
         (truth(still=True), result(still=True), True, "nobody moves so that the time shows"),
         (truth().moved(99), result(), False, "they have no person at one time; --align-time"),
-        (
-            truth((0, 2, 3)),
-            result((0, 1)),
-            False,
-            r"at best its joints are \S+ m .*-time",
-        ),
+        (truth((0, 2, 3)), result((0, 1)), False, r"at best its joints are \S+ m .*-time"),
         (
             truth((2,)).moved(5),
             {"/x": Channel("r.mcap", [], MODEL)},

@@ -248,20 +248,6 @@ def test_trc_and_csv_say_the_same(tmp_path, rows):
     np.testing.assert_array_equal(trc.stamps, same.stamps)
 
 
-@settings(
-    deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(kind=st.sampled_from(["csv", "trc"]), at=st.floats(0, 1), text=st.text(max_size=12))
-def test_a_damaged_file_is_read_or_named(tmp_path, kind, at, text):
-    whole = {"csv": CSV, "trc": TRC}[kind]
-    where = round(at * len(whole))
-    path = write(tmp_path, f"a.{kind}", whole[:where] + text + whole[where + len(text) :])
-    try:
-        assert len(load_truth(path).stamps) >= 2
-    except ConfigError as error:
-        assert str(path) in str(error)
-
-
 @given(st.floats(0, 1), st.floats(-3, 3), st.floats(-3, 3))
 @settings(deadline=None)
 def test_orientations_between_instants_take_the_shorter_way(share, early, late):

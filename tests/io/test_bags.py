@@ -29,7 +29,6 @@ from hiros_mcap.io.channels import ChannelInfo
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.overview import overview_of
-from hiros_mcap.running.pipeline import process
 
 pytestmark = pytest.mark.usefixtures("nothing_left")
 SKELETONS, TF = hiros_schemas.SKELETON_GROUP, hiros_schemas.TF_MESSAGE
@@ -121,13 +120,6 @@ def test_a_bag_says_what_the_mcap_says(bag, messages):
     for a, b in zip(found, expected, strict=False):
         assert same(a, b)
         assert a.log_time == b.log_time
-
-
-def test_a_bag_can_be_processed(bag, tmp_path):
-    summary = process(bag, tmp_path / "out.mcap")
-    assert len(summary.people) == 1
-    with open_log(tmp_path / "out.mcap", topics=["/hiros/filtered"], output_prefix="/no") as log:
-        assert all(frame.ids.tolist() == [0] for frame in log.frames())
 
 
 @pytest.mark.parametrize("maker", MAKERS)

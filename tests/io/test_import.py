@@ -239,8 +239,7 @@ def test_the_number_of_a_file_is_its_time(pattern, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "names",
-    [["v_0", "v_1", "other_0"], ["cam1_00", "cam1_01", "cam2_00", "cam2_01"], ["a", "1"]],
+    "names", [["v_0", "v_1", "other_0"], ["cam1_00", "cam1_01", "cam2_00", "cam2_01"], ["a", "1"]]
 )
 def test_two_series_in_a_folder_are_refused(names, tmp_path):
     folder = folder_of(tmp_path / "op", names)

@@ -8,7 +8,6 @@ import pytest
 from mcap.writer import IndexType
 from mcap_logs import (
     KINDS,
-    NO_SUMMARY,
     by_library,
     channel,
     chunk,
@@ -239,6 +238,7 @@ FAULTS = {
     "chunk ends in a message": ([chunk(channel(), message()[:-3])], "past the end of the chunk"),
     "chunk ends in a head": ([chunk(channel(), b"\5\0")], "past the end of the chunk"),
     "unknown channel": ([chunk(message(ident=9))], "channel 9, which is not defined"),
+    "unknown channel outside": ([message(ident=9)], "channel 9, which is not defined"),
     "channel defined twice": ([channel(), channel(topic="/b")], "defined twice"),
     "defined twice in chunks": (
         [chunk(channel()), chunk(channel(topic="/b"), message())],
@@ -274,10 +274,6 @@ def test_a_malformed_log_is_refused_with_the_reason(path, name):
     data, reason = FAULTS[name]
     fault = fault_of(mcap_file(path, *data))
     assert any(part in fault for part in reason.split("|")), fault
-
-
-def test_a_message_on_an_unknown_channel_outside_of_chunks_is_refused(path):
-    assert "channel 9" in fault_of(mcap_file(path, message(ident=9)))
 
 
 def test_bytes_after_the_end_are_refused(path):
@@ -342,8 +338,3 @@ def test_an_error_of_the_reading_thread_comes_at_its_chunk(path):
         assert [next(messages).log_time for _ in range(5)] == list(range(5))
         with pytest.raises(LogError, match="checksum"):
             next(messages)
-
-
-def test_a_summary_is_not_needed_to_find_channels(path):
-    with McapReader(write_log(path, **NO_SUMMARY)) as reader:
-        assert [m.channel_id for m in reader.messages({2})] == [2] * 20

@@ -7,11 +7,12 @@ import sys
 
 import pytest
 import zstandard
+from detector_logs import store_of
 from generators import rosbags_types
 from mcap.reader import make_reader
 from rosbag2_recorder import SINCE_LYRICAL, Recorded, in_idl, record, sample, write_metadata
 from rosbags import rosbag1
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores
 
 import hiros_schemas
 from hiros_cli.app import run
@@ -154,14 +155,6 @@ def with_odd(messages, *kinds):
     return [*messages[:50], *odd, *messages[50:]]
 
 
-@pytest.mark.parametrize("kind", ODD)
-def test_a_type_that_nobody_needs_does_not_matter(kind, messages, tmp_path):
-    mixed = with_odd(messages, kind)
-    for name, options in {"a": {"storage": "sqlite3"}, "b": {"mode": "file"}, "c": {}}.items():
-        with open_log(record(tmp_path / name, mixed, **options)) as log:
-            assert sum(1 for _ in log.detections()) == len(messages) - 1
-
-
 @pytest.mark.parametrize("metadata", [True, False])
 @pytest.mark.parametrize("mode", ["none", "message", "file"])
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
@@ -222,10 +215,8 @@ def test_a_type_that_only_its_owner_defines_is_named_with_a_remedy(messages, tmp
 
 
 def test_a_bag_of_ros_1_may_hold_a_type_that_nobody_needs(messages, tmp_path):
-    store = get_typestore(Stores.ROS1_NOETIC)
-    for name in (hiros_schemas.SKELETON_GROUP, hiros_schemas.TF_MESSAGE):
-        types = get_types_from_msg(hiros_schemas.text(name), name)
-        store.register({k: v for k, v in types.items() if k not in store.fielddefs})
+    names = (hiros_schemas.SKELETON_GROUP, hiros_schemas.TF_MESSAGE)
+    store = store_of({name: hiros_schemas.text(name) for name in names}, Stores.ROS1_NOETIC)
     with rosbag1.Writer(tmp_path / "lab.bag") as writer:
         # what topic_tools/ShapeShifter writes of a type that it does not know
         odd = writer.add_connection("/odd", "acme_msgs/msg/Odd", msgdef="}{ *", md5sum="*")

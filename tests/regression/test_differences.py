@@ -9,11 +9,7 @@ import pytest
 from stick_figures import MODEL, at, person, seen
 
 from hiros_mcap.body.limb_table import Limb, LimbTable
-from hiros_mcap.regression.differences import (
-    Comparison,
-    compare_frames,
-    compare_limbs,
-)
+from hiros_mcap.regression.differences import Comparison, compare_frames, compare_limbs
 from hiros_mcap.regression.quantities import Tolerances
 
 

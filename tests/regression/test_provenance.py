@@ -88,14 +88,6 @@ def test_a_parameter_that_became_a_constant_of_the_same_value_is_no_change():
     assert [d.what for d in changes(now, other)] == ["track.horizon"]
 
 
-def test_another_input_is_named(output, tmp_path):
-    check_output(output, Golden(tmp_path / "golden.mcap"), bless=True)
-    other = tmp_path / "other.mcap"
-    process(SAMPLE.with_name("two_people_crossing.mcap"), other, options=ProcessOptions(keep=()))
-    result = check_output(other, Golden(tmp_path / "golden.mcap"))
-    assert result.differences[0].what == "input, SHA-256"
-
-
 def test_an_equal_result_does_not_list_parameters(output, tmp_path, capsys):
     golden, same = tmp_path / "golden.mcap", tmp_path / "same.mcap"
     check_output(output, Golden(golden), bless=True)

@@ -217,10 +217,7 @@ def test_a_case_runs_the_system_that_it_names(suite, tmp_path):
         ('[[log]]\ninput = "walk.mcap"\nrequire = ["mpjpe < 2 cm"]', "mpjpe is in mm"),
         ('[[log]]\ninput = "walk.mcap"\nrequire = ["mpjpe is ok"]', "not of the form"),
         ('[[log]]\ninput = "walk.mcap"\ngolden = "a.mcap"\nfoo = 1', "walk.mcap: foo: there"),
-        (
-            '[[log]]\nname = "kitchen"\ninptu = "walk.mcap"',
-            "log kitchen: inptu: there is no",
-        ),
+        ('[[log]]\nname = "kitchen"\ninptu = "walk.mcap"', "log kitchen: inptu: there is no"),
         ('[[log]]\nname = "kitchen"', "log kitchen: input: is missing"),
         ('[[log]]\ninput = "walk.mcap"', "log walk.mcap: expects nothing"),
         (

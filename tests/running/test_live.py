@@ -474,10 +474,7 @@ def test_a_joint_that_is_seen_late_costs_no_message(alone, crossing, tmp_path):
 
 def test_skeletons_in_another_encoding_are_left_out_with_a_warning(crossing, by_file):
     def write(descriptor):
-        with (
-            LiveWriter(Pipe(descriptor, "pipe")) as writer,
-            McapReader(crossing) as reader,
-        ):
+        with LiveWriter(Pipe(descriptor, "pipe")) as writer, McapReader(crossing) as reader:
             ids = {i: writer.adopt(c, reader.schema(c)) for i, c in reader.channels.items()}
             schema = next(s for s in writer.schemas.values() if s.name.endswith("SkeletonGroup"))
             odd = writer.add_channel("/odd", schema.id, encoding="json")

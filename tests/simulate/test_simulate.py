@@ -16,12 +16,7 @@ from hiros_mcap.simulate.actions import ACTIONS
 from hiros_mcap.simulate.body_model import SLOT
 from hiros_mcap.simulate.chance import coloured, episodes
 from hiros_mcap.simulate.simulation import write_log
-from hiros_mcap.skeletons import (
-    ACCELERATION,
-    ANGULAR_ACCELERATION,
-    ANGULAR_VELOCITY,
-    VELOCITY,
-)
+from hiros_mcap.skeletons import ACCELERATION, ANGULAR_ACCELERATION, ANGULAR_VELOCITY, VELOCITY
 
 OFF = {
     "noise": 0.0, "occlusion": 0.0, "flips": 0.0, "dropouts": 0.0, "clock_jitter": 0.0,

@@ -16,11 +16,7 @@ from hiros_mcap.frames import Block, by_frame, frames_of, join
 from hiros_mcap.skeletons import VELOCITY, Frame, SkeletonModel
 from hiros_mcap.stages.filter.link_lengths import project_all
 from hiros_mcap.stages.fuse import fusing
-from hiros_mcap.stages.fuse.constrain import (
-    ConstrainParams,
-    StepMeter,
-    constrain_blocks,
-)
+from hiros_mcap.stages.fuse.constrain import ConstrainParams, StepMeter, constrain_blocks
 from hiros_mcap.stages.fuse.fuse import FuseParams, fuse_blocks
 from hiros_mcap.stages.fuse.fusing import (
     POSE,
@@ -31,12 +27,7 @@ from hiros_mcap.stages.fuse.fusing import (
     Sightings,
     Steps,
 )
-from hiros_mcap.stages.fuse.pair_lengths import (
-    RATE,
-    LastMinute,
-    RunningLengths,
-    measured_lengths,
-)
+from hiros_mcap.stages.fuse.pair_lengths import RATE, LastMinute, RunningLengths, measured_lengths
 from hiros_mcap.stages.fuse.pose_prior import (
     MotionPrior,
     body_frames,
@@ -58,7 +49,6 @@ fuse = at_once(fuse_blocks)
 constrain = at_once(constrain_blocks)
 
 START = 1_700_000_000_000_000_000  # ns
-POINT = SkeletonModel.of(["A"], [])
 TREE = np.array([0]), np.array([-1])  # one joint, without a parent
 NOISE = JointNoise(np.array([5.0]), np.array([0.02**2]), 2.0, 10**9, 0.0, 0.5, *TREE)
 

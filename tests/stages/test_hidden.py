@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from builders import moved
+from scipy.spatial.transform import Rotation
 from stick_figures import MODEL, at, person, seen
 
 from hiros_mcap.body.limb_thickness import capsules_of
@@ -154,6 +156,15 @@ def test_an_event_says_who_was_hidden_by_whom_from_where_and_how_long():
     assert (event.stamp, event.kind, event.person, event.source) == (at(ALONE), "hidden", 7, "a")
     assert event.detail == f"behind person 8 for {(BEHIND - 1) / 30:.1f} s"
     assert events.counts["hidden", "a"] > 0
+
+
+def test_moving_the_room_moves_the_result():
+    turn, shift = Rotation.from_euler("xyz", [0.3, -0.5, 1.2]), np.array([3.0, -1.0, 0.5])
+    cameras = {name: turn.apply(place) + shift for name, place in CAMERAS.items()}
+    there = run(moved(log(raised()), turn, shift), cameras=cameras)
+    here = moved(list(frames_of([run(log(raised()))])), turn, shift)
+    for one, other in zip(frames_of([there]), here, strict=True):
+        np.testing.assert_allclose(one.positions, other.positions, atol=1e-9)
 
 
 def test_limbs_have_the_radii_of_the_table():

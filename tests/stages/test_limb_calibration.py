@@ -23,8 +23,7 @@ optimize = at_once(optimize_blocks)
 streamed = by_frame(optimize_blocks)
 
 ARM = SkeletonModel.of(
-    ["shoulder", "elbow", "wrist", "hand"],
-    [("upper arm", 0, 1), ("forearm", 1, 2), ("palm", 2, 3)],
+    ["shoulder", "elbow", "wrist", "hand"], [("upper arm", 0, 1), ("forearm", 1, 2), ("palm", 2, 3)]
 )
 LENGTHS = np.array([0.30, 0.25, 0.20])
 

@@ -35,11 +35,7 @@ from hiros_mcap.stages.malaguti.associate import (
 )
 from hiros_mcap.stages.malaguti.kalman import FilteredPeople, KalmanParams, kalman, update
 from hiros_mcap.stages.malaguti.moving_average import MovingAverageParams, moving_average
-from hiros_mcap.stages.malaguti.straighten import (
-    StraightenParams,
-    straighten,
-    straightened,
-)
+from hiros_mcap.stages.malaguti.straighten import StraightenParams, straighten, straightened
 from hiros_mcap.systems import chain_of
 
 AT_ONCE = AssociateParams(confirm_detections=1)

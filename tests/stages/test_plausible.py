@@ -189,6 +189,16 @@ def test_without_it_nothing_changes():
     assert not is_blank(run(frames, limbs=False)[-1])
 
 
+def test_the_cut_into_blocks_does_not_matter():
+    frames = behind([*noisy(KNOWN), *[squeezed()] * 10, *noisy(10)])
+    whole = join([*map(Block.of, frames)])
+    (at_once,) = drop_implausible_blocks([whole], MODEL, None, None, CAMERAS)
+    one_by_one = run(frames)
+    for one, other in zip(views_of([at_once]).frames(), one_by_one, strict=True):
+        np.testing.assert_array_equal(one.positions, other.positions)
+    np.testing.assert_array_equal(at_once.doubts.variances, np.concatenate(doubts(frames)))
+
+
 def test_the_merger_carries_a_person_whose_views_are_left_out():
     """As long as they come, and with less and less confidence."""
     frames = behind([*noisy(KNOWN), *[squeezed()] * 20])

@@ -167,12 +167,7 @@ def test_a_person_has_a_time_of_their_own():
 
 
 @pytest.mark.parametrize(
-    "change",
-    [
-        {"noise_ratio": 0.1},
-        {"model": "constant_position"},
-        {"output": "corrected"},
-    ],
+    "change", [{"noise_ratio": 0.1}, {"model": "constant_position"}, {"output": "corrected"}]
 )
 def test_every_parameter_changes_something(change):
     xs = np.random.default_rng(3).normal(size=20)

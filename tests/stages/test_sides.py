@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from hiros_mcap.body.forward_cues import CUES, FacingMarkers
 from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, frames_of, join
+from hiros_mcap.frames import Block, by_frame, frames_of, join
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.simulate.body_model import MODEL, SLOT, SYMMETRY
 from hiros_mcap.skeletons import UNTRACKED, SkeletonModel
@@ -258,6 +258,14 @@ def test_many_views_are_passed_on_in_several_blocks(monkeypatch):
     out = list(decide_sides(parts, MODEL))
     assert max(len(block.people.ids) for block in out) < 20 + 8
     assert all(map(same_markers, frames_of(out), whole))
+
+
+@pytest.mark.parametrize("params", [SidesParams(lookahead=1.0), LIVE])
+def test_blocks_may_be_cut_anywhere(params):
+    frames = views(5, lambda f, c, t: mirror(f) if c == 0 and t % 2 > 1 else f)
+    whole = join([Block.of(frame) for frame in frames])
+    together = frames_of(decide_sides([whole], MODEL, params))
+    assert all(map(same, together, by_frame(decide_sides)(frames, MODEL, params)))
 
 
 def test_a_live_decision_does_not_know_the_future():

@@ -54,10 +54,6 @@ def test_ids_are_unique_and_every_reference_resolves():
     assert set(references) <= set(ids)
 
 
-def test_the_same_page_has_the_same_bytes():
-    assert page().html() == page().html()
-
-
 def test_a_page_that_cannot_be_written_leaves_nothing(tmp_path):
     target = tmp_path / "folder"
     target.mkdir()

@@ -338,10 +338,7 @@ def test_a_run_without_a_screen_is_served_as_a_page(crossing, tmp_path):
     from hiros_viewer.live import live_page
 
     pages: list[str] = []
-    with (
-        pytest.raises(KeyboardInterrupt),
-        live_page("live", lambda: None, pages.append) as view,
-    ):
+    with pytest.raises(KeyboardInterrupt), live_page("live", lambda: None, pages.append) as view:
         process(crossing, tmp_path / "out.mcap", watcher=view)
         with urlopen(pages[0], timeout=10) as page:
             assert b"Rerun" in page.read()
