@@ -23,10 +23,6 @@ from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.systems import SYSTEMS, Run, sections_of, system
 
 
-def test_without_anything_the_defaults_hold():
-    assert load_config() == Config()
-
-
 @pytest.mark.parametrize("preset", PRESETS)
 def test_every_preset_is_valid_and_reads_back(preset, tmp_path):
     config = load_config(preset=preset, system="hiros")
@@ -92,11 +88,6 @@ def test_a_system_states_the_sections_that_it_reads(name):
     left_out = {"predict"} if len(stages) > len(system(name).chains[-1]) else set()  # of lee
     assert reads.sections - left_out == {*system(name).sections}
     assert sections_of(name) == ("input", "clock", "output", *system(name).sections)
-
-
-def test_only_the_sections_asked_for_are_printed():
-    printed = tomllib.loads(to_toml(Config(), ["filter", "input"]))
-    assert [*printed] == ["input", "filter"]
 
 
 class _Section(Params):

@@ -220,12 +220,6 @@ def test_a_truth_that_nobody_is_near_to_may_have_another_frame(
     assert not wrong or re.search(r"truth \(.*, 80\d\.\d\), result \(.*, 0\.8\d*\)", out)
 
 
-def test_a_truth_in_millimetres_is_refused(processed, walking, tmp_path, capsys):
-    table = write_csv(tmp_path / "truth.csv", load_truth(walking), scale=1000.0)
-    assert run(["eval", str(processed), "--truth", str(table)]) == 2
-    assert "the coordinates look like millimetres" in capsys.readouterr().err
-
-
 def test_joints_that_the_result_lacks_are_listed(processed, tmp_path, capsys):
     table = tmp_path / "truth.csv"
     names = ("PELVIS", "C7", "jRightT4")

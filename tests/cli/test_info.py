@@ -98,13 +98,6 @@ def test_channels_have_rates_and_times(kind, tmp_path):
     assert (j.type, j.encoding, j.messages, j.seconds) == ("", "json", 1, 0.0)
 
 
-def test_an_empty_mcap_is_shown(tmp_path, capsys):
-    with McapWriter(tmp_path / "empty.mcap") as writer:
-        writer.commit()
-    assert run(["info", str(tmp_path / "empty.mcap")]) == 0
-    assert "nothing to process" in capsys.readouterr().out
-
-
 @pytest.fixture(scope="module")
 def result(crossing, tmp_path_factory):
     """The result of the crossing with one changed parameter."""

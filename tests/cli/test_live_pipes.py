@@ -145,6 +145,8 @@ def test_a_signal_ends_the_input(number, crossing, tmp_path):
         (["-", "--follow", "-o", "-"], "is live anyway"),
         (["nowhere.mcap", "--follow"], "does not exist yet"),
         (["-", "-o", "-", "--unit", "mm"], "are for files"),
+        (["-", "-o", "-", "--model", "kinect-v2"], "are for files"),
+        (["-", "-o", "-", "--strict"], "are for files"),
         (["-", "-o", "bag/"], "not a bag's folder"),
         (["-", "-o", "-", "--system", "hiros-realtime", "--two-pass"], "reads the whole log first"),
         (["-", "-o", "-", "--recover"], "are for files"),

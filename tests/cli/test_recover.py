@@ -107,7 +107,7 @@ def test_the_loss_as_json(log, tmp_path, capsys):
     assert said["recovered_messages"] == len(by_library(tmp_path / "bad.recovered.mcap"))
 
 
-@pytest.mark.parametrize("data", [b"", b"no log", b"\x89MCAP0\r\n"])
+@pytest.mark.parametrize("data", [b"", b"no log", b"\x89MCAP0\r\n" + bytes(5000)])
 def test_where_nothing_can_be_read_nothing_is_written(data, tmp_path, capsys):
     (tmp_path / "bad.mcap").write_bytes(data)
     assert run(["recover", str(tmp_path / "bad.mcap"), "-o", str(tmp_path / "out.mcap")]) == 2

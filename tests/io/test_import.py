@@ -13,6 +13,7 @@ import detector_files as files
 import detector_logs as made
 import numpy as np
 import pytest
+from test_foreign_tables import c3d
 
 from hiros_cli.app import run
 from hiros_mcap import open_result
@@ -272,19 +273,12 @@ def test_zed_writes_one_of_several_skeletons(tmp_path, whole_crossing):
 
 
 def test_people_of_a_c3d_file_become_a_log(tmp_path):
-    import ezc3d
-
-    labels, n = ["Anna:HEAD", "Anna:PELVIS", "Ben:HEAD", "Ben:PELVIS", "*3"], 4
-    points = np.zeros((4, len(labels), n))
-    points[2] = np.array([1600.0, 800.0, 1800.0, 900.0, 0.0])[:, None]
-    points[0, :, 3] = 77.0
-    file = ezc3d.c3d()
-    point = file["parameters"]["POINT"]
-    point["RATE"]["value"], point["UNITS"]["value"] = [100.0], ["mm"]
-    point["LABELS"]["value"] = labels
-    file["data"]["points"] = points
-    file.write(str(tmp_path / "vicon.c3d"))
-    assert import_joints([tmp_path / "vicon.c3d"], tmp_path / "log.mcap") == {"/vicon/skeletons": n}
+    labels = ["Anna:HEAD", "Anna:PELVIS", "Ben:HEAD", "Ben:PELVIS", "*3"]
+    points = np.zeros((4, len(labels), 3))
+    points[:, :, 2] = [1600.0, 800.0, 1800.0, 900.0, 0.0]
+    points[3, :, 0] = 77.0
+    c3d(tmp_path / "vicon.c3d", points, labels)
+    assert import_joints([tmp_path / "vicon.c3d"], tmp_path / "log.mcap") == {"/vicon/skeletons": 4}
     with open_log(tmp_path / "log.mcap") as log:
         frames = list(log.frames())
         assert log.model.marker_names == ("HEAD", "PELVIS")

@@ -8,7 +8,7 @@ from mcap_logs import tf_bytes, write_log
 import hiros_schemas
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import transform_to_fixed
-from hiros_mcap.errors import LogError, SchemaError
+from hiros_mcap.errors import LogError
 from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Decoder, Encoder, ModelBuilder
 from hiros_mcap.io.container import McapReader, McapWriter
@@ -495,15 +495,6 @@ def test_a_log_of_an_empty_room_has_frames_of_nobody(path):
     with open_log(path) as log:
         assert log.remarks[0] == "the room is empty: no camera sees anybody"
         assert [frame.n_people for frame in log.frames()] == [0]
-
-
-def test_a_schema_with_other_fields_is_an_error(path):
-    with McapWriter(path) as writer:
-        schema = writer.add_schema(hiros_schemas.SKELETON_GROUP, b"int32 x\n")
-        writer.write(writer.add_channel("/s", schema), 0, b"\0\1\0\0")
-        writer.commit()
-    with pytest.raises(SchemaError, match=r"log\.mcap: /s: schema lacks the field"):
-        open_log(path)
 
 
 def test_a_channel_of_another_encoding_is_left_out_with_a_warning(path):

@@ -26,7 +26,6 @@ from hiros_mcap.io.container import records as r
 
 CHUNKED = sorted(KINDS.keys() - {"unchunked"})
 COUNTED_ONLY = {"index_types": IndexType.NONE, "enable_data_crcs": False}
-Row = tuple[int, int, bytes, int, int]
 
 
 @pytest.fixture
@@ -286,16 +285,3 @@ def test_a_damaged_index_costs_nothing(path):
     assert len(rows) == 2
     assert recovery.complete
     assert "indexes do not match" in recovery.damages[0].fault
-
-
-@pytest.mark.parametrize(
-    ("data", "fault"),
-    [
-        (b"", "is empty"),
-        (b"this is a text", "is not an MCAP file"),
-        (r.MAGIC + bytes(5000), "no message of it can be read"),
-    ],
-)
-def test_a_file_of_which_nothing_can_be_read_is_refused(path, data, fault):
-    with pytest.raises(LogError, match=fault):
-        left_of(path, data)

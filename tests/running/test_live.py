@@ -41,7 +41,7 @@ from odd_logs import changed, poses_of, published
 import hiros_schemas
 from hiros_cli.run_report import _headline
 from hiros_mcap.config import load_config
-from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.errors import LogError
 from hiros_mcap.io import foxglove
 from hiros_mcap.io.channels import add_ros_channel
 from hiros_mcap.io.codec import Decoder, ModelBuilder
@@ -626,23 +626,6 @@ def test_transforms_that_came_too_early_are_told_with_the_remedy(crossing, tmp_p
     assert "the camera poses are unknown; pass them with --extrinsics" in text
     assert "No message of /tf_static has come: it was sent before hiros listened" in text
     assert text.endswith("publish it again, or start hiros first")
-
-
-def test_a_server_that_does_not_answer_is_named():
-    with pytest.raises(LogError, match="ws://127.0.0.1:1: no Foxglove WebSocket server answers"):
-        process_live(FoxgloveInput("ws://127.0.0.1:1", lambda topic, kind: True), None)
-
-
-def test_what_needs_the_whole_log_is_refused():
-    with pytest.raises(ConfigError, match="are for files"):
-        process_live(McapInput(0, "pipe"), None, options=ProcessOptions(strict=True))
-
-
-@pytest.mark.parametrize("changed", [{"unit": "mm"}, {"model": "kinect-v2"}])
-def test_what_converts_skeletons_is_refused(changed):
-    config = load_config(named={"--option": {"input": changed}})
-    with pytest.raises(ConfigError, match="--model, --unit and --negate are for files"):
-        process_live(McapInput(0, "pipe"), None, config=config)
 
 
 def test_a_second_recording_in_a_pipe_is_named(crossing, by_file):

@@ -464,11 +464,6 @@ def test_the_limit_of_memory_is_in_gib(walking):
         process(walking, memory=10_000 / 2**30)
 
 
-def test_a_text_is_one_glob(walking, tmp_path):
-    summary = process(walking, tmp_path / "out.mcap", calibrate="off", keep="abc")
-    assert "keep: the log has no channel abc" in summary.notes
-
-
 def test_a_file_of_parameters_may_be_named(tmp_path):
     (tmp_path / "mine.toml").write_text("[filter]\nctoff = 3\n")
     with pytest.raises(ConfigError, match=r"mine\.toml: no parameter filter\.ctoff"):

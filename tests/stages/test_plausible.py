@@ -10,7 +10,7 @@ from stick_figures import MIRROR, MODEL, SECOND, at, person, seen
 
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, Doubts, frames_of
+from hiros_mcap.frames import Block, Doubts, frames_of, join
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
 from hiros_mcap.stages.detections.plausible import PlausibleParams, drop_implausible_blocks
