@@ -27,7 +27,7 @@ from pydantic import (
 )
 
 from hiros_mcap._version import __version__
-from hiros_mcap.body.body_size import AXES, METRES, by_camera
+from hiros_mcap.body.units import AXES, METRES, by_camera
 from hiros_mcap.defaults import DEFAULT_SYSTEM, NO_PRESET, takes_presets
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.remote import is_remote

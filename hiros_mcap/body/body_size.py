@@ -3,38 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 
 import numpy as np
 
+from hiros_mcap.body.units import AXES, METRES, by_camera, is_called
 from hiros_mcap.skeletons import Floats
 
-METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0}
-"""Units in which people are measured."""
-AXES = ("x", "y", "z")
 SMALLEST, LARGEST = 0.03, 10.0
 """m; no detector of people sees anybody outside of these, a hand alone included."""
 _MILLIMETRES = 300.0  # above this, a size is more likely given in mm than in cm
-
-
-def by_camera(text: str, values: Collection[str]) -> dict[str, str]:
-    """Read a value of each camera: ``mm`` of all, ``left=mm,right=cm`` of some; "" is all cameras.
-
-    Raises ValueError for another value than one of ``values``.
-    """
-    found: dict[str, str] = {}
-    for part in filter(None, text.split(",")):
-        camera, _, value = part.rpartition("=")
-        if value.strip() not in values or camera.strip() in found:
-            some = ", ".join(values)
-            raise ValueError(f"should be one of {some}, or of some cameras: CAMERA={value or some}")
-        found[camera.strip()] = value.strip()
-    return found
-
-
-def is_called(topic: str, camera: str) -> bool:
-    """Whether a user means a topic: "" means any, otherwise it is the topic or a part of it."""
-    return f"/{camera.strip('/')}/" in f"/{topic.strip('/')}/" if camera else True
 
 
 def factors_of(topic: str, unit: str, negate: str) -> Floats:

@@ -22,9 +22,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hiros_mcap.body.body_size import AXES
 from hiros_mcap.body.forward_cues import CUES, FacingMarkers
 from hiros_mcap.body.rotations import Rigid, to_matrix
+from hiros_mcap.body.units import AXES
 from hiros_mcap.calibrate.camera_views import Seen
 from hiros_mcap.rays.confidence import TRIANGULATED
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hiros_mcap.body.body_size import METRES
+from hiros_mcap.body.units import METRES
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.truth import MAX_GAP_NS, Truth
 from hiros_mcap.io.channels import TRUTH_PREFIX

@@ -17,8 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import hiros_schemas
-from hiros_mcap.body.body_size import AXES, METRES, by_camera, factors_of, is_called
+from hiros_mcap.body.body_size import factors_of
 from hiros_mcap.body.transforms import parse_tf
+from hiros_mcap.body.units import AXES, METRES, by_camera, is_called
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.bags import MemoryReader
 from hiros_mcap.io.channels import (

@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.body.body_size import LARGEST, METRES, SMALLEST, body_size
+from hiros_mcap.body.body_size import LARGEST, SMALLEST, body_size
+from hiros_mcap.body.units import METRES
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder

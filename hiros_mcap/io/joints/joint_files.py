@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hiros_mcap.body.body_size import METRES
+from hiros_mcap.body.units import METRES
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.detectors.body_models import KEYPOINT_MODELS, body_model
 from hiros_mcap.io.joints.mapping import ColumnMapping, FileMapping, of_columns

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.body.body_size import METRES
+from hiros_mcap.body.units import METRES
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.joints.c3d_file import C3dFile, open_c3d
 from hiros_mcap.io.joints.text_tables import number_of, text_of, unit_of, with_points

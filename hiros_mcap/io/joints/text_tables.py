@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from hiros_mcap.body.body_size import METRES
+from hiros_mcap.body.units import METRES
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.outside import read_text
 
