@@ -172,6 +172,21 @@ def zed(path, frames, markers, n_keypoints=18):
     path.write_text(json.dumps(instants))
 
 
+def trc_text(positions, names, times, unit="m"):
+    """A plain TRC file of (T, M, 3) positions at some times, s."""
+    rate = round(1 / np.diff(times).mean())
+    lines = [
+        "PathFileType\t4\t(X/Y/Z)\tx.trc",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits",
+        f"{rate}\t{rate}\t{len(positions)}\t{len(names)}\t{unit}",
+        "Frame#\tTime\t" + "\t\t\t".join(names),
+        "",
+    ]
+    for k, (time, row) in enumerate(zip(times, positions, strict=True)):
+        lines.append(f"{k}\t{time:.9f}\t" + "\t".join(map(repr, np.ravel(row).tolist())))
+    return "\n".join([*lines, ""])
+
+
 def trc(path, frames, markers, names, person):
     """A TRC file as Pose2Sim and OpenCap write it: m, y up, one person."""
     head = [

@@ -37,6 +37,24 @@ def changed(source, target, change, *, keep=True):
     return target
 
 
+def shifted(source, target, seconds):
+    """Copy a log whose stamps and log times are later by ``seconds`` (topic)."""
+    with open_log(source, topics=["/camera_*/*", "/truth/*"]) as log, McapWriter(target) as writer:
+        writer.copy_definitions(log.reader, log.reader.channels)
+        decoder, encoder, rows = Decoder(log.model, exact=True), Encoder(log.model), []
+        for m in log.reader.messages():
+            topic, data = log.reader.channels[m.channel_id].topic, bytes(m.data)
+            ns = round(1e9 * seconds(topic))
+            if ns and topic.startswith(("/camera", "/truth")):
+                (frame,) = decoder.decode_message(data, m.log_time)
+                data = encoder.encode(later(frame, ns))
+            rows.append((m.log_time + ns, m.channel_id, data))
+        for time, channel, data in sorted(rows):
+            writer.write(channel, time, data)
+        writer.commit()
+    return target
+
+
 def later(frame, ns):
     """The same at another time of the camera's clock."""
     return frame.replace(stamp=frame.stamp + ns, stamps=frame.stamps + ns)

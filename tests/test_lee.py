@@ -74,14 +74,6 @@ def test_ten_centimetres_is_the_best_of_the_radii():
     assert errors[0.2] > errors[0.1] < errors[0.05]
 
 
-def test_two_people_by_the_trackers_ids(crossing, tmp_path):
-    out = tmp_path / "out.mcap"
-    summary = process(crossing, out, options=ProcessOptions(system="lee"))
-    assert len(summary.people) == 2
-    frames = read_channel(out, "/hiros/filtered")[0]
-    assert {int(i) for frame in frames for i in frame.ids} == {0, 1}
-
-
 def test_one_person_is_merged_as_in_the_paper(walking, tmp_path):
     """With one person there is one id, and each instant is one merge of all cameras."""
     out = tmp_path / "out.mcap"

@@ -42,20 +42,14 @@ def test_a_recording_is_not_replaced_without_force(tmp_path):
     check(target, force=True)
 
 
-def test_a_folder_is_refused(tmp_path):
-    with pytest.raises(LogError, match="is a folder"):
-        check(tmp_path, force=True)
-
-
-def test_a_missing_folder_is_named(tmp_path):
-    with pytest.raises(LogError, match="no such folder"):
-        check(tmp_path / "missing" / "out.mcap")
-
-
-def test_a_pipe_is_refused_even_with_force(tmp_path):
+@pytest.mark.parametrize(
+    ("name", "fault"),
+    [(".", "is a folder"), ("missing/out.mcap", "no such folder"), ("pipe", "pipe")],
+)
+def test_what_no_file_can_be_is_refused_even_with_force(name, fault, tmp_path):
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(LogError, match="pipe"):
-        check(tmp_path / "pipe", force=True)
+    with pytest.raises(LogError, match=fault):
+        check(tmp_path / name, force=True)
 
 
 def test_an_input_is_refused_even_with_force_and_by_another_name(tmp_path):

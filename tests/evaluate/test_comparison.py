@@ -7,6 +7,7 @@ import re
 import time
 
 import pytest
+from odd_logs import shifted
 from stick_figures import SECOND, START, person, seen
 
 from hiros_cli.app import run
@@ -36,9 +37,6 @@ from hiros_mcap.evaluate.logs import (
 )
 from hiros_mcap.evaluate.match import match
 from hiros_mcap.evaluate.measures import text_of
-from hiros_mcap.io.codec import Decoder, Encoder
-from hiros_mcap.io.container import McapWriter
-from hiros_mcap.io.log import open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.simulation import write_log
@@ -282,23 +280,6 @@ def test_faults_are_one_line(walking, capsys, arguments, fault):
     assert fault in captured.err
 
 
-def later(source, target, seconds, *, but=""):
-    """Copy a log whose cameras and truth, ``but`` some, have other stamps and log times."""
-    ns = seconds * SECOND
-    with open_log(source, topics=["/camera_*/*", "/truth/*"]) as log, McapWriter(target) as writer:
-        writer.copy_definitions(log.reader, log.reader.channels)
-        decoder, encoder = Decoder(log.model, exact=True), Encoder(log.model)
-        for message in log.reader.messages():
-            topic, data = log.reader.channels[message.channel_id].topic, message.data
-            if topic.startswith(("/camera", "/truth")) and not (but and topic.startswith(but)):
-                (frame,) = decoder.decode_message(data, message.log_time)
-                frame = frame.replace(stamp=frame.stamp + ns, stamps=frame.stamps + ns)
-                data = encoder.encode(frame)
-            writer.write(message.channel_id, message.log_time + ns, data)
-        writer.commit()
-    return target
-
-
 @pytest.fixture(scope="module")
 def usual(crossing):
     return comparison([Task(crossing, Entry("fuse"))])[0]
@@ -307,7 +288,8 @@ def usual(crossing):
 @pytest.mark.parametrize("begin", [0, 52, 10**9 - 1])
 def test_simulated_time_is_scored_as_any_other(usual, crossing, tmp_path, begin):
     """Logs from Gazebo (use_sim_time) begin at 52 s after 1970."""
-    simulated = later(crossing, tmp_path / "sim.mcap", begin - start_of(crossing) // SECOND)
+    ahead = begin - start_of(crossing) // SECOND
+    simulated = shifted(crossing, tmp_path / "sim.mcap", lambda topic: ahead)
     assert comparison([Task(simulated, Entry("fuse"))])[0].error == pytest.approx(usual.error, 0.02)
     process(simulated, tmp_path / "out.mcap")
     truth = find_truth(tmp_path / "out.mcap")
@@ -319,7 +301,8 @@ def test_simulated_time_is_scored_as_any_other(usual, crossing, tmp_path, begin)
 
 @pytest.mark.parametrize("command", [["eval"], ["compare", "--system", "fuse"]])
 def test_a_truth_of_another_time_is_one_line(crossing, tmp_path, capsys, command):
-    other = later(crossing, tmp_path / "other.mcap", 1000, but="/camera")
+    of_truth = lambda topic: 1000 * topic.startswith("/truth")  # noqa: E731
+    other = shifted(crossing, tmp_path / "other.mcap", of_truth)
     assert run([*command, str(other)]) == 2
     assert re.search(r"other.mcap: /hiros/\w+: the truth covers no frame", capsys.readouterr().err)
 

@@ -89,11 +89,6 @@ def test_the_interval_is_of_seconds_not_of_frames():
     assert np.mean(wide) == pytest.approx(2 * 2.09 * 5 / 20**0.5, rel=0.05)
 
 
-def test_the_same_numbers_every_time():
-    systems = [camera(random(20, 1))], [camera(random(20.4, 2))]
-    assert scored(*systems) == scored(*systems)
-
-
 @pytest.mark.parametrize(
     ("ends", "text"),
     [

@@ -183,11 +183,6 @@ def test_the_joints_of_a_marker_are_those_of_the_sdk(tmp_path, scene):
     assert body_model("azure-kinect").marker_names.index("HEAD") == 26
 
 
-def test_body_formats_of_the_zed_have_their_joints():
-    counts = [body_model(name).n_markers for name in ("zed-18", "zed-34", "zed-38", "zed-70")]
-    assert counts == [18, 34, 38, 70]
-
-
 @pytest.mark.parametrize("name", BODY_MODELS)
 def test_feet_with_toes_show_the_facing(name):
     model = body_model(name)

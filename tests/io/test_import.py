@@ -77,20 +77,9 @@ def json_file(path, frames, names):
 
 
 def trc_file(path, frames, names):
-    head = [
-        "PathFileType\t4\t(X/Y/Z)\tx.trc",
-        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits",
-        f"30\t30\t{len(frames)}\t{len(names)}\tmm",
-        "Frame#\tTime\t" + "\t\t\t".join(names),
-        "",
-    ]
-    first = made.stamp_of(frames[0])
-    rows = [
-        f"{i}\t{(made.stamp_of(f) - first) / 1e9:.9f}\t"
-        + "\t".join(map(repr, (1000 * f.positions[0] @ Y_UP.T).ravel().tolist()))
-        for i, f in enumerate(frames)
-    ]
-    path.write_text("\n".join([*head, *rows]))
+    times = [(made.stamp_of(f) - made.stamp_of(frames[0])) / 1e9 for f in frames]
+    positions = [1000 * f.positions[0] @ Y_UP.T for f in frames]
+    path.write_text(files.trc_text(positions, names, times, "mm"))
 
 
 AXES = 'axes = ["x", "-z", "y"]\n'

@@ -7,6 +7,7 @@ import json
 import detector_logs as made
 import numpy as np
 import pytest
+from detector_files import trc_text
 from odd_logs import believed, changed
 
 from hiros_cli.app import run
@@ -133,20 +134,7 @@ CSV = """time,person,joint,x,y,z,confidence
 
 
 def trc(rows, names):
-    """A TRC file in m of positions (T, M, 3)."""
-    n = len(names)
-    head = [
-        "PathFileType\t4\t(X/Y/Z)\ttest.trc",
-        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits",
-        f"10\t10\t{len(rows)}\t{n}\tm",
-        "Frame#\tTime\t" + "\t\t\t".join(names),
-        "\t\t" + "\t".join(f"{axis}{k + 1}" for k in range(n) for axis in "XYZ"),
-    ]
-    body = [
-        f"{t + 1}\t{t / 10}\t" + "\t".join(str(x) for x in np.ravel(row))
-        for t, row in enumerate(rows)
-    ]
-    return "\n".join([*head, *body, ""])
+    return trc_text(rows, names, np.arange(len(rows)) / 10)
 
 
 ROWS = np.array([[[1, 2, 3], [1, 2, 3.5], [0, 0, 0]], [[1, 2, 3], [1, 2, 3.5], [1, 2, 3.2]]])

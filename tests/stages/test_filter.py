@@ -504,13 +504,6 @@ def test_lengths_follow_the_input_with_their_time_constant():
     assert lengths[209] == pytest.approx(0.4 - 0.1 / math.e, abs=0.002)
 
 
-def test_first_lengths_are_the_plain_mean():
-    frames = [frame_at(k / 30, hand=(0.3 + 0.02 * (k % 2), 0, 0)) for k in range(40)]
-    out = list(filter_frames(frames, MODEL, FilterParams(lookahead=0.0)))
-    lengths = [f.markers[0, 1, 0] - f.markers[0, 0, 0] for f in out]
-    assert lengths[39] == pytest.approx(0.31, abs=0.0007)
-
-
 def test_rings_of_many_people_hold_no_more_than_the_look_ahead_needs():
     """Four steps of 10 Hz; for few people, more are filtered in one call."""
     for people, slots in ((300, 8), (2, 16)):

@@ -98,15 +98,6 @@ def test_the_gate_is_the_chi_squared_quantile():
     assert AssociateParams().gate == pytest.approx(chi2.ppf(0.999, 4), abs=5e-4)
 
 
-def test_people_who_pass_each_other_keep_their_ids():
-    frames = [
-        seen([person(-1 + 0.05 * k), person(1 - 0.05 * k, 0.3)], at(k), ids=[-1, -1])
-        for k in range(40)
-    ]
-    for frame in associate(frames, MODEL, AT_ONCE):
-        assert frame.ids.tolist() == [0, 1]
-
-
 def test_the_assignment_has_the_least_sum():
     """The nearest pair is 0.4 m from track 1 to the first detection; the sum wants it for 0."""
     frames = [seen([person(0.0), person(1.0)], at(k)) for k in range(10)]

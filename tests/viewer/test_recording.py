@@ -1008,13 +1008,6 @@ def test_a_recording_of_the_viewer_says_who_opens_it(processed, tmp_path, capsys
     assert f"but a Rerun recording; open it with: rerun {drawn}\n" in capsys.readouterr().err
 
 
-def test_a_file_that_is_no_recording_is_not_replaced(processed, tmp_path):
-    precious = tmp_path / "thesis.txt"
-    precious.write_text("words")
-    assert run(["view", str(processed), "--save", str(precious)]) == 2
-    assert precious.read_text() == "words"
-
-
 def test_nothing_listens_where_it_should_connect():
     from hiros_viewer.destinations import connect, free_port
 
