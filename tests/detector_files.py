@@ -21,6 +21,15 @@ OPENCAP = (
     *("Neck", "RShoulder", "RElbow", "RWrist", "LShoulder", "LElbow", "LWrist", "midHip"),
     *("RHip", "RKnee", "RAnkle", "LHip", "LKnee", "LAnkle", "LBigToe", "RBigToe"),
 )
+MOTIVE = {
+    **{"Hip": "PELVIS", "Ab": "SPINE_NAVAL", "Chest": "SPINE_CHEST", "Neck": "NECK"},
+    **{"Head": "HEAD", "LShoulder": "CLAVICLE_LEFT", "LUArm": "SHOULDER_LEFT"},
+    **{"LFArm": "ELBOW_LEFT", "LHand": "WRIST_LEFT", "RShoulder": "CLAVICLE_RIGHT"},
+    **{"RUArm": "SHOULDER_RIGHT", "RFArm": "ELBOW_RIGHT", "RHand": "WRIST_RIGHT"},
+    **{"LThigh": "HIP_LEFT", "LShin": "KNEE_LEFT", "LFoot": "ANKLE_LEFT", "LToe": "FOOT_LEFT"},
+    **{"RThigh": "HIP_RIGHT", "RShin": "KNEE_RIGHT", "RFoot": "ANKLE_RIGHT", "RToe": "FOOT_RIGHT"},
+}
+"""Bone -> the joint where it begins."""
 
 
 def truth_of(log):
@@ -203,6 +212,36 @@ def trc(path, frames, markers, names, person):
     path.write_text("\n".join(head) + "\n")
 
 
+def motive_text(points, names, times, kind, head, id_lines=2):
+    """A CSV file of Motive: (T, M, 3) points of a kind, beside rotations, a rigid body, a marker.
+
+    Since 1.25, a line of parents is below that of the IDs.
+    """
+    columns = [("Rigid Body", "Box", "Position", *"XYZ")]
+    columns += [("Rigid Body Marker", "Box:Marker1", "Position", *"XYZ")]
+    columns += [("Marker", "Unlabeled 12", "Position", *"XYZ")]
+    columns += [(kind, name, "Rotation", *"XYZW") for name in names]
+    columns += [(kind, name, "Position", *"XYZ") for name in names]
+    lines = [f"Format Version,1.23,Take Name,walk,{head}", ""]
+    for title, place in (("Type", 0), ("Name", 1), *[("ID", 1)] * id_lines, ("", 2)):
+        lines.append(",".join(["", title, *(f'"{c[place]}"' for c in columns for _ in c[3:])]))
+    lines.append(",".join(["Frame", "Time (Seconds)", *(axis for c in columns for axis in c[3:])]))
+    others = ["9"] * (9 + 4 * len(names))
+    for k, (time, row) in enumerate(zip(times, points, strict=True)):
+        cells = ["" if np.isnan(v) else repr(v) for v in np.ravel(row).tolist()]
+        lines.append(",".join([str(k), repr(float(time)), *others, *cells]))
+    return "\n".join([*lines, ""])
+
+
+def motive(path, frames, markers):
+    """The bones of Anna and Ben: mm, y up."""
+    people = np.stack([seen(frame, markers, [*MOTIVE.values()])[:2] @ Y_UP.T for frame in frames])
+    names = [f"{person}:{bone}" for person in ("Anna", "Ben") for bone in MOTIVE]
+    times = np.arange(len(frames)) / 30
+    points = 1000 * people.reshape(len(frames), -1, 3)
+    path.write_text(motive_text(points, names, times, "Bone", "Length Units,Millimeters"))
+
+
 def write_all(folder, log):
     """Write what docs/detectors.md imports, of the true people of a log of two."""
     frames, markers = truth_of(log)
@@ -219,3 +258,4 @@ def write_all(folder, log):
     for person in (0, 1):
         trc(folder / f"walk_P{person + 1}.trc", frames, markers, POSE2SIM, person)
     trc(folder / "squat.trc", frames, markers, OPENCAP, 0)
+    motive(folder / "take.csv", frames, markers)

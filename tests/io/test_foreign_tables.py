@@ -10,10 +10,12 @@ import ezc3d
 import numpy as np
 import pandas as pd
 import pytest
+from detector_files import motive_text
 
 from hiros_cli.app import run
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.truth_files import load_truth
+from hiros_mcap.io.detectors.body_models import joints_of
 from hiros_mcap.io.joints.importing import RELATIVE_START, import_joints
 from hiros_mcap.io.joints.marker_files import read_c3d, read_trc
 from hiros_mcap.io.log import open_log
@@ -295,7 +297,17 @@ def nexus(between=",", point=".", subject="P1:", before="", first=101):
 
 
 DEVICES = "Devices\n1000\n,,Force\nFrame,Sub Frame,Fx\n,,N\n1,0,3.5\n\n"
-FOREIGN_NEXUS = {
+
+
+def motive(kind="Bone", unit="Meters", more="", id_lines=2):
+    """A CSV file of OptiTrack's Motive: POINTS at 8 Hz, as bones or another kind."""
+    names = ["Anna:Anna", "Anna:Head", "Anna:LShin"] if kind == "Bone" else NAMES
+    head = f"Length Units,{unit}{more}"
+    points = POINTS * (1000 if unit == "Millimeters" else 1)
+    return motive_text(points, names, np.arange(6) / 8, kind, head, id_lines)
+
+
+FOREIGN_MOCAP = {
     "commas": nexus(),
     "empty lines before": nexus(before="\n,,,\n"),
     "tabs and decimal commas": nexus("\t", ","),
@@ -303,16 +315,22 @@ FOREIGN_NEXUS = {
     "no subject": nexus(subject=""),
     "after the devices, before the models": nexus(before=DEVICES) + DEVICES.replace("Dev", "\nDev"),
     "a line without its last cells": nexus().replace(",,,\n", "\n"),
+    "Motive, bones": motive(),
+    "Motive, bones in mm, no parents": motive(unit="Millimeters", id_lines=1),
+    "Motive, markers": motive("Marker"),
+    "Motive, markers of a skeleton": motive("Bone Marker"),
 }
 
 
-@pytest.mark.parametrize("kind", FOREIGN_NEXUS)
-def test_trajectories_of_vicon_nexus_are_read(kind, tmp_path):
-    (tmp_path / "a.csv").write_text(FOREIGN_NEXUS[kind])
+@pytest.mark.parametrize("kind", FOREIGN_MOCAP)
+def test_tables_of_vicon_nexus_and_of_motive_are_read(kind, tmp_path):
+    (tmp_path / "a.csv").write_text(FOREIGN_MOCAP[kind])
     frames = imported(tmp_path / "a.csv")["a"]
     assert_same(frames)
     assert_times(frames, RELATIVE_START)
-    assert load_truth(tmp_path / "a.csv").positions[:, 0] == pytest.approx(POINTS, abs=1e-6)
+    truth = load_truth(tmp_path / "a.csv")
+    assert truth.positions[:, 0] == pytest.approx(POINTS, abs=1e-6)
+    assert joints_of(truth.model.marker_names) == joints_of(NAMES)
 
 
 @pytest.mark.parametrize(
@@ -324,10 +342,15 @@ def test_trajectories_of_vicon_nexus_are_read(kind, tmp_path):
         (nexus().replace(",mm", ",m", 1), "line 5: unit 'm, mm' is none of"),
         (nexus().replace("900.000", "high", 1), "line 6: 'high' is not a number"),
         ("Trajectories\n8\n\n", "line 1: has no trajectories"),
+        (motive("Skeleton"), "line 4: names no bone and no marker, only .*Body Marker, Marker, Sk"),
+        (motive()[:-5], "line 14: is cut off"),
+        (motive(unit="Feet"), "line 1: unit 'Feet' is none of"),
+        (motive().replace("Frame,", "No,"), "has no line that begins with Frame, Time; export it"),
+        (motive(more=",Coordinate Space,Local"), "line 1: positions count from others; export Glo"),
         (nexus().replace("Trajectories\n8", "Trajectories\n-8"), "names no marker, or the line be"),
     ],
 )
-def test_a_faulty_table_of_vicon_nexus_is_one_line(text, fault, tmp_path):
+def test_a_faulty_table_of_motion_capture_is_one_line(text, fault, tmp_path):
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(ConfigError, match=fault):
         imported(tmp_path / "a.csv")

@@ -140,6 +140,7 @@ RECIPES = {
     "zed": ("zed_front.json", 'axes = ["x", "z", "-y"]', 18),
     "pose2sim": ("walk_P1.trc", "", len(files.POSE2SIM)),
     "opencap": ("squat.trc", "", len(files.OPENCAP)),
+    "motive": ("take.csv", "", len(files.MOTIVE)),
 }
 """Detector -> what it writes, what else the mapping says, and the joints that it sees."""
 

@@ -142,7 +142,7 @@ def import_(
     mapping: Path | None = option(
         "FILE",
         "TOML file with names, units, axes, cameras and clock of FILE; or openpose, "
-        "mediapipe, freemocap, pose2sim, opencap, azure-kinect, zed.",
+        "mediapipe, freemocap, pose2sim, opencap, motive, azure-kinect, zed.",
     ),
     calibration: list[Path] | None = option(
         "FILE",

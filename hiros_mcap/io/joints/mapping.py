@@ -91,6 +91,8 @@ DETECTOR_FILES: dict[str, dict[str, Any]] = {
     # Pose2Sim 0.10, pose-3d/*.trc; OpenCap, MarkerData/*.trc.
     "pose2sim": _Y_UP,
     "opencap": _Y_UP,
+    # OptiTrack Motive 1.8 to 3, File > Export > CSV: the ground plane is x, z.
+    "motive": _Y_UP,
 }
 """Name of a detector or program -> the mapping of its files."""
 

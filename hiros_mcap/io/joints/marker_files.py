@@ -1,4 +1,4 @@
-"""Files of motion capture: TRC (OpenSim, Cortex), C3D (Vicon, Qualisys, OptiTrack), Nexus' CSV.
+"""Files of motion capture: TRC (OpenSim, Cortex), C3D, and the CSV of Vicon Nexus and of Motive.
 
 https://www.c3d.org describes C3D. These parameters count: POINT:LABELS (and LABELS2 and so on, of
 more than 255 points), POINT:UNITS, POINT:RATE, and the lists of points that are no markers, as the
@@ -9,9 +9,10 @@ was not seen has a negative residual. USED counts the points; labels beyond it n
 
 from __future__ import annotations
 
+import csv
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -262,15 +263,20 @@ def _instead(file: C3dFile) -> str:
 _SECTIONS = ("Trajectories", "Model Outputs", "Devices", "Joints", "Segments")
 
 
-def is_nexus(path: Path) -> bool:
-    """Whether a table begins with a section as Vicon Nexus exports it: its name, then its rate."""
+def _reader_of_table(path: Path) -> Reader | None:
+    """Return the reader of a table of motion capture by its first lines; None for other tables.
+
+    Vicon Nexus begins with a section's name and its rate, Motive with the version of its format.
+    """
     try:
         with path.open(encoding="utf-8-sig", errors="replace") as file:
             lines = [line.strip(_EDGES) for line in file.read(4096).splitlines()]
     except OSError:
-        return False
+        return None
     first, second = ([line for line in lines if line] + ["", ""])[:2]
-    return first in _SECTIONS and _is_number(second)
+    if first.startswith("Format Version,"):
+        return read_motive
+    return read_nexus if first in _SECTIONS and _is_number(second) else None
 
 
 def read_nexus(path: Path, unit: str = "") -> Markers:
@@ -282,20 +288,15 @@ def read_nexus(path: Path, unit: str = "") -> Markers:
     Raises ConfigError if it has no such section, or one of its lines is faulty.
     """
     (at, rates), (where, labels), (_, columns), (there, units), *rows = _trajectories(path)
-    rate, axes = number_of(rates[0], at), [cell.upper() for cell in columns]
-    kept = {
-        k: label
-        for k, label in enumerate(labels)
-        if label and axes[k : k + 3] == ["X", "Y", "Z"] and "*" not in label
-    }
+    rate = number_of(rates[0], at)
+    kept = {k: labels[k] for k in _triples(columns, labels) if "*" not in labels[k]}
     if not kept or not rate > 0:
         raise ConfigError(f"{where}: names no marker, or the line before no rate")
     said = dict.fromkeys(cell for k in kept for cell in units[k : k + 3])
     unit = unit or _length(", ".join(said), there)
-    numbers = _frames(rows, max(kept) + 3)
-    points = METRES[unit] * np.stack([numbers[:, k : k + 3] for k in kept], axis=1)
-    times = (numbers[:, 0] - numbers[0, 0]) / rate
-    return _by_person(where, [*kept.values()], times, points, unit)
+    counted, points = _frames(rows, 0, [*kept])
+    times = (counted - counted[0]) / rate
+    return _by_person(where, [*kept.values()], times, METRES[unit] * points, unit)
 
 
 def _trajectories(path: Path) -> list[tuple[str, list[str]]]:
@@ -314,27 +315,104 @@ def _trajectories(path: Path) -> list[tuple[str, list[str]]]:
     return [(f"{path}: line {k}", row) for k, row in enumerate(cells, start=begin + 1)]
 
 
-def _frames(rows: list[tuple[str, list[str]]], width: int) -> Floats:
-    """(T, width) numbers of the rows of a section; NaN for an empty cell."""
+def _triples(columns: Sequence[str], labels: Sequence[str]) -> list[int]:
+    """Return where three columns X, Y, Z begin that have a label."""
+    axes = [cell.upper() for cell in columns]
+    return [k for k, label in enumerate(labels) if label and axes[k : k + 3] == ["X", "Y", "Z"]]
+
+
+def _frames(
+    rows: list[tuple[str, list[str]]], first: int, kept: Sequence[int]
+) -> tuple[Floats, Floats]:
+    """(T,) numbers of the column ``first`` and (T, K, 3) of those from ``kept`` on.
+
+    NaN for an empty cell. Raises ConfigError for a row that ends within a point, or has no time.
+    """
     with_points(rows)
-    numbers = np.full((len(rows), width), np.nan)
+    wanted = [first, *(k + axis for k in kept for axis in range(3))]
+    numbers = np.full((len(rows), len(wanted)), np.nan)
     for row, (where, cells) in zip(numbers, rows, strict=True):
-        if len(cells) % 3 != 2 and len(cells) < width:
+        if any(k < len(cells) < k + 3 for k in kept):
             raise ConfigError(f"{where}: is cut off")
-        row[: len(cells)] = [number_of(cell, where) for cell in cells[:width]]
+        row[:] = [number_of(cells[k] if k < len(cells) else "", where) for k in wanted]
         if math.isnan(row[0]):
-            raise ConfigError(f"{where}: has no frame")
-    return numbers
+            raise ConfigError(f"{where}: has no time")
+    return numbers[:, 0], numbers[:, 1:].reshape(len(rows), -1, 3)
 
 
-MARKER_FILES = {".trc": read_trc, ".c3d": read_c3d}
-"""Readers of motion capture by suffix; a table may be of Nexus, too."""
+_KINDS = ("Bone", "Marker", "Bone Marker")
+"""What Motive exports, and from what a table is read: the first of these that it has."""
+_MIDDLE = {"Hip": "PELVIS", "Ab": "SPINE_NAVAL", "Chest": "SPINE_CHEST"}
+_SIDED = {
+    **{"Shoulder": "CLAVICLE", "UArm": "SHOULDER", "FArm": "ELBOW", "Hand": "WRIST"},
+    **{"Thigh": "HIP", "Shin": "KNEE", "Foot": "ANKLE", "Toe": "FOOT"},
+}
+_BONES = _MIDDLE | {
+    f"{side[0]}{bone}": f"{joint}_{side}"
+    for bone, joint in _SIDED.items()
+    for side in ("LEFT", "RIGHT")
+}
+"""Motive places a bone where it begins; its LShoulder is the collarbone, its LUArm the shoulder."""
+
+
+def read_motive(path: Path, unit: str = "") -> Markers:
+    """Read a table of OptiTrack's Motive; ``unit``, or else its Length Units, scales to metres.
+
+    https://docs.optitrack.com describes it: a line of keys and values; lines of types, names
+    (``Anna:LUArm``), IDs and, since 1.25, parents; Rotation or Position; Frame, Time, X, Y, Z.
+    Bones are named after the joint where they begin.
+
+    Raises ConfigError if it has neither bones nor markers, or one of its lines is faulty.
+    """
+    rows = [
+        (f"{path}: line {number}", _stripped(cells))
+        for number, cells in enumerate(csv.reader(text_of(path).splitlines()), start=1)
+        if any(cells)
+    ]
+    header = rows[0][1]
+    said = dict(zip(header[::2], header[1::2], strict=False))
+    begin = next((k for k, (_, cells) in enumerate(rows) if cells[0] == "Frame"), 0)
+    if begin < 4:
+        raise ConfigError(f"{path}: has no line that begins with Frame, Time; export it again")
+    (_, types), (where, labels) = rows[1:3]
+    (_, parts), (_, columns) = rows[begin - 1 : begin + 1]
+    named = [k for k in _triples(columns, labels) if not labels[k].startswith("Unlabeled")]
+    found = [k for k in named if parts[k] == "Position"]
+    kind = next((kind for kind in _KINDS if kind in {types[k] for k in found}), "")
+    kept = [k for k in found if types[k] == kind]
+    if not kept:
+        others = ", ".join(dict.fromkeys(filter(None, types[1:]))) or "nothing"
+        raise ConfigError(f"{where}: names no bone and no marker, only {others}; export them, too")
+    if said.get("Coordinate Space", "Global") != "Global":
+        raise ConfigError(f"{path}: line 1: positions count from others; export Global ones")
+    unit = unit or _length(said.get("Length Units", "Meters"), f"{path}: line 1")
+    times, points = _frames(rows[begin + 1 :], 1, kept)
+    names = [_joint_of(labels[k]) if kind == "Bone" else labels[k] for k in kept]
+    return _by_person(where, names, times, METRES[unit] * points, unit)
+
+
+def _joint_of(label: str) -> str:
+    """Return the label of the joint where a bone begins; the hip may have the person's name."""
+    person, colon, bone = label.rpartition(":")
+    bone = "Hip" if bone == person else bone
+    return f"{person}{colon}{_BONES.get(bone, bone)}"
+
+
+Reader = Callable[[Path, str], Markers]
+MARKER_FILES: dict[str, Reader] = {".trc": read_trc, ".c3d": read_c3d}
+"""Readers of motion capture by suffix; a table may be of Nexus or Motive, too."""
 
 
 def has_markers(path: Path) -> bool:
     """Whether a file is one of motion capture, by its suffix and, of a table, its first lines."""
+    return _reader_of(path) is not None
+
+
+def _reader_of(path: Path) -> Reader | None:
     suffix = path.suffix.lower()
-    return suffix in MARKER_FILES or (suffix == ".csv" and path.is_file() and is_nexus(path))
+    if suffix == ".csv" and path.is_file():
+        return _reader_of_table(path)
+    return MARKER_FILES.get(suffix)
 
 
 def read_markers(path: Path, unit: str = "") -> Markers:
@@ -342,4 +420,6 @@ def read_markers(path: Path, unit: str = "") -> Markers:
 
     Raises ConfigError if it is faulty.
     """
-    return MARKER_FILES.get(path.suffix.lower(), read_nexus)(path, unit)
+    reader = _reader_of(path)
+    assert reader is not None  # noqa: S101 - has_markers
+    return reader(path, unit)
