@@ -210,5 +210,17 @@ def test_a_result_shows_who_the_keypoints_became(tmp_path):
     ]
     assert len(apart) > 20
     assert np.median(apart) < 0.05 * lens.size[1]
-    chunks = rerun.chunk.RrdReader(str(target)).stream().to_chunks()
-    assert "/detections/rgb_cameras" in {chunk.entity_path for chunk in chunks}
+    chunks = list(rerun.chunk.RrdReader(str(target)).stream().to_chunks())
+    paths = {chunk.entity_path for chunk in chunks}
+    assert "/detections/rgb_cameras" in paths
+    assert "/world/cameras/camera_0" in paths
+    assert "/world/cameras/rgb_cameras" not in paths  # together they stand nowhere
+    assert _first_time(chunks) == _first_time(
+        [chunk for chunk in chunks if chunk.entity_path == "/filtered/person_0"]
+    )  # the viewer opens there, and somebody is to be seen
+
+
+def _first_time(chunks):
+    """Return the earliest stamp of all rows that have one, but for those of events."""
+    batches = [c.to_record_batch() for c in chunks if not (c.is_static or c.entity_path == "/log")]
+    return min(batch.column("stamp").to_numpy(zero_copy_only=False).min() for batch in batches)

@@ -58,6 +58,8 @@ LIMB_AXIS_M = 0.25
 """Least length of an axis of limbs: millimetres look small."""
 ANGLE_AXIS_DEG = (0.0, 100.0)
 """Range that every axis of angles shows: two numbers stand beside it then."""
+SOON_NS = 1_000_000_000
+"""If somebody is seen within this time, nothing is drawn before."""
 EMPTY_ROOM = np.array([[-2.0, -2.0, 0.0], [2.0, 2.0, 1.8]])
 """m; what is looked at before anybody is seen."""
 MOST_NUMBERS = {"moved": 6.0, "residual": 6.0, "speed": 5.0, "people": 5.0}
@@ -154,7 +156,8 @@ class _Replay:
         self, path: Path, recording: rr.RecordingStream, options: ViewOptions, layer: Layer
     ) -> None:
         self.path, self.recording, self.options, self.layer = path, recording, options, layer
-        self._window: tuple[int, int] | None = None  # ns; None before the first frame
+        self._asked: tuple[int, int] | None = None  # ns; None before the first frame
+        self._window: tuple[int, int] | None = None  # what is drawn of it
         self._is_long = False
         self._step = 0
         self._laid_out = False
@@ -212,9 +215,11 @@ class _Replay:
                 # Outputs alone are logged later than they are stamped: whichever is first.
                 start = min(start, first_stamp)
                 scene.start = start if scene.start is None else scene.start
-                self._window = _window(start, self.options.time_range)
+                self._asked = self._window = _window(start, self.options.time_range)
             if not is_open():
                 break
+            if not drawn:
+                self._begin_with_people(frames, scene.final or DETECTIONS, start)
             drawn += self._draw(scene, frames)
             if not self._laid_out and scene.bounds:
                 self._laid_out = True
@@ -225,6 +230,19 @@ class _Replay:
             if not unfinished:
                 break  # the time range is over
         return drawn
+
+    def _begin_with_people(self, frames: Mapping[Channel, Poses], kind: str, start: int) -> None:
+        """Draw from the first frame with people on, of a stage or a camera, if that is soon.
+
+        The viewer opens at the first row: it would show an empty room.
+        """
+        begin, end = self._window or _EVER
+        begin = max(begin, start)
+        stamps = [poses.stamps[poses.counts > 0] for (k, _), poses in frames.items() if k == kind]
+        seen = np.concatenate([*stamps, np.zeros(0, np.int64)])
+        first = int(seen[seen >= begin].min(initial=end))
+        if first < begin + SOON_NS:
+            self._window = first, end
 
     def _rgb_cameras(self, log: Log) -> list[tuple[RgbCamera, Rigid | None]]:
         """Read what RGB cameras found in the time range, and where they stand."""
@@ -258,12 +276,14 @@ class _Replay:
         self, log: Path, views: Mapping[str, CameraImages], span: tuple[int, int], start: int
     ) -> None:
         """Draw the images and videos of a log between two times, ns; of images, one a step."""
-        due = dict.fromkeys(views, span[0])
+        due = dict.fromkeys(views, (self._asked or _EVER)[0])
         with open_messages(log) as messages:
             for picture in read_pictures(messages):
                 name = picture.frame_id
                 if name in views and due[name] <= picture.stamp <= span[1]:
                     due[name] = picture.stamp + (0 if picture.is_video else self._step)
+                    if not picture.is_video:  # whose frames need those before
+                        picture = picture._replace(stamp=max(picture.stamp, span[0]))
                     views[name].picture(picture, start)
 
     def _finish(self, scene: Scene, source: Source, drawn: int) -> None:
@@ -276,7 +296,7 @@ class _Replay:
         if self.options.truth is not None and scene.final and not scene.n_true:
             fault = f"the truth {self.options.truth} covers no frame of the result; check its times"
             raise ConfigError(f"{self.path}: {fault}")
-        begin, end = self._window or _EVER
+        begin, end = self._asked or _EVER
         for event in source.events:
             if begin <= event.stamp <= end:
                 scene.event(event)
@@ -372,7 +392,8 @@ def describe(log: Log) -> Source:
     for camera in detectors:
         for source in camera.sources.values():
             names[source] = _camera_name(camera, source, detectors)
-        if (pose := log.pose_of(camera)) is not None:
+        is_placed = camera.channel.topic != RGB_TOPIC  # what RGB cameras see together has no place
+        if is_placed and (pose := log.pose_of(camera)) is not None:
             poses.update({names[source]: pose for source in camera.sources.values()})
             moved = _later_poses(log, camera)
             later.update({names[source]: moved for source in camera.sources.values() if moved})
