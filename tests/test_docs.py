@@ -165,7 +165,7 @@ def write_import(folder):
 
 
 def write_films(folder):
-    """Write keypoints of four cameras as OpenPose does, and their calibration."""
+    """Write keypoints of four cameras as OpenPose, MMPose and MediaPipe do, and the calibration."""
     log, tables = folder / "filmed.mcap", []
     scene = "--camera rgb --cameras 4 --people 1 --rate 60 --seconds 1.2 --joints halpe-26 --quiet"
     assert run(["simulate", str(log), *scene.split()]) == 0
@@ -182,6 +182,7 @@ def write_films(folder):
             f"rotation = {Rotation.from_quat(world.xyzw).as_rotvec().tolist()}\n"
             f"translation = {world.translation.tolist()}\n"
         )
+        write_as_others(folder, number, camera)
         (folder / f"cam{number}_json").mkdir()
         for k, frame in enumerate(camera.frames):
             points = np.nan_to_num(np.dstack([frame.pixels, frame.scores]))
@@ -189,6 +190,23 @@ def write_films(folder):
             text = json.dumps({"people": people})
             (folder / f"cam{number}_json" / f"cam{number}_{k:06}.json").write_text(text)
     (folder / "Calib.toml").write_text("".join(tables))
+
+
+def write_as_others(folder, number, camera):
+    """Write the keypoints of a camera as MMPose and MediaPipe do."""
+    mmpose, mediapipe = [], []
+    for k, frame in enumerate(camera.frames):
+        people = zip(np.nan_to_num(frame.pixels), frame.scores.tolist(), strict=True)
+        found = [{"keypoints": p.tolist(), "keypoint_scores": scores} for p, scores in people]
+        mmpose.append({"frame_id": k, "instances": found})
+        shares = np.zeros((len(frame.pixels), 33, 2))
+        shares[:, : camera.model.n_markers] = np.nan_to_num(frame.pixels / camera.lens.size)
+        marks = [
+            [{"x": x, "y": y, "z": 0.1, "visibility": 0.9} for x, y in p] for p in shares.tolist()
+        ]
+        mediapipe.append({"timestamp_ms": 1000 * k / 60, "pose_landmarks": marks})
+    (folder / f"cam{number}.json").write_text(json.dumps(mmpose))
+    (folder / f"cam{number}_landmarks.json").write_text(json.dumps(mediapipe))
 
 
 def test_every_detector_has_a_recipe():

@@ -355,7 +355,7 @@ def test_a_joint_is_linked_to_the_nearest_one_above():
     ("text", "fault"),
     [
         ('unit = "inch"', "unit: should be 'm', 'cm' or 'mm'"),
-        ('detector = "pose"', "detector: 'pose' is none of openpose, mediapipe, freemocap"),
+        ('detector = "pose"', "detector: 'pose' is none of openpose, mediapipe, "),
         ('axes = ["x", "y", "-z"]', "axes: should not mirror people"),
         ('axes = ["x", "x", "z"]', "axes: should be x, y and z in some order"),
         ("colour = 3", "colour: "),

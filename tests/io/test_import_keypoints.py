@@ -126,14 +126,79 @@ def table(path):
     return [path / "a.csv"], RgbSetup(calibrated(path))
 
 
-@pytest.mark.parametrize("write", [alphapose, freemocap, table])
+def instances(frame, width=2):
+    """The people of an image, as MMPose lists them."""
+    joints = body("coco-17", frame)
+    return [
+        {
+            "keypoints": joints[:, :width].tolist(),
+            "keypoint_scores": joints[:, 2].tolist(),
+            "bbox": [[0, 0, 9, 9]],
+            "bbox_score": 0.8,
+        }
+    ]
+
+
+def mmpose(path):
+    """A file of a video, as the inferencer and, with ``meta_info``, the demos write it."""
+    frames = [{"frame_id": k, "instances": instances(k)} for k in range(2, 11)]
+    content = {"meta_info": {"dataset_name": "coco"}, "instance_info": frames}
+    (path / "cam1.json").write_text(json.dumps(frames))
+    (path / "cam2.json").write_text(json.dumps(content))
+    return [path / "cam2.json", path / "cam1.json"], RgbSetup(calibrated(path), rates=RATE)
+
+
+def mmpose_images(path):
+    """A folder of a file per image."""
+    (path / "cam1").mkdir()
+    for k in (2, 10):
+        (path / "cam1" / f"{k:06d}.json").write_text(json.dumps(instances(k)))
+    return [path / "cam1"], RgbSetup(calibrated(path, ["cam1"]), rates=RATE)
+
+
+MAPPINGS = {mmpose: "mmpose", mmpose_images: "mmpose"}
+
+
+@pytest.mark.parametrize("write", [alphapose, freemocap, table, *MAPPINGS])
 def test_each_program_says_the_same(write, tmp_path):
     sources, setup = write(tmp_path)
-    import_joints(sources, tmp_path / "log.mcap", setup=setup)
+    import_joints(sources, tmp_path / "log.mcap", MAPPINGS.get(write), setup=setup)
     frames = next(iter(cameras_of(tmp_path / "log.mcap").values())).frames
     np.testing.assert_allclose(frames[0].pixels[0], body("coco-17", 2)[:, :2])
     np.testing.assert_allclose(frames[-1].pixels[0], body("coco-17", 10)[:, :2])
     assert frames[-1].stamp - frames[0].stamp == 160_000_000
+
+
+def test_a_model_of_mmpose_in_space_is_refused_and_another_program_named(tmp_path):
+    frames = [{"frame_id": 0, "instances": instances(0, width=3)}]
+    (tmp_path / "cam1.json").write_text(json.dumps(frames))
+    setup = RgbSetup(calibrated(tmp_path, ["cam1"]), rates=RATE)
+    with pytest.raises(ConfigError, match="have 3 numbers and a confidence beside them; .* 2D mod"):
+        import_joints([tmp_path / "cam1.json"], tmp_path / "log.mcap", "mmpose", setup=setup)
+    with pytest.raises(
+        ConfigError, match=r"no list 'people' \(there are: frame_id, instances\); -"
+    ):
+        import_joints([tmp_path / "cam1.json"], tmp_path / "log.mcap", setup=setup)
+
+
+def test_mediapipes_landmarks_of_the_image_become_keypoints(tmp_path):
+    marks = np.column_stack([np.linspace(100, 420, 33), np.linspace(50, 410, 33), np.full(33, 0.9)])
+    people = [
+        [{"x": u / 640, "y": v / 480, "z": 0.1, "visibility": s} for u, v, s in marks.tolist()]
+    ]
+    frames = [
+        {"timestamp_ms": 20 * k, "pose_landmarks": found, "pose_world_landmarks": []}
+        for k, found in enumerate([people, people[0], None])  # the only person; nobody
+    ]
+    (tmp_path / "cam1.json").write_text(json.dumps(frames))
+    setup = RgbSetup(calibrated(tmp_path, ["cam1"]))
+    import_joints([tmp_path / "cam1.json"], tmp_path / "log.mcap", "mediapipe-image", setup=setup)
+    camera = cameras_of(tmp_path / "log.mcap")["cam1"]
+    assert camera.model.marker_names == body_model("mediapipe-33").marker_names
+    assert [len(frame.pixels) for frame in camera.frames] == [1, 1, 0]
+    for frame in camera.frames[:2]:
+        np.testing.assert_allclose(frame.pixels[0], marks[:, :2])
+        assert frame.scores == pytest.approx(0.9)
 
 
 def test_the_command_takes_rates_starts_and_poses(tmp_path, capsys):

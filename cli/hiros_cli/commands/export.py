@@ -142,7 +142,8 @@ def import_(
     mapping: Path | None = option(
         "FILE",
         "TOML file with names, units, axes, cameras and clock of FILE; or openpose, "
-        "mediapipe, freemocap, pose2sim, opencap, motive, azure-kinect, zed.",
+        "mediapipe, mediapipe-image, mmpose, freemocap, pose2sim, opencap, motive, azure-kinect, "
+        "zed.",
     ),
     calibration: list[Path] | None = option(
         "FILE",

@@ -219,7 +219,7 @@ def _json(path: Path, mapping: FileMapping, warn: Warn) -> Iterator[PersonInFile
     frames = content
     if isinstance(content, dict):
         frames = content.get(key) if key else list(content.values())
-    frames = _list(frames, key, path)
+    frames = _list(frames, key, path, content)
     if frames and isinstance(frames[0], dict) and {"image_id", "keypoints"} <= frames[0].keys():
         frames = _by_image(frames, path)
     for number, frame in enumerate(frames):
@@ -242,9 +242,12 @@ def _by_image(people: Sequence[Any], path: Path) -> list[tuple[int, Any]]:
 def _instant(frame: Any, where: str, number: int, mapping: FileMapping) -> Iterator[PersonInFile]:
     """Yield the people of an instant of a JSON file."""
     c = mapping.columns
+    if isinstance(frame, list):  # of people, without anything about the instant
+        frame = {c.people: frame}
     stamp = _object(frame, where).get(mapping.time.column)
     time = _time(None if stamp is None else str(stamp), number, mapping, where)
-    people = _list(frame.get(c.people), c.people, where)
+    is_null = c.people in frame and frame[c.people] is None  # nobody, as MediaPipe says it
+    people = [] if is_null else _list(frame.get(c.people), c.people, where, frame)
     if people and isinstance(people[0], dict) and c.x in people[0]:
         people = [people]  # the joints of the only person
     camera = _camera(frame, c.camera, where)
@@ -295,9 +298,14 @@ def _object(value: Any, where: str) -> dict[str, Any]:
     return value
 
 
-def _list(value: Any, name: str, where: object) -> list[Any]:
+def _list(value: Any, name: str, where: object, table: Any = None) -> list[Any]:
+    """Return a list; raises ConfigError if it is none, with the keys of the ``table`` it is of."""
     if not isinstance(value, list):
-        raise ConfigError(f"{where}: has no list {name!r}; the mapping file says how it is called")
+        keys = ", ".join([*table][:12]) if isinstance(table, dict) else "none"
+        raise ConfigError(
+            f"{where}: has no list {name!r} (there are: {keys}); --mapping names the program, or a "
+            "file that says how it is called"
+        )
     return value
 
 
@@ -329,6 +337,11 @@ def _joints_of(
     if numbers.ndim != 2 or numbers.shape[1] != width or np.isinf(numbers).any():
         numbers = np.array([_numbers_of(joint, c, where, width) for joint in values])
     sure = person.get(c.confidence)  # of the person's joints, beside them
+    if isinstance(sure, list) and isinstance(values[0], list) and len(values[0]) == width:
+        raise ConfigError(
+            f"{where}: joints have {width} numbers and a confidence beside them; if they are those "
+            "of a 3D model of MMPose, import those of its 2D model"
+        )
     for k, value in enumerate(sure[: len(numbers)] if isinstance(sure, list) else ()):
         numbers[k, -1] = number_of("" if value is None else str(value), where)
     return names, _scaled(numbers[: len(names)], mapping)

@@ -56,6 +56,22 @@ DETECTOR_FILES: dict[str, dict[str, Any]] = {
         "time": {"column": "timestamp_ms", "unit": "ms"},
         "columns": {"people": "pose_world_landmarks", "confidence": "visibility"},
     },
+    # The same result: shares of the image, x right, y down.
+    "mediapipe-image": {
+        "names": "mediapipe-33",
+        "time": {"column": "timestamp_ms", "unit": "ms"},
+        "columns": {"people": "pose_landmarks", "z": "", "confidence": "visibility"},
+    },
+    # MMPose 1, pred_out_dir of its inferencer, and what its demos save under instance_info: px.
+    "mmpose": {
+        "columns": {
+            "frames": "instance_info",
+            "people": "instances",
+            "joints": "keypoints",
+            "z": "",
+            "confidence": "keypoint_scores",
+        },
+    },
     # FreeMoCap 1.8 and 2, z up: output_data/mediapipe_body_3d_xyz.csv and .npy,
     # NAME_by_trajectory.csv; _tidy has those of a row per joint. Its DataSaver writes them
     # (freemocap/data_layer/data_saver/data_saver.py), in version 2 skellyforge's Actor.
