@@ -109,10 +109,11 @@ def overview(content: Content) -> rrb.Container:
         )
     angles = _tabs(content, [_angles(content, person) for person in content.people])
     side = [_error(content)] if content.has_error else []
+    speed = _series(content, "speed", "Speed, m/s")
     if len(content.prefixes) == 2:
-        name = "Joint distance between the logs, mm: mean green, largest violet"
-        side.append(_series(content, "distance", name))
-    side += [_series(content, "speed", "Speed, m/s"), _counts(content)]
+        side += [_series(content, "distance", "Joint distance, mm"), speed]
+    else:
+        side += [speed, _counts(content)]
     below = min(_MOST_BELOW, _NO_LANES + _A_LANE * len(content.lanes))
     wide, pairs = side[: len(side) % 2], side[len(side) % 2 :]
     curves = [4, *[2.2] * len(wide), 1.2 * len(pairs)]

@@ -49,7 +49,7 @@ def legend(content: Content, layout: str) -> str:
     ]
     sentences = [f"**{word}**: {meaning}." for word, meaning in _meanings(content, layout)]
     colours = " ".join([*sentences, "Point at a curve for its name."])
-    return "\n\n".join(["  \n".join(logs), colours]) if logs else colours
+    return "  \n".join([*logs, colours])
 
 
 def _meanings(content: Content, layout: str) -> Iterator[tuple[str, str]]:
