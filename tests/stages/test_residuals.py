@@ -11,6 +11,7 @@ from builders import at_once, same
 from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, by_frame, frames_of, join
+from hiros_mcap.rays.confidence import TRIANGULATED, confidence_of
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.running.report import scatter_by_camera, scatter_notes, scatter_of
@@ -187,6 +188,21 @@ def test_the_error_of_a_pose_is_no_scatter(params):
     usual = usual_deviations(bool(params))
     shifted = detections({}, np.array([0.0, 0.05, 0.0]))
     assert deviations(shifted, **params) == pytest.approx(usual, rel=0.1)
+
+
+@pytest.mark.parametrize("params", [{}, REALTIME])
+@pytest.mark.parametrize(("lasts", "scatters"), [(0.03, 0.003), (0.02, 0.02), (0.04, 0.02)])
+def test_joints_from_rays_err_by_what_they_state_and_do_not_scatter(params, lasts, scatters):
+    rng, frames = np.random.default_rng(9), []
+    offsets = rng.normal(0, lasts, (8, 3))
+    for t in TIMES:
+        stamp = round(t * 1e9) + 10**9
+        frames.append(frame := Frame.empty(1, BODY, stamp=stamp, source=TRIANGULATED))
+        frame.ids[:], frame.confidences[:] = 0, 0.9
+        place = 0.4 * np.sin(t + np.arange(24.0).reshape(8, 3))
+        frame.markers[0, :, :3] = place + offsets + rng.normal(0, scatters, (8, 3))
+        frame.marker_confidences[:] = confidence_of(np.hypot(lasts, scatters))
+    assert deviations(frames, **params) == pytest.approx(lasts, rel=0.25)
 
 
 def test_medians_of_histograms_are_those_of_the_values():

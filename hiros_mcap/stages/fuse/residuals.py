@@ -22,6 +22,11 @@ What the residuals of a body's joints have in common is left out: it is the erro
 pose or clock, which the standard deviations hold already. So are joints that a camera guesses: they
 hardly count in the result. How much larger or smaller the rest is than expected is the factor of
 the standard deviations: of each camera, and of each joint as far as it was seen.
+
+Joints that the rays of RGB cameras give have nobody else to be compared with, but a variance V that
+how their rays miss each other tells. It is of all their errors: those that scatter, which average
+out, and those that last, which the result has. The first are what their residuals show. So the
+result varies by V less the square of a usual residual.
 """
 
 from __future__ import annotations
@@ -38,6 +43,7 @@ from hiros_mcap.calibrate.gauge import CHI2_3_MEDIAN
 from hiros_mcap.events import COMMON, RESIDUAL, Events
 from hiros_mcap.frames import Block, together
 from hiros_mcap.kernels.array_types import chosen
+from hiros_mcap.rays.confidence import TRIANGULATED
 from hiros_mcap.skeletons import POSITION, VELOCITY, Floats, Ints, Stamps
 from hiros_mcap.stages.fuse.fusing import Sightings, joined_out_of
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
@@ -77,6 +83,9 @@ class ResidualMeter:
         """Camera -> histograms (M, B) of its residuals, of which the old ones count less."""
         self._ratios: dict[str, Floats] = {}
         """Camera -> (M,) size of these as a multiple of the expected one."""
+        self._stated = np.zeros(1), np.zeros(1)
+        """Histograms (M, B), of joints from rays: squared residual over stated variance; stated
+        variance over that of the result."""
         self._last: int | None = None
         self._waiting = 0  # frames in ``_held``
 
@@ -154,15 +163,42 @@ class ResidualMeter:
         shares = np.where(there, weights, np.nan) / np.where(total > 0, total, np.nan)[rows]
         expected = posterior * (1 / shares - 1)
         expected[~sees | (shares > _ALONE) | (views.outvoted > 0)] = np.nan
-        self._remember(views, residuals, expected, int(fused.stamps[-1]), names)
+        keep = self._kept(int(fused.stamps[-1]))
+        self._remember(views, residuals, expected, keep, names)
+        if TRIANGULATED in names:
+            of_rays = (views.cameras == names.index(TRIANGULATED))[:, None] & (views.outvoted == 0)
+            stated = np.where(of_rays & there, white, np.nan)
+            self._believe(squares / stated, stated / posterior, keep)
+
+    def _kept(self, stamp: int) -> float:
+        """Return how much of the histograms until the last call still counts at ``stamp``, ns."""
+        passed = stamp - (stamp if self._last is None else self._last)
+        self._last = stamp
+        return float(np.exp(-max(passed, 0) * 1e-9 / _MEMORY))
+
+    def _believe(self, shown: Floats, stated: Floats, keep: float) -> None:
+        """Let joints from rays err by what they state, but for what shows in their residuals.
+
+        ``shown`` (N, M) are squared residuals over stated variances, ``stated`` (N, M) these over
+        the variance of the result. Where other cameras tell their errors, those count.
+        """
+        new = histograms(shown.T), histograms(stated.T)
+        self._stated = new[0] + keep * self._stated[0], new[1] + keep * self._stated[1]
+        # Half of the residuals: those that are far off hardly count in the result.
+        scatters = self._of_joints(self._stated[0], 0.5, CHI2_3_MEDIAN) ** 2
+        whole = self._of_joints(self._stated[1], _SHARE, 1.0) ** 2
+        lasting = np.sqrt(np.maximum((1 - scatters) * whole, 1.0))
+        compared = self._ratios[TRIANGULATED]
+        self._ratios[TRIANGULATED] = np.where(np.isnan(compared), lasting, compared)
 
     def _remember(
-        self, views: Sightings, residuals: Floats, expected: Floats, stamp: int,
+        self, views: Sightings, residuals: Floats, expected: Floats, keep: float,
         names: tuple[str, ...],
     ) -> None:  # fmt: skip
         """Add the means of residuals (N, M, 3) over a moment to the cameras' histograms.
 
         ``expected`` (N, M), m2, are their variances; where it is NaN, a residual does not count.
+        Of the histograms so far, the share ``keep`` counts.
         """
         keys = np.stack([views.cameras, views.people, views.stamps // _MOMENT])
         order, begins = _grouped(keys)
@@ -177,23 +213,23 @@ class ResidualMeter:
         mean /= n[:, :, None]
         mean -= np.nansum(mean, axis=1, keepdims=True) / np.maximum(joints, 1)[:, :, None]
         squares = (mean**2).sum(axis=2) / (variance / n * (1 - 1 / np.maximum(joints, 2)))
-        passed = stamp - (stamp if self._last is None else self._last)
-        keep = float(np.exp(-max(passed, 0) * 1e-9 / _MEMORY))
-        self._last = stamp
         cameras = views.cameras[order[begins]]
         for k, name in enumerate(names):
             counts = histograms(squares[cameras == k].T)
             recent = self._recent[name] = counts + keep * self._recent.get(name, np.zeros(1))
             self._ratios[name] = self._of_joints(recent)
 
-    def _of_joints(self, counts: Floats) -> Floats:
-        """(M,) Ratios of the joints of a camera: that of all joints until they show their own."""
+    def _of_joints(self, counts: Floats, share: float = _SHARE, usual: float = _CHI2_3) -> Floats:
+        """(M,) Ratios of the joints of a camera: that of all joints until they show their own.
+
+        Each is the root of the value that a ``share`` is below, over the ``usual`` one.
+        """
         both = counts + counts[self._mirror]
         shown = counts.sum(axis=1) + counts[self._mirror].sum(axis=1)
-        (whole,) = quantiles(counts.sum(axis=0, keepdims=True), _SHARE, FEWEST)
-        joints = np.where(shown > 0, quantiles(both, _SHARE, 1), whole)
+        (whole,) = quantiles(counts.sum(axis=0, keepdims=True), share, FEWEST)
+        joints = np.where(shown > 0, quantiles(both, share, 1), whole)
         weight = shown / (shown + FEWEST)
-        return np.asarray(np.sqrt(whole ** (1 - weight) * joints**weight / _CHI2_3))
+        return np.asarray(np.sqrt(whole ** (1 - weight) * joints**weight / usual))
 
 
 def ratios(counts: NDArray[Any]) -> Floats:
