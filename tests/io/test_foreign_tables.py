@@ -243,6 +243,10 @@ def test_a_column_tells_cameras_apart(late, tmp_path):
         ("time;A_x;A_y;A_z\n0,5;1.5;0;0\n", "line 2: has the number '0,5', and elsewhere .* '1.5'"),
         ("time,A_x,A_y,A_z\ns,m,m,mm\n0,1,1,1\n", "line 2: has the units m, mm, where one of"),
         ("time,A_x,A_x,A_x\n0,1,1,1\n", "column A_x twice; one line should name each"),
+        (
+            "scorer,net,net\nbodyparts,A,A\ncoords,x,y\n0,1,2\n",
+            "a table of DeepLabCut, .* one line",
+        ),
         ("time,A_x,A_y,A_z,\xe9\n0,1,1,1,1\n".encode("latin-1"), "not text: .*; save text as UTF"),
     ],
 )
@@ -307,6 +311,18 @@ def motive(kind="Bone", unit="Meters", more="", id_lines=2):
     return motive_text(points, names, np.arange(6) / 8, kind, head, id_lines)
 
 
+def qualisys(lead=True, head=True, data="3D"):
+    """A TSV file of Qualisys Track Manager: POINTS at 8 Hz, mm."""
+    lines = ["NO_OF_FRAMES\t6", "FREQUENCY\t8", f"DATA_INCLUDED\t{data}"]
+    lines.append("\t".join(["MARKER_NAMES", *NAMES]))
+    columns = ["Frame", "Time"] * lead + [f"{name} {axis}" for name in NAMES for axis in "XYZ"]
+    lines += ["\t".join(columns)] * head
+    for k, points in enumerate(1000 * POINTS):
+        cells = [str(k + 1), f"{k / 8:.5f}"] * lead + [f"{v:.3f}" for v in points.ravel()]
+        lines.append("\t".join(cells))
+    return "\n".join(lines) + "\n"
+
+
 FOREIGN_MOCAP = {
     "commas": nexus(),
     "empty lines before": nexus(before="\n,,,\n"),
@@ -315,6 +331,8 @@ FOREIGN_MOCAP = {
     "no subject": nexus(subject=""),
     "after the devices, before the models": nexus(before=DEVICES) + DEVICES.replace("Dev", "\nDev"),
     "a line without its last cells": nexus().replace(",,,\n", "\n"),
+    "Qualisys": qualisys(),
+    "Qualisys, positions alone": qualisys(lead=False, head=False),
     "Motive, bones": motive(),
     "Motive, bones in mm, no parents": motive(unit="Millimeters", id_lines=1),
     "Motive, markers": motive("Marker"),
@@ -323,7 +341,7 @@ FOREIGN_MOCAP = {
 
 
 @pytest.mark.parametrize("kind", FOREIGN_MOCAP)
-def test_tables_of_vicon_nexus_and_of_motive_are_read(kind, tmp_path):
+def test_tables_of_motion_capture_are_read(kind, tmp_path):
     (tmp_path / "a.csv").write_text(FOREIGN_MOCAP[kind])
     frames = imported(tmp_path / "a.csv")["a"]
     assert_same(frames)
@@ -342,6 +360,8 @@ def test_tables_of_vicon_nexus_and_of_motive_are_read(kind, tmp_path):
         (nexus().replace(",mm", ",m", 1), "line 5: unit 'm, mm' is none of"),
         (nexus().replace("900.000", "high", 1), "line 6: 'high' is not a number"),
         ("Trajectories\n8\n\n", "line 1: has no trajectories"),
+        (qualisys(data="6D"), "has no MARKER_NAMES or no FREQUENCY, or no 3D data"),
+        (qualisys()[:-9], "line 11: is cut off"),
         (motive("Skeleton"), "line 4: names no bone and no marker, only .*Body Marker, Marker, Sk"),
         (motive()[:-5], "line 14: is cut off"),
         (motive(unit="Feet"), "line 1: unit 'Feet' is none of"),

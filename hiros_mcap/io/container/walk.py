@@ -25,7 +25,14 @@ from hiros_mcap.io.container.records import FormatError, Opcode
 MAX_RECORD = 64 * 2**20
 """Largest definition, metadata or summary record that is read, bytes."""
 _RERUN = b"RRF"  # files of `hiros view --save`
-_TABLES = (".csv", ".trc", ".c3d", ".json", ".npy")  # suffixes of files that `hiros import` reads
+_TABLES = (
+    ".csv",
+    ".tsv",
+    ".trc",
+    ".c3d",
+    ".json",
+    ".npy",
+)  # suffixes of files that `hiros import` reads
 _LOOSE = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
 
 Definition = TypeVar("Definition", r.Schema, r.Channel)

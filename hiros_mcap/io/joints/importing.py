@@ -134,7 +134,7 @@ def _skeleton_messages(writer: McapWriter, series: Series) -> Iterator[tuple[int
 
 def _may_be_cut(path: Path) -> bool:
     """Whether a table does not end with the end of a line. What else is cut off is an error."""
-    is_table = path.is_file() and path.suffix.lower() in (".csv", ".trc")
+    is_table = path.is_file() and path.suffix.lower() in (".csv", ".tsv", ".trc")
     return is_table and not path.read_bytes().endswith((b"\n", b"\r", b"\n\0"))
 
 

@@ -72,6 +72,7 @@ def read_sightings(
     """
     readers: dict[str, Callable[[Path, FileMapping, Warn], Iterator[PersonInFile]]] = {
         ".csv": _csv,
+        ".tsv": _csv,
         ".json": _json,
         ".npy": _numpy,
     }
@@ -81,7 +82,7 @@ def read_sightings(
     reader = _markers if has_markers(path) else readers.get(path.suffix.lower())
     if reader is None:
         kinds = ", ".join([*readers, *MARKER_FILES])
-        raise ConfigError(f"{path}: is none of {kinds}, which hiros imports")
+        raise ConfigError(f"{path}: is none of {kinds}, which hiros imports; export one of them")
     yield from reader(path, mapping, warn)
 
 

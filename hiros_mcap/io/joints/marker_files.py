@@ -1,4 +1,4 @@
-"""Files of motion capture: TRC (OpenSim, Cortex), C3D, and the CSV of Vicon Nexus and of Motive.
+"""Files of motion capture: TRC (OpenSim, Cortex), C3D, tables of Nexus, Motive and Qualisys.
 
 https://www.c3d.org describes C3D. These parameters count: POINT:LABELS (and LABELS2 and so on, of
 more than 255 points), POINT:UNITS, POINT:RATE, and the lists of points that are no markers, as the
@@ -21,7 +21,7 @@ import numpy as np
 from hiros_mcap.body.units import METRES
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.joints.c3d_file import C3dFile, open_c3d
-from hiros_mcap.io.joints.text_tables import number_of, text_of, unit_of, with_points
+from hiros_mcap.io.joints.text_tables import lines_of, number_of, text_of, unit_of, with_points
 from hiros_mcap.skeletons import Floats
 
 
@@ -266,7 +266,8 @@ _SECTIONS = ("Trajectories", "Model Outputs", "Devices", "Joints", "Segments")
 def _reader_of_table(path: Path) -> Reader | None:
     """Return the reader of a table of motion capture by its first lines; None for other tables.
 
-    Vicon Nexus begins with a section's name and its rate, Motive with the version of its format.
+    Vicon Nexus begins with a section's name and its rate, Motive with the version of its format,
+    Qualisys with the number of frames.
     """
     try:
         with path.open(encoding="utf-8-sig", errors="replace") as file:
@@ -276,6 +277,8 @@ def _reader_of_table(path: Path) -> Reader | None:
     first, second = ([line for line in lines if line] + ["", ""])[:2]
     if first.startswith("Format Version,"):
         return read_motive
+    if first.startswith("NO_OF_FRAMES"):
+        return read_qualisys
     return read_nexus if first in _SECTIONS and _is_number(second) else None
 
 
@@ -398,9 +401,36 @@ def _joint_of(label: str) -> str:
     return f"{person}{colon}{_BONES.get(bone, bone)}"
 
 
+def read_qualisys(path: Path, unit: str = "") -> Markers:
+    """Read a TSV file of Qualisys Track Manager; ``unit``, or else mm, scales to metres.
+
+    Lines of a key and its values come first, then perhaps one of column names. Rows may begin with
+    frame and time; ``FREQUENCY`` tells the times. A marker that was not seen is empty, or at 0 0 0.
+
+    Raises ConfigError if it has no markers, or one of its lines is faulty.
+    """
+    lines = [
+        (f"{path}: line {number}", _stripped(line.split("\t")))
+        for number, line in enumerate(lines_of(path), start=1)
+    ]
+    header = {cells[0]: cells[1:] for _, cells in lines}
+    labels = [name for name in header.get("MARKER_NAMES", []) if name]
+    rate = number_of(header.get("FREQUENCY", [""])[0], f"{path}: FREQUENCY")
+    if not labels or not rate > 0 or "3D" not in header.get("DATA_INCLUDED", ["3D"]):
+        raise ConfigError(f"{path}: has no MARKER_NAMES or no FREQUENCY, or no 3D data")
+    keys = [k for k, (_, cells) in enumerate(lines) if cells[0][:1].isalpha()]
+    begin = 1 + max(k for k in keys if lines[k][1][0] not in ("NaN", "NULL"))
+    rows = [row for row in lines[begin:] if any(row[1])]
+    lead = 2 * (max((len(cells) for _, cells in rows), default=0) >= 2 + 3 * len(labels))
+    rows = [(where, [str(k), *cells[lead:]]) for k, (where, cells) in enumerate(rows)]
+    counted, points = _frames(rows, 0, range(1, 1 + 3 * len(labels), 3))
+    unit = unit or "mm"
+    return _by_person(f"{path}: MARKER_NAMES", labels, counted / rate, METRES[unit] * points, unit)
+
+
 Reader = Callable[[Path, str], Markers]
 MARKER_FILES: dict[str, Reader] = {".trc": read_trc, ".c3d": read_c3d}
-"""Readers of motion capture by suffix; a table may be of Nexus or Motive, too."""
+"""Readers of motion capture by suffix; a table may be of Nexus, Motive or Qualisys, too."""
 
 
 def has_markers(path: Path) -> bool:
@@ -410,7 +440,7 @@ def has_markers(path: Path) -> bool:
 
 def _reader_of(path: Path) -> Reader | None:
     suffix = path.suffix.lower()
-    if suffix == ".csv" and path.is_file():
+    if suffix in (".csv", ".tsv") and path.is_file():
         return _reader_of_table(path)
     return MARKER_FILES.get(suffix)
 

@@ -86,6 +86,11 @@ def read_table(path: Path, *, may_be_short: bool = False) -> Table:
                 rows.append((f"{path}: line {reader.line_num + skipped}", cells))
     except csv.Error as error:
         raise ConfigError(f"{path}: not CSV: {error}") from error
+    if columns[:1] == ["scorer"]:
+        raise ConfigError(
+            f"{path}: line 1: is a table of DeepLabCut, whose names are in several lines; write "
+            "one line instead: frame,nose_u,nose_v,nose_score,..."
+        )
     if twice := sorted({name for name in columns if name and columns.count(name) > 1}):
         raise ConfigError(
             f"{path}: line 1: names the column {twice[0]} twice; one line should name each"
