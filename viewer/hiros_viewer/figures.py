@@ -74,8 +74,8 @@ def in_words(marks: Sequence[Mark]) -> list[str]:
 TRUTH, RESULT, SPREAD = "#1f5fa8", "#e07b1a", "#9aa4af"
 LEFT, RIGHT = "#8a8f98", "#3c56d8"
 """Of the limbs on each side, as in the viewer: pale and strong."""
-OTHERS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
-"""Of curves of channels and systems, in their order."""
+OTHERS = ("#0072b2", "#e07b1a", "#000000", "#8c564b", "#66ccee", "#332288", "#a04000", "#cc79a7")
+"""Of curves of channels and systems, in their order: colour-blind people tell them apart, too."""
 _LIMB_RANGE_MM = 60.0
 _LIMBS = {
     "upper arm": ("shoulder", "elbow"),

@@ -23,6 +23,7 @@ from hiros_mcap.evaluate.score_tables import (
     system_sheets,
     with_differences,
 )
+from hiros_mcap.io.channels import OUTPUT_PREFIX
 from hiros_mcap.wording import number
 from hiros_viewer.curves import about, add_images
 from hiros_viewer.figures import (
@@ -77,9 +78,10 @@ def truth_page(
 
 def _pck(scores: Mapping[str, Scores]) -> CurveGrid:
     within = np.array(PCK_MM, float)
+    short = {topic.removeprefix(f"{OUTPUT_PREFIX}/"): s for topic, s in scores.items()}
     curves = [
-        Curve(topic, colour, within, 100 * np.array(s.pck["all"]), 1.5)
-        for (topic, s), colour in zip(scores.items(), cycle(OTHERS))
+        Curve(name, colour, within, 100 * np.array(s.pck["all"]), 1.5)
+        for (name, s), colour in zip(short.items(), cycle(OTHERS))
     ]
     plot = CurvePlot(curves, (0.0, 101.0), y_title="joints, %")
     return CurveGrid([[plot]], 3.4, (0.0, float(PCK_MM[-1])), "mm")
