@@ -90,8 +90,8 @@ class ModelBuilder:
         builder._max_markers, builder._max_links = model.max_markers, model.max_links
         return builder
 
-    def add(self, data: Bytes, topic: str, layout: Layout = PUBLISHED) -> None:
-        """Take note of a message's markers and links.
+    def add(self, data: Bytes, topic: str, layout: Layout = PUBLISHED) -> bool:
+        """Take note of a message's markers and links; say whether it has any.
 
         Raises :class:`LogError` if the message is damaged, or gives an id another name or a link
         other ends than a former one did.
@@ -119,6 +119,7 @@ class ModelBuilder:
             if first != name:
                 fault = f"marker {key} is {name!r} here and {first!r} on {where}"
                 raise OtherSkeletonError(fault, topic=topic)
+        return bool(report[cdr.ROWS])
 
     def _add_link(self, key: int, link: tuple[str, int, int], topic: str) -> None:
         first, where = self._links.setdefault(key, (link, topic))

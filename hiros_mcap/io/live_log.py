@@ -90,7 +90,8 @@ class LiveReading(Reading):
             "--extrinsics FILE"
             for topic, n in self._waiting.items()
         )
-        faults = (*self._refused.values(), self.log.reader.source.fault)
+        reader = self.log.reader
+        faults = (*self._refused.values(), reader.fault or reader.source.fault)
         faulty = (f"{topic}: not used: {fault}" for topic, fault in self._faulty.items())
         late, lenses = self._late_joints(), self.log.conversion.seen_lenses.changes.values()
         return (*super().warnings, *waiting, *filter(None, faults), *faulty, *late, *lenses)

@@ -16,15 +16,24 @@ from hiros_mcap.io.container.records import Message
 from hiros_mcap.io.log_times import EARLY, FAR, StampPlace, place_of, remark, stamp_of
 from hiros_mcap.wording import quantity
 
+_BACK = 10 * 10**9
+"""ns: how far messages out of order may lie behind the newest one."""
+_STAY = 100  # messages behind it, one after the other, that show that time goes on from there
+
 
 class LiveLogTimes:
-    """Gives messages right log times in the order in which they come."""
+    """Gives messages right log times in the order in which they come.
+
+    Where time begins anew, which nobody can put in order, ``reader`` reads no further.
+    """
 
     def __init__(self, reader: LiveReader) -> None:
         self._reader = reader
         self._places: dict[int, StampPlace | None] = {}
         self._delays: dict[int, int] = {}  # channel -> log time - stamp, ns, of its last message
         self._last = 0  # log time, ns, of the last message with a stamp
+        self._newest = 0  # the latest of these
+        self._back = 0  # how many such messages were far behind it, one after the other
         self._mended: Counter[str] = Counter()
 
     def right(self, message: Message) -> Message:
@@ -39,10 +48,22 @@ class LiveLogTimes:
             return message
         stamp = stamp_of(message, place)
         right = self._judged(ident, logged, stamp) if stamp else self._unstamped(logged)
+        self._compare(self._last)
         if right == logged:
             return message
         self._mended[self._reader.channels[ident].topic] += 1
         return replace(message, log_time=right)
+
+    def _compare(self, logged: int) -> None:
+        """Notice that time goes on from an earlier one."""
+        self._newest = max(self._newest, logged)
+        self._back = self._back + 1 if self._newest - logged > _BACK else 0
+        if self._back == _STAY:
+            self._reader.fault = (
+                f"time went back by {(self._newest - logged) * 1e-9:.0f} s, and hiros ended there: "
+                "a clock was set back, a recording is played again, or a file is not in order of "
+                "time; start hiros again, or name the file instead of a pipe"
+            )
 
     def _unstamped(self, logged: int) -> int:
         return self._last if logged == 0 and self._last > EARLY else logged

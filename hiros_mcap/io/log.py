@@ -76,10 +76,11 @@ def learn_model(
 ) -> tuple[SkeletonModel, dict[int, Message]]:
     """Learn the skeleton model, and each channel's first message on the way.
 
-    The first messages are enough when they hold every marker and link that the detectors claim to
-    know; at worst the whole log is read. A message that is damaged, or contradicts the former
-    ones, teaches nothing; whoever decodes it will say so. Raises OtherSkeletonError if the first
-    skeletons of a channel contradict another channel.
+    The first messages with people are enough when they hold every marker and link that the
+    detectors claim to know; at worst, and while a channel shows nobody, the whole log is read. A
+    message that is damaged, or contradicts the former ones, teaches nothing; whoever decodes it
+    will say so. Raises OtherSkeletonError if the first skeletons of a channel contradict another
+    channel.
     """
     learner = _Learner(layouts)
     for records, rows in reader.runs(layouts.keys()):
@@ -104,13 +105,13 @@ class _Learner:
         self.first: dict[int, Message] = {}
         self.fault = ""  # why the first message that teaches nothing does so
         self._layouts = layouts
-        self._taught: set[int] = set()
+        self._taught: set[int] = set()  # channels that have shown somebody
         self._decoder = Decoder(self.builder.build(), layouts=layouts)
 
     @property
     def done(self) -> bool:
         """Whether no further message teaches anything."""
-        return self.builder.complete and len(self.first) == len(self._layouts)
+        return self.builder.complete and self._layouts.keys() == self._taught & self.first.keys()
 
     def new_in(self, records: Records) -> list[int]:
         """Return which messages are the first of a channel, or do not fit the model so far."""
@@ -118,18 +119,22 @@ class _Learner:
         places = zip(channels.tolist(), first.tolist(), strict=True)
         new = {k for i, k in places if i not in self.first}
         batch = Batch([records], None)
-        for decoded in () if self.builder.complete else self._decoder.decode(batch):
+        for decoded in () if self.done else self._decoder.decode(batch):
             faulty = decoded.keys[list(decoded.faults), 2]  # where the messages start
+            for ident, parts in zip(decoded.channels, decoded.parts, strict=True):
+                if any(begin < end for *_, begin, end in parts):
+                    self._taught.add(ident)
             new.update(np.flatnonzero(np.isin(records.messages[:, START], faulty)).tolist())
         return sorted(new)
 
     def take(self, message: Message, topic: str) -> None:
         """Learn from a message if it may hold anything new."""
         ident = message.channel_id
-        if ident not in self.first or not (self.builder.complete or self._reads(message)):
+        is_known = self.builder.complete and ident in self._taught
+        if ident not in self.first or not (is_known or self._reads(message)):
             try:
-                self.builder.add(message.data, topic, self._layouts[ident])
-                self._taught.add(ident)
+                if self.builder.add(message.data, topic, self._layouts[ident]):
+                    self._taught.add(ident)
                 self._decoder = Decoder(self.builder.build(), layouts=self._layouts)
             except LogError as error:
                 if isinstance(error, OtherSkeletonError) and ident not in self._taught:

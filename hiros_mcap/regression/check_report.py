@@ -115,7 +115,7 @@ def _details(r: CaseResult) -> list[str]:
         rows = [(d.where, d.what, d.was, d.now) for d in r.differences]
         text += [*_table(("where", "what", "was", "is"), rows), ""]
         detail = "\n".join([*lines(r), *r.notes])
-        fence = "```" if "```" not in detail else "~~~~"
+        fence = "`" * (1 + max(map(len, re.findall("`+", f"``{detail}"))))
         text += ["<details><summary>details</summary>", "", fence, detail, fence, "", "</details>"]
     return text
 

@@ -260,6 +260,17 @@ def test_the_model_is_complete_even_when_markers_come_late(path):
     assert not np.isnan(frames[-1].positions).any()
 
 
+def test_a_camera_of_another_skeleton_may_see_nobody_at_first(path):
+    other = SkeletonModel.of(("c", "b", "a"), (("cb", 0, 1), ("ba", 1, 2)))
+    with Maker(path) as log:
+        for k in range(3):
+            log.add(seen(0, 1000 + k))
+            log.add(seen(1), data=Encoder(other).encode(seen(1, 1000 + k, n=k)))
+    frames, read = frames_of(path)
+    assert [frame.n_people for frame in frames if frame.source == "camera_1"] == [0, 1, 2]
+    assert read.accounts["/camera_1/skeletons"].used == 3
+
+
 def test_a_camera_whose_joints_have_no_common_names_is_refused(path):
     other = SkeletonModel.of(("x", "y", "z"), (("ab", 0, 1), ("bc", 1, 2)))
     with Maker(path) as log:

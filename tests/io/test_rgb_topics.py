@@ -47,6 +47,14 @@ def test_topics_of_keypoints_choose_rgb_cameras(topics, read, lenses, log):
         )
 
 
+def test_live_no_message_is_lost_where_rgb_cameras_see_nobody_at_first(log):
+    with log.open("rb") as file, open_live(McapInput(file.fileno(), "live")) as live:
+        reading = live.read()
+        list(reading.frames())
+    account = reading.accounts["/rgb/skeletons"]
+    assert account.used == account.read > 25
+
+
 @pytest.mark.parametrize(
     ("size", "zoom", "said"),
     [

@@ -36,7 +36,7 @@ from detector_logs import (
 from mcap.reader import NonSeekingReader
 from mcap.records import Channel
 from mcap.stream_reader import StreamReader
-from odd_logs import changed, poses_of, published
+from odd_logs import changed, poses_of, published, shifted
 
 import hiros_schemas
 from hiros_cli.run_report import _headline
@@ -637,6 +637,22 @@ def test_a_second_recording_in_a_pipe_is_named(crossing, by_file):
     assert results(out) == by_file
     (warning,) = summary.warnings
     assert warning.startswith("the input goes on behind its end mark")
+
+
+@pytest.mark.parametrize("ends", [True, False])
+def test_a_run_ends_where_time_begins_anew_and_bears_single_old_messages(
+    ends, crossing, by_file, tmp_path
+):
+    """Behind the recording comes one of an hour ago; or some messages of it come in between."""
+    sent = recorded(crossing)
+    past = shifted(crossing, tmp_path / "past.mcap", lambda topic: -3600.0)
+    old = [pair for pair in recorded(past) if pair[0].startswith("/camera")]
+    mixed = [p for k, pair in enumerate(sent) for p in (pair, *old[k : k + (k % 5 == 4)])]
+    summary, out = run_live(send(crossing, sent + old if ends else mixed))
+    assert len(results(out)["/hiros/filtered"]) >= 0.95 * len(by_file["/hiros/filtered"])
+    late = sum(camera.skipped["too late to be merged"] for camera in summary.cameras)
+    assert late == 100 if ends else late > 10
+    assert any("time went back by 36" in text for text in summary.warnings) == ends
 
 
 def chunk(data, size, compression="zstd"):

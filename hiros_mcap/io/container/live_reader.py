@@ -38,6 +38,7 @@ class LiveReader(McapReader):
     done : is called when what was handed out is dealt with.
     span : log times, ns, of the first message and of the latest, of the channels handed out.
     hidden : channels whose messages become those of other channels.
+    fault : why nothing more is read though the input goes on; "" while it is read.
     convert : what a message becomes. rest : what is still to come when the input has ended.
     """
 
@@ -53,6 +54,7 @@ class LiveReader(McapReader):
         self.done: Callable[[], None] = lambda: None
         self.span = (0, 0)
         self.hidden: set[int] = set()
+        self.fault = ""
         self.convert: Callable[[Message], Iterable[Message]] = lambda message: (message,)
         self.rest: Callable[[], Iterable[Message]] = lambda: ()
         self._contents = Contents()
@@ -157,6 +159,9 @@ class LiveReader(McapReader):
             for message in self.convert(self._unpacked(record)):
                 self.counts[message.channel_id] += message.channel_id != record.channel_id
                 yield message
+            if self.fault:
+                self.source.stop()
+                break
         for message in self.rest():
             self.counts[message.channel_id] += 1
             yield message
