@@ -207,8 +207,11 @@ def cameras(content: Content) -> rrb.Container:
         has_free_cell = n % columns == columns - 1
         (rooms if has_free_cell else below).insert(n if has_free_cell else 0, table)
     grid = rrb.Grid(*rooms, grid_columns=columns)
-    shares = [3, 0.25 + 0.25 * (len(content.prefixes) == 2), 1]
-    return rrb.Vertical(grid, _key(), rrb.Horizontal(*below), row_shares=shares)
+    shares = [3, 0.25 + 0.25 * (len(content.prefixes) == 2), 1.15]
+    widths = [5, 3, 3] if len(below) == 3 else None  # the table has eight columns
+    return rrb.Vertical(
+        grid, _key(), rrb.Horizontal(*below, column_shares=widths), row_shares=shares
+    )
 
 
 LAYOUTS: dict[str, Callable[[Content], Any]] = {

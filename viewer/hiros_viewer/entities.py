@@ -78,12 +78,12 @@ class Layer:
 
 CAMERA_TABLE = "/cameras"
 CAMERA_COLUMNS = (
-    *("camera", "messages used", "coverage", "distance"),
+    *("camera", "used", "coverage", "distance"),
     *("mirrored", "far off", "flips", "outliers"),
 )
 _CAMERA_NOTE = (
-    "Coverage: people of the result that the camera reports. Distance: of its detections to the "
-    "result, median. Flips: relabelled detections. Outliers: markers left out."
+    "Used: its messages. Coverage: people of the result that it reports. Distance: of its "
+    "detections to the result, median. Flips: relabelled detections. Outliers: markers left out."
 )
 KEY = "/key"
 
