@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
+import hiros_schemas
 from hiros_cli.app import run
 from hiros_mcap.evaluate.logs import evaluate_channels, find_truth, read_results
+from hiros_mcap.io.channels import add_ros_channel, add_static_poses
 from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
 from hiros_mcap.io.container.live_input import McapInput
+from hiros_mcap.io.detectors.body_models import body_model, joints_of
 from hiros_mcap.io.detectors.keypoint_messages import add_camera_info
 from hiros_mcap.io.live_log import open_live
 from hiros_mcap.io.log import open_log
-from hiros_mcap.io.rgb_cameras import read_rgb_cameras
+from hiros_mcap.io.rgb_cameras import placed_cameras, poses_of, read_rgb_cameras
+from hiros_mcap.io.ros_cdr import CdrWriter
 from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.simulate import SimulateParams
@@ -26,6 +31,45 @@ def log(tmp_path_factory):
     rig = {"kinds": ("depth", "rgb", "rgb", "rgb")}
     write_log(path, SimulateParams.model_validate({"cameras": 4, "seconds": 1.0, "rig": rig}))
     return path
+
+
+def test_people_with_a_topic_each_are_of_one_image(tmp_path):
+    """As ROS4HRI publishes them: /humans/bodies/ID/skeleton2d."""
+    log, hri, path = tmp_path / "log.mcap", body_model("hri-18").marker_names, tmp_path / "hri.mcap"
+    rig = {"kinds": ("rgb", "rgb", "rgb")}
+    scene = {"people": 2, "cameras": 3, "seconds": 1.0, "rig": rig}
+    write_log(log, SimulateParams.model_validate(scene))
+    with McapReader(log) as reader, McapWriter(path) as writer:
+        cameras = read_rgb_cameras(reader)
+        tree, _ = placed_cameras(reader, None, cameras)
+        start = cameras[0].frames[0].stamp
+        add_static_poses(writer, poses_of(cameras, tree, "world"), "world", start)
+        messages = []
+        for camera in cameras:
+            add_camera_info(writer, f"/{camera.name}/camera_info", camera.lens, camera.name, start)
+            slots = {joint: k for k, joint in enumerate(joints_of(camera.model.marker_names))}
+            for person in range(2):
+                topic = f"/{camera.name}/bodies/{person}/skeleton2d"
+                channel = add_ros_channel(writer, topic, hiros_schemas.SKELETON_2D)
+                for frame in (f for f in camera.frames if person < len(f.pixels)):
+                    out = CdrWriter()
+                    out.header(frame.stamp, camera.name)
+                    out.uint32(len(hri))
+                    for joint in joints_of(hri):
+                        slot = slots.get(joint)
+                        share = [0.0, 0.0] if slot is None else frame.pixels[person, slot]
+                        share = np.nan_to_num(np.divide(share, camera.lens.size)).tolist()
+                        out.float32(*share, float(share[0] > 0))
+                    messages.append((frame.stamp, channel, out.finish()))
+        for stamp, channel, data in sorted(messages):
+            writer.write(channel, stamp, data)
+        writer.commit()
+    with open_log(path) as opened:
+        reading = opened.read()
+        counts = [frame.n_people for frame in reading.frames()]
+        notes = [*reading.warnings, *opened.warnings]
+    assert np.median(counts) == 2
+    assert not [text for text in notes if "came too late" in text]
 
 
 @pytest.mark.parametrize(

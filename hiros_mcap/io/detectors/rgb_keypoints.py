@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+import hiros_schemas
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import TransformTree
 from hiros_mcap.errors import LogError
@@ -33,6 +34,7 @@ from hiros_mcap.rays.triangulator import LocatedPeople, Triangulator
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.wording import quantity
 
+_ONE_PERSON = hiros_schemas.short_name(hiros_schemas.SKELETON_2D)
 RGB_TOPIC = "/rgb/skeletons"
 """Channel of the triangulated skeletons."""
 
@@ -85,6 +87,8 @@ class RgbKeypoints(DetectorReader):
         self.rig: RgbRig | None = None
         self.model: SkeletonModel | None = None
         self._triangulator: Triangulator | None = None
+        self._begun: dict[str, tuple[str, int, Keypoints]] = {}
+        """Topic, log time and people so far of an image, by optical frame, see :meth:`_whole`."""
         self._homeless: Counter[str] = Counter()
         """Messages of cameras whose lens or place is not known, by optical frame."""
         self._foreign: Counter[str] = Counter()
@@ -98,7 +102,29 @@ class RgbKeypoints(DetectorReader):
             return None
         joints = self.rig.models[message.topic].n_markers
         found = decode_keypoints(message, joints, self.rig.lenses)
-        return list(self._located(message.topic, message.log_time, found, self.rig))
+        images = [(message.topic, message.log_time, found)]
+        if message.type == _ONE_PERSON:
+            images = self._whole(*images[0])
+        return [people for image in images for people in self._located(*image, self.rig)]
+
+    def _whole(
+        self, topic: str, log_time: int, found: Keypoints
+    ) -> list[tuple[str, int, Keypoints]]:
+        """Return the image before, once the next one of its camera begins.
+
+        ROS4HRI has a topic per person; their messages of one stamp are of one image.
+        """
+        before = self._begun.pop(found.frame_id, None)
+        stamp = found.stamp or log_time
+        is_same = before is not None and (before[2].stamp or before[1]) == stamp
+        if before is not None and is_same:
+            parts = before[2], found
+            pixels, scores = (
+                np.concatenate(part) for part in zip(*(p[2:] for p in parts), strict=True)
+            )
+            found = found._replace(pixels=pixels, scores=scores)
+        self._begun[found.frame_id] = topic, log_time, found
+        return [] if before is None or is_same else [before]
 
     def take(self, topic: str, frame: Frame) -> list[SeenPeople]:
         """Take 3D skeletons whose depth is guessed, of the topic's model; return as read() does."""
@@ -109,6 +135,10 @@ class RgbKeypoints(DetectorReader):
 
     def rest(self) -> Iterator[SeenPeople]:
         """Return the people of the last instants."""
+        for image in sorted(self._begun.values(), key=lambda image: image[1]):
+            if self.rig is not None:
+                yield from self._located(*image, self.rig)
+        self._begun.clear()
         if self._triangulator is not None:
             yield from map(self._people, self._triangulator.rest())
 
