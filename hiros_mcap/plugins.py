@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from traceback import walk_tb
 from typing import Any
 
 from hiros_mcap._version import __version__
@@ -53,6 +54,15 @@ def faulty(point: EntryPoint, fault: str) -> ConfigError:
         f"the {_KINDS[point.group]} {point.name} ({point.value}) of {_package(point)} {fault}; "
         f"install a version for hiros {__version__}, or uninstall it"
     )
+
+
+def failed(error: Exception) -> ConfigError | None:
+    """Return the error of the entry point whose code an exception passed through; None if none."""
+    points = {point.module: point for group in _KINDS for point in entry_points(group=group)}
+    for frame, _ in walk_tb(error.__traceback__):
+        if point := points.get(frame.f_globals.get("__name__", "")):
+            return faulty(point, f"failed: {type(error).__name__}: {error}")
+    return None
 
 
 def _package(point: EntryPoint) -> str:

@@ -89,7 +89,7 @@ def test_lists_help_and_facts_name_it(calm, walking, tmp_path):
 def brought(monkeypatch, *values, name="calm"):
     """Let packages bring systems."""
     points = [EntryPoint(name, value, plugins.SYSTEMS) for value in values]
-    monkeypatch.setattr(plugins, "entry_points", lambda group: points)
+    monkeypatch.setattr(plugins, "entry_points", lambda group: points * (group == plugins.SYSTEMS))
     plugins.installed.cache_clear()
     systems._installed.cache_clear()
 
@@ -107,6 +107,7 @@ def _forgotten():
         ("nowhere:CALM", "cannot be loaded: No module named 'nowhere'"),
         ("sys:exit", "is no hiros_mcap.systems.System"),
         (f"{__name__}:NO_SECTION", "reads 'wind', which is no section of parameters"),
+        (f"{__name__}:RAISES", "failed: KeyError: 'hands'"),
         (f"{__name__}:NO_CHAIN", "has the chains T, FT; T, M, O and F are right, in this order"),
     ],
 )
@@ -118,6 +119,7 @@ def test_a_package_that_fails_is_named_with_the_remedy(value, fault, monkeypatch
     assert line.endswith("or uninstall it\n")
 
 
+RAISES = systems.System("", lambda run: {}["hands"], ("T",), ())
 NO_SECTION = systems.System("", dict, ("T",), ("wind",))
 NO_CHAIN = systems.System("", dict, ("T", "FT"), ())
 NO_CHANNEL = systems.System("", lambda run: {}, ("T",), ())

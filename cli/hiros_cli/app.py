@@ -95,9 +95,12 @@ def _report(error: Exception, *, debug: bool) -> int:
         return 128 + 13  # as after SIGPIPE
     from hiros_cli.output import error_line, lacks_memory, left_out
     from hiros_mcap.errors import HirosError
+    from hiros_mcap.plugins import failed
 
     if debug:
         _show_traceback(error)
+    if not isinstance(error, HirosError | OSError):
+        error = failed(error) or error
     bug = not (isinstance(error, HirosError | OSError) or lacks_memory(error) or left_out(error))
     print(error_line(error, bug=bug), file=sys.stderr)
     return BUG if bug else BAD_INPUT
