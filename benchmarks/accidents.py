@@ -143,21 +143,23 @@ def case_signals(make: Callable[[], Room], times: int, chance: random.Random) ->
 
 
 def case_same_output(make: Callable[[], Room], times: int, chance: random.Random) -> Iterator[str]:
-    """Two runs onto one output: the file is one of the two whole results."""
-    arguments = COMMANDS["process"]
-    other = (*arguments, "--system", "hiros", "--force")
-    wholes = [whole_results(make(), a)[0]["out.mcap"] for a in (arguments, other)]
-    for _ in range(times):
-        room, delay = make(), chance.uniform(0.0, 1.0)
-        first = room.start((*arguments, "--force"))
-        time.sleep(delay)
-        second = room.start(other)
-        for process in (first, second):
-            for fault in room.faults(process, {0, 2}, {}):
-                yield f"two runs, {delay:.2f} s apart: {fault}"
-        out = room.folder / "out.mcap"
-        if out.exists() and _digest(out) not in wholes:
-            yield f"two runs, {delay:.2f} s apart: the output is neither's"
+    """Two runs onto one file or one folder: each log is one of the two whole results."""
+    for name in ("process", "many"):
+        arguments = (*COMMANDS[name], "--force")
+        other = (*arguments, "--system", "hiros")
+        wholes = [whole_results(make(), a)[0] for a in (arguments, other)]
+        for _ in range(times):
+            room, delay = make(), chance.uniform(0.0, 1.0)
+            first = room.start(arguments)
+            time.sleep(delay)
+            second = room.start(other)
+            for process in (first, second):
+                for fault in room.faults(process, {0, 2}, {}):
+                    yield f"{name}, two runs, {delay:.2f} s apart: {fault}"
+            for file in (file for file in wholes[0] if file.endswith(".mcap")):
+                out = room.folder / file
+                if out.exists() and _digest(out) not in [whole[file] for whole in wholes]:
+                    yield f"{name}, two runs, {delay:.2f} s apart: {file} is neither's"
 
 
 def case_full_disk(make: Callable[[], Room], times: int, chance: random.Random) -> Iterator[str]:
