@@ -18,7 +18,7 @@ from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.simulate.body_model import MODEL, SLOT, SYMMETRY
 from hiros_mcap.skeletons import UNTRACKED, SkeletonModel
 from hiros_mcap.stages.detections import sides
-from hiros_mcap.stages.detections.body_axes import find_upright, follow_line
+from hiros_mcap.stages.detections.body_axes import follow_line, learn_up, upright
 from hiros_mcap.stages.detections.facing_evidence import (
     BINS,
     FacingPast,
@@ -390,9 +390,10 @@ def uprightness(velocities, trunks):
         x = np.cross(z, [0.6, 0.8, 0.1])
         x /= np.linalg.norm(x)
         axes[k] = x, np.cross(z, x), z
-    out = np.empty(len(axes))
-    find_upright(np.repeat(np.array(velocities, float), 60, axis=0), axes, np.zeros(4), out)
-    return out[::60].tolist()
+    up = np.zeros(4)
+    for velocity, at in zip(np.repeat(np.array(velocities, float), 60, axis=0), axes, strict=True):
+        learn_up(tuple(velocity), at, up)
+    return [upright(at, up) for at in axes[::60]]
 
 
 def test_those_who_walk_show_which_way_is_up():
