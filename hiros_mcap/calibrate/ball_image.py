@@ -12,7 +12,7 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.calibrate.registration import fit_sphere
 from hiros_mcap.errors import ConfigError, RegistrationError
 from hiros_mcap.io.ros_messages import Bytes
-from hiros_mcap.rays.intrinsics import Intrinsics
+from hiros_mcap.rays.intrinsics import Intrinsics, opencv
 from hiros_mcap.skeletons import Floats
 
 Labels = npt.NDArray[np.int32]
@@ -101,7 +101,7 @@ def color_regions(image: Bytes, color: ColorRange) -> Labels:
     Pixels in the range give the histogram of hue and saturation under this light. Its
     back-projection (Swain and Ballard 1991) finds what has the same colours.
     """
-    import cv2
+    cv2 = opencv()
 
     hsv: Any = cv2.cvtColor(image, cv2.COLOR_BGR2HSV)
     seed = _in_range(hsv, color)
@@ -122,7 +122,7 @@ def color_regions(image: Bytes, color: ColorRange) -> Labels:
 
 
 def _in_range(hsv: Any, color: ColorRange) -> Bytes:
-    import cv2
+    cv2 = opencv()
 
     (h0, *low), (h1, *high) = color
     if h0 <= h1:

@@ -36,6 +36,7 @@ from hiros_mcap.calibrate.registration import board_frame, rigid_fit
 from hiros_mcap.calibrate.verdict import CameraResult, Verdict
 from hiros_mcap.errors import ConfigError, RegistrationError, naming
 from hiros_mcap.io.ros_messages import Bytes, open_messages
+from hiros_mcap.rays.intrinsics import opencv
 from hiros_mcap.skeletons import Floats
 
 DICTIONARY = "DICT_4X4_50"
@@ -137,7 +138,7 @@ def marker_finder(dictionary: str = DICTIONARY) -> Finder:
 
     Raises ConfigError if OpenCV has no such dictionary.
     """
-    import cv2
+    cv2 = opencv()
 
     names = [name for name in dir(cv2.aruco) if name.startswith("DICT_")]
     if dictionary not in names:

@@ -5,7 +5,6 @@ A log of skeletons is read by :mod:`hiros_mcap.io.log`, which is much faster.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -24,7 +23,7 @@ from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.joining import open_part
 from hiros_mcap.io.ros_cdr import Bytes as Cdr
 from hiros_mcap.io.ros_cdr import RosMessage, decoder_of, ros2_types
-from hiros_mcap.rays.intrinsics import COUNTS, FISHEYE, PLUMB_BOB, Intrinsics
+from hiros_mcap.rays.intrinsics import COUNTS, FISHEYE, PLUMB_BOB, Intrinsics, opencv
 from hiros_mcap.skeletons import SECOND, Floats
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -119,8 +118,6 @@ def open_messages(path: Path | McapReader) -> Iterator[RosMessages]:
 
 
 Bytes = npt.NDArray[np.uint8]
-# OpenCV reads it when it is loaded. Its own limit is 2**30: 100 kB of PNG would take 6 GB.
-os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 27))
 
 
 class FilmFrame(NamedTuple):
@@ -305,7 +302,7 @@ def _pixels(message: Any, kind: np.dtype[Any], channels: int) -> npt.NDArray[Any
 
 
 def _picture(data: Bytes, *, colour: bool) -> npt.NDArray[Any]:
-    import cv2
+    cv2 = opencv()
 
     flag = cv2.IMREAD_COLOR if colour else cv2.IMREAD_UNCHANGED
     try:

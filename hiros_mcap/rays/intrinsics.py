@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +16,23 @@ FISHEYE = "equidistant"
 """Models of distortion, by the names of sensor_msgs/CameraInfo."""
 COUNTS = {PLUMB_BOB: (0, 4, 5, 8), RATIONAL: (5, 8, 12, 14), FISHEYE: (4,)}
 """How many coefficients each model has, in the order of OpenCV."""
+
+_LIMIT = "OPENCV_IO_MAX_IMAGE_PIXELS"
+
+
+def opencv() -> Any:
+    """Return the module cv2, which decodes no picture of more than 2**27 pixels.
+
+    It reads that when it is loaded. Its own limit is 2**30: 100 kB of PNG would take 6 GB.
+    """
+    is_ours = _LIMIT not in os.environ
+    os.environ.setdefault(_LIMIT, str(1 << 27))
+    try:
+        import cv2
+    finally:
+        if is_ours:
+            del os.environ[_LIMIT]
+    return cv2
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +68,7 @@ class Intrinsics:
         if not there.any():
             return out.reshape(np.shape(pixels))
         points = flat[there][:, None]
-        import cv2
+        cv2 = opencv()
 
         if self.model == FISHEYE:
             found = cv2.fisheye.undistortPoints(points, self.matrix, self.distortion)
@@ -68,7 +87,7 @@ class Intrinsics:
         front = flat[:, 2] > 0  # also false for NaN
         if not front.any():
             return out.reshape(*np.shape(points)[:-1], 2)
-        import cv2
+        cv2 = opencv()
 
         zero, seen = np.zeros(3), flat[front][:, None]
         if self.model == FISHEYE:

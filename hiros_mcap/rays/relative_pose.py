@@ -23,6 +23,7 @@ from hiros_mcap.body.rotations import Rigid, from_matrix, from_vector
 from hiros_mcap.kernels.ray_equations import RayCameras
 from hiros_mcap.rays.bundle import cameras_at, poses_of, triangulated
 from hiros_mcap.rays.image_tracks import ImageSamples, ImageView, instants_of, sample_images
+from hiros_mcap.rays.intrinsics import opencv
 from hiros_mcap.rays.matching import joints_of, match, ray_distances
 from hiros_mcap.rays.rig_refinement import GATES, RigFit, fit_rig, free_unknowns
 from hiros_mcap.skeletons import Flags, Floats, Stamps
@@ -75,7 +76,7 @@ class FoundRig(NamedTuple):
 
 def rig_from_people(views: Sequence[ImageView]) -> FoundRig | None:
     """Find poses and lags of cameras that see the same people; None if no two do."""
-    import cv2
+    cv2 = opencv()
 
     cv2.setRNGSeed(0)
     pairs = {pair: _pair_poses(views, pair) for pair in combinations(range(len(views)), 2)}
@@ -163,7 +164,7 @@ def _essential(common: _CommonRays, who: Flags) -> tuple[float, Floats, Flags] |
 
     Returns its score, the matrix, and who then is who.
     """
-    import cv2
+    cv2 = opencv()
 
     ones, others = _some(common, who)
     if len(ones) < LEAST_JOINTS:
@@ -188,7 +189,7 @@ def _pose_of(
 
     None if the rays of both meet at so small angles that nothing tells where.
     """
-    import cv2
+    cv2 = opencv()
 
     ones, others = _some(common, who)
     near = np.flatnonzero(ray_distances(_whole(ones), _whole(others), matrix) < NEAR)
@@ -318,7 +319,7 @@ def _resection(
     ----------
     joints : (K, P, J, 3) at instants, NaN = unknown. who : (P, U) which tracklets are whose.
     """
-    import cv2
+    cv2 = opencv()
 
     at, people = np.nonzero(who.T[samples.tracks])
     places, rays = joints[samples.instants[at], people], samples.lines.positions[at][..., :2]
