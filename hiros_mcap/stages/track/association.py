@@ -245,35 +245,36 @@ def _bound(states: Floats) -> tuple[float, float, float, float, float, float]:
 
 
 @inlined
-def _leave_out_stale(row: int, tracks: Tracks, horizon: float, weights: Floats) -> None:
-    """Let markers not count that were not seen for long while others were: they are guesses.
+def _leave_out_older(row: int, since: int, tracks: Tracks, weights: Floats, out: Floats) -> None:
+    """Write weights (M,) of a track's markers, 0 for those that were not seen after ``since``, ns.
 
-    So are those of a track that another detector follows now, which does not have them.
-    """
-    latest, n = np.int64(tracks.seen[row, 0]), 0
-    for m in range(len(weights)):
-        latest = max(latest, tracks.seen[row, m])
-    oldest = latest - np.int64(horizon * 1e9)
-    for m in range(len(weights)):
-        n += tracks.seen[row, m] >= oldest
-    for m in range(len(weights)):
-        if n >= _FEWEST_SEEN and tracks.seen[row, m] < oldest:
-            weights[m] = 0.0
-
-
-@inlined
-def _weigh_sides(row: int, since: int, tracks: Tracks, weights: Floats, out: Floats) -> None:
-    """Fill ``side_weights`` of a track.
-
-    Joints that no other camera has shown since a camera's latest message, since its detector alone
-    knows them, confirm that camera's own mistake.
+    If too few were, all count.
     """
     n = 0
     for m in range(len(weights)):
         n += tracks.seen[row, m] > since
     for m in range(len(weights)):
-        tells = n < _FEWEST_SEEN or tracks.seen[row, m] > since
-        out[m] = weights[m] if tells else 0.0
+        counts = n < _FEWEST_SEEN or tracks.seen[row, m] > since
+        out[m] = weights[m] if counts else 0.0
+
+
+@inlined
+def _weigh_markers(
+    row: int, since: int, tracks: Tracks, settings: TrackSettings, weights: Floats, sides: Floats
+) -> None:
+    """Fill the weights (M,) of a track's markers, and those of the markers that tell the sides.
+
+    Markers that were not seen for long while others were are guesses: of a track that another
+    detector follows now, which does not have them. Joints that no other camera has shown after
+    ``since``, the camera's latest message, confirm that camera's own mistake.
+    """
+    _velocity_weights(tracks.velocities[row], settings, weights)
+    latest = np.int64(tracks.seen[row, 0])
+    for m in range(len(weights)):
+        latest = max(latest, tracks.seen[row, m])
+    oldest = latest - np.int64(settings.horizon * 1e9)
+    _leave_out_older(row, oldest - 1, tracks, weights, weights)
+    _leave_out_older(row, since, tracks, weights, sides)
 
 
 @inlined
@@ -311,9 +312,7 @@ def _compare(
             ):  # fmt: skip
                 continue
             if not weighed:
-                _velocity_weights(tracks.velocities[rows[i]], settings, weight)
-                _leave_out_stale(rows[i], tracks, settings.horizon, weight)
-                _weigh_sides(rows[i], since, tracks, weight, sides)
+                _weigh_markers(rows[i], since, tracks, settings, weight, sides)
                 weighed = True
             seen, confidence = people.markers[j], work.marker_confidences[j]
             # Beyond twice the reach a detection is mirrored if that brings it within the reach.
