@@ -19,6 +19,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+from rgb import smoothed
 
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.config import load_config
@@ -33,7 +34,6 @@ from hiros_mcap.skeletons import Floats, Ints, Stamps
 SCENES = ("cross", "roam")
 NEAR_NS = 60_000_000
 """Two detections this near in time, before and after an instant, are interpolated."""
-CUTOFF_HZ, LEAST = 6.0, 20
 PERSON_M = 0.6
 """Distance of the middle of a detection from the person whom it shows, at most."""
 
@@ -72,21 +72,6 @@ def at(views: Views, stamp: int) -> Floats:
             out = points[k - 1] + share * (points[k] - points[k - 1])
         rows.append(out)
     return np.array(rows)
-
-
-def smoothed(places: Floats, rate: float) -> Floats:
-    """Filter (T, M, 3) at 6 Hz; what is missing is interpolated, and missing again afterwards."""
-    from scipy.signal import butter, filtfilt
-
-    b, a = butter(2, CUTOFF_HZ / (rate / 2))
-    out, instants = np.full_like(places, np.nan), np.arange(len(places))
-    for m, c in product(range(places.shape[1]), range(3)):
-        column = places[:, m, c]
-        known = np.isfinite(column)
-        if known.sum() > LEAST:
-            whole = np.interp(instants, instants[known], column[known])
-            out[known, m, c] = filtfilt(b, a, whole)[known]
-    return out
 
 
 def errors_of(results: dict[str, Channel], truth: Truth, mirror: Ints) -> Iterator[Floats]:

@@ -33,6 +33,7 @@ from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.simulation import write_log
+from hiros_mcap.skeletons import Floats
 
 POSES_OFF = {"orientation_error": 0.6, "position_error": 0.02}
 MIXED, LONE = ("depth", "rgb", "depth", "rgb"), ("depth", "rgb", "rgb")
@@ -50,21 +51,28 @@ DETECTORS = ("ideal", "kinect")
 CUTOFF_HZ, LEAST = 6.0, 20
 
 
-def butterworth(channel: Channel) -> Channel:
-    """Filter the coordinates of a channel in place, person by person."""
+def smoothed(places: Floats, rate: float) -> Floats:
+    """Filter (T, M, 3) at 6 Hz; what is missing is interpolated, and missing again afterwards."""
     from scipy.signal import butter, filtfilt
 
-    rate = 1e9 / float(np.median(np.diff([frame.stamp for frame in channel.frames])))
     b, a = butter(2, CUTOFF_HZ / (rate / 2))
+    out, instants = places.copy(), np.arange(len(places))
+    for m, c in product(range(places.shape[1]), range(3)):
+        column = places[:, m, c]
+        known = np.isfinite(column)
+        if known.sum() > LEAST:
+            whole = np.interp(instants, instants[known], column[known])
+            out[known, m, c] = filtfilt(b, a, whole)[known]
+    return out
+
+
+def butterworth(channel: Channel) -> Channel:
+    """Filter the coordinates of a channel in place, person by person."""
     frames = channel.frames
+    rate = 1e9 / float(np.median(np.diff([frame.stamp for frame in frames])))
     for person in {int(i) for frame in frames for i in frame.ids}:
         rows = [(f, p) for f in frames for p in np.flatnonzero(f.ids == person).tolist()]
-        values = np.array([frame.markers[p, :, :3] for frame, p in rows])
-        for column in values.reshape(len(rows), -1).T:
-            known = np.flatnonzero(np.isfinite(column))
-            if len(known) > LEAST:
-                whole = np.interp(np.arange(len(rows)), known, column[known])
-                column[known] = filtfilt(b, a, whole)[known]
+        values = smoothed(np.array([frame.markers[p, :, :3] for frame, p in rows]), rate)
         for (frame, p), filtered in zip(rows, values, strict=True):
             frame.markers[p, :, :3] = filtered
     return channel

@@ -24,8 +24,10 @@ import numpy.typing as npt
 
 from hiros_mcap.body.forward_cues import CUES, FacingMarkers
 from hiros_mcap.body.rotations import Rigid, to_matrix
+from hiros_mcap.body.segments import unit
 from hiros_mcap.body.units import AXES
 from hiros_mcap.calibrate.camera_views import Seen
+from hiros_mcap.rays.common_instants import mean_known
 from hiros_mcap.rays.confidence import TRIANGULATED
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
 
@@ -110,7 +112,7 @@ def _measured(positions: Floats, markers: FacingMarkers) -> _Views:
     """Compare the labels of people (P, M, 3) with what points forwards, whatever the labels are."""
     left, right = positions[:, markers.lateral[:, 0]], positions[:, markers.lateral[:, 1]]
     across = np.nansum(left - right, axis=1)
-    ups = _unit(_trunks(positions, markers))
+    ups = np.nan_to_num(unit(_trunks(positions, markers)))
     cues = np.zeros((len(positions), len(CUES), 3))
     for cue, first, last, joint in markers.vectors.tolist():
         vector = positions[:, last] - positions[:, first]
@@ -125,7 +127,7 @@ def _measured(positions: Floats, markers: FacingMarkers) -> _Views:
     labelled = np.cross(across, ups)
     clear = (np.linalg.norm(forwards, axis=1) > _CLEAR) & (np.linalg.norm(labelled, axis=1) > 0.0)
     middles = _middles(positions[clear])
-    facing = _dot(_unit(forwards[clear]), _unit(-middles)) > _TOWARDS
+    facing = _dot(unit(forwards[clear]), unit(-middles)) > _TOWARDS
     contradict = _dot(labelled, forwards)[clear] < 0.0
     return _Views(contradict, facing, ups[clear].sum(axis=0), middles.sum(axis=0))
 
@@ -206,16 +208,8 @@ def _usual_axis(view: _Views) -> str:
 
 def _middles(positions: npt.NDArray[Any]) -> Floats:
     """(P, 3) means of the joints (P, M, 3) that are there; NaN where there is none."""
-    there: Flags = np.isfinite(positions).all(axis=2)
-    with np.errstate(invalid="ignore"):
-        sums = np.where(there[..., None], positions, 0.0).sum(axis=1)
-        return np.asarray(sums / there.sum(axis=1)[:, None])
+    return mean_known(positions.swapaxes(1, 2))
 
 
 def _dot(a: Floats, b: Floats) -> Floats:
     return np.asarray((a * b).sum(axis=-1))
-
-
-def _unit(vectors: Floats) -> Floats:
-    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(vectors / np.maximum(lengths, 1e-9))

@@ -125,11 +125,14 @@ def refine_rig(
         unknown, lags = dict.fromkeys(names, math.nan), dict.fromkeys(names, 0.0)
         reason = "no two cameras see the same person"
         return RayRig(dict(poses), lags, unknown, unknown, unknown, reason, (), False)
-    untimed = free[:, LAG] & ~(errors_of(fit)[:, LAG] < TIMED_S)
+    errors = errors_of(fit)
+    untimed = free[:, LAG] & ~(errors[:, LAG] < TIMED_S)
     if untimed.any():
         free[untimed, LAG] = False
         fit = fit_rig(views, given, np.where(untimed, 0.0, fit.lags), free) or fit
-    return _verdict(fit, names, poses, given, untimed)._replace(regular=regular)
+        errors = errors_of(fit)
+    new = weighed(fit.bundle, given, errors)
+    return _verdict(fit, new, names, poses, given, untimed)._replace(regular=regular)
 
 
 def _best_fit(
@@ -241,16 +244,15 @@ def errors_of(fit: RigFit) -> Floats:
 
 
 def _verdict(
-    fit: RigFit, names: list[str], poses: Mapping[str, Rigid], given: RayCameras,
-    untimed: Flags,
+    fit: RigFit, new: RayCameras, names: list[str], poses: Mapping[str, Rigid],
+    given: RayCameras, untimed: Flags,
 ) -> RayRig:  # fmt: skip
-    """Say which poses and lags to use."""
-    bundle = fit.bundle
+    """Say how well the given and the ``new`` poses fit, and which lags to use."""
+    bundle, still = fit.bundle, np.zeros_like(fit.bundle.free)
     given = given._replace(lags=bundle.cameras.lags)
-    cameras, still = weighed(bundle, given, errors_of(fit)), np.zeros_like(bundle.free)
     before, after = (
         medians(adjust(bundle.points, each, bundle.focals, still, AGAIN).distances)
-        for each in (given, cameras)
+        for each in (given, new)
     )
 
     def table(values: Iterable[Any]) -> dict[str, Any]:
@@ -261,8 +263,8 @@ def _verdict(
     lags -= np.sort(lags)[(len(lags) - 1) // 2]
     return RayRig(
         table(
-            new if is_free else poses[name]
-            for name, new, is_free in zip(names, poses_of(cameras), free, strict=True)
+            found if is_free else poses[name]
+            for name, found, is_free in zip(names, poses_of(new), free, strict=True)
         ),
         table(lags.tolist()),
         table((after / RAYLEIGH).tolist()),

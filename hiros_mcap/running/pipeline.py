@@ -33,7 +33,13 @@ from hiros_mcap.io.log import DAMAGED, Log, Reading, Source, open_log
 from hiros_mcap.outputs import check_outputs, target_kind
 from hiros_mcap.progress import Bar, Progress, bar
 from hiros_mcap.running.observe import DETECTIONS, Observer, Stopwatch
-from hiros_mcap.running.preparation import Prepared, prepare, set_up, stages_of
+from hiros_mcap.running.preparation import (
+    Prepared,
+    poses_are_refined,
+    prepare,
+    set_up,
+    stages_of,
+)
 from hiros_mcap.running.process_options import (
     ProcessChoices,
     ProcessOptions,
@@ -204,7 +210,7 @@ def open_input(
         recover=options.recover,
         memory=int(options.memory * 2**30),
         skeletons=skeletons_read(config)._replace(
-            rig=rig, refine=options.calibrate != "off" and config.input.poses != "given"
+            rig=rig, refine=poses_are_refined(config, options)
         ),
     )
 

@@ -200,7 +200,7 @@ def _rays_given(log: Log, config: Config, options: ProcessOptions) -> Log:
         )
     topics = {channels[name] for name in names}
     remark = f"{', '.join(names)}: taken as rays, as input.rays says"
-    return with_rays(log, topics, remark, refine=_is_refined(config, options))
+    return with_rays(log, topics, remark, refine=poses_are_refined(config, options))
 
 
 def _rays_found(
@@ -221,12 +221,13 @@ def _rays_found(
         "count, triangulated as those of RGB cameras; input.rays=none takes them as they are"
     )
     try:
-        return with_rays(log, topics, remark, refine=_is_refined(config, options))
+        return with_rays(log, topics, remark, refine=poses_are_refined(config, options))
     except LogError:
         return log
 
 
-def _is_refined(config: Config, options: ProcessOptions) -> bool:
+def poses_are_refined(config: Config, options: ProcessOptions) -> bool:
+    """Whether a run may take other poses than the given ones."""
     return options.calibrate != "off" and config.input.poses != "given"
 
 
