@@ -116,17 +116,22 @@ def hidden_times(
             yield begin, begin + float(found[2]), found[1], event.source
 
 
-def camera_displaced(stamp: int, camera: str, metres: float, others: Sequence[str] = ()) -> Event:
+def camera_displaced(
+    stamp: int, camera: str, metres: float, others: Sequence[str] = (), seconds: float | None = None
+) -> Event:
     """Return that a camera shows people elsewhere than the others do.
 
     Parameters
     ----------
     stamp : since when, ns. metres : how far from where they are.
     others : the cameras that see them there, if nobody can know which of them is wrong.
+    seconds : for how long; None = it still does.
     """
     who = f"{' or '.join(others)} sees them; which of them is wrong cannot be known"
     where = f"people {metres:.2f} m from where {who if others else 'other cameras see them'}"
-    return Event(stamp, CAMERA_DISPLACED, -1, camera, f"shows {where}")
+    if seconds is None:
+        return Event(stamp, CAMERA_DISPLACED, -1, camera, f"shows {where}")
+    return Event(stamp, CAMERA_BACK, -1, camera, f"showed {where} for {seconds:.1f} s")
 
 
 @dataclass(slots=True)

@@ -163,6 +163,44 @@ def test_a_camera_moved_for_too_short_a_time_for_a_pose_doubles_nobody(scene, tm
     assert false_people(out, scene) == 0
 
 
+def test_the_verdict_says_from_when_on_a_pose_does_not_fit(scene, tmp_path):
+    def nudged(frame):
+        late = frame.stamp > SimulateParams().start + (SECONDS - 2.0) * 1e9
+        people = frame.people.copy()
+        people.markers[:, :, 0] += 0.25 * late
+        return frame.replace(people=people)
+
+    log = write(tmp_path / "log.mcap", scene, nudged)
+    summary = process(log, options=ProcessOptions(stages="T"))
+    reasons = {c.name: c.reason for c in summary.poses if "from where" in c.reason}
+    assert list(reasons) == ["camera_1"]
+    when = re.fullmatch(r"shows people 0\.\d\d m from .* from (\S+) s on", reasons["camera_1"])
+    assert when is not None
+    assert float(when[1]) == pytest.approx(SECONDS - 2.0, abs=1.0)
+
+
+@pytest.mark.parametrize("system", ["fuse", "fuse-realtime"])
+def test_a_camera_that_stands_in_its_place_again_is_no_longer_doubtful(system, scene, tmp_path):
+    """Live, this is what a camera looks like whose clock or pose was corrected meanwhile."""
+
+    def nudged(frame):
+        t = (frame.stamp - SimulateParams().start) / SECOND
+        people = frame.people.copy()
+        people.markers[:, :, 0] += 0.15 * (1.0 < t < 5.0)
+        return frame.replace(people=people)
+
+    log, out = write(tmp_path / "log.mcap", scene, nudged), tmp_path / "out.mcap"
+    options = ProcessOptions(system=system, calibrate="off")
+    summary = process(log, out, config=load_config(system=system), options=options)
+    assert summary.warnings == ()
+    (note,) = (note for note in summary.notes if "showed people" in note)
+    found = re.fullmatch(
+        r"camera_1 showed people 0\.1\d m from .* for (\S+) s, from (\S+) s on", note
+    )
+    assert found is not None
+    assert [float(found[1]), float(found[2])] == pytest.approx([4.0, 1.0], abs=1.2)
+
+
 def test_healthy_cameras_are_not_displaced(scene, tmp_path):
     log = faulty("healthy", tmp_path, scene)
     assert process(log, options=ProcessOptions(calibrate="off")).warnings == ()

@@ -8,8 +8,11 @@
 3. Each joint has a filter with a slow offset b per camera, and a smoother that looks ahead
    (:mod:`.fusing`): x' = x + v dt; z = x + b + noise. Nothing is resampled. A camera that puts a
    limb to a wrong place counts little there until it agrees again (:mod:`.outliers`).
-4. Residuals say how much noise to assume from now on (:mod:`.residuals`).
-5. The variance of a marker is that of the smoother and of the cameras' poses (:mod:`.pose_error`).
+4. The mean residual z - x of a view tells a camera that is not where its pose says: it is named,
+   and without a look-ahead it has no weight from then on (:mod:`.window_smoother`,
+   :mod:`.displaced_views`).
+5. Residuals say how much noise to assume from now on (:mod:`.residuals`).
+6. The variance of a marker is that of the smoother and of the cameras' poses (:mod:`.pose_error`).
 
 A log of any length is smoothed in overlapping windows. Bodies get their lengths, and poses that
 they can have, in the next stage (:mod:`.constrain`).
@@ -75,7 +78,8 @@ def fuse_blocks(
     times = merging.cameras, merging.max_delta_time
     for block in instants.run(blocks, *times, in_step=merging.in_step):  # 1
         views, names = gatherer.take(instants.cameras, known.places), instants.cameras
-        smoothed = smoother.update(block, views, names)  # 2, 3, 5
-        yield from residuals.compared(smoothed)  # 4
+        smoothed = smoother.update(block, views, names)  # 2, 3, 4, 6
+        yield from residuals.compared(smoothed)  # 5
     yield from residuals.compared(smoother.rest())
     residuals.finish()
+    smoother.displaced.warn(events)

@@ -8,7 +8,8 @@ are wrong, cameras see a person at different places. The variance that is assume
 is the estimate, where a is the variance that is observed over that assumed: the median over people
 and time, as a detector that finds somebody again, or a confused identity, is off for a moment. So
 the assumption counts as much as the three coordinates of one more camera (scaled inverse chi
-square, Gelman et al. 2013, section 2.6).
+square, Gelman et al. 2013, section 2.6). Views of displaced cameras (displaced_views.py) have no
+weight in the result, so they are not compared.
 
 Cameras whose poses were refined agree, as far as the standard errors of these poses say. They share
 the placement of the rig (:func:`hiros_mcap.calibrate.gauge.placement_error`), which nobody sees.

@@ -154,7 +154,7 @@ class ResidualMeter:
             counts = histograms((squares[of_camera] / variances[of_camera]).T)
             self._events.tally(RESIDUAL, name, counts)
             self._events.tally(COMMON, name, histograms(common[None, of_camera]))
-        # The result does not rest on cameras that are outvoted.
+        # The result does not rest on cameras that are outvoted, or displaced.
         weights = 1 / (white + self._noise.offsets**2 + views.outvoted)
         there = ~np.isnan(views.positions[:, :, 0])
         total = np.zeros((rows.max() + 1, weights.shape[1]))

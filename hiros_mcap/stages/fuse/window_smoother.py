@@ -23,6 +23,7 @@ from hiros_mcap.skeletons import (
     Uncertainty,
 )
 from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.fuse.displaced_views import DisplacedViews
 from hiros_mcap.stages.fuse.fuse_params import FuseParams
 from hiros_mcap.stages.fuse.fusing import (
     POSE,
@@ -92,6 +93,7 @@ class WindowSmoother:
         self._is_filter = params.window == 0
         self._motion = noise.motion(model, params)
         self._pose_error = pose_error
+        self.displaced = DisplacedViews(known, is_filter=self._is_filter)
         self._majority = Majority(model.n_markers)
         self._names: tuple[str, ...] = ()
         self._ahead = LookAhead()
@@ -165,6 +167,7 @@ class WindowSmoother:
         if not new:
             return
         self._names = names
+        self.displaced.name(names)
         past = self._bank.past
         means = np.pad(past.means, ((0, 0), (0, 0), (0, new), (0, 0)))
         covariances = np.pad(past.covariances, ((0, 0), (0, 0), (0, new), (0, new)))
@@ -199,6 +202,8 @@ class WindowSmoother:
             parts, everybody.astype(np.int32), filters[of_each], self._origin or 0,
         )  # fmt: skip
         poses, compared = self._smooth_people(work)
+        excess = self.displaced.take(views, compared.offsets, of_views >= 0)
+        compared.offsets[excess > 0] = np.nan
         ratios = self._learned_pose_errors(work, compared)
         # The filters have taken over what is before the boundary.
         self._taken = boundary = int(parts[-1, _AFTER])
@@ -234,6 +239,7 @@ class WindowSmoother:
         if self._batch < first // BATCH:
             self._batch = first // BATCH
             self._noise.learn(self._names)
+            self.displaced.learn()
         first_new = int(np.searchsorted(views.instants, self._next))
         self._next = int(views.instants[-1]) + 1 if len(views.instants) else self._next
         new = chosen(views, slice(first_new, None))
@@ -241,6 +247,7 @@ class WindowSmoother:
         variances = self._noise.variances(views, self._names, by_instant=self._is_filter)
         if self._params.majority:
             self._majority.vote(new, variances[first_new:])
+        new.outvoted[:] += self.displaced.expected(new)[:, None]
         return np.asarray(variances + views.outvoted)
 
     def _smooth_people(self, windows: FusionWindows) -> tuple[FusedPoses, ComparedViews]:
