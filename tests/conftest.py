@@ -52,8 +52,8 @@ def nothing_left(tmp_path, monkeypatch):
 
 @pytest.fixture
 def without_curves(monkeypatch):
-    """Pages without their curves, which take seconds: for tests of all else about a page."""
-    monkeypatch.setattr("hiros_viewer.page.curves_json", lambda figure, target: "{}")
+    """Pages without their pictures, which take seconds: for tests of all else about a page."""
+    monkeypatch.setattr("hiros_viewer.page.png_of", lambda figure: b"")
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from readme_links import absolute
 
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-VIEWER = {"bokeh", "matplotlib", "rerun-sdk"}
+VIEWER = {"matplotlib", "rerun-sdk"}
 
 
 def test_links_of_the_readme_lead_to_the_repository():
@@ -68,9 +68,9 @@ def test_the_small_installation_is_all_but_viewer_and_plots():
 
 def test_the_small_installation_names_what_it_lacks(crossing, tmp_path, monkeypatch, capsys):
     for name in [*sys.modules]:
-        if name.partition(".")[0] in ("rerun", "bokeh", "matplotlib", "hiros_viewer"):
+        if name.partition(".")[0] in ("rerun", "matplotlib", "hiros_viewer"):
             monkeypatch.delitem(sys.modules, name)
-    for name in ("rerun", "bokeh", "matplotlib"):
+    for name in ("rerun", "matplotlib"):
         monkeypatch.setitem(sys.modules, name, None)
     out = tmp_path / "out.mcap"
     assert run(["process", str(crossing), "-o", str(out), "-q"]) == 0

@@ -86,7 +86,7 @@ def beside(source: Path, suffix: str) -> Path:
 
 LIMIT = 200
 LINE_LIMIT = 1000
-_LEFT_OUT = {"rerun": "rerun-sdk", "bokeh": "bokeh", "matplotlib": "matplotlib"}
+_LEFT_OUT = {"rerun": "rerun-sdk", "matplotlib": "matplotlib"}
 _QUOTED = "a pattern in quotes; this command takes the names of files"
 _NO_MEMORY = ("can't start new thread", "failed to map segment", "cannot allocate memory")
 

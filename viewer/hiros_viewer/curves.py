@@ -189,11 +189,12 @@ def page_of(curves: Curves) -> Page:
         for line in in_words(body.marks):
             page.text(line)
         caption = "Joint angles, degrees. Flexion, abduction and inward rotation are positive."
-        page.figure(grid_of(curves, body, "angles"), caption)
+        page.figure(picture_of(grid_of(curves, body, "angles")), caption)
         if limb_links(curves.model):
-            page.figure(grid_of(curves, body, "limbs"), "Limb lengths, mm")
+            page.figure(picture_of(grid_of(curves, body, "limbs")), "Limb lengths, mm")
         if body.true_poses is not None:
-            page.figure(grid_of(curves, body, "error"), "Mean and largest joint error, mm")
+            errors = picture_of(grid_of(curves, body, "error"))
+            page.figure(errors, "Mean and largest joint error, mm")
     add_images(page, curves.images)
     return page
 

@@ -1,7 +1,6 @@
 """Plots of curves: joint angles, limb lengths and errors over time, and others.
 
-A :class:`CurveGrid` is drawn by Bokeh on a page (``page.py``), where it can be zoomed, and by
-matplotlib as a picture (``pictures.py``).
+``pictures.py`` draws a :class:`CurveGrid`.
 """
 
 from __future__ import annotations

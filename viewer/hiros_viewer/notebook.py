@@ -32,11 +32,9 @@ class Picture:
 
     def _repr_png_(self) -> bytes:
         """PNG for Jupyter, JupyterLab, VS Code and Colab."""
-        from io import BytesIO
+        from hiros_viewer.pictures import png_of
 
-        buffer = BytesIO()
-        self.figure.savefig(buffer, format="png", dpi=90)
-        return buffer.getvalue()
+        return png_of(self.figure)
 
     def save(self, path: Path | str) -> None:
         """Write the picture; the suffix says as what (.png, .svg, .pdf)."""

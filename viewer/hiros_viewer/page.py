@@ -7,32 +7,24 @@
     page.figure(figure, "Error over time")
     page.write(Path("report.html"))
 
-Curves are drawn by Bokeh, so that a reader can zoom them and read their values; other plots are
-pictures.
+Plots are pictures: ``hiros view`` has curves to zoom, ``hiros export`` their values.
 """
 
 from __future__ import annotations
 
-import json
 import re
+from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from hiros_mcap.outputs import HTML_MARK, write_text
-from hiros_viewer.figures import MARKED, SPREAD, Curve, CurveGrid, CurvePlot
-from hiros_viewer.pictures import svg_of
+from hiros_viewer.pictures import png_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MOST_POINTS = 5000
-"""Of a curve: five minutes at 15 Hz, finer than a screen shows and small enough to send."""
-_PIXELS = 84  # per inch of a figure
-_LEGEND_PX = 24
 _STYLE = """
 :root { color-scheme: light dark; --page: #fff; --edge: #0003; }
 .about { color: #57606a; margin: .2rem 0; }
@@ -49,7 +41,7 @@ th { border-bottom: 2px solid #9aa4af; font-weight: 600; }
 caption, figcaption { text-align: left; color: #57606a; font-size: .9rem; padding: .3rem 0; }
 caption span { display: inline-block; position: sticky; left: 0; max-width: calc(100vw - 3rem); }
 figure { margin: 1rem 0; overflow-x: auto; } figcaption { position: sticky; left: 0; }
-figure > svg { width: 100%; min-width: 40rem; max-width: 62rem; height: auto; }
+figure > img { width: 100%; min-width: 40rem; max-width: 62rem; height: auto; }
 .wide { overflow-x: auto; background: /* an edge where more of a table is beside the screen */
         linear-gradient(to left, var(--page) 30%, transparent) right / 3rem 100% no-repeat local,
         linear-gradient(to left, var(--edge), transparent) right / .8rem 100% no-repeat scroll; }
@@ -60,15 +52,7 @@ figure > svg { width: 100%; min-width: 40rem; max-width: 62rem; height: auto; }
   :root { --page: #141414; --edge: #fff3; } body { color: #dde3ea; } /* as white inverted, below */
   .about, caption, figcaption { color: #9aa4af; }
   th, td { border-color: #2c333b; } th { border-color: #57606a; }
-  figure > svg, .curves { filter: invert(.92) hue-rotate(180deg); }
-}
-"""
-
-_DRAW = """
-function draw(item) {
-  if (innerWidth < 640)  // a plot per row: nobody finds those beside the screen of a telephone
-    item.doc.roots[0].attributes.children.forEach((cell, k) => { [cell[1], cell[2]] = [k, 0]; });
-  Bokeh.embed.embed_item(item);
+  figure > img { filter: invert(.92) hue-rotate(180deg); }
 }
 """
 
@@ -80,8 +64,6 @@ class Page:
         self.title = title
         self.about = about  # lines below the title: of which log, when, how, and the verdict
         self._parts: list[str] = []
-        self._figures = 0
-        self._curves: dict[str, str] = {}  # element -> its plots
 
     def heading(self, text: str) -> None:
         """Start a section."""
@@ -103,36 +85,22 @@ class Page:
             f"<tbody>{body}</tbody></table></div>"
         )
 
-    def figure(self, figure: CurveGrid | Figure, caption: str = "") -> None:
-        """Add curves, which can be zoomed and read, or a picture of matplotlib's as SVG.
-
-        The same figure gives the same bytes.
-        """
-        self._figures += 1
-        name = f"f{self._figures}"
-        if isinstance(figure, CurveGrid):
-            if (step := thinned(figure)) > 1:
-                caption = f"{caption} 1 of {step} instants is drawn.".strip()
-            self._curves[name] = curves_json(figure, name)
-            drawn = f'<div class="curves" id="{name}"></div>'
-        else:
-            drawn = svg_of(figure, name)
-        below = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
-        self._parts.append(f"<figure>{drawn}{below}</figure>")
+    def figure(self, figure: Figure, caption: str = "") -> None:
+        """Add a picture of matplotlib's; the same figure gives the same bytes."""
+        text, data = escape(caption), b64encode(png_of(figure)).decode()
+        below = f"<figcaption>{text}</figcaption>" if caption else ""
+        image = f'<img src="data:image/png;base64,{data}" alt="{text}">'
+        self._parts.append(f"<figure>{image}{below}</figure>")
 
     def html(self) -> str:
         """Return the page."""
         parts = "\n".join(self._parts)
         about = "".join(f'<p class="about">{escape(line)}</p>\n' for line in self.about if line)
-        script = ""
-        if self._curves:
-            plots = "".join(f"draw({each});\n" for each in self._curves.values())
-            script = _script(library()) + _script(_DRAW + plots.replace("</", "<\\/"))
         return (
             '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
             f"{HTML_MARK}\n<title>{escape(self.title)}</title>\n<style>{_STYLE}</style>"
-            f"</head>\n<body><h1>{breakable(self.title)}</h1>\n{about}{parts}\n{script}</body></html>\n"
+            f"</head>\n<body><h1>{breakable(self.title)}</h1>\n{about}{parts}\n</body></html>\n"
         )
 
     def write(self, path: Path) -> None:
@@ -157,108 +125,3 @@ def _cell(text: str) -> str:
 
 def _script(text: str) -> str:
     return f"<script>{text}</script>\n"
-
-
-def library() -> str:
-    """Return BokehJS as a script; it loads nothing from elsewhere."""
-    from bokeh.resources import Resources
-
-    return "\n".join(Resources(mode="inline", components=["bokeh"]).js_raw)
-
-
-def thinned(grid: CurveGrid) -> int:
-    """Return n where every n-th point of the curves is drawn."""
-    longest = max(len(curve.x) for row in grid.rows for plot in row for curve in plot.curves)
-    return -(-longest // MOST_POINTS)
-
-
-def curves_json(grid: CurveGrid, target: str) -> str:
-    """Return the plots for ``Bokeh.embed.embed_item``, into the element ``target``.
-
-    All plots share their zoom along x and the cursor; those of the first row have the legend. The
-    same plots give the same text.
-    """
-    from bokeh.embed import json_item
-    from bokeh.layouts import gridplot
-    from bokeh.models import CrosshairTool, Range1d, Span
-
-    height, step = int(grid.height * _PIXELS / len(grid.rows)), thinned(grid)
-    x_range, sources = Range1d(*grid.x_range), dict[bytes, Any]()
-    cursor = Span(dimension="height", line_color="#57606a")
-    rows: list[list[Any]] = []
-    for row in grid.rows:
-        taller = 0 if rows else _LEGEND_PX
-        drawn = [_plot(plot, grid, height + taller, x_range) for plot in row]
-        for shown, plot in zip(drawn, row, strict=True):
-            for curve in plot.curves:
-                _add(shown, curve, sources, step, grid.x_title)
-            _place_legend(shown, is_visible=not rows)
-            cross = CrosshairTool(overlay=cursor, dimensions="height", visible=False)
-            shown.add_tools(cross)
-            shown.xaxis.axis_label = grid.x_title if row is grid.rows[-1] else ""
-        rows.append(drawn)
-    layout = gridplot(
-        rows, sizing_mode="stretch_width", toolbar_location="right",
-        toolbar_options={"logo": None}, merge_tools=True,
-    )  # fmt: skip
-    return _renumbered(json.dumps(json_item(layout, target), separators=(",", ":")))
-
-
-def _plot(plot: CurvePlot, grid: CurveGrid, height: int, x_range: Any) -> Any:
-    """Return one plot without its curves."""
-    from bokeh.models import BoxAnnotation, Range1d, Span
-    from bokeh.plotting import figure
-
-    shown = figure(
-        title=plot.title or None, height=height, y_axis_label=plot.y_title, x_range=x_range,
-        y_range=Range1d(*plot.y_range), tools="xwheel_zoom,box_zoom,pan,reset",
-        active_drag="box_zoom", min_border=8,
-    )  # fmt: skip
-    shown.axis.minor_tick_line_color = None
-    if plot.has_zero:
-        shown.add_layout(Span(location=0.0, line_color=SPREAD))
-    for mark in grid.marks:
-        colour = MARKED[mark.kind]
-        style = {"level": "underlay", "line_color": None, "fill_alpha": 0.25}
-        shown.add_layout(BoxAnnotation(left=mark.start, right=mark.end, fill_color=colour, **style))
-    return shown
-
-
-def _add(shown: Any, curve: Curve, sources: dict[bytes, Any], step: int, unit: str) -> None:
-    """Add a curve to a plot.
-
-    Curves at the same times have these once: ``sources`` has the columns by the bytes of x, in
-    single precision, which halves the page.
-    """
-    from bokeh.models import ColumnDataSource, HoverTool
-
-    x, y = (np.asarray(values, np.float32)[::step] for values in (curve.x, curve.y))
-    source = sources.setdefault(x.tobytes(), ColumnDataSource())
-    source.data.setdefault("x", x)
-    name = f"y{len(source.data)}"
-    source.add(y, name)
-    data = {"x": "x", "y": name, "source": source, "color": curve.colour}
-    line = shown.line(**data, line_width=curve.width, legend_label=curve.name)
-    if curve.has_dots:
-        shown.scatter(**data, size=6)
-    tips = [(curve.name, f"@{name}{{0.[00]}}"), (unit or "s", "@x{0.[00]}")]
-    shown.add_tools(HoverTool(renderers=[line], tooltips=tips, mode="vline", visible=False))
-
-
-def _place_legend(shown: Any, *, is_visible: bool) -> None:
-    """Put the names of curves above a plot, where they cover none."""
-    legend = shown.legend[0]
-    shown.center.remove(legend)
-    shown.add_layout(legend, "above")
-    legend.orientation, legend.location, legend.click_policy = "horizontal", "right", "hide"
-    legend.padding = legend.margin = 2
-    legend.label_text_font_size, legend.border_line_alpha = "11px", 0.0
-    legend.visible = is_visible
-
-
-def _renumbered(text: str) -> str:
-    """Return the text with objects numbered from 1: Bokeh counts through the process."""
-    numbers: dict[str, int] = {}
-    return re.sub(
-        r'"p(\d+)"', lambda hit: f'"p{numbers.setdefault(hit[1], len(numbers) + 1)}"', text
-    )

@@ -1,10 +1,9 @@
-"""Pictures, drawn by matplotlib: PNG files, SVG on pages, and the floor of a plan from above."""
+"""Pictures, drawn by matplotlib: in files, on pages and in notebooks; the floor from above."""
 
 from __future__ import annotations
 
 import io
 import math
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -98,29 +97,18 @@ def value_bars(axes: Axes, names: Sequence[str], values: Sequence[float], spread
     axes.margins(y=0.01)
 
 
+def png_of(figure: Figure) -> bytes:
+    """Return a figure as PNG; the same figure gives the same bytes."""
+    buffer = io.BytesIO()
+    # Without matplotlib's version; the name is how a later run knows the file.
+    figure.savefig(buffer, format="png", dpi=150, metadata={"Software": "hiros"})
+    return buffer.getvalue()
+
+
 def save_png(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG, whole or not at all; the same figure gives the same bytes.
-
-    Raises LogError if the file cannot be written.
-    """
+    """Write a figure as PNG, whole or not at all; raises LogError if it cannot be written."""
     with replacing(path) as temporary:
-        # Without matplotlib's version; the name is how a later run knows the file.
-        figure.savefig(temporary, format="png", dpi=150, metadata={"Software": "hiros"})
-
-
-def svg_of(figure: Figure, prefix: str) -> str:
-    """Return the figure as an SVG element whose ids are unique within the page."""
-    import matplotlib as mpl
-
-    buffer = io.StringIO()
-    # Without a date and with a fixed salt the bytes depend on the figure alone.
-    with mpl.rc_context({"svg.hashsalt": "hiros", "svg.fonttype": "path"}):
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
-    svg = buffer.getvalue()
-    svg = svg[svg.index("<svg") :]
-    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
-    svg = re.sub(r'\bid="', f'id="{prefix}-', svg)
-    return re.sub(r'(url\(#|xlink:href="#|href="#)(?!f\d+-)', rf"\1{prefix}-", svg)
+        temporary.write_bytes(png_of(figure))
 
 
 _CAMERA, _FURTHER, _WALL, _HATCH = "#111111", "#0a7d4b", "#444444", "#555555"

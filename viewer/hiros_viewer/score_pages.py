@@ -37,7 +37,7 @@ from hiros_viewer.figures import (
     from_zero,
 )
 from hiros_viewer.page import Page
-from hiros_viewer.pictures import joint_map, new_axes, new_figure, tidy, value_bars
+from hiros_viewer.pictures import joint_map, new_axes, new_figure, picture_of, tidy, value_bars
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -76,7 +76,7 @@ def truth_page(
     return page
 
 
-def _pck(scores: Mapping[str, Scores]) -> CurveGrid:
+def _pck(scores: Mapping[str, Scores]) -> Figure:
     within = np.array(PCK_MM, float)
     short = {topic.removeprefix(f"{OUTPUT_PREFIX}/"): s for topic, s in scores.items()}
     curves = [
@@ -84,7 +84,7 @@ def _pck(scores: Mapping[str, Scores]) -> CurveGrid:
         for (name, s), colour in zip(short.items(), cycle(OTHERS))
     ]
     plot = CurvePlot(curves, (0.0, 101.0), y_title="joints, %")
-    return CurveGrid([[plot]], 3.4, (0.0, float(PCK_MM[-1])), "mm")
+    return picture_of(CurveGrid([[plot]], 3.4, (0.0, float(PCK_MM[-1])), "mm"))
 
 
 def _joint_bars(joints: Mapping[str, ErrorStats]) -> Figure:
@@ -95,7 +95,7 @@ def _joint_bars(joints: Mapping[str, ErrorStats]) -> Figure:
     return figure
 
 
-def _angle_curves(result: ChannelResult, person: int) -> CurveGrid:
+def _angle_curves(result: ChannelResult, person: int) -> Figure:
     """Truth and result of one true person over time."""
     matches = result.matches
     rows = matches.people == person
@@ -107,7 +107,7 @@ def _angle_curves(result: ChannelResult, person: int) -> CurveGrid:
             (matches.true_poses, matches.true_orientations),
         )
     )
-    return angle_grid((times - times[0]) / 1e9, angles, true_angles)
+    return picture_of(angle_grid((times - times[0]) / 1e9, angles, true_angles))
 
 
 def self_page(log: Path, scores: SelfScores) -> Page:
@@ -192,7 +192,7 @@ def _self_bars(outcomes: Sequence[Outcome]) -> Figure:
     return figure
 
 
-def _camera_plot(table: dict[str, dict[int, tuple[float, float]]]) -> CurveGrid:
+def _camera_plot(table: dict[str, dict[int, tuple[float, float]]]) -> Figure:
     curves = []
     for (name, row), colour in zip(table.items(), cycle(OTHERS)):
         sizes = sorted(row)
@@ -200,4 +200,4 @@ def _camera_plot(table: dict[str, dict[int, tuple[float, float]]]) -> CurveGrid:
         curves.append(Curve(name, colour, np.array(sizes, float), errors, 1.5, has_dots=True))
     x_range = around(np.concatenate([curve.x for curve in curves]), 0.05)
     plot = CurvePlot(curves, from_zero(curves), y_title="mm")
-    return CurveGrid([[plot]], 3.4, x_range, "cameras")
+    return picture_of(CurveGrid([[plot]], 3.4, x_range, "cameras"))
