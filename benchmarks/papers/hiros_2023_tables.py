@@ -15,8 +15,8 @@ from hiros_mcap.wording import number
 CONFIGURATIONS = ("T", "TMF", "TMOF")
 STEPS = ("tracked", "merged", "optimized", "filtered")
 LINK_NOTE = (
-    "Tables 6 and 7 score the orientations of links (eq. 21). The optimizer does not change them "
-    "unless optimize.align_links is set: TMOF equals TMF. It moves the joints, so the tables by "
+    "Tables 6 and 7 score the orientations of links (eq. 21). The optimizer does not change "
+    "them: TMOF equals TMF. It moves the joints, so the tables by "
     "markers and positions show what it does"
 )
 TIME_NOTE = (

@@ -122,7 +122,6 @@ def test_keep_nothing_copies_nothing(walking, tmp_path):
         ["--system", "hiros", "--two-pass"],
         ["--system", "hiros-realtime", "--two-pass"],
         ["--system", "hiros", "--limb-window", "0:0.8"],
-        ["--system", "hiros", "--solver", "ceres"],
         ["--preset", "paper", "--limb-window", "0:0.8"],
         ["--topic", "/c*"],
     ],
@@ -223,7 +222,6 @@ def test_bad_input_is_one_line_and_no_output(kind, walking, tmp_path, capsys):
         (["--stages", "T", "--save-limbs", "x.toml"], "--save-limbs has no effect"),
         (["--stages", "tm", "--limb-window", "0:3"], "--limb-window has no effect: --stages tm"),
         (["--system", "lee", "--limbs", "x.toml"], "--limbs has no effect: --system lee"),
-        (["--system", "lee", "--solver", "ceres"], "--solver has no effect: --system lee"),
         (
             ["--two-pass"],
             "--two-pass has no effect: --system fuse has an optimizer of its own; --sy",
@@ -240,7 +238,6 @@ def test_bad_input_is_one_line_and_no_output(kind, walking, tmp_path, capsys):
             "--two-pass has no effect: the limb lengths come",
         ),
         (["--limb-window=-inf:3"], "must start at a finite time"),
-        ([*HIROS, "--solver", "newton"], "--solver: optimize.solver: should be 'lm' or 'ceres'"),
         (["--topic", "/nobody/*"], "/nobody/*"),
         (["--fixed-frame", "mars"], "mars"),
         (["--limbs", "missing.toml"], "missing.toml"),

@@ -4,7 +4,13 @@ import numpy as np
 
 from hiros_mcap.body.limb_table import Limb, LimbTable
 from hiros_mcap.skeletons import Frame, SkeletonModel
-from hiros_mcap.stages.optimize.energy import Energy, exact_weights, paper_weights
+from hiros_mcap.stages.optimize.energy import (
+    Energy,
+    SolverScratch,
+    exact_weights,
+    minimize,
+    paper_weights,
+)
 from hiros_mcap.stages.optimize.normal_equations import topology_of
 
 
@@ -50,6 +56,13 @@ def energy_of(model, start, nominal, exact=False, max_error=0.1):
     else:
         paper_weights(energy, topology, outlier, max_error)
     return energy
+
+
+def minimized(model, energy, tolerance):
+    """The poses of least energy, and how many did not converge."""
+    topology, solved = topology_of(model), np.empty_like(energy.start)
+    failed = minimize(energy, topology, tolerance, SolverScratch.of(topology), solved)
+    return solved, failed
 
 
 def energies(model, poses, energy):

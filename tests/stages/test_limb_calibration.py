@@ -277,7 +277,7 @@ CHANGES = {
     "calibration": "two-pass", "calibration_frames": 30, "lookahead": 1.0,
     "calibration_windows": ((1.0, 5.0),), "max_variation": 0.05, "short_link": 0.01,
     "max_free": 0.0, "debias": False, "refine": False,
-    "lengths": "paper", "max_length_error": 0.05, "outliers": "remove", "align_links": True,
+    "lengths": "paper", "max_length_error": 0.05, "outliers": "remove",
 }  # fmt: skip
 # Without these, nothing fails the quality gate, or nothing is left to refine.
 WITH = {
@@ -287,7 +287,7 @@ WITH = {
 }
 
 
-@pytest.mark.parametrize("name", [name for name in OptimizeParams.model_fields if name != "solver"])
+@pytest.mark.parametrize("name", OptimizeParams.model_fields)
 def test_each_parameter_changes_something(name):
     others = WITH.get(name, {})
     assert result_of({**others, name: CHANGES[name]}) != result_of(others)

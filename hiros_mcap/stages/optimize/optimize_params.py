@@ -88,18 +88,6 @@ class OptimizeParams(Params):
         "link is the outlier. remove: the distal marker of a wrong link and all links that "
         "touch it become absent (paper).",
     )
-    align_links: bool = fixed(
-        False,
-        "Rotate link orientations with the directions of the links. Detectors measure "
-        "orientations independently of positions, and better than the ends of a short link can. "
-        "On logs made from real motion, this option raises the mean orientation error from 2.6 "
-        "to 4.2 degrees.",
-    )
-    solver: Literal["lm", "ceres"] = Field(
-        "lm",
-        description="lm: compiled block Levenberg-Marquardt. ceres: the same energy with Ceres "
-        "Solver, as in the paper; about 100 times slower, for comparison.",
-    )
     tolerance: ClassVar[float] = 1e-06
     """The solver has converged when no coordinate moves farther than this, m, in a step."""
 

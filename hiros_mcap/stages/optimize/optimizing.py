@@ -5,7 +5,6 @@ Hi-ROS 2023, sections 3.3.1 and 3.3.2. Loops, not slices: numba compiles them se
 
 from __future__ import annotations
 
-from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from hiros_mcap.kernels.array_types import F2, F3, J2
 from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.kernels.points import point_distance
-from hiros_mcap.skeletons import ORIENTATION, STATE, Floats, Ints, People
+from hiros_mcap.skeletons import Floats, Ints, People
 from hiros_mcap.stages.optimize.energy import (
     W_LENGTH,
     W_ORIENTATION,
@@ -33,9 +32,6 @@ _SEARCH_STEPS = 30
 _SEARCH_TOLERANCE = 1e-4  # m
 # The smallest factor of a weight: with a smaller one, rounding decides where a marker goes.
 _LEAST_FACTOR = 0.003
-
-_Vector = tuple[float, float, float]
-_QX, _QY, _QZ, _QW = range(*ORIENTATION.indices(STATE))
 
 
 # Section 3.3.1: calibration
@@ -163,60 +159,29 @@ def restore_outliers(
 
 
 @kernel
-def _direction(ends: tuple[Floats, Floats], length: float) -> _Vector:
-    """Return the unit vector from the first to the second of two points."""
-    p, d = ends
-    return (d[0] - p[0]) / length, (d[1] - p[1]) / length, (d[2] - p[2]) / length
-
-
-@kernel
-def _align(state: Floats, u: _Vector, v: _Vector) -> None:
-    """Multiply a link's orientation from the left by the least rotation u -> v."""
-    dot = u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
-    if not dot > -1.0 + 1e-12:
-        return
-    w = 1.0 + dot
-    x = u[1] * v[2] - u[2] * v[1]
-    y = u[2] * v[0] - u[0] * v[2]
-    z = u[0] * v[1] - u[1] * v[0]
-    size = sqrt(w * w + x * x + y * y + z * z)
-    w, x, y, z = w / size, x / size, y / size, z / size
-    qx, qy, qz, qw = state[_QX], state[_QY], state[_QZ], state[_QW]
-    state[_QX] = w * qx + x * qw + y * qz - z * qy
-    state[_QY] = w * qy - x * qz + y * qw + z * qx
-    state[_QZ] = w * qz + x * qy - y * qx + z * qw
-    state[_QW] = w * qw - x * qx - y * qy - z * qz
-
-
-@kernel
-def _move_link(
-    state: Floats, before: tuple[Floats, Floats], after: tuple[Floats, Floats], align: bool
-) -> None:
-    """Move a link's position, and its orientation if asked, with its two ends."""
+def _move_link(state: Floats, before: tuple[Floats, Floats], after: tuple[Floats, Floats]) -> None:
+    """Move a link's position with its two ends."""
     length, new_length = point_distance(before[0], before[1]), point_distance(after[0], after[1])
     if not (length > 1e-9 and new_length > 1e-9):
         return
-    u, v = _direction(before, length), _direction(after, new_length)
-    share = u[0] * (state[0] - before[0][0]) / length
-    share += u[1] * (state[1] - before[0][1]) / length
-    share += u[2] * (state[2] - before[0][2]) / length
+    share = 0.0
+    for x in range(3):
+        along = (before[1][x] - before[0][x]) / length
+        share += along * (state[x] - before[0][x]) / length
     share = min(max(share, 0.0), 1.0)
     for x in range(3):
         shift_p, shift_d = after[0][x] - before[0][x], after[1][x] - before[1][x]
         state[x] += (1.0 - share) * shift_p + share * shift_d
-    if align:
-        _align(state, u, v)
 
 
 @entry
 def write_poses(
-    people: People, energy: Energy, solved: F3, outlier: J2, links: J2, remove: bool, align: bool
+    people: People, energy: Energy, solved: F3, outlier: J2, links: J2, remove: bool
 ) -> None:
     """Write the solved positions (P, M, 3) to markers and links, in place.
 
-    A link of some weight moves with its two ends. With ``align`` it also turns by the least
-    rotation from its measured to its solved direction. With ``remove``, outliers and the links
-    that touch them become absent.
+    A link of some weight moves with its two ends. With ``remove``, outliers and the links that
+    touch them become absent.
     """
     weights = energy.weights
     for i in range(solved.shape[0]):
@@ -230,7 +195,7 @@ def write_poses(
             elif weights[i, k, W_LENGTH] + weights[i, k, W_ORIENTATION] > 0.0:
                 before = people.markers[i, p], people.markers[i, d]
                 after = solved[i, p], solved[i, d]
-                _move_link(people.links[i, k], before, after, align)
+                _move_link(people.links[i, k], before, after)
         for m in range(solved.shape[1]):
             if remove and outlier[i, m]:
                 people.markers[i, m] = np.nan
