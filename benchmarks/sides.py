@@ -30,7 +30,6 @@ from hiros_mcap.running.pipeline import process
 from hiros_mcap.simulate import simulate
 from hiros_mcap.simulate.body_model import SLOT, SYMMETRY
 from hiros_mcap.simulate.motion import Person
-from hiros_mcap.simulate.performer import Performer
 from hiros_mcap.simulate.simulation import Simulation
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel, nearest_stamps
 from hiros_mcap.stages.known_cameras import KnownCameras
@@ -133,7 +132,7 @@ def row(name: str, way: str, numbers: Floats) -> str:
 class Backwards:
     """Somebody who walks backwards from 6 s to 9 s: time runs backwards there."""
 
-    def __init__(self, person: Performer | Person) -> None:
+    def __init__(self, person: Person) -> None:
         self._person = person
 
     def pose(self, t: Floats) -> tuple[Floats, Floats]:

@@ -19,7 +19,6 @@ from hiros_mcap.simulate.limb_errors import TrueView, errors_of, exchanged, lost
 from hiros_mcap.simulate.motion import Person, standing
 from hiros_mcap.simulate.occlusion import Mask, Sight, sight_of
 from hiros_mcap.simulate.paths import Spot
-from hiros_mcap.simulate.performer import Performer
 from hiros_mcap.simulate.settings import DetectorParams, SimulateParams
 from hiros_mcap.skeletons import Floats
 
@@ -79,7 +78,7 @@ class SimulatedDetections:
 
 
 def detect(
-    people: Sequence[Person | Performer], camera: SimulatedCamera, params: SimulateParams
+    people: Sequence[Person], camera: SimulatedCamera, params: SimulateParams
 ) -> SimulatedDetections:
     """Return everything that a camera reports, in its nominal frames."""
     detections = observe(people, camera, params)
@@ -95,7 +94,7 @@ def detect(
 
 
 def observe(
-    people: Sequence[Person | Performer], camera: SimulatedCamera, params: SimulateParams
+    people: Sequence[Person], camera: SimulatedCamera, params: SimulateParams
 ) -> SimulatedDetections:
     """Return the truth in the camera's coordinates at the times of its nominal frames."""
     t = seconds_since(params.start, camera.captured)

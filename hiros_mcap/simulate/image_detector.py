@@ -24,7 +24,6 @@ from hiros_mcap.simulate.chance import coloured
 from hiros_mcap.simulate.detector import SimulatedDetections, detect
 from hiros_mcap.simulate.motion import Person
 from hiros_mcap.simulate.occlusion import Mask
-from hiros_mcap.simulate.performer import Performer
 from hiros_mcap.simulate.settings import ImageParams, SimulateParams
 from hiros_mcap.skeletons import Floats, SkeletonModel, Stamps
 
@@ -61,7 +60,7 @@ def lens_of(image: ImageParams) -> Intrinsics:
 
 
 def detect_keypoints(
-    people: Sequence[Person | Performer], camera: SimulatedCamera, params: SimulateParams
+    people: Sequence[Person], camera: SimulatedCamera, params: SimulateParams
 ) -> SimulatedKeypoints:
     """Return everything that an RGB camera reports, in its nominal frames."""
     lens = lens_of(params.image)

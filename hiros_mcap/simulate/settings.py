@@ -407,14 +407,6 @@ class SimulateParams(Params):
         ROOM,
         description="Room in which people roam, m: least x and y, greatest x and y.",
     )
-    motion: tuple[str, ...] = Field(
-        (),
-        description="AMC or BVH files that people perform instead of the action, one each; more "
-        "people start again with the first file.",
-    )
-    skeleton: tuple[str, ...] = Field(
-        (), description="ASF file of each AMC file; the last one is used for all others."
-    )
     seconds: Annotated[float, Field(gt=0, le=86_400)] = Field(
         10.0, description="Length of the log, s."
     )

@@ -35,7 +35,6 @@ from hiros_mcap.simulate.detector import SimulatedDetections, detect
 from hiros_mcap.simulate.image_detector import SimulatedKeypoints, detect_keypoints, lens_of
 from hiros_mcap.simulate.motion import Person
 from hiros_mcap.simulate.occlusion import Mask
-from hiros_mcap.simulate.performer import Performer, perform_files
 from hiros_mcap.simulate.settings import SimulateParams
 from hiros_mcap.skeletons import (
     ACCELERATION,
@@ -73,11 +72,8 @@ class Simulation:
         return MODEL
 
     @cached_property
-    def people(self) -> Sequence[Person | Performer]:
-        """Who is there, with his proportions and his motion as a function of time, s.
-
-        Raises ConfigError for a motion file that is faulty.
-        """
+    def people(self) -> Sequence[Person]:
+        """Who is there, with his proportions and his motion as a function of time, s."""
         params = self.params
         rng = stream(params.seed, "people")
         bodies = [
@@ -85,8 +81,6 @@ class Simulation:
             for _ in range(params.people)
         ]
         motion = stream(params.seed, "motion")
-        if params.motion:
-            return perform_files(params, bodies, motion)
         facing = params.facing
         if facing is None and params.action == "pass":
             facing = bearing_of(self.cameras)
@@ -205,7 +199,7 @@ def simulate(params: SimulateParams = _DEFAULT) -> Simulation:
     return Simulation(params)
 
 
-def _markers_and_links(person: Person | Performer, t: Floats) -> tuple[Floats, Floats]:
+def _markers_and_links(person: Person, t: Floats) -> tuple[Floats, Floats]:
     markers, rotations = person.pose(t)
     return markers, from_matrix(rotations)[:, LINK_SEGMENTS]
 

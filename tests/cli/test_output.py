@@ -100,7 +100,7 @@ def lab(short, processed, tmp_path):
     shutil.copy(short, tmp_path / "walk.mcap")
     shutil.copy(processed, tmp_path / "result.mcap")
     (tmp_path / "suite.toml").write_text(SUITE)
-    (tmp_path / "motion.bvh").write_text("HIERARCHY\n")
+    (tmp_path / "room.toml").write_text("")
     (tmp_path / "notes.html").write_text("<p>the only copy</p>")
     shutil.copy(tmp_path / "notes.html", tmp_path / "notes.png")
     return tmp_path
@@ -139,7 +139,7 @@ REFUSED = [
     ("check suite.toml --markdown notes.html", "notes.html: exists and is not a Markdown summary"),
     ("check suite.toml --junit a --markdown a", "a: would be written twice"),
     ("check suite.toml --keep .", "walk.mcap: is an input"),
-    ("simulate motion.bvh --motion motion.bvh --force", "motion.bvh: is an input"),
+    ("simulate room.toml --cameras room.toml --force", "room.toml: is an input"),
     ("calibrate people walk.mcap -o notes.html", "notes.html: exists and is not"),
     ("simulate notes.html", "notes.html: exists and is not a log of hiros"),
 ]

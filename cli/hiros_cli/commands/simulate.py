@@ -43,12 +43,6 @@ def simulate(
     action: str | None = option(
         "NAME", "walk, squat, wave, cross, ...; any unknown name lists all. Default: walk."
     ),
-    motion: list[Path] | None = option(
-        "FILE", "AMC or BVH file to play instead; repeat it per person."
-    ),
-    skeleton: list[Path] | None = option(
-        "FILE", "ASF skeleton of the AMC files: one for all, or one each."
-    ),
     detector: str | None = option(
         "NAME",
         "ideal: each joint errs by itself, and the detector knows what it guesses. kinect: whole "
@@ -79,8 +73,6 @@ def simulate(
         "kinds": None if camera is None else camera.split(","),
         "image": None if joints is None else {"joints": joints},
         "detector": None if detector is None else {"kind": detector},
-        "motion": [str(path) for path in motion] if motion else None,
-        "skeleton": [str(path) for path in skeleton] if skeleton else None,
         "seconds": seconds,
         "rate": rate,
         "seed": seed,
@@ -94,12 +86,9 @@ def simulate(
         "phantoms": phantoms,
     }
     file = None if cameras is None or cameras.lstrip("-").isdigit() else Path(cameras)
-    for path in (*(motion or ()), *(skeleton or ()), *([file] if file else [])):
-        path.stat()
-    if motion and people is None:
-        given["people"] = len(motion)
-
-    check_outputs((output, "log"), inputs=(*(motion or ()), *(skeleton or ()), file), force=force)
+    if file is not None:
+        file.stat()
+    check_outputs((output, "log"), inputs=(file,), force=force)
     prepare(quiet=quiet)
     from hiros_mcap.simulate.cameras import read_rig
     from hiros_mcap.simulate.simulation import write_log
