@@ -265,7 +265,7 @@ def usual(seed: int, **params: object) -> Scene:
     seconds, cameras = float(rng.uniform(10.0, 40.0)), int(rng.integers(2, 4))
     shift, bias = float(rng.choice([0.0, 0.02])), float(rng.choice([0.009, 0.02]))
     params = {"people": 1, "seconds": seconds, "cameras": cameras, **params}
-    detector = {"bias": bias, "limbs": {"joint": bias}}
+    detector = {"bias": bias, "joint": bias}
     return simulated(seed, shift=shift, **params, detector=detector)
 
 

@@ -149,9 +149,6 @@ SCENES: Mapping[str, Callable[[Setting], Scene]] = {
     "many, 6 people": partial(two, seed=108, action="free_dynamic", people=6, cameras=5),
     "crowd, 5 people": partial(crowd, seed=119, action="free_dynamic"),
     "crowd, 5 who cross": partial(crowd, seed=120, action="cross"),
-    "hidden, detectors invent": partial(
-        two, seed=121, action="cross", cameras=2, detector={"kind": "ideal", "invents": True}
-    ),
     "few, 2 cameras": partial(two, seed=109, action="cross", cameras=2),
     "15 Hz": partial(two, seed=110, action="cross", rig={"rate": 15.0}),
     "60 Hz": partial(two, seed=111, action="cross", rig={"rate": 60.0}),

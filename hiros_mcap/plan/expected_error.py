@@ -22,7 +22,12 @@ import numpy.typing as npt
 
 from hiros_mcap.body.rotations import Rigid, to_matrix
 from hiros_mcap.simulate.body_model import MODEL
-from hiros_mcap.simulate.detector import EXTREMITY, REFERENCE_RANGE, is_detected
+from hiros_mcap.simulate.detector import (
+    EXTREMITY,
+    GUESS_EXTREMITIES,
+    REFERENCE_RANGE,
+    is_detected,
+)
 from hiros_mcap.simulate.occlusion import sight_of
 from hiros_mcap.simulate.settings import SimulateParams
 from hiros_mcap.skeletons import Floats, Stamps
@@ -88,7 +93,7 @@ class ErrorModel:
         points = (markers - pose.translation) @ to_matrix(pose.xyzw)
         params = self._params
         sight = sight_of(points, params.rig, solid=params.occlusion > 0)
-        detected = is_detected(sight, params.detector)
+        detected = is_detected(sight)
         guessed = (sight.hidden | ~sight.framed)[..., self.joints] & (params.occlusion > 0)
         distance = np.linalg.norm(points[:, :, 0], axis=-1)
         assumed = self._assumed(distance, guessed)
@@ -108,7 +113,7 @@ class ErrorModel:
         """A_c (n, P, J, bands), m2 s, mean of the axes: the detector's errors and the pose's."""
         params, d, rig = self._params, self._params.detector, self._params.rig
         wide = params.noise * (1 + (d.extremities - 1) * EXTREMITY[self.joints])
-        far = params.occlusion * (1 + (d.guess_extremities - 1) * EXTREMITY[self.joints])
+        far = params.occlusion * (1 + (GUESS_EXTREMITIES - 1) * EXTREMITY[self.joints])
         growth = (distance[..., None] / REFERENCE_RANGE) ** d.range_growth
         slow = -1 / (30 * np.log(max(d.correlation, 1e-6)))
         power = (d.coloured * wide * growth)[..., None] ** 2 * self._wandering(slow)

@@ -6,7 +6,7 @@ seen and guessed joints, loses people and finds them again in a wrong pose, and 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -19,7 +19,7 @@ from hiros_mcap.simulate.limb_errors import TrueView, errors_of, exchanged, lost
 from hiros_mcap.simulate.motion import Person, standing
 from hiros_mcap.simulate.occlusion import Mask, Sight, sight_of
 from hiros_mcap.simulate.paths import Spot
-from hiros_mcap.simulate.settings import DetectorParams, SimulateParams
+from hiros_mcap.simulate.settings import PHANTOMS_PER_MINUTE, CameraKind, SimulateParams
 from hiros_mcap.skeletons import Floats
 
 _SHARE_INSIDE = 0.5  # a body of which less than this is in the picture is not detected
@@ -29,6 +29,17 @@ _SPAWN_ROTATION = np.radians(25.0)  # SD per axis of the link orientations of a 
 _FRONT_FLIP_SHARE = 0.2  # flips are this much rarer when the camera sees the face
 _HALF_ROTATION = np.array([0.0, 1.0, 0.0, 0.0])  # about a segment's own long axis
 _BEHIND = 2.0  # m, of the ring of cameras, where others do not look
+_EXCHANGED: Mapping[CameraKind, float] = {"depth": 0.45, "rgb": 0.1}
+"""Share of the views from behind with exchanged sides (kinect). Measured: .45 of a Kinect v2;
+MediaPipe did so in 6 of 400 images of one person, all of one camera."""
+_SEEN, _GUESSED = 0.66, 0.33
+"""Confidence of a joint that is seen, and of one that is hidden; out of the picture it is 0."""
+GUESS_EXTREMITIES = 2.2
+"""How much larger the error of guessed hands and feet is than that of a guessed trunk."""
+_GUESSED_ROTATION = 8.0  # deg; SD of a hidden link's additional orientation error, per axis
+_MOST_HIDDEN = 0.7  # a person is not detected if others hide more than this share
+_PHANTOM_FRAMES = (2, 8)  # how many a phantom lasts
+_DOUBLES = 0.5  # share of phantoms that are a second skeleton on a real person
 _STATIC_PRESENCE = 0.9  # share of frames in which a static phantom is reported
 _REVERSED = [SLOT[name] for name in ("NOSE", "EYE_LEFT", "EYE_RIGHT", "FOOT_LEFT", "FOOT_RIGHT")]
 _PARENTS = np.array(MODEL.link_parents)
@@ -54,18 +65,15 @@ class SimulatedDetections:
     orientations: Floats  # (n, P, L, 4) unit quaternions x y z w
     confidences: Floats  # (n, P, M)
     guessed: Mask  # (n, P, M) whether the joint is not seen but guessed
-    invented: Mask
-    """(n, P, M) whether it is behind somebody else, and the detector does not know that."""
     present: Mask  # (n, P) whether the body is reported at all; the rest is meaningless where not
 
     @classmethod
-    def of(cls, n: int, people: int, confidence: float) -> SimulatedDetections:
+    def of(cls, n: int, people: int) -> SimulatedDetections:
         """Return detections that are all present and seen, with positions to be filled in."""
         return cls(
             np.empty((n, people, MODEL.n_markers, 3)),
             np.empty((n, people, MODEL.n_links, 4)),
-            np.full((n, people, MODEL.n_markers), confidence),
-            np.zeros((n, people, MODEL.n_markers), bool),
+            np.full((n, people, MODEL.n_markers), _SEEN),
             np.zeros((n, people, MODEL.n_markers), bool),
             np.ones((n, people), bool),
         )
@@ -98,7 +106,7 @@ def observe(
 ) -> SimulatedDetections:
     """Return the truth in the camera's coordinates at the times of its nominal frames."""
     t = seconds_since(params.start, camera.captured)
-    detections = SimulatedDetections.of(len(t), len(people), params.detector.confidence_seen)
+    detections = SimulatedDetections.of(len(t), len(people))
     to_camera = conjugate(camera.pose.xyzw)
     for slot, person in enumerate(people):
         markers, rotations = person.pose(t)
@@ -110,21 +118,18 @@ def observe(
 
 def _hide(detections: SimulatedDetections, params: SimulateParams) -> None:
     """Decide which bodies are detected and which of their joints are guessed."""
-    detector, solid = params.detector, params.occlusion > 0
+    solid = params.occlusion > 0
     sight = sight_of(detections.positions, params.rig, solid=solid)
-    detections.present &= is_detected(sight, detector)
+    detections.present &= is_detected(sight)
     if solid:
         detections.guessed[:] = sight.hidden | ~sight.framed
-        detections.confidences[sight.hidden] = detector.confidence_guessed
-        detections.confidences[~sight.framed] = detector.confidence_outside
-        if detector.invents:
-            detections.confidences[:] = 1.0
-            detections.invented[:] = sight.covered
+        detections.confidences[sight.hidden] = _GUESSED
+        detections.confidences[~sight.framed] = 0.0
 
 
 def _fit(detections: SimulatedDetections, camera: SimulatedCamera, params: SimulateParams) -> None:
     """Report bodies as a detector does that fits them whole; see :mod:`limb_errors`."""
-    limbs, rate = params.detector.limbs, params.rig.rate
+    joint, rate = params.detector.joint, params.rig.rate
     sight = sight_of(detections.positions, params.rig, solid=params.occlusion > 0)
     detections.present &= sight.framed.mean(-1) >= _SHARE_INSIDE
     detections.confidences[:] = 1.0
@@ -134,23 +139,22 @@ def _fit(detections: SimulatedDetections, camera: SimulatedCamera, params: Simul
         hidden = sight.covered[:, person] | (~sight.framed[:, person] & (params.occlusion > 0))
         view = TrueView(positions.copy(), hidden, rate)
         detections.guessed[:, person] = hidden
-        scales = {"noise": params.noise, "guesses": params.occlusion}
-        errors = errors_of(rng, view, limbs, **scales)
+        errors = errors_of(rng, view, joint, noise=params.noise, guesses=params.occlusion)
         errors.bend(positions, detections.orientations[:, person])
-        share = min(params.flips * limbs.exchanged, 1.0)
-        for start, stop in runs(exchanged(rng, view, share, limbs.exchanged_seconds)):
+        share = min(params.flips * _EXCHANGED[camera.kind], 1.0)
+        for start, stop in runs(exchanged(rng, view, share)):
             swap_sides(detections, slice(start, stop), person)
             reverse_facing(detections, slice(start, stop), person)
         if params.dropouts > 0:
-            detections.present[:, person] &= ~lost(rng, view, limbs)
+            detections.present[:, person] &= ~lost(rng, view)
     _lose(detections, camera, params)
 
 
-def is_detected(sight: Sight, detector: DetectorParams) -> Mask:
+def is_detected(sight: Sight) -> Mask:
     """(n, P) whether enough of a body is in the picture, and not behind others."""
     inside = sight.framed.mean(-1)
     clear = (sight.framed & ~sight.covered).mean(-1)
-    detected: Mask = (inside >= _SHARE_INSIDE) & (clear >= (1 - detector.hidden) * inside)
+    detected: Mask = (inside >= _SHARE_INSIDE) & (clear >= (1 - _MOST_HIDDEN) * inside)
     return detected
 
 
@@ -177,8 +181,7 @@ def _flip(detections: SimulatedDetections, camera: SimulatedCamera, params: Simu
 
 def swap_sides(detections: SimulatedDetections, frames: slice, person: int) -> None:
     """Give every left joint and link the place of the right one and vice versa."""
-    columns = detections.positions, detections.confidences, detections.guessed
-    for series in (*columns, detections.invented):
+    for series in (detections.positions, detections.confidences, detections.guessed):
         series[frames, person] = series[frames, person][:, SYMMETRY.mirror]
     links = detections.orientations
     links[frames, person] = links[frames, person][:, SYMMETRY.link_mirror]
@@ -205,21 +208,16 @@ def _disturb(
     distance = np.linalg.norm(detections.positions[:, :, 0], axis=-1)[..., None, None]
     growth = (distance / REFERENCE_RANGE) ** d.range_growth
     wide = params.noise * (1 + (d.extremities - 1) * EXTREMITY[:, None])
-    far = params.occlusion * (1 + (d.guess_extremities - 1) * EXTREMITY[:, None])
+    far = params.occlusion * (1 + (GUESS_EXTREMITIES - 1) * EXTREMITY[:, None])
     joints = d.coloured * wide * growth, d.white * wide * growth, d.bias * wide, d.guess * far
     rng = stream(params.seed, "joint errors", camera.index)
     detections.positions += _errors(rng, joints, detections.guessed, params)
-    if d.invents:
-        rng = stream(params.seed, "inventions", camera.index)
-        lasts = float(np.exp(-1 / (params.rig.rate * d.invented_seconds)))
-        invention = params.occlusion * d.invented * coloured(rng, detections.positions.shape, lasts)
-        detections.positions += np.where(detections.invented[..., None], invention, 0.0)
     wide, far = np.radians(wide[1:]), np.radians(far[1:])
     links = (
         d.orientation_coloured * wide * growth,
         d.orientation_white * wide * growth,
         d.orientation_bias * wide,
-        d.guess_orientation * far,
+        _GUESSED_ROTATION * far,
     )
     rng = stream(params.seed, "link errors", camera.index)
     rotation = _errors(rng, links, guessed_links(detections.guessed), params)
@@ -299,10 +297,10 @@ def phantoms(
         static.present[:, 0] = rng.random(n) < _STATIC_PRESENCE
         people.append(static)
     rng = stream(params.seed, "phantoms", camera.index)
-    often = params.phantoms * detector.phantoms_per_minute / (60 * rate)
-    for start, stop in episodes(rng, n, often, detector.phantom_frames):
+    often = params.phantoms * PHANTOMS_PER_MINUTE / (60 * rate)
+    for start, stop in episodes(rng, n, often, _PHANTOM_FRAMES):
         phantom = _standing_phantom(n, camera, params, rng)
-        double = rng.random() < detector.double_share
+        double = rng.random() < _DOUBLES
         owners = np.flatnonzero(detections.present[start])
         if double and len(owners):
             owner = int(rng.choice(owners))
@@ -331,9 +329,9 @@ def _standing_phantom(
     spot = Spot(away * np.cos(bearing), away * np.sin(bearing), rng.uniform(-np.pi, np.pi))
     still = Person(body, lambda t: standing(body, spot, t))
     markers, rotations = still.pose(np.zeros(1))
-    phantom = SimulatedDetections.of(n, 1, params.detector.confidence_seen)
+    phantom = SimulatedDetections.of(n, 1)
     half = rng.random(MODEL.n_markers) < 0.5
-    phantom.confidences[:, 0, half] = params.detector.confidence_guessed
+    phantom.confidences[:, 0, half] = _GUESSED
     jitter = params.noise * params.detector.coloured * rng.standard_normal(phantom.positions.shape)
     phantom.positions[:] = camera.points(markers)[:, None] + jitter
     turned = multiply(conjugate(camera.pose.xyzw), from_matrix(rotations))

@@ -17,7 +17,7 @@ import numpy as np
 
 from hiros_mcap.body.rotations import rotate
 from hiros_mcap.io.detectors.body_models import body_model, joints_of
-from hiros_mcap.rays.intrinsics import Intrinsics
+from hiros_mcap.rays.intrinsics import PLUMB_BOB, Intrinsics
 from hiros_mcap.simulate.body_model import MARKERS, SLOT
 from hiros_mcap.simulate.cameras import SimulatedCamera, stream
 from hiros_mcap.simulate.chance import coloured
@@ -28,6 +28,13 @@ from hiros_mcap.simulate.settings import ImageParams, SimulateParams
 from hiros_mcap.skeletons import Floats, SkeletonModel, Stamps
 
 _SCALE = 275.0  # px per metre, for which the deviations are given
+_DISTORTION = (-0.1, 0.04, 0.0005, -0.0005, 0.0)  # of a plumb_bob lens
+_RANGE = (0.5, 20.0)  # m; nearest and farthest people seen
+_QUICK_SECONDS, _SLOW_SECONDS = 0.3, 5.0  # time constants of errors
+_OUTLIER = 60.0  # px; SD of outliers, per axis
+_MISSING = 0.05  # share of keypoints in view that are not found
+_HIDDEN_MISSING = 0.4  # share of hidden joints that are not found; the others are guessed
+_SCORE_SEEN, _SCORE_GUESSED, _SCORE_SPREAD = 0.85, 0.4, 0.1  # means, SD
 _LEAST_SCORE = 0.05
 _FEET = {  # Joint -> the marker that it is fixed to, x forward, y up, z to the outside, m
     "bigtoe": ("FOOT", (0.035, -0.005, -0.015)),
@@ -56,7 +63,7 @@ def lens_of(image: ImageParams) -> Intrinsics:
     matrix = np.array(
         [[image.focal, 0, (width - 1) / 2], [0, image.focal, (height - 1) / 2], [0, 0, 1]]
     )
-    return Intrinsics(image.size, matrix, np.array(image.distortion), image.lens)
+    return Intrinsics(image.size, matrix, np.array(_DISTORTION), PLUMB_BOB)
 
 
 def detect_keypoints(
@@ -80,9 +87,8 @@ def _without_noise(params: SimulateParams, lens: Intrinsics) -> SimulateParams:
     corners = np.array([[0, 0], [width, 0], [0, height], [width, height]], np.float64)
     half = np.abs(lens.normalized(corners)).max(axis=0)
     fov = tuple(np.degrees(2 * np.arctan(half)).tolist())
-    rig = params.rig.model_copy(update={"fov": fov, "range": params.image.range})
-    limbs = params.detector.limbs.model_copy(update={"exchanged": params.image.exchanged})
-    quiet = {"coloured": 0.0, "white": 0.0, "bias": 0.0, "limbs": limbs}
+    rig = params.rig.model_copy(update={"fov": fov, "range": _RANGE})
+    quiet = {"coloured": 0.0, "white": 0.0, "bias": 0.0}
     detector = params.detector.model_copy(update=quiet)
     return params.model_copy(update={"rig": rig, "detector": detector})
 
@@ -109,35 +115,35 @@ def _with_errors(
     image, rate = params.image, params.rig.rate
     pixels = lens.pixels(points)
     rng = stream(params.seed, "image errors", camera.index)
-    size = (lens.focal / _SCALE / np.maximum(points[..., 2:], image.range[0])) * params.noise
+    size = (lens.focal / _SCALE / np.maximum(points[..., 2:], _RANGE[0])) * params.noise
     errors = image.white * size * rng.standard_normal(pixels.shape)
     errors += image.pixel * params.noise * rng.standard_normal(pixels.shape)
     streak = np.diff(pixels, axis=0, prepend=pixels[:1]) * rate * image.exposure
     errors += params.noise * streak * rng.uniform(-0.5, 0.5, (*pixels.shape[:-1], 1))
     if params.detector.kind == "ideal":
-        for sd, seconds in ((image.quick, image.quick_seconds), (image.slow, image.slow_seconds)):
+        for sd, seconds in ((image.quick, _QUICK_SECONDS), (image.slow, _SLOW_SECONDS)):
             errors += sd * size * coloured(rng, pixels.shape, float(np.exp(-1 / (rate * seconds))))
         rng = stream(params.seed, "outliers", camera.index)
         far = rng.random(pixels.shape[:-1]) < image.outliers
-        errors[far] += (image.outlier * size * rng.standard_normal(pixels.shape))[far]
+        errors[far] += (_OUTLIER * size * rng.standard_normal(pixels.shape))[far]
     return np.asarray(pixels + errors)
 
 
 def _scores(guessed: Mask, camera: SimulatedCamera, params: SimulateParams) -> Floats:
     """(n, P, J) how sure the detector is of joints, the ``guessed`` ones among them."""
-    image, rng = params.image, stream(params.seed, "scores", camera.index)
-    mean = np.where(guessed, image.score_guessed, image.score_seen)
-    scores = mean + image.score_spread * rng.standard_normal(guessed.shape)
+    rng = stream(params.seed, "scores", camera.index)
+    mean = np.where(guessed, _SCORE_GUESSED, _SCORE_SEEN)
+    scores = mean + _SCORE_SPREAD * rng.standard_normal(guessed.shape)
     return np.asarray(np.clip(scores, _LEAST_SCORE, 1.0))
 
 
 def _is_found(guessed: Mask, camera: SimulatedCamera, params: SimulateParams) -> Mask:
     """(n, P, J) whether joints are reported; a hidden one is guessed or not for a while."""
-    image, rng = params.image, stream(params.seed, "missing", camera.index)
-    found: Mask = rng.random(guessed.shape) >= min(1.0, params.dropouts * image.missing)
+    rng = stream(params.seed, "missing", camera.index)
+    found: Mask = rng.random(guessed.shape) >= min(1.0, params.dropouts * _MISSING)
     lasts = float(np.exp(-1 / (params.rig.rate * params.detector.guess_seconds)))
-    share = min(max(image.hidden_missing, 1e-9), 1 - 1e-9)
-    return found & ~(guessed & (coloured(rng, guessed.shape, lasts) < NormalDist().inv_cdf(share)))
+    missed = coloured(rng, guessed.shape, lasts) < NormalDist().inv_cdf(_HIDDEN_MISSING)
+    return found & ~(guessed & missed)
 
 
 def _is_inside(lens: Intrinsics, points: Floats, pixels: Floats) -> Mask:

@@ -34,16 +34,46 @@ from hiros_mcap.body.rotations import from_vector, multiply, rotate
 from hiros_mcap.simulate.body_model import MARKERS, MODEL, SIDES, SLOT
 from hiros_mcap.simulate.chance import held, runs
 from hiros_mcap.simulate.occlusion import Mask
-from hiros_mcap.simulate.settings import LimbErrorParams
 from hiros_mcap.skeletons import Floats, Stamps
 
-_MOVES = 0.3  # m/s, mean of the joints: movement brings half as many decisions as at most
-_COVERED = 0.2  # share of a body that others cover, where a time of cover begins and ends
+# Measured on 32 minutes of views in 19 recordings by two Kinect v2 each: lengths against the
+# person's own, positions between the cameras and against the fused result. SDs are per axis.
+_SHIFT = 0.008  # SD of the shift of the body, m (between two cameras 23 to 28 mm, poses included)
+_DIRECTION = np.radians(2.3)  # SD of the direction of an upper arm or a thigh
+_LENGTH_SD = 0.02  # relative SD of a limb's length (robust SD of all errors: .03 to .07)
 _SHARED = 0.55  # of the error of a length, what both sides have in common: r = 0.3
+_SLIDE = 0.025  # relative SD by which a knee slides along the leg (thigh, shank: r = -.35 to -.64)
+_ASIDE = 1.0  # how much larger these are in views from the side and from behind (.3 to 2)
 _FROM_DEG = (45.0, 90.0, 135.0)  # facing of views from the front, the side, behind
-_SIZES = 0.3  # SD of the log of the size of a mistake
-_NARROWEST = 0.6  # share of a width that is lost at most
+_SECONDS = 1.2
+"""s; mean time for which a decision holds while somebody stands (95 % of second differences of a
+hand: 24 mm)."""
+_MOVING_SECONDS = 0.15  # the same of somebody who moves fast (faster than .3 m/s: 129 mm)
+_MOVES = 0.3  # m/s, mean of the joints: movement brings half as many decisions as at most
+_LASTING = 0.1  # share of their variance that lasts (autocorrelation .2 to .5 after 1 s)
+_LASTING_SECONDS = 20.0  # s, for which the lasting part holds (recordings: 15 to 100 s)
+_SLIPS = (0.08, 0.12, 0.15)
+"""Probability that a decision which movement brings is a slip: from the front, from the side, from
+behind. Of the wrists of people faster than .3 m/s, 6, 10 and 12 % are off by more than .2 m."""
+_SLIP_SHIFT = 0.035  # m, of the body in a slip (99 % of second differences of a trunk: 36 to 82 mm)
 _TAKES_PART = 0.7  # probability that a segment takes part in a slip of its group
+_SIZES = 0.3  # SD of the log of the size of a mistake; the SDs below are those of the median size
+_ANGLE = np.radians(30.0)  # SD of a segment's direction in a mistake (peaks of .34 m)
+_LOG_LENGTH = 0.2  # SD of the log of its length (99 % of lengths are off by 17 to 34 %)
+_NARROW = 0.5
+"""SD of the share of the width of hips and shoulders that a mistake loses: 5 % of those from the
+side are short by 25 to 42 %, hardly any is too long."""
+_NARROWEST = 0.6  # share of a width that is lost at most
+_GUESS_ODDS = 2.0  # probability of a wrong guess to the covered share of the body
+_GUESS_SHIFT = 0.3
+"""m; SD of the shift of a body to its covered share (at .25 to .45: median 50 to 59, 90 % 138 to
+180 mm)."""
+_COVERED = 0.2  # share of a body that others cover, where a time of cover begins and ends
+_LOST_AT = (0.3, 0.8)
+"""Share of a body that others cover when it is lost: least, most. Reported are 80 % of those who
+are covered by .1 to .25, 25 % by .45 to .7."""
+_FOUND_AFTER = 0.5  # s; mean time after which who is uncovered is found again (.3 to 1.8)
+_EXCHANGED_SECONDS = 0.5  # s; mean time between two decisions on the sides (exchanges: median .7)
 
 
 class Segment(NamedTuple):
@@ -136,7 +166,7 @@ class LimbErrors:
             *(noise * part for part in (self.turn, self.scale, self.shift, self.joints))
         )
 
-    def add(self, wrong: Floats, params: LimbErrorParams, draws: Floats) -> None:
+    def add(self, wrong: Floats, draws: Floats) -> None:
         """Add mistakes to segments.
 
         Parameters
@@ -144,11 +174,11 @@ class LimbErrors:
         wrong : (n, G) how large they are beside a usual mistake; 0 = none.
         draws : (n, G + 1, 4) as :func:`_mistakes` makes them.
         """
-        turned = np.radians(params.mistake_angle) * wrong * _MISTAKES
+        turned = _ANGLE * wrong * _MISTAKES
         self.turn += turned[..., None] * draws[:, :-1, :3]
         lengths = wrong * draws[:, :-1, 3]
-        scale = params.mistake_length * lengths
-        narrower = params.narrow * np.abs(lengths[:, _WIDTHS])
+        scale = _LOG_LENGTH * lengths
+        narrower = _NARROW * np.abs(lengths[:, _WIDTHS])
         scale[:, _WIDTHS] = np.log1p(-np.minimum(narrower, _NARROWEST))
         self.scale += scale
 
@@ -164,21 +194,22 @@ class LimbErrors:
         orientations[:] = multiply(rotation[:, _OF_LINK], orientations)
 
 
-def lost(rng: np.random.Generator, view: TrueView, params: LimbErrorParams) -> Mask:
+def lost(rng: np.random.Generator, view: TrueView) -> Mask:
     """(n,) whether the detector has lost somebody because of others in front."""
     share = view.covered.mean(axis=-1)
     gone = np.zeros(len(share), bool)
     for start, stop in runs(share >= _COVERED):
-        beyond = np.flatnonzero(share[start:stop] > rng.uniform(*params.loses_at))
-        later = round(view.rate * rng.exponential(params.finds_after))
+        beyond = np.flatnonzero(share[start:stop] > rng.uniform(*_LOST_AT))
+        later = round(view.rate * rng.exponential(_FOUND_AFTER))
         if len(beyond):
             gone[start + beyond[0] : stop + later] = True
     return gone
 
 
-def exchanged(rng: np.random.Generator, view: TrueView, share: float, seconds: float) -> Mask:
+def exchanged(rng: np.random.Generator, view: TrueView, share: float) -> Mask:
     """(n,) whether the sides of a person are exchanged, in a ``share`` of the views from behind."""
-    decision = held(rng, np.full(len(view.positions), 1 / (view.rate * seconds)))
+    per_frame = 1 / (view.rate * _EXCHANGED_SECONDS)
+    decision = held(rng, np.full(len(view.positions), per_frame))
     odds = share * np.interp(view.facing, (45.0, 100.0, 140.0), (0.0, 0.04, 1.0))
     wrong: Mask = rng.random(decision[-1] + 1)[decision] < odds
     return wrong
@@ -191,66 +222,65 @@ class Pace(NamedTuple):
     moving: Floats  # (n,) share of them that movement brings
 
     @classmethod
-    def of(cls, view: TrueView, params: LimbErrorParams) -> Pace:
+    def of(cls, view: TrueView) -> Pace:
         """Return the pace of a view."""
         moves = 1 / (1 + (_MOVES / np.maximum(view.speed, 1e-9)) ** 2)
-        moving = moves / params.moving_seconds
-        both = 1 / params.seconds + moving
+        moving = moves / _MOVING_SECONDS
+        both = 1 / _SECONDS + moving
         return cls(both / view.rate, moving / both)
 
 
 def errors_of(
     rng: np.random.Generator,
     view: TrueView,
-    params: LimbErrorParams,
+    joint: float,
     *,
     noise: float,
     guesses: float,
 ) -> LimbErrors:
-    """Draw the errors of a view; ``noise`` and ``guesses`` scale them."""
-    pace = Pace.of(view, params)
-    errors = _small_errors(rng, view, pace, params).scaled(noise)
-    _slip(rng, errors, view, pace, params, noise)
-    _guess(rng, errors, view, pace, params, guesses)
+    """Draw the errors of a view; ``noise`` and ``guesses`` scale them.
+
+    ``joint`` : SD of each joint by itself, per axis, m.
+    """
+    pace = Pace.of(view)
+    errors = _small_errors(rng, view, pace, joint).scaled(noise)
+    _slip(rng, errors, view, pace, noise)
+    _guess(rng, errors, view, pace, guesses)
     return errors
 
 
-def _small_errors(
-    rng: np.random.Generator, view: TrueView, pace: Pace, params: LimbErrorParams
-) -> LimbErrors:
+def _small_errors(rng: np.random.Generator, view: TrueView, pace: Pace, joint: float) -> LimbErrors:
     """Return what every segment is off by all the time."""
     sideways = np.interp(view.facing, _FROM_DEG[:2], (0.0, 1.0))
-    more = 1 + params.aside * sideways[:, None]
-    turn = np.radians(params.direction) * _TURNS[:, None] * _drawn(rng, pace, params, 3)
-    own, common = _drawn(rng, pace, params, 2).transpose(2, 0, 1)
+    more = 1 + _ASIDE * sideways[:, None]
+    turn = _DIRECTION * _TURNS[:, None] * _drawn(rng, pace, 3)
+    own, common = _drawn(rng, pace, 2).transpose(2, 0, 1)
     common[:, [*_RIGHT_ARM, *_RIGHT_LEG]] = common[:, [*_LEFT_ARM, *_LEFT_LEG]]
-    scale = params.length * _LENGTHS * (np.sqrt(1 - _SHARED**2) * own + _SHARED * common)
-    slides = params.slide * _drawn(rng, pace, params, 1)[..., 0]
+    scale = _LENGTH_SD * _LENGTHS * (np.sqrt(1 - _SHARED**2) * own + _SHARED * common)
+    slides = _SLIDE * _drawn(rng, pace, 1)[..., 0]
     for thigh, shank, _ in (_LEFT_LEG, _RIGHT_LEG):
         scale[:, thigh] += slides[:, thigh]
         scale[:, shank] -= slides[:, thigh]
-    shift = params.shift * _drawn(rng, pace, params, 3)[:, 0]
-    joints = params.joint * _lasting(rng, pace, params, (len(MARKERS), 3))
+    shift = _SHIFT * _drawn(rng, pace, 3)[:, 0]
+    joints = joint * _lasting(rng, pace, (len(MARKERS), 3))
     return LimbErrors(more[..., None] * turn, more * scale, shift, joints)
 
 
-def _drawn(rng: np.random.Generator, pace: Pace, params: LimbErrorParams, k: int) -> Floats:
+def _drawn(rng: np.random.Generator, pace: Pace, k: int) -> Floats:
     """(n, G, k) numbers of SD 1 that hold for a time; a part of the variance lasts."""
     quick = np.empty((len(pace.per_frame), len(SEGMENTS), k))
     for segment in range(len(SEGMENTS)):
         decision = held(rng, pace.per_frame)
         size = np.exp(_SIZES * rng.standard_normal((decision[-1] + 1, 1)) - _SIZES**2)
         quick[:, segment] = (size * rng.standard_normal((len(size), k)))[decision]
-    slow = _lasting(rng, pace, params, (len(SEGMENTS), k))
-    mixed: Floats = np.sqrt(1 - params.lasting) * quick + np.sqrt(params.lasting) * slow
+    slow = _lasting(rng, pace, (len(SEGMENTS), k))
+    mixed: Floats = np.sqrt(1 - _LASTING) * quick + np.sqrt(_LASTING) * slow
     return mixed
 
 
-def _lasting(
-    rng: np.random.Generator, pace: Pace, params: LimbErrorParams, shape: tuple[int, int]
-) -> Floats:
+def _lasting(rng: np.random.Generator, pace: Pace, shape: tuple[int, int]) -> Floats:
     """(n, K, k) numbers of SD 1 that hold for long."""
-    per_frame = pace.per_frame * params.seconds / params.lasting_seconds
+    per_frame = pace.per_frame * _SECONDS / _LASTING_SECONDS
     numbers = np.empty((len(per_frame), *shape))
     for row in range(shape[0]):
         decision = held(rng, per_frame)
@@ -263,20 +293,19 @@ def _slip(
     errors: LimbErrors,
     view: TrueView,
     pace: Pace,
-    params: LimbErrorParams,
     noise: float,
 ) -> None:
     """Let limbs, the widths, and the whole body be somewhere else for a while."""
-    odds = np.interp(view.facing, _FROM_DEG, params.slips) * pace.moving
+    odds = np.interp(view.facing, _FROM_DEG, _SLIPS) * pace.moving
     for group in _GROUPS:
         decision = held(rng, pace.per_frame)
         chance, draws = _mistakes(rng, decision)
         takes_part = np.zeros((len(draws), len(SEGMENTS)))
         takes_part[:, group] = rng.random((len(draws), len(group))) < _TAKES_PART
         slipped: Floats = np.where(chance < odds, noise, 0.0)[:, None]
-        errors.add(slipped * takes_part[decision], params, draws[decision])
+        errors.add(slipped * takes_part[decision], draws[decision])
         if group is _BODY:
-            errors.shift += slipped * params.slip_shift * draws[decision, -1, :3]
+            errors.shift += slipped * _SLIP_SHIFT * draws[decision, -1, :3]
 
 
 def _guess(
@@ -284,7 +313,6 @@ def _guess(
     errors: LimbErrors,
     view: TrueView,
     pace: Pace,
-    params: LimbErrorParams,
     scale: float,
 ) -> None:
     """Guess what others cover."""
@@ -295,9 +323,9 @@ def _guess(
     covered: Floats = np.asarray(hidden / np.bincount(decision)[:, None])[decision]
     whole: Floats = np.asarray(covered.mean(axis=-1, keepdims=True))
     ends = np.stack([covered[:, markers].mean(axis=-1) for markers in _ENDS], axis=-1)
-    wrong: Floats = np.where(chance[:, None] < params.guess_odds * whole, scale, 0.0)
-    errors.add(wrong * np.maximum(ends, whole), params, draws[decision])
-    errors.shift += wrong * whole * params.guess_shift * draws[decision, -1, :3]
+    wrong: Floats = np.where(chance[:, None] < _GUESS_ODDS * whole, scale, 0.0)
+    errors.add(wrong * np.maximum(ends, whole), draws[decision])
+    errors.shift += wrong * whole * _GUESS_SHIFT * draws[decision, -1, :3]
 
 
 def _mistakes(rng: np.random.Generator, decision: Stamps) -> tuple[Floats, Floats]:

@@ -15,7 +15,6 @@ from pydantic import (
 )
 
 from hiros_mcap.params import Params, advanced
-from hiros_mcap.rays.intrinsics import COUNTS, PLUMB_BOB
 
 
 def _ordered(ends: tuple[float, float]) -> tuple[float, float]:
@@ -38,35 +37,10 @@ Share = Annotated[float, Field(ge=0, le=1)]
 Scale = Annotated[float, Field(ge=0, le=100)]
 Rate = Annotated[float, Field(gt=0, le=1000)]
 ActionName = Literal[
-    "walk",
-    "squat",
-    "bend",
-    "sit",
-    "jog",
-    "jump",
-    "cross_arms",
-    "point",
-    "wave",
-    "throw",
-    "free_static",
-    "free_dynamic",
-    "circle",
-    "cross",
-    "in_out",
-    "pass",
-    "eight",
-    "roam",
-    "lunge",
-    "hands_up_down",
-    "walk_in_place",
-    "crawl",
-    "get_up",
-    "roll",
-    "kick",
-    "spin",
-]
-
-
+    "walk", "squat", "bend", "sit", "jog", "jump", "cross_arms", "point", "wave", "throw",
+    "free_static", "free_dynamic", "circle", "cross", "in_out", "pass", "eight", "roam", "lunge",
+    "hands_up_down", "walk_in_place", "crawl", "get_up", "roll", "kick", "spin",
+]  # fmt: skip
 CameraKind = Literal["depth", "rgb"]
 
 BODY_BYTES = 2200
@@ -74,6 +48,8 @@ BODY_BYTES = 2200
 SIGHT_BYTES = 1700
 """Of the occlusions in a frame, times the number of people cubed (measured)."""
 MOST_BYTES = 16e9
+PHANTOMS_PER_MINUTE = 0.5
+"""People whom a camera reports and who are not there."""
 
 
 class RigParams(Params):
@@ -125,117 +101,21 @@ class RigParams(Params):
     )
 
 
-class LimbErrorParams(Params):
-    """The errors of the detector "kinect", as two Kinect v2 were measured to make them.
-
-    They were measured on 32 minutes of views in 19 recordings by two cameras each: lengths against
-    the person's own, positions between the cameras and against the fused result. A decision of the
-    detector holds for ``seconds`` while somebody stands, and for less while somebody moves. A
-    mistake is a slip or a guess; its size is log-normal, and the SDs below are those of the median
-    size.
-    """
-
-    shift: NonNegativeFloat = advanced(
-        0.008,
-        description="SD of the shift of the whole body, per axis, m. Measured between two cameras: "
-        "23 to 28 mm at the median, errors of the poses included.",
-    )
-    direction: NonNegativeFloat = advanced(
-        2.3,
-        description="SD of the direction of an upper arm or a thigh, per axis, deg. Elbows differ "
-        "by 39 to 49 mm between two cameras.",
-    )
-    length: NonNegativeFloat = advanced(
-        0.02, description="Relative SD of a limb's length (robust SD of all errors: .03 to .07)."
-    )
-    slide: NonNegativeFloat = advanced(
-        0.025,
-        description="Relative SD by which a knee slides along the leg: the lengths of thigh and "
-        "shank correlate by -.35 to -.64.",
-    )
-    aside: NonNegativeFloat = advanced(
-        1.0,
-        description="How much larger these are in views from the side and from behind (.3 to 2).",
-    )
-    joint: NonNegativeFloat = advanced(
-        0.013, description="SD of each joint by itself, per axis, m (wrist and hand r = .91)."
-    )
-    seconds: PositiveFloat = advanced(
-        1.2,
-        description="Mean time for which a decision holds while somebody stands, s "
-        "(95 % of second differences of a hand: 24 mm).",
-    )
-    moving_seconds: PositiveFloat = advanced(
-        0.15,
-        description="The same of somebody who moves fast, s (95 % of second differences of a hand "
-        "at more than .3 m/s: 129 mm).",
-    )
-    lasting: Share = advanced(
-        0.1, description="Share of their variance that lasts (autocorrelation .2 to .5 after 1 s)."
-    )
-    lasting_seconds: PositiveFloat = advanced(
-        20.0, description="Time for which the lasting part holds, s (recordings: 15 to 100 s)."
-    )
-    slips: tuple[Share, Share, Share] = advanced(
-        (0.08, 0.12, 0.15),
-        description="Probability that a decision which movement brings is a slip: from the front, "
-        "from the side, from behind. Of the wrists of people faster than .3 m/s, 6, 10 and 12 % "
-        "are off by more than .2 m.",
-    )
-    slip_shift: NonNegativeFloat = advanced(
-        0.035,
-        description="SD of the shift of the whole body in a slip, per axis, m (99 % of second "
-        "differences of a trunk: 36 to 82 mm).",
-    )
-    narrow: NonNegativeFloat = advanced(
-        0.5,
-        description="SD of the share of the width of hips and shoulders that a mistake loses: 5 % "
-        "of those from the side are short by 25 to 42 %, hardly any is too long.",
-    )
-    mistake_angle: NonNegativeFloat = advanced(
-        30.0,
-        description="SD of a segment's direction in a mistake, per axis, deg (peaks of .34 m).",
-    )
-    mistake_length: NonNegativeFloat = advanced(
-        0.2, description="SD of the log of its length (99 % of lengths are off by 17 to 34 %)."
-    )
-    guess_odds: NonNegativeFloat = advanced(
-        2.0, description="Probability of a wrong guess to the covered share of the body."
-    )
-    guess_shift: NonNegativeFloat = advanced(
-        0.3,
-        description="SD of the shift of a body to its covered share, per axis, m "
-        "(shift at .25 to .45: median 50 to 59, 90 % 138 to 180 mm).",
-    )
-    loses_at: Range = advanced(
-        (0.3, 0.8),
-        description="Share of a body that others cover when it is lost: least, most. Reported are "
-        "80 % of those who are covered by .1 to .25, 25 % by .45 to .7.",
-    )
-    finds_after: PositiveFloat = advanced(
-        0.5, description="Mean time after which who is uncovered is found again, s (.3 to 1.8)."
-    )
-    exchanged: Annotated[float, Field(ge=0, le=1)] = advanced(
-        0.45, description="Share of the views from behind with exchanged sides (measured: .45)."
-    )
-    exchanged_seconds: PositiveFloat = advanced(
-        0.5, description="Mean time between two decisions on the sides, s (exchanges: median .7)."
-    )
-
-
 class DetectorParams(Params):
     """The errors of one camera's detector, as real depth cameras make them.
 
-    All but ``kind``, ``limbs``, losses, phantoms and ids belong to the detector "ideal".
+    All but ``kind``, ``joint``, losses and phantoms belong to the detector "ideal".
     """
 
     kind: Literal["ideal", "kinect"] = Field(
         "ideal",
         description="ideal: every joint errs by itself, and the detector knows what it guesses. "
-        "kinect: whole limbs err together, and all joints are as sure (detector.limbs).",
+        "kinect: whole limbs err together, and all joints are as sure (:mod:`limb_errors`).",
     )
-    limbs: LimbErrorParams = Field(LimbErrorParams(), description="Errors of kinect.")
-
+    joint: NonNegativeFloat = advanced(
+        0.013,
+        description="SD of each joint by itself, per axis, m (kinect; wrist and hand r = .91).",
+    )
     coloured: NonNegativeFloat = advanced(
         0.013, description="SD of the slow part of a trunk joint's error at 3.5 m, per axis, m."
     )
@@ -265,32 +145,7 @@ class DetectorParams(Params):
     guess: NonNegativeFloat = advanced(
         0.05, description="SD of an occluded trunk joint's additional error, per axis, m."
     )
-    guess_extremities: PositiveFloat = advanced(
-        2.2, description="How much larger the error of guessed hands and feet is."
-    )
     guess_seconds: PositiveFloat = advanced(0.4, description="Time over which a guess changes, s.")
-    guess_orientation: NonNegativeFloat = advanced(
-        8.0, description="SD of an occluded link's additional orientation error, per axis, deg."
-    )
-    confidence_seen: Share = advanced(0.66, description="Confidence of a joint that is seen.")
-    confidence_guessed: Share = advanced(0.33, description="Confidence of an occluded joint.")
-    confidence_outside: Share = advanced(
-        0.0, description="Confidence of a joint out of the picture."
-    )
-    invents: bool = advanced(
-        False,
-        description="Whether joints behind other people are invented: as confident as those that "
-        "are seen, but far off. So do detectors that report a whole body, such as the Kinect v2's.",
-    )
-    invented: NonNegativeFloat = advanced(
-        0.2, description="SD of an invented joint's additional error, per axis, m."
-    )
-    invented_seconds: PositiveFloat = advanced(
-        0.6, description="Time over which an invented error changes, s."
-    )
-    hidden: Share = advanced(
-        0.7, description="A person is not detected if others hide more than this share."
-    )
     flips_per_minute: NonNegativeFloat = advanced(
         1.5, description="Left-right confusions per minute, camera and person seen from behind."
     )
@@ -310,20 +165,10 @@ class DetectorParams(Params):
         0.15,
         description="SD of that pose's initial error, of person and joints, per axis, m.",
     )
-    phantoms_per_minute: NonNegativeFloat = advanced(
-        0.5, description="People who are not there, per minute and camera."
-    )
-    phantom_frames: Frames = advanced((2, 8), description="How many frames a phantom lasts.")
-    double_share: Share = advanced(
-        0.5, description="Share of phantoms that are a second skeleton on a real person."
-    )
     static_phantoms: NonNegativeInt = advanced(
         0,
         description="How many cameras report a static object as a person all the time; RGB "
         "cameras, somebody far behind the others.",
-    )
-    ids: Literal["none", "camera"] = advanced(
-        "none", description="Ids in the log: -1 for all, or the camera's own numbering."
     )
 
 
@@ -338,13 +183,6 @@ class ImageParams(Params):
         (1920, 1080), description="Width and height, px."
     )
     focal: PositiveFloat = advanced(1100.0, description="Focal length, px.")
-    lens: Literal["plumb_bob", "rational_polynomial", "equidistant"] = advanced(
-        PLUMB_BOB, description="Model of the distortion, as sensor_msgs/CameraInfo calls it."
-    )
-    distortion: tuple[float, ...] = advanced(
-        (-0.1, 0.04, 0.0005, -0.0005, 0.0), description="Its coefficients, in OpenCV's order."
-    )
-    range: Range = advanced((0.5, 20.0), description="Nearest and farthest people seen, m.")
     joints: Literal["coco-17", "halpe-26", "openpose-25"] = Field(
         "coco-17", description="Joints that the detector finds."
     )
@@ -352,13 +190,11 @@ class ImageParams(Params):
         2.5, description="SD of the part that is new in every frame, per axis, px."
     )
     quick: NonNegativeFloat = advanced(
-        4.0, description="SD of the part that changes within quick_seconds, per axis, px (ideal)."
+        4.0, description="SD of the part that changes within 0.3 s, per axis, px (ideal)."
     )
-    quick_seconds: PositiveFloat = advanced(0.3, description="Its time constant, s.")
     slow: NonNegativeFloat = advanced(
-        5.0, description="SD of the part that changes within slow_seconds, per axis, px (ideal)."
+        5.0, description="SD of the part that changes within 5 s, per axis, px (ideal)."
     )
-    slow_seconds: PositiveFloat = advanced(5.0, description="Its time constant, s.")
     pixel: NonNegativeFloat = advanced(
         0.5, description="SD of white noise at any distance, per axis, px of the image."
     )
@@ -366,26 +202,6 @@ class ImageParams(Params):
         0.01, description="Exposure, s: a joint is put anywhere on the streak that it leaves."
     )
     outliers: Share = advanced(0.015, description="Share of keypoints that are far off (ideal).")
-    outlier: NonNegativeFloat = advanced(60.0, description="SD of these, per axis, px.")
-    exchanged: Share = advanced(
-        0.1,
-        description="Share of the views from behind with exchanged sides (kinect). MediaPipe did "
-        "so in 6 of 400 images of one person, all of one camera.",
-    )
-    missing: Share = advanced(0.05, description="Share of keypoints in view that are not found.")
-    hidden_missing: Share = advanced(
-        0.4, description="Share of hidden joints that are not found; the others are guessed."
-    )
-    score_seen: Share = advanced(0.85, description="Mean score of a joint that is seen.")
-    score_guessed: Share = advanced(0.4, description="Mean score of a joint that is guessed.")
-    score_spread: NonNegativeFloat = advanced(0.1, description="SD of scores.")
-
-    @model_validator(mode="after")
-    def _has_a_lens(self) -> ImageParams:
-        if len(self.distortion) not in COUNTS[self.lens]:
-            counts = " or ".join(map(str, COUNTS[self.lens]))
-            raise ValueError(f"a {self.lens} lens has {counts} coefficients of distortion")
-        return self
 
 
 class SimulateParams(Params):
@@ -442,7 +258,7 @@ class SimulateParams(Params):
         frames = self.seconds * self.rig.rate
         minutes = self.seconds / 60
         # A phantom has a place in every frame, and for a moment there are two of each.
-        phantoms = self.detector.phantoms_per_minute * self.phantoms * minutes
+        phantoms = PHANTOMS_PER_MINUTE * self.phantoms * minutes
         phantoms += self.detector.static_phantoms
         held = self.cameras * (self.people + phantoms) + phantoms
         return frames * (BODY_BYTES * held + SIGHT_BYTES * self.people**3)

@@ -34,7 +34,6 @@ from hiros_mcap.simulate.cameras import (
 from hiros_mcap.simulate.detector import SimulatedDetections, detect
 from hiros_mcap.simulate.image_detector import SimulatedKeypoints, detect_keypoints, lens_of
 from hiros_mcap.simulate.motion import Person
-from hiros_mcap.simulate.occlusion import Mask
 from hiros_mcap.simulate.settings import SimulateParams
 from hiros_mcap.skeletons import (
     ACCELERATION,
@@ -42,11 +41,9 @@ from hiros_mcap.skeletons import (
     ANGULAR_VELOCITY,
     ORIENTATION,
     POSITION,
-    UNTRACKED,
     VELOCITY,
     Floats,
     Frame,
-    Ints,
     SkeletonModel,
     Stamps,
 )
@@ -124,11 +121,8 @@ class Simulation:
 
         ``stamp`` is header.stamp; ``stamps`` are the skeletons' src_time.
         """
-        ids = {
-            index: _ids(reported.present, self.params) for index, reported in self._reported.items()
-        }
-        for camera, k in self._frames(ids):
-            yield _frame(camera, self._reported[camera.index], ids[camera.index], k)
+        for camera, k in self._frames(self._reported):
+            yield _frame(camera, self._reported[camera.index], k)
 
     @property
     def keypoints(self) -> Iterator[KeypointFrame]:
@@ -204,19 +198,7 @@ def _markers_and_links(person: Person, t: Floats) -> tuple[Floats, Floats]:
     return markers, from_matrix(rotations)[:, LINK_SEGMENTS]
 
 
-def _ids(present: Mask, params: SimulateParams) -> Ints:
-    """(n, P) ids: a camera with ids of its own gives a new one to each person who appears."""
-    ids = np.full(present.shape, UNTRACKED, np.int32)
-    if params.detector.ids == "camera":
-        appears = present.copy()
-        appears[1:] &= ~present[:-1]
-        number = np.cumsum(appears.ravel()).reshape(present.shape) - 1
-        latest = np.maximum.accumulate(np.where(appears, number, UNTRACKED), axis=0)
-        ids[present] = latest[present]
-    return ids
-
-
-def _frame(camera: SimulatedCamera, reported: SimulatedDetections, ids: Ints, k: int) -> Frame:
+def _frame(camera: SimulatedCamera, reported: SimulatedDetections, k: int) -> Frame:
     """Message ``k`` of a camera."""
     there = np.flatnonzero(reported.present[k])
     frame = Frame.empty(
@@ -227,7 +209,6 @@ def _frame(camera: SimulatedCamera, reported: SimulatedDetections, ids: Ints, k:
         source=camera.name,
         frame_id=camera.name,
     )
-    frame.ids[:] = ids[k, there]
     frame.stamps[:] = camera.stamped[k]
     frame.positions[:] = reported.positions[k, there]
     frame.orientations[:] = reported.orientations[k, there]

@@ -8,7 +8,7 @@ import pytest
 from hiros_cli.app import run
 from hiros_mcap.io.detectors.body_models import body_model, joints_of
 from hiros_mcap.io.log import open_reader
-from hiros_mcap.simulate import ImageParams, SimulateParams, simulate
+from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.simulate.simulation import write_log
 
 OFF = {
@@ -34,10 +34,8 @@ def with_truth(simulation):
         yield frame, camera.points(simulation.truth_at(captured)[0].positions[:, rows])
 
 
-@pytest.mark.parametrize("lens", ["plumb_bob", "equidistant"])
-def test_without_faults_keypoints_are_projections(lens):
-    image = {"lens": lens, "distortion": (0.02, -0.01, 0.001, 0.0005)}
-    simulation = images(image=image, action="free_static")
+def test_without_faults_keypoints_are_projections():
+    simulation = images(action="free_static")
     for frame, points in with_truth(simulation):
         pixels = simulation.intrinsics[frame.camera].pixels(points)
         assert np.nanmax(np.abs(frame.pixels - pixels)) < 1e-9
@@ -120,11 +118,6 @@ def test_a_depth_camera_reports_the_same_beside_rgb_cameras():
     expected = [f.markers.tobytes() for f in alone.detections if f.source != "camera_1"]
     assert [f.markers.tobytes() for f in mixed.detections] == expected
     assert {frame.camera for frame in mixed.keypoints} == set(mixed.intrinsics) == {"camera_1"}
-
-
-def test_a_lens_has_as_many_coefficients_as_its_model():
-    with pytest.raises(ValueError, match="equidistant lens has 4 coefficients"):
-        ImageParams(lens="equidistant")
 
 
 def test_a_log_holds_keypoints_lenses_poses_and_truth(tmp_path):
