@@ -7,8 +7,6 @@ are accepted, and an error names the layer, the parameter and what would have be
 from __future__ import annotations
 
 import difflib
-import json
-import math
 import os
 import textwrap
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -215,15 +213,6 @@ PRESETS = (NO_PRESET, "realtime", "paper", "upstream")
 _TABLES = Path(__file__).parent / "systems" / "presets"
 """Values of presets, and of systems that are another one with other parameters."""
 
-_REMOVED: Table = {
-    "track": {"min_links": 0},
-    "merge": {"ties": "nearest", "pelvis_link": "", "flips": "relabel", "facing": "auto"},
-    "optimize": {"symmetric": False},
-    "fuse": {"max_lag": math.inf},
-}
-"""Parameters of former versions, and the value whose behaviour every run has now: the last two of
-``merge`` changed nothing where sides are decided over time."""
-
 
 @cache
 def _values_of(name: str) -> Table:
@@ -278,10 +267,10 @@ def load_config(
     for origin, table in layers:
         is_text = origin in ("--set", str(path))
         for section, values in table.items():
-            chosen = _accepted(section, values, merged, origin, are_refused=is_text)
-            merged.setdefault(section, {}).update(chosen)
+            _check_names(section, values, merged, origin, are_refused=is_text)
+            merged.setdefault(section, {}).update(values)
             origins[(section,)] = origin
-            origins.update({(section, name): origin for name in chosen})
+            origins.update({(section, name): origin for name in values})
     try:
         return Config.model_validate(merged)
     except ValidationError as error:
@@ -335,55 +324,32 @@ def _value(text: str) -> Any:
     return table["value"] if len(table) == 1 else text
 
 
-def _accepted(
+def _check_names(
     section: str, values: Any, merged: Table, origin: str, *, are_refused: bool
-) -> dict[str, Any]:
-    """Return the values that count: a user may repeat one that is fixed, but not change it.
+) -> None:  # fmt: skip
+    """Refuse names that do not exist, and other values of parameters that are not for users.
 
-    Raises ConfigError for a name that does not exist, and for a value that differs from what the
-    system, the preset or the code sets.
+    A user may repeat a value that the system, the preset or the code sets, but not change it:
+    the account of a run holds it, too.
     """
     if section not in Config.model_fields:
         instead = _instead(section, Config.model_fields)
         raise ConfigError(f"{origin}: no section {section!r}{instead}")
     if not isinstance(values, Mapping):
         raise ConfigError(f"{origin}: {section} is a section, not a value")
-    chosen, constants, there = dict(values), constants_of(section), _section(section).model_fields
-    is_open = _section(section).model_config.get("extra") == "allow"
-    for name in values:
-        if name in constants:
-            now, why = constants[name], "it is a constant now"
-        elif name not in there and not is_open:
+    params = _section(section)
+    there, is_open = params.model_fields, params.model_config.get("extra") == "allow"
+    for name, value in values.items():
+        if name not in there and not is_open:
             instead = _instead(name, there, section)
             raise ConfigError(f"{origin}: no parameter {section}.{name}{instead}")
-        elif name in there and is_fixed(there[name]) and are_refused:
+        if name in there and is_fixed(there[name]) and are_refused:
             now = merged.get(section, {}).get(name, there[name].default)
-            why = "only the system and the preset set it"
-        else:
-            continue
-        if chosen.pop(name) != now:
-            raise ConfigError(
-                f"{origin}: {section}.{name} is no parameter any more: {why}, "
-                f"{toml_value(now)}; leave it out"
-            )
-    return chosen
-
-
-def constants_of(section: str) -> dict[str, Any]:
-    """Return the constants of a section that former versions took as parameters."""
-    params = _section(section)
-    constants = {name: getattr(params, name) for name in sorted(params.__class_vars__)}
-    return constants | _REMOVED.get(section, {})
-
-
-def without_constants(parameters: Mapping[str, str]) -> dict[str, str]:
-    """Return ``section.parameter`` -> JSON without those that are constants of the same value."""
-    constants = {
-        f"{section}.{name}": json.dumps(value)
-        for section in Config.model_fields
-        for name, value in constants_of(section).items()
-    }
-    return {k: v for k, v in parameters.items() if k not in constants or v != constants[k]}
+            if value != now:
+                raise ConfigError(
+                    f"{origin}: only the system and the preset set {section}.{name}, here "
+                    f"{toml_value(now)}; leave it out"
+                )
 
 
 def _section(name: str) -> type[Params]:

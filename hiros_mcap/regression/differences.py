@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from hiros_mcap.body.limb_table import LimbTable
-from hiros_mcap.config import without_constants
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.logs import has_outputs, output_channels, read_channel
 from hiros_mcap.evaluate.match import skeleton_distances
@@ -419,8 +418,8 @@ def changes(now: Provenance, was: Provenance) -> list[Difference]:
         return []
     if not now:
         return [Difference("run", "version and configuration", "known", _NONE)]
-    former, new = map(without_constants, (was.parameters, now.parameters))
-    rows = [("configuration", k, former.get(k), new.get(k)) for k in dict.fromkeys([*former, *new])]
+    names = dict.fromkeys([*was.parameters, *now.parameters])
+    rows = [("configuration", k, was.parameters.get(k), now.parameters.get(k)) for k in names]
     rows += [("run", name, was.run.get(key), now.run.get(key)) for key, name in _RUN.items()]
     return [
         Difference(

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 import hiros_schemas
-from hiros_mcap.config import load_config, presets_of, to_toml, without_constants
+from hiros_mcap.config import load_config, presets_of, to_toml
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.bag_files import files_of, kind_of
 from hiros_mcap.io.camera_clock import clock_verdict, clocks_in_words
@@ -437,7 +437,7 @@ def _changed(values: Mapping[str, str], system: str) -> tuple[str, tuple[Paramet
         usual = values_of(to_toml(config, sections_of(system)), "")
         rows[preset] = tuple(
             ParameterRow(name, value, usual.get(name, ""))
-            for name, value in without_constants(values).items()
+            for name, value in values.items()
             if value != usual.get(name, "")
         )
     nearest = min(rows, key=lambda preset: len(rows[preset]))

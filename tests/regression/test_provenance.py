@@ -80,14 +80,6 @@ def test_version_input_and_parameters_that_changed():
     assert [d.what for d in changes(Provenance(), was)] == ["version and configuration"]
 
 
-def test_a_parameter_that_became_a_constant_of_the_same_value_is_no_change():
-    was = Provenance({}, {"track.horizon": "0.2", "track.min_links": "0", "filter.order": "2"})
-    now = Provenance({}, {"filter.order": "2"})
-    assert changes(now, was) == []
-    other = Provenance({}, {**was.parameters, "track.horizon": "0.3"})
-    assert [d.what for d in changes(now, other)] == ["track.horizon"]
-
-
 def test_an_equal_result_does_not_list_parameters(output, tmp_path, capsys):
     golden, same = tmp_path / "golden.mcap", tmp_path / "same.mcap"
     check_output(output, Golden(golden), bless=True)
