@@ -7,7 +7,7 @@ python benchmarks/rgb_rig.py given [SEED ...]
 python benchmarks/rgb_rig.py nothing [SEED ...]
     no poses, and the same lags: what rig_from_people finds in 30 s, after the size
 python benchmarks/rgb_rig.py solvers
-    the same bundle adjustment by our own steps, by scipy, and by pyceres if it is there: time, loss
+    the same bundle adjustment by our own steps, by scipy and by pyceres: time, robust loss
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import json
 import sys
 import time
 import tomllib
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -298,7 +297,7 @@ def solvers() -> None:
     seconds = time.perf_counter() - begin
     loss = ray_loss(points, cameras, places, np.zeros(points.weights.shape))
     print(f"ours        {seconds:.2f} s, loss {loss:.0f}")
-    for method in (by_scipy, by_pyceres) if find_spec("pyceres") else (by_scipy,):
+    for method in by_scipy, by_pyceres:
         begin = time.perf_counter()
         steps, places = method(problem, start, whole)
         seconds = time.perf_counter() - begin

@@ -287,7 +287,7 @@ WITH = {
 }
 
 
-@pytest.mark.parametrize("name", OptimizeParams.model_fields)
+@pytest.mark.parametrize("name", [name for name in OptimizeParams.model_fields if name != "solver"])
 def test_each_parameter_changes_something(name):
     others = WITH.get(name, {})
     assert result_of({**others, name: CHANGES[name]}) != result_of(others)

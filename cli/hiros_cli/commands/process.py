@@ -129,12 +129,16 @@ class LimbOptions:
         panel=LIMBS,
     )
     two_pass: bool = flag("--two-pass", "Calibrate limbs on the whole log first.", panel=LIMBS)
+    solver: str | None = option(
+        "NAME", "Optimizer: lm (default) or ceres (slow, for comparison).", panel=LIMBS
+    )
 
     def parameters(self) -> dict[str, Table]:
         """Return the parameters that have options of their own, by option."""
         values = {
             "--limb-window": ("calibration_windows", list(map(_window, self.limb_window or ()))),
             "--two-pass": ("calibration", "two-pass" if self.two_pass else ""),
+            "--solver": ("solver", self.solver),
         }
         return {name: {"optimize": {key: value}} for name, (key, value) in values.items() if value}
 
@@ -449,7 +453,7 @@ def _check_effects(system: str, stages: str, limbs: LimbOptions) -> None:
         unused, why = {field.name for field in fields(limbs)}, f"{choice} has no optimizer"
     elif "optimize" not in sections_of(system):
         # It calibrates in its own way; the lengths can be saved and given.
-        unused = {"limb_window", "two_pass"}
+        unused = {"limb_window", "two_pass", "solver"}
         why = f"--system {system} has an optimizer of its own; --system hiros reads it"
     elif limbs.limbs:
         unused, why = {"two_pass"}, "the limb lengths come from --limbs"

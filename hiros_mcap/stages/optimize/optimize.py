@@ -28,7 +28,7 @@ exact   19.3, 20.0  0.0005, 0.0005  6.2, 7.0
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
@@ -122,6 +122,11 @@ class _Optimizer:
         self._names, self._params, self._events = model.marker_names, params, events
         self._topology = topology_of(model)
         self._scratch = SolverScratch.of(self._topology)
+        self._minimize: Callable[[Energy], tuple[Floats, int]] = self._minimize_by_blocks
+        if params.solver == "ceres":
+            from hiros_mcap.stages.optimize.ceres import CeresSolver
+
+            self._minimize = CeresSolver(model, params.tolerance)
 
     def optimize(self, people: People, nominal: Floats) -> None:
         """Optimize those people whose limb lengths (P, L), m, are known, in place."""
@@ -140,11 +145,16 @@ class _Optimizer:
         energy = Energy(points, nominal, np.empty((*nominal.shape, 4)))
         outlier = self._find_outliers(energy, people.marker_confidences)  # section 3.3.2
         self._write_weights(energy, outlier, people.marker_confidences)  # eq 18
-        solved, tolerance = np.empty_like(points), self._params.tolerance
-        failed = minimize(energy, self._topology, tolerance, self._scratch, solved)  # 14 to 17, 19
+        solved, failed = self._minimize(energy)  # eq 14 to 17, 19
         self._events.count("optimizer not converged", n=failed)
         remove = self._params.outliers == "remove"
         kernels.write_poses(people, energy, solved, outlier, self._topology.links, remove)
+
+    def _minimize_by_blocks(self, energy: Energy) -> tuple[Floats, int]:
+        """(P, M, 3) Poses of least energy, and how many people did not converge."""
+        solved = np.empty_like(energy.start)
+        tolerance = self._params.tolerance
+        return solved, int(minimize(energy, self._topology, tolerance, self._scratch, solved))
 
     def _find_outliers(self, energy: Energy, confidences: Floats) -> Ints:
         """(P, M) 1 for outliers, which move or become NaN in ``energy.start``."""

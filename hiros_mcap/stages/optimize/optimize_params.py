@@ -88,6 +88,11 @@ class OptimizeParams(Params):
         "link is the outlier. remove: the distal marker of a wrong link and all links that "
         "touch it become absent (paper).",
     )
+    solver: Literal["lm", "ceres"] = Field(
+        "lm",
+        description="lm: compiled block Levenberg-Marquardt. ceres: the same energy with Ceres "
+        "Solver, as in the paper; about 100 times slower, for comparison.",
+    )
     tolerance: ClassVar[float] = 1e-06
     """The solver has converged when no coordinate moves farther than this, m, in a step."""
 
