@@ -2,9 +2,9 @@
 
 ::
 
-    python docs/pictures.py          # writes crossing.gif, live.png, opensim.png, ...
+    python docs/pictures.py          # writes crossing.gif, live.png, ...
 
-It needs OpenSim's package and a Vulkan driver; Debian's are libvulkan1 and mesa-vulkan-drivers.
+It needs a Vulkan driver; Debian's are libvulkan1 and mesa-vulkan-drivers.
 """
 
 from __future__ import annotations
@@ -15,19 +15,15 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from contextlib import chdir
 from functools import partial
 from pathlib import Path
 from threading import Thread
-from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.image import imread, imsave
 from PIL import Image
 from rerun.experimental import ViewerClient
 
-from hiros_cli.app import run
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.container.file import Pipe
 from hiros_mcap.io.container.writer import LiveWriter
@@ -67,8 +63,6 @@ def main() -> None:
             imsave(HERE / f"{layout}.png", pixels[MENU:, :, :3])
         moving = screenshots(Path(folder) / "overview.rrd", np.arange(0.6, 4.2, 0.1), "1120x660")
         save_gif(moving, HERE / "crossing.gif")
-        imsave(HERE / "opensim.png", opensim_picture(result, Path(folder)))
-        inverse_kinematics_figure(Path(folder)).savefig(HERE / "opensim-ik.png", dpi=110)
         few_colours(live_picture(), HERE / "live.png")
 
 
@@ -135,92 +129,6 @@ def save_gif(pictures: Sequence[bytes], path: Path) -> None:
     first = images[0].quantize(64)
     frames = [image.quantize(palette=first, dither=Image.Dither.NONE) for image in images]
     frames[0].save(path, save_all=True, append_images=frames[1:], duration=100, loop=0)
-
-
-def opensim_picture(result: Path, folder: Path) -> np.ndarray:
-    """Draw the first person's model of OpenSim, (H, W, 3), in the pose of its motion after 2 s."""
-    import opensim
-
-    model_file, motion_file = folder / "lab.osim", folder / "lab.mot"
-    for target in (model_file, motion_file):
-        run(["export", str(result), "--person", "0", "-o", str(target), "-q"])
-    model = opensim.Model(str(model_file))
-    state = model.initSystem()
-    table = opensim.TimeSeriesTable(str(motion_file))
-    row = table.getRowAtIndex(
-        table.getNearestRowIndexForTime(table.getIndependentColumn()[0] + 2.0)
-    )
-    for name, value in zip(table.getColumnLabels(), row.to_numpy(), strict=True):
-        coordinate = model.getCoordinateSet().get(name)
-        is_angle = coordinate.getMotionType() == opensim.Coordinate.Rotational
-        coordinate.setValue(state, np.radians(value) if is_angle else value, False)
-    model.realizePosition(state)
-    figure = Figure(figsize=(9, 7), layout="constrained")
-    for k, (elevation, azimuth) in enumerate(((8, -60), (8, 30))):
-        axes = figure.add_subplot(1, 2, k + 1, projection="3d")
-        draw_model(axes, model, state)
-        axes.view_init(elevation, azimuth)
-        axes.set_box_aspect(np.ptp([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()], axis=1))
-        axes.set_axis_off()
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=130)
-    buffer.seek(0)
-    picture = imread(buffer)[:, :, :3]
-    rows, columns = np.nonzero((picture < 0.99).any(axis=2))
-    return picture[rows.min() - 20 : rows.max() + 20, columns.min() - 20 : columns.max() + 20]
-
-
-def inverse_kinematics_figure(folder: Path) -> Figure:
-    """Draw angles of somebody who bends, as hiros and OpenSim's inverse kinematics have them."""
-    import opensim
-
-    log, result = folder / "bend.mcap", folder / "bend.hiros.mcap"
-    write_log(log, SimulateParams(action="bend", seconds=8, seed=5))
-    process(log, result)
-    names = ",".join(str(folder / f"bend{suffix}") for suffix in (".osim", ".trc", ".xml", ".mot"))
-    run(["export", str(result), "--person", "0", "-o", names, "-q"])
-    with chdir(folder):  # OpenSim finds the model and the markers beside where it runs
-        opensim.InverseKinematicsTool("bend.xml").run()
-    figure = Figure(figsize=(9, 3.4), layout="constrained")
-    angles = ("pelvis_tilt", "hip_flexion_r", "knee_angle_r")
-    for axes, name in zip(figure.subplots(1, len(angles)), angles, strict=True):
-        for file, label, style in (("bend.mot", "hiros", "-"), ("bend_ik.mot", "OpenSim", "--")):
-            table = opensim.TimeSeriesTable(str(folder / file))
-            values = table.getMatrix().to_numpy()[:, table.getColumnIndex(name)]
-            axes.plot(table.getIndependentColumn(), values, style, label=label)
-        axes.set(title=name, xlabel="s", ylabel="degrees")
-    axes.legend()
-    return figure
-
-
-def draw_model(axes: Any, model: Any, state: Any) -> None:
-    """Draw the ellipsoids of the bodies and the markers; y is up in OpenSim, z in the picture."""
-    import opensim
-
-    u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 17), np.linspace(0, np.pi, 9))
-    sphere = np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)], axis=-1)
-    for component in model.getComponentsList():
-        shape = opensim.Ellipsoid.safeDownCast(component)
-        if shape is None:
-            continue
-        frame = shape.getFrame().getTransformInGround(state)
-        turn = frame.R().asMat33()
-        rotation = np.array([[turn.get(i, j) for j in range(3)] for i in range(3)])
-        points = (sphere * shape.get_radii().to_numpy()) @ rotation.T + frame.p().to_numpy()
-        axes.plot_surface(
-            points[..., 2], points[..., 0], points[..., 1], color="#f28c28", alpha=0.45, linewidth=0
-        )
-    markers = model.getMarkerSet()
-    places = [
-        markers.get(k).getLocationInGround(state).to_numpy() for k in range(markers.getSize())
-    ]
-    x, y, z = np.array(places).T
-    axes.scatter(z, x, y, color="#1f5fa8", s=14, depthshade=False)
-    centre = np.array([z.mean(), x.mean()])
-    floor = np.linspace(-0.6, 0.6, 5)
-    for line in floor:
-        axes.plot(centre[0] + floor, np.full(5, centre[1] + line), 0, color="#c9cfd6", lw=0.8)
-        axes.plot(np.full(5, centre[0] + line), centre[1] + floor, 0, color="#c9cfd6", lw=0.8)
 
 
 def screenshots(recording: Path, seconds: Sequence[float], size: str = "1600x900") -> list[bytes]:

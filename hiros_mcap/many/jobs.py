@@ -264,7 +264,6 @@ class ExportJob(Job):
     marker_set: str = ""
     least_confidence: float = LEAST_CONFIDENCE
     keep_gaps: bool = False
-    mass: float | None = None
 
     command: ClassVar[str] = "export"
     kind: ClassVar[Kind] = "export"
@@ -289,7 +288,6 @@ class ExportJob(Job):
             what,
             self.least_confidence,
             keep_gaps=self.keep_gaps,
-            mass=self.mass,
             warn=warnings.append,
         )
         values = {"people": len(result.people), "files": len(files)}

@@ -142,18 +142,6 @@ def test_a_long_compilation_without_a_bar_says_each_while_that_it_goes_on(monkey
     assert capsys.readouterr().err == ""
 
 
-def test_several_files_of_a_person_and_a_comma_in_a_name(short, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert run(["process", str(short), "-o", "lab.mcap", "-q"]) == 0
-    arguments = ["export", "lab.mcap", "--person", "0", "--mass", "70", "-q", "-o"]
-    assert run([*arguments, "lab.osim,lab.trc,lab.xml"]) == 0
-    assert run([*arguments, "a,b.csv"]) == 0
-    assert run([*arguments, "new.osim,new.abc"]) == 2
-    assert {path.name for path in tmp_path.iterdir()} == {
-        "lab.mcap", "lab.osim", "lab.trc", "lab.xml", "a,b.csv",
-    }  # fmt: skip
-
-
 def test_warmup_says_when_it_is_done(capsys):
     assert run(["warmup"]) == 0
     assert capsys.readouterr().out.startswith("kernels ready after ")

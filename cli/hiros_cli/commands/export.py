@@ -23,9 +23,8 @@ def export(
     logs: list[str] = argument("LOG", "Outputs of `hiros process`: files, folders, globs, URLs."),
     output: str = option(
         "FILE",
-        "Output file; its suffix is the format, such as .csv, .parquet, .trc, .mot, .osim, .c3d or "
-        ".bvh (a wrong one lists all). Commas separate several: a.osim,a.trc,a.xml. With many "
-        "logs, the folder for all.",
+        "Output file; its suffix is the format, such as .csv, .parquet, .trc, .mot, .c3d or .bvh "
+        "(a wrong one lists all). With many logs, the folder for all.",
         "-o",
         "--output",
         default=...,
@@ -68,29 +67,24 @@ def export(
     keep_gaps: bool = flag(
         "--keep-gaps", "For .mot: leave out the rows that have gaps. Default: bridge them."
     ),
-    mass: float | None = option(
-        "KG",
-        "For .osim: mass of the person; other files need none. Default: none.",
-    ),
     many: ManyLogs = GROUP,
 ) -> None:
-    """Write joints and angles as CSV, TRC, MOT, OSIM, C3D, BVH."""
+    """Write joints and angles as CSV, TRC, MOT, C3D, BVH."""
     from hiros_mcap.io.export.files import export as write
     from hiros_mcap.io.export.files import files_of, format_of, load_marker_set, renamed
 
     is_many, suffix = many.wanted(logs, output), f".{file_format.lstrip('.').lower()}"
-    targets = [Path("log").with_suffix(suffix)] if is_many else _split(output)
-    for target in targets:
-        format_of(target)
-        if marker_set:
-            _check_marker_set(target, what)
+    target = Path("log").with_suffix(suffix) if is_many else Path(output)
+    format_of(target)
+    if marker_set:
+        _check_marker_set(target, what)
     if is_many:
         from hiros_mcap.many.jobs import ExportJob
 
         prepare(quiet=many.quiet)
         names = str(Path(marker_set).absolute()) if Path(marker_set).is_file() else marker_set
         part = (what, person, channel, rate, start, end)
-        job = ExportJob(suffix, *part, names, least_confidence, keep_gaps, mass)
+        job = ExportJob(suffix, *part, names, least_confidence, keep_gaps)
         run(job, logs, many, output)
     log = one_log(context, logs[0])
     prepare(quiet=many.quiet)
@@ -100,17 +94,11 @@ def export(
         result = open_result(log, channel).select(person, start, end, rate)
         if marker_set:
             result, what = renamed(result, load_marker_set(marker_set, result.model)), "joints"
-        files = [file for target in targets for file in files_of(target, result.people)]
+        files = files_of(target, result.people)
         check_outputs(*((path, "export") for path in files), inputs=(log,), force=many.force)
         warnings: list[str] = []
         written = write(
-            result,
-            targets,
-            what,
-            least_confidence,
-            keep_gaps=keep_gaps,
-            mass=mass,
-            warn=warnings.append,
+            result, target, what, least_confidence, keep_gaps=keep_gaps, warn=warnings.append
         )
     for text in warnings:
         warn(text)
@@ -118,12 +106,6 @@ def export(
         print_json("export", {"log": logs[0], "files": list(map(str, written))}, warnings)
     for path in () if many.quiet or many.json else written:
         print(f"wrote {path}")
-
-
-def _split(output: str) -> list[Path]:
-    """Return the files of ``a.osim,a.trc``. A comma in a name is none if a part has no suffix."""
-    parts = [Path(part) for part in output.split(",")]
-    return parts if all(part.suffix for part in parts) else [Path(output)]
 
 
 def _check_marker_set(target: Path, what: str) -> None:

@@ -14,9 +14,9 @@ import numpy as np
 
 from hiros_mcap.body.anatomy import zxy
 from hiros_mcap.body.rotations import Y_UP, from_vector, nearest_rotation, to_matrix
+from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.export.choices import Choices, pauses
-from hiros_mcap.io.export.opensim_model import rows_of
 from hiros_mcap.io.export.rajagopal import NEEDS, PELVIS, bridged, coordinates
 from hiros_mcap.io.export.tables import write_lines
 from hiros_mcap.io.joints.c3d_file import MOST_FRAMES, open_c3d
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from hiros_mcap.io.result import Motion, Result
 
 _CLOSE_DEG = 3.0  # no bone deviates by more in a pose that the model can take
+_FOLLOWED = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
+"""Joints that inverse kinematics follows."""
 _FEW = 0.01  # share of the frames in which a bone may deviate without a word
 
 
@@ -45,7 +47,10 @@ def write_trc(result: Result, target: Path, choices: Choices) -> None:
     """
     motion = only(result)
     names = result.model.marker_names
-    seen = rows_of(result.model, motion)
+    followed = [k for k, name in enumerate(names) if split_side(name)[0] in _FOLLOWED]
+    # If the markers have the names of another model, any of them counts.
+    shown = motion.positions[:, followed] if followed else motion.positions
+    seen = np.asarray(np.isfinite(shown).all(axis=-1).any(axis=-1))
     if not seen.any():
         raise ConfigError(f"{result.path}: no joint of OpenSim's model is ever seen")
     if not seen.all():

@@ -22,7 +22,6 @@ class Choices(NamedTuple):
     parts: tuple[str, ...]  # "joints", "angles"
     keep_gaps: bool = False
     """Whether a format whose programs read no gaps leaves out their rows instead of bridging."""
-    mass: float | None = None  # of the person, kg; None if it is not known
     warn: Callable[[str], object] = warn_in_python  # is called with what the file lacks
 
 

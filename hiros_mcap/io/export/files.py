@@ -12,7 +12,7 @@ Markers that it does not name are left out.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -24,7 +24,7 @@ import numpy as np
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io.export import biomechanics, opensim_model, tables
+from hiros_mcap.io.export import biomechanics, tables
 from hiros_mcap.io.export.choices import Choices, warn_in_python
 from hiros_mcap.io.result import safe_name
 from hiros_mcap.outputs import replacing
@@ -67,14 +67,6 @@ FORMATS: dict[str, ExportFormat] = {
         parts=("angles",),
         steady=True,
     ),
-    ".osim": _for_one(
-        "the person as a model of OpenSim, without muscles", opensim_model.write_osim
-    ),
-    ".xml": _for_one(
-        "setup of OpenSim's inverse kinematics on the .osim and .trc of the same name",
-        opensim_model.write_ik_setup,
-        steady=True,
-    ),
     ".c3d": ExportFormat(
         "markers and angles for motion capture programs (mm, z up)",
         biomechanics.write_c3d,
@@ -100,28 +92,24 @@ def format_of(target: Path) -> ExportFormat:
 
 def export(
     result: Result,
-    target: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    target: str | os.PathLike[str],
     what: str = "",
     least_confidence: float = LEAST_CONFIDENCE,
     *,
     keep_gaps: bool = False,
-    mass: float | None = None,
     warn: Callable[[str], object] = warn_in_python,
 ) -> list[Path]:
     """Write a result in the format of the target's suffix.
 
-    Of several targets, all are written or none.
     A format for one person gets a file per person, ``NAME.0.trc``, unless there is just one.
     Formats with a fixed rate get the result's own median rate, unless it was resampled before.
 
     Parameters
     ----------
-    result : what to write. target : the file, or several.
+    result : what to write. target : the file.
     what : "joints", "angles" or "both"; "" is whatever the format holds.
     least_confidence : markers below it are gaps; 0 writes them all.
     keep_gaps : leave out the rows of a MOT file that have gaps, instead of bridging them.
-    mass : of the person, kg, for the bodies of a .osim file; without it they have none.
-        Other files need no mass.
     warn : is called with what a file lacks or bridges; by default Python's own warning.
 
     Returns
@@ -137,23 +125,17 @@ def export(
     """
     if not result.motions:
         raise ConfigError(f"{result.path}: {result.channel} holds no people")
-    targets = [target] if isinstance(target, (str, os.PathLike)) else target
-    parts = {path: _parts_of(path, what) for path in map(Path, targets)}
-    if mass is not None and not 1 <= mass <= 1000:
-        raise ConfigError(f"{targets[0]}: mass: should be 1 to 1000 kg, is {mass:g}")
+    path = Path(target)
+    kind, choices = format_of(path), Choices(_parts_of(path, what), keep_gaps, warn)
     result = _prepared(result, least_confidence)
-    written = []
+    result = steady(result) if kind.steady else result
+    files = files_of(path, result.people)
+    each = [result] if len(files) == 1 else [result.select(p) for p in result.people]
     with ExitStack() as together:  # the files get their names when all are written
-        for path, chosen in parts.items():
-            kind, choices = format_of(path), Choices(chosen, keep_gaps, mass, warn)
-            whole = steady(result) if kind.steady else result
-            files = files_of(path, whole.people)
-            each = [whole] if len(files) == 1 else [whole.select(p) for p in whole.people]
-            for one, file in zip(each, files, strict=True):
-                named = replace(one, path=file)  # a header names the file itself
-                kind.write(named, together.enter_context(replacing(file)), choices)
-            written += files
-    return written
+        for one, file in zip(each, files, strict=True):
+            named = replace(one, path=file)  # a header names the file itself
+            kind.write(named, together.enter_context(replacing(file)), choices)
+    return files
 
 
 def _parts_of(target: Path, what: str) -> tuple[str, ...]:
@@ -194,14 +176,8 @@ def steady(result: Result) -> Result:
 
 
 RAJAGOPAL = {
-    (part, side): f"{side[0].upper()}{letter}JC"
-    for part, letter in (
-        ("shoulder", "S"),
-        ("elbow", "E"),
-        ("hip", "H"),
-        ("knee", "K"),
-        ("ankle", "A"),
-    )
+    (part, side): f"{side[0]}{part[0]}JC".upper()
+    for part in ("shoulder", "elbow", "hip", "knee", "ankle")
     for side in ("left", "right")
 }
 """The joint centres among the markers of OpenSim's model of Rajagopal et al. (IEEE TBME 63, 2016).

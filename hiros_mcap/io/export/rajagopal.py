@@ -138,7 +138,10 @@ def coordinates(
     """
     at = finder(model, motion.positions)
     shown = segments_of(model, motion.positions, motion.orientations, motion.axes)
-    middle, pelvis, torso = trunk_of(model, motion)
+    # Of the markers alone: the line between the hips then is the model's.
+    pelvis = marker_segments(model, motion.positions)["pelvis"]
+    middle = (at("hip", side="left") + at("hip", side="right")) / 2
+    torso = pelvis @ _torso(at, pelvis, middle)
     origin = (middle - pelvis @ HIPS) @ Y_UP.T
     values = [*zxy(Y_UP.T, pelvis), *zxy(pelvis, torso)]
     names = [*PELVIS[:3], *LUMBAR]
@@ -157,18 +160,6 @@ def coordinates(
     angles = np.degrees(continued(np.stack(values, axis=-1), most=most))
     columns = dict(zip(names, angles.T, strict=True))
     return columns | dict(zip(PELVIS[3:], origin.T, strict=True)), deviations
-
-
-def trunk_of(model: SkeletonModel, motion: Motion) -> tuple[Floats, Floats, Floats]:
-    """Pose the model's pelvis and torso; NaN where joints are missing.
-
-    Returns, in the fixed frame, the middle of the hips (T, 3), m, and the frames (T, 3, 3) of both.
-    """
-    at = finder(model, motion.positions)
-    # Of the markers alone: the line between the hips then is the model's.
-    pelvis = marker_segments(model, motion.positions)["pelvis"]
-    middle = (at("hip", side="left") + at("hip", side="right")) / 2
-    return middle, pelvis, pelvis @ _torso(at, pelvis, middle)
 
 
 def _torso(at: Finder, pelvis: Floats, hips: Floats) -> Floats:
