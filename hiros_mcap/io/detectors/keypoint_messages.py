@@ -10,8 +10,7 @@ metadata which model that is; of others it is COCO's, which YOLO has.
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,10 +20,10 @@ from hiros_mcap.io.channels import LATCHED_QOS, ChannelInfo, add_ros_channel
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.detectors.body_models import BODY_MODELS, body_model, linked
 from hiros_mcap.io.detectors.detector_reader import DetectorMessage, nanoseconds
-from hiros_mcap.io.ros_cdr import HEADER, CdrWriter
+from hiros_mcap.io.ros_cdr import CdrWriter
 from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame, cleaned
-from hiros_mcap.skeletons import SECOND, Floats, SkeletonModel, Stamps
+from hiros_mcap.skeletons import Floats, SkeletonModel
 
 JOINTS = "hiros:joints"
 """Key of a channel's metadata: which model of the table numbers the joints, or their names."""
@@ -83,14 +82,24 @@ def decode_keypoints(
     """Return the people of a message of :data:`KEYPOINT_TYPES`.
 
     ``joints`` are those of the channel's model; ``lenses`` tell the images' sizes, by frame.
+    Detections without keypoints are of other things; ids beyond the model are left out, and so is
+    what :func:`~hiros_mcap.rays.keypoints.cleaned` does not take as found.
+
     Raises LogError for a message that is damaged.
     """
+    lens = lenses.get(message.fields.header.frame_id)
     if message.type != _DETECTIONS:
-        lens = lenses.get(message.fields.header.frame_id)
         return decode_skeleton2d(message.fields, lens.size if lens else (1, 1))
-    walked = _walked(bytes(message.cdr)) or _of_fields(message.fields)
-    lens = lenses.get(walked.frame_id)
-    return _numbered(walked, joints, lens.size if lens else None)
+    header, people = message.fields.header, _keypoints(message, "keypoints")
+    pixels = np.full((len(people), joints, 2), np.nan)
+    scores = np.zeros((len(people), joints))
+    for person, keypoints in enumerate(people):
+        known = [k for k in keypoints if 1 <= k.id <= joints]
+        places = [k.id - 1 for k in known]
+        pixels[person, places] = [(k.point.x, k.point.y) for k in known]
+        scores[person, places] = [k.score for k in known]
+    found = cleaned(pixels, scores, lens.size if lens else None)
+    return Keypoints(nanoseconds(header.stamp), header.frame_id, *found)
 
 
 def has_keypoints_in_space(message: DetectorMessage) -> bool | None:
@@ -98,117 +107,14 @@ def has_keypoints_in_space(message: DetectorMessage) -> bool | None:
 
     Raises LogError for a message that is damaged.
     """
-    found = _walked(bytes(message.cdr)) or _of_fields(message.fields)
-    return found.in_space if found.in_space or found.people else None
+    in_space = bool(_keypoints(message, "keypoints3d"))
+    return in_space if in_space or _keypoints(message, "keypoints") else None
 
 
-def decode_detections(message: Any, joints: int, size: tuple[int, int] | None = None) -> Keypoints:
-    """Return the people of a DetectionArray whose model has so many joints.
-
-    Detections without keypoints are of other things; ids beyond the model are left out, and so is
-    what :func:`~hiros_mcap.rays.keypoints.cleaned` does not take as found. ``size`` is of the
-    image, px.
-    """
-    return _numbered(_of_fields(message), joints, size)
-
-
-class _Detected(NamedTuple):
-    """The keypoints of a DetectionArray, person by person."""
-
-    stamp: int
-    frame_id: str
-    people: list[tuple[Stamps, Floats]]
-    """Ids (K,), and u, v, px, and score (K, 3)."""
-    in_space: bool
-    """Whether somebody has keypoints in space, too."""
-
-
-def _of_fields(message: Any) -> _Detected:
-    """Return the keypoints of a message that is decoded."""
-    flat, solid = (
-        [getattr(d, name).data for d in message.detections if hasattr(d, name)]
-        for name in ("keypoints", "keypoints3d")
-    )
-    people = [
-        (
-            np.array([k.id for k in keypoints], np.int64),
-            np.array([(k.point.x, k.point.y, k.score) for k in keypoints], np.float64),
-        )
-        for keypoints in flat
-        if len(keypoints)
-    ]
-    stamp, frame_id = nanoseconds(message.header.stamp), message.header.frame_id
-    return _Detected(stamp, frame_id, people, any(map(len, solid)))
-
-
-_KEYPOINT = np.dtype([("id", "<i4"), ("pad", "<i4"), ("values", "<f8", 3)])
-
-
-def _walked(data: bytes) -> _Detected | None:
-    """Find the keypoints of a DetectionArray of yolo_ros 4 in its bytes.
-
-    None where the bytes are of another layout, or damaged: then their definition decodes them,
-    which takes four times as long.
-    """
-    if data[:2] != HEADER[:2]:
-        return None
-    body, people, in_space = data[4:], [], False
-    try:
-        sec, nanosec = struct.unpack_from("<iI", body)
-        at = _behind_text(body, 8)
-        frame_id = str(body[12 : at - 1], "utf-8")
-        n, at = _count(body, at)
-        for _ in range(n):
-            at = _behind_text(body, _aligned(at, 4) + 4)  # class
-            at = _behind_text(body, _aligned(at, 8) + 8)  # score, id
-            at = _behind_text(body, _aligned(at, 8) + 15 * 8)  # boxes in the image and in space
-            points, at = _count(body, _aligned(at, 4) + 8)  # mask
-            at = _aligned(at, 8) + 16 * points if points else at
-            joints, at = _count(body, at)
-            if joints:
-                first = _aligned(at + 4, 8) - 8
-                table = np.frombuffer(body, _KEYPOINT, joints, first)
-                ids = table["id"].astype(np.int64)
-                (ids[0],) = struct.unpack_from("<i", body, at)  # may lack the 4 bytes of padding
-                people.append((ids, table["values"]))
-                at = first + joints * _KEYPOINT.itemsize
-            joints, at = _count(body, at)
-            in_space |= joints > 0
-            at = _behind_text(body, _aligned(at + 4, 8) - 8 + 40 * joints if joints else at)
-    except (struct.error, ValueError, IndexError):
-        return None
-    if not 0 <= len(body) - at < 4:
-        return None
-    return _Detected(sec * SECOND + nanosec, frame_id, people, in_space)
-
-
-def _aligned(at: int, size: int) -> int:
-    return at + -at % size
-
-
-def _count(body: bytes, at: int) -> tuple[int, int]:
-    """Return the length of a sequence, and where its elements begin."""
-    at = _aligned(at, 4)
-    return struct.unpack_from("<I", body, at)[0], at + 4
-
-
-def _behind_text(body: bytes, at: int) -> int:
-    """Return the place behind a string; raises ValueError if it is none."""
-    length, at = _count(body, at)
-    if length and body[at + length - 1]:
-        raise ValueError
-    return at + length
-
-
-def _numbered(found: _Detected, joints: int, size: tuple[int, int] | None) -> Keypoints:
-    """Put keypoints at the places of their ids."""
-    pixels = np.full((len(found.people), joints, 2), np.nan)
-    scores = np.zeros((len(found.people), joints))
-    for person, (ids, values) in enumerate(found.people):
-        known = (ids >= 1) & (ids <= joints)
-        places, values = ids[known] - 1, values[known]
-        pixels[person, places], scores[person, places] = values[:, :2], values[:, 2]
-    return Keypoints(found.stamp, found.frame_id, *cleaned(pixels, scores, size))
+def _keypoints(message: DetectorMessage, name: str) -> list[Sequence[Any]]:
+    """Return the keypoints of each detection that has some; others are of other things."""
+    people = [getattr(d, name).data for d in message.fields.detections if hasattr(d, name)]
+    return [keypoints for keypoints in people if len(keypoints)]
 
 
 def decode_skeleton2d(message: Any, size: tuple[int, int]) -> Keypoints:
