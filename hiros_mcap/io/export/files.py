@@ -1,4 +1,4 @@
-"""A result as a file of another program: tables, biomechanics and animation.
+"""A result as a file of another program: tables and biomechanics.
 
 Its markers may have the names of a musculoskeletal model, so that its inverse kinematics finds
 them. A marker set is a TOML file of our names and theirs::
@@ -71,9 +71,6 @@ FORMATS: dict[str, ExportFormat] = {
         "markers and angles for motion capture programs (mm, z up)",
         biomechanics.write_c3d,
         steady=True,
-    ),
-    ".bvh": _for_one(
-        "a moving skeleton for Blender and games (cm, y up)", biomechanics.write_bvh, steady=True
     ),
 }
 """Suffix -> kind of file."""
