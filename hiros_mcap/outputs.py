@@ -31,7 +31,7 @@ LIMBS_MARK = "# hiros limb lengths\n"
 CAMERAS_MARK = "# hiros cameras\n"
 
 EXPORT_MARK = "written by hiros"
-CSV_START, JSONL_START = "person,time (s),", '{"person": '
+CSV_START, JSONL_START = "person,time (s),", '{"person":'
 
 _SCORES = re.compile(rb"(Log,)?(Channel|System|Left out|Cameras),[^\n]*\(mm\)")
 """First line of a table of scores as CSV."""

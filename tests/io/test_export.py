@@ -135,7 +135,7 @@ def test_tables_say_from_how_many_cameras_somebody_is_hidden(result, tmp_path):
         assert table[1].iloc[nearest] == expected
     (path,) = export(marked, tmp_path / "out.jsonl")
     rows = [json.loads(line) for line in path.read_text().splitlines()]
-    assert [row["hidden_from"] for row in rows if row["person"] == 1] == table[1].tolist()
+    assert [row["hidden from (cameras)"] for row in rows if row["person"] == 1] == table[1].tolist()
     (path,) = export(marked, str(tmp_path / "out.npz"))
     with np.load(path) as arrays:
         assert arrays["person_1_hidden_from"].tolist() == table[1].tolist()
@@ -145,14 +145,13 @@ def test_json_lines_have_names_and_gaps(result, tmp_path):
     result.motions[0].positions[3, 5] = np.nan
     (path,) = export(result, tmp_path / "out.jsonl")
     rows = [json.loads(line) for line in path.read_text().splitlines()]
-    name = result.model.marker_names[5]
-    assert rows[3]["person"] == 0
-    assert rows[3]["joints"][name] == [None] * 3
-    assert rows[2]["confidences"][name] == pytest.approx(
-        result.motions[0].confidences[2, 5], abs=1e-6
-    )
-    assert 0 < rows[2]["deviations"][name] < 0.1
-    assert rows[2]["joints"][name] == pytest.approx(result.motions[0].positions[2, 5], abs=1e-6)
+    name, motion = result.model.marker_names[5], result.motions[0]
+    assert (rows[3]["person"], rows[3]["time (s)"]) == (0, pytest.approx(motion.times[3], abs=1e-6))
+    assert rows[3][f"{name} x (m)"] is None
+    assert rows[2][f"{name} y (m)"] == pytest.approx(motion.positions[2, 5, 1], abs=1e-6)
+    confidence = motion.confidences[2, 5]
+    assert rows[2][f"{name} confidence"] == pytest.approx(confidence, abs=1e-6)
+    assert 0 < rows[2][f"{name} SD (m)"] < 0.1
 
 
 def test_arrays_come_back(result, tmp_path):

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
-import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -83,24 +81,9 @@ def write_parquet(result: Result, target: Path, choices: Choices) -> None:
 
 
 def write_jsonl(result: Result, target: Path, choices: Choices) -> None:
-    """Write one object per person and time; null is a gap."""
-    names, lines = result.model.marker_names, []
-    angles = result.angles(0)
-    for person, motion in result.motions.items():
-        degrees, deviations = angles.loc[[person]].to_numpy(), deviations_of(motion)
-        hidden = hidden_from(result, person).tolist()
-        for k, time in enumerate(motion.times.tolist()):
-            row: dict[str, Any] = {"person": int(person), "time": round(time, 6)}
-            if "joints" in choices.parts:
-                row["joints"] = dict(zip(names, map(_numbers, motion.positions[k]), strict=True))
-                row["confidences"] = _named(names, motion.confidences[k])
-                if motion.deviations is not None:
-                    row["deviations"] = _named(names, deviations[k])
-            if "angles" in choices.parts:
-                row["angles"] = _named(angles.columns, degrees[k])
-            row["hidden_from"] = hidden[k]
-            lines.append(json.dumps(row))
-    write_lines(target, lines)
+    """Write the rows of :func:`write_csv` as objects, a line each; null is a gap."""
+    rows = table(result, choices.parts).round(6).reset_index()
+    rows.to_json(target, orient="records", lines=True)
 
 
 def write_npz(result: Result, target: Path, choices: Choices) -> None:
@@ -126,11 +109,3 @@ def write_npz(result: Result, target: Path, choices: Choices) -> None:
 def write_lines(target: Path, lines: Sequence[str]) -> None:
     """Write lines of text."""
     target.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
-
-
-def _named(names: Iterable[str], values: Floats) -> dict[str, float | None]:
-    return dict(zip(names, _numbers(values), strict=True))
-
-
-def _numbers(values: Floats) -> list[float | None]:
-    return [None if math.isnan(v) else round(v, 6) for v in values.tolist()]
