@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -63,21 +62,6 @@ class LimbTable:
                 f" (its links: {_some(keys)})"
             )
         return np.array([limbs[key].length if key in limbs else math.nan for key in keys])
-
-    def rename(self, ids: Mapping[int, int]) -> LimbTable:
-        """Return the table with people renumbered: ``{0: 3}`` makes person 0 person 3.
-
-        Raises ConfigError if a person does not exist or two would share an id.
-        """
-        for old in ids:
-            if old not in self.people:
-                raise ConfigError(f"{self.origin}: no person {old} to rename")
-        new = [ids.get(person, person) for person in self.people]
-        twice = [person for person, n in Counter(new).items() if n > 1]
-        if twice:
-            raise ConfigError(f"{self.origin}: two people would have id {twice[0]}")
-        renamed = zip(new, self.people.values(), strict=True)
-        return LimbTable({person: dict(limbs) for person, limbs in renamed}, self.origin)
 
     def to_toml(self) -> str:
         """Text of the file, people by id, limbs in the order of the model."""

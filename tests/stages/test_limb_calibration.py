@@ -342,8 +342,8 @@ def test_second_session_loads_and_gives_identical_output(tmp_path):
     )
 
 
-def test_loaded_limbs_follow_a_renamed_person():
-    limbs = measured_limbs(arm_frames(100)).rename({0: 5})
+def test_loaded_limbs_follow_a_person_of_another_id():
+    limbs = LimbTable({5: measured_limbs(arm_frames(100)).people[0]})
     assert list(limbs.people) == [5]
     result = list(optimize(arm_frames(3, ids=(5,)), ARM, limbs=limbs))
     assert lengths(result)[0] == pytest.approx(limbs.lengths(5, ARM), abs=1e-4)
@@ -408,15 +408,6 @@ def test_limb_of_another_model_is_an_error_that_names_it():
     limbs = LimbTable({0: {"tail": Limb(0.3)}}, "cat.toml")
     with pytest.raises(ConfigError, match=r"cat\.toml: person 0: this log has no link 'tail'"):
         next(optimize(arm_frames(1), ARM, limbs=limbs))
-
-
-def test_renaming_onto_somebody_is_an_error():
-    limbs = LimbTable({0: {}, 1: {}})
-    assert list(limbs.rename({0: 1, 1: 0}).people) == [1, 0]
-    with pytest.raises(ConfigError, match="two people would have id 1"):
-        limbs.rename({0: 1})
-    with pytest.raises(ConfigError, match="no person 9"):
-        limbs.rename({9: 1})
 
 
 def test_window_must_not_end_before_it_starts():

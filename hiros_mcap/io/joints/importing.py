@@ -40,7 +40,7 @@ from hiros_mcap.io.joints.mapping import FileMapping, TimeMapping, names_by_coun
 from hiros_mcap.io.joints.marker_files import has_markers, read_markers
 from hiros_mcap.io.log_accounts import zeros_in_words
 from hiros_mcap.progress import Bar, Progress
-from hiros_mcap.skeletons import POSITION, Floats, Frame, Ints, SkeletonModel
+from hiros_mcap.skeletons import POSITION, Flags, Floats, Frame, SkeletonModel
 
 
 class Series(NamedTuple):
@@ -155,40 +155,35 @@ def _check_names(names: Sequence[str], paths: Sequence[Path]) -> None:
 class _Gathered(NamedTuple):
     """The sightings of a camera by time and person."""
 
-    instants: dict[float, dict[str, list[tuple[Ints, Floats]]]]
-    """Slots and numbers of joints."""
+    instants: dict[float, dict[str, Floats]]
+    """(J, K) numbers of joints; NaN where a person has none of that name."""
     joints: list[str]
-    """Names by slot."""
     ids: dict[str, int]
     """Number of each person."""
 
 
-def _gathered(path: Path, sightings: Iterable[PersonInFile], width: int) -> _Gathered:
+def _gathered(path: Path, sightings: Sequence[PersonInFile], width: int) -> _Gathered:
     """Gather the joints with so many numbers; raises ConfigError if one occurs twice."""
-    instants: dict[float, dict[str, list[tuple[Ints, Floats]]]] = {}
-    slots: dict[str, int] = {}
-    known: dict[tuple[str, ...], Ints] = {}
-    ids: dict[str, int] = {}
-    for time, person, joints, numbers, _ in sightings:
-        people = instants.setdefault(time, {})
-        if not joints or numbers.shape[1] != width:
-            continue
-        if joints not in known:
-            known[joints] = np.array([slots.setdefault(j, len(slots)) for j in joints], np.int32)
-        ids.setdefault(person, len(ids))
-        parts = people.setdefault(person, [])
-        parts.append((known[joints], numbers))
-    names = [*slots]
-    for time, people in instants.items():
-        for person, parts in people.items():
-            counts = np.bincount(np.concatenate([places for places, _ in parts]))
-            if counts.max() > 1:
-                raise ConfigError(
-                    f"{path}: the joint {names[int(counts.argmax())]} of person {person} occurs "
-                    f"twice at {time:g} s; if a column tells cameras or people apart, name it "
-                    "under [columns] of a mapping file (--mapping): camera = ... or person = ..."
-                )
-    return _Gathered(instants, names, ids)
+    wanted = [seen for seen in sightings if seen.joints and seen.width == width]
+    layouts = dict.fromkeys(seen.joints for seen in wanted)
+    joints = [*dict.fromkeys(joint for layout in layouts for joint in layout)]
+    slots = {joint: slot for slot, joint in enumerate(joints)}
+    places = {layout: [slots[joint] for joint in layout] for layout in layouts}
+    instants: dict[float, dict[str, Floats]] = {seen.time: {} for seen in sightings}
+    known: dict[tuple[float, str], Flags] = {}
+    for time, person, layout, numbers, _ in wanted:
+        rows, empty = places[layout], np.full((len(joints), width), np.nan)
+        instants[time].setdefault(person, empty)[rows] = numbers
+        taken = known.setdefault((time, person), np.zeros(len(joints), bool))
+        if taken[rows].any():
+            raise ConfigError(
+                f"{path}: the joint {layout[int(taken[rows].argmax())]} of person {person} occurs "
+                f"twice at {time:g} s; if a column tells cameras or people apart, name it under "
+                "[columns] of a mapping file (--mapping): camera = ... or person = ..."
+            )
+        taken[rows] = True
+    ids = {person: k for k, person in enumerate(dict.fromkeys(seen.person for seen in wanted))}
+    return _Gathered(instants, joints, ids)
 
 
 def _series(
@@ -224,12 +219,8 @@ def _images(
     joints = tuple(_names(path, gathered.joints, mapping.joints))
     stamps, images = [], []
     for time, people in sorted(gathered.instants.items()):
-        image = np.full((len(people), len(joints), IN_IMAGE), np.nan)
-        for row, parts in zip(image, people.values(), strict=True):
-            for slots, numbers in parts:
-                row[slots] = numbers
         stamps.append(round((start + time) * 1e9))
-        images.append(image)
+        images.append(np.array([*people.values()]).reshape(-1, len(joints), IN_IMAGE))
     return ImageSeries(path, camera, joints, np.array(stamps), images, not mapping.names)
 
 
@@ -247,18 +238,17 @@ def _skeletons(
     zeros: Counter[str] = Counter()
     for time, seen in sorted(gathered.instants.items()):
         people = {}
-        for person, parts in seen.items():
-            slots, numbers = (np.concatenate(part) for part in zip(*parts, strict=True))
-            there = numbers[:, POSITION].any(axis=1)
+        for person, numbers in seen.items():
+            there = np.asarray(numbers[:, POSITION].any(axis=1))
             if not np.isnan(numbers[there, POSITION]).any(axis=1).all():
-                people[person] = slots[there], numbers[there]
-                zeros.update(joints[slot] for slot in slots[~there])
+                people[person] = np.where(there[:, None], numbers, np.nan)
+                zeros.update(joints[slot] for slot in np.flatnonzero(~there))
         stamp = round((start + time) * 1e9)
         frame = Frame.empty(len(people), model, stamp=stamp, source=camera, frame_id=frame_id)
         frame.ids[:] = [gathered.ids[person] for person in people]
-        for k, (slots, numbers) in enumerate(people.values()):
-            frame.markers[k, slots, POSITION] = numbers[:, POSITION]
-            frame.marker_confidences[k, slots] = numbers[:, -1]
+        for k, numbers in enumerate(people.values()):
+            frame.positions[k] = numbers[:, POSITION]
+            frame.marker_confidences[k] = numbers[:, -1]
         frame.positions[:] = mapping.rotated(frame.positions)
         add_links(frame, model)
         frames.append(frame)
