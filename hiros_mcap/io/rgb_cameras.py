@@ -28,6 +28,7 @@ from hiros_mcap.io.detectors.conversion import source_of
 from hiros_mcap.io.detectors.keypoint_messages import (
     decode_keypoints,
     is_keypoints,
+    joined,
     joint_model,
     lateness,
 )
@@ -103,13 +104,8 @@ def _together(frames: list[KeypointFrame]) -> list[KeypointFrame]:
     """Return one frame per image: some detectors have a topic per person."""
     if all(a.log_time <= b.log_time and a.stamp != b.stamp for a, b in pairwise(frames)):
         return frames
-    joined = []
-    for _, same in groupby(sorted(frames, key=lambda f: f.stamp), key=lambda f: f.stamp):
-        first, *others = same
-        pixels = np.concatenate([first.pixels, *(f.pixels for f in others)])
-        scores = np.concatenate([first.scores, *(f.scores for f in others)])
-        joined.append(first._replace(pixels=pixels, scores=scores))
-    return joined
+    in_order = sorted(frames, key=lambda f: f.stamp)
+    return [joined(*same) for _, same in groupby(in_order, key=lambda f: f.stamp)]
 
 
 def _frames_of(
@@ -132,11 +128,8 @@ def _frames_of(
             else:
                 images = [decode_keypoints(detected, model.n_markers, lenses)]
             for found in images:
-                stamp = (found.stamp or message.log_time) - late
-                frame = KeypointFrame(
-                    found.frame_id, stamp, message.log_time, found.pixels, found.scores
-                )
-                frames.setdefault(found.frame_id, []).append(frame)
+                frame = found._replace(stamp=found.stamp - late)
+                frames.setdefault(found.camera, []).append(frame)
     return frames
 
 

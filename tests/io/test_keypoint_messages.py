@@ -13,7 +13,6 @@ from hiros_mcap.io.detectors.keypoint_messages import (
     add_keypoint_channel,
     camera_info,
     decode_keypoints,
-    decode_skeleton2d,
     encode_detections,
 )
 from hiros_mcap.io.ros_cdr import decoder_of, types_of
@@ -49,7 +48,7 @@ def test_people_come_back_with_their_missing_joints():
     pixels[1, 0] = np.nan
     frame = image(pixels)
     message, found = detections(frame, 3)
-    assert (found.stamp, found.frame_id) == (frame.stamp, "cam")
+    assert (found.stamp, found.camera) == (frame.stamp, "cam")
     assert np.array_equal(found.pixels, pixels, equal_nan=True)
     assert np.array_equal(found.scores, frame.scores)
     box = message.detections[0].bbox
@@ -85,13 +84,14 @@ def skeleton2d(points):
     point, header = types["hri_msgs/msg/NormalizedPointOfInterest2D"], types["std_msgs/msg/Header"]
     stamp = types["builtin_interfaces/msg/Time"](3, 7)
     message = types[kind](header(stamp, "cam"), [point(*row) for row in points])
-    return decoder_of(store, name)(bytes(store.serialize_cdr(message, kind)))
+    data = bytes(store.serialize_cdr(message, kind))
+    return DetectorMessage("/k", name, 0, data, decoder_of(store, name))
 
 
 def test_shares_of_the_image_become_pixels():
     points = [(0.5, 0.25, 0.8), (0.0, 0.0, 0.0), (np.nan, 0.2, 1.0), (0.1, 0.2, -1.0), (3, 0.5, 1)]
-    found = decode_skeleton2d(skeleton2d(points), (640, 480))
-    assert (found.stamp, found.frame_id) == (3_000_000_007, "cam")
+    found = decode_keypoints(skeleton2d(points), 18, {"cam": LENS})
+    assert (found.stamp, found.camera) == (3_000_000_007, "cam")
     assert found.pixels.shape == (1, 18, 2)
     assert found.pixels[0, 0].tolist() == [320, 120]
     assert np.isnan(found.pixels[0, 1:]).all()

@@ -11,7 +11,7 @@ metadata which model that is; of others it is COCO's, which YOLO has.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -30,8 +30,7 @@ JOINTS = "hiros:joints"
 LATE = "hiros:late"
 """Key of a channel's metadata: s by which its stamps are late, as hiros found from the people."""
 USUAL_JOINTS = "coco-17"
-_HRI_MODEL = "hri-18"
-_HRI = body_model(_HRI_MODEL)
+_HRI = body_model("hri-18")
 _DETECTIONS, _SKELETON2D = map(
     hiros_schemas.short_name, (hiros_schemas.DETECTION_ARRAY, hiros_schemas.SKELETON_2D)
 )
@@ -39,19 +38,6 @@ DETECTIONS_IN_SPACE = f"{_DETECTIONS}3D"
 """What a channel of detections with keypoints in space is called, see :mod:`.yolo_bodies`."""
 KEYPOINT_TYPES = _DETECTIONS, _SKELETON2D
 """Types that are read, ``pkg/Type``."""
-
-
-class Keypoints(NamedTuple):
-    """The people in a message."""
-
-    stamp: int
-    """ns."""
-    frame_id: str
-    """The camera's optical frame."""
-    pixels: Floats
-    """(P, J, 2) px; NaN where a joint was not found."""
-    scores: Floats
-    """(P, J) 0 to 1; 0 where a joint was not found."""
 
 
 def joint_model(info: ChannelInfo) -> SkeletonModel:
@@ -78,8 +64,8 @@ def is_keypoints(info: ChannelInfo) -> bool:
 
 def decode_keypoints(
     message: DetectorMessage, joints: int, lenses: Mapping[str, Intrinsics]
-) -> Keypoints:
-    """Return the people of a message of :data:`KEYPOINT_TYPES`.
+) -> KeypointFrame:
+    """Return the people of a message of :data:`KEYPOINT_TYPES`; its camera is the optical frame.
 
     ``joints`` are those of the channel's model; ``lenses`` tell the images' sizes, by frame.
     Detections without keypoints are of other things; ids beyond the model are left out, and so is
@@ -87,19 +73,45 @@ def decode_keypoints(
 
     Raises LogError for a message that is damaged.
     """
-    lens = lenses.get(message.fields.header.frame_id)
-    if message.type != _DETECTIONS:
-        return decode_skeleton2d(message.fields, lens.size if lens else (1, 1))
-    header, people = message.fields.header, _keypoints(message, "keypoints")
+    header = message.fields.header
+    lens = lenses.get(header.frame_id)
+    if message.type == _DETECTIONS:
+        pixels, scores = _of_detections(_keypoints(message, "keypoints"), joints)
+        found = cleaned(pixels, scores, lens.size if lens else None)
+    else:
+        size = lens.size if lens else (1, 1)
+        shares, scores = _of_skeleton2d(message.fields)
+        found = cleaned(shares * size, scores, size)
+    stamp = nanoseconds(header.stamp) or message.log_time
+    return KeypointFrame(header.frame_id, stamp, message.log_time, *found)
+
+
+def _of_detections(people: Sequence[Sequence[Any]], joints: int) -> tuple[Floats, Floats]:
+    """(P, J, 2) px, and (P, J) scores, of keypoints at the places of their ids."""
     pixels = np.full((len(people), joints, 2), np.nan)
     scores = np.zeros((len(people), joints))
     for person, keypoints in enumerate(people):
-        known = [k for k in keypoints if 1 <= k.id <= joints]
-        places = [k.id - 1 for k in known]
-        pixels[person, places] = [(k.point.x, k.point.y) for k in known]
-        scores[person, places] = [k.score for k in known]
-    found = cleaned(pixels, scores, lens.size if lens else None)
-    return Keypoints(nanoseconds(header.stamp), header.frame_id, *found)
+        for found in keypoints:
+            if 1 <= found.id <= joints:
+                pixels[person, found.id - 1] = found.point.x, found.point.y
+                scores[person, found.id - 1] = found.score
+    return pixels, scores
+
+
+def _of_skeleton2d(message: Any) -> tuple[Floats, Floats]:
+    """(1, J, 2) shares of the image, and (1, J) scores, of the joints of "hri-18"."""
+    points = np.full((1, _HRI.n_markers, 3), np.nan)
+    for joint, point in enumerate(message.skeleton[: _HRI.n_markers]):
+        points[0, joint] = point.x, point.y, point.c
+    return points[..., :2], points[..., 2]
+
+
+def joined(*messages: KeypointFrame) -> KeypointFrame:
+    """Return the people of one image; some detectors have a topic per person."""
+    pixels = np.concatenate([message.pixels for message in messages])
+    return messages[0]._replace(
+        pixels=pixels, scores=np.concatenate([message.scores for message in messages])
+    )
 
 
 def has_keypoints_in_space(message: DetectorMessage) -> bool | None:
@@ -115,19 +127,6 @@ def _keypoints(message: DetectorMessage, name: str) -> list[Sequence[Any]]:
     """Return the keypoints of each detection that has some; others are of other things."""
     people = [getattr(d, name).data for d in message.fields.detections if hasattr(d, name)]
     return [keypoints for keypoints in people if len(keypoints)]
-
-
-def decode_skeleton2d(message: Any, size: tuple[int, int]) -> Keypoints:
-    """Return the person of a Skeleton2D, whose joints are those of the model "hri-18".
-
-    ``size`` is of the camera's image, px, as its CameraInfo has it. A joint may be a little outside
-    of the image.
-    """
-    points = np.full((1, _HRI.n_markers, 3), np.nan)
-    for joint, point in enumerate(message.skeleton[: _HRI.n_markers]):
-        points[0, joint] = point.x, point.y, point.c
-    keypoints = cleaned(points[..., :2] * size, points[..., 2], size)
-    return Keypoints(nanoseconds(message.header.stamp), message.header.frame_id, *keypoints)
 
 
 def encode_detections(frame: KeypointFrame, frame_id: str) -> bytes:

@@ -25,7 +25,7 @@ from hiros_mcap.io.detectors.detector_reader import (
     SeenPeople,
     add_links,
 )
-from hiros_mcap.io.detectors.keypoint_messages import KEYPOINT_TYPES, Keypoints, decode_keypoints
+from hiros_mcap.io.detectors.keypoint_messages import KEYPOINT_TYPES, decode_keypoints, joined
 from hiros_mcap.rays.confidence import TRIANGULATED, confidence_of
 from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame, cleaned
@@ -65,12 +65,13 @@ class RgbRig:
     """3D skeletons that are taken as keypoints; the above have their topics and frames, too."""
 
 
-def keypoints_of_guess(frame: Frame, guessed: GuessedDepth) -> Keypoints:
+def keypoints_of_guess(frame: Frame, guessed: GuessedDepth) -> KeypointFrame:
     """Return 3D skeletons whose depth is guessed as keypoints of :data:`.skeleton_rays.LENS`."""
     name = frame.frame_id.lstrip("/")
     pixels = keypoints_of(frame.positions, guessed.turns.get(name, Rigid.identity()))
     stamp = max(frame.stamps.tolist(), default=0) or frame.stamp
-    return Keypoints(stamp, name, *cleaned(pixels, frame.marker_confidences))
+    found = cleaned(pixels, frame.marker_confidences)
+    return KeypointFrame(name, stamp or frame.log_time, frame.log_time, *found)
 
 
 class RgbKeypoints(DetectorReader):
@@ -87,8 +88,8 @@ class RgbKeypoints(DetectorReader):
         self.rig: RgbRig | None = None
         self.model: SkeletonModel | None = None
         self._triangulator: Triangulator | None = None
-        self._begun: dict[str, tuple[str, int, Keypoints]] = {}
-        """Topic, log time and people so far of an image, by optical frame, see :meth:`_whole`."""
+        self._begun: dict[str, tuple[str, KeypointFrame]] = {}
+        """Topic and people so far of an image, by optical frame, see :meth:`_whole`."""
         self._homeless: Counter[str] = Counter()
         """Messages of cameras whose lens or place is not known, by optical frame."""
         self._foreign: Counter[str] = Counter()
@@ -101,52 +102,41 @@ class RgbKeypoints(DetectorReader):
         if message.topic not in self.rig.models:
             return None
         joints = self.rig.models[message.topic].n_markers
-        found = decode_keypoints(message, joints, self.rig.lenses)
-        images = [(message.topic, message.log_time, found)]
+        images = [(message.topic, decode_keypoints(message, joints, self.rig.lenses))]
         if message.type == _ONE_PERSON:
             images = self._whole(*images[0])
         return [people for image in images for people in self._located(*image, self.rig)]
 
-    def _whole(
-        self, topic: str, log_time: int, found: Keypoints
-    ) -> list[tuple[str, int, Keypoints]]:
+    def _whole(self, topic: str, found: KeypointFrame) -> list[tuple[str, KeypointFrame]]:
         """Return the image before, once the next one of its camera begins.
 
         ROS4HRI has a topic per person; their messages of one stamp are of one image.
         """
-        before = self._begun.pop(found.frame_id, None)
-        stamp = found.stamp or log_time
-        is_same = before is not None and (before[2].stamp or before[1]) == stamp
+        before = self._begun.pop(found.camera, None)
+        is_same = before is not None and before[1].stamp == found.stamp
         if before is not None and is_same:
-            parts = before[2], found
-            pixels, scores = (
-                np.concatenate(part) for part in zip(*(p[2:] for p in parts), strict=True)
-            )
-            found = found._replace(pixels=pixels, scores=scores)
-        self._begun[found.frame_id] = topic, log_time, found
+            found = joined(before[1], found)._replace(log_time=found.log_time)
+        self._begun[found.camera] = topic, found
         return [] if before is None or is_same else [before]
 
     def take(self, topic: str, frame: Frame) -> list[SeenPeople]:
         """Take 3D skeletons whose depth is guessed, of the topic's model; return as read() does."""
         if self.rig is None:
             return []
-        found = keypoints_of_guess(frame, self.rig.guessed)
-        return list(self._located(topic, frame.log_time, found, self.rig))
+        return list(self._located(topic, keypoints_of_guess(frame, self.rig.guessed), self.rig))
 
     def rest(self) -> Iterator[SeenPeople]:
         """Return the people of the last instants."""
-        for image in sorted(self._begun.values(), key=lambda image: image[1]):
+        for image in sorted(self._begun.values(), key=lambda image: image[1].log_time):
             if self.rig is not None:
                 yield from self._located(*image, self.rig)
         self._begun.clear()
         if self._triangulator is not None:
             yield from map(self._people, self._triangulator.rest())
 
-    def _located(
-        self, topic: str, log_time: int, found: Keypoints, rig: RgbRig
-    ) -> Iterator[SeenPeople]:
+    def _located(self, topic: str, image: KeypointFrame, rig: RgbRig) -> Iterator[SeenPeople]:
         """Yield the people of the instants that an image completes."""
-        name, lens, model = found.frame_id, rig.lenses.get(found.frame_id), rig.models[topic]
+        name, lens, model = image.camera, rig.lenses.get(image.camera), rig.models[topic]
         if lens is None:
             self._homeless[name] += 1
             return
@@ -155,10 +145,9 @@ class RgbKeypoints(DetectorReader):
             return
         self.model = model
         self._triangulator = triangulator = self._triangulator or Triangulator(model)
-        stamp = found.stamp or log_time
         try:
             home = rig.homes.get(name, name)
-            pose = rig.tree.lookup(home, rig.fixed_frame, stamp, log_time)
+            pose = rig.tree.lookup(home, rig.fixed_frame, image.stamp, image.log_time)
         except LogError:
             self._homeless[name] += 1
             return
@@ -166,8 +155,7 @@ class RgbKeypoints(DetectorReader):
             pose = pose @ rig.guessed.turns[name]
         if name not in triangulator.lenses:
             triangulator.add_camera(name, lens, rig.lags.get(name, 0.0))
-        frame = KeypointFrame(name, stamp, log_time, found.pixels, found.scores)
-        yield from map(self._people, triangulator.add(frame, pose))
+        yield from map(self._people, triangulator.add(image, pose))
 
     def _people(self, skeletons: LocatedPeople) -> SeenPeople:
         """Return the people of an instant; confidences say how well their joints are known."""
