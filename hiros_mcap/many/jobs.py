@@ -263,7 +263,6 @@ class ExportJob(Job):
     end: float = float("inf")
     marker_set: str = ""
     least_confidence: float = LEAST_CONFIDENCE
-    keep_gaps: bool = False
 
     command: ClassVar[str] = "export"
     kind: ClassVar[Kind] = "export"
@@ -287,7 +286,6 @@ class ExportJob(Job):
             target,
             what,
             self.least_confidence,
-            keep_gaps=self.keep_gaps,
             warn=warnings.append,
         )
         values = {"people": len(result.people), "files": len(files)}

@@ -180,22 +180,22 @@ def with_gap(result):
     return replace(result, motions={0: replace(motion, positions=positions)})
 
 
-def test_gaps_are_bridged_in_a_motion_and_named(result, tmp_path):
+def test_rows_without_a_pelvis_are_left_out_and_limbs_are_bridged(result, tmp_path):
+    person = with_gap(result)
+    (motion,) = person.motions.values()
+    motion.positions[45:50, person.model.marker_names.index("ELBOW_LEFT")] = np.nan
     told = []
-    (path,) = export(with_gap(result), tmp_path / "out.mot", warn=told.append)
+    (path,) = export(person, tmp_path / "out.mot", warn=told.append)
     table = read_mot(path)
+    assert len(table) == len(motion.times) - 20
     assert not table.isna().any().any()
-    assert np.abs(np.diff(table["pelvis_tx"])).max() < 0.1
-    times = result.motions[0].times
-    span = f"{times[19]:.1f} to {times[40]:.1f} s"
-    assert [text for text in told if ": bridged" in text] == [
-        f"{path}: bridged the whole pose: {span}; --keep-gaps leaves such rows out"
+    np.testing.assert_allclose(np.diff(table["elbow_flex_l"][24:31], n=2), 0, atol=1e-5)
+    spans = [f"{motion.times[a]:.1f} to {motion.times[b]:.1f} s" for a, b in ((19, 40), (44, 50))]
+    limb = "arm_flex_l, arm_add_l, arm_rot_l, elbow_flex_l"
+    assert [text for text in told if "bend" not in text] == [
+        f"{path}: left out the rows without a pelvis: {spans[0]}",
+        f"{path}: bridged {limb}: {spans[1]}",
     ]
-
-
-def test_gaps_of_a_motion_may_stay(result, tmp_path):
-    (path,) = export(with_gap(result), tmp_path / "out.mot", keep_gaps=True, warn=len)
-    assert len(read_mot(path)) == len(result.motions[0].times) - 20
 
 
 def test_every_row_of_a_trc_file_has_all_its_cells(result, tmp_path):

@@ -10,7 +10,7 @@ import typer
 from hiros_cli.compiling import prepare
 from hiros_cli.completing import topics
 from hiros_cli.many_logs import ManyLogs, one_log, run
-from hiros_cli.options import FORCE, GROUP, MANY, QUIET, argument, flag, grouped, option
+from hiros_cli.options import FORCE, GROUP, MANY, QUIET, argument, grouped, option
 from hiros_cli.output import check_outputs, print_json, warn
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
@@ -64,9 +64,6 @@ def export(
         min=0,
         max=1,
     ),
-    keep_gaps: bool = flag(
-        "--keep-gaps", "For .mot: leave out the rows that have gaps. Default: bridge them."
-    ),
     many: ManyLogs = GROUP,
 ) -> None:
     """Write joints and angles as CSV, TRC, MOT, C3D."""
@@ -84,7 +81,7 @@ def export(
         prepare(quiet=many.quiet)
         names = str(Path(marker_set).absolute()) if Path(marker_set).is_file() else marker_set
         part = (what, person, channel, rate, start, end)
-        job = ExportJob(suffix, *part, names, least_confidence, keep_gaps)
+        job = ExportJob(suffix, *part, names, least_confidence)
         run(job, logs, many, output)
     log = one_log(context, logs[0])
     prepare(quiet=many.quiet)
@@ -97,9 +94,7 @@ def export(
         files = files_of(target, result.people)
         check_outputs(*((path, "export") for path in files), inputs=(log,), force=many.force)
         warnings: list[str] = []
-        written = write(
-            result, target, what, least_confidence, keep_gaps=keep_gaps, warn=warnings.append
-        )
+        written = write(result, target, what, least_confidence, warn=warnings.append)
     for text in warnings:
         warn(text)
     if many.json:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -85,8 +85,8 @@ def _cell(value: float) -> str:
 def write_mot(result: Result, target: Path, choices: Choices) -> None:
     """Write one person's pose as coordinates of OpenSim's Rajagopal model, degrees and m.
 
-    OpenSim reads no gaps. They are bridged, or with ``keep_gaps`` their rows are left out.
-    Coordinates that are never known are left out. A warning names both.
+    OpenSim reads no gaps. Rows without the pelvis are left out, and so are coordinates that are
+    never known; gaps of limbs are bridged. A warning names each.
 
     Raises ConfigError if the pose of the pelvis is never known.
     """
@@ -105,17 +105,10 @@ def write_mot(result: Result, target: Path, choices: Choices) -> None:
     if text := _bent_otherwise(deviations):
         choices.warn(f"{result.path}: {text}")
     columns = {name: column for name, column in columns.items() if name not in absent}
-    gaps = np.isnan(np.stack([*columns.values()])).any(axis=0)
-    if choices.keep_gaps:
-        columns = {name: column[~gaps] for name, column in columns.items()}
-    else:
-        for text in _bridges(motion.times, columns):
-            choices.warn(f"{result.path}: {text}")
-        columns = {name: bridged(column) for name, column in columns.items()}
-    times = motion.times[~gaps] if choices.keep_gaps else motion.times
-    numbers = np.stack([times, *columns.values()], axis=-1)
-    if not len(numbers):
-        raise ConfigError(f"{result.path}: no row of MOT has all joints; bridge the gaps")
+    for text in _gaps(motion.times, columns):
+        choices.warn(f"{result.path}: {text}")
+    numbers = np.stack([motion.times, *map(bridged, columns.values())], axis=-1)
+    numbers = numbers[~np.isnan(columns[PELVIS[0]])]
     head = [
         safe_name(result.path.name),
         EXPORT_MARK,
@@ -146,19 +139,17 @@ def _bent_otherwise(deviations: Mapping[str, Floats]) -> str:
     return f"knees or elbows bend as the model's cannot, so it differs: {'; '.join(texts)}"
 
 
-def _bridges(times: Floats, columns: Mapping[str, Floats]) -> list[str]:
-    """Name the gaps that are bridged: of the whole pose, and of limbs besides."""
+def _gaps(times: Floats, columns: Mapping[str, Floats]) -> Iterator[str]:
+    """Name the rows that are left out, and the gaps of limbs that are bridged."""
     whole = np.isnan(columns[PELVIS[0]])
+    if whole.any():
+        yield f"left out the rows without a pelvis: {pauses(times, whole)}"
     names: dict[bytes, list[str]] = {}
     for name, column in columns.items():
         names.setdefault((np.isnan(column) & ~whole).tobytes(), []).append(name)
-    texts = [f"bridged the whole pose: {pauses(times, whole)}"] if whole.any() else []
     for mask, limb in names.items():
         if (gaps := np.frombuffer(mask, bool)).any():
-            texts.append(f"bridged {', '.join(limb)}: {pauses(times, gaps)}")
-    if texts:
-        texts[-1] += "; --keep-gaps leaves such rows out"
-    return texts
+            yield f"bridged {', '.join(limb)}: {pauses(times, gaps)}"
 
 
 _MOST_TEXTS = 255

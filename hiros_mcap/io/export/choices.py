@@ -20,8 +20,6 @@ class Choices(NamedTuple):
     """Options of a writer, besides the result and the file."""
 
     parts: tuple[str, ...]  # "joints", "angles"
-    keep_gaps: bool = False
-    """Whether a format whose programs read no gaps leaves out their rows instead of bridging."""
     warn: Callable[[str], object] = warn_in_python  # is called with what the file lacks
 
 

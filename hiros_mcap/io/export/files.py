@@ -93,7 +93,6 @@ def export(
     what: str = "",
     least_confidence: float = LEAST_CONFIDENCE,
     *,
-    keep_gaps: bool = False,
     warn: Callable[[str], object] = warn_in_python,
 ) -> list[Path]:
     """Write a result in the format of the target's suffix.
@@ -106,7 +105,6 @@ def export(
     result : what to write. target : the file.
     what : "joints", "angles" or "both"; "" is whatever the format holds.
     least_confidence : markers below it are gaps; 0 writes them all.
-    keep_gaps : leave out the rows of a MOT file that have gaps, instead of bridging them.
     warn : is called with what a file lacks or bridges; by default Python's own warning.
 
     Returns
@@ -123,7 +121,7 @@ def export(
     if not result.motions:
         raise ConfigError(f"{result.path}: {result.channel} holds no people")
     path = Path(target)
-    kind, choices = format_of(path), Choices(_parts_of(path, what), keep_gaps, warn)
+    kind, choices = format_of(path), Choices(_parts_of(path, what), warn)
     result = _prepared(result, least_confidence)
     result = steady(result) if kind.steady else result
     files = files_of(path, result.people)
