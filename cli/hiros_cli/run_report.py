@@ -254,9 +254,6 @@ def show_calibration(log: Path, people: PeopleCalibration, *, joints: bool) -> N
 
 def _notes(cameras: Sequence[CalibratedCamera]) -> Iterator[str]:
     for camera in cameras:
-        if not math.isnan(camera.since_s):
-            doubt = " (or the other camera)" if len(cameras) == 3 else ""
-            yield f"{camera.name}{doubt} was moved {camera.since_s:.1f} s after the start"
         if camera.reason:
             yield f"{camera.name}: {camera.reason}"
         elif math.isnan(camera.clock_s):
@@ -273,7 +270,7 @@ def _calibrated(cameras: Sequence[CalibratedCamera]) -> Table:
     ]
     return listing(
         cameras,
-        ("Camera", lambda c: c.name + period(c.since_s, c.until_s)),
+        ("Camera", lambda c: c.name),
         *(moved if has_given else ()),
         (">Clock ms", lambda c: number(1000 * c.clock_s, 1)),
         (">SE deg", lambda c: number(c.error_deg, 2)),

@@ -168,14 +168,11 @@ def fit_ball(region: Floats, points: Floats, focal: float, radius: float) -> Bal
     """
     if len(region) < LEAST_PIXELS:
         return None
-    rng = np.random.default_rng(0)
-    sample = (
-        region if len(region) <= MOST_POINTS else rng.choice(region, MOST_POINTS, replace=False)
-    )
+    sample = region[:: 1 + len(region) // MOST_POINTS]
     distance = float(np.linalg.norm(np.median(region, axis=0)))
     tolerance = min(max(NOISE_M, NOISE_PER_M2 * distance**2), 0.2 * radius)
     try:
-        fit = fit_sphere(sample, radius, tolerance=tolerance, trials=400)
+        fit = fit_sphere(sample, radius, tolerance=tolerance)
     except RegistrationError:
         return None
     surface = sample[fit.inliers]

@@ -10,10 +10,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hiros_mcap.body.rotations import Rigid, conjugate, multiply, to_matrix, to_vector
+from hiros_mcap.body.rotations import (
+    Rigid,
+    conjugate,
+    from_matrix,
+    multiply,
+    to_matrix,
+    to_vector,
+)
 from hiros_mcap.calibrate.gauge import moved, on_transforms
 from hiros_mcap.calibrate.pair_pose import links_from
-from hiros_mcap.calibrate.registration import common_frames, jackknife, rigid_fit
+from hiros_mcap.calibrate.registration import (
+    common_frames,
+    jackknife,
+    rigid_fit,
+    robust_kabsch,
+)
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.calibrate.verdict import CameraResult, Verdict
 from hiros_mcap.errors import RegistrationError
@@ -37,6 +49,7 @@ BLOCKS = 10
 """Parts of the log that are left out in turn for the standard errors."""
 NOISE_M = 0.003
 """The threshold for outliers is at least 3.5 times this."""
+_ROUNDS = 20
 ADVICE = "carry the ball through the common view of {} for 30 s, near and far, high and low"
 
 
@@ -192,13 +205,11 @@ def _chain(tracks: Sequence[BallTrack]) -> dict[int, tuple[int, Placement]]:
     Pairs with most centres in common come first.
     """
     shared = {
-        (a, b): common_frames(
-            [t.stamps for t in (tracks[a], tracks[b])], [t.centres for t in (tracks[a], tracks[b])]
-        )[1]
-        for a, b in combinations(range(len(tracks)), 2)
+        (a, b): common_frames((one.stamps, other.stamps), (one.centres, other.centres))
+        for (a, one), (b, other) in combinations(enumerate(tracks), 2)
     }
     placements: dict[int, tuple[int, Placement]] = {}
-    for a, b in links_from(0, sorted(shared, key=lambda pair: -shared[pair].shape[1])):
+    for a, b in links_from(0, sorted(shared, key=lambda pair: -len(shared[pair][0]))):
         names = tracks[a].camera, tracks[b].camera
         centres = shared[min(a, b), max(a, b)][:: 1 if a < b else -1]
         placement = place(centres[0], centres[1], names)
@@ -286,30 +297,18 @@ def _weakness_of(p: Placement) -> str:
 def robust_fit(source: Floats, target: Floats) -> tuple[Rigid, Flags]:
     """Return the rigid transform from ``source`` to ``target`` despite outliers, and the inliers.
 
-    The best of many triples of pairs, by truncated squared distances, is the start. Then
-    :func:`rigid_fit` is repeated on the pairs within 3.5 robust standard deviations.
+    The fit with Cauchy weights is the start. Then :func:`rigid_fit` is repeated on the pairs within
+    3.5 robust standard deviations.
 
     Parameters
     ----------
     source, target : (N, 3) corresponding points, m, none of them NaN.
 
-    Raises
-    ------
-    RegistrationError
-        There are fewer than three pairs, or the points lie on a line.
+    Raises RegistrationError if there are fewer than three pairs, or the points lie on a line.
     """
-    pose = rigid_fit(source, target)
-    rng, best = np.random.default_rng(0), _cost(pose, source, target)
-    for triple in rng.integers(0, len(source), (60, 3)):
-        try:
-            candidate = rigid_fit(source[triple], target[triple])
-        except RegistrationError:
-            continue
-        cost = _cost(candidate, source, target)
-        if cost < best:
-            pose, best = candidate, cost
-    kept = np.zeros(len(source), np.bool_)
-    for _ in range(20):
+    matrix, shift = robust_kabsch(source, target, np.ones(len(source)), _ROUNDS)
+    pose, kept = Rigid(from_matrix(matrix), shift), np.zeros(len(source), np.bool_)
+    for _ in range(_ROUNDS):
         before, kept = kept, _inliers(_distances(pose, source, target))
         if (kept == before).all():
             break
@@ -319,10 +318,6 @@ def robust_fit(source: Floats, target: Floats) -> tuple[Rigid, Flags]:
 
 def _distances(pose: Rigid, source: Floats, target: Floats) -> Floats:
     return np.asarray(np.linalg.norm(pose.moved(source) - target, axis=1))
-
-
-def _cost(pose: Rigid, source: Floats, target: Floats) -> float:
-    return float(np.sum(np.minimum(_distances(pose, source, target), WRONG_M) ** 2))
 
 
 def _inliers(distances: Floats) -> Flags:

@@ -8,7 +8,7 @@ least. Every move has a price: another pose has to bring people nearer for some 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations, pairwise
 from typing import NamedTuple
@@ -16,16 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.calibrate.camera_views import CameraView
-from hiros_mcap.calibrate.coarse_clock import (
-    LagCandidate,
-    Landmarks,
-    lag_candidates,
-    signatures_of,
-)
 from hiros_mcap.calibrate.joint_refinement import Points
 from hiros_mcap.calibrate.pair_pose import FIT_M, PairFit, alike, ambiguous, register_pair, usable
 from hiros_mcap.calibrate.sampling import CELL_S, Rig, Samples, group, instants_of, placed, sample
-from hiros_mcap.calibrate.verdict import CalibratedCamera
 from hiros_mcap.kernels.array_types import chosen
 from hiros_mcap.kernels.local_line import Tracklet
 from hiros_mcap.kernels.rig_equations import RigResiduals
@@ -60,27 +53,6 @@ class CameraChange(NamedTuple):
         return (self.begin + self.end) / 2.0 - float(self.late.clocks[1])
 
 
-Moves = Mapping[str, Sequence[CameraChange]]
-"""Camera -> its moves, by time."""
-
-
-def find_moves(
-    views: Sequence[CameraView], misfits: Sequence[int], landmarks: Landmarks | None, mirror: Ints
-) -> dict[str, list[CameraChange]]:
-    """Return how and when cameras that do not fit the others were moved, by name.
-
-    Two cameras show that one of them was moved, but not which: it is then the second.
-    """
-    moves = {}
-    for c in misfits:
-        partner = partner_of(views, c, [k for k in range(len(views)) if k not in misfits] or [0])
-        if partner is not None:
-            changes = find_changes([views[partner], views[c]], landmarks, mirror)
-            if changes:
-                moves[views[c].name] = changes
-    return moves
-
-
 def partner_of(views: Sequence[CameraView], c: int, cameras: Sequence[int]) -> int | None:
     """Return that one of some other cameras which sees most at the same time as camera ``c``."""
     cells = {k: _cells(views[k]) for k in {c, *cameras}}
@@ -94,72 +66,24 @@ def _cells(view: CameraView) -> set[int]:
     return {int(s // CELL_S) for times in seconds for s in times.tolist()}
 
 
-def split_views(views: Sequence[CameraView], moves: Moves) -> list[CameraView]:
-    """Return the views, those of cameras that were moved as one for each of their poses."""
-    parts = []
-    for view in views:
-        stays = list(stays_of(moves.get(view.name, ())))
-        for part in dict.fromkeys(part for part, *_ in stays):
-            spans = [span for k, *span in stays if k == part]
-            parts.append(part_of(view, spans) if len(stays) > 1 else view)
-    return parts
-
-
-def stays_of(changes: Sequence[CameraChange]) -> Iterator[tuple[int, float, float]]:
-    """Yield which pose a camera had from when to when, s of its own time."""
+def parts_of(view: CameraView, changes: Sequence[CameraChange]) -> list[CameraView]:
+    """Return what a camera that was moved sees, as one view for each of its poses."""
     ends = [-np.inf, *(change.seconds for change in changes), np.inf]
-    parts = [0, *(change.part for change in changes)]
-    for part, (begin, end) in zip(parts, pairwise(ends), strict=True):
-        yield part, begin, end
+    spans: dict[int, list[tuple[float, float]]] = {}
+    for part, span in zip([0, *(change.part for change in changes)], pairwise(ends), strict=True):
+        spans.setdefault(part, []).append(span)
+    return [part_of(view, each) for each in spans.values()]
 
 
-def with_times(
-    cameras: Sequence[CalibratedCamera], moves: Moves, span: tuple[int, int]
-) -> list[CalibratedCamera]:
-    """Return the cameras, one for each stay, with the times at which they were moved.
-
-    Parameters
-    ----------
-    cameras : those that were moved once for each pose, one behind the other.
-    span : of the log, ns.
-    """
-    timed = []
-    for name in dict.fromkeys(camera.name for camera in cameras):
-        parts = [camera for camera in cameras if camera.name == name]
-        if len(parts) == 1:
-            timed += parts
-            continue
-        for part, begin, end in stays_of(moves[name]):
-            since, until = (
-                sum(span) // 2 + round(1e9 * at) if np.isfinite(at) else None for at in (begin, end)
-            )
-            timed.append(
-                replace(
-                    parts[part],
-                    since=since or 0,
-                    since_s=np.nan if since is None else (since - span[0]) / 1e9,
-                    until_s=np.nan if until is None else (until - span[0]) / 1e9,
-                )
-            )
-    return timed
-
-
-def find_changes(
-    pair: Sequence[CameraView], landmarks: Landmarks | None, mirror: Ints
-) -> list[CameraChange]:
+def find_changes(pair: Sequence[CameraView], mirror: Ints) -> list[CameraChange]:
     """Find out whether the second of two cameras was moved against the first, and when.
 
-    Empty if it was not, or if the log does not tell.
-
-    Parameters
-    ----------
-    landmarks : of the skeleton, to find the clocks; see :func:`landmarks_of`. None = the clocks
-        are about right. mirror : (M,).
+    Empty if it was not, or if the log does not tell. The clocks are about right.
     """
     first, second = pair
     if not (first.tracks and second.tracks):
         return []
-    rigs = _stretch_poses(first, second, landmarks, mirror)
+    rigs = _stretch_poses(first, second, mirror)
     if len(rigs) < 2:
         return []
     instants = instants_of(pair[:1], CHANGE_INSTANTS)
@@ -183,15 +107,13 @@ def find_changes(
     return changes
 
 
-def _stretch_poses(
-    first: CameraView, second: CameraView, landmarks: Landmarks | None, mirror: Ints
-) -> list[Rig]:
+def _stretch_poses(first: CameraView, second: CameraView, mirror: Ints) -> list[Rig]:
     """Return the poses that differ of the second camera in the first, from stretches of the log."""
     begin, end = (float(f([t.seconds[k] for t in second.tracks])) for f, k in ((min, 0), (max, -1)))
     length = max((end - begin) / STRETCHES, LEAST_PART_S)
     rigs: list[Rig] = []
     for at in np.arange(begin, end - 0.75 * length, length / 2.0):
-        fit = _pose(first, part_of(second, [(at, at + length)]), landmarks, mirror)
+        fit = _pose(first, part_of(second, [(at, at + length)]), mirror)
         if fit is not None and not any(alike(fit.rig, rig, LEAST_DEG, LEAST_M) for rig in rigs):
             rigs.append(fit.rig)
     return rigs
@@ -345,19 +267,12 @@ def part_of(view: CameraView, spans: Sequence[Sequence[float]]) -> CameraView:
     return replace(view, tracks=tracks)
 
 
-def _pose(
-    first: CameraView, second: CameraView, landmarks: Landmarks | None, mirror: Ints
-) -> PairFit | None:
+def _pose(first: CameraView, second: CameraView, mirror: Ints) -> PairFit | None:
     """Return the pose of the second camera in the first; None unless no other one fits."""
     if not second.tracks:
         return None
-    if landmarks is None:
-        candidates: list[LagCandidate] = [(0.0, [])]
-    else:
-        signatures = (signatures_of(view, landmarks) for view in (first, second))
-        candidates = lag_candidates(*signatures)
     instants = instants_of([second], PAIR_INSTANTS)
-    fits = register_pair([first, second], candidates, instants, mirror)
+    fits = register_pair([first, second], [(0.0, [])], instants, mirror)
     return fits[0] if usable(fits) and not ambiguous(fits) else None
 
 

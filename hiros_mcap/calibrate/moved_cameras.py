@@ -21,7 +21,7 @@ from hiros_mcap.calibrate.camera_change import (
     find_changes,
     located,
     partner_of,
-    split_views,
+    parts_of,
     steps_apart,
 )
 from hiros_mcap.calibrate.camera_views import CameraView, Sighting
@@ -133,7 +133,7 @@ class _Splitter:
         if partner is None:
             return posed
         pair = [posed.views[partner], posed.views[c]]
-        changes = find_changes(pair, None, self._mirror)
+        changes = find_changes(pair, self._mirror)
         if not changes or min(change.metres for change in changes) < LEAST_M:
             return posed
         changes = [self._narrowed(change, posed, (partner, c)) for change in changes]
@@ -184,7 +184,8 @@ class _Splitter:
         rigs = {0: changes[0].early, **{change.part: change.late for change in changes}}
         n, parts = len(rigs), range(c, c + len(rigs))
         cameras, calibrated = list(posed.cameras), list(posed.rig)
-        views = split_views(posed.views, {camera.name: changes})
+        views = list(posed.views)
+        views[c : c + 1] = parts_of(posed.views[c], changes)
         cameras[c : c + 1], calibrated[c : c + 1] = [camera] * n, [calibrated[c]] * n
         ends = [posed.pose(partner) @ rigs[part].pose(1) for part in range(n)]
         kept = c + int(np.argmin([_deviation(pose, camera.pose) for pose in ends]))

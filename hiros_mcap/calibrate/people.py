@@ -23,7 +23,6 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import far_apart, same_place
-from hiros_mcap.calibrate.camera_change import find_moves, split_views, with_times
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
 from hiros_mcap.calibrate.evidence import camera_distances, full_evidence
@@ -134,14 +133,6 @@ def calibrate_people(
     root, given = _given_poses(log, views)
     fits = _register_pairs(views, log.model, mirror, given)  # association, lags, pair poses
     solved = _solve(views, fits, mirror)  # joint refinement, evidence
-    moves = find_moves(views, sorted(solved.faults), landmarks_of(log.model), mirror)
-    if moves:
-        parts = split_views(views, moves)
-        root, placed_parts = _given_poses(log, parts)
-        refits = _register_pairs(parts, log.model, mirror, placed_parts)
-        again = _solve(parts, refits, mirror)
-        if again.is_fitting and len(again.faults) < len(solved.faults):
-            views, given, solved = parts, placed_parts, again
     cameras = [
         CalibratedCamera(view.name, view.frame, reason=solved.faults.get(c, ""), pose=given.get(c))
         for c, view in enumerate(views)
@@ -156,7 +147,6 @@ def calibrate_people(
         cameras[c] = camera
     _check_apart(log, shared, cameras)
     _check_axes(survey, cameras)
-    cameras = with_times(cameras, moves, log.span)
     joints = _by_joint(fit.refined, log.model)
     people_mm = 1000.0 * fit.refined.people
     return PeopleCalibration(root, *_whole(cameras), tuple(cameras), joints, gauge, people_mm)
@@ -255,8 +245,6 @@ def _register_pairs(
     signatures = [signatures_of(view, landmarks) for view in views]
     fits = {}
     for a, b in combinations(range(len(views)), 2):
-        if views[a].name == views[b].name:  # before and after it was moved
-            continue
         candidates = lag_candidates(signatures[a], signatures[b])
         instants = instants_of(views[a : a + 1], PAIR_INSTANTS)
         start = Rig.of([given[a], given[b]]).anchored() if a in given and b in given else None
@@ -271,11 +259,6 @@ class Solution(NamedTuple):
     """Those that fit each other, or that were refined last; None if no two are linked."""
     faults: dict[int, str]  # camera -> why its pose cannot be trusted
     last: dict[int, FittingRig]  # camera that does not fit -> the last fit in which it was
-
-    @property
-    def is_fitting(self) -> bool:
-        """Whether nothing speaks against these cameras."""
-        return self.fit is not None and bool(set(self.fit.cameras) - set(self.faults))
 
 
 def _solve(views: Sequence[CameraView], fits: Fits, mirror: Ints) -> Solution:

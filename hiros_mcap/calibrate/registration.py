@@ -1,7 +1,7 @@
 """Where the cameras stand, by a ball and a board that they see (Lee et al. 2022, 2.1).
 
 Somebody carries a ball around. :func:`fit_sphere` finds its centre in each sensor's frames, and
-:func:`common_frames` keeps the instants at which all sensors saw it. These corresponding points
+:func:`common_frames` keeps the instants at which two sensors saw it. These corresponding points
 give the transform from sensor to sensor (:func:`rigid_fit`). A board defines the axes of the fixed
 frame (:func:`board_frame`). Nothing here reads images: the points of the ball and the centres of
 the markers are the input.
@@ -9,7 +9,6 @@ the markers are the input.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,8 +18,9 @@ from hiros_mcap.errors import RegistrationError
 from hiros_mcap.skeletons import Flags, Floats, Stamps, nearest_stamps
 
 _FLAT = 1e-9  # points lie on a line below this ratio of their second to their first singular value
-_SAMPLE = 400  # points on which the candidates for a sphere are compared; the fit uses all points
-_ROUNDS = 30  # rounds after which inliers may still change; few clouds need ten
+_LEAST_POINTS = 4
+_ROUNDS, _NEARER = 60, 0.8
+"""Steps to a sphere at most, and by which factor inliers come nearer with each."""
 
 
 class SphereFit(NamedTuple):
@@ -32,21 +32,13 @@ class SphereFit(NamedTuple):
 
 
 def fit_sphere(
-    points: Floats,
-    radius: float,
-    *,
-    tolerance: float = 0.01,
-    least_share: float = 0.5,
-    trials: int = 1000,
-    seed: int = 0,
+    points: Floats, radius: float, *, tolerance: float = 0.01, least_share: float = 0.5
 ) -> SphereFit:
     """Find the sphere of a known radius that most points lie on (Lee, 2.1.1).
 
-    RANSAC (Fischler and Bolles 1981): three points and the radius leave two candidates. The best
-    of all candidates has the least truncated squared distances (MSAC, Torr and Zisserman 2000).
-    Gauss-Newton steps then minimise the squared distances of its inliers from the surface. The
-    inliers are chosen anew after each step, until they stay. The side of the ball that faces the
-    sensor is enough.
+    The paper's RANSAC draws points at random. Here the start is known: the sensor, at the origin,
+    sees the side of the ball that faces it. Gauss-Newton steps minimise the squared distances of
+    inliers from the surface. These are within half of the radius first, and then nearer and nearer.
 
     Parameters
     ----------
@@ -55,38 +47,29 @@ def fit_sphere(
     tolerance : m: inliers are at most this far from the surface; two to three times the noise.
     least_share : smallest share of inliers. A lost frame costs little; a wrong centre spoils the
         registration.
-    trials : number of triples of points. If half of the points are outliers, one triple in eight
-        has none.
-    seed : of the random triples; the same seed gives the same result.
 
-    Raises
-    ------
-    RegistrationError
-        The shape is wrong, ``tolerance`` is not within 0 and ``radius``, fewer than four points
-        are known, or fewer than ``least_share`` of them lie on a sphere.
+    Raises RegistrationError if fewer than four points are known, or fewer than ``least_share`` of
+    them lie on a sphere.
     """
-    from scipy.spatial.distance import cdist
-
-    points = np.asarray(points, np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise RegistrationError(f"points of shape (N, 3) needed, got {points.shape}")
-    if not 0.0 < tolerance < radius:
-        raise RegistrationError(f"a tolerance of {tolerance} m is not within 0 and {radius} m")
     finite = np.isfinite(points).all(axis=1)
-    if finite.sum() < 4:
+    if finite.sum() < _LEAST_POINTS:
         raise RegistrationError(f"at least 4 points of a sphere needed, got {finite.sum()}")
-    middle = points[finite].mean(axis=0)  # far from the origin the squares would lose digits
-    here = points[finite] - middle
-    rng = np.random.default_rng(seed)
-    centres = _spheres_through(here[rng.integers(0, len(here), (trials, 3))], radius)
-    sample = here if len(here) <= _SAMPLE else rng.choice(here, _SAMPLE, replace=False)
-    errors = np.abs(cdist(centres, sample) - radius)
-    costs = np.sum(np.minimum(errors, tolerance) ** 2, axis=1)
+    here, reach = points[finite], radius / 2.0
+    middle = np.median(here, axis=0)
+    centre = middle * (1.0 + radius / np.linalg.norm(middle))
     inliers = np.zeros(len(here), np.bool_)
-    centre = np.full(3, np.nan)
-    if len(costs):
-        centre, inliers = _refine(here, centres[np.argmin(costs)], radius, tolerance)
-    if inliers.sum() < max(4, least_share * len(here)):
+    for _ in range(_ROUNDS):
+        rays = here - centre
+        lengths = np.linalg.norm(rays, axis=1)
+        before, inliers = inliers, np.abs(lengths - radius) <= reach
+        directions = rays[inliers] / lengths[inliers, None]
+        step = np.linalg.lstsq(directions, lengths[inliers] - radius, rcond=None)[0]
+        length = float(np.linalg.norm(step))
+        if reach <= tolerance and (inliers == before).all() and length < 1e-9 * radius:
+            break
+        centre = centre + step * min(1.0, radius / 2.0 / max(length, 1e-12))
+        reach = max(tolerance, _NEARER * reach)
+    if inliers.sum() < max(_LEAST_POINTS, least_share * len(here)):
         raise RegistrationError(
             f"no sphere of radius {radius:g} m: {inliers.mean():.0%} of {len(here)} points lie on "
             f"the best one, {least_share:.0%} needed"
@@ -94,97 +77,36 @@ def fit_sphere(
     residuals = np.linalg.norm(here[inliers] - centre, axis=1) - radius
     on_sphere = np.zeros(len(points), np.bool_)
     on_sphere[finite] = inliers
-    return SphereFit(centre + middle, on_sphere, float(np.sqrt(np.mean(residuals**2))))
-
-
-def _spheres_through(triples: Floats, radius: float) -> Floats:
-    """(K, 3) centres of both spheres through each of (T, 3, 3) triples; K <= 2 T.
-
-    They lie above and below the centre of the triple's circumcircle, where that is small enough.
-    """
-    a = triples[:, 0]
-    b, c = triples[:, 1] - a, triples[:, 2] - a
-    normal = np.cross(b, c)
-    square = np.sum(normal**2, axis=1)
-    wide = square > 0.0  # not a point twice, nor a line
-    a, b, c, normal, square = a[wide], b[wide], c[wide], normal[wide], square[wide, None]
-    b2, c2 = np.sum(b**2, axis=1, keepdims=True), np.sum(c**2, axis=1, keepdims=True)
-    out = np.cross(b2 * c - c2 * b, normal) / (2.0 * square)
-    height2 = radius**2 - np.sum(out**2, axis=1, keepdims=True)
-    fits = height2[:, 0] >= 0.0
-    up = np.sqrt(height2[fits] / square[fits]) * normal[fits]
-    circle = (a + out)[fits]
-    return np.concatenate([circle + up, circle - up])
-
-
-def _refine(
-    points: Floats, centre: Floats, radius: float, tolerance: float
-) -> tuple[Floats, Flags]:
-    """Fit the sphere to its inliers until they stay; return its centre (3,) and inliers (N,)."""
-    before = np.zeros(len(points), np.bool_)
-    for _ in range(_ROUNDS):
-        rays = points - centre
-        lengths = np.linalg.norm(rays, axis=1)
-        inliers = np.abs(lengths - radius) <= tolerance
-        directions = rays[inliers] / lengths[inliers, None]
-        step = np.linalg.lstsq(directions, lengths[inliers] - radius, rcond=None)[0]
-        if (inliers == before).all() and np.linalg.norm(step) < 1e-9 * radius:
-            break
-        centre, before = centre + step, inliers
-    return centre, inliers
+    return SphereFit(centre, on_sphere, float(np.sqrt(np.mean(residuals**2))))
 
 
 def common_frames(
-    stamps: Sequence[Stamps], centres: Sequence[Floats], *, max_delta_time: float = 0.017
-) -> tuple[Stamps, Floats]:
-    """Keep the frames in which all sensors saw an object, as corresponding points (Lee, 2.1.1).
+    stamps: tuple[Stamps, Stamps], centres: tuple[Floats, Floats], max_delta_time: float = 0.017
+) -> tuple[Floats, Floats]:
+    """Return where two sensors saw an object at the same times, as corresponding points (2.1.1).
 
-    Each frame of a sensor is paired with the nearest frame in time of the first sensor, if each is
-    the other's nearest. The paper's sensors are synchronised by wire. Others see a moving ball at
-    different places: hold the ball still, or choose a smaller ``max_delta_time``.
+    Frames are paired if each is the other's nearest in time. The paper's sensors are synchronised
+    by wire. Others see a moving ball at different places: hold it still.
 
     Parameters
     ----------
-    stamps : (N_s,) times, ns, of each sensor's frames, in any order.
-    centres : (N_s, 3) where each sensor saw the object, m; NaN = it did not.
-    max_delta_time : s between the oldest and the newest frame of an instant; half a period of a
-        30 Hz camera.
+    stamps : (N,) times of each sensor's frames, ns, in any order.
+    centres : (N, 3) where it saw the object, m; NaN = it did not.
+    max_delta_time : largest difference of two times, s; half a period of a 30 Hz camera.
 
-    Returns
-    -------
-    (K,) mean time of the sensors' frames, ns, increasing, and (S, K, 3) where each sensor saw the
-    object, m: column k of all sensors are corresponding points. :func:`rigid_fit` rejects K = 0.
-
-    Raises
-    ------
-    RegistrationError
-        There are fewer than two sensors, or stamps and centres do not fit each other.
+    Returns (K, 3) each, in the order of time.
     """
-    if len(stamps) != len(centres) or len(stamps) < 2:
-        raise RegistrationError(
-            f"at least 2 sensors needed, got {len(stamps)} of stamps and {len(centres)} of centres"
-        )
-    sensors = [_seen(times, places) for times, places in zip(stamps, centres, strict=True)]
-    first = sensors[0][0]
-    if any(len(times) == 0 for times, _ in sensors):
-        return np.zeros(0, np.int64), np.zeros((len(sensors), 0, 3))
-    others = (nearest_stamps(times, first) for times, _ in sensors[1:])
-    rows = np.stack([np.arange(len(first)), *others])
-    paired = np.stack([times[row] for (times, _), row in zip(sensors, rows, strict=True)])
-    mutual = np.all(nearest_stamps(first, paired) == rows[0], axis=0)
-    kept = mutual & (np.ptp(paired, axis=0) <= max_delta_time * 1e9)
-    late = (paired[:, kept] - first[kept]).mean(axis=0)
-    places = [places[row[kept]] for (_, places), row in zip(sensors, rows, strict=True)]
-    return first[kept] + np.rint(late).astype(np.int64), np.stack(places)
+    (first, here), (second, there) = map(_seen, stamps, centres)
+    if not len(first) or not len(second):
+        return np.zeros((0, 3)), np.zeros((0, 3))
+    row = nearest_stamps(second, first)
+    mutual = nearest_stamps(first, second[row]) == np.arange(len(first))
+    kept = mutual & (np.abs(second[row] - first) <= max_delta_time * 1e9)
+    return here[kept], there[row[kept]]
 
 
 def _seen(stamps: Stamps, centres: Floats) -> tuple[Stamps, Floats]:
     """Return the frames of a sensor that saw the object, by time."""
-    stamps, centres = np.asarray(stamps, np.int64), np.asarray(centres, np.float64)
-    if stamps.ndim != 1 or centres.shape != (len(stamps), 3):
-        raise RegistrationError(
-            f"stamps (N,) and centres (N, 3) needed, got {stamps.shape} and {centres.shape}"
-        )
     seen = np.flatnonzero(np.isfinite(centres).all(axis=1))
     order = seen[np.argsort(stamps[seen], kind="stable")]
     return stamps[order], centres[order]

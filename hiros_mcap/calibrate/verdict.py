@@ -238,11 +238,6 @@ class CalibratedCamera(CameraResult):
     moved_deg: float = math.nan
     """Difference from the log's pose; NaN if that stays, or there is none."""
     moved_mm: float = math.nan
-    since_s: float = math.nan
-    """When it was moved to this pose, s from the log's start; NaN if it always stood there."""
-    until_s: float = math.nan
-    """When it was moved away from this pose; such a camera is listed twice."""
-    since: int = 0  # the first of both as a log time, ns; 0 if it always stood there
     partner: str = ""  # the camera with which it has most in common
     evidence: Evidence | None = None  # the evidence of the verdict
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from operator import attrgetter
 from typing import TYPE_CHECKING
 
@@ -362,8 +361,8 @@ def _aligned(posed: PosedViews, start: int, faults: Mapping[str, str]) -> PoseAl
         times = [(m.log_time - start) / 1e9 for m in posed.moves if m.camera == camera]
         for part, since, until in zip(parts, [math.nan, *times], [*times, math.nan], strict=True):
             stay = posed.rig[names.index(camera) + part]
-            stay = replace(stay, since_s=since, until_s=until)
-            summaries.append(summary_of(stay, used=is_better(stay)))
+            summary = summary_of(stay, used=is_better(stay))
+            summaries.append(replace(summary, since_s=since, until_s=until))
     for k, summary in enumerate(summaries):
         if summary.verdict == "impossible" and summary.name in faults:
             summaries[k] = replace(summary, reason=faults[summary.name])
@@ -450,10 +449,11 @@ def _from_nothing(
     except LogError as reason:
         raise LogError(_fault_of_both(error, reason.fault), path=log.path) from None
     left = {camera.name for camera in calibration.cameras if not _is_used(camera, mode)}
-    poses: dict[str, dict[int, Rigid]] = {}
-    for camera in calibration.cameras:
-        if camera.pose is not None and camera.name not in left:
-            poses.setdefault(camera.frame, {})[camera.since] = camera.pose
+    poses = {
+        camera.frame: {0: camera.pose}
+        for camera in calibration.cameras
+        if camera.pose is not None and camera.name not in left
+    }
     used = len(poses)
     poses.pop(calibration.fixed_frame, None)  # of the camera that defines the frame
     if used < 2 or (left and (error is None or mode == "require")):
@@ -463,7 +463,6 @@ def _from_nothing(
         [summary_of(camera, used=camera.name not in left) for camera in calibration.cameras],
         calibration=calibration,
         left_out=frozenset(left),
-        moves=tuple(_moves_of(calibration)),
         better=(poses, calibration.fixed_frame),
         contradictions=(
             *filter(None, [original.far_apart]),
@@ -485,17 +484,17 @@ def _is_used(camera: CalibratedCamera, mode: Calibration) -> bool:
 def _ways_to_use(rig: PeopleCalibration, left_out: Set[str]) -> str:
     """Say how a user gets the poses of cameras that are left out."""
     names = [camera.name for camera in rig.cameras if camera.acceptable]
-    if len(set(names)) < 2 or left_out.isdisjoint(names):
+    if len(names) < 2 or left_out.isdisjoint(names):
         return _DOUBTFUL
     return (
-        f"{_DOUBTFUL}; --calibrate accept uses {', '.join(dict.fromkeys(names))} now, with joints "
+        f"{_DOUBTFUL}; --calibrate accept uses {', '.join(names)} now, with joints "
         f"{rig.people_mm:.0f} mm off by the poses if these are right"
     )
 
 
 def _weak_poses(rig: PeopleCalibration, left_out: frozenset[str]) -> Iterator[str]:
     """Yield what is wrong with poses that come from the people alone."""
-    for camera in {row.name: row for row in rig.cameras if row.name in left_out}.values():
+    for camera in (row for row in rig.cameras if row.name in left_out):
         yield (
             f"{camera.name} is left out, because the people do not tell its pose "
             f"({camera.reason}): {camera.remedy}. {_ways_to_use(rig, {camera.name})}"
@@ -515,13 +514,6 @@ def _weak_poses(rig: PeopleCalibration, left_out: frozenset[str]) -> Iterator[st
             f"the cameras' poses are usable only: expect joints to be {rig.people_mm:.0f} mm off "
             f"by them ({worst.name}: {worst.reason}); for better ones, {worst.remedy}"
         )
-
-
-def _moves_of(calibration: PeopleCalibration) -> Iterator[Move]:
-    """Yield how cameras were moved."""
-    for before, after in pairwise(calibration.cameras):
-        if before.name == after.name and before.pose is not None and after.pose is not None:
-            yield Move(after.name, after.since, after.since, *before.pose.apart(after.pose))
 
 
 def _fault_of_both(error: LogError | None, reason: str) -> str:
@@ -546,6 +538,4 @@ def summary_of(camera: CalibratedCamera, *, used: bool) -> PoseSummary:
         error_mm=camera.error_mm,
         error_deg=camera.error_deg,
         error_ms=camera.error_ms,
-        since_s=camera.since_s,
-        until_s=camera.until_s,
     )

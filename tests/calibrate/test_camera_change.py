@@ -82,7 +82,7 @@ def test_a_camera_has_moved_if_it_was_turned_or_shifted(degrees, metres, moves):
         noisy = seen + rng.normal(0.0, 0.005, path.shape)
         track = Tracklet(seconds, noisy, np.ones(path.shape[:2]))
         pair.append(CameraView(name, name, [track], 0.0, HALF_WIDTH_S))
-    assert len(find_changes(pair, None, MIRROR)) == moves
+    assert len(find_changes(pair, MIRROR)) == moves
 
 
 @pytest.mark.parametrize("moved_s", [-20.0, 20.0])

@@ -12,7 +12,6 @@ from rooms import late, mirrored, simulated, write
 from scipy.spatial.transform import Rotation
 
 from hiros_cli.app import run
-from hiros_cli.run_report import _notes
 from hiros_mcap.body.rotations import Rigid, angle
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import read_extrinsics
@@ -25,7 +24,7 @@ from hiros_mcap.calibrate.joint_refinement import (
 )
 from hiros_mcap.calibrate.people import calibrate_people
 from hiros_mcap.calibrate.sampling import Rig
-from hiros_mcap.calibrate.verdict import GOOD, CalibratedCamera, Evidence, weakness_of
+from hiros_mcap.calibrate.verdict import GOOD, Evidence, weakness_of
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.pipeline import process
@@ -270,57 +269,3 @@ def test_json_has_poses_clocks_and_errors(nothing, capsys):
         assert len(camera["quaternion_xyzw"]) == 4
         assert camera["clock_s"] == pytest.approx(-CLOCKS[camera["name"]], abs=0.005)
     assert data["joints"]["PELVIS"] < 60.0
-
-
-def jolted(frame, shift):
-    """The frame of a camera that was moved by some m."""
-    markers = np.array(frame.markers)
-    markers[:, :, :3] += [0.0, shift, 0.0]
-    return frame.replace(markers=markers)
-
-
-@pytest.fixture(scope="module")
-def moved(tmp_path_factory):
-    """A log whose third camera is moved by 0.3 m, and when."""
-    scene = simulated(cameras=3, seed=3, action="eight", seconds=24.0)
-    frames = list(scene.detections)
-    start, end = (int(f([frame.stamp for frame in frames])) for f in (min, max))
-    at = start + 0.6 * (end - start)
-    frames = [
-        jolted(frame, 0.3) if frame.source == "camera_2" and frame.stamp > at else frame
-        for frame in frames
-    ]
-    path = write(tmp_path_factory.mktemp("moved") / "lab.mcap", frames, scene.model)
-    return path, (at - start) / 1e9
-
-
-def test_the_file_and_the_copy_hold_both_poses(moved, tmp_path):
-    toml, copy = tmp_path / "cameras.toml", tmp_path / "copy.mcap"
-    arguments = ["calibrate", "people", str(moved[0]), "-o", str(toml)]
-    assert run([*arguments, "--write-log", str(copy)]) == 0
-    with open_log(copy) as log:
-        trees = [log.transforms, read_extrinsics(toml)]
-        times = [log.span[0], log.span[1]]
-    for tree in trees:
-        early, late = (tree.lookup("camera_2", "world", time, time) for time in times)
-        step = early.inverse() @ late
-        assert step.translation == pytest.approx([0.0, -0.3, 0.0], abs=0.02)
-
-
-def test_the_copy_has_right_stamps_and_everything_else(nothing, tmp_path):
-    copy = tmp_path / "copy.mcap"
-    assert run(["calibrate", "people", str(nothing), "--write-log", str(copy), "--json"]) == 0
-    with open_log(nothing) as old, open_log(copy) as new:
-        for before, after in zip(old.frames(), new.frames(), strict=True):
-            assert (before.source, before.log_time) == (after.source, after.log_time)
-            late = (before.stamp - after.stamp) / 1e9
-            assert late == pytest.approx(CLOCKS[after.source], abs=0.005)
-            np.testing.assert_array_equal(before.markers, after.markers)
-        assert new.transforms.at_rest("camera_1", "world") is not None
-
-
-@pytest.mark.parametrize(("names", "who"), [("ab", "b (or the other camera)"), ("abc", "c")])
-def test_of_two_cameras_either_may_have_been_moved(names, who):
-    cameras = [CalibratedCamera(name, name) for name in names]
-    cameras += [replace(cameras[-1], since_s=3.0)]
-    assert f"{who} was moved 3.0 s after the start" in list(_notes(cameras))

@@ -49,7 +49,6 @@ def people(
     output: Path | None = option(
         "FILE", "Write poses and clocks, for --extrinsics.", "--output", "-o"
     ),
-    write_log: Path | None = option("FILE", "Write a copy of the log with poses and right stamps."),
     topic: list[str] | None = option("GLOB", "Cameras to read; may be repeated. Default: all."),
     joints: bool = flag("--joints", "Also print each joint."),
     height: float | None = option(
@@ -68,10 +67,10 @@ def people(
     RGB cameras need their lenses, as CameraInfo.
     """
     log.stat()
-    check_outputs((output, "camera file"), (write_log, "log"), inputs=(log,), force=force)
+    check_outputs((output, "camera file"), inputs=(log,), force=force)
     prepare(quiet=json)
     from hiros_cli.run_report import show_calibration
-    from hiros_mcap.calibrate.calibration_files import save_cameras, write_corrected_log
+    from hiros_mcap.calibrate.calibration_files import save_cameras
     from hiros_mcap.calibrate.filmed_people import calibrate_filmed
     from hiros_mcap.calibrate.people import calibrate_people
     from hiros_mcap.io.log import open_reader
@@ -81,15 +80,11 @@ def people(
     with bar(f"calibrating on {log.name}", quiet=False):
         with open_reader(log) as reader, naming(log):
             calibration = calibrate_filmed(reader, topic, height)
-        if calibration is not None and write_log is not None:
-            raise ConfigError("--write-log writes skeletons; of RGB cameras, write --output FILE")
         if calibration is None and height is not None:
             raise ConfigError("--height is for RGB cameras alone; depth cameras tell sizes")
         if calibration is None:
             with open_input(log, config, options) as opened:
                 calibration = calibrate_people(opened)
-                if write_log is not None and calibration.verdict != "impossible":
-                    write_corrected_log(opened, calibration, write_log)
     weak = calibration.verdict in ("usable", "doubtful")
     warnings = [f"{log}: the poses are {calibration.verdict}: {calibration.reason}"] if weak else []
     if calibration.verdict == "impossible":
