@@ -27,10 +27,8 @@ from hiros_mcap.running.summary import (
 from hiros_mcap.wording import number, quantity
 
 if TYPE_CHECKING:
-    from hiros_mcap.calibrate.ball_poses import BallCalibration
-    from hiros_mcap.calibrate.board import BoardReport
     from hiros_mcap.calibrate.people import PeopleCalibration
-    from hiros_mcap.calibrate.verdict import CalibratedCamera
+    from hiros_mcap.calibrate.verdict import CalibratedCamera, TargetCalibration, TargetCamera
 
 Item = TypeVar("Item")
 Content = tuple[Sequence[str], Sequence[Sequence[str]]]
@@ -233,7 +231,16 @@ GAUGES = {
     "floor": "z is up from the floor that people stand on; the origin is below the first camera.",
     "first camera": "The first camera gives the fixed frame: nobody stands upright on a floor.",
 }
-_BALL_GAUGES = {**GAUGES, "first camera": "It is the frame of the first camera."}
+_BOARD = "marker 1 of the board; z is up."
+_TARGET_GAUGES = {
+    ("ball", "transforms"): GAUGES["transforms"],
+    ("ball", "first camera"): "It is the frame of the first camera.",
+    ("board", "board"): _BOARD,
+    (
+        "board",
+        "transforms",
+    ): f"{_BOARD} The cameras stay as the transforms have them to each other.",
+}
 DRIFT_PPM = 100.0
 """A smaller drift is not measured reliably."""
 
@@ -281,48 +288,29 @@ def _calibrated(cameras: Sequence[CalibratedCamera]) -> Table:
     )
 
 
-def show_ball(log: Path, balls: BallCalibration) -> None:
-    """Print a line per camera, what the fixed frame is, and notes."""
-    radius = balls.radius
+def show_target(log: Path, target: str, report: TargetCalibration) -> None:
+    """Print a line per camera, what the fixed frame is, and notes; ``target`` is ball or board."""
+    pairs: list[tuple[str, Callable[[TargetCamera], object]]] = [
+        ("Against", lambda c: c.against or "-"),
+        (">Common", lambda c: c.common if c.against else "-"),
+        (">Used", lambda c: c.used if c.against else "-"),
+    ]
+    has_pairs, radius = any(camera.against for camera in report.cameras), report.radius
     page(
-        f"{log}: poses from the ball: {balls.verdict}",
-        listing(
-            balls.cameras,
-            ("Camera", lambda c: c.name),
-            (">Seen", lambda c: c.seen),
-            ("Against", lambda c: c.against or "-"),
-            (">Common", lambda c: c.common if c.against else "-"),
-            (">Used", lambda c: c.used if c.against else "-"),
-            (">SE deg", lambda c: number(c.error_deg, 2) if c.against else "-"),
-            (">mm", lambda c: number(c.error_mm, 1) if c.against else "-"),
-            (">Residual mm", lambda c: number(c.residual_mm, 1) if c.against else "-"),
-            ("Verdict", lambda c: c.verdict),
-        ),
-        [f'Fixed frame "{balls.fixed_frame}": {_BALL_GAUGES[balls.gauge]}'],
-        notes=[
-            *([] if math.isnan(radius) else [f"the ball's radius as measured: {radius:.3f} m"]),
-            *_skipped(balls.skipped),
-        ],
-    )
-
-
-def show_board(log: Path, report: BoardReport) -> None:
-    """Print a line per camera, what the fixed frame is, and notes."""
-    kept = report.gauge == "transforms"
-    page(
-        f"{log}: poses from the board: {report.verdict}",
+        f"{log}: poses from the {target}: {report.verdict}",
         listing(
             report.cameras,
             ("Camera", lambda c: c.name),
             (">Seen", lambda c: c.seen),
+            *(pairs if has_pairs else ()),
             (">SE deg", lambda c: number(c.error_deg, 2)),
             (">mm", lambda c: number(c.error_mm, 1)),
             (">Residual mm", lambda c: number(c.residual_mm, 1)),
             ("Verdict", lambda c: c.verdict),
         ),
-        [f'Fixed frame "{report.fixed_frame}": marker 1 of the board; z is up.'],
+        [f'Fixed frame "{report.fixed_frame}": {_TARGET_GAUGES[target, report.gauge]}'],
         notes=[
-            *(["the cameras stay as the transforms have them to each other"] if kept else []),
+            *([] if math.isnan(radius) else [f"the ball's radius as measured: {radius:.3f} m"]),
             *_skipped(report.skipped),
         ],
     )

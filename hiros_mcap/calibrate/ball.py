@@ -17,7 +17,7 @@ from pathlib import Path
 
 from hiros_mcap.body.transforms import TransformTree
 from hiros_mcap.calibrate.ball_image import BallFit, ColorRange, DepthCamera, find_ball
-from hiros_mcap.calibrate.ball_poses import BallCalibration, BallTrack, calibrate_centres
+from hiros_mcap.calibrate.ball_poses import BallTrack, calibrate_centres
 from hiros_mcap.calibrate.gauge import WORLD
 from hiros_mcap.calibrate.image_search import (
     ImageSearch,
@@ -27,6 +27,7 @@ from hiros_mcap.calibrate.image_search import (
     stamp_of,
     static_transforms,
 )
+from hiros_mcap.calibrate.verdict import TargetCalibration
 from hiros_mcap.errors import LogError, RegistrationError, naming
 from hiros_mcap.io.ros_messages import POINT, Bytes, RosMessages, open_messages
 from hiros_mcap.skeletons import Floats
@@ -43,7 +44,7 @@ def calibrate_ball(
     radius: float = RADIUS_M,
     color: ColorRange = RED,
     cameras: Sequence[str] = (),
-) -> BallCalibration:
+) -> TargetCalibration:
     """Find the poses of a log's cameras from the ball that they see.
 
     Parameters
@@ -107,7 +108,7 @@ def _track_of(search: ImageSearch) -> BallTrack:
 
 def _calibrated(
     tracks: Sequence[BallTrack], tree: TransformTree, true_radius: float
-) -> BallCalibration:
+) -> TargetCalibration:
     """Register the centres, and check the ball's radius."""
     for track in tracks:
         unseen = track.skipped.get("no ball", 0)

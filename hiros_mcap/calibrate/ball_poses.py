@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -27,10 +27,9 @@ from hiros_mcap.calibrate.registration import (
     robust_kabsch,
 )
 from hiros_mcap.calibrate.sampling import Rig
-from hiros_mcap.calibrate.verdict import CameraResult, Verdict
+from hiros_mcap.calibrate.verdict import TargetCalibration, TargetCamera
 from hiros_mcap.errors import RegistrationError
 from hiros_mcap.skeletons import Flags, Floats, Stamps
-from hiros_mcap.wording import plain
 
 LEAST_CENTRES = 20
 """Two cameras need so many centres at common times."""
@@ -83,51 +82,12 @@ class Placement(NamedTuple):
     extents: Floats  # (3,) SD of the path along its principal axes, m
 
 
-@dataclass(frozen=True, slots=True)
-class BallCamera(CameraResult):
-    """The pose of one camera by the ball, and how well it is known.
-
-    The clock is not measured. Errors are those against the first camera. The residual is the root
-    mean square distance of the centres that fit.
-    """
-
-    seen: int = 0  # frames with the ball
-    against: str = ""  # the camera that it was registered with; "" for the first one
-    common: int = 0  # centres at common times with that camera
-    used: int = 0  # those that fit
-
-
-@dataclass(frozen=True, slots=True)
-class BallCalibration:
-    """Poses of a log's cameras."""
-
-    fixed_frame: str
-    verdict: Verdict
-    reason: str  # doubts about the pose, and a better recording
-    cameras: tuple[BallCamera, ...]
-    gauge: str  # origin of the fixed frame: transforms, or the first camera
-    radius: float = math.nan  # median radius that was measured, m; NaN without images
-    skipped: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
-    """Depth images without a result, by camera and reason."""
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Doubts about the poses."""
-        return (f"the poses are doubtful: {self.reason}",) if self.reason else ()
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON; numbers that are not known are None."""
-        data = plain(replace(self, cameras=()))
-        cameras = [camera.to_dict(self.fixed_frame) for camera in self.cameras]
-        return {**data, "cameras": cameras, "measured_radius": data.pop("radius")}
-
-
 def calibrate_centres(
     tracks: Sequence[BallTrack],
     *,
     fixed_frame: str = "world",
     given: Mapping[str, Rigid] | None = None,
-) -> BallCalibration:
+) -> TargetCalibration:
     """Find the cameras' poses from the centres of the ball.
 
     Each camera is registered with that camera of the rig with which it shares most centres; the
@@ -149,22 +109,14 @@ def calibrate_centres(
     cameras = []
     for c, track in enumerate(tracks):
         seen = int(np.isfinite(track.centres).all(axis=1).sum())
-        camera = BallCamera(track.camera, track.frame, pose=rig.pose(c), seen=seen)
+        camera = TargetCamera(track.camera, track.frame, pose=rig.pose(c), seen=seen)
         if c:
             camera = _described(camera, tracks[placements[c][0]].camera, placements[c][1])
         cameras.append(camera)
-    reasons = [f"{c.name}: {c.reason}" for c in cameras if c.reason]
-    verdict: Verdict = "doubtful" if reasons else "good"
     radii = [radius for track in tracks for radius in track.radii]
-    return BallCalibration(
-        fixed_frame,
-        verdict,
-        "; ".join(reasons),
-        tuple(cameras),
-        gauge,
-        float(np.median(radii)) if radii else math.nan,
-        {track.camera: dict(track.skipped) for track in tracks},
-    )
+    radius = float(np.median(radii)) if radii else math.nan
+    skipped = {track.camera: dict(track.skipped) for track in tracks}
+    return TargetCalibration.of(fixed_frame, cameras, gauge, skipped, radius)
 
 
 def _check(tracks: Sequence[BallTrack]) -> None:
@@ -184,7 +136,7 @@ def _check(tracks: Sequence[BallTrack]) -> None:
             raise RegistrationError(f"{track.camera} never saw the ball")
 
 
-def _described(camera: BallCamera, against: str, placement: Placement) -> BallCamera:
+def _described(camera: TargetCamera, against: str, placement: Placement) -> TargetCamera:
     reason = _weakness_of(placement)
     return replace(
         camera,

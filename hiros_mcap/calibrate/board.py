@@ -12,11 +12,9 @@ both, as for the ball.
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,7 +31,7 @@ from hiros_mcap.calibrate.image_search import (
     static_transforms,
 )
 from hiros_mcap.calibrate.registration import board_frame, rigid_fit
-from hiros_mcap.calibrate.verdict import CameraResult, Verdict
+from hiros_mcap.calibrate.verdict import TargetCalibration, TargetCamera
 from hiros_mcap.errors import ConfigError, RegistrationError, naming
 from hiros_mcap.io.ros_messages import Bytes, open_messages
 from hiros_mcap.rays.intrinsics import opencv
@@ -52,47 +50,13 @@ MOVED_M = 0.02
 """A board that lies still scatters by less, from frame to frame."""
 
 
-@dataclass(frozen=True, slots=True)
-class BoardCamera(CameraResult):
-    """The pose of one camera by the board, and how well it is known."""
-
-    seen: int = 0  # frames with all four markers
-
-
-class BoardReport(NamedTuple):
-    """Poses of the cameras in the board's frame, and what became of the images."""
-
-    fixed_frame: str
-    verdict: Verdict
-    reason: str
-    cameras: tuple[BoardCamera, ...]
-    gauge: str  # how the cameras were joined: "transforms", or "board" where each one sees it
-    skipped: dict[str, dict[str, int]]  # depth images without a result, by camera and reason
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Doubts about the poses."""
-        return (f"the poses are doubtful: {self.reason}",) if self.reason else ()
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON; numbers that are not known are None."""
-        return {
-            "fixed_frame": self.fixed_frame,
-            "verdict": self.verdict,
-            "reason": self.reason,
-            "gauge": self.gauge,
-            "cameras": [camera.to_dict(self.fixed_frame) for camera in self.cameras],
-            "skipped": self.skipped,
-        }
-
-
 def calibrate_board(
     path: Path,
     *,
     dictionary: str = DICTIONARY,
     extrinsics: Path | None = None,
     topics: Sequence[str] = (),
-) -> BoardReport:
+) -> TargetCalibration:
     """Find the poses of a log's cameras in the frame of the board.
 
     Where transforms join the cameras (of the log, or ``extrinsics``, for example those of the
@@ -178,7 +142,7 @@ def _centroid(points: Floats) -> Floats:
     return np.asarray(kept.mean(axis=0))
 
 
-def _report(searches: Sequence[ImageSearch], tree: TransformTree) -> BoardReport:
+def _report(searches: Sequence[ImageSearch], tree: TransformTree) -> TargetCalibration:
     """Put the cameras into the board's frame."""
     centres = {
         search.channels.colour_frame: np.stack([centre for _, centre in search.hits])
@@ -197,15 +161,12 @@ def _report(searches: Sequence[ImageSearch], tree: TransformTree) -> BoardReport
     cameras = []
     for search in searches:
         frame = search.channels.colour_frame
-        camera = BoardCamera(search.channels.name, frame, pose=poses[frame], seen=len(search.hits))
+        camera = TargetCamera(search.channels.name, frame, pose=poses[frame], seen=len(search.hits))
         if frame in centres:
             camera = _with_verdict(camera, poses[frame], centres[frame], world)
         cameras.append(camera)
-    reasons = [f"{camera.name}: {camera.reason}" for camera in cameras if camera.reason]
-    skipped = {s.channels.name: dict(Counter(s.skipped)) for s in searches}
-    verdict: Verdict = "doubtful" if reasons else "good"
-    gauge = "transforms" if given else "board"
-    return BoardReport(WORLD, verdict, "; ".join(reasons), tuple(cameras), gauge, skipped)
+    skipped = {s.channels.name: dict(s.skipped) for s in searches}
+    return TargetCalibration.of(WORLD, cameras, "transforms" if given else "board", skipped)
 
 
 def _joined(
@@ -242,7 +203,9 @@ def _by_board(searches: Sequence[ImageSearch], middles: Mapping[str, Floats]) ->
     return {**others, first: axes}
 
 
-def _with_verdict(camera: BoardCamera, pose: Rigid, centres: Floats, world: Floats) -> BoardCamera:
+def _with_verdict(
+    camera: TargetCamera, pose: Rigid, centres: Floats, world: Floats
+) -> TargetCamera:
     """Compare a camera's markers (K, 4, 3) with the mean of all cameras.
 
     Raises RegistrationError if they are far apart.

@@ -7,10 +7,8 @@ import math
 from pathlib import Path
 
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.calibrate.ball_poses import BallCalibration
-from hiros_mcap.calibrate.board import BoardReport
 from hiros_mcap.calibrate.people import PeopleCalibration
-from hiros_mcap.calibrate.verdict import CameraResult
+from hiros_mcap.calibrate.verdict import CameraResult, TargetCalibration
 from hiros_mcap.outputs import CAMERAS_MARK, write_text
 
 _ERRORS = {
@@ -21,12 +19,12 @@ _ERRORS = {
 """Keys of a camera, of which each is written if it is known."""
 
 
-def save_cameras(path: Path, rig: PeopleCalibration | BallCalibration | BoardReport) -> None:
+def save_cameras(path: Path, rig: PeopleCalibration | TargetCalibration) -> None:
     """Write the file, or nothing at all; raises LogError if it cannot be written."""
     write_text(path, CAMERAS_MARK + cameras_toml(rig))
 
 
-def cameras_toml(rig: PeopleCalibration | BallCalibration | BoardReport) -> str:
+def cameras_toml(rig: PeopleCalibration | TargetCalibration) -> str:
     """Return poses and clocks as TOML: every camera with a pose, every clock that is known.
 
     A camera whose frame is the fixed one is the parent of the others.

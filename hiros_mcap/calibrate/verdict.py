@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -218,6 +219,61 @@ class CameraResult:
                 "quaternion_xyzw": self.pose.xyzw.tolist(),
             }
         return data | {"parent": parent}
+
+
+@dataclass(frozen=True, slots=True)
+class TargetCamera(CameraResult):
+    """The pose of one camera by a ball or a board. The clock is not measured.
+
+    Errors by a ball are those against the first camera, whose own are not known. The residual is
+    the root mean square distance of the centres that fit, or of the markers.
+    """
+
+    seen: int = 0  # frames with the target
+    against: str = ""
+    """The camera that it was registered with by a ball; "" for the first one, or with a board."""
+    common: int = 0  # centres of the ball at common times with that camera
+    used: int = 0  # those that fit
+
+
+@dataclass(frozen=True, slots=True)
+class TargetCalibration:
+    """Poses of a log's cameras by a ball or a board."""
+
+    fixed_frame: str
+    cameras: tuple[TargetCamera, ...]
+    gauge: str
+    """Origin of the fixed frame: transforms, or the first camera; of a board, what joined the
+    cameras: transforms, or the board that each one sees."""
+    skipped: Mapping[str, Mapping[str, int]]
+    """Depth images without a result, by camera and reason."""
+    verdict: Verdict
+    reason: str  # doubts about the poses, and a better recording
+    radius: float = math.nan  # of the ball, m: the median of what was measured; NaN without images
+
+    @classmethod
+    def of(
+        cls,
+        fixed_frame: str,
+        cameras: Sequence[TargetCamera],
+        gauge: str,
+        skipped: Mapping[str, Mapping[str, int]],
+        radius: float = math.nan,
+    ) -> TargetCalibration:
+        """Return what cameras with their verdicts are together."""
+        reason = "; ".join(f"{camera.name}: {camera.reason}" for camera in cameras if camera.reason)
+        verdict: Verdict = "doubtful" if reason else "good"
+        return cls(fixed_frame, tuple(cameras), gauge, skipped, verdict, reason, radius)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Doubts about the poses."""
+        return (f"the poses are doubtful: {self.reason}",) if self.reason else ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON; numbers that are not known are None."""
+        cameras = [camera.to_dict(self.fixed_frame) for camera in self.cameras]
+        return {**plain(replace(self, cameras=())), "cameras": cameras}
 
 
 @dataclass(frozen=True, slots=True)

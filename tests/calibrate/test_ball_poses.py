@@ -8,13 +8,13 @@ from scipy.spatial.transform import Rotation
 
 from hiros_mcap.body.rotations import Rigid, angle
 from hiros_mcap.calibrate.ball_poses import (
-    BallCamera,
     BallTrack,
     Placement,
     _described,
     calibrate_centres,
     robust_fit,
 )
+from hiros_mcap.calibrate.verdict import TargetCamera
 from hiros_mcap.errors import RegistrationError
 
 PERIOD = 33_333_333
@@ -150,7 +150,7 @@ def test_no_wrong_pose_is_called_good():
 
 def test_lengths_are_told_in_mm_and_angles_in_degrees():
     placement = Placement(Rigid.identity(), 40, 38, 0.003, 0.1, 0.002, np.ones(3))
-    camera = _described(BallCamera("camera_1", "camera_1"), "camera_0", placement)
+    camera = _described(TargetCamera("camera_1", "camera_1"), "camera_0", placement)
     assert (camera.residual_mm, camera.error_deg, camera.error_mm) == (3.0, 0.1, 2.0)
     assert (camera.common, camera.used) == (40, 38)
 

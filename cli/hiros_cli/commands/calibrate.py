@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -24,10 +23,7 @@ from hiros_mcap.errors import ConfigError, LogError, naming
 from hiros_mcap.progress import bar
 
 if TYPE_CHECKING:
-    from hiros_mcap.calibrate.ball_poses import BallCalibration
-    from hiros_mcap.calibrate.board import BoardReport
-
-_Report = TypeVar("_Report", "BallCalibration", "BoardReport")
+    from hiros_mcap.calibrate.verdict import TargetCalibration
 
 STILL_M = 0.1
 """Detections of somebody who stands still scatter by less."""
@@ -119,8 +115,6 @@ def ball(
     hiros finds it in their colour and depth images. The images may be missing if the log has the
     ball's centres as PointStamped channels.
     """
-    from hiros_cli.run_report import show_ball
-
     log.stat()
     check_outputs((output, "camera file"), inputs=(log,), force=force)
     from hiros_mcap.calibrate.ball import calibrate_ball
@@ -132,7 +126,7 @@ def ball(
         report = calibrate_ball(log, radius, colours, topic or ())
     if output is not None:
         save_cameras(output, report)
-    _print("calibrate.ball", log, report, None if json else show_ball)
+    _print("ball", log, report, json=json)
 
 
 @app.command(cls=HelpfulCommand)
@@ -149,8 +143,6 @@ def board(
 
     Marker 1 is the origin, x points to marker 2, y towards marker 0, and z is up.
     """
-    from hiros_cli.run_report import show_board
-
     log.stat()
     check_outputs((output, "camera file"), inputs=(log, extrinsics), force=force)
     from hiros_mcap.calibrate.board import calibrate_board
@@ -162,17 +154,17 @@ def board(
         )
     if output is not None:
         save_cameras(output, report)
-    _print("calibrate.board", log, report, None if json else show_board)
+    _print("board", log, report, json=json)
 
 
-def _print(
-    command: str, log: Path, report: _Report, show: Callable[[Path, _Report], None] | None
-) -> None:
-    """Print a report by ``show``, or as JSON without it, and its warnings on stderr."""
-    if show is None:
-        print_json(command, report.to_dict(), report.warnings)
+def _print(target: str, log: Path, report: TargetCalibration, *, json: bool) -> None:
+    """Print what a ball or a board gave, and warnings on stderr."""
+    from hiros_cli.run_report import show_target
+
+    if json:
+        print_json(f"calibrate.{target}", report.to_dict(), report.warnings)
     else:
-        show(log, report)
+        show_target(log, target, report)
     for text in report.warnings:
         warn(f"{log}: {text}")
 
