@@ -68,11 +68,6 @@ mirror image: neither size nor posture tells."""
 PROVEN = GOOD._replace(seconds=USABLE.seconds)
 """For a pose that fits better than the given one on what it was not estimated on."""
 
-ACCEPTABLE = USABLE._replace(size=0.06, wander=0.06, spread=0.15)
-"""Of a doubtful pose that the user accepts. It still has the standard errors of a usable one, from
-a jackknife over time and over people, and its halves agree. Detectors that differ by more in size
-and posture gave poses as good as others in three of five real rigs."""
-
 TIMED = USABLE._replace(seconds=2.0)
 """For a clock alone, where poses are known: somebody who walks for a moment shows it to 2 ms."""
 
@@ -296,16 +291,6 @@ class CalibratedCamera(CameraResult):
     moved_mm: float = math.nan
     partner: str = ""  # the camera with which it has most in common
     evidence: Evidence | None = None  # the evidence of the verdict
-
-    @property
-    def acceptable(self) -> bool:
-        """Whether a user may accept the pose: it is sure, or doubtful but consistent."""
-        if self.verdict in SURE:
-            return True
-        found = self.evidence
-        if self.pose is None or found is None or self.reason != weakness_of(found, USABLE):
-            return False
-        return not weakness_of(found, ACCEPTABLE)
 
     @property
     def fits(self) -> bool:

@@ -99,7 +99,7 @@ def process(
         - settings : file that ``config`` came from, for the summary.
         - extrinsics : file with the cameras' poses.
         - limbs_in, limbs_out : files with limb lengths, to read and to write.
-        - calibrate : "off", "auto", "accept" or "require": whether the cameras' poses are refined.
+        - calibrate : "off", "auto" or "require": whether the cameras' poses are refined.
         - strict : refuse a log if a message has to be skipped.
         - recover : run on what can be read of a damaged log.
         - memory : GiB that a run may take, about.

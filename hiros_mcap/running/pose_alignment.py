@@ -9,7 +9,7 @@ has no poses, or poses that the people contradict, they are found from nothing
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Set
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from typing import TYPE_CHECKING
@@ -448,7 +448,8 @@ def _from_nothing(
         calibration = calibrate_people(log, survey, clocks.corrections)
     except LogError as reason:
         raise LogError(_fault_of_both(error, reason.fault), path=log.path) from None
-    left = {camera.name for camera in calibration.cameras if not _is_used(camera, mode)}
+    enough = CONFIRMED if mode == "require" else SURE
+    left = {camera.name for camera in calibration.cameras if camera.verdict not in enough}
     poses = {
         camera.frame: {0: camera.pose}
         for camera in calibration.cameras
@@ -457,7 +458,7 @@ def _from_nothing(
     used = len(poses)
     poses.pop(calibration.fixed_frame, None)  # of the camera that defines the frame
     if used < 2 or (left and (error is None or mode == "require")):
-        fault = f"{calibration.reason}. {_ways_to_use(calibration, left)}"
+        fault = f"{calibration.reason}. {_DOUBTFUL}"
         raise LogError(_fault_of_both(error, fault), path=log.path)
     return PoseAlignment(
         [summary_of(camera, used=camera.name not in left) for camera in calibration.cameras],
@@ -474,41 +475,15 @@ def _from_nothing(
     )
 
 
-def _is_used(camera: CalibratedCamera, mode: Calibration) -> bool:
-    """Whether a run uses a pose that comes from the people alone."""
-    if mode == "accept":
-        return camera.acceptable
-    return camera.verdict in (CONFIRMED if mode == "require" else SURE)
-
-
-def _ways_to_use(rig: PeopleCalibration, left_out: Set[str]) -> str:
-    """Say how a user gets the poses of cameras that are left out."""
-    names = [camera.name for camera in rig.cameras if camera.acceptable]
-    if len(names) < 2 or left_out.isdisjoint(names):
-        return _DOUBTFUL
-    return (
-        f"{_DOUBTFUL}; --calibrate accept uses {', '.join(names)} now, with joints "
-        f"{rig.people_mm:.0f} mm off by the poses if these are right"
-    )
-
-
 def _weak_poses(rig: PeopleCalibration, left_out: frozenset[str]) -> Iterator[str]:
     """Yield what is wrong with poses that come from the people alone."""
     for camera in (row for row in rig.cameras if row.name in left_out):
         yield (
             f"{camera.name} is left out, because the people do not tell its pose "
-            f"({camera.reason}): {camera.remedy}. {_ways_to_use(rig, {camera.name})}"
+            f"({camera.reason}): {camera.remedy}. {_DOUBTFUL}"
         )
-    used = [camera for camera in rig.cameras if camera.name not in left_out]
-    accepted = [camera for camera in used if camera.verdict not in SURE]
-    if accepted:
-        reasons = "; ".join(f"{camera.name}: {camera.reason}" for camera in accepted)
-        yield (
-            f"you accepted doubtful poses: expect joints to be {rig.people_mm:.0f} mm off by them, "
-            f"if they are right ({reasons}); for better ones, {accepted[-1].remedy}"
-        )
-    weak = [camera for camera in used if camera.verdict == "usable"]
-    if weak and not accepted:
+    weak = [camera for camera in rig.cameras if camera.verdict == "usable"]
+    if weak:
         worst = max(reversed(weak), key=lambda camera: camera.uncertainty)
         yield (
             f"the cameras' poses are usable only: expect joints to be {rig.people_mm:.0f} mm off "

@@ -171,14 +171,13 @@ def _calibration(log: Log, config: Config, options: ProcessOptions) -> Calibrati
     given = config.input.poses == "given"
     if config.input.clocks != "causal" and not given and not log.is_live:
         return options.calibrate
-    if options.calibrate in ("accept", "require"):
+    if options.calibrate == "require":
         raise ConfigError(
-            f"--calibrate {options.calibrate} contradicts input.poses=given, which the presets "
-            "paper and upstream set"
+            "--calibrate require contradicts input.poses=given, which the presets paper and "
+            "upstream set"
             if given
-            else f"--calibrate {options.calibrate} needs the whole log at once, and a causal run "
-            "refines poses as it goes on; find them with hiros calibrate people and pass them with "
-            "--extrinsics"
+            else "--calibrate require needs the whole log at once, and a causal run refines poses "
+            "as it goes on; find them with hiros calibrate people and pass them with --extrinsics"
         )
     return "off"
 

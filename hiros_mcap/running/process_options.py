@@ -15,10 +15,9 @@ from hiros_mcap.events import Events
 from hiros_mcap.io.log import Log
 from hiros_mcap.skeletons import Frame
 
-Calibration = Literal["off", "auto", "accept", "require"]
-"""off: the log's poses. auto: better ones where the people prove them. accept: where the log has
-none, also doubtful ones whose standard errors are small. require: refuse a log in which the people
-do not confirm every camera's pose."""
+Calibration = Literal["off", "auto", "require"]
+"""off: the log's poses. auto: better ones where the people prove them. require: refuse a log in
+which the people do not confirm every camera's pose."""
 
 
 @dataclass(frozen=True, slots=True)

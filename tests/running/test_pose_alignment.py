@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import re
 
 import numpy as np
@@ -14,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid, angle
 from hiros_mcap.calibrate.survey import in_words, stretches
-from hiros_mcap.calibrate.verdict import UNLINKED, CalibratedCamera, Evidence, verdict_of
+from hiros_mcap.calibrate.verdict import UNLINKED
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.channels import add_skeleton_channel, add_static_poses
@@ -373,68 +372,16 @@ def test_a_camera_without_a_sure_pose_is_left_out(scene, detections, tmp_path):
     assert [camera.name for camera in summary.cameras] == ["camera_0", "camera_1"]
 
 
-def test_a_doubtful_rig_is_written_and_one_option_uses_it(tmp_path, capsys):
+def test_a_doubtful_rig_is_written_and_its_file_is_used(tmp_path, capsys):
     _, log = in_place(tmp_path, action="squat", cameras=3, seconds=4.0)
     target, out = tmp_path / "cameras.toml", tmp_path / "out.mcap"
     assert run(["process", str(log), "-o", str(out)]) == 2
     said = capsys.readouterr().err
     assert "-o cameras.toml writes what is known" in said
-    assert "--calibrate accept" not in said, "which would use none of them"
     assert run(["calibrate", "people", str(log), "-o", str(target)]) == 0
     assert 'verdict = "doubtful"' in target.read_text()
     assert "error_deg = " in target.read_text()
     assert run(["process", str(log), "-o", str(out), "-q", "--extrinsics", str(target)]) == 0
-
-
-def test_a_doubtful_rig_that_is_consistent_is_used_if_the_user_accepts_it(tmp_path):
-    """People of another size in camera 1, as real detectors show them from the side."""
-    params = SimulateParams(people=1, cameras=3, seconds=15.0, seed=6, action="free_dynamic")
-    room = simulate(params)
-    frames = [grown(f, 1.038) if f.source == "camera_1" else f for f in room.detections]
-    log, out = write(tmp_path / "log.mcap", room, frames, {}), tmp_path / "out.mcap"
-    with pytest.raises(LogError, match="accept uses camera_0, camera_1, camera_2 now"):
-        process(log, out, calibrate="require")
-    before = process(log, out, options=FIRST_STAGE)
-    assert "camera_1" not in [camera.name for camera in before.cameras]
-    (left,) = [text for text in before.warnings if "is left out" in text]
-    assert re.search(r"accept uses camera_0, camera_1, camera_2 now, with joints \d+ mm off", left)
-    accepted = process(log, out, options=ProcessOptions(stages="T", calibrate="accept"))
-    assert [camera.name for camera in accepted.cameras] == list(NAMES)
-    (text,) = [text for text in accepted.warnings if "you accepted" in text]
-    assert re.search(r"expect joints to be \d+ mm off .*camera_1: its people are", text)
-
-
-@pytest.mark.parametrize(
-    ("change", "accepted"),
-    [
-        ({"size": 1.04}, True),
-        ({"wander": 0.055}, True),
-        ({"spread": 0.2}, True),
-        ({"size": 1.07}, False),
-        ({"wander": 0.07}, False),
-        ({"spread": 0.1}, False),
-        ({"size": 1.04, "error_deg": 2.5}, False),
-        ({"size": 1.04, "halves_deg": 6.0}, False),
-        ({"size": 1.04, "limbs": 0.2}, False),
-        ({"rival": True}, False),
-    ],
-)
-def test_which_doubtful_poses_may_be_accepted(change, accepted):
-    found = Evidence(share=1.0, residual=0.05, seconds=20.0, spread=1.0, error_deg=1.0)
-    found = dataclasses.replace(found, **change)
-    verdict, reason = verdict_of(found, moved=False)
-    pose = Rigid(np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3))
-    camera = CalibratedCamera("a", "a", verdict, reason, pose, evidence=found)
-    assert verdict == "doubtful"
-    assert camera.acceptable == accepted
-    assert not dataclasses.replace(camera, reason="moved meanwhile").acceptable
-
-
-def grown(frame, factor):
-    """A message of a camera that sees people ``factor`` times as large, and as far."""
-    markers = frame.markers.copy()
-    markers[:, :, :3] *= factor
-    return frame.replace(markers=markers)
 
 
 def test_too_little_for_poses_from_nothing_says_what_to_record(scene, detections, tmp_path, capsys):

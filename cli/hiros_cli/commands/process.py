@@ -76,10 +76,9 @@ class InputOptions:
         "CAMERA=SECONDS", "Add seconds to the stamps of a camera; may be repeated.", panel=INPUT
     )
     calibrate: str = option(
-        "off|auto|accept|require",
+        "off|auto|require",
         "Camera poses: off keeps the log's, auto takes better ones where the people in the "
-        "log prove them, accept also doubtful ones where the log has none, require"
-        " also refuses poses that they do not confirm.",
+        "log prove them, require also refuses poses that they do not confirm.",
         default="auto",
         panel=INPUT,
     )
@@ -404,10 +403,10 @@ def _viewer(source: Path, target: str, stack: ExitStack) -> Watcher | None:
 
 def _calibration(text: str) -> Calibration:
     match text:
-        case "off" | "auto" | "accept" | "require":
+        case "off" | "auto" | "require":
             return text
     raise ConfigError(
-        f"--calibrate: {text!r} is none of off, auto, accept, require (a time range for limb "
+        f"--calibrate: {text!r} is none of off, auto, require (a time range for limb "
         "lengths is --limb-window START:END)"
     )
 
