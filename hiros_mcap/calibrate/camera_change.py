@@ -19,7 +19,6 @@ from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.joint_refinement import Points
 from hiros_mcap.calibrate.pair_pose import FIT_M, PairFit, alike, ambiguous, register_pair, usable
 from hiros_mcap.calibrate.sampling import CELL_S, Rig, Samples, group, instants_of, placed, sample
-from hiros_mcap.kernels.array_types import chosen
 from hiros_mcap.kernels.local_line import Tracklet
 from hiros_mcap.kernels.rig_equations import RigResiduals
 from hiros_mcap.skeletons import Floats, Ints, Stamps
@@ -294,8 +293,8 @@ def _distances_of(
     places : (N, M, 3) of all cameras' samples in the common frame, m.
     """
     rows = np.isin(samples.cameras, pair)
-    instants, cameras, tracks = (array[rows] for array in samples[:3])
-    of_pair = Samples(instants, cameras, tracks, chosen(samples.lines, rows))
+    of_pair = samples.part(rows)
+    instants, cameras = of_pair.instants, of_pair.cameras
     counts = [np.bincount(instants[cameras == c], minlength=n_instants) for c in pair]
     common = np.minimum(*counts)
     is_common = common > 0

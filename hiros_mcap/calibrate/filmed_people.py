@@ -34,20 +34,18 @@ from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.detectors.conversion import of_people
 from hiros_mcap.io.detectors.keypoint_messages import is_keypoints
 from hiros_mcap.io.rgb_cameras import RgbCamera, placed_cameras, sampled_cameras, too_few
-from hiros_mcap.kernels.array_types import chosen
-from hiros_mcap.kernels.ray_equations import LAG, RayCameras
+from hiros_mcap.kernels.ray_equations import LAG
 from hiros_mcap.rays.bundle import (
     Bundle,
     cameras_at,
     centres_of,
     placed,
     poses_of,
-    spread_of,
 )
 from hiros_mcap.rays.image_tracks import views_of
 from hiros_mcap.rays.relative_pose import FoundRig, rig_from_people
 from hiros_mcap.rays.rig_refinement import errors_of, medians
-from hiros_mcap.skeletons import Flags, Floats, SkeletonModel
+from hiros_mcap.skeletons import Floats, SkeletonModel
 
 LIMBS = {
     "hip": ("knee", 0.245),
@@ -122,8 +120,8 @@ def _calibration(
     stays = np.array([name in given for name in names])
     if np.count_nonzero(stays) > 1:
         start = cameras_at([given.get(name, Rigid.identity()) for name in names])
-        bundle, scale = _on_poses(bundle, start, stays)
-        size = _Size(scale, 0.0, "the log's transforms")
+        bundle = placed(bundle, start, np.zeros(len(names), np.bool_), stays)
+        size = None
     elif size is None:
         raise LogError(
             "nothing tells the size of the rig: no limbs of arms and legs are seen; give the "
@@ -144,7 +142,7 @@ def _calibration(
     worst = max(found, key=lambda camera: GRADES.index(camera.verdict))
     verdict: Verdict = "doubtful" if worst.verdict == "impossible" else worst.verdict
     reason = worst.reason and f"{worst.name}: {worst.reason}; {worst.remedy}"
-    if size.error > 0.0:
+    if size is not None:
         verdict = max(verdict, "usable", key=GRADES.index)
         told = f"the size of the rig is from {size.source}, so it may be wrong by {size.error:.1%}"
         reason = f"{reason}; {told}" if reason else told
@@ -187,18 +185,6 @@ def _bodies(rig: FoundRig, model: SkeletonModel) -> tuple[Floats, Floats]:
     velocities[at] = 0.0
     velocities[(*at, 0)] = np.where(fit.bundle.points.weights > 0.0, speeds, 0.0).max(axis=1)
     return places, velocities
-
-
-def _on_poses(bundle: Bundle, given: RayCameras, stays: Flags) -> tuple[Bundle, float]:
-    """Put a rig where the poses of some cameras are that the log has."""
-    some = np.flatnonzero(stays)
-    parts = [chosen(each, some) for each in (bundle.cameras, given)]
-    part = placed(bundle._replace(cameras=parts[0]), parts[1], np.zeros(len(some), np.bool_))
-    scale = spread_of(centres_of(part.cameras)) / spread_of(centres_of(parts[0]))
-    # What moves one camera and all joints moves the other cameras.
-    turn = part.cameras.rotations[0].T @ bundle.cameras.rotations[some[0]]
-    shift = part.places.mean(axis=0) - scale * turn @ bundle.places.mean(axis=0)
-    return _moved(bundle, scale, turn, shift), scale
 
 
 def _moved(bundle: Bundle, scale: float, turn: Floats, shift: Floats) -> Bundle:

@@ -10,8 +10,9 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid, from_matrix, to_matrix
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.kernels.grouping import GroupingWork, Groups, Skeletons, group_people
-from hiros_mcap.kernels.local_line import Lines, fit_lines
-from hiros_mcap.skeletons import Floats, Ints, Stamps
+from hiros_mcap.kernels.local_line import Lines
+from hiros_mcap.rays.image_tracks import Samples, lines_at, sample_tracks
+from hiros_mcap.skeletons import Floats, Ints
 
 CELL_S = 0.1
 """Shortest distance in time of the instants: each uses the frames of 0.2 s."""
@@ -62,50 +63,17 @@ class Rig(NamedTuple):
         return np.asarray(self.clocks[camera] + self.drifts[camera] * instants)
 
 
-class Samples(NamedTuple):
-    """N skeletons, each of one camera at one instant, in the frame of the camera."""
-
-    instants: Stamps  # (N,) index of the instant, never decreasing
-    cameras: Stamps  # (N,) index of the camera
-    tracks: Stamps  # (N,) index of its tracklet in the camera
-    lines: Lines  # their joints
-
-
 def lines_of(view: CameraView, track: int, seconds: Floats) -> Lines:
     """Return the joints of a tracklet at times, s, of its camera's clock, increasing."""
-    frames = view.tracks[track]
-    shape = len(seconds), *frames.weights.shape[1:]
-    lines = Lines(np.empty((*shape, 3)), np.empty((*shape, 3)), np.empty(shape))
-    fit_lines(frames, np.ascontiguousarray(seconds), view.half_width, lines)
-    return lines
+    return lines_at(view.tracks[track], seconds, view.half_width)
 
 
 def sample(views: Sequence[CameraView], instants: Floats, rig: Rig) -> Samples:
-    """Take every camera's skeletons at common times, (K,) s, increasing.
-
-    A skeleton counts while its tracklet lasts; it needs four joints.
-    """
-    parts: list[Samples] = []
-    for c, view in enumerate(views):
-        seconds = instants - rig.clock_at(c, instants)
-        for k, track in enumerate(view.tracks):
-            inside = np.flatnonzero((seconds >= track.seconds[0]) & (seconds <= track.seconds[-1]))
-            if len(inside):
-                lines = lines_of(view, k, seconds[inside])
-                parts.append(
-                    Samples(inside, np.full_like(inside, c), np.full_like(inside, k), lines)
-                )
-    if not parts:
-        none = np.zeros(0, np.int64)
-        markers = next((v.tracks[0].weights.shape[1] for v in views if v.tracks), 0)
-        places, weights = np.zeros((0, markers, 3)), np.zeros((0, markers))
-        return Samples(none, none, none, Lines(places, places, weights))
-    joined = [np.concatenate(each) for each in zip(*(part[:3] for part in parts), strict=True)]
-    lines = Lines(*map(np.concatenate, zip(*(part.lines for part in parts), strict=True)))
-    order = np.lexsort((joined[1], joined[0]))
-    order = order[np.count_nonzero(lines.weights[order] > 0.0, axis=1) >= 4]
-    rows, cameras, tracks = (each[order].astype(np.int64) for each in joined)
-    return Samples(rows, cameras, tracks, Lines(*(each[order] for each in lines)))
+    """Take every camera's skeletons at common times, (K,) s, increasing, in the order of time."""
+    clocks = [rig.clock_at(c, instants) for c in range(len(views))]
+    rows = zip(views, clocks, strict=True)
+    samples = sample_tracks([(v.tracks, v.half_width, instants - clock) for v, clock in rows])
+    return samples.part(np.lexsort((samples.cameras, samples.instants)))
 
 
 def placed(samples: Samples, rig: Rig) -> Floats:

@@ -238,7 +238,7 @@ def _equations_of(bundle: Bundle, some: Flags, free: Flags) -> tuple[Floats, Flo
     return hessian[np.ix_(free, free)], slope[free]
 
 
-def placed(bundle: Bundle, given: RayCameras, held: Flags) -> Bundle:
+def placed(bundle: Bundle, given: RayCameras, held: Flags, known: Flags | None = None) -> Bundle:
     """Put the rig where the given poses are: their place, direction, size, and median lag.
 
     The size is the mean distance between the cameras. One camera that is far off does not carry the
@@ -247,14 +247,15 @@ def placed(bundle: Bundle, given: RayCameras, held: Flags) -> Bundle:
     Parameters
     ----------
     held : (C,) cameras whose pose was not refined. One keeps its place; with two there is nothing
-        left to do.
+        left to do. known : (C,) cameras that are given, at least two; None = all.
     """
+    known = np.ones(len(held), np.bool_) if known is None else known
     if np.count_nonzero(held) > 1:
         return bundle
     cameras = bundle.cameras
     centres, goals = centres_of(cameras), centres_of(given)
-    scale = spread_of(goals) / spread_of(centres)
-    weights = np.where(held, 1.0, 0.0) if held.any() else np.ones(len(held))
+    scale = spread_of(goals[known]) / spread_of(centres[known])
+    weights = np.where(held if held.any() else known, 1.0, 0.0)
     for _ in range(1 if held.any() else 10):
         share = weights / weights.sum()
         middle, goal = scale * share @ centres, share @ goals
@@ -265,7 +266,7 @@ def placed(bundle: Bundle, given: RayCameras, held: Flags) -> Bundle:
         rotations = cameras.rotations @ turn.T
         apart = np.linalg.norm(scale * centres @ turn.T + shift - goals, axis=1) / PRIOR_M
         turned = angle(from_matrix(rotations), from_matrix(given.rotations)) / PRIOR_RAD
-        weights = 1.0 / (1.0 + apart**2 + turned**2)
+        weights = known / (1.0 + apart**2 + turned**2)
     moved = cameras._replace(
         rotations=np.ascontiguousarray(rotations),
         shifts=scale * cameras.shifts - np.einsum("cij,j->ci", rotations, shift),
@@ -292,21 +293,19 @@ def weighed(bundle: Bundle, given: RayCameras, errors: Floats) -> RayCameras:
         return bundle.cameras
     known, apart = _known_poses(bundle, posed), _between(given, bundle.cameras).ravel()[posed]
     usual = np.tile(np.repeat([PRIOR_RAD, PRIOR_M, 1.0], (3, 3, 1)), n)[posed]
-    moved, wrong = np.zeros(free.size), np.ones(n)
+    corrections, worse, cameras = apart, np.ones(n), posed // UNKNOWNS
     for _ in range(WEIGHINGS):
-        unit = usual * wrong[posed // UNKNOWNS]
+        unit = usual * worse[cameras]
         told, variances, axes = _modes(known * np.outer(unit, unit), errors.ravel()[posed] / unit)
         found = axes.T @ (apart / unit)
         spreads = WRONG[:, None] ** 2 + variances[told]
         fits = (np.log(spreads) + found[told] ** 2 / spreads).sum(axis=1)
         size = WRONG[np.argmin(fits)]
-        moved[posed] = unit * (axes @ (found / (1.0 + variances / size**2)))
-        steps = np.zeros(free.size)
-        steps[posed] = moved[posed] / (size * usual)
-        squares = (steps.reshape(n, UNKNOWNS) ** 2).sum(axis=1)
-        wrong = np.sqrt((TAILS + squares) / (TAILS + LAG))
+        corrections = unit * (axes @ (found / (1.0 + variances / size**2)))
+        squares = np.bincount(cameras, (corrections / (size * usual)) ** 2, n)
+        worse = np.sqrt((TAILS + squares) / (TAILS + LAG))
     back = np.zeros(free.size)
-    back[posed] = moved[posed] - apart
+    back[posed] = corrections - apart
     return _moved(bundle.cameras, back.reshape(bundle.free.shape))
 
 

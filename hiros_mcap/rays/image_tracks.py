@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -37,22 +37,22 @@ class ImageView(NamedTuple):
     """px."""
 
 
-class ImageSamples(NamedTuple):
-    """N people in the images of all cameras at common instants."""
+class Samples(NamedTuple):
+    """N people whom cameras see at common instants, each in the frame of the camera."""
 
     instants: Stamps
     """(N,) index of the instant."""
     cameras: Stamps
     """(N,) index of the camera."""
     tracks: Stamps
-    """(N,) index of the tracklet among those of all cameras."""
+    """(N,) index of the tracklet, among those of the camera, or of all cameras' images."""
     lines: Lines
-    """Their joints; positions are x / z, y / z and 1."""
+    """Their joints; in images, positions are x / z, y / z and 1."""
 
-    def part(self, rows: Floats | Stamps) -> ImageSamples:
+    def part(self, rows: Floats | Stamps) -> Samples:
         """Return some of them."""
         instants, cameras, tracks, lines = self
-        return ImageSamples(instants[rows], cameras[rows], tracks[rows], chosen(lines, rows))
+        return Samples(instants[rows], cameras[rows], tracks[rows], chosen(lines, rows))
 
 
 def image_view(frames: Sequence[KeypointFrame], lens: Intrinsics, middle: int) -> ImageView:
@@ -121,32 +121,48 @@ def _crossing(poses: Floats) -> list[bool]:
     return list(near.any(axis=1))
 
 
-def sample_images(views: Sequence[ImageView], instants: Floats, lags: Floats) -> ImageSamples:
+def sample_images(views: Sequence[ImageView], instants: Floats, lags: Floats) -> Samples:
     """Take everybody in all images at common times, (K,) s, increasing.
 
-    ``lags`` (C,) are what a camera's clock is late, s. A person counts while a tracklet lasts.
+    ``lags`` (C,) are what a camera's clock is late, s.
     """
-    parts, number = list[ImageSamples](), 0
-    for c, view in enumerate(views):
-        seconds = instants + lags[c]
-        for track in view.tracks:
+    rows = zip(views, lags, strict=True)
+    samples = sample_tracks([(v.tracks, v.half_width, instants + lag) for v, lag in rows])
+    before = np.cumsum([0, *(len(view.tracks) for view in views)])
+    return samples._replace(tracks=samples.tracks + before[samples.cameras])
+
+
+def sample_tracks(cameras: Iterable[tuple[Sequence[Tracklet], float, Floats]]) -> Samples:
+    """Take whom cameras see at common times.
+
+    Somebody counts while a tracklet lasts, and with :data:`LEAST_JOINTS`.
+
+    Parameters
+    ----------
+    cameras : tracklets of each, half width of lines, s, and (K,) times on its clock, increasing.
+    """
+    parts, joints = list[Samples](), 0
+    for c, (tracks, half_width, seconds) in enumerate(cameras):
+        for k, track in enumerate(tracks):
+            joints = track.weights.shape[1]
             inside = np.flatnonzero((seconds >= track.seconds[0]) & (seconds <= track.seconds[-1]))
             if len(inside):
-                shape = len(inside), track.weights.shape[1]
-                lines = Lines(np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.zeros(shape))
-                fit_lines(track, seconds[inside], view.half_width, lines)
-                same = np.full_like(inside, c), np.full_like(inside, number)
-                parts.append(ImageSamples(inside, *same, lines))
-            number += 1
-    joints = max((t.weights.shape[1] for v in views for t in v.tracks), default=0)
+                lines = lines_at(track, seconds[inside], half_width)
+                parts.append(Samples(inside, *(np.full_like(inside, n) for n in (c, k)), lines))
     none, rows = np.zeros((0, joints, 3)), np.zeros(0, np.int64)
-    parts.append(ImageSamples(rows, rows, rows, Lines(none, none, none[..., 0])))
-    at, cameras, tracks = (np.concatenate(c) for c in zip(*(p[:3] for p in parts), strict=True))
-    lines = joined([part.lines for part in parts])
-    samples = ImageSamples(at, cameras, tracks, lines)
-    return samples.part(
-        np.flatnonzero(np.count_nonzero(lines.weights > 0.0, axis=1) >= LEAST_JOINTS)
-    )
+    parts.append(Samples(rows, rows, rows, Lines(none, none, none[..., 0])))
+    columns = (np.concatenate(c) for c in zip(*(part[:3] for part in parts), strict=True))
+    samples = Samples(*columns, joined([part.lines for part in parts]))
+    known = np.count_nonzero(samples.lines.weights > 0.0, axis=1)
+    return samples.part(np.flatnonzero(known >= LEAST_JOINTS))
+
+
+def lines_at(track: Tracklet, seconds: Floats, half_width: float) -> Lines:
+    """Return the joints of a tracklet at times, s, of its camera's clock, increasing."""
+    shape = len(seconds), track.weights.shape[1]
+    lines = Lines(np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.zeros(shape))
+    fit_lines(track, np.ascontiguousarray(seconds), half_width, lines)
+    return lines
 
 
 def instants_of(views: Sequence[ImageView], most: int, lags: Floats) -> Floats:

@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from hiros_mcap.kernels.ray_equations import RayCameras, RayPoints
-from hiros_mcap.rays.image_tracks import ImageSamples
+from hiros_mcap.rays.image_tracks import Samples
 from hiros_mcap.skeletons import Floats, Stamps
 
 LEAST_COMMON = 3
@@ -34,7 +34,7 @@ def ray_distances(ones: Floats, others: Floats, matrix: Floats) -> Floats:
     return np.asarray(np.abs((others * left).sum(axis=-1)) / np.sqrt(squares + 1e-18))
 
 
-def track_costs(samples: ImageSamples, cameras: RayCameras) -> tuple[Floats, Floats]:
+def track_costs(samples: Samples, cameras: RayCameras) -> tuple[Floats, Floats]:
     """(T, T) mean distance of the rays of two tracklets, and the instants that they have in common.
 
     Of an instant, it is the median over the joints.
@@ -59,7 +59,7 @@ def track_costs(samples: ImageSamples, cameras: RayCameras) -> tuple[Floats, Flo
     return (sums + sums.T) / np.maximum(counts, 1.0), counts
 
 
-def match(samples: ImageSamples, cameras: RayCameras, gate: float) -> Stamps:
+def match(samples: Samples, cameras: RayCameras, gate: float) -> Stamps:
     """(N,) number of each sample's person: joined tracklets of all cameras.
 
     Parameters
@@ -93,7 +93,7 @@ def match(samples: ImageSamples, cameras: RayCameras, gate: float) -> Stamps:
     return person[samples.tracks]
 
 
-def joints_of(samples: ImageSamples, people: Stamps, n_cameras: int) -> tuple[RayPoints, Stamps]:
+def joints_of(samples: Samples, people: Stamps, n_cameras: int) -> tuple[RayPoints, Stamps]:
     """Return joints that two cameras see, and (P, 3) instant, person and joint of each."""
     keys = np.stack([samples.instants, people], axis=1)
     groups, rows = np.unique(keys, axis=0, return_inverse=True)

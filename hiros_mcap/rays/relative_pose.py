@@ -22,7 +22,7 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid, from_matrix, from_vector
 from hiros_mcap.kernels.ray_equations import RayCameras
 from hiros_mcap.rays.bundle import cameras_at, poses_of, triangulated
-from hiros_mcap.rays.image_tracks import ImageSamples, ImageView, instants_of, sample_images
+from hiros_mcap.rays.image_tracks import ImageView, Samples, instants_of, sample_images
 from hiros_mcap.rays.intrinsics import opencv
 from hiros_mcap.rays.matching import joints_of, match, ray_distances
 from hiros_mcap.rays.rig_refinement import GATES, RigFit, fit_rig, free_unknowns
@@ -308,9 +308,7 @@ def _resections(
     return trials
 
 
-def _resection(
-    samples: ImageSamples, joints: Floats, who: Flags
-) -> tuple[float, Rigid, Flags] | None:
+def _resection(samples: Samples, joints: Floats, who: Flags) -> tuple[float, Rigid, Flags] | None:
     """Find the pose of a camera by some people, whose joints are known in space.
 
     Returns its score, the pose, and who then is who.
