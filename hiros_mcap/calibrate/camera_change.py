@@ -1,16 +1,16 @@
-"""When a camera was moved in the middle of a log, once or more often.
+"""When a camera was moved in the middle of a log.
 
 Each stretch of some seconds gives a pose of the camera in another one. Each instant tells how far
-its people are apart by each of these poses. The camera stood where the sum of the distances is
-least. Every move has a price: another pose has to bring people nearer for some seconds
-(Viterbi 1967).
+its people are apart by each of these poses. Of all pairs of poses, and all times at which one could
+have followed the other, the best has the least sum of distances. It has to bring people nearer for
+some seconds than any single pose does.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations, pairwise
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -19,9 +19,9 @@ from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.joint_refinement import Points
 from hiros_mcap.calibrate.pair_pose import FIT_M, PairFit, alike, ambiguous, register_pair, usable
 from hiros_mcap.calibrate.sampling import CELL_S, Rig, Samples, group, instants_of, placed, sample
-from hiros_mcap.kernels.local_line import Tracklet
+from hiros_mcap.kernels.array_types import chosen
 from hiros_mcap.kernels.rig_equations import RigResiduals
-from hiros_mcap.skeletons import Floats, Ints, Stamps
+from hiros_mcap.skeletons import Floats, Ints
 
 PAIR_INSTANTS = 100
 CHANGE_INSTANTS = 400
@@ -44,7 +44,6 @@ class CameraChange(NamedTuple):
     late: Rig
     metres: float = 0.0
     """How much nearer people are by the right one of both poses, in the part that gains less."""
-    part: int = 1  # which of its poses it got; a camera that comes back gets a former one
 
     @property
     def seconds(self) -> float:
@@ -65,45 +64,35 @@ def _cells(view: CameraView) -> set[int]:
     return {int(s // CELL_S) for times in seconds for s in times.tolist()}
 
 
-def parts_of(view: CameraView, changes: Sequence[CameraChange]) -> list[CameraView]:
-    """Return what a camera that was moved sees, as one view for each of its poses."""
-    ends = [-np.inf, *(change.seconds for change in changes), np.inf]
-    spans: dict[int, list[tuple[float, float]]] = {}
-    for part, span in zip([0, *(change.part for change in changes)], pairwise(ends), strict=True):
-        spans.setdefault(part, []).append(span)
-    return [part_of(view, each) for each in spans.values()]
-
-
-def find_changes(pair: Sequence[CameraView], mirror: Ints) -> list[CameraChange]:
+def find_change(pair: Sequence[CameraView], mirror: Ints) -> CameraChange | None:
     """Find out whether the second of two cameras was moved against the first, and when.
 
-    Empty if it was not, or if the log does not tell. The clocks are about right.
+    None if it was not, or if the log does not tell. The clocks are about right.
     """
     first, second = pair
     if not (first.tracks and second.tracks):
-        return []
+        return None
     rigs = _stretch_poses(first, second, mirror)
-    if len(rigs) < 2:
-        return []
     instants = instants_of(pair[:1], CHANGE_INSTANTS)
+    if len(rigs) < 2 or len(instants) < 2:
+        return None
     table = np.stack([_distances(pair, rig, instants, mirror) for rig in rigs], axis=1)
     complete = ~np.isnan(table).any(axis=1)
     instants, table = instants[complete], table[complete]
     step = float(np.median(np.diff(instants))) if len(instants) > 1 else np.inf
-    path = _likeliest(table, LEAST_M * LEAST_PART_S / step)
-    path = _without_short(_joined(table, path), instants, step)
-    parts = {pose: part for part, pose in enumerate(dict.fromkeys(path.tolist()))}
-    changes = []
-    for k in np.flatnonzero(np.diff(path)) + 1:
-        pair_of_poses = int(path[k - 1]), int(path[k])
-        gains = [
-            float((table[path == right, wrong] - table[path == right, right]).mean())
-            for right, wrong in (pair_of_poses, pair_of_poses[::-1])
-        ]
-        ends = float(instants[k - 1]), float(instants[k])
-        before, after = (rigs[pose] for pose in pair_of_poses)
-        changes.append(CameraChange(*ends, before, after, min(gains), parts[int(path[k])]))
-    return changes
+    least = int(LEAST_PART_S / step)
+    if not 0 < least < len(table) - least:
+        return None
+    early = np.cumsum(table, axis=0)
+    late = early[-1] - early
+    sums = (early[:, :, None] + late[:, None])[least - 1 : -least]  # by last instant, and poses
+    k, before, after = (int(n) for n in np.unravel_index(sums.argmin(), sums.shape))
+    if before == after or sums.min() + LEAST_M * least > early[-1].min():
+        return None
+    k += least
+    gains = table[:k, after] - table[:k, before], table[k:, before] - table[k:, after]
+    ends = float(instants[k - 1]), float(instants[k])
+    return CameraChange(*ends, rigs[before], rigs[after], min(float(g.mean()) for g in gains))
 
 
 def _stretch_poses(first: CameraView, second: CameraView, mirror: Ints) -> list[Rig]:
@@ -112,46 +101,10 @@ def _stretch_poses(first: CameraView, second: CameraView, mirror: Ints) -> list[
     length = max((end - begin) / STRETCHES, LEAST_PART_S)
     rigs: list[Rig] = []
     for at in np.arange(begin, end - 0.75 * length, length / 2.0):
-        fit = _pose(first, part_of(second, [(at, at + length)]), mirror)
+        fit = _pose(first, part_of(second, at, at + length), mirror)
         if fit is not None and not any(alike(fit.rig, rig, LEAST_DEG, LEAST_M) for rig in rigs):
             rigs.append(fit.rig)
     return rigs
-
-
-def _likeliest(table: Floats, fine: float) -> Stamps:
-    """(T,) which of K poses a camera had, by (T, K) distances; each move costs ``fine``."""
-    sums, came = np.zeros(table.shape[1]), np.zeros(table.shape, np.int64)
-    for t, distances in enumerate(table):
-        best = int(sums.argmin())
-        stays = sums <= sums[best] + fine
-        came[t] = np.where(stays, np.arange(len(sums)), best)
-        sums = np.where(stays, sums, sums[best] + fine) + distances
-    path = np.zeros(len(table), np.int64)
-    pose = int(sums.argmin())
-    for t in range(len(table) - 1, -1, -1):
-        path[t], pose = pose, int(came[t, pose])
-    return path
-
-
-def _joined(table: Floats, path: Stamps) -> Stamps:
-    """Return the path with as few poses as bring people nearer by :data:`LEAST_M`."""
-    for old in sorted(np.unique(path).tolist(), key=lambda pose: np.count_nonzero(path == pose)):
-        unchanged = path == old
-        poses_left = np.setdiff1d(path, [old])
-        means = table[unchanged][:, poses_left].mean(axis=0)
-        if len(poses_left) and means.min() < table[unchanged, old].mean() + LEAST_M:
-            path = np.where(unchanged, poses_left[int(means.argmin())], path)
-    return path
-
-
-def _without_short(path: Stamps, instants: Floats, step: float) -> Stamps:
-    """Return the path without poses that the camera had for less than :data:`LEAST_PART_S`."""
-    counts = np.bincount(path)
-    kept = step * counts[path] >= 0.9 * LEAST_PART_S
-    if not kept.any():
-        return path
-    nearest = np.abs(instants[:, None] - instants[None, kept]).argmin(axis=1)
-    return np.asarray(path[kept][nearest])
 
 
 def located(pair: Sequence[CameraView], early: Rig, late: Rig, mirror: Ints) -> CameraChange:
@@ -168,24 +121,15 @@ def located(pair: Sequence[CameraView], early: Rig, late: Rig, mirror: Ints) -> 
     return CameraChange(float(edges[k]), float(edges[k + 1]), early, late)
 
 
-class SecondPose(NamedTuple):
-    """The gain if a camera had another pose from some time on."""
-
-    share: float = 0.0  # of the misfit that is gone then
-    metres: float = 0.0
-    """How far one pose for all puts people off in the part that is seen less, root mean square."""
-    seconds: float = 0.0  # from when on, common time
-
-
-def second_poses(residuals: RigResiduals, points: Points) -> list[SecondPose]:
-    """Return what each of C cameras would gain by a second pose.
+def second_poses(residuals: RigResiduals, points: Points) -> list[float]:
+    """Return by which share the misfit of each of C cameras is less with a second pose.
 
     The misfit is the sum of squares about the best rigid fit to the other cameras (Kabsch 1976),
     whose moments add up over time. Each part has :data:`LEAST_BINS` seconds with people.
     """
     start = points.seconds.min(initial=np.inf)
     bins = np.floor((points.seconds - start) / BIN_S)
-    cameras = []
+    shares = []
     for c, (is_seen, apart, weights) in enumerate(residuals.against_others()):
         positions = (residuals.means + residuals.offsets[c])[is_seen]
         moments = _moments(positions, positions - apart, weights)
@@ -196,13 +140,10 @@ def second_poses(residuals: RigResiduals, points: Points) -> list[SecondPose]:
         misfits = _misfits(early) + _misfits(total - early)
         whole = float(_misfits(total[None])[0])
         if not len(misfits) or whole <= 0.0:
-            cameras.append(SecondPose())
+            shares.append(0.0)
             continue
-        k = int(misfits.argmin())
-        better, mass = whole - float(misfits[k]), min(early[k, 0], total[0] - early[k, 0])
-        at = float(start + BIN_S * filled[k + LEAST_BINS])
-        cameras.append(SecondPose(better / whole, float(np.sqrt(max(better, 0.0) / mass)), at))
-    return cameras
+        shares.append(1.0 - float(misfits.min()) / whole)
+    return shares
 
 
 def steps_apart(views: Sequence[CameraView], rig: Rig, mirror: Ints) -> Floats:
@@ -255,14 +196,10 @@ def _misfits(moments: Floats) -> Floats:
     return np.asarray(np.maximum(spread - 2.0 * singular.sum(axis=1), 0.0))
 
 
-def part_of(view: CameraView, spans: Sequence[Sequence[float]]) -> CameraView:
-    """Return what a camera sees in some spans from begin to end, s of its own time."""
-    tracks = []
-    for track in view.tracks:
-        for begin, end in spans:
-            kept = (track.seconds >= begin) & (track.seconds < end)
-            if np.count_nonzero(kept) > 1:
-                tracks.append(Tracklet(*(np.ascontiguousarray(array[kept]) for array in track)))
+def part_of(view: CameraView, begin: float, end: float) -> CameraView:
+    """Return what a camera sees from one time to another, s of its own time."""
+    parts = [(t, (t.seconds >= begin) & (t.seconds < end)) for t in view.tracks]
+    tracks = [chosen(track, kept) for track, kept in parts if np.count_nonzero(kept) > 1]
     return replace(view, tracks=tracks)
 
 

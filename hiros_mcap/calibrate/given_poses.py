@@ -16,7 +16,6 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
-from hiros_mcap.calibrate.camera_change import SecondPose
 from hiros_mcap.calibrate.camera_views import CameraView, Sighting
 from hiros_mcap.calibrate.coarse_clock import landmarks_of
 from hiros_mcap.calibrate.pair_pose import coarse_clocks, seen_elsewhere
@@ -24,7 +23,6 @@ from hiros_mcap.calibrate.refinement import linked, refine_poses
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.calibrate.survey import FixedCamera, Survey, seen_by
 from hiros_mcap.calibrate.verdict import UNLINKED, CalibratedCamera
-from hiros_mcap.events import Event
 from hiros_mcap.io.camera_clock import ClockCorrection
 from hiros_mcap.skeletons import Ints
 
@@ -45,7 +43,6 @@ class Move(NamedTuple):
     log_time: int  # of the same message
     metres: float
     degrees: float
-    part: int = 1  # which of its poses it got; a camera that comes back gets a former one
 
     @property
     def distance(self) -> str:
@@ -57,15 +54,14 @@ class Move(NamedTuple):
 class PosedViews:
     """Views of the cameras, and the poses that follow from the people in them.
 
-    A camera that was moved has a row for each of its poses, in the order of time.
+    A camera that was moved has a row before, and the next one after that.
     """
 
     cameras: list[FixedCamera]  # with the poses that the log gives
     views: list[CameraView]
     rig: list[CalibratedCamera]
-    gains: list[SecondPose]  # by how much a second pose would explain each camera better
+    gains: list[float]  # by which share a second pose would explain each camera better
     moves: tuple[Move, ...] = ()
-    late: Event | None = None  # a camera that was moved for too short a time to tell a pose
 
     def pose(self, k: int) -> Rigid:
         """Return the pose of a row's camera that is used."""
@@ -73,13 +69,13 @@ class PosedViews:
 
     def poses_used(self) -> dict[str, dict[int, Rigid]]:
         """Frame -> poses other than the log's, by the log times from which on they hold."""
-        names = [camera.name for camera in self.cameras]
+        since = {move.camera: move.log_time for move in self.moves}
         poses: dict[str, dict[int, Rigid]] = {}
         for k, (camera, calibrated) in enumerate(zip(self.cameras, self.rig, strict=True)):
-            moves = [move for move in self.moves if move.camera == camera.name]
-            if k == names.index(camera.name) and (moves or is_better(calibrated)):
+            if camera.frame in poses:
+                poses[camera.frame][since[camera.name]] = self.pose(k)
+            elif camera.name in since or is_better(calibrated):
                 poses[camera.frame] = {0: self.pose(k)}
-                poses[camera.frame] |= {m.log_time: self.pose(k + m.part) for m in moves}
         return poses
 
     def to_given(self) -> dict[str, Rigid]:

@@ -17,11 +17,10 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.calibrate.camera_change import (
     CameraChange,
-    SecondPose,
-    find_changes,
+    find_change,
     located,
+    part_of,
     partner_of,
-    parts_of,
     steps_apart,
 )
 from hiros_mcap.calibrate.camera_views import CameraView, Sighting
@@ -35,14 +34,11 @@ from hiros_mcap.calibrate.refinement import (
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.calibrate.survey import FixedCamera, Survey
 from hiros_mcap.calibrate.verdict import SURE
-from hiros_mcap.events import Event, camera_displaced
 from hiros_mcap.skeletons import Floats, Ints
 
-GAIN = 0.3
-"""A camera whose misfit falls by this share with a second pose may have been moved."""
-LATE_GAIN, LATE_M = 0.12, 0.05
-"""So much less misfit, and people so far off in one part, show a camera that was moved for too
-short a time: healthy ones stay below .05 and .045 m."""
+GAIN = 0.12
+"""A camera whose misfit falls by this share with a second pose may have been moved: that of healthy
+ones falls by 9 % at most."""
 LEAST_M = 0.03
 """A second pose brings people nearer by this, in both parts: views of real detectors differ by
 1 to 2 cm."""
@@ -75,7 +71,7 @@ def split_moved(survey: Survey, corrections: Corrections, posed: PosedViews) -> 
         # What a moved camera does to the others is over when its parts are known.
         left = left if split is result else suspects(split, fixed_frame, mirror)
         result, left = split, [name for name in left if name not in tried]
-    return result if result.moves else replace(posed, late=splitter.moved_late(result))
+    return result if result.moves else posed
 
 
 def suspects(posed: PosedViews, fixed_frame: str, mirror: Ints) -> list[str]:
@@ -91,15 +87,11 @@ def suspects(posed: PosedViews, fixed_frame: str, mirror: Ints) -> list[str]:
         free = free[-1:]
     odd = [calibrated.name for calibrated, *_ in free if not calibrated.fits]
     doubtful = {
-        calibrated.name: gain.share
+        calibrated.name: gain
         for calibrated, gain, steps_of_camera in free
-        if calibrated.fits and (gain.share > GAIN or _is_late(gain) or _is_far(steps_of_camera))
+        if calibrated.fits and (gain > GAIN or _is_far(steps_of_camera))
     }
     return odd + sorted(doubtful, key=lambda name: -doubtful[name])
-
-
-def _is_late(gain: SecondPose) -> bool:
-    return gain.share > LATE_GAIN and gain.metres > LATE_M
 
 
 def _is_far(steps: Floats) -> bool:
@@ -132,33 +124,16 @@ class _Splitter:
         partner = partner_of(posed.views, c, sound or partners)
         if partner is None:
             return posed
-        pair = [posed.views[partner], posed.views[c]]
-        changes = find_changes(pair, self._mirror)
-        if not changes or min(change.metres for change in changes) < LEAST_M:
+        change = find_change([posed.views[partner], posed.views[c]], self._mirror)
+        if change is None or change.metres < LEAST_M:
             return posed
-        changes = [self._narrowed(change, posed, (partner, c)) for change in changes]
-        parts = self._refined(posed, c, partner, changes)
+        change = self._narrowed(change, posed, (partner, c))
+        parts = self._refined(posed, c, partner, change)
         if parts is None:
             return posed
-        moves, before = [], parts.pose(c)
-        for change in changes:
-            after = parts.pose(c + change.part)
-            first = self._first_message(name, change.seconds)
-            moves.append(Move(name, *first, *before.apart(after), change.part))
-            before = after
-        return replace(parts, moves=(*posed.moves, *moves))
-
-    def moved_late(self, posed: PosedViews) -> Event | None:
-        """Find the camera whose people are elsewhere from some time on."""
-        poses = [posed.pose(k) for k in range(len(posed.views))]
-        _, gains = refine_poses(posed.views, poses, self._mirror)
-        c = max(range(len(gains)), key=lambda k: (round(gains[k].metres, 2), k))
-        if not _is_late(gains[c]):
-            return None
-        name = posed.cameras[c].name
-        first, _ = self._first_message(name, gains[c].seconds)
-        other = [posed.cameras[1 - c].name] if len(gains) == 2 else []
-        return camera_displaced(first, name, gains[c].metres, other)
+        first = self._first_message(name, change.seconds)
+        move = Move(name, *first, *parts.pose(c).apart(parts.pose(c + 1)))
+        return replace(parts, moves=(*posed.moves, move))
 
     def _narrowed(
         self, change: CameraChange, posed: PosedViews, pair: tuple[int, int]
@@ -177,50 +152,44 @@ class _Splitter:
         return change
 
     def _refined(
-        self, posed: PosedViews, c: int, partner: int, changes: Sequence[CameraChange]
+        self, posed: PosedViews, c: int, partner: int, change: CameraChange
     ) -> PosedViews | None:
-        """Refine all cameras, one of them in parts; None if its parts do not fit, too."""
-        camera = posed.cameras[c]
-        rigs = {0: changes[0].early, **{change.part: change.late for change in changes}}
-        n, parts = len(rigs), range(c, c + len(rigs))
-        cameras, calibrated = list(posed.cameras), list(posed.rig)
-        views = list(posed.views)
-        views[c : c + 1] = parts_of(posed.views[c], changes)
-        cameras[c : c + 1], calibrated[c : c + 1] = [camera] * n, [calibrated[c]] * n
-        ends = [posed.pose(partner) @ rigs[part].pose(1) for part in range(n)]
-        kept = c + int(np.argmin([_deviation(pose, camera.pose) for pose in ends]))
+        """Refine all cameras, one of them in two parts; None if its parts do not fit, too."""
+        camera, view, at = posed.cameras[c], posed.views[c], change.seconds
+        cameras, calibrated, views = list(posed.cameras), list(posed.rig), list(posed.views)
+        cameras.insert(c, camera)
+        calibrated.insert(c, calibrated[c])
+        views[c : c + 1] = part_of(view, -np.inf, at), part_of(view, at, np.inf)
+        ends = [posed.pose(partner) @ rig.pose(1) for rig in (change.early, change.late)]
+        kept = int(np.argmin([_deviation(pose, camera.pose) for pose in ends]))
+        changed = c + 1 - kept
         starts = [row.pose for row in cameras]
-        starts[c : c + n] = ends
-        starts[kept] = camera.pose
-        sound = [k for k, row in enumerate(calibrated) if row.fits or k in parts]
-        changed = [k for k in parts if k != kept]
+        starts[changed] = ends[1 - kept]
+        sound = [k for k, row in enumerate(calibrated) if row.fits or k in (c, c + 1)]
         fitting = [views[k] for k in sound], [starts[k] for k in sound]
-        refined = self._placed(*fitting, [sound.index(k) for k in changed])
-        for k, pose in zip(changed, refined, strict=True):
-            starts[k] = pose
+        starts[changed] = self._placed(*fitting, sound.index(changed))
         frames = [row.frame for row in cameras]
         fixed = self._survey.log.fixed_frame
         anchor = frames.index(fixed) if fixed in frames else None
         movable = [camera.movable for camera in cameras]
         calibrated, gains = refine_poses(views, starts, self._mirror, anchor, movable)
-        if not all(row.fits and row.verdict in SURE for row in calibrated[c : c + n]):
+        if not all(row.fits and row.verdict in SURE for row in calibrated[c : c + 2]):
             return None
-        for k in changed:
-            metres, degrees = (calibrated[k].pose or starts[k]).apart(camera.pose)
-            verdict = calibrated[k].verdict if calibrated[k].verdict == "usable" else "improved"
-            calibrated[k] = replace(
-                calibrated[k], verdict=verdict, moved_mm=1000.0 * metres, moved_deg=degrees
-            )
+        row = calibrated[changed]
+        metres, degrees = (row.pose or starts[changed]).apart(camera.pose)
+        calibrated[changed] = replace(
+            row,
+            verdict="usable" if row.verdict == "usable" else "improved",
+            moved_mm=1000.0 * metres,
+            moved_deg=degrees,
+        )
         return PosedViews(cameras, views, calibrated, gains, posed.moves)
 
-    def _placed(
-        self, views: Sequence[CameraView], starts: Sequence[Rigid], changed: Sequence[int]
-    ) -> list[Rigid]:
-        """Return the refined poses of the cameras that ``changed``; the others' place the rig."""
+    def _placed(self, views: Sequence[CameraView], starts: Sequence[Rigid], changed: int) -> Rigid:
+        """Return the refined pose of the camera that ``changed``; the others' place the rig."""
         refined = refine_together(views, Rig.of(starts), self._mirror, FROM_GIVEN)
-        fixed = {k: pose for k, pose in enumerate(starts) if k not in changed}
-        rig = moved(refined.rig, on_transforms(refined.rig, fixed))
-        return [rig.pose(k) for k in changed]
+        fixed = {k: pose for k, pose in enumerate(starts) if k != changed}
+        return moved(refined.rig, on_transforms(refined.rig, fixed)).pose(changed)
 
     def _first_message(self, name: str, seconds: float) -> tuple[int, int]:
         """Corrected stamp and log time, ns, of a camera's first message from some time on.

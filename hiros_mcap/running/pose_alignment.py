@@ -45,7 +45,7 @@ from hiros_mcap.calibrate.verdict import (
 )
 from hiros_mcap.config import Config
 from hiros_mcap.errors import LogError
-from hiros_mcap.events import CAMERA_MOVED, Event, Events
+from hiros_mcap.events import CAMERA_MOVED, Events
 from hiros_mcap.io.log import Log
 from hiros_mcap.running.clock_alignment import ClockAlignment, align_clocks
 from hiros_mcap.running.process_options import Calibration
@@ -84,7 +84,6 @@ class PoseAlignment:
     """The calibration by people, if the poses were found from them alone."""
     misfits: frozenset[str] = frozenset()  # cameras whose people are not where the others see them
     moves: tuple[Move, ...] = ()  # cameras that were moved in the middle of the log
-    late: Event | None = None  # a camera that was moved for too short a time to tell a pose
     alike: tuple[list[str], ...] = ()
     """Cameras that the log puts at one place with one orientation, where the people do not."""
     contradictions: tuple[str, ...] = ()
@@ -139,17 +138,13 @@ class PoseAlignment:
         """Note the cameras that were moved."""
         for move in self.moves:
             events.note(move.stamp, CAMERA_MOVED, source=move.camera, detail=move.distance)
-        if self.late:
-            events.log.append(self.late)
 
     def warnings(self) -> Iterator[str]:
         """Yield what makes the poses doubtful, and the remedy."""
-        stays = [stay for stay in self.cameras if not math.isnan(stay.since_s)]
+        since = {c.name: c.since_s for c in self.cameras if not math.isnan(c.since_s)}
         for move in self.moves:
-            seconds = next(stay.since_s for stay in stays if stay.name == move.camera)
-            stays = [stay for stay in stays if (stay.name, stay.since_s) != (move.camera, seconds)]
             yield (
-                f"{move.camera} was moved by {move.distance} at {seconds:.1f} s; hiros "
+                f"{move.camera} was moved by {move.distance} at {since[move.camera]:.1f} s; hiros "
                 "found its pose for each part of the log. Calibrate it anew before you record "
                 "again: hiros calibrate people"
             )
@@ -355,14 +350,13 @@ def _aligned(posed: PosedViews, start: int, faults: Mapping[str, str]) -> PoseAl
     """
     pairs = list(zip(posed.cameras, posed.rig, strict=True))
     names = [camera.name for camera in posed.cameras]
+    moved = {move.camera: (move.log_time - start) / 1e9 for move in posed.moves}
     summaries = []
-    for camera in dict.fromkeys(names):
-        parts = [0, *(move.part for move in posed.moves if move.camera == camera)]
-        times = [(m.log_time - start) / 1e9 for m in posed.moves if m.camera == camera]
-        for part, since, until in zip(parts, [math.nan, *times], [*times, math.nan], strict=True):
-            stay = posed.rig[names.index(camera) + part]
-            summary = summary_of(stay, used=is_better(stay))
-            summaries.append(replace(summary, since_s=since, until_s=until))
+    for k, (name, camera) in enumerate(zip(names, posed.rig, strict=True)):
+        summary, at = summary_of(camera, used=is_better(camera)), moved.get(name, math.nan)
+        is_first = k == names.index(name)
+        since, until = (math.nan, at) if is_first else (at, math.nan)
+        summaries.append(replace(summary, since_s=since, until_s=until))
     for k, summary in enumerate(summaries):
         if summary.verdict == "impossible" and summary.name in faults:
             summaries[k] = replace(summary, reason=faults[summary.name])
@@ -374,7 +368,7 @@ def _aligned(posed: PosedViews, start: int, faults: Mapping[str, str]) -> PoseAl
     misfits = frozenset(
         camera.name for camera, calibrated in pairs if camera.movable and not calibrated.fits
     )
-    return PoseAlignment(summaries, misfits=misfits, moves=posed.moves, late=posed.late)
+    return PoseAlignment(summaries, misfits=misfits, moves=posed.moves)
 
 
 def _quick_survey(log: Log) -> tuple[Survey, bool]:

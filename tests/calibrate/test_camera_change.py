@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.calibrate.camera_change import find_changes, located, second_poses
+from hiros_mcap.calibrate.camera_change import find_change, located, second_poses
 from hiros_mcap.calibrate.camera_views import HALF_WIDTH_S, CameraView
 from hiros_mcap.calibrate.joint_refinement import common_points, residuals_of
 from hiros_mcap.calibrate.sampling import Rig
@@ -59,10 +59,7 @@ def test_a_second_pose_takes_away_the_misfit_of_a_camera_that_was_moved(metres):
         views.append(CameraView(name, name, tracks, 0.0, HALF_WIDTH_S))
     rig = Rig.alone(3)
     points = common_points(views, rig, np.arange(0.05, 9.9, 0.1), MIRROR, 0.5)
-    gained = second_poses(residuals_of(points, rig), points)[2]
-    assert gained.share > 0.8
-    assert metres / 2 < gained.metres < metres
-    assert gained.seconds == pytest.approx(5.0, abs=1.0)
+    assert second_poses(residuals_of(points, rig), points)[2] > 0.8
 
 
 @pytest.mark.parametrize(
@@ -82,7 +79,7 @@ def test_a_camera_has_moved_if_it_was_turned_or_shifted(degrees, metres, moves):
         noisy = seen + rng.normal(0.0, 0.005, path.shape)
         track = Tracklet(seconds, noisy, np.ones(path.shape[:2]))
         pair.append(CameraView(name, name, [track], 0.0, HALF_WIDTH_S))
-    assert len(find_changes(pair, MIRROR)) == moves
+    assert (find_change(pair, MIRROR) is not None) == moves
 
 
 @pytest.mark.parametrize("moved_s", [-20.0, 20.0])
