@@ -241,8 +241,6 @@ _TARGET_GAUGES = {
         "transforms",
     ): f"{_BOARD} The cameras stay as the transforms have them to each other.",
 }
-DRIFT_PPM = 100.0
-"""A smaller drift is not measured reliably."""
 
 
 def show_calibration(log: Path, people: PeopleCalibration, *, joints: bool) -> None:
@@ -265,8 +263,6 @@ def _notes(cameras: Sequence[CalibratedCamera]) -> Iterator[str]:
             yield f"{camera.name}: {camera.reason}"
         elif math.isnan(camera.clock_s):
             yield f"{camera.name}: no motion tells its clock; the log's stamps are kept"
-        if abs(camera.drift_ppm) > DRIFT_PPM:
-            yield f"{camera.name}: its clock drifts by {camera.drift_ppm:.0f} us per s"
 
 
 def _calibrated(cameras: Sequence[CalibratedCamera]) -> Table:

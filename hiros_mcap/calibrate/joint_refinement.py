@@ -22,7 +22,6 @@ from hiros_mcap.calibrate.sampling import Rig, Samples, group, placed, sample
 from hiros_mcap.kernels.grouping import Groups
 from hiros_mcap.kernels.rig_equations import (
     CLOCK,
-    DRIFT,
     UNKNOWNS,
     EquationWork,
     RigResiduals,
@@ -70,9 +69,9 @@ class Refinement(NamedTuple):
     instants: Floats
     points: Points
     residuals: RigResiduals
-    free: Flags  # (C, 8) which unknowns were refined
+    free: Flags  # (C, 7) which unknowns were refined
     errors: Floats
-    """(C, 8) standard errors of the unknowns, see :func:`standard_errors`;
+    """(C, 7) standard errors of the unknowns, see :func:`standard_errors`;
     infinite where too little is seen."""
     people: float
     """How far the poses' errors move the mean of the cameras' joints, m: root mean square."""
@@ -94,7 +93,6 @@ def refine(
     *,
     free: Flags,
     gates: Sequence[float] = GATES_M,
-    points: Points | None = None,
     thinning: int = 1,
 ) -> tuple[Rig, Points]:
     """Improve poses and clocks until all cameras agree about the people.
@@ -103,21 +101,17 @@ def refine(
     ----------
     instants : (K,) common times, s, increasing; not a multiple of the cameras' period, which
         would bias the clocks.
-    mirror : (M,). free : (C, 8) the unknowns that may change, see :func:`free_unknowns`.
-    points : those of the first gate, if they are known. thinning : see :func:`thinned`.
+    mirror : (M,). free : (C, 7) the unknowns that may change, see :func:`free_unknowns`.
+    thinning : see :func:`thinned`.
 
     Returns
     -------
     The rig, and the points on which it was found.
     """
-    if points is None:
-        widest = gates[0]
-        points = common_points(views, rig, instants, mirror, widest)
-        while not len(points.seconds) and widest < WIDEST_M:  # the start puts people far off
-            widest *= 1.5
-            points = common_points(views, rig, instants, mirror, widest)
     for k, gate in enumerate(gates):
-        if k:
+        points = common_points(views, rig, instants, mirror, gate)
+        while not (k or len(points.seconds)) and gate < WIDEST_M:  # the start puts people far off
+            gate *= 1.5
             points = common_points(views, rig, instants, mirror, gate)
         rig = solve(thinned(points, thinning), rig, free, rig, STEPS)
     return rig, thinned(common_points(views, rig, instants, mirror, gates[-1]), thinning)
@@ -130,23 +124,21 @@ def solve(points: Points, rig: Rig, free: Flags, sampled: Rig, steps: int) -> Ri
     """
     for _ in range(steps if len(points.seconds) else 0):
         residuals = residuals_of(points, rig, sampled)
-        hessian, slope = normal_equations(residuals, points.seconds, free)
+        hessian, slope = normal_equations(residuals, free)
         step = np.zeros(free.shape)
         step[free] = -_solution(hessian, slope)
         rig = Rig(
             to_matrix(from_vector(step[:, :3])) @ rig.rotations,
             rig.shifts + step[:, 3:6],
             rig.clocks + step[:, CLOCK],
-            rig.drifts + step[:, DRIFT],
         )
     return rig
 
 
-def free_unknowns(n_cameras: int, *, clocks: Flags | bool = True, drifts: bool = False) -> Flags:
-    """(C, 8) all unknowns but those of camera 0, which defines the common frame and time."""
+def free_unknowns(n_cameras: int, *, clocks: Flags | bool = True) -> Flags:
+    """(C, 7) all unknowns but those of camera 0, which defines the common frame and time."""
     free = np.ones((n_cameras, UNKNOWNS), np.bool_)
     free[:, CLOCK] = clocks
-    free[:, DRIFT] = drifts & free[:, CLOCK]
     free[0] = False
     return free
 
@@ -210,10 +202,7 @@ def residuals_of(points: Points, rig: Rig, sampled: Rig | None = None) -> RigRes
     back = np.ascontiguousarray(np.swapaxes(rig.rotations, 1, 2))
     turned, velocities = points.positions @ back, points.velocities @ back
     if sampled is not None:
-        late = (rig.clocks - sampled.clocks)[:, None] + (rig.drifts - sampled.drifts)[
-            :, None
-        ] * points.seconds
-        turned = turned - late[:, :, None] * velocities
+        turned = turned - (rig.clocks - sampled.clocks)[:, None, None] * velocities
     places = turned + rig.shifts[:, None]
     means, offsets = _about_mean(places, points.weights)
     lengths = np.sqrt(np.einsum("cpi,cpi->cp", offsets, offsets))
@@ -230,9 +219,7 @@ def _about_mean(places: Floats, weights: Floats) -> tuple[Floats, Floats]:
     return means, places - means
 
 
-def normal_equations(
-    residuals: RigResiduals, seconds: Floats, free: Flags
-) -> tuple[Floats, Floats]:
+def normal_equations(residuals: RigResiduals, free: Flags) -> tuple[Floats, Floats]:
     """Return the Hessian (F, F) of the free unknowns, and the gradient (F,).
 
     The joints' means are eliminated. The first camera has no free unknowns.
@@ -243,11 +230,9 @@ def normal_equations(
     # The mean of all cameras treats them alike; otherwise the first one's clock would be biased.
     velocities = np.broadcast_to(residuals.mean_velocities, residuals.velocities.shape)
     points = residuals._replace(velocities=np.ascontiguousarray(velocities))
-    used = np.flatnonzero(
-        [free[:, :CLOCK].any()] * CLOCK + [free[:, c].any() for c in (CLOCK, DRIFT)]
-    )
-    first, last = (int(used[0]), int(used[-1]) + 1) if len(used) else (0, 0)
-    add_points(points, seconds, first, last, hessian, slope, EquationWork.allocate(len(free)))
+    first = 0 if free[:, :CLOCK].any() else CLOCK
+    last = UNKNOWNS if free[:, CLOCK].any() else CLOCK
+    add_points(points, first, last, hessian, slope, EquationWork.allocate(len(free)))
     upper = np.triu(hessian)
     chosen = free[1:].ravel()
     whole = upper + upper.T - np.diag(np.diag(upper))
@@ -267,7 +252,7 @@ def _solution(hessian: Floats, slope: Floats) -> Floats:
 def standard_errors(
     residuals: RigResiduals, points: Points, free: Flags, rig: Rig
 ) -> tuple[Floats, float]:
-    """(C, 8) standard errors of the unknowns, and how far the poses' errors move people, m.
+    """(C, 7) standard errors of the unknowns, and how far the poses' errors move people, m.
 
     A standard error is infinite where all that tells an unknown lies in one cluster.
 
@@ -302,9 +287,9 @@ def standard_errors(
 
 
 def _without_each(residuals: RigResiduals, points: Points, free: Flags, clusters: Stamps) -> Floats:
-    """(K, C, 8) how the solutions without each of K clusters of points differ."""
+    """(K, C, 7) how the solutions without each of K clusters of points differ."""
     equations = [
-        normal_equations(_part(residuals, rows), points.seconds[rows], free)
+        normal_equations(_part(residuals, rows), free)
         for rows in (np.flatnonzero(clusters == one) for one in np.unique(clusters))
     ]
     hessian = np.sum([part for part, _ in equations], axis=0)
@@ -314,7 +299,7 @@ def _without_each(residuals: RigResiduals, points: Points, free: Flags, clusters
 
 
 def _against_each(steps: Floats, places: Floats) -> Floats:
-    """(K, C, C, 6) steps of rotation and shift (K, C, 8) of each camera, against each other one."""
+    """(K, C, C, 6) steps of rotation and shift (K, C, 7) of each camera, against each other one."""
     ones, others = steps[:, :, None], steps[:, None]
     away = places[None] - places[:, None]
     shifts = others[..., 3:6] - ones[..., 3:6] - np.cross(ones[..., :3], away)
@@ -322,7 +307,7 @@ def _against_each(steps: Floats, places: Floats) -> Floats:
 
 
 def _joint_steps(residuals: RigResiduals, steps: Floats, places: Floats, reference: int) -> Floats:
-    """(K, P, 3) how steps of the cameras (K, C, 8) move the joints' means, m, for some joints."""
+    """(K, P, 3) how steps of the cameras (K, C, 7) move the joints' means, m, for some joints."""
     every = slice(None, None, 1 + residuals.weights.shape[1] // SOME_JOINTS)
     weights = residuals.weights[:, every] / residuals.weights[:, every].sum(axis=0)
     away = np.concatenate([residuals.turned[:, every], residuals.means[None, every]])

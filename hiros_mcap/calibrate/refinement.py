@@ -54,8 +54,6 @@ from hiros_mcap.kernels.rig_equations import CLOCK
 from hiros_mcap.rays.confidence import TRIANGULATED
 from hiros_mcap.skeletons import Flags, Floats, Ints
 
-DRIFT_S = 120.0
-"""In a shorter log the drift of a clock cannot be told from its offset."""
 LEAST_POINTS = 100
 """Fewer joints tell no standard error."""
 LEAST_LINK = 200
@@ -76,13 +74,12 @@ class Effort(NamedTuple):
     instants: int
     points: int  # joints at instants that are enough; more people need fewer instants
     gates: tuple[float, ...]  # within which distance, m, people are the same, round by round
-    drifts: bool  # whether the drifts of the clocks are refined in a log of more than two minutes
     cameras: int = sys.maxsize
     """Of more cameras fewer joints count: all pairs of cameras that see a joint cost time."""
 
 
-FROM_PAIRS = Effort(400, sys.maxsize, GATES_M, drifts=True)
-FROM_GIVEN = Effort(60, 6000, (0.5, 0.25), drifts=False)
+FROM_PAIRS = Effort(400, sys.maxsize, GATES_M)
+FROM_GIVEN = Effort(60, 6000, (0.5, 0.25))
 """Who is who, by poses that are about right, and by better ones."""
 
 
@@ -92,7 +89,6 @@ def refine_together(
     mirror: Ints,
     effort: Effort,
     movable: Flags | bool = True,
-    seen: Points | None = None,
 ) -> Refinement:
     """Refine the poses and clocks of cameras that see the same people.
 
@@ -100,31 +96,26 @@ def refine_together(
     ----------
     start : about right. mirror : (M,) slot of each joint's counterpart.
     movable : (C,) whether the pose of a camera may change; that of the first one defines the frame.
-    seen : the points of the first gate, if they are there.
     """
     start = start.anchored()
     instants = instants_of(views, effort.instants, start)
-    if seen is None:
-        seen = common_points(views, start, instants, mirror, effort.gates[0])
-    step = 1 + len(seen.seconds) // effort.points
-    instants = instants[::step]
+    seen = common_points(views, start, instants, mirror, effort.gates[0])
+    instants = instants[:: 1 + len(seen.seconds) // effort.points]
     thinning = -(-len(views) // effort.cameras)
-    drifts = effort.drifts and len(instants) > 1 and float(np.ptp(instants)) > DRIFT_S
     timed = common_motion(residuals_of(seen, start)) >= LEAST_MOTION
-    shared = seen if step == 1 and len(seen.seconds) else None
     rig, gates = start, effort.gates
     for _ in range(2):
-        free = free_unknowns(len(views), clocks=timed, drifts=drifts)
+        free = free_unknowns(len(views), clocks=timed)
         free[~np.broadcast_to(movable, len(views)), :CLOCK] = False
         rig = rig._replace(clocks=np.where(timed, rig.clocks, 0.0))
         rig, points = refine(
-            views, rig, instants, mirror, free=free, gates=gates, points=shared, thinning=thinning
+            views, rig, instants, mirror, free=free, gates=gates, thinning=thinning
         )
         residuals = residuals_of(points, rig)
         before, timed = timed, common_motion(residuals) >= LEAST_MOTION
         if (timed == before).all():
             break
-        shared, gates = None, effort.gates[1:]
+        gates = effort.gates[1:]
     errors, people = np.full(free.shape, np.inf), np.inf
     if len(points.seconds) >= LEAST_POINTS:
         errors, people = standard_errors(residuals, points, free, rig)
@@ -184,7 +175,6 @@ def cameras_of(
     proven : whether poses that differ significantly from the log's are better.
     """
     refined, clocks = fit.refined, fit.refined.clocks
-    drifts = refined.rig.drifts - np.median(refined.rig.drifts)
     cameras = []
     for k, (view, evidence) in enumerate(zip(refined.views, fit.evidence, strict=True)):
         pose, before = rig.pose(k), given[k]
@@ -199,7 +189,6 @@ def cameras_of(
                 reason,
                 pose,
                 clock_s=float(clocks[k]),
-                drift_ppm=1e6 * float(drifts[k]),
                 error_deg=evidence.error_deg,
                 error_mm=1000.0 * evidence.error_m,
                 error_ms=1000.0 * float(refined.errors[k, CLOCK]),
@@ -253,14 +242,10 @@ def refine_poses(
             return None
         start = Rig.of([given[c] for c in some])
         free = np.array([movable[c] for c in some])
-        shared = points if some == everyone else None
-        rig = refine_together([views[c] for c in some], start, mirror, effort, free, shared)
+        rig = refine_together([views[c] for c in some], start, mirror, effort, free)
         return FittingRig(some, rig, evidence_of(rig, mirror, known=True))
 
-    everyone = list(range(len(views)))
-    instants = instants_of(views, effort.instants)
-    points = common_points(views, Rig.of(given), instants, mirror, effort.gates[0])
-    for part in _linked(points):
+    for part in linked(views, given, mirror, effort):
         # The first camera defines the common frame.
         fit, left = fit_together(sorted(part, key=lambda c: movable[c]), refined, misfit)
         for c, (reason, _) in left.items():
@@ -285,11 +270,7 @@ def linked(
 ) -> list[list[int]]:
     """Return the groups of cameras that see the same people; those that are alone are in none."""
     instants = instants_of(views, effort.instants)
-    return _linked(common_points(views, Rig.of(poses), instants, mirror, effort.gates[0]))
-
-
-def _linked(points: Points) -> list[list[int]]:
-    """Return the groups of cameras that are linked by people whom they see in common."""
+    points = common_points(views, Rig.of(poses), instants, mirror, effort.gates[0])
     seen = (points.weights > 0.0).astype(np.float64)
     links = seen @ seen.T >= LEAST_LINK
     for _ in links:

@@ -24,13 +24,12 @@ class Rig(NamedTuple):
     rotations: Floats  # (C, 3, 3)
     shifts: Floats  # (C, 3) m
     clocks: Floats  # (C,) s to add to the time of each camera
-    drifts: Floats  # (C,) s of that per second of the common time
 
     @classmethod
     def alone(cls, n_cameras: int) -> Rig:
         """Return cameras that all stand at the origin."""
         turns = np.tile(np.eye(3), (n_cameras, 1, 1))
-        return cls(turns, np.zeros((n_cameras, 3)), np.zeros(n_cameras), np.zeros(n_cameras))
+        return cls(turns, np.zeros((n_cameras, 3)), np.zeros(n_cameras))
 
     @classmethod
     def of(cls, poses: Sequence[Rigid]) -> Rig:
@@ -47,7 +46,6 @@ class Rig(NamedTuple):
             turn @ self.rotations,
             (self.shifts - self.shifts[0]) @ turn.T,
             self.clocks - self.clocks[0],
-            self.drifts - self.drifts[0],
         )
 
     def pose(self, camera: int) -> Rigid:
@@ -58,10 +56,6 @@ class Rig(NamedTuple):
         """Return some of the cameras."""
         return Rig(*(array[list(cameras)] for array in self))
 
-    def clock_at(self, camera: int, instants: Floats) -> Floats:
-        """Seconds to add to a camera's time at common times, s."""
-        return np.asarray(self.clocks[camera] + self.drifts[camera] * instants)
-
 
 def lines_of(view: CameraView, track: int, seconds: Floats) -> Lines:
     """Return the joints of a tracklet at times, s, of its camera's clock, increasing."""
@@ -70,8 +64,7 @@ def lines_of(view: CameraView, track: int, seconds: Floats) -> Lines:
 
 def sample(views: Sequence[CameraView], instants: Floats, rig: Rig) -> Samples:
     """Take every camera's skeletons at common times, (K,) s, increasing, in the order of time."""
-    clocks = [rig.clock_at(c, instants) for c in range(len(views))]
-    rows = zip(views, clocks, strict=True)
+    rows = zip(views, rig.clocks, strict=True)
     samples = sample_tracks([(v.tracks, v.half_width, instants - clock) for v, clock in rows])
     return samples.part(np.lexsort((samples.cameras, samples.instants)))
 

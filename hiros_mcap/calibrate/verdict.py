@@ -281,9 +281,6 @@ class CalibratedCamera(CameraResult):
     """
 
     verdict: Verdict = "impossible"
-    drift_ppm: float = 0.0
-    """How fast the clock's offset grows, from the middle of the log; 0 in logs of less than two
-    minutes."""
     error_ms: float = math.nan  # standard error of the clock
     seconds: float = 0.0  # s in which another camera sees the same people
     moved_deg: float = math.nan

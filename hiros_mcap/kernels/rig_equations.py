@@ -14,8 +14,8 @@ from hiros_mcap.kernels.array_types import F1, F2, F3, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.skeletons import Floats, Stamps
 
-UNKNOWNS = 8  # of a camera: rotation, shift, clock, drift
-CLOCK, DRIFT = 6, 7
+UNKNOWNS = 7  # of a camera: rotation, shift, clock
+CLOCK = 6
 
 
 class RigResiduals(NamedTuple):
@@ -61,9 +61,9 @@ class EquationWork(NamedTuple):
     """Scratch for one point of C cameras. Zeros at first."""
 
     jacobians: F2
-    """(3, 8 (C - 1)) those of the cameras but the first, side by side."""
+    """(3, 7 (C - 1)) those of the cameras but the first, side by side."""
     factors: F1
-    """(8 (C - 1),) of each column's camera: what a product of Jacobians counts."""
+    """(7 (C - 1),) of each column's camera: what a product of Jacobians counts."""
 
     @classmethod
     def allocate(cls, n_cameras: int) -> EquationWork:
@@ -73,8 +73,8 @@ class EquationWork(NamedTuple):
 
 
 @kernel
-def _differentiate(points: RigResiduals, c: int, p: int, seconds: float, jacobian: Floats) -> None:
-    """Write the Jacobian (3, 8) of a point by its camera: ``[-[R x]x, I, -V, -V t]``.
+def _differentiate(points: RigResiduals, c: int, p: int, jacobian: Floats) -> None:
+    """Write the Jacobian (3, 7) of a point by its camera: ``[-[R x]x, I, -V]``.
 
     What is 0 in every Jacobian is left alone.
     """
@@ -85,7 +85,6 @@ def _differentiate(points: RigResiduals, c: int, p: int, seconds: float, jacobia
     for i in range(3):
         jacobian[i, 3 + i] = 1.0
         jacobian[i, CLOCK] = -points.velocities[c, p, i]
-        jacobian[i, DRIFT] = -points.velocities[c, p, i] * seconds
 
 
 @inlined
@@ -97,20 +96,18 @@ def _add_row(row: Floats, number: float, factors: Floats, numbers: Floats) -> No
 
 @entry
 def add_points(
-    points: RigResiduals, seconds: F1, first: int, last: int, hessian: F2, slope: F1,
-    work: EquationWork,
-) -> None:  # fmt: skip
+    points: RigResiduals, first: int, last: int, hessian: F2, slope: F1, work: EquationWork
+) -> None:
     """Add all points to ``sum w J'J - (sum w J)' (sum w J) / sum w`` and to the gradient.
 
     Parameters
     ----------
-    seconds : (P,) common times.
-    first, last : which rows are added, of the eight unknowns of a camera: those that are free.
-    hessian : (8 (C - 1), 8 (C - 1)); the upper triangle of blocks is written.
-    slope : (8 (C - 1),) the gradient.
+    first, last : which rows are added, of the seven unknowns of a camera: those that are free.
+    hessian : (7 (C - 1), 7 (C - 1)); the upper triangle of blocks is written.
+    slope : (7 (C - 1),) the gradient.
     """
     n_cameras = len(slope) // UNKNOWNS
-    for p in range(len(seconds)):
+    for p in range(len(points.means)):
         total = points.weights[0, p]
         for c in range(n_cameras):
             total += points.weights[c + 1, p]
@@ -118,7 +115,7 @@ def add_points(
             w, begin = points.weights[c + 1, p], UNKNOWNS * c
             if w > 0.0:
                 jacobian = work.jacobians[:, begin : begin + UNKNOWNS]
-                _differentiate(points, c + 1, p, seconds[p], jacobian)
+                _differentiate(points, c + 1, p, jacobian)
             for i in range(3 if w > 0.0 else 0):
                 pull = w * points.offsets[c + 1, p, i]
                 for k in range(first, last):

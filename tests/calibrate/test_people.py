@@ -154,7 +154,7 @@ def test_standard_errors_hold_where_errors_last():
         free = free_unknowns(2, clocks=False)
         rig = Rig.alone(2)
         residuals = residuals_of(points, rig)
-        hessian, slope = normal_equations(residuals, seconds, free)
+        hessian, slope = normal_equations(residuals, free)
         step = np.linalg.solve(hessian, slope)
         errors = standard_errors(residuals, points, free, rig)[0]
         ratios.append(step / errors[free])
