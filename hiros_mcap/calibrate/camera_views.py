@@ -44,16 +44,6 @@ class Seen(NamedTuple):
     confidences: npt.NDArray[np.float32]  # (P, M) 0..1; NaN = not given
 
 
-def view_of(
-    name: str, frame: str, sightings: Sequence[Sighting], mirror: Ints, shift: float = 0.0
-) -> CameraView:
-    """Follow the people whom one camera sees; its times are ``shift`` s later than stated."""
-    sightings = [s._replace(seconds=s.seconds + shift) for s in sightings]
-    sightings.sort(key=lambda s: s.seconds)
-    half_width = half_width_of([s.seconds for s in sightings])
-    return CameraView(name, frame, find_tracklets(sightings, mirror), shift, half_width)
-
-
 def half_width_of(times: Sequence[float]) -> float:
     """Return half of the time, s, over which a joint's path is taken for a line."""
     period = float(np.median(np.diff(times))) if len(times) > 1 else 0.0

@@ -12,12 +12,20 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from itertools import product
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
 
 from hiros_mcap.body.rotations import Rigid, to_matrix
-from hiros_mcap.calibrate.camera_views import CameraView, Seen, Sighting, sightings_from, view_of
+from hiros_mcap.calibrate.camera_views import (
+    CameraView,
+    Seen,
+    Sighting,
+    find_tracklets,
+    half_width_of,
+    sightings_from,
+)
 from hiros_mcap.calibrate.handedness import WrongAxes, left_handed
 from hiros_mcap.errors import LogError, naming
 from hiros_mcap.frames import rows_between
@@ -289,7 +297,10 @@ def seen_by(
 
     Its times are ``shift`` s later than stated.
     """
-    return in_own_frame(camera, view_of(camera.name, camera.frame, sightings, mirror, shift))
+    late = [s._replace(seconds=s.seconds + shift) for s in sightings]
+    late.sort(key=attrgetter("seconds"))
+    half_width, tracks = half_width_of([s.seconds for s in late]), find_tracklets(late, mirror)
+    return in_own_frame(camera, CameraView(camera.name, camera.frame, tracks, shift, half_width))
 
 
 def in_own_frame(camera: FixedCamera, view: CameraView) -> CameraView:

@@ -67,24 +67,15 @@ class Detections(NamedTuple):
         """Collect what cameras saw, in the order of ``names``."""
         centres = np.full((len(names), 3), np.nan)
         rotations = np.full((len(names), 3, 3), np.nan)
-        cameras, parts = [np.empty(0, np.int64)], []
+        nobody, nowhere = np.empty(0, np.int64), np.empty((0, joints, 2))
+        parts = [(nobody, nobody, nowhere, nowhere[..., 0])]
         for c, name in enumerate(names):
-            if name not in sights:
-                continue
-            sight = sights[name]
-            centres[c] = sight.pose.translation
-            rotations[c] = to_matrix(sight.pose.xyzw).T
-            cameras.append(np.full(len(sight.points), c))
-            parts.append(sight)
-        nobody = np.empty((0, joints, 2)), np.empty((0, joints))
-        return cls(
-            np.concatenate(cameras),
-            np.concatenate([p.tracks for p in parts]) if parts else np.empty(0, np.int64),
-            np.concatenate([p.points for p in parts]) if parts else nobody[0],
-            np.concatenate([p.scores for p in parts]) if parts else nobody[1],
-            centres,
-            rotations,
-        )
+            if sight := sights.get(name):
+                centres[c] = sight.pose.translation
+                rotations[c] = to_matrix(sight.pose.xyzw).T
+                cameras = np.full(len(sight.points), c)
+                parts.append((cameras, sight.tracks, sight.points, sight.scores))
+        return cls(*map(np.concatenate, zip(*parts, strict=True)), centres, rotations)
 
     def seen(self, camera: int, positions: Floats) -> tuple[Floats, Floats]:
         """Return where a camera sees (..., 3) points: (..., 2) x / z and y / z, and (...,) z, m."""
