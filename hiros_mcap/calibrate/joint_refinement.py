@@ -18,7 +18,7 @@ import numpy as np
 from hiros_mcap.body.rotations import from_vector, to_matrix
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.registration import jackknife
-from hiros_mcap.calibrate.sampling import Rig, Samples, group, placed, sample
+from hiros_mcap.calibrate.sampling import Rig, group, placed, sample
 from hiros_mcap.kernels.grouping import Groups
 from hiros_mcap.kernels.rig_equations import (
     CLOCK,
@@ -27,6 +27,7 @@ from hiros_mcap.kernels.rig_equations import (
     RigResiduals,
     add_points,
 )
+from hiros_mcap.rays.image_tracks import Samples
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
 GATES_M = (0.35, 0.3, 0.25, 0.25)

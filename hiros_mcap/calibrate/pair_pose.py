@@ -21,8 +21,9 @@ from hiros_mcap.calibrate.joint_refinement import (
     residuals_of,
 )
 from hiros_mcap.calibrate.registration import robust_kabsch
-from hiros_mcap.calibrate.sampling import Rig, Samples, group, instants_of, placed, sample
+from hiros_mcap.calibrate.sampling import Rig, group, instants_of, placed, sample
 from hiros_mcap.calibrate.verdict import WRONG_M
+from hiros_mcap.rays.image_tracks import Samples
 from hiros_mcap.skeletons import Floats, Ints
 
 FIT_M = 0.25

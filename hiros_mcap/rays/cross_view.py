@@ -75,7 +75,8 @@ class Detections(NamedTuple):
                 rotations[c] = to_matrix(sight.pose.xyzw).T
                 cameras = np.full(len(sight.points), c)
                 parts.append((cameras, sight.tracks, sight.points, sight.scores))
-        return cls(*map(np.concatenate, zip(*parts, strict=True)), centres, rotations)
+        numbers, tracks, points, scores = map(np.concatenate, zip(*parts, strict=True))
+        return cls(numbers, tracks, points, scores, centres, rotations)
 
     def seen(self, camera: int, positions: Floats) -> tuple[Floats, Floats]:
         """Return where a camera sees (..., 3) points: (..., 2) x / z and y / z, and (...,) z, m."""

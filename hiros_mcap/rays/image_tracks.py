@@ -12,7 +12,7 @@ from hiros_mcap.kernels.following import follow_people
 from hiros_mcap.kernels.local_line import Lines, Tracklet, fit_lines
 from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame
-from hiros_mcap.skeletons import Floats, Stamps
+from hiros_mcap.skeletons import Flags, Floats, Stamps
 
 GATE = 0.1
 """Mean distance of a person's rays, x / z, from image to image up to which it is the same one."""
@@ -49,7 +49,7 @@ class Samples(NamedTuple):
     lines: Lines
     """Their joints; in images, positions are x / z, y / z and 1."""
 
-    def part(self, rows: Floats | Stamps) -> Samples:
+    def part(self, rows: Flags | Stamps) -> Samples:
         """Return some of them."""
         instants, cameras, tracks, lines = self
         return Samples(instants[rows], cameras[rows], tracks[rows], chosen(lines, rows))
@@ -148,11 +148,12 @@ def sample_tracks(cameras: Iterable[tuple[Sequence[Tracklet], float, Floats]]) -
             inside = np.flatnonzero((seconds >= track.seconds[0]) & (seconds <= track.seconds[-1]))
             if len(inside):
                 lines = lines_at(track, seconds[inside], half_width)
-                parts.append(Samples(inside, *(np.full_like(inside, n) for n in (c, k)), lines))
+                camera, number = np.full_like(inside, c), np.full_like(inside, k)
+                parts.append(Samples(inside, camera, number, lines))
     none, rows = np.zeros((0, joints, 3)), np.zeros(0, np.int64)
     parts.append(Samples(rows, rows, rows, Lines(none, none, none[..., 0])))
-    columns = (np.concatenate(c) for c in zip(*(part[:3] for part in parts), strict=True))
-    samples = Samples(*columns, joined([part.lines for part in parts]))
+    at, numbers, owners = (np.concatenate(c) for c in zip(*(p[:3] for p in parts), strict=True))
+    samples = Samples(at, numbers, owners, joined([part.lines for part in parts]))
     known = np.count_nonzero(samples.lines.weights > 0.0, axis=1)
     return samples.part(np.flatnonzero(known >= LEAST_JOINTS))
 
