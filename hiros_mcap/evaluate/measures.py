@@ -224,16 +224,6 @@ SELF = (
     _TIME,
 )
 """Of a system (``hiros compare``) without a truth."""
-
-PLANNED = (
-    Measure("error", "Error", "mm", "expected mean error of the joints of those whom a camera sees",
-            at="error_mm"),
-    *(Measure(f"cameras_{n}", f"{n} camera{'s' * (n > 1)}", "%",
-              f"share of people whom at least {n} detect{'s' * (n == 1)}",
-              at=word, scale=100)
-      for n, word in enumerate(("one", "two", "three"), start=1)),
-)
-"""Of a rig in a room (``hiros plan``)."""
 # fmt: on
 _RANKING = (
     *("mpjpe", "mpjpe_sd", *(part.replace(" ", "_") for part in PARTS), "angle_rmse", "limb_cv"),

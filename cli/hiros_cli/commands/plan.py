@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING
 
 from hiros_cli.commands.simulate import simulate_params
 from hiros_cli.compiling import prepare
-from hiros_cli.options import FORCE, JSON, OUTPUT, QUIET, TABLE, flag, option
+from hiros_cli.options import FORCE, JSON, OUTPUT, QUIET, flag, option
 from hiros_cli.output import check_outputs, print_json
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.progress import bar
 
 if TYPE_CHECKING:
-    from hiros_mcap.evaluate.measures import Sheet
     from hiros_mcap.outputs import Kind
     from hiros_mcap.plan.planning import RoomPlan
 
@@ -46,7 +45,6 @@ def plan(
         panel=OUTPUT,
     ),
     picture: Path | None = option("FILE", "Also draw the floor as PNG.", panel=OUTPUT),
-    table: Path | None = TABLE,
     force: bool = FORCE,
     json: bool = JSON,
     quiet: bool = QUIET,
@@ -64,7 +62,6 @@ def plan(
     outputs: list[tuple[Path | None, Kind]] = [
         (output, "camera file"),
         (picture, "PNG picture"),
-        (table, "table of scores"),
     ]
     check_outputs(*outputs, inputs=(placed,), force=force)
 
@@ -89,10 +86,6 @@ def plan(
         from hiros_viewer.pictures import floor_figure, save_png
 
         save_png(floor_figure(rig_plan), picture)
-    if table is not None:
-        from hiros_mcap.evaluate.measures import write_table
-
-        write_table(table, [_sheet(rig_plan)])
     if json:
         print_json("plan", rig_plan.to_dict())
     elif not quiet:
@@ -115,25 +108,18 @@ def _pair(option: str, text: str, mark: str) -> tuple[float, float]:
     return numbers
 
 
-def _sheet(plan: RoomPlan) -> Sheet:
-    """Return what is expected with all cameras, with one less and with one more."""
-    from hiros_mcap.evaluate.measures import PLANNED, Sheet
-
-    rigs: list[tuple[str, object]] = [("all cameras", plan.expected)]
-    rigs += [(f"without {camera.name}", camera.then) for camera in plan.cameras]
-    rigs += [("with one more", plan.further.then)]
-    return Sheet("People anywhere on the floor", "Cameras", rigs, PLANNED)
-
-
 def _show(plan: RoomPlan, written: Iterable[Path], *, joints: bool) -> None:
     """Print the cameras, what is expected with all, with one less and with one more."""
     from hiros_cli.run_report import listing, page
-    from hiros_mcap.evaluate.measures import text_of
     from hiros_mcap.wording import number, quantity
 
     x0, y0, x1, y1 = plan.params.area
     people = plan.params.people
-    sheet = _sheet(plan)
+    rigs = [
+        ("all cameras", plan.expected),
+        *((f"without {camera.name}", camera.then) for camera in plan.cameras),
+        ("with one more", plan.further.then),
+    ]
     errors = {**plan.parts_mm, **(plan.joints_mm if joints else {})}
     page(
         f"{x1 - x0:.1f} m x {y1 - y0:.1f} m, {quantity(len(plan.cameras), 'camera')}, "
@@ -148,7 +134,14 @@ def _show(plan: RoomPlan, written: Iterable[Path], *, joints: bool) -> None:
             (">Bearing, deg", lambda camera: number(camera.bearing_deg, 0)),
             (">Tilt, deg", lambda camera: number(camera.tilt_deg, 0)),
         ),
-        (sheet.title, text_of(sheet)),
+        listing(
+            rigs,
+            ("People anywhere on the floor", lambda row: row[0]),
+            (">Error, mm", lambda row: number(row[1].error_mm, 1)),
+            (">Seen by 1 camera, %", lambda row: number(100 * row[1].one, 0)),
+            (">2 cameras", lambda row: number(100 * row[1].two, 0)),
+            (">3 cameras", lambda row: number(100 * row[1].three, 0)),
+        ),
         listing(
             errors.items(),
             ("Joints", lambda row: row[0]),
