@@ -144,22 +144,25 @@ def compare_bodies(residuals: RigResiduals, points: Points) -> tuple[Floats, Flo
         if not len(kept):
             continue
         people = np.unique(points.people[kept], return_inverse=True)[1]
+        n_people = int(people.max()) + 1
         here = residuals.means[kept] + residuals.offsets[c, kept]
         other = here - apart
-        spans = [np.sum(sure * (p - _middles(p, people)[people]) ** 2) for p in (here, other)]
+        middles = (_means(p, people, n_people)[people] for p in (here, other))
+        spans = [np.sum(sure * (p - m) ** 2) for p, m in zip((here, other), middles, strict=True)]
         sizes[c] = np.sqrt(spans[0] / spans[1])
-        wander[c] = np.median(np.linalg.norm(_middles(apart, people), axis=1))
+        wander[c] = np.median(np.linalg.norm(_means(apart, people, n_people), axis=1))
         speeds = residuals.velocities[c, kept]
-        inside[c, kept] = speeds - _middles(speeds, people)[people]
+        inside[c, kept] = speeds - _means(speeds, people, n_people)[people]
     limbs = common_motion(residuals._replace(velocities=inside))
     return sizes, wander, limbs
 
 
-def _middles(numbers: Floats, people: Stamps) -> Floats:
-    """(G, 3) mean of each person's points."""
-    sums = np.zeros((int(people.max()) + 1, 3))
-    np.add.at(sums, people, numbers)
-    return np.asarray(sums / np.bincount(people)[:, None])
+def _means(vectors: Floats, groups: Stamps, n: int) -> Floats:
+    """(n, 3) mean of the vectors of each group; NaN without any."""
+    sums, counts = np.zeros((n, 3)), np.bincount(groups, minlength=n)
+    np.add.at(sums, groups, vectors)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(sums / counts[:, None])
 
 
 def camera_distances(residuals: RigResiduals) -> Floats:
@@ -304,9 +307,7 @@ def _distance(series: list[Floats], lag: int) -> float:
     source, goal = now[present], later[present]
     rotation, shift = robust_kabsch(source, goal, np.ones(len(source)), ROUNDS)
     errors = goal - source @ rotation.T - shift
-    sums = np.zeros((len(now), 3))
-    np.add.at(sums, np.nonzero(present)[0], errors)
-    middles = sums / present.sum(axis=1)[:, None]
+    middles = _means(errors, np.nonzero(present)[0], len(now))
     return float(np.median(np.linalg.norm(middles, axis=1)))
 
 
@@ -319,22 +320,14 @@ def path_distances(residuals: RigResiduals, points: Points) -> Floats:
     moving = np.linalg.norm(residuals.mean_velocities, axis=1) > MOVING_M_S
     windows = np.floor((points.seconds - points.seconds.min(initial=0.0)) / WINDOW_S)
     n_markers = int(points.joints.max(initial=0)) + 1
+    n_windows = int(windows.max(initial=0)) + 1
     cells = windows.astype(np.int64) * n_markers + points.joints
     distances = []
     for seen, apart, _ in residuals.against_others():
         kept = moving[seen]
-        distances.append(_common_part(_cell_means(cells[seen[kept]], apart[kept], n_markers)))
+        means = _means(apart[kept], cells[seen[kept]], n_markers * n_windows)
+        distances.append(_common_part(means.reshape(-1, n_markers, 3)))
     return np.array(distances)
-
-
-def _cell_means(cells: Stamps, vectors: Floats, n_markers: int) -> Floats:
-    """(W, M, 3) mean in each window of each joint; NaN without any."""
-    rows = n_markers * (int(cells.max(initial=-1)) // n_markers + 1)
-    counts = np.bincount(cells, minlength=rows)
-    sums = np.zeros((rows, 3))
-    np.add.at(sums, cells, vectors)
-    sums[counts == 0] = np.nan
-    return np.asarray((sums / np.maximum(counts, 1)[:, None]).reshape(-1, n_markers, 3))
 
 
 def _common_part(means: Floats) -> float:
