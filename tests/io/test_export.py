@@ -136,9 +136,6 @@ def test_tables_say_from_how_many_cameras_somebody_is_hidden(result, tmp_path):
     (path,) = export(marked, tmp_path / "out.jsonl")
     rows = [json.loads(line) for line in path.read_text().splitlines()]
     assert [row["hidden from (cameras)"] for row in rows if row["person"] == 1] == table[1].tolist()
-    (path,) = export(marked, str(tmp_path / "out.npz"))
-    with np.load(path) as arrays:
-        assert arrays["person_1_hidden_from"].tolist() == table[1].tolist()
 
 
 def test_json_lines_have_names_and_gaps(result, tmp_path):
@@ -152,16 +149,6 @@ def test_json_lines_have_names_and_gaps(result, tmp_path):
     confidence = motion.confidences[2, 5]
     assert rows[2][f"{name} confidence"] == pytest.approx(confidence, abs=1e-6)
     assert 0 < rows[2][f"{name} SD (m)"] < 0.1
-
-
-def test_arrays_come_back(result, tmp_path):
-    (path,) = export(result, str(tmp_path / "out.npz"))
-    with np.load(path) as arrays:
-        np.testing.assert_array_equal(arrays["person_1_positions"], result.motions[1].positions)
-        for part in ("confidences", "deviations"):
-            own = getattr(result.motions[1], part)
-            np.testing.assert_array_equal(arrays[f"person_1_{part}"], own)
-        assert arrays["markers"].tolist() == list(result.model.marker_names)
 
 
 def test_a_trc_file_is_a_truth_that_the_result_equals(log, result, tmp_path, capsys):
@@ -340,7 +327,7 @@ print(*(run(["export", sys.argv[1], "-o", path]) for path in sys.argv[2:]))
 
 
 def test_a_file_beyond_a_limit_of_size_is_one_error(log, tmp_path):
-    faults = dict.fromkeys((".csv", ".parquet", ".npz"), "File too large")
+    faults = dict.fromkeys((".csv", ".parquet", ".jsonl"), "File too large")
     faults[".c3d"] = "the file was cut"
     done = subprocess.run(
         [sys.executable, "-c", LIMITED, log, *(tmp_path / f"out{suffix}" for suffix in faults)],

@@ -14,13 +14,12 @@ import numpy as np
 from hiros_mcap.body.rotations import Y_UP
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.io.export.choices import Choices, pauses
 from hiros_mcap.io.export.rajagopal import NEEDS, PELVIS, bridged, coordinates
-from hiros_mcap.io.export.tables import write_lines
+from hiros_mcap.io.export.tables import Parts, Warn, write_lines
 from hiros_mcap.io.joints.c3d_file import MOST_FRAMES, open_c3d
 from hiros_mcap.io.result import safe_name
 from hiros_mcap.outputs import EXPORT_MARK
-from hiros_mcap.skeletons import Floats
+from hiros_mcap.skeletons import Flags, Floats
 
 if TYPE_CHECKING:
     from hiros_mcap.io.result import Motion, Result
@@ -37,7 +36,30 @@ def only(result: Result) -> Motion:
     return motion
 
 
-def write_trc(result: Result, target: Path, choices: Choices) -> None:
+_MOST_PAUSES = 3
+
+
+def pauses(times: Floats, absent: Flags) -> str:
+    """Name the gaps of (T,) instants, s: all if they are few, else the longest.
+
+    >>> pauses(np.arange(6.0), np.array([0, 1, 1, 0, 0, 1], bool))
+    '2 gaps, 3.0 s in all: 0.0 to 3.0 s, 4.0 to 5.0 s'
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], absent, [False]]).astype(np.int8)))
+    last = len(times) - 1
+    gaps = [(times[max(a - 1, 0)], times[min(b, last)]) for a, b in edges.reshape(-1, 2)]
+    if not gaps:
+        return ""
+    longest = sorted(gaps, key=lambda gap: gap[0] - gap[1])[:_MOST_PAUSES]
+    spans = ", ".join(f"{start:.1f} to {end:.1f} s" for start, end in sorted(longest))
+    if len(gaps) == 1:
+        return f"{spans}"
+    whole = sum(end - start for start, end in gaps)
+    which = "the longest: " if len(gaps) > _MOST_PAUSES else ""
+    return f"{len(gaps)} gaps, {whole:.1f} s in all: {which}{spans}"
+
+
+def write_trc(result: Result, target: Path, parts: Parts, warn: Warn) -> None:
     """Write one person's markers, mm, y up; an empty cell is a gap.
 
     OpenSim's inverse kinematics stops at a row without its markers, so these rows are left out; a
@@ -52,7 +74,7 @@ def write_trc(result: Result, target: Path, choices: Choices) -> None:
     if not seen.any():
         raise ConfigError(f"{result.path}: no joint of OpenSim's model is ever seen")
     if not seen.all():
-        choices.warn(
+        warn(
             f"{result.path}: left out the rows in which no joint of OpenSim's model is seen: "
             f"{pauses(motion.times, ~seen)}"
         )
@@ -82,7 +104,7 @@ def _cell(value: float) -> str:
     return "" if np.isnan(value) else f"{value:.4f}"
 
 
-def write_mot(result: Result, target: Path, choices: Choices) -> None:
+def write_mot(result: Result, target: Path, parts: Parts, warn: Warn) -> None:
     """Write one person's pose as coordinates of OpenSim's Rajagopal model, degrees and m.
 
     OpenSim reads no gaps. Rows without the pelvis are left out, and so are coordinates that are
@@ -101,12 +123,12 @@ def write_mot(result: Result, target: Path, choices: Choices) -> None:
     if absent & {*PELVIS}:
         raise ConfigError(f"{result.path}: MOT has no pelvis: {lacking[0]}")
     if lacking:
-        choices.warn(f"{result.path}: left out {', '.join(sorted(absent))}: {'; '.join(lacking)}")
+        warn(f"{result.path}: left out {', '.join(sorted(absent))}: {'; '.join(lacking)}")
     if text := _bent_otherwise(deviations):
-        choices.warn(f"{result.path}: {text}")
+        warn(f"{result.path}: {text}")
     columns = {name: column for name, column in columns.items() if name not in absent}
     for text in _gaps(motion.times, columns):
-        choices.warn(f"{result.path}: {text}")
+        warn(f"{result.path}: {text}")
     numbers = np.stack([motion.times, *map(bridged, columns.values())], axis=-1)
     numbers = numbers[~np.isnan(columns[PELVIS[0]])]
     head = [
@@ -156,7 +178,7 @@ _MOST_TEXTS = 255
 """Of a parameter in a C3D file: a byte counts them; ANGLES2 continues ANGLES, as LABELS2 LABELS."""
 
 
-def write_c3d(result: Result, target: Path, choices: Choices) -> None:
+def write_c3d(result: Result, target: Path, parts: Parts, warn: Warn) -> None:
     """Write everybody's markers, mm, and angles, degrees, z up; a gap has the residual -1.
 
     An angle is the x of a point that POINT:ANGLES names.
@@ -181,10 +203,10 @@ def write_c3d(result: Result, target: Path, choices: Choices) -> None:
     for person, motion in motions.items():
         places = np.round((motion.times - first) * rate).astype(int)
         before = f"{person}:" if len(motions) > 1 else ""
-        if "joints" in choices.parts:
+        if "joints" in parts:
             labels += [f"{before}{name}" for name in result.model.marker_names]
             columns += _placed(1000 * motion.positions, places, n)
-        if "angles" in choices.parts:
+        if "angles" in parts:
             angles = result.select(person).angles(0)
             names = [f"{before}{name}" for name in angles.columns]
             labels, angle_labels = [*labels, *names], [*angle_labels, *names]

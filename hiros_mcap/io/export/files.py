@@ -12,6 +12,7 @@ Markers that it does not name are left out.
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -25,7 +26,7 @@ from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.export import biomechanics, tables
-from hiros_mcap.io.export.choices import Choices, warn_in_python
+from hiros_mcap.io.export.tables import Parts, Warn
 from hiros_mcap.io.result import safe_name
 from hiros_mcap.outputs import replacing
 from hiros_mcap.outside import read_toml
@@ -42,7 +43,7 @@ class ExportFormat:
     """A kind of file."""
 
     text: str  # description, for a list
-    write: Callable[[Result, Path, Choices], None]
+    write: Callable[[Result, Path, Parts, Warn], None]
     """Writes the parts "joints" and "angles" of a result."""
     parts: tuple[str, ...] = ("joints", "angles")
     """Parts that it can hold; the first is the default."""
@@ -59,7 +60,6 @@ FORMATS: dict[str, ExportFormat] = {
         tables.write_parquet,
     ),
     ".jsonl": ExportFormat("one JSON object per person and time", tables.write_jsonl),
-    ".npz": ExportFormat("numpy arrays", tables.write_npz),
     ".trc": _for_one("markers for OpenSim (mm, y up)", biomechanics.write_trc, steady=True),
     ".mot": _for_one(
         "coordinates of OpenSim's Rajagopal model (degrees, m)",
@@ -93,7 +93,7 @@ def export(
     what: str = "",
     least_confidence: float = LEAST_CONFIDENCE,
     *,
-    warn: Callable[[str], object] = warn_in_python,
+    warn: Warn = warnings.warn,
 ) -> list[Path]:
     """Write a result in the format of the target's suffix.
 
@@ -121,7 +121,7 @@ def export(
     if not result.motions:
         raise ConfigError(f"{result.path}: {result.channel} holds no people")
     path = Path(target)
-    kind, choices = format_of(path), Choices(_parts_of(path, what), warn)
+    kind, parts = format_of(path), _parts_of(path, what)
     result = _prepared(result, least_confidence)
     result = steady(result) if kind.steady else result
     files = files_of(path, result.people)
@@ -129,11 +129,11 @@ def export(
     with ExitStack() as together:  # the files get their names when all are written
         for one, file in zip(each, files, strict=True):
             named = replace(one, path=file)  # a header names the file itself
-            kind.write(named, together.enter_context(replacing(file)), choices)
+            kind.write(named, together.enter_context(replacing(file)), parts, warn)
     return files
 
 
-def _parts_of(target: Path, what: str) -> tuple[str, ...]:
+def _parts_of(target: Path, what: str) -> Parts:
     """Return the parts of a result that a file gets; raises ConfigError if it cannot hold one."""
     kind = format_of(target)
     if what not in ("", *WHAT):

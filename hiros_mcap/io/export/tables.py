@@ -1,25 +1,30 @@
-"""Results as tables: CSV, Parquet, JSON lines and numpy arrays."""
+"""Results as a table: CSV, Parquet and JSON lines."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hiros_mcap.events import hidden_times
-from hiros_mcap.io.export.choices import Choices
 from hiros_mcap.outputs import EXPORT_MARK
 from hiros_mcap.skeletons import Floats, Stamps
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from hiros_mcap.io.result import Motion, Result
+    from hiros_mcap.io.result import Result
 
 
-def table(result: Result, parts: tuple[str, ...]) -> pd.DataFrame:
+Parts = tuple[str, ...]
+"""Of a result: "joints", "angles"."""
+Warn = Callable[[str], object]
+"""Is called with what a file lacks."""
+
+
+def table(result: Result, parts: Parts) -> pd.DataFrame:
     """Return joints and angles side by side, with flat column names that carry their units.
 
     Behind the joints follow their confidences, 0 to 1, and if the result states them, their
@@ -49,14 +54,12 @@ def _certainties(result: Result) -> list[tuple[Floats, str]]:
     motions = result.motions.values()
     certainties = [(np.concatenate([m.confidences for m in motions]), "confidence")]
     if any(m.deviations is not None for m in motions):
-        certainties.append((np.concatenate([deviations_of(m) for m in motions]), "SD (m)"))
+        stated = [
+            np.full_like(m.confidences, np.nan) if m.deviations is None else m.deviations
+            for m in motions
+        ]
+        certainties.append((np.concatenate(stated), "SD (m)"))
     return certainties
-
-
-def deviations_of(motion: Motion) -> Floats:
-    """(T, M) standard deviations of a motion, m; NaN if it states none."""
-    absent = np.full_like(motion.confidences, np.nan)
-    return absent if motion.deviations is None else motion.deviations
 
 
 def hidden_from(result: Result, person: int) -> Stamps:
@@ -68,42 +71,22 @@ def hidden_from(result: Result, person: int) -> Stamps:
     return count
 
 
-def write_csv(result: Result, target: Path, choices: Choices) -> None:
+def write_csv(result: Result, target: Path, parts: Parts, warn: Warn) -> None:
     """Write a table with a header line; an empty cell is a gap."""
-    table(result, choices.parts).round(6).to_csv(target, lineterminator="\n")
+    table(result, parts).round(6).to_csv(target, lineterminator="\n")
 
 
-def write_parquet(result: Result, target: Path, choices: Choices) -> None:
+def write_parquet(result: Result, target: Path, parts: Parts, warn: Warn) -> None:
     """Write the table of :func:`write_csv` at full precision."""
-    rows = table(result, choices.parts).reset_index()
+    rows = table(result, parts).reset_index()
     rows.attrs["hiros"] = EXPORT_MARK  # pandas stores them as metadata of the file
     rows.to_parquet(target, index=False)
 
 
-def write_jsonl(result: Result, target: Path, choices: Choices) -> None:
+def write_jsonl(result: Result, target: Path, parts: Parts, warn: Warn) -> None:
     """Write the rows of :func:`write_csv` as objects, a line each; null is a gap."""
-    rows = table(result, choices.parts).round(6).reset_index()
+    rows = table(result, parts).round(6).reset_index()
     rows.to_json(target, orient="records", lines=True)
-
-
-def write_npz(result: Result, target: Path, choices: Choices) -> None:
-    """Write ``person_<id>_times``, ``..._positions`` and so on, with the names of the columns."""
-    arrays: dict[str, Any] = {EXPORT_MARK: [], "markers": np.array(result.model.marker_names)}
-    angles = result.angles(0) if "angles" in choices.parts else None
-    if angles is not None:
-        arrays["angles"] = np.array(angles.columns, dtype=str)
-    for person, motion in result.motions.items():
-        arrays[f"person_{person}_times"] = motion.times
-        arrays[f"person_{person}_hidden_from"] = hidden_from(result, person)
-        if "joints" in choices.parts:
-            arrays[f"person_{person}_positions"] = motion.positions
-            arrays[f"person_{person}_confidences"] = motion.confidences
-            if motion.deviations is not None:
-                arrays[f"person_{person}_deviations"] = motion.deviations
-        if angles is not None:
-            arrays[f"person_{person}_angles"] = angles.loc[[person]].to_numpy()
-    with target.open("wb") as file:  # a name would get the suffix .npz once more
-        np.savez_compressed(file, **arrays)
 
 
 def write_lines(target: Path, lines: Sequence[str]) -> None:
