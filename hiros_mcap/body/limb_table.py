@@ -59,7 +59,7 @@ class LimbTable:
         if unknown:
             raise ConfigError(
                 f"{self.origin}: person {person}: this log has no link {unknown[0]!r}"
-                f" (its links: {_some(keys)})"
+                f" (its links: {', '.join(keys[:3])}{', ...' * (len(keys) > 3)})"
             )
         return np.array([limbs[key].length if key in limbs else math.nan for key in keys])
 
@@ -107,7 +107,3 @@ def link_keys(model: SkeletonModel) -> tuple[str, ...]:
         name if name and count[name] == 1 else f"link {link_id}"
         for name, link_id in zip(model.link_names, model.link_ids, strict=True)
     )
-
-
-def _some(names: tuple[str, ...]) -> str:
-    return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")

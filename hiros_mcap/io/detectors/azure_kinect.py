@@ -96,7 +96,8 @@ class AzureKinectMarkers(DetectorReader):
         """
         data = bytes(message.cdr)
         known = message.topic in self._known or message.topic.rpartition("/")[2] == TOPIC
-        nobody = [self._nobody(message)] if known else []
+        empty = np.empty((0, self._model.n_markers, 3))
+        nobody = [seen_people(self._model, message, "", empty)] if known else []
         if data[4:_FIRST] == bytes(4):  # no markers
             return nobody
         spheres = _added(_gathered(data) or _decoded(message.fields.markers))
@@ -192,9 +193,6 @@ class AzureKinectMarkers(DetectorReader):
         for topic, n in self._others.items():
             if n:
                 yield f"{topic}: {quantity(n, 'marker')} left out that are no spheres"
-
-    def _nobody(self, message: DetectorMessage) -> SeenPeople:
-        return seen_people(self._model, message, "", np.empty((0, self._model.n_markers, 3)))
 
 
 def _hint(topic: str, spheres: Spheres) -> str:

@@ -127,8 +127,9 @@ class Fit:
         self.target = target
         self._factors = np.ones(3) if factors is None else factors
         self._same = source == target
-        slots, joints = _slots(target), joints_of(source.marker_names)
+        joints, of_target = joints_of(source.marker_names), joints_of(target.marker_names)
         # Of two names for one joint, the first counts.
+        slots = {joint: slot for slot, joint in reversed([*enumerate(of_target)])}
         first = {slots[j]: i for i, j in reversed([*enumerate(joints)]) if j in slots}
         self._from, self._to = list(first.values()), list(first)
         self._names = source.marker_names
@@ -172,9 +173,3 @@ class Fit:
                     states[..., part] = np.nan
         people.boxes[:, STATE:] *= abs(self._factors[0])
         return people
-
-
-def _slots(model: SkeletonModel) -> dict[Joint, int]:
-    """Slot of each joint; of two names for one joint, the first counts."""
-    joints = joints_of(model.marker_names)
-    return {joint: slot for slot, joint in reversed([*enumerate(joints)])}

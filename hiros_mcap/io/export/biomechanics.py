@@ -22,20 +22,12 @@ from hiros_mcap.outputs import EXPORT_MARK
 from hiros_mcap.skeletons import Flags, Floats
 
 if TYPE_CHECKING:
-    from hiros_mcap.io.result import Motion, Result
+    from hiros_mcap.io.result import Result
 
 _CLOSE_DEG = 3.0  # no bone deviates by more in a pose that the model can take
 _FOLLOWED = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
 """Joints that inverse kinematics follows."""
 _FEW = 0.01  # share of the frames in which a bone may deviate without a word
-
-
-def only(result: Result) -> Motion:
-    """Return the motion of the one person in a result."""
-    (motion,) = result.motions.values()
-    return motion
-
-
 _MOST_PAUSES = 3
 
 
@@ -65,7 +57,7 @@ def write_trc(result: Result, target: Path, parts: Parts, warn: Warn) -> None:
     OpenSim's inverse kinematics stops at a row without its markers, so these rows are left out; a
     warning names them. Raises ConfigError if none is left.
     """
-    motion = only(result)
+    (motion,) = result.motions.values()
     names = result.model.marker_names
     followed = [k for k, name in enumerate(names) if split_side(name)[0] in _FOLLOWED]
     # If the markers have the names of another model, any of them counts.
@@ -112,7 +104,7 @@ def write_mot(result: Result, target: Path, parts: Parts, warn: Warn) -> None:
 
     Raises ConfigError if the pose of the pelvis is never known.
     """
-    motion = only(result)
+    (motion,) = result.motions.values()
     columns, deviations = coordinates(result.model, motion)
     absent = {name for name, column in columns.items() if np.isnan(column).all()}
     lacking = [

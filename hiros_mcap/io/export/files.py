@@ -16,7 +16,6 @@ import warnings
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -42,36 +41,21 @@ WHAT = ("joints", "angles", "both")
 class ExportFormat:
     """A kind of file."""
 
-    text: str  # description, for a list
     write: Callable[[Result, Path, Parts, Warn], None]
     """Writes the parts "joints" and "angles" of a result."""
-    parts: tuple[str, ...] = ("joints", "angles")
+    parts: Parts = ("joints", "angles")
     """Parts that it can hold; the first is the default."""
     one_person: bool = False  # whether it holds one person only
     steady: bool = False  # whether its instants must have a fixed rate
 
 
-_for_one = partial(ExportFormat, parts=("joints",), one_person=True)
-
-FORMATS: dict[str, ExportFormat] = {
-    ".csv": ExportFormat("table, a row per person and time", tables.write_csv),
-    ".parquet": ExportFormat(
-        "the same table for pandas, polars, R and DuckDB",
-        tables.write_parquet,
-    ),
-    ".jsonl": ExportFormat("one JSON object per person and time", tables.write_jsonl),
-    ".trc": _for_one("markers for OpenSim (mm, y up)", biomechanics.write_trc, steady=True),
-    ".mot": _for_one(
-        "coordinates of OpenSim's Rajagopal model (degrees, m)",
-        biomechanics.write_mot,
-        parts=("angles",),
-        steady=True,
-    ),
-    ".c3d": ExportFormat(
-        "markers and angles for motion capture programs (mm, z up)",
-        biomechanics.write_c3d,
-        steady=True,
-    ),
+FORMATS = {
+    ".csv": ExportFormat(tables.write_csv),
+    ".parquet": ExportFormat(tables.write_parquet),
+    ".jsonl": ExportFormat(tables.write_jsonl),
+    ".trc": ExportFormat(biomechanics.write_trc, ("joints",), one_person=True, steady=True),
+    ".mot": ExportFormat(biomechanics.write_mot, ("angles",), one_person=True, steady=True),
+    ".c3d": ExportFormat(biomechanics.write_c3d, steady=True),
 }
 """Suffix -> kind of file."""
 

@@ -21,7 +21,7 @@ import numpy as np
 from hiros_mcap.body.units import METRES
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.joints.c3d_file import C3dFile, open_c3d
-from hiros_mcap.io.joints.text_tables import lines_of, number_of, text_of, unit_of, with_points
+from hiros_mcap.io.joints.text_tables import number_of, text_of, unit_of, with_points
 from hiros_mcap.skeletons import Floats
 
 
@@ -411,7 +411,7 @@ def read_qualisys(path: Path, unit: str = "") -> Markers:
     """
     lines = [
         (f"{path}: line {number}", _stripped(line.split("\t")))
-        for number, line in enumerate(lines_of(path), start=1)
+        for number, line in enumerate(text_of(path).splitlines(), start=1)
     ]
     header = {cells[0]: cells[1:] for _, cells in lines}
     labels = [name for name in header.get("MARKER_NAMES", []) if name]

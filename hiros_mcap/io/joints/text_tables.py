@@ -60,11 +60,6 @@ def text_of(path: Path) -> str:
     return read_text(path, 1 << 30)
 
 
-def lines_of(path: Path) -> list[str]:
-    """Lines of a file of joints; raises ConfigError as :func:`text_of` does."""
-    return text_of(path).splitlines()
-
-
 def read_table(path: Path, *, may_be_short: bool = False) -> Table:
     """Read a CSV file whose first line names the columns; rows without any cell do not count.
 
@@ -72,7 +67,7 @@ def read_table(path: Path, *, may_be_short: bool = False) -> Table:
 
     Raises ConfigError naming the line: a column is named twice, a row has more or fewer cells.
     """
-    lines = lines_of(path)
+    lines = text_of(path).splitlines()
     skipped = int(bool(lines) and bool(re.fullmatch(r'"?sep=."?', lines[0])))
     head = _QUOTED.sub("", next(iter(lines[skipped:]), ""))
     delimiter = max(_DELIMITERS, key=head.count)
