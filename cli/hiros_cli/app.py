@@ -14,6 +14,7 @@ import signal
 import sys
 import time
 import warnings
+from contextlib import nullcontext
 from types import FrameType
 from typing import NoReturn
 
@@ -52,7 +53,7 @@ def run(arguments: list[str]) -> int:
     try:
         stop.catch()
         try:
-            code = _run([argument for argument in arguments if argument != "--debug"])
+            code = _run(arguments)
         except Exception as error:
             if stop.exit_code is not None:
                 raise
@@ -74,15 +75,14 @@ def _run(arguments: list[str]) -> int:
     open_missing_streams()
     for variable in SINGLE_THREADED:
         os.environ.setdefault(variable, "1")
-    from hiros_cli.common_options import of_ros, split
+    from hiros_cli.common_options import VERBOSE, of_ros, steps_shown, without_common
     from hiros_cli.compiling import importing
 
     with importing():
         from hiros_cli.commands import dispatch
 
-    chosen, rest = split(of_ros(arguments))
-    with chosen.in_effect(arguments):
-        code = dispatch(rest)
+    with steps_shown() if VERBOSE in arguments else nullcontext():
+        code = dispatch(of_ros(without_common(arguments)))
     sys.stdout.flush()
     return code
 

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, get_type_hints
 import typer
 from typer.core import TyperCommand
 
-from hiros_cli.completing import parameters, presets, systems, topics
 from hiros_mcap.defaults import default_system
 from hiros_mcap.errors import ConfigError
 
@@ -72,9 +71,7 @@ def grouped(command: Callable[..., Any]) -> Callable[..., Any]:
     return run
 
 
-CAMERAS = option(
-    "GLOB", "Cameras to read; may be repeated. Default: all.", panel=INPUT, autocompletion=topics
-)
+CAMERAS = option("GLOB", "Cameras to read; may be repeated. Default: all.", panel=INPUT)
 EXTRINSICS = option("FILE", "Camera poses that replace the log's transforms.", panel=INPUT)
 HTML = option("FILE", "Also write an HTML page with plots.", panel=OUTPUT)
 
@@ -115,14 +112,12 @@ class Parameters:
         "System to run; `hiros systems` lists them. Default: fuse, on live input "
         "fuse-realtime; with a preset hiros, on live input hiros-realtime.",
         panel=PARAMETERS,
-        autocompletion=systems,
     )
     preset: str = option(
         "NAME",
         "Start from a preset of hiros: default, realtime, paper or upstream.",
         default="default",
         panel=PARAMETERS,
-        autocompletion=presets,
     )
     config: Path | None = CONFIG
     assignments: list[str] | None = option(
@@ -130,7 +125,6 @@ class Parameters:
         "Change one parameter; may be repeated.",
         "--set",
         panel=PARAMETERS,
-        autocompletion=parameters,
     )
 
     def settings(self, named: Mapping[str, Table] | None = None, *, live: bool = False) -> Settings:
@@ -222,7 +216,6 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     "ball": ("hiros calibrate ball lab.mcap -o cameras.toml",),
     "board": ("hiros calibrate board board.mcap --extrinsics cameras.toml -o room.toml",),
     "noise": ("hiros calibrate noise still.mcap --window 2:10",),
-    "completion": ('eval "$(hiros completion bash)"',),
 }
 """By command."""
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import glob
 import json
-import logging
 import sys
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,8 +16,6 @@ from pathlib import Path
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.outputs import Kind
 from hiros_mcap.outputs import check_outputs as check
-
-_log = logging.getLogger(__name__)
 
 
 def check_outputs(
@@ -33,14 +30,9 @@ def check_outputs(
     check(outputs, inputs, force=force, remedy="--force")
 
 
-def warn(text: str, *, logged: bool = False) -> None:
-    """Print ``hiros: warning: ...`` on stderr, where no pipe and no --quiet hides it.
-
-    It is logged as well, unless the library has ``logged`` it.
-    """
+def warn(text: str) -> None:
+    """Print ``hiros: warning: ...`` on stderr, where no pipe and no --quiet hides it."""
     print(f"hiros: warning: {printable(text, LINE_LIMIT)}", file=sys.stderr, flush=True)
-    if not logged:
-        _log.warning("%s", text)
 
 
 SCHEMA_VERSIONS: Mapping[str, int] = {

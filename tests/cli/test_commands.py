@@ -365,7 +365,7 @@ def test_calibrate_noise_warns_beside_its_output_when_people_walk(options, whole
 
 COMMANDS = (
     *("process", "view", "plot", "export", "eval", "check", "compare", "info", "simulate"),
-    *("systems", "config", "warmup", "completion", "recover", "import"),
+    *("systems", "config", "warmup", "recover", "import"),
     *("calibrate", "calibrate people", "calibrate ball", "calibrate board", "calibrate noise"),
 )
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from functools import cache
 from itertools import pairwise
 from typing import Any, cast
 
 import typer
 
-from hiros_cli import completing
 from hiros_cli.commands import (
     calibrate,
     check,
@@ -25,7 +23,7 @@ from hiros_cli.commands import (
     simulate,
     view,
 )
-from hiros_cli.options import HelpfulCommand, flag, option
+from hiros_cli.options import HelpfulCommand, flag
 from hiros_mcap import __version__
 from hiros_mcap.errors import ConfigError
 
@@ -36,7 +34,6 @@ app = typer.Typer(
     name="hiros",
     help="Turn a log of several cameras' skeletons into one clean, smooth skeleton per person.",
     epilog="`hiros help COMMAND` shows a command's options.",
-    add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
@@ -56,14 +53,6 @@ def hiros(
         "--version", "Print the version.", "-V", callback=_show_version, is_eager=True
     ),
     verbose: bool = flag("--verbose", "With any command: show its steps on stderr."),
-    log_file: str = option(
-        "FILE", "With any command: append warnings, steps and events to a file.", default=""
-    ),
-    color: str = option(
-        "auto|always|never",
-        "With any command: colours and bold type; auto: on a terminal, without NO_COLOR.",
-        default="auto",
-    ),
     debug: bool = flag("--debug", "With any command: show tracebacks of errors."),
 ) -> None:
     """Options of all commands; their values are read before (:mod:`hiros_cli.common_options`)."""
@@ -89,7 +78,6 @@ app.command(cls=HelpfulCommand)(setup.systems)
 app.add_typer(calibrate.app, name="calibrate")
 app.command(cls=HelpfulCommand)(setup.config)
 app.command(cls=HelpfulCommand)(setup.warmup)
-app.command(cls=HelpfulCommand)(setup.completion)
 
 
 def dispatch(arguments: list[str]) -> int:
@@ -108,18 +96,17 @@ def dispatch(arguments: list[str]) -> int:
             raise ConfigError("an argument is empty; is a variable not set?")
     if arguments[:1] == ["help"]:
         arguments = [*arguments[1:], "--help"]
-    command = program()
-    if completing.VARIABLE in os.environ:
-        return completing.answer(command)
     try:
-        code = command.main(args=arguments, prog_name="hiros", standalone_mode=False)
+        code = program().main(args=arguments, prog_name="hiros", standalone_mode=False)
     except CLICK_ERROR as error:
         context = getattr(error, "ctx", None)
         path = "hiros" if context is None else context.command_path
         reason = " ".join(cast(Any, error).format_message().split())
         raise ConfigError(f"{reason} (see {path} --help)") from error
     except SystemExit as error:
-        # The only exit that typer still makes by itself: its reader has closed the pipe.
+        if not error.code:  # a shell was told how to complete the line
+            return 0
+        # The only other exit that typer still makes by itself: its reader has closed the pipe.
         raise BrokenPipeError from error
     return code if isinstance(code, int) else 0
 

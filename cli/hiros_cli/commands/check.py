@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import typer
 
 from hiros_cli.compiling import prepare
-from hiros_cli.completing import topics
 from hiros_cli.exit_codes import BAD_INPUT, DIFFERENT
 from hiros_cli.many_logs import ManyLogs, one_log, run
 from hiros_cli.options import GROUP, argument, flag, grouped, option
@@ -46,7 +45,6 @@ def check(
     channel: list[str] | None = option(
         "GLOB",
         "With OUT and --bless: channels to keep; may be repeated. Default: the last stage.",
-        autocompletion=topics,
     ),
     bless: bool = flag("--bless", "Accept the result as the new golden file; print what changed."),
     only: list[str] | None = option("NAME", "With SUITE: this log only; may be repeated."),

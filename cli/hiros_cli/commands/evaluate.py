@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, NoReturn
 import typer
 
 from hiros_cli.compiling import prepare
-from hiros_cli.completing import topics
 from hiros_cli.many_logs import ManyLogs, one_log, run
 from hiros_cli.options import (
     GROUP,
@@ -44,7 +43,7 @@ class Scoring:
         "logs: a channel, or a folder of files with the logs' names.",
     )
     channel: list[str] | None = option(
-        "GLOB", "Output channels to score; may be repeated. Default: all.", autocompletion=topics
+        "GLOB", "Output channels to score; may be repeated. Default: all."
     )
     leave_one_out: bool = flag(
         "--leave-one-out",

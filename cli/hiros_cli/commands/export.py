@@ -8,7 +8,6 @@ from pathlib import Path
 import typer
 
 from hiros_cli.compiling import prepare
-from hiros_cli.completing import topics
 from hiros_cli.many_logs import ManyLogs, one_log, run
 from hiros_cli.options import FORCE, GROUP, MANY, QUIET, argument, grouped, option
 from hiros_cli.output import check_outputs, print_json, warn
@@ -36,9 +35,7 @@ def export(
         "PART", "joints, angles or both. Default: all that fits the format.", default=""
     ),
     person: int | None = option("ID", "One person. Default: everybody."),
-    channel: str = option(
-        "TOPIC", "Channel to export. Default: the last stage.", default="", autocompletion=topics
-    ),
+    channel: str = option("TOPIC", "Channel to export. Default: the last stage.", default=""),
     rate: float | None = option(
         "HZ", "Resample to this rate. Default: only if the format needs it."
     ),

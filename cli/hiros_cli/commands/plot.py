@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hiros_cli.compiling import prepare
-from hiros_cli.completing import topics
 from hiros_cli.options import FORCE, QUIET, argument, option
 from hiros_cli.output import beside, check_outputs
 from hiros_mcap.errors import ConfigError
@@ -26,9 +25,7 @@ def plot(
         "KIND", "Plot in a PNG: angles, limbs or error (needs a truth).", default="angles"
     ),
     person: int | None = option("ID", "Person in a PNG. Default: the one seen longest."),
-    channel: str | None = option(
-        "TOPIC", "Channel to plot. Default: the last stage.", autocompletion=topics
-    ),
+    channel: str | None = option("TOPIC", "Channel to plot. Default: the last stage."),
     truth: str | None = option(
         "FILE|TOPIC", "Truth to draw as well. Default: LOG's /truth channel."
     ),

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import typer
 
 from hiros_cli.compiling import importing, prepare
-from hiros_cli.completing import topics
 from hiros_cli.exit_codes import LOSSES
 from hiros_cli.live_run import STREAM, check_live, is_file, is_graph, is_live, run_live
 from hiros_cli.many_logs import ManyLogs, one_log
@@ -159,7 +158,6 @@ class OutputOptions:
         "GLOB",
         "Input channels to copy; may be repeated; '' copies none. Default: the cameras read, "
         "the transforms and /truth.",
-        autocompletion=topics,
         panel=OUTPUT,
     )
     markers: bool = flag(
@@ -465,7 +463,7 @@ def _check_effects(system: str, stages: str, limbs: LimbOptions) -> None:
 
 def _show(summary: Summary, *, json: bool, quiet: bool) -> None:
     for text in summary.warnings:
-        warn(text, logged=True)
+        warn(text)
     if json:
         print_json("process", summary.to_dict())
     elif not quiet:

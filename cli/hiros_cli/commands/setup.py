@@ -1,11 +1,9 @@
-"""Commands that need no log: ``hiros systems``, ``config``, ``warmup`` and ``completion``."""
+"""Commands that need no log: ``hiros systems``, ``config`` and ``warmup``."""
 
 from __future__ import annotations
 
 import time
 from dataclasses import replace
-
-import typer
 
 from hiros_cli.compiling import prepare
 from hiros_cli.options import GROUP, QUIET, Parameters, argument, flag, grouped
@@ -55,21 +53,3 @@ def warmup(
     kernels.load(list(kernels.sources(everything=everything)))
     if not quiet:
         print(f"kernels ready after {time.perf_counter() - started:.1f} s")
-
-
-def completion(context: typer.Context, shell: str = argument("SHELL", "bash, zsh or fish.")) -> int:
-    """Print a script that completes commands, options and topics.
-
-    Add one of these lines to your shell's start-up file:
-
-    bash: eval "$(hiros completion bash)"
-
-    zsh: eval "$(hiros completion zsh)"
-
-    fish: hiros completion fish | source
-    """
-    from hiros_cli.completing import SHELLS, script_of
-
-    if shell not in SHELLS:
-        raise ConfigError(f"{shell!r} is none of {', '.join(SHELLS)}")
-    return script_of(shell, context.find_root().command)
