@@ -123,8 +123,6 @@ REFUSED = [
     ("process walk.mcap -o walk.mcap --force", "walk.mcap: is an input"),
     ("process walk.mcap -o notes.html", "notes.html: exists and is not a log of hiros"),
     ("compare walk.mcap --system raw --html walk.mcap", "walk.mcap: is an input"),
-    ("compare walk.mcap --system raw --rrd walk.mcap", "walk.mcap: is an input"),
-    ("compare walk.mcap --system raw --html a --rrd a", "a: would be written twice"),
     ("compare walk.mcap --system raw --html notes.html", "--force"),
     ("eval result.mcap --html result.mcap", "result.mcap: is an input"),
     ("eval result.mcap --html notes.html", "notes.html: exists and is not an HTML page of hiros"),
@@ -162,7 +160,7 @@ def test_what_must_stay_is_named_and_stays(command, said, lab, monkeypatch, caps
 
 AGAIN = [
     "process walk.mcap -o out.mcap --save-limbs limbs.toml -q",
-    "compare walk.mcap --system raw --html page.html --rrd raw.rrd",
+    "compare walk.mcap --system raw --html page.html",
     "eval result.mcap --html page.html",
     "plot result.mcap -o page.html",
     "plot result.mcap -o page.png --what limbs",

@@ -265,12 +265,11 @@ def test_what_is_known_without_a_truth(bare, capsys):
 @pytest.mark.parametrize(
     ("arguments", "fault"),
     [
-        ([], "needs a LOG"),
-        (["{log}", "--study", "weather"], "none of cameras, people"),
-        (["{log}", "--study", "people"], "do not name a LOG"),
+        ([], "Missing argument 'LOG'"),
+        (["{log}", "--study", "weather"], "is no study; there is: cameras"),
         (["{log}", "--system", "hydra"], "no system 'hydra'"),
         (["{log}", "{log}", "--truth", "a.trc"], "needs exactly one LOG"),
-        (["{log}", "--rrd", "/nowhere/at/all.rrd"], "no such folder"),
+        (["{log}", "--html", "/nowhere/at/all.html"], "no such folder"),
     ],
 )
 def test_faults_are_one_line(walking, capsys, arguments, fault):

@@ -1025,17 +1025,6 @@ def test_nothing_listens_where_it_should_connect():
         connect("http://127.0.0.1", "x", lambda recording: None)
 
 
-def test_systems_are_overlaid_each_in_its_own_tree(walking, tmp_path):
-    target = tmp_path / "systems.rrd"
-    arguments = ["--system", "hiros", "--system", "malaguti:TM", "--jobs", "1", "-q"]
-    assert run(["compare", str(walking), *arguments, "--rrd", str(target)]) == 0
-    assert {
-        "/hiros/filtered/person_0",
-        "/malaguti_TM/filtered/person_0",
-        "/detections/camera_0",
-    } <= entities(target)
-
-
 def test_a_golden_log_is_overlaid_at_the_same_time(processed, tmp_path):
     """Golden logs hold no recording: their log times begin later than their stamps."""
     from hiros_mcap.regression.suite import write_golden

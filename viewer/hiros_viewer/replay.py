@@ -1,11 +1,10 @@
-"""A log, or two, or the results of several systems, into a Rerun recording."""
+"""A log, or two, into a Rerun recording."""
 
 from __future__ import annotations
 
 import glob
 import math
 import os
-import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +17,6 @@ import hiros_schemas
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.config import Config
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.evaluate.comparison import Entry
 from hiros_mcap.evaluate.logs import (
     find_truth,
     has_cameras,
@@ -35,10 +33,9 @@ from hiros_mcap.io.rgb_cameras import RgbCamera, poses_of, read_rgb_cameras
 from hiros_mcap.io.ros_messages import open_messages, read_pictures
 from hiros_mcap.rays.confidence import TRIANGULATED
 from hiros_mcap.running.observe import DETECTIONS
-from hiros_mcap.running.pipeline import ProcessOptions, process, skeletons_read
+from hiros_mcap.running.pipeline import skeletons_read
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_viewer.blueprint import LAYOUTS, Content
-from hiros_viewer.destinations import save
 from hiros_viewer.entities import Layer, path_part
 from hiros_viewer.images import CameraImages
 from hiros_viewer.legend import lay_out
@@ -515,42 +512,3 @@ def recording_name(logs: list[Path | str], layout: str) -> str:
     """Return the name that a recording goes by in the viewer, which shows each name once."""
     names = " + ".join(os.path.basename(str(log)) for log in logs)  # noqa: PTH119
     return names if layout == ViewOptions().layout else f"{names}, {layout}"
-
-
-def save_overlay(target: Path, log: Path, entries: Sequence[Entry]) -> None:
-    """Write a recording with the last stage of every system, each a tree of its own."""
-
-    def draw(recording: rr.RecordingStream) -> None:
-        scenes = []
-        with tempfile.TemporaryDirectory() as folder:
-            for k, entry in enumerate(entries):
-                out = Path(folder) / f"{k}.mcap"
-                options = ProcessOptions(system=entry.system, stages=entry.stages)
-                process(log, out, config=entry.config(log), options=options)
-                part = "".join(c if c.isalnum() else "_" for c in entry.name)
-                layer = Layer(f"/{part}", entry.name, k)
-                scenes.append(_draw_one(recording, out, layer))
-        lay_out(recording, content_of(scenes))
-
-    save(target, log.name, draw)
-
-
-def _draw_one(recording: rr.RecordingStream, out: Path, layer: Layer) -> Scene:
-    with open_log(out, topics=["*"], output_prefix="/none") as opened:
-        source = describe(opened)
-        final = source.stages[-1]
-        # The layouts show "filtered", so the last stage goes by that name.
-        scene = Scene(recording, source.model, final="filtered", layer=layer)
-        scene.start = source.start
-        if not layer.number:
-            scene.begin(source.cameras, source.later)
-        left_out = {*STAGES, *([DETECTIONS] if layer.number else [])} - {final}
-        for frames in in_time_order(opened, left_out):
-            scene.draw(
-                {
-                    ("filtered" if kind == final else kind, source): poses
-                    for (kind, source), poses in frames.items()
-                }
-            )
-        scene.finish()
-        return scene

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,33 +25,25 @@ if TYPE_CHECKING:
     from hiros_mcap.evaluate.measures import Sheet
     from hiros_mcap.outputs import Kind
 
-STUDIES = ("cameras", "people")
 CAMERA_STUDY = ("fuse", "hiros", "malaguti", "lee")
 """Systems of the study of cameras, which runs each many times, unless others are named."""
 
 
 def compare(
-    logs: list[Path] | None = argument(
-        "LOG", "Recordings; hiros uses a truth on /truth.", default=None
-    ),
+    logs: list[Path] = argument("LOG", "Recordings; hiros uses a truth on /truth."),
     systems: list[str] | None = option(
         "NAME[:CHAIN][,PARAM=VALUE]",
         "System to compare, such as hiros:TMF or lee,cluster.radius=0.2; may be repeated. "
         "Default: fuse, hiros, both realtime, malaguti, lee and the baselines.",
         "--system",
     ),
-    study: str | None = option(
-        "NAME",
-        "cameras: run on every subset of the cameras. people: run on simulated logs of 1 to 4 "
-        "people instead of LOG.",
-    ),
+    study: str | None = option("NAME", "cameras: run on every subset of the cameras."),
     truth: str | None = option(
         "FILE|TOPIC", "Truth for a single LOG. Default: its /truth channel."
     ),
     jobs: int = option("NUMBER", "Runs at once; 0 = one per core.", default=0, min=0),
     html: Path | None = HTML,
     table: Path | None = TABLE,
-    rrd: Path | None = option("FILE", "Also write a Rerun recording that overlays all systems."),
     force: bool = FORCE,
     json: bool = JSON,
     quiet: bool = QUIET,
@@ -65,38 +55,29 @@ def compare(
     jitter, limb lengths and ids. The last column compares each system with the first one named:
     better or worse by so many mm, or no difference, by the 95 % interval over blocks of a second.
     """
-    paths = list(logs or ())
-    for path in paths:
+    for path in logs:
         path.stat()
-    _check(paths, study, truth, rrd)
-    outputs: list[tuple[Path | None, Kind]] = [
-        (html, "HTML page"),
-        (rrd, "Rerun recording"),
-        (table, "table of scores"),
-    ]
-    check_outputs(*outputs, inputs=(*paths, truth), force=force)
+    if study not in (None, "cameras"):
+        raise ConfigError(f"--study: {study!r} is no study; there is: cameras")
+    if truth is not None and len(logs) != 1:
+        raise ConfigError("--truth needs exactly one LOG")
+    outputs: list[tuple[Path | None, Kind]] = [(html, "HTML page"), (table, "table of scores")]
+    check_outputs(*outputs, inputs=(*logs, truth), force=force)
     from hiros_mcap.evaluate.logs import check_recording
 
-    for path in paths:
+    for path in logs:
         check_recording(path)
         settings_of(path)
     prepare(quiet=quiet or json, everything=True)
     from hiros_mcap.evaluate.comparison import DEFAULT, Entry, Task, camera_subsets, comparison
 
-    with ExitStack() as stack:
-        if study == "people":
-            paths = _simulated(Path(stack.enter_context(tempfile.TemporaryDirectory())))
-        default = CAMERA_STUDY if study == "cameras" else DEFAULT
-        entries = [Entry.parse(text) for text in systems or default]
-        tasks = [Task(path, entry, truth=truth) for path in paths for entry in entries]
-        if study == "cameras":
-            tasks = [subset for task in tasks for subset in camera_subsets(task)]
-        with bar(f"{len(tasks)} runs", quiet=quiet) as progress:
-            outcomes = comparison(tasks, jobs=jobs, progress=progress)
-        if rrd is not None:
-            from hiros_viewer.replay import save_overlay
-
-            save_overlay(rrd, paths[0], entries)
+    default = CAMERA_STUDY if study == "cameras" else DEFAULT
+    entries = [Entry.parse(text) for text in systems or default]
+    tasks = [Task(path, entry, truth=truth) for path in logs for entry in entries]
+    if study == "cameras":
+        tasks = [subset for task in tasks for subset in camera_subsets(task)]
+    with bar(f"{len(tasks)} runs", quiet=quiet) as progress:
+        outcomes = comparison(tasks, jobs=jobs, progress=progress)
     if html is not None:
         from hiros_viewer.score_pages import comparison_page
 
@@ -113,32 +94,6 @@ def compare(
         print_json("compare", data)
     elif not quiet:
         _show(outcomes, study)
-
-
-def _check(paths: list[Path], study: str | None, truth: str | None, rrd: Path | None) -> None:
-    if study is not None and study not in STUDIES:
-        raise ConfigError(f"--study: {study!r} is none of {', '.join(STUDIES)}")
-    if not paths and study != "people":
-        raise ConfigError("compare needs a LOG, or --study people (see hiros compare --help)")
-    if paths and study == "people":
-        raise ConfigError("--study people simulates its own logs; do not name a LOG")
-    if truth is not None and len(paths) != 1:
-        raise ConfigError("--truth needs exactly one LOG")
-    if rrd is not None and len(paths) != 1:
-        raise ConfigError("--rrd needs exactly one LOG")
-
-
-def _simulated(folder: Path) -> list[Path]:
-    """Write one log for each number of people."""
-    from hiros_mcap.simulate import SimulateParams
-    from hiros_mcap.simulate.simulation import write_log
-
-    paths = []
-    for people in range(1, 5):
-        path = folder / f"{people} people.mcap"
-        write_log(path, SimulateParams(people=people, seconds=15.0, seed=people))
-        paths.append(path)
-    return paths
 
 
 def _sheets(outcomes: list[Outcome], study: str | None) -> list[Sheet]:
