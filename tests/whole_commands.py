@@ -84,8 +84,8 @@ COMMANDS = {
     "recover": Command("recover {in}/log.mcap -o {out}/x.mcap", "log.mcap"),
     "many": Command(
         "process {in}/log.mcap --jobs 1 -o {out}",
-        "hiros-process.json",
-        beside="hiros-process.json",
+        "hiros-process.jsonl",
+        beside="hiros-process.jsonl",
         table=True,
     ),
 }
@@ -119,7 +119,7 @@ def write_files(folder):
     )
     _done("check", folder / "suite.toml", "--bless")
     _done("process", log, "--jobs", "1", "-o", folder / "many")
-    shutil.copy(folder / "many" / "hiros-process.json", folder)
+    shutil.copy(folder / "many" / "hiros-process.jsonl", folder)
     shutil.rmtree(folder / "many")
 
 

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import os
 import sys
-import time
-from collections import Counter, deque
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from typer import Context, Exit
 
-from hiros_cli.exit_codes import BAD_INPUT, BUG, DIFFERENT, LOSSES
+from hiros_cli.exit_codes import BAD_INPUT, BUG, LOSSES
 from hiros_cli.options import FORCE, JSON, MANY, QUIET, option
 from hiros_cli.output import check_outputs, print_json, printable, warn
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.progress import bar
+from hiros_mcap.wording import quantity
 
 if TYPE_CHECKING:
     from hiros_mcap.many.jobs import Job
@@ -97,16 +97,20 @@ def run(job: Job, named: Sequence[str], many: ManyLogs, folder: str = "") -> NoR
         raise ConfigError(f"{folder}: with many logs, -o names a folder, not a file")
     _name_settings(job, logs)
     by_log: dict[str, LogRecord] = {}
-    with _follower(len(logs), quiet=many.quiet) as follower:
+    with bar(quantity(len(logs), "log"), quiet=many.quiet) as progress:
         runner = in_processes(many.jobs or 0)
         try:
             for record, is_new in run_logs(job, logs, folder, runner, force=many.force):
                 by_log[record.log] = record
-                follower.finished(record, is_new=is_new)
+                place = f"{len(by_log)}/{len(logs)}"
+                _tell(record, place, is_new=is_new, quiet=many.quiet)
+                progress.update(len(by_log), len(logs))
         except Exception:
             raise
         except BaseException:  # a signal
-            follower.stopped(folder)
+            how = "the same command goes on" if folder else "nothing is kept without a folder"
+            done = f"{len(by_log)} of {len(logs)} logs done"
+            print(f"hiros: stopped: {done}; {how}", file=sys.stderr, flush=True)
             raise
     records = [by_log[log] for log in logs]
     if many.json:
@@ -122,7 +126,6 @@ def run(job: Job, named: Sequence[str], many: ManyLogs, folder: str = "") -> NoR
 def _name_settings(job: Job, logs: Sequence[str]) -> None:
     """Say on stderr which files hiros.toml count, and for how many logs."""
     from hiros_mcap.config import settings_beside
-    from hiros_mcap.wording import quantity
 
     if job.settings is None or job.settings.file is not None:
         return
@@ -132,11 +135,11 @@ def _name_settings(job: Job, logs: Sequence[str]) -> None:
 
 
 def exit_code(records: Sequence[LogRecord]) -> int:
-    """Return 70 after a fault of hiros, else 2 if a log failed, 1 if one differs, 3 for losses."""
+    """Return 70 after a fault of hiros, else 2 if a log failed, 3 for losses."""
     verdicts = {record.verdict for record in records}
     if any(record.bug for record in records):
         return BUG
-    for verdict, code in (("failed", BAD_INPUT), ("different", DIFFERENT), ("recovered", LOSSES)):
+    for verdict, code in (("failed", BAD_INPUT), ("recovered", LOSSES)):
         if verdict in verdicts:
             return code
     return 0
@@ -155,96 +158,35 @@ def _without_common(logs: Sequence[str]) -> list[str]:
     return [log.removeprefix(f"{common}/") for log in logs]
 
 
-class _Follower:
-    """Prints a line for each log, and on a terminal shows how far all of them are."""
-
-    def __init__(self, total: int, *, quiet: bool) -> None:
-        self._total, self._quiet = total, quiet
-        self._counts: Counter[str] = Counter()
-        self._log_s, self._start = 0.0, time.monotonic()
-        self._last: deque[tuple[str, ...]] = deque(maxlen=8)
-        self.live: Any = None
-
-    def finished(self, record: LogRecord, *, is_new: bool) -> None:
-        """Show what came of a log."""
-        self._counts[record.verdict if is_new else "before"] += 1
-        self._log_s += float(record.values.get("log_s") or 0.0) if is_new else 0.0
-        name = printable(short(record.log))
-        for text in record.warnings:
-            warn(f"{name}: {text}")
-        if record.losses:
-            warn(f"{name}: {record.losses}")
-        if record.verdict == "failed":
-            print(f"hiros: error: {name}: {printable(record.error, 1000)}", file=sys.stderr)
+def _tell(record: LogRecord, place: str, *, is_new: bool, quiet: bool) -> None:
+    """Print on stderr what came of a log; ``place`` is its number, of how many."""
+    name = printable(short(record.log))
+    for text in (*record.warnings, *filter(None, [record.losses])):
+        warn(f"{name}: {text}")
+    if record.verdict == "failed":
+        print(f"hiros: error: {name}: {printable(record.error, 1000)}", file=sys.stderr)
+    elif not quiet:
         time_taken = f"{record.seconds:.1f} s" if is_new else "before"
-        if self.live is not None:
-            self._last.append((name, record.verdict, time_taken))
-            self.live.update(self.__rich__())
-        elif not self._quiet and record.verdict != "failed":
-            n = sum(self._counts.values())
-            line = f"[{n}/{self._total}] {name}: {record.verdict}, {time_taken}"
-            print(line, file=sys.stderr, flush=True)
-
-    def stopped(self, folder: str) -> None:
-        """Say how far the logs are when the run ends early, and how it goes on."""
-        how = "the same command goes on" if folder else "nothing is kept without a folder"
-        done = f"{sum(self._counts.values())} of {self._total} logs done"
-        print(f"hiros: stopped: {done}; {how}", file=sys.stderr, flush=True)
-
-    def __rich__(self) -> Any:
-        from rich.console import Group
-        from rich.text import Text
-
-        from hiros_cli.run_report import table
-        from hiros_mcap.wording import duration
-
-        n, seconds = sum(self._counts.values()), time.monotonic() - self._start
-        counts = ", ".join(f"{k} {verdict}" for verdict, k in self._counts.items())
-        parts = [f"{n} of {self._total} logs", *([counts] if counts else [])]
-        if self._log_s:
-            parts.append(f"{self._log_s / seconds:.0f} times real time")
-        new = n - self._counts["before"]
-        if new and n < self._total:
-            parts.append(f"about {duration(seconds / new * (self._total - n))} left")
-        rows = table("Log", "Verdict", ">Time", rows=self._last)
-        return Group(rows, Text("; ".join(parts), style="bold"))
-
-
-@contextmanager
-def _follower(total: int, *, quiet: bool) -> Iterator[_Follower]:
-    """Yield what shows how far the logs are: a table on a terminal, lines in a pipe."""
-    follower = _Follower(total, quiet=quiet)
-    if quiet or not sys.stderr.isatty() or os.environ.get("TERM") == "dumb":
-        yield follower
-        return
-    from rich.console import Console
-    from rich.live import Live
-
-    with Live(follower, console=Console(stderr=True), transient=True, refresh_per_second=4) as live:
-        follower.live = live
-        yield follower
+        line = f"[{place}] {name}: {record.verdict}, {time_taken}"
+        print(line, file=sys.stderr, flush=True)
 
 
 def _show(job: Job, records: Sequence[LogRecord], folder: str) -> None:
     from rich.text import Text
 
     from hiros_cli.run_report import page, table
-    from hiros_mcap.many.run_logs import column_totals, columns_of, values_of
-    from hiros_mcap.wording import quantity
+    from hiros_mcap.many.run_logs import column_means, columns_of, values_of
 
     columns = [name for name in columns_of(records) if name in shown_columns(job.command)]
-    good = ("done", "equal")
     named = [*zip(_without_common([r.log for r in records]), records, strict=True)]
     rows = [
         (log, r.verdict, *(_cell(values_of(r).get(name)) for name in columns))
         for log, r in named
-        if len(records) <= _ALL_ROWS or r.verdict not in good
+        if len(records) <= _ALL_ROWS or r.verdict != "done"
     ]
-    n_shown, totals = len(rows), column_totals(records, job)
-    for kind in ("sum", "mean"):
-        cells = [_total(totals.get(name, {}), kind, name) for name in columns]
-        if any(value is not None for value in cells):
-            rows.append((kind, "", *map(_cell, cells)))
+    n_shown, means = len(rows), column_means(records)
+    if any(name in means for name in columns):
+        rows.append(("mean", "", *(_cell(means.get(name)) for name in columns)))
     titles = (f">{name.replace('_', ' ')}" for name in columns)
     counts = ", ".join(
         f"{n} {verdict}" for verdict, n in Counter(r.verdict for r in records).items()
@@ -256,7 +198,7 @@ def _show(job: Job, records: Sequence[LogRecord], folder: str) -> None:
         if r.verdict == "failed":
             lines.append(f"{printable(log)}: {printable(r.error, _LONGEST_REASON)}")
     if folder:
-        lines.append(f"manifest: {folder.rstrip('/')}/hiros-{job.command}.json")
+        lines.append(f"manifest: {folder.rstrip('/')}/hiros-{job.command}.jsonl")
     page((), table("Log", "Verdict", *titles, rows=rows), lines)
 
 
@@ -267,18 +209,9 @@ def shown_columns(command: str) -> tuple[str, ...]:
     return {
         "process": ("people", "log_s", "skipped", "took_s"),
         "eval": ("people", *BRIEF, "left_out_camera"),
-        "check": ("differences", *BRIEF),
         "info": ("kind", "seconds", "megabytes", "cameras", "people"),
         "export": ("people", "files"),
     }[command]
-
-
-def _total(totals: Mapping[str, Any], kind: str, column: str) -> float | None:
-    """Return the sum of what can be added up, the mean of the rest; people are ids of a log."""
-    added, is_mean = totals.get("sum"), kind == "mean"
-    if column == "people" or is_mean == (added is not None):
-        return None
-    return totals.get("mean") if is_mean else added
 
 
 def _cell(value: object) -> str:

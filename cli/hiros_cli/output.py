@@ -47,7 +47,7 @@ SCHEMA_VERSIONS: Mapping[str, int] = {
     "calibrate.noise": 2,
     "calibrate.ball": 1,
     "export": 1,
-    "logs": 1,
+    "logs": 2,
     "calibrate.board": 1,
     "plan": 1,
 }

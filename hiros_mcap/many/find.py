@@ -128,33 +128,20 @@ def base_name(log: str) -> str:
 def distinct_names(logs: Iterable[str], names_given: Mapping[str, str]) -> dict[str, str]:
     """Return a name for each log, without suffix, by which files of all of them differ.
 
-    It is the log's own name. Where several have the same, the names of their folders come before
-    it, as many as it takes: ``monday_lab``. A log that has a name in ``known`` keeps it.
+    It is the log's own name. Where several have the same, their folder's name comes before it:
+    ``monday_lab``; if that is not enough, a number behind it. A log that has a name in
+    ``names_given`` keeps it.
     """
     names = {log: names_given[log] for log in logs if log in names_given}
-    waiting = [log for log in logs if log not in names_given]
+    waiting = [log for log in logs if log not in names]
     taken = {name.casefold() for name in names_given.values()}
-    for depth in range(1, 1 + max((log.count("/") for log in waiting), default=0) + 1):
-        tails = {log: _tail(log, depth) for log in waiting}
-        counts = Counter(tail.casefold() for tail in tails.values())
-        free = {
-            log: tail
-            for log, tail in tails.items()
-            if counts[tail.casefold()] == 1 and tail.casefold() not in taken
-        }
-        names.update(free)
-        taken |= {tail.casefold() for tail in free.values()}
-        waiting = [log for log in waiting if log not in names]
-    for log in waiting:  # lab.mcap and lab.bag in one folder
-        number = 2
-        while (name := f"{base_name(log)}-{number}").casefold() in taken:
-            number += 1
-        names[log] = name
-        taken.add(name.casefold())
+    counts = Counter(base_name(log).casefold() for log in waiting)
+    for log in waiting:
+        name = base_name(log)
+        if counts[name.casefold()] > 1 or name.casefold() in taken:
+            name = f"{Path(log.rstrip('/')).parent.name}_{name}"
+        names[log], number = name, 2
+        while names[log].casefold() in taken:
+            names[log], number = f"{name}-{number}", number + 1
+        taken.add(names[log].casefold())
     return names
-
-
-def _tail(log: str, depth: int) -> str:
-    """Return the last parts of a log's path: at depth 2, its folder's name and its own."""
-    parts = [part for part in re.split(r"[/\\]+", log.rstrip("/")) if part and part[-1] != ":"]
-    return "_".join([*parts[:-1], base_name(log)][-depth:])

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -41,9 +41,6 @@ from hiros_mcap.outputs import Kind
 from hiros_mcap.progress import Progress
 from hiros_mcap.running.pipeline import ProcessOptions, process, skeletons_read
 
-if TYPE_CHECKING:
-    from hiros_mcap.regression.quantities import Tolerances
-
 ScoresAgainst = tuple[Truth, dict[str, ChannelResult], Sequence[int], Sequence[str]]
 """The truth as it was compared, the result of each channel, the ids of people whom the truth lacks,
 and warnings."""
@@ -57,11 +54,10 @@ class Finding:
     values: Mapping[str, Any] = field(default_factory=dict)
     """Name of a column, with its unit -> the value that was measured."""
     verdict: Verdict = "done"
-    error: str = ""  # why the log was skipped, or in what it differs
+    error: str = ""  # why the log was skipped
     warnings: tuple[str, ...] = ()
     losses: str = ""
     files: tuple[Path, ...] = ()  # files that were written
-    sha256: str = ""  # of the log, if the job knows it
 
 
 class Job:
@@ -69,8 +65,6 @@ class Job:
 
     command: ClassVar[str]
     kind: ClassVar[Kind] = "log"  # of the output
-    counted: ClassVar[frozenset[str]]
-    """Columns of which a sum makes sense; of the others but ``people`` the table has means."""
     suffix: str = ""  # suffix of the output, "" if there is none
     settings: Settings | None = None  # where the parameters come from; None = the job needs none
 
@@ -98,7 +92,6 @@ class ProcessJob(Job):
     options: ProcessOptions = field(default_factory=ProcessOptions)
 
     command: ClassVar[str] = "process"
-    counted: ClassVar[frozenset[str]] = frozenset({"log_s", "messages", "skipped", "took_s"})
     suffix = ".hiros.mcap"
 
     def of(self, log: str) -> ProcessJob:
@@ -115,8 +108,6 @@ class ProcessJob(Job):
 
     def run(self, log: Path, target: Path) -> Finding:
         """Process a recording. A result of hiros and a truth are skipped."""
-        from hiros_mcap.regression.differences import Provenance
-
         if is_result(log):
             return Finding(verdict="skipped", error="is a result of hiros, not a recording")
         if is_truth(log):
@@ -132,8 +123,7 @@ class ProcessJob(Job):
             "messages": sum(camera.messages for camera in summary.cameras),
             "skipped": summary.skipped,
         }
-        sha256 = Provenance.of_log(target).run.get("input_sha256", "")
-        return Finding(values, "done", "", summary.warnings, summary.losses, (target,), sha256)
+        return Finding(values, "done", "", summary.warnings, summary.losses, (target,))
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,9 +145,6 @@ class EvalJob(Job):
     """Whether the user named the system or a parameter; otherwise results keep their own."""
 
     command: ClassVar[str] = "eval"
-    counted: ClassVar[frozenset[str]] = frozenset(
-        m.name for m in MEASURES.values() if not m.digits and m.name != "people"
-    )
 
     def of(self, log: str) -> EvalJob:
         """Return the job with the parameters of a log."""
@@ -224,33 +211,6 @@ class EvalJob(Job):
 
 
 @dataclass(frozen=True, slots=True)
-class CheckJob(Job):
-    """Compares results with golden files of the same names."""
-
-    golden: Path  # folder
-    tolerances: Tolerances | None = None
-    channels: tuple[str, ...] = ()
-    bless: bool = False
-
-    command: ClassVar[str] = "check"
-    counted: ClassVar[frozenset[str]] = frozenset({"differences"})
-
-    def run(self, log: Path, target: Path) -> Finding:
-        """Compare, or with ``bless`` make the result the golden file."""
-        from hiros_mcap.regression.suite import GOLDEN_SUFFIX, Golden, check_output
-
-        path = self.golden / f"{base_name(log.name)}{GOLDEN_SUFFIX}"
-        golden = Golden(path, self.tolerances, self.channels)
-        result = check_output(log, golden, bless=self.bless)
-        if result.status == "error":
-            raise ConfigError(result.error)
-        first = [f"{topic}: frame {d.frame}: {d.what}" for topic, d in result.first]
-        differences = [*map(str, result.differences), *first]
-        values = {"differences": len(result.differences), **result.metrics}
-        return Finding(values, result.status, "; ".join(differences[:3]))
-
-
-@dataclass(frozen=True, slots=True)
 class ExportJob(Job):
     """Writes results as files of other programs."""
 
@@ -266,7 +226,6 @@ class ExportJob(Job):
 
     command: ClassVar[str] = "export"
     kind: ClassVar[Kind] = "export"
-    counted: ClassVar[frozenset[str]] = frozenset({"files"})
 
     def sides(self, name: str) -> tuple[Path, ...]:
         """Return the file with marker names."""
@@ -301,7 +260,6 @@ class InfoJob(Job):
     settings: Settings = field(default_factory=Settings)
 
     command: ClassVar[str] = "info"
-    counted: ClassVar[frozenset[str]] = frozenset({"seconds", "megabytes"})
 
     def of(self, log: str) -> InfoJob:
         """Return the job with the parameters of a log."""

@@ -1,30 +1,27 @@
 """The manifest of an output folder: the outcome of each log, so that a second run can resume.
 
-The manifest is one JSON file. It is replaced as a whole, at most once a second, and once more at
-the end; a run that is killed repeats at most the logs of that second.
+It is a file of JSON lines: a head, then a record for each log that was done. Of several records of
+a log the last one counts. A run that is killed repeats only the logs that it was at.
 """
 
 from __future__ import annotations
 
 import json
-import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, TypeAdapter, ValidationError
+from pydantic import AfterValidator, TypeAdapter
 
 from hiros_mcap._version import __version__
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.outputs import write_text
 from hiros_mcap.wording import plain
 
-Verdict = Literal["done", "doubtful", "recovered", "equal", "different", "skipped", "failed"]
-"""done; doubtful: done, with warnings; recovered: done, with losses; equal and different: from a
-golden file; skipped: not a log for this command; failed: see the error."""
-_PERIOD_S = 1.0
-_SHARE = 20  # a manifest that takes 1 s to write, as on a slow disk, is written every 20 s
+Verdict = Literal["done", "doubtful", "recovered", "skipped", "failed"]
+"""done; doubtful: done, with warnings; recovered: done, with losses; skipped: not a log for
+this command; failed: see the error."""
+HEAD = '{"schema": "hiros.manifest", "version": 2}'
 
 
 def _checked_name(text: str) -> str:
@@ -43,7 +40,6 @@ class Identity:
 
     size: int  # Bytes; of a folder, those of its files
     modified: str  # time of the last change, or what a server gives instead
-    sha256: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,63 +61,45 @@ class LogRecord:
     """SHA-256 of everything that the result depends on besides the log and the version."""
     version: str = __version__
     seconds: float = 0.0  # time that it took, s
-    worker: str = ""  # which process did it
     bug: bool = False  # whether the error is a fault of hiros
 
 
-@dataclass(frozen=True, slots=True)
-class _Content:
-    """The content of the file."""
-
-    schema: Literal["hiros.manifest"]
-    version: Literal[1]
-    command: str
-    logs: list[LogRecord]
-
-
-_CONTENT = TypeAdapter(_Content)
+_RECORD = TypeAdapter(LogRecord)
 
 
 class Manifest:
     """The records of a folder, by log; a manifest without a folder is kept in memory only."""
 
     def __init__(self, command: str, folder: Path | None = None) -> None:
-        self.command = command
         self.records: dict[str, LogRecord] = {}
-        self._file = None if folder is None else folder / f"hiros-{command}.json"
-        self._next = 0.0
-        self._changed = False
+        self._file = None if folder is None else folder / f"hiros-{command}.jsonl"
         if self._file is not None and self._file.exists():
-            self.records = {record.log: record for record in self._read(self._file)}
+            self._read(self._file)
 
-    @staticmethod
-    def _read(file: Path) -> Iterable[LogRecord]:
+    def _read(self, file: Path) -> None:
+        data = file.read_bytes()
+        whole = data[: data.rfind(b"\n") + 1]
+        head, *lines = whole.splitlines() or [HEAD.encode()]
         try:
-            return _CONTENT.validate_json(file.read_bytes()).logs
-        except ValidationError:
+            if head != HEAD.encode():
+                raise ValueError
+            records = map(_RECORD.validate_json, lines)
+            self.records = {record.log: record for record in records}
+        except ValueError:  # pydantic's is one, too
             raise ConfigError(
                 f"{file}: is not a manifest of this version of hiros; choose "
                 "another folder, or remove the file to begin anew"
             ) from None
+        if whole != data:  # whoever wrote the last line was killed
+            file.write_bytes(whole)
 
     def add(self, record: LogRecord) -> None:
         """Take note of what became of a log."""
         self.records[record.log] = record
-        self._changed = True
-        if time.monotonic() >= self._next:
-            self.save()
-
-    def save(self) -> None:
-        """Write the manifest if there is anything new."""
-        if self._file is None or not self._changed:
-            return
-        start = time.monotonic()
-        logs = [self.records[log] for log in sorted(self.records)]
-        data = plain(_Content("hiros.manifest", 1, self.command, logs))
-        write_text(self._file, json.dumps(data, indent=1) + "\n")
-        self._changed = False
-        end = time.monotonic()
-        self._next = end + max(_PERIOD_S, _SHARE * (end - start))
+        if self._file is not None:
+            with self._file.open("a", encoding="utf-8") as file:
+                head = "" if file.tell() else f"{HEAD}\n"
+                file.write(f"{head}{json.dumps(plain(record))}\n")
 
     def exported(self) -> Mapping[str, int]:
         """Return the size of every file that was written, by its name."""
@@ -130,8 +108,7 @@ class Manifest:
     def knows(self, record: LogRecord, sizes: Mapping[str, int]) -> LogRecord | None:
         """Return the former record of a log if its result is still there and would be the same.
 
-        ``record`` says what is to be done; ``sizes`` has the files of the folder. The content of
-        the input is not compared here.
+        ``record`` says what is to be done; ``sizes`` has the files of the folder.
         """
         former = self.records.get(record.log)
         same = (
@@ -140,7 +117,7 @@ class Manifest:
             and former.configuration == record.configuration
             and former.version == record.version
             and former.name == record.name
-            and former.input.size == record.input.size
+            and former.input == record.input
             and all(sizes.get(name) == size for name, size in former.files.items())
         )
         return former if same else None

@@ -16,7 +16,6 @@ import json
 import math
 import os
 import re
-import socket
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -24,13 +23,12 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from statistics import fmean, median
+from statistics import fmean
 from typing import Any
 
 from pydantic import BaseModel
 
 from hiros_mcap.errors import HirosError, LogError
-from hiros_mcap.io.log import digest_of
 from hiros_mcap.many.find import base_name, distinct_names
 from hiros_mcap.many.jobs import Job
 from hiros_mcap.many.manifest import Identity, LogRecord, Manifest
@@ -73,9 +71,7 @@ def run_logs(
             sizes = {path.name: path.stat().st_size for path in place.iterdir() if path.is_file()}
         manifest = Manifest(job.command, place)
         planned = _planned(job, logs, manifest)
-        done = {
-            r.log: old for r in planned if (old := manifest.knows(r, sizes)) and _is_same(r, old)
-        }
+        done = {r.log: old for r in planned if (old := manifest.knows(r, sizes))}
         todo = [record for record in planned if record.log not in done]
         if place is not None and job.suffix:
             names = {record.name for record in todo}
@@ -95,7 +91,6 @@ def run_logs(
         tasks = [(job, record, folder) for record in todo]
         if place is not None:
             stack.callback(remove_parts, place)
-        stack.callback(manifest.save)
         for _, record in runner(run_one, tasks, lost=lost):
             manifest.add(record)
             yield record, True
@@ -171,16 +166,6 @@ def identity_of(log: str) -> Identity:
     return Identity(sum(one.st_size for one in stats), str(newest))
 
 
-def _is_same(planned: LogRecord, former: LogRecord) -> bool:
-    """Whether a log of the same size is still what it was: untouched, or the same content."""
-    if planned.input.modified == former.input.modified:
-        return True
-    if not former.input.sha256:
-        return False
-    with digest_of(Path(former.log)) as digest:
-        return digest.result() == former.input.sha256
-
-
 def _settings(job: Job) -> bytes:
     """Return the settings of a job as text."""
 
@@ -203,8 +188,7 @@ def run_one(job: Job, record: LogRecord, folder: str) -> LogRecord:
     except Exception as error:  # noqa: BLE001 - a fault of hiros must not stop the others
         what = f"{type(error).__name__}: {error}"
         record = replace(record, verdict="failed", error=f"bug: {what}", bug=True)
-    worker = f"{socket.gethostname()}:{os.getpid()}"
-    return replace(record, seconds=time.perf_counter() - start, worker=worker)
+    return replace(record, seconds=time.perf_counter() - start)
 
 
 def _run(job: Job, record: LogRecord, folder: Path | None) -> LogRecord:
@@ -212,12 +196,9 @@ def _run(job: Job, record: LogRecord, folder: Path | None) -> LogRecord:
     identity, log = identity_of(record.log), Path(record.log)
     target = folder / (record.name + job.suffix) if folder and job.suffix else Path()
     finding = job.run(log, target)
-    sha256, verdict = finding.sha256, finding.verdict
+    verdict = finding.verdict
     if verdict == "done":
         verdict = "recovered" if finding.losses else "doubtful" if finding.warnings else "done"
-    if folder is not None and not sha256:
-        with digest_of(log) as digest:
-            sha256 = digest.result()
     return replace(
         record,
         verdict=verdict,
@@ -226,7 +207,7 @@ def _run(job: Job, record: LogRecord, folder: Path | None) -> LogRecord:
         losses=finding.losses,
         values=dict(finding.values),
         files={file.name: file.stat().st_size for file in finding.files},
-        input=replace(identity, sha256=sha256),
+        input=identity,
     )
 
 
@@ -249,25 +230,15 @@ def values_of(record: LogRecord) -> dict[str, Any]:
     return {**record.values, "took_s": record.seconds}
 
 
-def column_totals(records: Sequence[LogRecord], job: Job) -> dict[str, dict[str, Any]]:
-    """Return the totals of every column of numbers, over the logs that have it.
-
-    The sum is None where adding makes no sense, as for errors.
-    """
-    totals = {}
+def column_means(records: Sequence[LogRecord]) -> dict[str, float]:
+    """Return the mean of every column of numbers, over the logs that have it; not of people."""
+    means = {}
     for name in columns_of(records):
         values = [values_of(record).get(name) for record in records]
         numbers = [float(x) for x in values if isinstance(x, int | float) and math.isfinite(x)]
-        if numbers:
-            totals[name] = {
-                "logs": len(numbers),
-                "mean": fmean(numbers),
-                "median": median(numbers),
-                "least": min(numbers),
-                "most": max(numbers),
-                "sum": math.fsum(numbers) if name in job.counted else None,
-            }
-    return totals
+        if numbers and name != "people":
+            means[name] = fmean(numbers)
+    return means
 
 
 def as_csv(records: Sequence[LogRecord]) -> str:
@@ -286,6 +257,6 @@ def to_dict(records: Sequence[LogRecord], job: Job) -> Mapping[str, Any]:
     return {
         "command": job.command,
         "verdicts": dict(Counter(record.verdict for record in records)),
-        "totals": plain_value(column_totals(records, job)),
+        "means": column_means(records),
         "logs": [plain(record) for record in records],
     }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from shlex import quote
@@ -13,30 +12,23 @@ import typer
 
 from hiros_cli.compiling import prepare
 from hiros_cli.exit_codes import BAD_INPUT, DIFFERENT
-from hiros_cli.many_logs import ManyLogs, one_log, run
-from hiros_cli.options import GROUP, argument, flag, grouped, option
+from hiros_cli.many_logs import one_log
+from hiros_cli.options import FORCE, JSON, QUIET, argument, flag, option
 from hiros_cli.output import check_outputs, error_line, print_json, printable
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.progress import bar
 
 if TYPE_CHECKING:
-    from hiros_mcap.many.jobs import CheckJob
+    from hiros_mcap.outputs import Kind
     from hiros_mcap.regression.suite import CaseResult
 
 
-@grouped
 def check(
     context: typer.Context,
-    targets: list[str] = argument(
-        "OUT|SUITE",
-        "Outputs of `hiros process` (files, folders, globs, URLs), or one suite (.toml) of "
-        "recordings.",
+    named: str = argument(
+        "OUT|SUITE", "Output of `hiros process`, or a suite (.toml) of recordings."
     ),
-    golden: Path | None = option(
-        "FILE",
-        "With OUT: the golden log to compare with. With many: the folder of golden files with "
-        "the same names.",
-    ),
+    golden: Path | None = option("FILE", "With OUT: the golden log to compare with."),
     tolerances: Path | None = option(
         "FILE",
         "With OUT: TOML file with tolerances. Default: GOLDEN.tolerances.toml beside the "
@@ -51,16 +43,16 @@ def check(
     keep: Path | None = option("FOLDER", "With SUITE: keep the outputs in this folder."),
     junit: Path | None = option("FILE", "With SUITE: also write JUnit XML."),
     markdown: Path | None = option("FILE", "With SUITE: also write a summary for a pull request."),
-    many: ManyLogs = GROUP,
+    jobs: int = option("NUMBER", "With SUITE: logs at once; 0 = one per core.", default=0, min=0),
+    force: bool = FORCE,
+    json: bool = JSON,
+    quiet: bool = QUIET,
 ) -> int:
     """Compare a result with its golden log, or run a suite of logs.
 
     Exit code: 0 equal within the tolerances, 1 different, 2 cannot be compared.
     """
-    is_suite = len(targets) == 1 and Path(targets[0]).suffix == ".toml"
-    if is_suite:
-        many.refuse_alone()
-    is_many = not is_suite and many.wanted(targets)
+    is_suite = Path(named).suffix == ".toml"
     for_log = {"golden": golden, "tolerances": tolerances, "channel": channel}
     for_suite = {"only": only, "keep": keep, "junit": junit, "markdown": markdown}
     wrong = for_log if is_suite else for_suite
@@ -68,72 +60,48 @@ def check(
     for name, value in wrong.items():
         if value:
             raise ConfigError(f"--{name} has no effect on {target_kind} (see hiros check --help)")
-    target = Path() if is_many else one_log(context, targets[0])
-    prepare(quiet=many.quiet or many.json, everything=True)
-    if is_suite:
-        results = _run_suite(target, many, junit, markdown, bless=bless, only=only or (), keep=keep)
-        return _show(results, json=many.json, quiet=many.quiet)
-    if is_many:
-        run(_job(golden, tolerances, channel, bless=bless), targets, many)
-    if golden is None:
-        raise ConfigError(f"{target}: name the golden log with --golden")
-    from hiros_mcap.regression.quantities import load_tolerances
-    from hiros_mcap.regression.suite import Golden, check_output
-
-    limits = None if tolerances is None else load_tolerances(tolerances)
-    result = check_output(target, Golden(golden, limits, channel or ()), bless=bless)
-    return _show([_with_hint(result, target, golden)], json=many.json, quiet=many.quiet)
-
-
-def _job(
-    golden: Path | None, tolerances: Path | None, channels: list[str] | None, *, bless: bool
-) -> CheckJob:
-    from hiros_mcap.many.jobs import CheckJob
-    from hiros_mcap.regression.quantities import load_tolerances
-
-    if golden is None or (golden.exists() and not golden.is_dir()):
-        raise ConfigError("with many outputs, --golden names a folder with a golden file for each")
-    limits = None if tolerances is None else load_tolerances(tolerances)
-    return CheckJob(golden.absolute(), limits, tuple(channels or ()), bless)
-
-
-def _run_suite(
-    path: Path,
-    many: ManyLogs,
-    junit: Path | None,
-    markdown: Path | None,
-    *,
-    bless: bool,
-    only: Sequence[str],
-    keep: Path | None,
-) -> list[CaseResult]:
+    target = one_log(context, named)
+    prepare(quiet=quiet or json, everything=True)
     from hiros_mcap.outputs import write_text
     from hiros_mcap.regression import check_report
-    from hiros_mcap.regression.suite import kept_path, load_suite, run_suite
-
-    suite = load_suite(path)
-    kept = [] if keep is None else [kept_path(keep, case) for case in suite.cases]
-    files = [*suite.files, *kept]
-    check_outputs(
-        (junit, "JUnit report"), (markdown, "Markdown summary"), inputs=files, force=many.force
+    from hiros_mcap.regression.quantities import load_tolerances
+    from hiros_mcap.regression.suite import (
+        Golden,
+        check_output,
+        kept_path,
+        load_suite,
+        run_suite,
     )
-    if keep is not None:
-        keep.mkdir(parents=True, exist_ok=True)
-    with bar(f"{path.name}: {len(only) or len(suite.cases)} logs", quiet=many.quiet) as progress:
-        results = run_suite(
-            suite,
-            bless=bless,
-            only=only,
-            jobs=many.jobs or 0,
-            keep=keep,
-            force=many.force,
-            progress=progress,
-        )
-    if junit is not None:
-        write_text(junit, check_report.junit(results, path.stem))
-    if markdown is not None:
-        write_text(markdown, check_report.markdown(results, path.stem))
-    return results
+
+    if is_suite:
+        suite = load_suite(target)
+        kept = [] if keep is None else [kept_path(keep, case) for case in suite.cases]
+        reports: list[tuple[Path | None, Kind]]
+        reports = [(junit, "JUnit report"), (markdown, "Markdown summary")]
+        check_outputs(*reports, inputs=[*suite.files, *kept], force=force)
+        if keep is not None:
+            keep.mkdir(parents=True, exist_ok=True)
+        names = only or ()
+        with bar(f"{target.name}: {len(names) or len(suite.cases)} logs", quiet=quiet) as progress:
+            results = run_suite(
+                suite,
+                bless=bless,
+                only=names,
+                jobs=jobs,
+                keep=keep,
+                force=force,
+                progress=progress,
+            )
+        if junit is not None:
+            write_text(junit, check_report.junit(results, target.stem))
+        if markdown is not None:
+            write_text(markdown, check_report.markdown(results, target.stem))
+        return _show(results, json=json, quiet=quiet)
+    if golden is None:
+        raise ConfigError(f"{target}: name the golden log with --golden")
+    limits = None if tolerances is None else load_tolerances(tolerances)
+    result = check_output(target, Golden(golden, limits, channel or ()), bless=bless)
+    return _show([_with_hint(result, target, golden)], json=json, quiet=quiet)
 
 
 def _with_hint(result: CaseResult, target: Path, golden: Path) -> CaseResult:

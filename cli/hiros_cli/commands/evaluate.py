@@ -14,7 +14,6 @@ from hiros_cli.many_logs import ManyLogs, one_log, run
 from hiros_cli.options import (
     GROUP,
     HTML,
-    MANY,
     TABLE,
     Parameters,
     argument,
@@ -100,14 +99,6 @@ def evaluate(
     parameters: Parameters = GROUP,
     html: Path | None = HTML,
     table: Path | None = TABLE,
-    output: str = option(
-        "FOLDER",
-        "Keep the scores of many logs there; the same command goes on where it stopped.",
-        "--output",
-        "-o",
-        default="",
-        panel=MANY,
-    ),
     many: ManyLogs = GROUP,
 ) -> None:
     """Score a result: joints, angles, limbs, jitter, lag, people.
@@ -115,10 +106,8 @@ def evaluate(
     A recording is first processed with the given parameters. Without a truth, hiros scores each
     camera against the result of the others.
     """
-    if many.wanted(logs, output, html=html, joints=joints, table=table):
-        _many(scoring, parameters, logs, many, output)
-    if output:
-        raise ConfigError("--output is for many logs; for one, use --json or --html")
+    if many.wanted(logs, html=html, joints=joints, table=table):
+        _many(scoring, parameters, logs, many)
     log = one_log(context, logs[0])
     inputs = (log, scoring.truth, parameters.config)
     check_outputs((html, "HTML page"), (table, "table of scores"), inputs=inputs, force=many.force)
@@ -166,7 +155,7 @@ def _one(job: EvalJob, shown: Output) -> None:
 
 
 def _many(
-    scoring: Scoring, parameters: Parameters, logs: Sequence[str], many: ManyLogs, folder: str
+    scoring: Scoring, parameters: Parameters, logs: Sequence[str], many: ManyLogs
 ) -> NoReturn:
     """Score many logs, each with the parameters of its own folder."""
     settings, truth = parameters.settings(), scoring.truth
@@ -175,4 +164,4 @@ def _many(
         settings = replace(settings, file=settings.file.absolute())
     if truth is not None and Path(truth).is_dir():
         scoring = replace(scoring, truth=str(Path(truth).absolute()))
-    run(_job(scoring, settings, asked=parameters.asked), logs, many, folder)
+    run(_job(scoring, settings, asked=parameters.asked), logs, many)
