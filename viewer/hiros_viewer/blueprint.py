@@ -19,7 +19,6 @@ from hiros_viewer.columns import LOGGED, STAMP, TIMELINE
 from hiros_viewer.entities import CAMERA_TABLE, KEY, Layer, person_part
 from hiros_viewer.palette import BEFORE, FAULTY
 
-LIMBS = ("upper arm", "forearm", "thigh", "shin")
 _AHEAD = np.array([0.0, 0.0, 3.0])  # z of a camera points where it looks
 _BONES = ("bones", "left_bones")
 _THIN_JOINT_M, _THIN_BONE_M = 0.012, 0.006
@@ -166,28 +165,6 @@ def stages(content: Content) -> rrb.Container:
     return rrb.Horizontal(room, rrb.Vertical(*right, row_shares=shares), column_shares=[1, 1])
 
 
-def person(content: Content) -> rrb.Container:
-    """One person's angles and limbs, a tab per person."""
-    tabs = [
-        rrb.Vertical(
-            _key(),
-            _angles(content, person),
-            _sides(content, "limbs", person, LIMBS, "m"),
-            _error(content, person_part(person))
-            if content.has_error
-            else _series(content, "speed", "Speed, m/s", f"/speed/{person_part(person)}"),
-            row_shares=[0.4 + 0.4 * (len(content.prefixes) == 2), 2, 2, 1],
-            name=f"Person {person}",
-        )
-        for person in content.people
-    ]
-    return rrb.Horizontal(
-        _room(content, "Room", stages=[content.final], aspect=_HALF),
-        _tabs(content, tabs),
-        column_shares=[1, 1],
-    )
-
-
 def cameras(content: Content) -> rrb.Container:
     """Every camera's detections and the result as it sees them, and how far they are apart."""
     rooms = [
@@ -217,7 +194,6 @@ def cameras(content: Content) -> rrb.Container:
 LAYOUTS: dict[str, Callable[[Content], Any]] = {
     "overview": overview,
     "stages": stages,
-    "person": person,
     "cameras": cameras,
 }
 
@@ -226,7 +202,6 @@ def fitting(content: Content, layout: str) -> str:
     """Return the layout itself, or the overview where that has nothing to show."""
     is_empty = {
         "stages": not content.before,
-        "person": content.is_raw or not content.people,
         "cameras": not (content.cameras or content.images),
     }
     return "overview" if is_empty.get(layout, False) else layout
@@ -445,7 +420,7 @@ def _series(content: Content, kind: str, name: str, path: str = "", corner: Any 
     """Return a view of curves of a kind, with a legend in a ``corner`` where it covers few of them.
 
     Else the room and the lanes tell the colours; the viewer names the curve under the pointer.
-    ``path`` is that of the curves; "" = all of the kind. An axis without a range fits its curves.
+    ``path`` is that of the curves; "" = all of the kind.
     """
     path = path or f"/{kind}/**"
     values = content.ranges.get(kind)
@@ -479,26 +454,21 @@ def _key() -> Any:
 
 
 def _angles(content: Content, person: int) -> Any:
-    return _sides(content, "angles", person, [f"{joint} flexion" for joint in JOINTS], "°")
-
-
-def _sides(content: Content, kind: str, person: int, parts: Sequence[str], unit: str) -> Any:
-    """Return a view per joint or limb, in each its left and its right curve."""
-    parts = [part.replace(" ", "_") for part in parts]
+    """Return a view per joint, in each its left and its right curve."""
     views = [
         _series(
             content,
-            f"{kind}/{part}",
-            f"{part.capitalize().replace('_', ' ')}, {unit}",
-            f"/{kind}/{person_part(person)}/{part}",
+            "angles",
+            f"{joint.capitalize()} flexion, °",
+            f"/angles/{person_part(person)}/{joint}_flexion",
         )
-        for part in parts
+        for joint in JOINTS
     ]
     return rrb.Grid(*views, grid_columns=2, name=f"Person {person}")
 
 
-def _error(content: Content, part: str = "**") -> Any:
-    return _series(content, "error", "Error, mm: mean over joints", f"/error/{part}")
+def _error(content: Content) -> Any:
+    return _series(content, "error", "Error, mm: mean over joints")
 
 
 def _events(content: Content) -> Any:

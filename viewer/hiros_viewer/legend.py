@@ -54,7 +54,7 @@ def legend(content: Content, layout: str) -> str:
 
 def _meanings(content: Content, layout: str) -> Iterator[tuple[str, str]]:
     """Yield what is in the room and beside it, and what that is."""
-    has_sided_curves = layout in ("overview", "person")
+    has_sided_curves = layout == "overview"
     if has_sided_curves and any(layer.name for layer in content.layers):
         yield "Bright", "right limbs and their curves"
         yield "Dark", "left ones"
@@ -74,7 +74,7 @@ def _meanings(content: Content, layout: str) -> Iterator[tuple[str, str]]:
     if "mirrored" in faults:
         yield "Magenta", "a camera swaps left and right"
     red = ["a detection more than 20 cm off"] if "far off" in faults else []
-    shows_truth = content.shows_truth and layout in ("overview", "person")
+    shows_truth = content.shows_truth and layout == "overview"
     if red or shows_truth:
         yield "Red", ", or ".join([*red, *["the way to the truth"] * shows_truth])
     if shows_truth:

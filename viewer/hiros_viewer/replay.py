@@ -41,7 +41,7 @@ from hiros_viewer.images import CameraImages
 from hiros_viewer.legend import lay_out
 from hiros_viewer.overlay import draw_distances
 from hiros_viewer.poses import HORIZON_NS, Channel, Gatherer, Poses, Thinner, Uncertainties
-from hiros_viewer.scene import SIDED, STAGES, Scene
+from hiros_viewer.scene import STAGES, Scene
 
 LONG_S = 180.0
 """Of a longer log only the stages are drawn that the layout shows."""
@@ -51,16 +51,12 @@ MOST_FRAMES = 18_000
 """Of a channel of a long log: ten minutes at 30 Hz, an hour at 5 Hz."""
 LONGEST_STEP_S = 0.2
 """Between frames that are drawn: people who were not seen for longer are hidden."""
-LIMB_AXIS_M = 0.25
-"""Least length of an axis of limbs: millimetres look small."""
 ANGLE_AXIS_DEG = (0.0, 100.0)
-"""Range that every axis of angles shows: two numbers stand beside it then."""
+"""Range that the axes of angles show: two numbers stand beside each then."""
 SOON_NS = 1_000_000_000
 """If somebody is seen within this time, nothing is drawn before."""
 EMPTY_ROOM = np.array([[-2.0, -2.0, 0.0], [2.0, 2.0, 1.8]])
 """m; what is looked at before anybody is seen."""
-MOST_NUMBERS = {"moved": 6.0, "residual": 6.0, "speed": 5.0, "people": 5.0}
-"""There is room for on axes that are higher than those of the overview."""
 Spans = Sequence[tuple[int, int]]
 _EVER = (0, 2**63 - 2)
 _NAMES = "AB"
@@ -480,31 +476,25 @@ def content_of(scenes: list[Scene]) -> Content:
 
 
 def axis_ranges(scenes: Sequence[Scene]) -> dict[str, tuple[float, float]]:
-    """Return the axes of angles, limbs and counts, by kind of curve.
-
-    Everybody's axis is the same, and never so narrow that millimetres look large.
-    """
+    """Return the axis of each kind of curve; everybody's is the same."""
     axes = {}
     for kind in {kind for scene in scenes for kind in scene.ranges}:
         ranges = [scene.ranges[kind] for scene in scenes if kind in scene.ranges]
         low, high = min(low for low, _ in ranges), max(high for _, high in ranges)
-        if not kind.startswith(SIDED):
-            axes[kind] = numbered_axis(high, MOST_NUMBERS.get(kind, 3.3))
-            continue
-        if kind.startswith("angles/"):
-            low, high = min(low, ANGLE_AXIS_DEG[0]), max(high, ANGLE_AXIS_DEG[1])
-        margin = max(0.08 * (high - low), (LIMB_AXIS_M - (high - low)) / 2)
-        axes[kind] = low - margin, high + margin
+        if kind == "angles":
+            axes[kind] = min(low, ANGLE_AXIS_DEG[0]) - 5.0, max(high, ANGLE_AXIS_DEG[1]) + 5.0
+        else:
+            axes[kind] = numbered_axis(high)
     return axes
 
 
-def numbered_axis(high: float, most: float) -> tuple[float, float]:
+def numbered_axis(high: float) -> tuple[float, float]:
     """Return an axis from 0 to ``high`` or more, on which the viewer writes two numbers at least.
 
-    It writes the multiples of a power of ten, if there is room for them: for ``most``.
+    It writes the multiples of a power of ten, if there is room for three of them.
     """
     step = 10.0 ** math.floor(math.log10(high)) if high > 0 else 1.0
-    top = 1.1 * max(step, high) if high < most * step else 10.5 * step
+    top = 1.1 * max(step, high) if high < 3.3 * step else 10.5 * step
     return -0.04 * top, top
 
 

@@ -7,7 +7,7 @@
     /<stage>/<person>           joints; stages are tracked merged optimized filtered truth
     .../bones .../left_bones    left limbs have a darker shade;  .../name  label above the head
     .../trail                   path of the root
-    /angles/<person>/<joint> /limbs/<person>/<limb>    curves of the last stage, left and right
+    /angles/<person>/<joint>    curves of the last stage, left and right
     /speed/<person>             of the last stage
     /displacement/<stage>/<person>   lines to where a stage had the joints;  /moved/...  its mean
     /people/<camera>, /residual/<camera>   skeletons that it reports, distance to the last stage
@@ -40,7 +40,6 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side, symmetry_of
 from hiros_mcap.evaluate.match import MATCH_DISTANCE, skeleton_distances
 from hiros_mcap.evaluate.mot import best_pairs
-from hiros_mcap.evaluate.smoothness import lengths_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.events import Event
 from hiros_mcap.io.rgb_cameras import RgbCamera
@@ -57,7 +56,6 @@ from hiros_viewer.entities import (
     person_hue,
     person_part,
 )
-from hiros_viewer.figures import limb_links
 from hiros_viewer.images import CameraImages
 from hiros_viewer.palette import DISTANCES, FAULTY, SIDES, SILENCE, curve_colour, shade
 from hiros_viewer.poses import (
@@ -87,8 +85,6 @@ PERSON, NO_DATA = "person", "no data"
 """States of a lane besides the faults of a camera's view."""
 SILENCE_S = 1.0
 """Without any message for longer, there is no data; detectors send several messages a second."""
-SIDED = ("angles", "limbs")
-"""Curves of left and right, whose path ends in a joint or limb."""
 _ROOTS = ("pelvis", "spinebase", "midhip", "hips", "spine_base", "spinemid")
 
 
@@ -123,8 +119,7 @@ class Scene:
         self.uncertainties: Uncertainties | None = None
         """How well joints are known, to be drawn as ellipsoids."""
         self.images: list[CameraImages] = []  # of the RGB cameras
-        self.ranges: dict[str, tuple[float, float]] = {}
-        """Kind of curve, as "speed" or "limbs/thigh" -> where its values are."""
+        self.ranges: dict[str, tuple[float, float]] = {}  # of the values of each kind of curve
         self.moved: set[str] = set()  # stages whose joints are not those of the last one
         self.has_predicted = False  # whether somebody whom no camera saw is in the last stage
         self.lanes: dict[str, str] = {}
@@ -153,7 +148,6 @@ class Scene:
         self._root = _root_slot(model)
         self._recording = recording
         self._entities = Entities(recording, model, self._root, layer)
-        self._limbs = limb_links(model)
 
     @property
     def cameras(self) -> list[str]:
@@ -487,27 +481,22 @@ class Scene:
             lines.append(Line(self.layer.named(name), colour, width * self._widening))
         return lines
 
-    def _extend_sides(
-        self, kind: str, person: int, names: Sequence[str], times: Stamps, values: Floats
-    ) -> None:
-        """Add to curves (T, len(names)); what is left and right of one joint shares an entity."""
-        path = f"{self.prefix}/{kind}/{person_part(person)}"
-        parts = [split_side(name)[0] for name in names]
+    def _extend_angles(self, person: int, times: Stamps, degrees: Floats) -> None:
+        """Add to curves of angles (T, A); those of a joint's left and right share an entity."""
+        path = f"{self.prefix}/angles/{person_part(person)}"
+        parts = [split_side(name)[0] for name in MAIN_ANGLES]
         for part in dict.fromkeys(parts):
             columns = [k for k, side in enumerate(parts) if side == part]
-            lines = self._side_lines([names[k] for k in columns])
-            self._extend(f"{path}/{part.replace(' ', '_')}", lines, times, values[:, columns])
+            lines = self._side_lines([MAIN_ANGLES[k] for k in columns])
+            self._extend(f"{path}/{part.replace(' ', '_')}", lines, times, degrees[:, columns])
 
     def _derive_curves(self, person: int, times: Stamps, poses: Floats) -> None:
-        """Angles, limb lengths and speed of the last stage."""
+        """Angles and speed of the last stage."""
         past = self._pasts[person]
         main = [ANGLE_NAMES.index(name) for name in MAIN_ANGLES]
         jumping = anatomical_angles(self.model, poses, unwrapped=False)[:, main]
         angles = past.angles(times, jumping, MOST_RAD[main])
-        self._extend_sides("angles", person, MAIN_ANGLES, times, np.degrees(angles))
-        if self._limbs:
-            lengths = lengths_of(poses, self.model)[:, list(self._limbs.values())]
-            self._extend_sides("limbs", person, tuple(self._limbs), times, lengths)
+        self._extend_angles(person, times, np.degrees(angles))
         moments, roots = past.continued(times, poses[:, self._root])
         steps = np.diff(moments[:, 0])
         steady = (steps > 0) & (steps < GONE_NS)
@@ -522,10 +511,9 @@ class Scene:
             self._curves[path] = times[-1]
         present = values[~np.isnan(values)]
         if present.size:
-            parts = path.removeprefix(self.prefix).split("/")[1:]
-            kind = "/".join(parts[::2]) if parts[0] in SIDED else parts[0]
-            # Outliers of angles and lengths are the detectors' and not to be seen; errors are.
-            spread = [0.5, 99.5] if parts[0] in SIDED else [0.0, 100.0]
+            kind = path.removeprefix(self.prefix).split("/")[1]
+            # Outliers of angles are the detectors' and not to be seen; errors are.
+            spread = [0.5, 99.5] if kind == "angles" else [0.0, 100.0]
             low, high = np.percentile(present, spread)
             past = self.ranges.get(kind, (low, high))
             self.ranges[kind] = min(past[0], float(low)), max(past[1], float(high))

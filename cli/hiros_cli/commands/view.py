@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 def view(
     logs: list[Path] = argument("LOG", "A recording or a result; a second log is overlaid."),
-    layout: str = option("NAME", "overview, stages, person or cameras.", default="overview"),
+    layout: str = option("NAME", "overview, stages or cameras.", default="overview"),
     time_range: str | None = option("START:END", "Only this part, s from the log's start."),
     stage: str | None = option("NAME", "Stage to plot. Default: the last."),
     truth: str | None = option(
