@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hiros_mcap.outputs import replacing
-from hiros_viewer.figures import MARKED, SPREAD, TRUTH, CurveGrid, CurvePlot
+from hiros_viewer.figures import MARKED, SPREAD, CurveGrid, CurvePlot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,21 +27,6 @@ def new_figure(width: float, height: float) -> Figure:
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
-
-
-def new_axes(width: float, height: float) -> tuple[Figure, Axes]:
-    """Return a figure of one plot, tidy, size in inches."""
-    figure = new_figure(width, height)
-    axes = figure.subplots()
-    tidy(axes)
-    return figure, axes
-
-
-def tidy(axes: Axes) -> None:
-    """Take away what carries no data."""
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(alpha=0.3)
-    axes.set_axisbelow(True)
 
 
 def picture_of(grid: CurveGrid, title: Sequence[str] = ()) -> Figure:
@@ -78,23 +63,10 @@ def _draw(plot: CurvePlot, axes: Axes) -> None:
     for curve in reversed(plot.curves) if len(plot.curves) > 1 else ():
         axes.text(place, 1.01, curve.name, color=curve.colour, fontsize=9, **style)  # type: ignore[arg-type]
         place -= 0.022 * (len(curve.name) + 1)
-    tidy(axes)
-
-
-def value_bars(axes: Axes, names: Sequence[str], values: Sequence[float], spread: Any) -> None:
-    """Draw horizontal bars, the first one on top, each with its value."""
-    axes.barh(list(names), values, xerr=spread, color=TRUTH, ecolor=SPREAD)
-    wide = np.nan_to_num(values).max(initial=0.0) / 8
-    for row, value in enumerate(values):
-        if not np.isnan(value):  # beside a bar that is too short for it
-            x, colour = (0.0, "white") if value > wide else (value, "black")
-            # The line of the spread may begin left of the value.
-            box = {"facecolor": TRUTH if value > wide else "white", "pad": 1.0, "edgecolor": "none"}
-            text = f" {value:.1f}"
-            axes.text(x, row, text, va="center", fontsize=8, color=colour, bbox=box, zorder=4)
-    axes.set_xlim(0, None)
-    axes.invert_yaxis()
-    axes.margins(y=0.01)
+    # What carries no data goes.
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(alpha=0.3)
+    axes.set_axisbelow(True)
 
 
 def png_of(figure: Figure) -> bytes:

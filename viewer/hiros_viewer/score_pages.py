@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hiros_mcap._version import __version__
-from hiros_mcap.evaluate import PCK_MM, ErrorStats, Scores, Truth, score_tables
+from hiros_mcap.evaluate import PCK_MM, Scores, Truth, score_tables
 from hiros_mcap.evaluate.comparison import Outcome, by_number_of_cameras
 from hiros_mcap.evaluate.leave_one_out import SelfScores
 from hiros_mcap.evaluate.logs import ChannelResult
@@ -37,7 +37,7 @@ from hiros_viewer.figures import (
     from_zero,
 )
 from hiros_viewer.page import Page
-from hiros_viewer.pictures import joint_map, new_axes, new_figure, picture_of, tidy, value_bars
+from hiros_viewer.pictures import joint_map, picture_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -61,7 +61,7 @@ def truth_page(
         page.text(text)
     page.figure(_pck(scores), "Share of true joints within a distance of the truth")
     page.heading(f"Joints of {last}")
-    page.figure(_joint_bars(result.scores.joints), "Mean error of each joint; the line is its SD")
+    page.table(*score_tables.joint_table(result.scores.joints), "Error of each joint, mm")
     page.heading(f"{score_tables.BENDING} of {last}")
     title = "Error in degrees, by marker positions and by link orientations (Hi-ROS eq. 21)"
     page.table(*score_tables.angle_table(result.scores), title)
@@ -85,14 +85,6 @@ def _pck(scores: Mapping[str, Scores]) -> Figure:
     ]
     plot = CurvePlot(curves, (0.0, 101.0), y_title="joints, %")
     return picture_of(CurveGrid([[plot]], 3.4, (0.0, float(PCK_MM[-1])), "mm"))
-
-
-def _joint_bars(joints: Mapping[str, ErrorStats]) -> Figure:
-    figure, axes = new_axes(8, 0.22 * len(joints) + 0.8)
-    each = joints.values()
-    value_bars(axes, list(joints), [e.mean for e in each], [e.deviation for e in each])
-    axes.set_xlabel("mm")
-    return figure
 
 
 def _angle_curves(result: ChannelResult, person: int) -> Figure:
@@ -157,39 +149,11 @@ def comparison_page(outcomes: Sequence[Outcome], study: str | None) -> Page:
             best = best_first(group)[0]
             page.text(f"Least error: {best.name}, {number(best.error, 1, ' mm')}.")
             page.table(*compared, "Least error first; mm, degrees, ms")
-            page.figure(_error_bars(group), "Mean joint error; the line is its standard deviation")
         else:
             page.table(*compared, "Distances and jitter in mm")
             for text in notes_on(group):
                 page.text(text)
-            page.figure(_self_bars(group), "Systems in the order in which they were named")
     return page
-
-
-def _error_bars(outcomes: Sequence[Outcome]) -> Figure:
-    ordered = best_first(outcomes)
-    figure, axes = new_axes(8, 0.32 * len(ordered) + 0.9)
-    deviations = [np.nan if o.scores is None else o.scores.deviation for o in ordered]
-    value_bars(axes, [o.name for o in ordered], [o.error for o in ordered], deviations)
-    axes.set_xlabel("mm")
-    return figure
-
-
-def _self_bars(outcomes: Sequence[Outcome]) -> Figure:
-    """Plot what each system does without a truth; none of it alone says who is best."""
-    figure = new_figure(10, 0.32 * len(outcomes) + 1.1)
-    shown = {
-        "disagreement with the camera left out, mm": [o.disagreement for o in outcomes],
-        "jitter, mm": [o.jitter for o in outcomes],
-        "limb-length variation, %": [100 * o.limb_variation for o in outcomes],
-    }
-    for axes, (label, values) in zip(
-        figure.subplots(1, len(shown), sharey=True), shown.items(), strict=True
-    ):
-        tidy(axes)
-        value_bars(axes, [o.name for o in outcomes], values, None)
-        axes.set_xlabel(label)
-    return figure
 
 
 def _camera_plot(table: dict[str, dict[int, tuple[float, float]]]) -> Figure:
