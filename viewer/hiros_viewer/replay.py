@@ -482,7 +482,7 @@ def axis_ranges(scenes: Sequence[Scene]) -> dict[str, tuple[float, float]]:
         ranges = [scene.ranges[kind] for scene in scenes if kind in scene.ranges]
         low, high = min(low for low, _ in ranges), max(high for _, high in ranges)
         if kind == "angles":
-            axes[kind] = min(low, ANGLE_AXIS_DEG[0]) - 5.0, max(high, ANGLE_AXIS_DEG[1]) + 5.0
+            axes[kind] = min(low, ANGLE_AXIS_DEG[0]) - 8.0, max(high, ANGLE_AXIS_DEG[1]) + 8.0
         else:
             axes[kind] = numbered_axis(high)
     return axes
