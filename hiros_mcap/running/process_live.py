@@ -126,7 +126,10 @@ def necessity(options: ProcessOptions) -> Callable[[str, str], bool]:
 def _causal(config: Config, options: ProcessOptions) -> Config:
     """Return the configuration with clocks that are corrected by what came before."""
     if config.optimize.calibration == "two-pass":
-        raise ConfigError("--two-pass reads the whole log first, which live input does not allow")
+        raise ConfigError(
+            "optimize.calibration=two-pass reads the whole log first, which live input does not "
+            "allow"
+        )
     if options.recover or options.strict:
         raise ConfigError("--recover and --strict are for files; live input is read as it comes")
     if config.input.model or config.input.unit != "m" or config.input.negate:

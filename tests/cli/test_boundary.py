@@ -43,7 +43,7 @@ def test_help_names_every_command_and_imports_nothing_heavy():
         (["process"], "Missing argument 'LOG'. (see hiros process --help)"),
         (["process", "missing.mcap"], "missing.mcap: No such file or directory"),
         (["process", "none*"], "none*: no log matches this pattern (.mcap, .bag, .db3)"),
-        (["check", "none*"], "none*: no log matches this pattern (.mcap, .bag, .db3)"),
+        (["check", "none*"], "none*: no file matches this pattern"),
         (["view", "none*"], "none*: no file matches this pattern"),
         (["compare", "none*"], "none*: no file matches this pattern"),
         (

@@ -373,7 +373,7 @@ COMMANDS = (
 def test_options_of_a_run_are_in_groups(capsys):
     assert run(["process", "--help"]) == 0
     text = capsys.readouterr().out
-    titles = ["Arguments:", "Output:", "Parameters:", "Input:", "Limb lengths:", "Many logs:"]
+    titles = ["Arguments:", "Output:", "Parameters:", "Input:", "Many logs:"]
     assert re.findall(r"^[A-Z].*:$", text, re.MULTILINE) == [*titles, "Options:", "Examples:"]
     assert text.count("--set") == 2  # its row, and an example
 

@@ -24,6 +24,7 @@ from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.simulation import write_log
 
 HIROS = [sys.executable, "-m", "hiros_cli"]
+TWO_PASS = ["--system", "hiros-realtime", "--set", "optimize.calibration=two-pass"]
 
 
 def topics(data):
@@ -148,7 +149,7 @@ def test_a_signal_ends_the_input(number, crossing, tmp_path):
         (["-", "-o", "-", "--model", "kinect-v2"], "are for files"),
         (["-", "-o", "-", "--strict"], "are for files"),
         (["-", "-o", "bag/"], "not a bag's folder"),
-        (["-", "-o", "-", "--system", "hiros-realtime", "--two-pass"], "reads the whole log first"),
+        (["-", "-o", "-", *TWO_PASS], "reads the whole log first"),
         (["-", "-o", "-", "--recover"], "are for files"),
     ],
 )

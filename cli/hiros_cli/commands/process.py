@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, redirect_stdout
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -28,7 +28,6 @@ from hiros_cli.options import (
     flag,
     grouped,
     option,
-    seconds_range,
     settings_of,
 )
 from hiros_cli.output import beside, check_outputs, print_json, warn
@@ -41,7 +40,6 @@ if TYPE_CHECKING:
     from hiros_mcap.running.process_options import Calibration, ProcessOptions
     from hiros_mcap.running.summary import Summary
 
-LIMBS = "Limb lengths"
 BAGS = frozenset({".db3", ".bag"})
 SUFFIX = ".hiros.mcap"
 
@@ -81,6 +79,9 @@ class InputOptions:
         default="auto",
         panel=INPUT,
     )
+    limbs: Path | None = option(
+        "FILE", "Use these limb lengths of an earlier session.", panel=INPUT
+    )
     strict: bool = flag("--strict", "Fail if any message would be skipped.", panel=INPUT)
     recover: bool = flag(
         "--recover", "Run on what can be read of a damaged log; exit with 3 on losses.", panel=INPUT
@@ -114,34 +115,6 @@ class InputOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class LimbOptions:
-    """Options on limb lengths."""
-
-    limbs: Path | None = option(
-        "FILE", "Use these limb lengths of an earlier session.", panel=LIMBS
-    )
-    save_limbs: Path | None = option("FILE", "Write the limb lengths to this file.", panel=LIMBS)
-    limb_window: list[str] | None = option(
-        "START:END",
-        "Calibrate limbs in this time range only, s from the log's start; may be repeated.",
-        panel=LIMBS,
-    )
-    two_pass: bool = flag("--two-pass", "Calibrate limbs on the whole log first.", panel=LIMBS)
-    solver: str | None = option(
-        "NAME", "Optimizer: lm (default) or ceres (slow, for comparison).", panel=LIMBS
-    )
-
-    def parameters(self) -> dict[str, Table]:
-        """Return the parameters that have options of their own, by option."""
-        values = {
-            "--limb-window": ("calibration_windows", list(map(_window, self.limb_window or ()))),
-            "--two-pass": ("calibration", "two-pass" if self.two_pass else ""),
-            "--solver": ("solver", self.solver),
-        }
-        return {name: {"optimize": {key: value}} for name, (key, value) in values.items() if value}
-
-
-@dataclass(frozen=True, slots=True)
 class OutputOptions:
     """Options on what is written and shown."""
 
@@ -160,6 +133,7 @@ class OutputOptions:
         "the transforms and /truth.",
         panel=OUTPUT,
     )
+    save_limbs: Path | None = option("FILE", "Write the limb lengths to this file.", panel=OUTPUT)
     markers: bool = flag(
         "--markers",
         "Also write MarkerArray, JointState and Log for RViz and Foxglove.",
@@ -181,14 +155,12 @@ class _Run(NamedTuple):
     parameters: Parameters
     stages: str
     reading: InputOptions
-    limbs: LimbOptions
     writing: OutputOptions
     many: ManyLogs
 
     def settings(self, *, live: bool = False) -> Settings:
         """Return where the parameters come from."""
-        named = {**self.reading.parameters(), **self.limbs.parameters()}
-        return self.parameters.settings(named, live=live)
+        return self.parameters.settings(self.reading.parameters(), live=live)
 
     def target(self, source: Path, settings: Settings, named: str | None) -> str:
         """Return where the result of one log goes; refuses what must not be written."""
@@ -196,8 +168,8 @@ class _Run(NamedTuple):
 
         name = named or str(beside(source, SUFFIX))
         kind, target = target_kind(name), Path(name)
-        inputs = (source, settings.file, self.reading.extrinsics, self.limbs.limbs)
-        saved = self.limbs.save_limbs
+        inputs = (source, settings.file, self.reading.extrinsics, self.reading.limbs)
+        saved = self.writing.save_limbs
         check_outputs((target, kind), (saved, "limb table"), inputs=inputs, force=self.many.force)
         if kind == "log":
             _refuse_other_formats(target)
@@ -205,7 +177,7 @@ class _Run(NamedTuple):
 
     def options(self, settings: Settings) -> ProcessOptions:
         """Return what is read, run and written; refuses what has no effect."""
-        reading, limbs, writing = self.reading, self.limbs, self.writing
+        reading, writing = self.reading, self.writing
         if reading.strict and reading.recover:
             raise ConfigError("--strict refuses what --recover accepts; choose one")
         with importing():
@@ -213,6 +185,7 @@ class _Run(NamedTuple):
             from hiros_mcap.running.pipeline import ProcessOptions
 
         _check_assignments(settings.system, settings.assignments)
+        limbs = {"--limbs": reading.limbs, "--save-limbs": writing.save_limbs}
         _check_effects(settings.system, self.stages, limbs)
         return ProcessOptions(
             system=settings.system,
@@ -221,8 +194,8 @@ class _Run(NamedTuple):
             topics=tuple(reading.topic or ()),
             keep=None if writing.keep is None else tuple(filter(None, writing.keep)),
             extrinsics=reading.extrinsics,
-            limbs_in=limbs.limbs,
-            limbs_out=limbs.save_limbs,
+            limbs_in=reading.limbs,
+            limbs_out=writing.save_limbs,
             markers=writing.markers,
             calibrate=_calibration(reading.calibrate),
             strict=reading.strict,
@@ -247,7 +220,6 @@ def process(
         panel=PARAMETERS,
     ),
     reading: InputOptions = GROUP,
-    limbs: LimbOptions = GROUP,
     many: ManyLogs = GROUP,
 ) -> None:
     """Track, merge, optimize and filter the skeletons of a log.
@@ -255,13 +227,13 @@ def process(
     The output holds the input channels and the results: /hiros/tracked, /hiros/merged,
     /hiros/optimized and /hiros/filtered. The command prints a summary.
     """
-    run, outputs = _Run(parameters, stages, reading, limbs, writing, many), writing.output or ()
+    run, outputs = _Run(parameters, stages, reading, writing, many), writing.output or ()
     if reading.ros_args and not any(map(is_graph, (*logs, *outputs))):
         raise ConfigError("--ros-args: they are for ros2://, as input or as output")
     if is_live(logs, outputs, follow=reading.follow):
         many.refuse_alone()
         _live(run, logs)
-    elif many.wanted(logs, writing.one or "", view=writing.view, save_limbs=limbs.save_limbs):
+    elif many.wanted(logs, writing.one or "", view=writing.view, save_limbs=writing.save_limbs):
         _many(run, logs)
     else:
         _one(run, one_log(context, logs[0]), logs[0])
@@ -403,10 +375,7 @@ def _calibration(text: str) -> Calibration:
     match text:
         case "off" | "auto" | "require":
             return text
-    raise ConfigError(
-        f"--calibrate: {text!r} is none of off, auto, require (a time range for limb "
-        "lengths is --limb-window START:END)"
-    )
+    raise ConfigError(f"--calibrate: {text!r} is none of off, auto, require")
 
 
 def _clock(text: str) -> tuple[str, float]:
@@ -417,13 +386,6 @@ def _clock(text: str) -> tuple[str, float]:
         return camera, float(seconds)
     except ValueError:
         raise ConfigError(f"--clock: {text!r} is not of the form CAMERA=SECONDS") from None
-
-
-def _window(text: str) -> tuple[float, float]:
-    start, end = seconds_range("--limb-window", text)
-    if start < 0:
-        raise ConfigError(f"--limb-window: {text!r} starts before the log, which starts at 0")
-    return start, end
 
 
 def _check_assignments(system: str, assignments: Sequence[str]) -> None:
@@ -441,24 +403,16 @@ def _check_assignments(system: str, assignments: Sequence[str]) -> None:
             )
 
 
-def _check_effects(system: str, stages: str, limbs: LimbOptions) -> None:
-    """Refuse options on limb lengths that would change nothing."""
-    from hiros_mcap.systems import chain_of, sections_of
+def _check_effects(system: str, stages: str, limbs: Mapping[str, Path | None]) -> None:
+    """Refuse options on limb lengths, by name, that would change nothing."""
+    from hiros_mcap.systems import chain_of
 
-    if "optimized" not in chain_of(system, stages):
-        choice = f"--stages {stages}" if stages else f"--system {system}"
-        unused, why = {field.name for field in fields(limbs)}, f"{choice} has no optimizer"
-    elif "optimize" not in sections_of(system):
-        # It calibrates in its own way; the lengths can be saved and given.
-        unused = {"limb_window", "two_pass", "solver"}
-        why = f"--system {system} has an optimizer of its own; --system hiros reads it"
-    elif limbs.limbs:
-        unused, why = {"two_pass"}, "the limb lengths come from --limbs"
-    else:
+    if "optimized" in chain_of(system, stages):
         return
-    for field in fields(limbs):
-        if field.name in unused and getattr(limbs, field.name):
-            raise ConfigError(f"--{field.name.replace('_', '-')} has no effect: {why}")
+    choice = f"--stages {stages}" if stages else f"--system {system}"
+    for name, path in limbs.items():
+        if path is not None:
+            raise ConfigError(f"{name} has no effect: {choice} has no optimizer")
 
 
 def _show(summary: Summary, *, json: bool, quiet: bool) -> None:
