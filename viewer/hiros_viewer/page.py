@@ -121,7 +121,3 @@ def _cell(text: str) -> str:
     return (
         f'<td class="long">{breakable(text)}</td>' if len(text) > 16 else f"<td>{escape(text)}</td>"
     )
-
-
-def _script(text: str) -> str:
-    return f"<script>{text}</script>\n"
