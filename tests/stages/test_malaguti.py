@@ -405,16 +405,6 @@ def test_one_output_per_message_and_no_delay(rates):
     assert not any((new.positions == old.positions).all() for old, new in pairwise(fused))
 
 
-def test_at_a_fixed_rate_on_request():
-    frames = [seen([person(0.03 * k)], at(k), ids=[0]) for k in range(60)]
-    out = list(kalman(frames, MODEL, KalmanParams(rate=50.0)))
-    stamps = [f.stamp for f in out]
-    assert np.diff(stamps).tolist() == [20_000_000] * (len(stamps) - 1)
-    assert 97 < len(stamps) <= 100
-    last = out[-1]  # a rate between the messages: predicted to its own time
-    assert last.positions[0, 0, 0] == pytest.approx(0.9 * (last.stamp - START) * 1e-9, abs=1e-3)
-
-
 def test_velocities_are_filled_and_right():
     frames = [seen([person(0.03 * k)], at(k), ids=[0]) for k in range(90)]
     (*_, last) = kalman(frames, MODEL)

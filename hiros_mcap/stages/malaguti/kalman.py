@@ -69,7 +69,7 @@ def kalman(
 
     Yields
     ------
-    Everybody detected within ``hold``, at the time of each message or at ``rate``, with velocities.
+    Everybody detected within ``hold``, at the time of each message, with velocities.
     Link orientations and confidences are those of the person's newest detection.
     """
     fusion = _Fusion(model, params or KalmanParams(), fixed_frame, cameras or {})
@@ -80,11 +80,8 @@ def kalman(
             events.count(TOO_LATE, frame.source)
             continue
         newest = frame.stamp
-        for due in fusion.due_times(frame.stamp):
-            yield fusion.people_at(due, frame)
         events.count("outlier", frame.source, fusion.update(frame))
-        if not fusion.params.rate:
-            yield fusion.people_at(frame.stamp, frame)
+        yield fusion.detected_lately(frame)
 
 
 class FilteredPeople(NamedTuple):
@@ -118,11 +115,10 @@ class _Fusion:
         self, model: SkeletonModel, params: KalmanParams, fixed_frame: str,
         cameras: Mapping[str, Floats],
     ) -> None:  # fmt: skip
-        self.params, self._model = params, model
+        self._params, self._model = params, model
         self._fixed, self._cameras = fixed_frame, cameras
         empty = FilteredPeople.empty(model.n_markers, model.n_links, params.history)
         self._bank = Bank(empty, params.max_gap)
-        self._due = 0
 
     def update(self, frame: Frame) -> int:
         """Take a message; return how many joints of those whom it shows are outliers."""
@@ -131,26 +127,19 @@ class _Fusion:
             frame = frame.select(frame.ids != UNTRACKED)
         rows = [self._bank.row(person, frame.stamp) for person in frame.ids.tolist()]
         ranges = self._range_variances(frame)
-        return update(self._bank.past, rows, frame.people, frame.stamp, ranges, self.params)
+        return update(self._bank.past, rows, frame.people, frame.stamp, ranges, self._params)
 
     def _range_variances(self, frame: Frame) -> Floats:
         """(P,) Variance that the distance from the camera adds, m2, as in OpenPTrack."""
-        if not self.params.range_noise or frame.source not in self._cameras:
+        if not self._params.range_noise or frame.source not in self._cameras:
             return np.zeros(frame.n_people)
         apart = centroids_of(frame) - self._cameras[frame.source]
-        return (self.params.range_noise * np.nan_to_num((apart**2).sum(axis=1))) ** 2
+        return (self._params.range_noise * np.nan_to_num((apart**2).sum(axis=1))) ** 2
 
-    def due_times(self, now: int) -> Iterator[int]:
-        """Yield the times before ``now``, ns, at which a fixed rate wants a result."""
-        if self.params.rate:
-            self._due = self._due or now
-            while self._due < now:
-                yield self._due
-                self._due += round(1e9 / self.params.rate)
-
-    def people_at(self, stamp: int, cause: Frame) -> Frame:
-        """Return everybody who was detected lately, predicted to ``stamp``, ns."""
-        hold, last_seen = self.params.hold * 1e9, self._bank.last_seen
+    def detected_lately(self, cause: Frame) -> Frame:
+        """Return everybody who was, predicted to the time of the message that was taken."""
+        stamp = cause.stamp
+        hold, last_seen = self._params.hold * 1e9, self._bank.last_seen
         people = sorted(p for p, seen in last_seen.items() if stamp - seen <= hold)
         fixed = self._fixed or cause.frame_id
         out = Frame.empty(

@@ -103,9 +103,6 @@ class KalmanParams(Params):
     )
     hold: ClassVar[float] = 0.2
     """Time, s, for which an undetected person stays in the output; at most max_gap."""
-    rate: float = advanced(
-        0.0, ge=0, le=1000, description="Rate of the output, Hz. 0 = one result per message."
-    )
 
 
 class StraightenParams(Params):
