@@ -535,18 +535,6 @@ def test_who_may_be_another_one_is_given_no_id_while_more_is_to_come():
     assert ids(frames)[-1] == [0, 1]
 
 
-def test_who_left_with_a_new_id_may_turn_out_to_be_somebody_who_left_before():
-    """Seen badly at first, he gets a new id. When he leaves again, it is clear who he was."""
-    stays, badly, well = person(-2.0), person(0.5) * 1.09, person(0.5)
-    frames = standing([stays, well], 0, 6) + standing([stays], 6, 9)
-    frames += standing([stays, badly], 9, 16) + standing([stays, well], 16, 60)
-    frames += standing([stays], 60, 63) + standing([stays, well], 63, 66)
-    found = events_of(frames, TrackParams(reidentify=90.0))
-    (same,) = [event for event in found if event.kind == "same person"]
-    assert (same.person, same.detail[:11]) == (2, "as person 1")
-    assert found[-1].kind == "person re-identified"
-
-
 @pytest.mark.parametrize(("same", "accepted"), [(0.0, False), (0.98, True)])
 def test_two_ids_that_may_be_of_one_person_do_not_silence_each_other(same, accepted):
     first, second = cues(0, 0.0, 0.0), replace(cues(1, 1.0, 0.0), may_be={0: same})

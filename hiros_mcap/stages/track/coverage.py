@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from hiros_mcap.skeletons import Flags, Floats
+from hiros_mcap.skeletons import Floats
 from hiros_mcap.stages.track.tracking import LAST, NEVER
 
 _PERSON_RADIUS = 0.35  # m: a person this near to a line of sight blocks it
@@ -34,11 +35,16 @@ class _FieldOfView:
         near = self.nearest - margin <= distance <= self.farthest + margin
         return near and float(direction @ self.axis) >= self.least_cosine
 
-    def contain(self, rays: Floats, distances: Floats) -> Flags:
-        """(N,) Whether the cone holds the ends of ``rays`` (N, 3), m, or they have no length."""
-        near = (self.nearest <= distances) & (distances <= self.farthest)
-        held = near & (rays @ self.axis >= self.least_cosine * distances)
-        return np.asarray(held | (distances <= 0.0))
+    def widen(self, direction: Floats, distance: float) -> None:
+        """Hold a place, too."""
+        if self.contains(direction, distance, 0.0):
+            return
+        self.directions.append(direction)
+        mean = np.mean(self.directions, axis=0)
+        self.axis = mean / max(float(np.linalg.norm(mean)), 1e-9)
+        self.least_cosine = float(np.min(np.array(self.directions) @ self.axis))
+        self.nearest = min(self.nearest, distance)
+        self.farthest = max(self.farthest, distance)
 
 
 class Coverage:
@@ -72,22 +78,11 @@ class Coverage:
         view = self._views.setdefault(source, _FieldOfView())
         view.stamp = stamp
         view.people += len(places)
-        rays = np.asarray(places) - self._origins[source]
-        distances = np.sqrt((rays * rays).sum(axis=1))
-        inside = view.contain(rays, distances)
-        for k in range(len(rays) if not inside.all() else 0):
-            self._widen(view, rays[k], float(distances[k]))
-
-    def _widen(self, view: _FieldOfView, ray: Floats, distance: float) -> None:
-        """Let a camera's cone hold a place, too."""
-        if distance <= 0.0 or view.contains(ray / distance, distance, 0.0):
-            return
-        view.directions.append(ray / distance)
-        mean = np.mean(view.directions, axis=0)
-        view.axis = mean / max(float(np.linalg.norm(mean)), 1e-9)
-        view.least_cosine = float(np.min(np.array(view.directions) @ view.axis))
-        view.nearest = min(view.nearest, distance)
-        view.farthest = max(view.farthest, distance)
+        for place in places:
+            ray = place - self._origins[source]
+            distance = math.hypot(*ray.tolist())
+            if distance > 0.0:
+                view.widen(ray / distance, distance)
 
     def covers(self, source: str, place: Floats) -> bool:
         """Whether ``source`` looks at ``place`` (3,), m, whoever stands in between."""

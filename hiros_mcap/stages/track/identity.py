@@ -13,7 +13,6 @@ from hiros_mcap.frames import Block
 from hiros_mcap.skeletons import SECOND, UNTRACKED, Floats, Ints
 from hiros_mcap.stages.track.reidentify import (
     OVERLAP,
-    THRESHOLD,
     LimbScatter,
     PersonCues,
     Verdict,
@@ -86,7 +85,7 @@ class Identities:
                 track.may_be, remark = dict(verdict.chances), f"; not re-identified ({verdict})"
         track.doubtful = False
         track.id = next(self._ids) if track.former_id == UNTRACKED else track.former_id
-        scene.admit(track)
+        scene.persons.append(track)
         self._events.note(
             track.seen if at_once else group.stamp, kind, person=track.id, source=group.source,
             detail=f"seen by {', '.join(sorted(track.reports))}{remark}",
@@ -94,30 +93,7 @@ class Identities:
 
     def leave(self, track: PersonTrack) -> None:
         """Remember a person who was not seen for t_m."""
-        if track.may_be:
-            self._look_back(track)
         self._absent.append(self._cues_of(track))
-
-    def _look_back(self, track: PersonTrack) -> None:
-        """Weigh again who it was that got a new id, as all that can be known is known now.
-
-        Who is probably the same as somebody who left before is remembered by the new id alone.
-        """
-        scene = Present(set(), frozenset(), self._people.confirmed())
-        if not self._absent_before(track, scene):
-            return
-        verdict = self._reidentify(track, scene)
-        track.may_be = dict(verdict.chances)
-        have_left = [old.person for old in self._absent]
-        if verdict.probability >= THRESHOLD and verdict.person in have_left:
-            self._join(track, verdict.person, scene)
-            del track.may_be[verdict.person]
-            known = [old.may_be for old in self._absent]
-            for may_be in [*known, *[person.may_be for person in scene.persons]]:
-                if verdict.person in may_be:
-                    may_be[track.id] = may_be.pop(verdict.person)
-            detail = f"as person {verdict.person}, who left before; by {verdict}"
-            self._events.note(track.seen, "same person", person=track.id, detail=detail)
 
     def _cues_of(self, track: PersonTrack) -> PersonCues:
         past, row = self._people.bank.past, track.row
@@ -253,5 +229,5 @@ class Identities:
         track.seen_before = old.seconds
         self._absent = [left for left in self._absent if left.person != person]
         for former in [former for former in scene.persons if former.id == person]:
-            scene.dismiss(former)
+            scene.persons.remove(former)
             self._people.remove(former)

@@ -32,7 +32,7 @@ import numpy as np
 
 from hiros_mcap.skeletons import Flags, Floats, Ints
 
-THRESHOLD = 0.9  # least probability with which somebody gets an old id
+_THRESHOLD = 0.9  # least probability with which somebody gets an old id
 _EXCHANGED = 0.02  # largest probability of being another absent person: worse than a new id
 _HARDLY_EXCHANGED = 0.001
 """The same while more evidence is to come: who looks often errs more often, and limbs are wrong for
@@ -224,7 +224,7 @@ class Verdict:
     @property
     def accepted(self) -> bool:
         """Whether the newcomer gets the id."""
-        return self.probability >= THRESHOLD and self.exchanged <= _EXCHANGED
+        return self.probability >= _THRESHOLD and self.exchanged <= _EXCHANGED
 
     @property
     def is_sure(self) -> bool:

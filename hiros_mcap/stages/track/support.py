@@ -89,7 +89,7 @@ class Confirmation:
         if track.confirmed and track.is_refuted(self._params):
             self._events.note(group.stamp, "track withdrawn", person=track.id)
             track.former_id, track.id = track.id, UNTRACKED
-            scene.dismiss(track)
+            scene.persons.remove(track)
         elif (
             not track.confirmed
             and track.is_there(group.stamp)
@@ -132,7 +132,7 @@ class Confirmation:
             is_near = distance < _DOUBTFUL * self._params.max_distance
             if is_older and is_near and self._hides(person, track, group.stamp):
                 if track.confirmed:
-                    scene.dismiss(track)
+                    scene.persons.remove(track)
                 self._people.remove(track)
                 detail = f"was person {track.id}" if track.confirmed else "for a moment"
                 self._events.note(group.stamp, "tracks merged", person=person.id, detail=detail)
@@ -140,7 +140,5 @@ class Confirmation:
                 return
 
     def _ought_to_see(self, source: str, track: PersonTrack, scene: Present) -> bool:
-        if scene.centres is None:
-            centres = [self._people.centre(person) for person in scene.persons]
-            scene.centres = np.reshape(centres, (-1, 3))
-        return self._coverage.sees(source, self._people.centre(track), scene.centres)
+        centres = [self._people.centre(person) for person in scene.persons]
+        return self._coverage.sees(source, self._people.centre(track), centres)

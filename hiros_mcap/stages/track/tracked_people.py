@@ -135,18 +135,6 @@ class Present:
     shown: set[PersonTrack | None]  # tracks that the message shows
     numbers: frozenset[int]  # their numbers
     persons: list[PersonTrack]  # the confirmed tracks
-    centres: Floats | None = None
-    """(N, 3) mean marker position of each person, m, once somebody has asked for it."""
-
-    def admit(self, track: PersonTrack) -> None:
-        """Note that a track was confirmed."""
-        self.persons.append(track)
-        self.centres = None
-
-    def dismiss(self, track: PersonTrack) -> None:
-        """Note that a track is not confirmed any more."""
-        self.persons.remove(track)
-        self.centres = None
 
 
 class TrackedPeople:
