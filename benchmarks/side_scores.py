@@ -11,7 +11,6 @@ from hiros_mcap.body.forward_cues import CUES, FacingMarkers
 from hiros_mcap.frames import Block, join
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.detections.body_axes import learn_up, upright
 from hiros_mcap.stages.detections.facing_evidence import (
     FacingPast,
     FacingTables,
@@ -23,6 +22,7 @@ WALKING = 0.5
 """m/s: somebody who is faster walks."""
 ALONG = 0.5
 """Cosine: a facing within 60 degrees of a direction lies along it."""
+UPRIGHT = 0.72  # cosine of a tilt of 44 degrees
 _SPAN = 250_000_000  # ns before and after an instant in which the velocity is measured
 _GAP = 100_000_000  # ns: a longer step interrupts a track
 _FEWEST = 5  # frames that show a velocity
@@ -72,12 +72,13 @@ def facing_tracks(frames: Iterable[Frame], model: SkeletonModel) -> list[FacingT
     across = bodies.axes[:, :2]
     facing = np.einsum("nk,nkc->nc", bodies.facing, across)
     cues = np.einsum("nqk,nkc->nqc", bodies.cues.reshape(-1, len(CUES), 2), across)
+    centres = np.nanmean(block.people.markers[..., :3], axis=1)
     ids, velocity, rows = block.people.ids, np.full((len(stamps), 3), np.nan), []
     for person in np.unique(ids[ids != UNTRACKED]).tolist():
         places = np.flatnonzero(ids == person)
         places = places[np.argsort(stamps[places], kind="stable")]
         places = places[np.diff(stamps[places], prepend=stamps[places[0]] - 1) > 0]
-        velocity[places] = _velocities(stamps[places], bodies.centres[places])
+        velocity[places] = _velocities(stamps[places], centres[places])
         rows.append(places)
     walking = _walking(velocity, bodies.axes)
     return [
@@ -98,14 +99,15 @@ def _measured(people: People, stamps: Stamps, model: SkeletonModel) -> MeasuredV
 
 
 def _walking(velocity: Floats, axes: Floats) -> Floats:
-    """(N, 3) What of the velocity is at a right angle to an upright trunk, m/s; NaN for others."""
-    up = np.zeros(4)
-    for v, trunk_axes in zip(velocity, axes, strict=True):
-        learn_up((v[0], v[1], v[2]), trunk_axes, up)
-    is_upright = np.array([upright(trunk_axes, up) for trunk_axes in axes])
+    """(N, 3) What of the velocity is at a right angle to an upright trunk, m/s; NaN for others.
+
+    Most trunks are upright: their mean points up.
+    """
     trunk = axes[:, 2]
+    up = np.nanmean(trunk, axis=0)
+    is_upright = trunk @ up > UPRIGHT * np.linalg.norm(up)
     across = velocity - (velocity * trunk).sum(axis=1, keepdims=True) * trunk
-    return np.where(is_upright[:, None] > 0.5, across, np.nan)
+    return np.where(is_upright[:, None], across, np.nan)
 
 
 def side_scores(

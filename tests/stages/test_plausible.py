@@ -42,7 +42,7 @@ def run(frames, events=None, **params):
 def tables(frames, params=None, events=None):
     """The tables of views, a message each."""
     blocks = drop_implausible_blocks(map(Block.of, frames), MODEL, params, events, CAMERAS)
-    return [views_of([block]) for block in blocks]
+    return [views_of(join([block])) for block in blocks]
 
 
 def doubts(frames):
@@ -194,7 +194,7 @@ def test_the_cut_into_blocks_does_not_matter():
     whole = join([*map(Block.of, frames)])
     (at_once,) = drop_implausible_blocks([whole], MODEL, None, None, CAMERAS)
     one_by_one = run(frames)
-    for one, other in zip(views_of([at_once]).frames(), one_by_one, strict=True):
+    for one, other in zip(views_of(join([at_once])).frames(), one_by_one, strict=True):
         np.testing.assert_array_equal(one.positions, other.positions)
     np.testing.assert_array_equal(at_once.doubts.variances, np.concatenate(doubts(frames)))
 

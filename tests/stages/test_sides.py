@@ -18,7 +18,7 @@ from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.simulate.body_model import MODEL, SLOT, SYMMETRY
 from hiros_mcap.skeletons import UNTRACKED, SkeletonModel
 from hiros_mcap.stages.detections import sides
-from hiros_mcap.stages.detections.body_axes import follow_line, learn_up, upright
+from hiros_mcap.stages.detections.body_axes import follow_line
 from hiros_mcap.stages.detections.facing_evidence import (
     BINS,
     FacingPast,
@@ -380,34 +380,6 @@ def test_labels_decide_after_the_trunk_was_hidden(params):
 
     frames = views(5, hidden)
     assert all(map(same_markers, decided(frames, params), frames))
-
-
-def uprightness(velocities, trunks):
-    """Repeat these for 2 s, each; return how upright each is."""
-    axes = np.repeat(np.zeros((len(trunks), 3, 3)), 60, axis=0)
-    for k, trunk in enumerate(np.repeat(np.array(trunks, float), 60, axis=0)):
-        z = trunk / np.linalg.norm(trunk)
-        x = np.cross(z, [0.6, 0.8, 0.1])
-        x /= np.linalg.norm(x)
-        axes[k] = x, np.cross(z, x), z
-    up = np.zeros(4)
-    for velocity, at in zip(np.repeat(np.array(velocities, float), 60, axis=0), axes, strict=True):
-        learn_up(tuple(velocity), at, up)
-    return [upright(at, up) for at in axes[::60]]
-
-
-def test_those_who_walk_show_which_way_is_up():
-    x, y, z = np.eye(3)
-    assert uprightness([x, y], [z, z]) == [1, 1]
-    assert uprightness([x, z], [-y, -y]) == [1, 1]  # in the frame of a camera
-    assert uprightness([x, 0 * x, x], [z, y, x]) == [1, 0, 0]  # one lies, one crawls
-    assert uprightness([x, x], [z, z + 0.8 * x]) == [1, pytest.approx(0.72, abs=0.02)]
-
-
-def test_nobody_shows_which_way_is_up():
-    x, y, z = np.eye(3)
-    assert uprightness([0 * x, y], [z, y]) == [0, 0]  # nobody walks
-    assert uprightness([x, y, x], [z, x, y]) == [0, 0, 0]  # trunks contradict each other
 
 
 ARMS = {f"{part}_{side}" for part in ("SHOULDER", "ELBOW", "WRIST") for side in ("LEFT", "RIGHT")}

@@ -27,9 +27,6 @@ _RATE_MEMORY = 0.1  # s: two cameras whose lines differ by 40 degrees make 60 de
 _SLOW, _FAST = math.radians(240.0), math.radians(480.0)
 """rad/s: a turn that the model of the facing follows itself (8 degrees a cell); one too fast."""
 _SHORTEST = 0.05  # m, of a trunk
-_WALK_SPEED, _ALONG = 0.4, 0.5  # m/s across the trunk; share of it along the trunk
-_FEWEST, _CONCENTRATED = 30.0, 0.8  # trunks that show up, and the length of their mean
-_UPRIGHT, _TILTED = 0.85, 0.6  # cosine of a tilt of 32 degrees and of 53 degrees
 
 
 @inlined
@@ -196,36 +193,3 @@ def follow_line(
     line[0] += change - turn
     line[2] += turn
     return turn
-
-
-# Up, for walking alone.
-
-
-@kernel
-def learn_up(velocity: tuple[float, float, float], axes: Floats, up: Floats) -> None:
-    """Count a trunk among those that show up, if its owner moves about at a right angle to it.
-
-    That is how people walk. Who crawls moves along the trunk; who lies does not move.
-
-    Parameters
-    ----------
-    velocity : m/s.
-    axes : (3, 3) the person's.
-    up : (4,) sum of these trunks, and their number.
-    """
-    vx, vy, vz = velocity
-    across = math.hypot(component(vx, vy, vz, axes, 0), component(vx, vy, vz, axes, 1))
-    if across > _WALK_SPEED and abs(component(vx, vy, vz, axes, 2)) < _ALONG * across:
-        for c in range(3):
-            up[c] += axes[2, c]
-        up[3] += 1.0
-
-
-@kernel
-def upright(axes: Floats, up: Floats) -> float:
-    """Tell how upright a trunk is: 1, or 0 if it lies, or nobody has shown yet which way is up."""
-    length = norm3(up[0], up[1], up[2])
-    if up[3] < _FEWEST or length < _CONCENTRATED * up[3] or math.isnan(axes[2, 0]):
-        return 0.0
-    cosine = component(up[0], up[1], up[2], axes, 2) / length
-    return ramp(cosine, _TILTED, _UPRIGHT)

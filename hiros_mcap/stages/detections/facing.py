@@ -17,10 +17,9 @@ from hiros_mcap.kernels.array_types import B1, F1, F2, F3, I1, arrays
 from hiros_mcap.kernels.averaging import ACCELERATION, POSITION, VELOCITY, blank, copy_row, exchange
 from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.skeletons import Floats, People, Stamps
-from hiros_mcap.stages.detections.body_axes import component, learn_up, ramp
+from hiros_mcap.stages.detections.body_axes import component, ramp
 from hiros_mcap.stages.detections.facing_evidence import (
     BINS,
-    CELLS,
     HALF,
     LABEL_SHARPNESS,
     LONGEST_GAP,
@@ -28,11 +27,9 @@ from hiros_mcap.stages.detections.facing_evidence import (
     FacingPast,
     FacingTables,
     MeasuredViews,
-    add_walking_direction,
     honesty_of,
     line_reliability,
     mistrust,
-    velocity_between,
 )
 
 _HONEST = 0.5, 0.7  # labels are not known to be honest; they are
@@ -154,13 +151,11 @@ def decide(
 
 
 class SmoothWork(NamedTuple):
-    """Scratch for up to N cells of one person, of which the first ones lie in the past."""
+    """Scratch for up to N cells of one person."""
 
     places: I1  # (N,) place of each view's cell among the cells
     cells: I1  # (N,) numbers of the cells
-    starts: I1
-    axes: F3  # (N,) and (N, 3, 3) as in MeasuredViews, of the last view of each cell
-    way: F2  # (N, 4) as FacingPast.way
+    starts: I1  # (N,) as in MeasuredViews, of the views of each cell
     beliefs: F2
     evidence: F2  # (N, BINS) before the cell's views; of them
     facing: F2  # (N, 2) as Facings.facing
@@ -169,69 +164,30 @@ class SmoothWork(NamedTuple):
     @classmethod
     def of(cls, views: int) -> SmoothWork:
         """Make room for so many views."""
-        n = views + CELLS
-        return arrays(cls, n, n, n, (n, 3, 3), (n, 4), (n, BINS), (n, BINS), (n, 2), (3, BINS))
-
-
-@kernel
-def _past_way(past: FacingPast, row: int, work: SmoothWork) -> int:
-    """Lay out the last cells that were decided, the oldest first; return how many they are."""
-    n = 0
-    for k in range(CELLS):
-        place = (past.next_cell[row] + k) % CELLS
-        if past.way_cells[row, place] > 0:
-            work.cells[n] = past.way_cells[row, place]
-            copy_row(work.way, n, past.way[row], place)
-            n += 1
-    return n
+        n = views
+        return arrays(cls, n, n, n, (n, BINS), (n, BINS), (n, 2), (3, BINS))
 
 
 @kernel
 def _lay_out(
-    measured: MeasuredViews,
-    order: Stamps,
-    evidence: Floats,
-    past: FacingPast,
-    n: int,
-    work: SmoothWork,
+    measured: MeasuredViews, order: Stamps, evidence: Floats, past: FacingPast, work: SmoothWork
 ) -> int:
-    """Add up one person's views by cells behind the first ``n``; return how many cells there are.
+    """Add up one person's views by cells; return how many cells there are.
 
     A view that is late counts as one of the first cell that is not decided yet. Views in new axes
     have a cell of their own.
     """
-    first, cell = n, past.cells[measured.rows[order[0]]]
+    n, cell = 0, past.cells[measured.rows[order[0]]]
     for j in range(len(order)):
         i = order[j]
-        if n == first or measured.cells[i] > cell or measured.starts[i] != work.starts[n - 1]:
+        if n == 0 or measured.cells[i] > cell or measured.starts[i] != work.starts[n - 1]:
             cell = max(measured.cells[i], cell + 1)
-            work.cells[n], work.way[n, :], work.evidence[n, :] = cell, 0.0, 0.0
-            work.starts[n] = measured.starts[i]
+            work.cells[n], work.starts[n], work.evidence[n, :] = cell, measured.starts[i], 0.0
             n += 1
         work.places[j] = n - 1
-        copy_row(work.axes, n - 1, measured.axes, i)
-        if not math.isnan(measured.centres[i, 0]):
-            for c in range(3):
-                work.way[n - 1, c] += measured.centres[i, c]
-            work.way[n - 1, 3] += 1.0
         for b in range(BINS):
             work.evidence[n - 1, b] += evidence[i, b]
     return n
-
-
-@kernel
-def _add_walking(first: int, n: int, until: int, tables: FacingTables, work: SmoothWork) -> None:
-    """Add what the walking direction says to the evidence of each cell.
-
-    Cells from ``until`` on come again: nothing is learned from them yet.
-    """
-    for j in range(first, n):
-        begin, end = max(j - 8, 0), min(j + 9, n)
-        cells, way = work.cells[begin:end], work.way[begin:end]
-        velocity = velocity_between(cells, way, work.cells[j] - 8, work.cells[j] + 8)
-        if work.cells[j] < until:
-            learn_up(velocity, work.axes[j], tables.up)
-        add_walking_direction(velocity, work.axes[j], tables, work.evidence[j])
 
 
 @kernel
@@ -243,47 +199,43 @@ def _cells_between(work: SmoothWork, j: int) -> int:
 
 @kernel
 def _go_forwards(
-    past: FacingPast, row: int, first: int, n: int, tables: FacingTables, work: SmoothWork
+    past: FacingPast, row: int, n: int, tables: FacingTables, work: SmoothWork
 ) -> None:
     """Write the belief before each cell."""
     belief = work.bins[0]
     multiply(past.beliefs[row], past.evidence[row], belief)
-    anew = starts_anew(work.starts[first], past, row)
-    gap = 0 if anew else work.cells[first] - past.cells[row]
-    turn(belief, gap, tables, work.beliefs[first])
-    for j in range(first + 1, n):
+    anew = starts_anew(work.starts[0], past, row)
+    gap = 0 if anew else work.cells[0] - past.cells[row]
+    turn(belief, gap, tables, work.beliefs[0])
+    for j in range(1, n):
         multiply(work.beliefs[j - 1], work.evidence[j - 1], belief)
         turn(belief, _cells_between(work, j), tables, work.beliefs[j])
 
 
 @kernel
-def _go_backwards(first: int, n: int, tables: FacingTables, work: SmoothWork) -> None:
+def _go_backwards(n: int, tables: FacingTables, work: SmoothWork) -> None:
     """Write the facing in each cell, by what comes before and after it."""
     later, belief, both = work.bins[0], work.bins[1], work.bins[2]
     later[:] = 1.0
-    for j in range(n - 1, first - 1, -1):
+    for j in range(n - 1, -1, -1):
         multiply(later, work.evidence[j], belief)
         for b in range(BINS):
             both[b] = work.beliefs[j, b] * belief[b]
         mean_direction(both, tables, work.facing[j])
-        if j > first:
+        if j > 0:
             turn(belief, _cells_between(work, j), tables, later)
 
 
 @kernel
-def _keep(past: FacingPast, row: int, first: int, n: int, until: int, work: SmoothWork) -> None:
+def _keep(past: FacingPast, row: int, n: int, until: int, work: SmoothWork) -> None:
     """Remember the cells before cell ``until``."""
-    for j in range(first, n):
+    for j in range(n):
         if work.cells[j] >= until:
             return
         past.cells[row] = work.cells[j]
         copy_row(past.beliefs, row, work.beliefs, j)
         copy_row(past.evidence, row, work.evidence, j)
         past.belief_starts[row] = work.starts[j]
-        place = past.next_cell[row]
-        past.way_cells[row, place] = work.cells[j]
-        copy_row(past.way[row], place, work.way, j)
-        past.next_cell[row] = (place + 1) % CELLS
 
 
 @entry
@@ -303,12 +255,10 @@ def smooth(
     for p in range(len(ends) - 1):
         theirs = order[ends[p] : ends[p + 1]]
         row = measured.rows[theirs[0]]
-        first = _past_way(past, row, work)
-        n = _lay_out(measured, theirs, evidence, past, first, work)
-        _add_walking(first, n, until, tables, work)
-        _go_forwards(past, row, first, n, tables, work)
-        _go_backwards(first, n, tables, work)
-        _keep(past, row, first, n, until, work)
+        n = _lay_out(measured, theirs, evidence, past, work)
+        _go_forwards(past, row, n, tables, work)
+        _go_backwards(n, tables, work)
+        _keep(past, row, n, until, work)
         for j in range(len(theirs)):
             copy_row(out.facing, theirs[j], work.facing, work.places[j])
             decide(measured, theirs[j], past, tables, out)

@@ -1,8 +1,8 @@
 """Evidence of the way a person faces: the likelihood of each direction by a view, as a logarithm.
 
 A view shows the line through shoulders and hips, its label (which end is left) and cues such as the
-toes. How people walk shows it, too. The directions are BINS across the person's trunk, in axes that
-are carried along with the body (body_axes.py). Weights and scales were fitted to recordings of two
+toes. The directions are BINS across the person's trunk, in axes that are carried along with the
+body (body_axes.py). Weights and scales were fitted to recordings of two
 cameras at 30 Hz.
 """
 
@@ -17,23 +17,20 @@ from hiros_mcap.body.forward_cues import FacingMarkers
 from hiros_mcap.kernels.array_types import F1, F2, F3, I1, I2, arrays
 from hiros_mcap.kernels.averaging import copy_row
 from hiros_mcap.kernels.compile import entry, inlined, kernel
-from hiros_mcap.kernels.distance import centre
 from hiros_mcap.kernels.points import step_between
-from hiros_mcap.skeletons import Floats, Ints, People, Stamps
+from hiros_mcap.skeletons import Floats, Ints, People
 from hiros_mcap.stages.detections.body_axes import (
     component,
     follow_line,
     follow_trunk,
     left_to_right,
     ramp,
-    upright,
 )
 
 CELL = 33_333_333  # ns
 BINS = 36
 CUES = 4  # rows of body.forward_cues.CUES
 VIEWS = 16  # of a person that are remembered
-CELLS = 16  # of a person's way that are remembered
 HALF = BINS // 2
 TOES = 3
 
@@ -43,8 +40,6 @@ LABEL_SHARPNESS = 2.0
 _CUE_WEIGHTS = (2.0, 1.7, 1.7, 3.0)
 _CUE_SCALES = (0.05, 0.05, 0.05, 0.06)  # m
 _CUE_SIGNS = (1.0, -1.0, 1.0, 1.0)  # of what is measured: elbows bend backwards
-_WALK_SPEED, _WALK_SLOPE = 0.4, 0.08  # m/s
-_WALK_SHARPNESS, _WALK_BACKWARDS = 2.5, 0.06
 _TURN = math.radians(8.0)  # SD of the change of the facing from one cell to the next
 LONGEST_GAP = 30  # cells
 TELEPORT = 1e-10  # probability of any other facing
@@ -71,7 +66,6 @@ class MeasuredViews(NamedTuple):
     rows: I1  # (N,) row of the person in what is remembered
     facing: F2  # (N, 2) unit vector: the facing by the labels left and right; NaN = not known
     widths: F1  # (N,) length of the line that it was measured on, m
-    centres: F2  # (N, 3) mean position of the markers, m
     cues: F2  # (N, CUES * 2) vectors that point forwards, m; 0 = not known
     axes: F3  # (N, 3, 3) the person's: two across the trunk, one along it; NaN = not known
     starts: I1  # (N,) how often the axes were chosen anew; facings before and after are unrelated
@@ -81,7 +75,7 @@ class MeasuredViews(NamedTuple):
     def allocate(cls, n: int) -> MeasuredViews:
         """Make room."""
         pair, cues, axes = (n, 2), (n, 2 * CUES), (n, 3, 3)
-        return arrays(cls, n, n, n, n, pair, n, (n, 3), cues, axes, n, n)
+        return arrays(cls, n, n, n, n, pair, n, cues, axes, n, n)
 
 
 class FacingPast(NamedTuple):
@@ -98,9 +92,6 @@ class FacingPast(NamedTuple):
     """(S, VIEWS, 3) their facing, rad, however the axes were turned, and the least and the
     largest one that the camera showed lately without a step; NaN = not known."""
     next_view: I1  # (S,) place of the next one in the ring
-    way_cells: I2  # (S, CELLS) the last cells, a ring
-    way: F3  # (S, CELLS, 4) sum of the centres of their views, m, and the number of these
-    next_cell: I1  # (S,) place of the next one in the ring
     axes: F3  # (S, 3, 3) as MeasuredViews.axes, of the last view
     trunks: F2  # (S, 3) mean of the last unit vectors along the trunk
     trunk_stamps: I1  # (S,) time of the last view that showed it, ns
@@ -111,10 +102,10 @@ class FacingPast(NamedTuple):
     @classmethod
     def empty(cls) -> FacingPast:
         """Return arrays with no rows."""
-        views, cells, bins, three = (0, VIEWS), (0, CELLS), (0, BINS), (0, 3)
+        views, bins, three = (0, VIEWS), (0, BINS), (0, 3)
         return arrays(
-            cls, 0, bins, bins, 0, views, views, (*views, 2 + CUES * 2), (*views, 3), 0, cells,
-            (*cells, 4), 0, (0, 3, 3), three, 0, three, 0, 0,
+            cls, 0, bins, bins, 0, views, views, (*views, 2 + CUES * 2), (*views, 3), 0,
+            (0, 3, 3), three, 0, three, 0, 0,
         )  # fmt: skip
 
 
@@ -127,7 +118,6 @@ class FacingTables(NamedTuple):
     """(CUES, 2) learned: how often a cue points the same way in views whose labels contradict each
     other, and how often it was asked. It tells physical cues from those that follow the label."""
     rounds: F1  # (1,) learned: how often labels went round with a person; such labels are honest
-    up: F1  # (4,) learned, see body_axes.learn_up
 
     @classmethod
     def make(cls) -> FacingTables:
@@ -142,7 +132,6 @@ class FacingTables(NamedTuple):
             turns + TELEPORT,
             np.array([[p * _PRIOR_SAMPLES, _PRIOR_SAMPLES] for p in PRIOR_AGREEMENT]),
             np.zeros(1),
-            np.zeros(4),
         )
 
     def reliability(self, cue: int) -> float:
@@ -345,7 +334,6 @@ def measure_view(
     measured.widths[i], measured.facing[i, 0], measured.facing[i, 1] = width, -y / width, x / width
     measured.starts[i] = past.starts[row]
     copy_row(measured.axes, i, past.axes, row)
-    centre(positions, measured.centres[i])
     _measure_cues(positions, measured.axes[i], markers.vectors, measured.cues[i])
     _learn(measured, i, past, tables)
 
@@ -410,84 +398,6 @@ def write_view_evidence(
                 along = _squash(cx * tables.directions[b, 0] + cy * tables.directions[b, 1])
                 out[b] += trust * along
                 out[b + HALF] -= trust * along
-
-
-# The way of a person.
-
-
-@kernel
-def add_step(measured: MeasuredViews, i: int, past: FacingPast) -> None:
-    """Add the centre of view ``i`` to the person's way."""
-    if math.isnan(measured.centres[i, 0]):
-        return
-    row, cell = measured.rows[i], measured.cells[i]
-    place = (past.next_cell[row] - 1) % CELLS
-    if past.way_cells[row, place] != cell:
-        place = past.next_cell[row]
-        past.next_cell[row] = (place + 1) % CELLS
-        past.way_cells[row, place] = cell
-        past.way[row, place, :] = 0.0
-    for c in range(3):
-        past.way[row, place, c] += measured.centres[i, c]
-    past.way[row, place, 3] += 1.0
-
-
-@kernel
-def velocity_between(
-    cells: Stamps, way: Floats, first: int, last: int
-) -> tuple[float, float, float]:
-    """Slope of a line through the way from cell ``first`` to cell ``last``, m/s; 0 = not known."""
-    n = st = sx = sy = sz = 0.0
-    for j in range(len(cells)):
-        if first <= cells[j] <= last and way[j, 3] > 0.0:
-            n, st, views = n + 1.0, st + (cells[j] - first), way[j, 3]
-            sx, sy, sz = sx + way[j, 0] / views, sy + way[j, 1] / views, sz + way[j, 2] / views
-    if n < 3.0:
-        return 0.0, 0.0, 0.0
-    st, sx, sy, sz = st / n, sx / n, sy / n, sz / n
-    tt = tx = ty = tz = 0.0
-    for j in range(len(cells)):
-        if first <= cells[j] <= last and way[j, 3] > 0.0:
-            t, views = cells[j] - first - st, way[j, 3]
-            tt += t * t
-            tx += t * (way[j, 0] / views - sx)
-            ty += t * (way[j, 1] / views - sy)
-            tz += t * (way[j, 2] / views - sz)
-    if tt < 1.0:
-        return 0.0, 0.0, 0.0
-    rate = 1e9 / CELL / tt
-    return rate * tx, rate * ty, rate * tz
-
-
-@inlined
-def _forwards(along: float, against: float) -> float:
-    """Likelihood of a facing, from its agreement with the walking direction and the opposite."""
-    return (1.0 - _WALK_BACKWARDS) * along + _WALK_BACKWARDS * against + 0.01
-
-
-@kernel
-def add_walking_direction(
-    velocity: tuple[float, float, float], axes: Floats, tables: FacingTables, out: Floats
-) -> None:
-    """Add the evidence of the walking direction: people seldom walk backwards.
-
-    There is none while a person is not upright, or while it is unknown which way is up.
-    """
-    weight = _VIEW * upright(axes, tables.up)
-    if weight == 0.0:
-        return
-    x, y, z = velocity
-    vx, vy = component(x, y, z, axes, 0), component(x, y, z, axes, 1)
-    speed = math.sqrt(vx * vx + vy * vy)
-    weight /= 1.0 + math.exp(-(speed - _WALK_SPEED) / _WALK_SLOPE)
-    if weight < 0.01 * _VIEW:
-        return
-    for b in range(HALF):
-        cosine = (vx * tables.directions[b, 0] + vy * tables.directions[b, 1]) / speed
-        along = math.exp(_WALK_SHARPNESS * (cosine - 1.0))
-        against = math.exp(_WALK_SHARPNESS * (-cosine - 1.0))
-        out[b] += weight * math.log(_forwards(along, against))
-        out[b + HALF] += weight * math.log(_forwards(against, along))
 
 
 @entry

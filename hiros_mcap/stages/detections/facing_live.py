@@ -9,7 +9,6 @@ from hiros_mcap.body.forward_cues import FacingMarkers
 from hiros_mcap.kernels.array_types import F1, I1
 from hiros_mcap.kernels.compile import entry, inlined
 from hiros_mcap.skeletons import Floats, People
-from hiros_mcap.stages.detections.body_axes import learn_up
 from hiros_mcap.stages.detections.facing import (
     Facings,
     decide,
@@ -24,10 +23,7 @@ from hiros_mcap.stages.detections.facing_evidence import (
     FacingPast,
     FacingTables,
     MeasuredViews,
-    add_step,
-    add_walking_direction,
     measure_view,
-    velocity_between,
     write_view_evidence,
 )
 
@@ -35,17 +31,16 @@ from hiros_mcap.stages.detections.facing_evidence import (
 @inlined
 def _open_cell(
     measured: MeasuredViews, i: int, past: FacingPast, tables: FacingTables, work: Floats
-) -> bool:
-    """Start a person's next cell, unless view ``i`` lies in the current one; whether it did."""
+) -> None:
+    """Start a person's next cell, unless view ``i`` lies in the current one."""
     row, cell, start = measured.rows[i], measured.cells[i], measured.starts[i]
     anew = starts_anew(start, past, row)
     if not anew and cell <= past.cells[row]:
-        return False
+        return
     multiply(past.beliefs[row], past.evidence[row], work)
     turn(work, 0 if anew else cell - past.cells[row], tables, past.beliefs[row])
     past.cells[row], past.belief_starts[row] = max(cell, past.cells[row]), start
     past.evidence[row, :] = 0.0
-    return True
 
 
 @entry
@@ -63,13 +58,9 @@ def follow(
     """
     here, belief = work[:BINS], work[BINS:]
     for i in range(len(views)):
-        row, cell = measured.rows[i], measured.cells[i]
+        row = measured.rows[i]
         measure_view(people, views[i], markers, measured, i, past, tables)
-        add_step(measured, i, past)
-        if _open_cell(measured, i, past, tables, here):
-            velocity = velocity_between(past.way_cells[row], past.way[row], cell - 12, cell)
-            learn_up(velocity, measured.axes[i], tables.up)
-            add_walking_direction(velocity, measured.axes[i], tables, past.evidence[row])
+        _open_cell(measured, i, past, tables, here)
         write_view_evidence(measured, i, past, tables, here)
         for b in range(BINS):
             past.evidence[row, b] += here[b]

@@ -7,8 +7,7 @@ body (body_axes.py), so people may lie, crawl, roll and spin. Every view tells o
 
 - the line through shoulders and hips: the facing is at a right angle to it;
 - the labels left and right: which of the two sides of the line is in front;
-- physical cues, whatever the labels are: head, elbows, knees, toes (body.forward_cues);
-- the walking direction of people who are upright.
+- physical cues, whatever the labels are: head, elbows, knees, toes (body.forward_cues).
 
 The log itself says how far each of them is trusted. Where two cameras contradict each other in
 left and right, a physical cue still points the same way in both views; one that follows the label
@@ -25,17 +24,15 @@ model starts anew when the trunk is seen again.
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from hiros_mcap.body.forward_cues import FacingMarkers
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, CameraNumbers
+from hiros_mcap.frames import Block, CameraNumbers, join
 from hiros_mcap.kernels.array_types import chosen, joined
-from hiros_mcap.skeletons import UNTRACKED, Floats, SkeletonModel, Stamps
+from hiros_mcap.skeletons import UNTRACKED, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.detections import facing
 from hiros_mcap.stages.detections.detection_params import SidesParams
@@ -50,6 +47,7 @@ from hiros_mcap.stages.detections.facing_evidence import (
     write_evidence,
 )
 from hiros_mcap.stages.detections.views import views_of
+from hiros_mcap.stages.look_ahead import LookAhead
 
 _SLAVED = 0.3  # toes that point the same way less often than this follow the label
 _MOST = 1000  # views that become one block, about: 10 MB
@@ -82,50 +80,12 @@ def decide_sides(
     """
     params = params or SidesParams()
     if not (params.over_time and knows_sides(model)):
-        yield from (views_of([block]) for block in blocks)
+        yield from (views_of(join([block])) for block in blocks)
         return
     decide = _Sides(model, params, events or Events())
     for block in blocks:
         yield from decide.take(block)
     yield from decide.rest()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Piece:
-    """Neighbouring frames of a block, and what their views show."""
-
-    block: Block
-    views: Stamps  # (N,) rows in the block's arrays, of people with an id who are not distorted
-    owners: Stamps  # (N,) the frame of each view
-    measured: MeasuredViews
-    evidence: Floats  # (N, BINS), or (0, BINS) before they were weighed
-
-    def cut(self, k: int) -> tuple[_Piece, _Piece]:
-        """Return the first ``k`` frames, and the others."""
-        n = int(np.searchsorted(self.owners, k))
-        return self._part(slice(0, k), slice(0, n)), self._part(slice(k, None), slice(n, None))
-
-    def _part(self, frames: slice, views: slice) -> _Piece:
-        measured, owners = chosen(self.measured, views), self.owners[views] - (frames.start or 0)
-        return _Piece(
-            self.block.select(frames), self.views[views], owners, measured, self.evidence[views]
-        )
-
-    def logged_from(self, log_time: int) -> _Piece:
-        """Return the same frames, logged at ``log_time``, ns, or later."""
-        times = np.maximum(self.block.log_times, log_time)
-        return replace(self, block=self.block.logged_at(times))
-
-
-def _split(pieces: Sequence[_Piece], until: int) -> tuple[list[_Piece], list[_Piece]]:
-    """Return the frames before the cell ``until``, and the others."""
-    for k, piece in enumerate(pieces):
-        late = piece.block.stamps // CELL >= until
-        if late.any():
-            n = int(late.argmax())
-            first, kept = piece.cut(n)
-            return [*pieces[:k], *([first] if n else [])], [kept, *pieces[k + 1 :]]
-    return [*pieces], []
 
 
 class _Sides:
@@ -138,120 +98,122 @@ class _Sides:
         self._bank = Bank(FacingPast.empty(), forget_after=10 + 2 * params.lookahead)
         self._tables = FacingTables.make()
         self._cameras = CameraNumbers()
-        self._held: list[_Piece] = []
+        self._waiting, self._log_time = LookAhead(), 0
+        self._new: list[tuple[Block, Stamps, MeasuredViews]] = []
+        """Frames that were not measured yet, and their views."""
+        self._measured, self._evidence = MeasuredViews.allocate(0), np.empty((0, BINS))
+        """Of the N views that wait; evidence (N, BINS)."""
+        self._frames = np.empty(0, np.int64)
+        """(N,) number of the frame of each view that waits, counted through all frames."""
         self._decided = 0  # cell before which everything is decided; 0 = nothing was seen yet
 
     def take(self, block: Block) -> Iterator[Block]:
         """Take frames; yield those that are decided."""
-        piece = self._piece(block)
         if not self._ahead:
-            yield self._mirrored([piece], self._follow(piece))
+            yield self._follow(block)
             return
-        while len(piece.block):
-            cells = piece.block.stamps // CELL
+        while len(block):
+            cells = block.stamps // CELL
             self._decided = self._decided or int(cells[0])
             due = cells >= self._decided + 2 * self._ahead
             if not due.any():
-                self._held.append(piece)
+                self._hold(block)
                 return
             last = int(due.argmax())
-            first, piece = piece.cut(last + 1)
-            self._held.append(first)
+            self._hold(block.select(slice(last + 1)))
+            block = block.select(slice(last + 1, None))
             yield from self._decide(int(cells[last]) - self._ahead)
 
     def rest(self) -> Iterator[Block]:
         """Yield the frames that are still held, now that nothing more comes."""
-        if self._held:
+        if len(self._waiting):
             yield from self._decide(np.iinfo(np.int64).max)
 
-    def _piece(self, block: Block) -> _Piece:
-        """Find the views of a block, and whose they are."""
-        views, owners = block.everybody()
-        counts = block.people.ids[views] != UNTRACKED
-        if block.doubts:
-            counts &= ~block.doubts.distorted[views]
-        views, owners = views[counts], owners[counts]
+    def _hold(self, block: Block) -> None:
+        """Let frames wait."""
+        views, frames = _views_in(block)
+        first = self._waiting.first + len(self._waiting)
+        self._frames = np.concatenate([self._frames, first + frames])
+        self._new.append((block, views, self._unmeasured(block, views, frames)))
+        self._waiting.add(block)
+        self._log_time = int(block.log_times.max())
+
+    def _unmeasured(self, block: Block, views: Stamps, frames: Stamps) -> MeasuredViews:
+        """Note whose the views of a block are, and when."""
         measured = MeasuredViews.allocate(len(views))
-        measured.stamps[:] = block.stamps[owners]
+        measured.stamps[:] = block.stamps[frames]
         measured.cells[:] = measured.stamps // CELL
-        measured.cameras[:] = self._cameras.of(block)[owners]
+        measured.cameras[:] = self._cameras.of(block)[frames]
         measured.rows[:] = self._bank.rows_of(block.people.ids[views], measured.stamps)
-        return _Piece(block, views, owners, measured, np.empty((0, BINS)))
+        return measured
 
     # Decisions
 
-    def _follow(self, piece: _Piece) -> facing.Facings:
+    def _follow(self, block: Block) -> Block:
         """Decide by the past alone."""
         from hiros_mcap.stages.detections.facing_live import follow
 
-        out = facing.Facings.allocate(len(piece.views))
-        people, past, work = piece.block.people, self._bank.past, np.empty(2 * BINS)
-        follow(people, piece.views, self._markers, piece.measured, past, self._tables, work, out)
-        return out
+        views, frames = _views_in(block)
+        measured = self._unmeasured(block, views, frames)
+        people, past, work = block.people, self._bank.past, np.empty(2 * BINS)
+        out = facing.Facings.allocate(len(views))
+        follow(people, views, self._markers, measured, past, self._tables, work, out)
+        return self._mended(join([block]), measured, out)
 
     def _decide(self, until: int) -> Iterator[Block]:
-        """Decide on everything that is held; yield the frames before the cell ``until``."""
-        self._add_evidence()
-        held, self._held = self._held, []
-        measured = joined([piece.measured for piece in held])
+        """Decide on all views that wait; yield the frames before the cell ``until``."""
+        self._weigh()
+        measured = self._measured
         out = facing.Facings.allocate(len(measured.cells))
         order = np.lexsort((measured.stamps, measured.rows))  # each person's views, by time
         ends = np.append(np.flatnonzero(np.diff(measured.rows[order], prepend=-1)), len(order))
-        evidence = np.concatenate([piece.evidence for piece in held])
         work = facing.SmoothWork.of(int(np.diff(ends).max(initial=0)))
         past, tables = self._bank.past, self._tables
-        facing.smooth(measured, order, ends, evidence, until, past, tables, work, out)
+        facing.smooth(measured, order, ends, self._evidence, until, past, tables, work, out)
         out.toes[:] = self._tables.reliability(TOES)
         self._decided = until
-        now = int(held[-1].block.log_times.max())
-        done, self._held = _split(held, until)
-        pieces = deque(piece.logged_from(now) for piece in done)
-        del held, done
-        yield from self._mirrored_blocks(pieces, out)
+        late = self._waiting.stamps // CELL >= until
+        yield from self._released(int(late.argmax()) if late.any() else len(late), out)
 
-    def _add_evidence(self) -> None:
+    def _weigh(self) -> None:
         """Measure the views that are new, learn from all of them, then weigh them."""
-        new = [k for k, piece in enumerate(self._held) if len(piece.evidence) < len(piece.views)]
-        if not new:
-            return
-        parts = [self._held[k] for k in new]
-        for part in parts:
-            people, past = part.block.people, self._bank.past
-            measure(people, part.views, self._markers, part.measured, past, self._tables)
-        measured = joined([part.measured for part in parts])
+        for block, views, part in self._new:
+            past = self._bank.past
+            measure(block.people, views, self._markers, part, past, self._tables)
+        measured = joined([MeasuredViews.allocate(0), *[part for *_, part in self._new]])
         evidence = np.empty((len(measured.cells), BINS))
         write_evidence(measured, self._bank.past, self._tables, evidence)
-        ends = np.cumsum([len(part.views) for part in parts])
-        for k, of_piece in zip(new, np.split(evidence, ends[:-1]), strict=True):
-            self._held[k] = replace(self._held[k], evidence=of_piece)
+        self._measured = joined([self._measured, measured])
+        self._evidence = np.concatenate([self._evidence, evidence])
+        self._new = []
 
     # The result
 
-    def _mirrored_blocks(self, pieces: deque[_Piece], facings: facing.Facings) -> Iterator[Block]:
-        """Yield all frames of the pieces. What was yielded lies in memory no longer."""
-        first = 0
-        while pieces:
-            joined_pieces = [pieces.popleft()]
-            while pieces and sum(len(piece.views) for piece in joined_pieces) < _MOST:
-                joined_pieces.append(pieces.popleft())
-            last = first + sum(len(piece.views) for piece in joined_pieces)
-            block, first = self._mirrored(joined_pieces, chosen(facings, slice(first, last))), last
-            del joined_pieces
-            yield block
-            del block
+    def _released(self, n: int, facings: facing.Facings) -> Iterator[Block]:
+        """Yield the oldest ``n`` frames with what was decided on all views that wait.
 
-    def _mirrored(self, pieces: Sequence[_Piece], facings: facing.Facings) -> Block:
-        """Return a table of views: sides of swapped ones are exchanged, and trunks turned.
-
-        Several pieces become one table: later stages cost a call per block.
+        Neighbours become one table, since later stages cost a call per block.
         """
-        measured = joined([piece.measured for piece in pieces])
+        while n:
+            numbers = self._waiting.first + np.arange(1, n + 1)
+            ends = np.searchsorted(self._frames, numbers)  # the views up to each frame
+            frames = min(int(np.searchsorted(ends, _MOST)) + 1, n)
+            n, done, left = n - frames, slice(ends[frames - 1]), slice(ends[frames - 1], None)
+            measured, decided = chosen(self._measured, done), chosen(facings, done)
+            self._measured, facings = chosen(self._measured, left), chosen(facings, left)
+            self._evidence, self._frames = self._evidence[left], self._frames[left]
+            yield self._mended(self._waiting.release(frames), measured, decided, self._log_time)
+
+    def _mended(
+        self, block: Block, measured: MeasuredViews, facings: facing.Facings, log_time: int = 0
+    ) -> Block:
+        """Make a table of views of a copy: sides are exchanged, and trunks turned.
+
+        Its frames are logged at ``log_time``, ns, or later.
+        """
+        block = views_of(block.logged_at(np.maximum(block.log_times, log_time)))
+        views, _ = _views_in(block)
         swapped, turned = np.flatnonzero(facings.swapped), np.flatnonzero(facings.turns)
-        block = views_of([piece.block for piece in pieces])
-        shifts = block.rows[:, 0] - np.concatenate([piece.block.rows[:, 0] for piece in pieces])
-        ends = np.cumsum([len(piece.block) for piece in pieces])
-        parts = zip(pieces, np.split(shifts, ends[:-1]), strict=True)
-        views = np.concatenate([piece.views + shift[piece.owners] for piece, shift in parts])
         directions = facings.facing[swapped]
         directions[facings.toes[swapped] >= _SLAVED] = np.nan
         axes = measured.axes
@@ -267,3 +229,12 @@ class _Sides:
         for source, n in zip(self._cameras, by_camera.tolist(), strict=True):
             self._events.count("flip", source, n)
         return block
+
+
+def _views_in(block: Block) -> tuple[Stamps, Stamps]:
+    """(N,) rows and (N,) frames of the views of people with an id that are not distorted."""
+    views, frames = block.everybody()
+    counts = block.people.ids[views] != UNTRACKED
+    if block.doubts:
+        counts &= ~block.doubts.distorted[views]
+    return views[counts], frames[counts]

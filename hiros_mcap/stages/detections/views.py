@@ -13,22 +13,19 @@ their sides are decided. From then on, the step that holds a table may write int
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from hiros_mcap.frames import Block, join
+from hiros_mcap.frames import Block
 
 
-def views_of(blocks: Sequence[Block]) -> Block:
-    """Return the frames of tracked blocks as one table of views, with doubts.
+def views_of(table: Block) -> Block:
+    """Return the copy of tracked frames as a table of views, with doubts.
 
     Distorted views have no markers and no links in it.
     """
-    table = join(blocks)
-    people = table.people
-    doubts = table.doubt_columns()
+    people, doubts = table.people, table.doubt_columns()
     for array in people.markers, people.marker_confidences, people.links, people.link_confidences:
         array[doubts.distorted] = np.nan
     return replace(table, doubts=doubts)
