@@ -513,19 +513,6 @@ def test_limbs_tell_the_more_the_longer_both_were_seen():
     assert wrong[0] > wrong[1]
 
 
-@pytest.mark.parametrize(("holds", "least", "most"), [(1, 0.0, 0.1), (30, 0.5, 1.0)])
-def test_how_much_of_the_errors_lasts_is_learned(holds, least, most):
-    """Limbs of 40 cm err by 2 cm, anew every second, or for half a minute."""
-    scatter, rng, counts = LimbScatter(np.arange(2)), np.random.default_rng(0), np.zeros(2)
-    total = np.zeros(2)
-    for k in range(240):
-        if k % holds == 0:
-            error = rng.normal(0.0, 0.02, 2)
-        total, counts = total + 10 * (0.4 + error + rng.normal(0.0, 0.004, 2)), counts + 10
-        scatter.learn(0, total / counts, counts)
-    assert least <= scatter.lasting <= most
-
-
 def test_who_may_be_another_one_is_given_no_id_while_more_is_to_come():
     """Two are absent; the limbs are at first those of the other, as somebody walks in."""
     stays, short, tall = person(-2.0), person(0.0), person(1.5) * 1.06

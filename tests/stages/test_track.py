@@ -179,16 +179,6 @@ def test_eq10(dot, angle):
     assert angle_of(dot) == pytest.approx(angle, abs=1e-12)
 
 
-def test_assignment_is_optimal():
-    rng = np.random.default_rng(1)
-    for _ in range(1000):
-        cost = rng.random((rng.integers(1, 7), rng.integers(1, 7)))
-        match = assign(cost)
-        total = sum(cost[i, j] for j, i in enumerate(match) if i >= 0)
-        assert total == pytest.approx(cost[linear_sum_assignment(cost)].sum())
-        assert len(set(match[match >= 0])) == min(cost.shape)
-
-
 def test_assignment_among_many_is_that_of_scipy():
     rng = np.random.default_rng(3)
     for size in ((40, 90), (90, 40), (60, 60)):
@@ -226,11 +216,6 @@ def test_pairs_beyond_the_gate_are_infinitely_far_and_the_others_exact():
     near = expected <= 1.5
     assert pairs.distances[near] == pytest.approx(expected[near])
     assert (pairs.distances[~near] > 1.5).all() and 20 < near.sum() < 1100
-
-
-def test_assignment_never_takes_a_forbidden_pair():
-    cost = np.array([[np.inf, 1.0], [np.inf, np.inf]])
-    assert assign(cost).tolist() == [-1, 0]
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -7,9 +7,9 @@ Each newcomer is one of the people who are absent, or a stranger. The model, wit
   all absent people, with that of adults' stature and proportions as well; the two sides of a body
   are alike. There is one density of strangers: with one about each absent person, what tells two
   absent people apart would cancel. A detector misplaces markers for some seconds, by another
-  amount from each side. How far, which limbs gain what others lose, and how much of it lasts shows
-  everybody who is tracked: their limbs change from second to second (:class:`LimbScatter`). So the
-  longer both were seen, the more the limbs tell.
+  amount from each side. How far, and which limbs gain what others lose, shows everybody who is
+  tracked: their limbs change from second to second (:class:`LimbScatter`). A share of it lasts.
+  So the longer both were seen, the more the limbs tell.
 - Place and time: a person who left is somewhere about the place where he was lost, on the floor,
   normal with an SD that grows with the time to that of a room. Or he stands there still, if he
   stood before or could not go. A stranger may be anywhere in the room.
@@ -56,9 +56,7 @@ _STAYS = 0.2  # probability that who stood, or could not go, stands there still,
 _FEWEST = 8.0  # detections that make the mean of a second
 _USUAL = 0.02  # SD of a limb's length over seconds, m: simulated 10 to 18 mm, Kinect v2's 5 to 25
 _USUAL_SECONDS = 20.0  # for which the usual detector counts
-_WINDOW = 3  # s of the means whose scatter shows how much of the errors lasts
-_USUAL_LASTING = 0.25  # share of the variance of a second that lasts (Kinect v2's: .2 to .7)
-_USUAL_WINDOWS = 5.0  # for which it counts
+_LASTING = 0.25  # share of the variance of a second that lasts (Kinect v2's: .2 to .7)
 _SOONEST = 0.5  # s: in less time errors hardly change
 _SHORTEST = 0.02  # m: shorter limbs are of no use, but have logarithms
 _MOST = 4  # newcomers, and absent people, that are weighed together; older ones wait or are left
@@ -106,11 +104,6 @@ class _Seconds:
     counts: Floats  # (L,) detections that it is of
     means: Floats  # (L,) mean of the logarithms over the seconds
     seconds: Floats  # (L,) that had enough detections
-    window: Floats  # (L,) sum of the logarithms in the current window
-    in_window: Floats  # (L,) seconds there that had enough detections
-    window_means: Floats  # (L,) mean of the logarithms over the windows
-    windows: Floats  # (L,) that were complete
-    looks: int = 0  # in the current window
 
 
 class LimbScatter:
@@ -120,8 +113,8 @@ class LimbScatter:
     over a second differs from that over another one by more than the noise of single detections
     explains. And limbs vary together: Kinect's trunk is one piece; a knee that lies too high
     shortens the thigh and lengthens the shank. The scatter of everybody's seconds about their own
-    mean is pooled, together with some seconds of a usual detector. The scatter of means over
-    several seconds shows which share of the variance lasts, and is no less in a long mean.
+    mean is pooled, together with some seconds of a usual detector. A share of the variance lasts,
+    and is no less in a long mean.
 
     Parameters
     ----------
@@ -136,13 +129,12 @@ class LimbScatter:
         self._people: dict[int, _Seconds] = {}
         self._squares = np.zeros((n_limbs, n_limbs))
         self._freedom = np.zeros(n_limbs)
-        self._window_squares, self._window_freedom = np.zeros((2, n_limbs))
 
     def learn(self, person: int, lengths: Floats, counts: Floats) -> None:
         """Take the mean lengths (L,), m, of a person so far, of (L,) detections, once a second."""
         lengths = np.maximum(lengths, _SHORTEST)
         if person not in self._people:
-            nothing = np.zeros((6, len(lengths)))
+            nothing = np.zeros((2, len(lengths)))
             self._people[person] = _Seconds(lengths, counts.copy(), *nothing)
             return
         past = self._people[person]
@@ -154,20 +146,6 @@ class LimbScatter:
         off = _deviation(logs, enough, past.means, past.seconds)
         self._squares += np.outer(off, off)
         self._freedom += enough & (past.seconds > 1)
-        self._learn_window(past, logs, enough)
-
-    def _learn_window(self, past: _Seconds, logs: Floats, enough: Flags) -> None:
-        """Take the logarithms (L,) of a second into a window; learn when it is complete."""
-        past.window += logs
-        past.in_window += enough
-        past.looks += 1
-        if past.looks == _WINDOW:
-            whole = past.in_window == _WINDOW
-            mean = np.where(whole, past.window / _WINDOW, 0.0)
-            off = _deviation(mean, whole, past.window_means, past.windows)
-            self._window_squares += off**2
-            self._window_freedom += whole & (past.windows > 1)
-            past.window[:], past.in_window[:], past.looks = 0.0, 0.0, 0
 
     def keep(self, people: Container[int]) -> None:
         """Forget the seconds of everybody else."""
@@ -179,22 +157,9 @@ class LimbScatter:
         root = np.sqrt(_USUAL_SECONDS + self._freedom)
         return np.asarray((_USUAL_SECONDS * usual + self._squares) / np.outer(root, root))
 
-    @property
-    def lasting(self) -> float:
-        """Share of the variance of a second that lasts; the rest changes from second to second."""
-        known = (self._window_freedom > 0) & (np.diag(self._squares) > 0)
-        of_seconds = np.diag(self._squares)[known] / self._freedom[known]
-        share = float(np.sum(self._window_squares[known] / of_seconds))
-        windows, limbs = float(self._window_freedom[known].sum()), max(int(known.sum()), 1)
-        usual = (1.0 + (_WINDOW - 1) * _USUAL_LASTING) / _WINDOW
-        weight = _USUAL_WINDOWS * limbs
-        ratio = (weight * usual + share) / (weight + windows)
-        return min(max((_WINDOW * ratio - 1.0) / (_WINDOW - 1), 0.0), 1.0)
-
     def share(self, seconds: Floats) -> Floats:
         """(L,) variance of means over (L,) ``seconds`` to that over one."""
-        lasting = self.lasting
-        return np.asarray(lasting + (1.0 - lasting) / np.maximum(seconds, _SOONEST))
+        return np.asarray(_LASTING + (1.0 - _LASTING) / np.maximum(seconds, _SOONEST))
 
 
 def _deviation(values: Floats, taken: Flags, means: Floats, counts: Floats) -> Floats:
