@@ -42,7 +42,7 @@ types: $(VENV)/.installed-dev
 	$(BIN)/mypy
 
 tests: $(VENV)/.installed-dev
-	$(BIN)/hiros warmup --all
+	$(BIN)/hiros warmup
 	$(BIN)/pytest -n auto --dist worksteal
 
 docs: $(VENV)/.installed-docs

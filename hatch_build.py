@@ -71,7 +71,7 @@ def compile_into(target: Path) -> None:
     from hiros_mcap import kernels
     from hiros_mcap.kernels import shipped
 
-    prepare(quiet=False, everything=True)
+    prepare(quiet=False)
     for module in kernels.sources():
         kernels.load([module])  # what a process had no memory for is compiled now
         shutil.copytree(kernels.folder_of(module), target, dirs_exist_ok=True)

@@ -29,26 +29,21 @@ def importing() -> Iterator[None]:
         gc.enable()
 
 
-def prepare(*, quiet: bool, system: str | None = None, everything: bool = False) -> None:
+def prepare(*, quiet: bool) -> None:
     """Compile the kernels that are missing. Call before anything imports kernels.
 
-    None are missing where the installation brings them. Those that only other systems than the
-    default need are compiled for such a ``system``, or with ``everything``. Raises MemoryError if
-    a limit leaves too little.
+    None are missing where the installation brings them. Raises MemoryError if a limit leaves too
+    little.
     """
     from hiros_mcap import kernels
-    from hiros_mcap.defaults import DEFAULT_SYSTEM, LIVE_SYSTEM
     from hiros_mcap.kernels import shipped
     from hiros_mcap.threads import share_heap
 
     _ensure_memory()
     share_heap()
-    everything |= system not in (None, DEFAULT_SYSTEM, LIVE_SYSTEM)
-    live = system == LIVE_SYSTEM
-    if shipped.usable() or _is_complete(everything=everything, live=live):
+    if shipped.usable() or _is_complete():
         return
-    lasts = _ensure_writable()
-    missing = kernels.missing(everything=everything, live=live)
+    lasts, missing = _ensure_writable(), kernels.missing()
     if missing and not quiet:
         print(f"hiros: {kernels.NOTICE}", file=sys.stderr, flush=True)
     if missing and lasts:
@@ -114,13 +109,12 @@ def _ensure_memory() -> None:
         )
 
 
-def _is_complete(*, everything: bool, live: bool) -> bool:
+def _is_complete() -> bool:
     """Whether the cache, which may be read-only, has the kernels, from this user or root."""
     from hiros_mcap import kernels
 
     try:
-        absent = kernels.missing(everything=everything, live=live)
-        return not absent and kernels.is_private(kernels.cache_folder())
+        return not kernels.missing() and kernels.is_private(kernels.cache_folder())
     except OSError:  # it is closed to this user
         return False
 

@@ -32,6 +32,7 @@ from hiros_mcap.body.segments import (
     long_axis_of_head,
     segments_of,
     toes,
+    zxy,
 )
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel
 
@@ -183,16 +184,6 @@ def _pelvis_angles(pelvis: Floats, up: int) -> Columns:
         "pelvis obliquity": np.arcsin(np.clip(-r[:, 1, 2], -1, 1)),
         "pelvis rotation": np.arctan2(r[:, 0, 2], r[:, 2, 2]),
     }
-
-
-def zxy(proximal: Floats, distal: Floats) -> tuple[Floats, Floats, Floats]:
-    """Angles z, x, y, rad, of a segment (T, 3, 3) in another one: R = Rz Rx Ry."""
-    r = np.swapaxes(proximal, -1, -2) @ distal
-    return (
-        np.arctan2(-r[:, 0, 1], r[:, 1, 1]),
-        np.arcsin(np.clip(r[:, 2, 1], -1, 1)),
-        np.arctan2(-r[:, 2, 0], r[:, 2, 2]),
-    )
 
 
 def _trunk_angles(pelvis: Floats, thorax: Floats) -> Columns:

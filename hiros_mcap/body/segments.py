@@ -237,3 +237,13 @@ def between(u: Floats, v: Floats) -> Floats:
     """Angle between vectors, rad; by its tangent, which is exact for small angles, too."""
     cross = np.linalg.norm(np.cross(u, v), axis=-1)
     return np.asarray(np.arctan2(cross, np.sum(u * v, axis=-1)))
+
+
+def zxy(proximal: Floats, distal: Floats) -> tuple[Floats, Floats, Floats]:
+    """Angles z, x, y, rad, of a segment (..., 3, 3) in another one: R = Rz Rx Ry."""
+    r = np.swapaxes(proximal, -1, -2) @ distal
+    return (
+        np.arctan2(-r[..., 0, 1], r[..., 1, 1]),
+        np.arcsin(np.clip(r[..., 2, 1], -1, 1)),
+        np.arctan2(-r[..., 2, 0], r[..., 2, 2]),
+    )

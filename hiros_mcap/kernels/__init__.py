@@ -31,27 +31,15 @@ NOTICE = "compiling kernels for this machine, once (1 to 2 minutes of CPU time)"
 _ENTRY = re.compile(r"^@entry\b.*\ndef (\w+)", re.MULTILINE)
 _IMPORT = re.compile(r"^from (hiros_mcap[\w.]*) import (?:\(([^)]*)\)|(.*)$)", re.MULTILINE)
 _PACKAGE = Path(__file__).parent.parent
-_OF_OTHERS = (
-    *("kernels.drawing", "stages.filter.butterworth", "stages.lee.clustering"),
-    *("stages.merge.merging", "stages.optimize.energy", "stages.optimize.optimizing"),
-)
-"""Below hiros_mcap: what neither fuse nor fuse-realtime runs."""
-_LIVE = ("stages.detections.facing_live",)
-"""What fuse-realtime runs, and fuse does not."""
 _PLACES = ("kernels/*.py", "calibrate/*.py", "stages/*.py", "stages/*/*.py", "rays/*.py")
 
 
-def sources(*, everything: bool = True, live: bool = False) -> Mapping[str, str]:
-    """Name -> source of every module that is compiled when it is imported.
-
-    Without ``everything``, those that ``fuse`` has no use for are left out; ``live``: those that
-    ``fuse`` and ``fuse-realtime`` have no use for.
-    """
-    texts, others = {}, () if everything else _OF_OTHERS if live else (*_OF_OTHERS, *_LIVE)
+def sources() -> Mapping[str, str]:
+    """Name -> source of every module that is compiled when it is imported."""
+    texts = {}
     for path in sorted(path for place in _PLACES for path in _PACKAGE.glob(place)):
-        name = ".".join(path.relative_to(_PACKAGE).with_suffix("").parts)
-        if name not in others:
-            texts[f"hiros_mcap.{name}"] = path.read_text()
+        name = ".".join(path.relative_to(_PACKAGE.parent).with_suffix("").parts)
+        texts[name] = path.read_text()
     return {name: text for name, text in texts.items() if _ENTRY.search(text)}
 
 
@@ -116,11 +104,11 @@ def is_private(folder: Path) -> bool:
     return all(s.st_uid in (0, os.geteuid()) and not s.st_mode & 0o022 for s in states)
 
 
-def missing(*, everything: bool = True, live: bool = False) -> dict[str, list[Path]]:
+def missing() -> dict[str, list[Path]]:
     """Return module -> files of its kernels that no former run on this machine has compiled."""
     files = {
         module: [folder_of(module) / f"{module}.{name}" for name in _ENTRY.findall(source)]
-        for module, source in sources(everything=everything, live=live).items()
+        for module, source in sources().items()
     }
     absent = {module: [f for f in paths if not f.exists()] for module, paths in files.items()}
     return {module: paths for module, paths in absent.items() if paths}

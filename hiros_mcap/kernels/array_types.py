@@ -29,8 +29,8 @@ class Fields(NamedTuple):
     fields: tuple[Any, ...]
 
 
-# C-contiguous arrays of 1 to 4 dimensions: floats, 64-bit integers, 32-bit integers, flags, floats
-# of 32 bits, bytes (C1: only read) and words of 64 bits. They annotate what a kernel takes.
+# C-contiguous arrays of 1 to 4 dimensions: floats, 64-bit integers, 32-bit integers, flags, bytes
+# (C1: only read) and words of 64 bits. They annotate what a kernel takes.
 if TYPE_CHECKING:
     F1 = Floats
     F2 = Floats
@@ -44,8 +44,6 @@ if TYPE_CHECKING:
     J3 = Ints
     B1 = Flags
     B2 = Flags
-    S2 = npt.NDArray[np.float32]
-    S3 = npt.NDArray[np.float32]
     C1 = npt.NDArray[np.uint8]
     U1 = npt.NDArray[np.uint8]
     W1 = npt.NDArray[np.uint64]
@@ -55,7 +53,6 @@ else:
     I1, I2, I3 = (Array("int64", n) for n in (1, 2, 3))
     J1, J2, J3 = (Array("int32", n) for n in (1, 2, 3))
     B1, B2 = (Array("bool", n) for n in (1, 2))
-    S2, S3 = (Array("float32", n) for n in (2, 3))
     C1, U1 = Array("uint8", 1, written=False), Array("uint8", 1)
     W1, W2 = (Array("uint64", n) for n in (1, 2))
 

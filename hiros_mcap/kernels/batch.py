@@ -17,6 +17,7 @@ from hiros_mcap.kernels.cdr import (
     TOO_NARROW,
     Tables,
     decode,
+    is_same_text,
     read_header,
     slot_of,
 )
@@ -218,24 +219,13 @@ def take_out_copies(data: C1, people: People, sources: I2, counts: Stamps) -> No
     for other in range(1, len(people.ids)):
         for one in range(other):
             both, first, second = _joints_of_both(markers, one, other)
-            if both >= telling and _is_same_text(data, sources[one], sources[other]):
+            if both >= telling and is_same_text(data, sources[one], sources[other]):
                 copy = other if first >= second else one
                 markers[copy] = np.nan
                 people.links[copy] = np.nan
                 counts[COPY] += 1
                 if copy == other:
                     break
-
-
-@kernel
-def _is_same_text(data: C1, one: Stamps, other: Stamps) -> bool:
-    """Whether two texts of a message, by first byte and the one after the last, are equal."""
-    if one[1] - one[0] != other[1] - other[0]:
-        return False
-    for k in range(one[1] - one[0]):
-        if data[one[0] + k] != data[other[0] + k]:
-            return False
-    return True
 
 
 # All messages of some chunks.

@@ -27,6 +27,7 @@ from hiros_mcap.skeletons import Floats, People
 
 # A message is right, or has one of the faults, or the arrays have no columns for its numbers.
 OK, TRUNCATED, ENCAPSULATION, TRAILING, STRING_LENGTH, STRING_END, NANOSEC, TOO_MANY = range(8)
+# Those of a link follow those of a marker.
 UNKNOWN_MARKER, UNKNOWN_LINK, MARKER_NAME, LINK_NAME, LINK_ENDS = range(8, 13)
 REPEATED_MARKER, REPEATED_LINK, TOO_NARROW = range(13, 16)
 
@@ -378,23 +379,42 @@ def _leave_out(slots: Slots, person: int) -> None:
 
 
 @kernel
-def _markers(
-    data: Bytes, at: int, swap: bool, slots: Slots, words: Words, report: Table
+def _ends(data: Bytes, at: int, swap: bool, link: Table, markers: Table) -> tuple[int, int]:
+    """Compare the parent and the child of a link with the model's; return fault and end."""
+    at = align4(at)
+    if at + 8 > data.size:
+        return TRUNCATED, at
+    for end in range(2):
+        marker, expected = _signed(data, at + 4 * end, swap), link[LINK_ENDS_AT + end]
+        is_absent = expected > _INT32_MAX and slot_of(markers, marker) < 0
+        if not (marker == expected or is_absent):
+            return LINK_ENDS, at
+    return OK, at + 8
+
+
+@kernel
+def _elements(
+    data: Bytes, at: int, swap: bool, slots: Slots, tables: Tables, report: Table
 ) -> tuple[int, int]:
-    """Read the markers of a person; return fault and end."""
+    """Read the markers, or the links, of a person; return fault and end."""
     report[AT] = at
-    count, at = _count(data, at, swap, MIN_MARKER)
+    is_link = slots.table.shape[1] > LINK_ENDS_AT
+    count, at = _count(data, at, swap, MIN_LINK if is_link else MIN_MARKER)
     if count < 0:
         return TRUNCATED, at
     person, n, slot = report[PERSON], len(slots.table), -1
     for _ in range(count):
         report[AT] = at
-        fault, slot, at = _identify(data, at, swap, slot + 1, slots, words, report)
-        if fault != OK:
-            return fault, at
-        if slots.seen[slot] == person:
+        fault, slot, at = _identify(data, at, swap, slot + 1, slots, tables.words, report)
+        if fault == OK:
             report[ID] = slots.table[slot, SLOT_ID]
-            return REPEATED_MARKER, at
+            if is_link:
+                fault, at = _ends(data, at, swap, slots.table[slot], tables.markers)
+        if fault == OK and slots.seen[slot] == person:
+            fault = REPEATED_MARKER
+        if fault != OK:
+            is_kind = fault in (UNKNOWN_MARKER, MARKER_NAME, REPEATED_MARKER)
+            return fault + (1 if is_link and is_kind else 0), at
         slots.seen[slot] = person
         at = _numbers(data, at, swap, slots, person * n + slot)
         if at < 0:
@@ -405,64 +425,14 @@ def _markers(
 
 
 @kernel
-def _is_end(marker: int, expected: int, marker_table: Table) -> bool:
-    """Whether a link's parent or child is the marker that the model has there."""
-    return marker == expected or (expected > _INT32_MAX and slot_of(marker_table, marker) < 0)
-
-
-@kernel
-def _links(
-    data: Bytes, at: int, swap: bool, slots: Slots, tables: Tables, report: Table
-) -> tuple[int, int]:
-    """Read the links of a person; return fault and end."""
-    report[AT] = at
-    count, at = _count(data, at, swap, MIN_LINK)
-    if count < 0:
-        return TRUNCATED, at
-    person, n, slot = report[PERSON], len(slots.table), -1
-    for _ in range(count):
-        report[AT] = at
-        fault, slot, at = _identify(data, at, swap, slot + 1, slots, tables.words, report)
-        if fault == UNKNOWN_MARKER:
-            return UNKNOWN_LINK, at
-        if fault == MARKER_NAME:
-            return LINK_NAME, at
-        if fault != OK:
-            return fault, at
-        report[ID] = slots.table[slot, SLOT_ID]
-        at = align4(at)
-        if at + 8 > data.size:
-            return TRUNCATED, at
-        for end in range(2):
-            expected = slots.table[slot, LINK_ENDS_AT + end]
-            if not _is_end(_signed(data, at + 4 * end, swap), expected, tables.markers):
-                return LINK_ENDS, at
-        if slots.seen[slot] == person:
-            return REPEATED_LINK, at
-        slots.seen[slot] = person
-        at = _numbers(data, at + 8, swap, slots, person * n + slot)
-        if at < 0:
-            return -at, at
-    if count < n:
-        _leave_out(slots, person)
-    return OK, at
-
-
-@kernel
-def _note_source(data: Bytes, person: int, start: int, end: int, report: Table) -> None:
-    """Keep the first person's src_frame and whether another one differs."""
-    if person == 0:
-        report[SOURCE] = start
-        report[SOURCE_END] = end
-        return
-    first = report[SOURCE]
-    same = end - start == report[SOURCE_END] - first
-    k = 0
-    while same and k < end - start:
-        same = data[start + k] == data[first + k]
-        k += 1
-    if not same:
-        report[MIXED] = 1
+def is_same_text(data: Bytes, one: Table, other: Table) -> bool:
+    """Whether two texts of a message, by first byte and the one after the last, are equal."""
+    if one[1] - one[0] != other[1] - other[0]:
+        return False
+    for k in range(one[1] - one[0]):
+        if data[one[0] + k] != data[other[0] + k]:
+            return False
+    return True
 
 
 @kernel
@@ -503,14 +473,17 @@ def decode(
         people.stamps[person] = stamp
         sources[person, 0] = start
         sources[person, 1] = end
-        _note_source(data, person, start, end, report)
+        if person == 0:
+            report[SOURCE], report[SOURCE_END] = start, end
+        elif not is_same_text(data, sources[0], sources[person]):
+            report[MIXED] = 1
         at = align8(after + 8)
         people.confidences[person] = _double(data, at, swap)
         _doubles(data, at + 8, swap, boxes, person * BOX, BOX)
-        fault, at = _markers(data, at + 8 * (1 + BOX), swap, markers, tables.words, report)
+        fault, at = _elements(data, at + 8 * (1 + BOX), swap, markers, tables, report)
         if fault != OK:
             return fault
-        fault, at = _links(data, at, swap, links, tables, report)
+        fault, at = _elements(data, at, swap, links, tables, report)
         if fault != OK:
             return fault
     return _end(data, at, report)

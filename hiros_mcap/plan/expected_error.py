@@ -15,7 +15,7 @@ a rig is evaluated by adding what each camera contributes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -71,8 +71,7 @@ class ErrorModel:
         self.joints = np.arange(MODEL.n_markers) if joints is None else np.asarray(joints)
         fuse = FuseParams()
         noise = FusionNoise.default(MODEL, fuse.acceleration, fuse.offset, fuse.offset_time)
-        self._noise = noise = replace(
-            noise,
+        self._noise = noise = noise._replace(
             joints=noise.joints[self.joints],
             accelerations=noise.accelerations[self.joints],
             offsets=noise.offsets[self.joints],

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hiros_mcap.body.angles import ANGLES, euler_zxy, joint_links, link_angles, wrapped
+from hiros_mcap.body.angles import ANGLES, joint_links, link_angles, wrapped
+from hiros_mcap.body.rotations import to_matrix
+from hiros_mcap.body.segments import zxy
 from hiros_mcap.simulate.body_model import MODEL
 from hiros_mcap.skeletons import SkeletonModel
 
@@ -15,8 +17,9 @@ def test_known_rotations_are_recovered():
     rng = np.random.default_rng(0)
     angles = rng.uniform([-3.1, -1.5, -3.1], [3.1, 1.5, 3.1], (1000, 3))
     xyzw = Rotation.from_euler("ZXY", angles).as_quat()
-    assert np.abs(euler_zxy(xyzw) - angles).max() < 1e-9
-    assert np.abs(euler_zxy(-xyzw) - angles).max() < 1e-9
+    for same in (xyzw, -xyzw):
+        found = np.stack(zxy(np.eye(3), to_matrix(same)), axis=-1)
+        assert np.abs(found - angles).max() < 1e-9
 
 
 def test_angles_wrap_at_half_a_turn():

@@ -152,11 +152,11 @@ def test_imports_at_the_top_level_are_found():
         "from hiros_mcap.kernels import cdr, batch as b  # both\n"
         "from hiros_mcap.frames import (\n    Block,\n    join,\n)\n"
         "import numpy\n"
-        "def f():\n    from hiros_mcap.kernels import drawing\n"
+        "def f():\n    from hiros_mcap.kernels import encode\n"
     )
     names = kernels.imported(source)
     assert {"hiros_mcap.kernels.cdr", "hiros_mcap.kernels.batch", "hiros_mcap.frames"} <= {*names}
-    assert not any("drawing" in name for name in names)
+    assert not any("encode" in name for name in names)
 
 
 def test_no_kernel_is_compiled_by_two_processes():
@@ -182,17 +182,11 @@ def test_two_cores_share_the_compilation():
 
 
 def test_kernels_that_all_others_need_are_compiled_first():
-    sources = kernels.sources(everything=False)
+    sources = kernels.sources()
     groups = independent(sources)
     needed = [sources.keys() & frozenset().union(*map(kernels.reached, g)) - {*g} for g in groups]
     assert "hiros_mcap.kernels.people_rows" in groups[0]
     assert [bool(names) for names in needed] == sorted(map(bool, needed))
-
-
-def test_only_a_live_run_compiles_what_decides_at_once():
-    offline, live = (kernels.sources(everything=False, live=live).keys() for live in (False, True))
-    assert live - offline == {"hiros_mcap.stages.detections.facing_live"}
-    assert live < kernels.sources().keys()
 
 
 def test_what_is_compiled_in_advance_is_not_compiled_again(tmp_path, monkeypatch):
@@ -242,10 +236,8 @@ def test_a_run_imports_its_own_stages_only(tmp_path):
     modules = {*done.stdout.split()}
     prefix = "hiros_mcap.stages."
     assert {f"{prefix}{name}" for name in ("track.tracking", "fuse.fusing")} <= modules
-    others = {*kernels.sources()} - {*kernels.sources(everything=False)}
-    assert {f"{prefix}merge.merging", f"{prefix}optimize.energy"} <= others
-    assert "hiros_mcap.kernels.drawing" in others
-    assert not others & modules
+    others = ("merge.merging", "optimize.energy", "lee.clustering", "detections.facing_live")
+    assert not {f"{prefix}{name}" for name in others} & modules
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="a setting of glibc")

@@ -281,7 +281,8 @@ def test_the_flexion_of_an_arm_held_sideways_is_left_out_and_counted():
 
 @pytest.mark.parametrize("degrees", [0, 45, 90, 179])
 def test_flexion_of_an_elbow(degrees):
-    assert np.degrees(flexions(ARM, bent(math.radians(degrees)))[1]) == pytest.approx(degrees)
+    angles = flexions(ARM, bent(math.radians(degrees))[None])
+    assert np.degrees(angles[0, 1]) == pytest.approx(degrees)
 
 
 def test_somebody_farther_than_a_metre_is_somebody_else():

@@ -10,8 +10,6 @@ from builders import at_once, room, same
 
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import evaluate
-from hiros_mcap.kernels.array_types import chosen
-from hiros_mcap.skeletons import SkeletonModel
 from hiros_mcap.stages.fuse import fusing
 from hiros_mcap.stages.fuse.constrain import ConstrainParams, constrain_blocks
 from hiros_mcap.stages.fuse.fusing import (
@@ -20,11 +18,8 @@ from hiros_mcap.stages.fuse.fusing import (
     FusionWork,
     JointNoise,
     JointStates,
-    Sightings,
     Steps,
 )
-from hiros_mcap.stages.fuse.fusion_noise import FusionNoise, RunningNoise
-from hiros_mcap.stages.fuse.pair_lengths import RunningLengths, measured_lengths
 from hiros_mcap.stages.fuse.pose_prior import RecentMotion
 from hiros_mcap.stages.known_cameras import KnownCameras
 from hiros_mcap.systems import Run, system
@@ -146,21 +141,6 @@ def test_a_filter_whose_predictions_fail_follows_faster():
     assert np.abs(agile[34:36]).mean() < 0.7 * np.abs(usual[34:36]).mean()
 
 
-def test_running_lengths_become_those_of_the_whole():
-    rng = np.random.default_rng(1)
-    ends = np.zeros((600, 2, 3))
-    ends[:, 1, 0] = 0.25
-    poses, variances = ends + rng.normal(0, 0.02, ends.shape), np.full((600, 2), 0.02**2)
-    poses[300, 1] += 5.0
-    poses[17] = np.nan
-    pairs = np.array([[0, 1]], np.int32)
-    running = RunningLengths(pairs, np.arange(2, dtype=np.int32))
-    running.update(poses, variances)
-    lengths = running.result()[0]
-    assert lengths == pytest.approx(measured_lengths(poses, variances, pairs), abs=0.002)
-    assert lengths == pytest.approx(0.25, abs=0.003)
-
-
 def swinging(seconds):
     """Noisy and true poses of twelve markers that swing together at 30 Hz."""
     rng = np.random.default_rng(2)
@@ -203,25 +183,3 @@ def test_lengths_stay_once_they_are_known():
     poses = np.array([f.positions[f.ids == 0][0] for f in out[60:] if 0 in f.ids])
     lengths = np.linalg.norm(poses[:, links[:, 0]] - poses[:, links[:, 1]], axis=2)
     assert (np.nanstd(lengths, axis=0) / np.nanmean(lengths, axis=0) < 0.02).all()
-
-
-def test_a_camera_with_twice_the_noise_gets_four_times_the_variance():
-    rng = np.random.default_rng(3)
-    n = 3600
-    instants, cameras = np.arange(n), np.arange(n) % 2
-    views = Sightings.allocate(n, 1)._replace(
-        instants=instants,
-        people=np.zeros(n, np.int64),
-        cameras=cameras,
-        stamps=10**9 + 16_500_000 * instants,
-        positions=np.sin(instants / 200)[:, None, None]
-        + rng.normal(size=(n, 1, 3)) * np.array([0.004, 0.008])[cameras][:, None, None],
-        confidences=np.full((n, 1), 0.9),
-        distances=np.full(n, 2.0),
-    )
-    model = SkeletonModel.of(["A"], [])
-    noise = RunningNoise.of(FusionNoise.default(model))
-    for part in np.array_split(instants, 60):
-        noise.take(chosen(views, part))
-        noise.learn(["a", "b"])
-    assert noise.cameras["b"] / noise.cameras["a"] == pytest.approx(4.0, rel=0.2)

@@ -311,7 +311,8 @@ def test_steps_solve_the_normal_equations(seed, loops):
     topology = topology_of(model)
     equations, dense = NormalEquations.of(topology), 20.0 * np.eye(24)
     equations.diagonal[:], equations.blocks[:] = 20.0 * np.eye(3), 0.0
-    for (p, d), block in zip(topology.links, topology.link_block, strict=True):
+    for p, d in topology.links:
+        block = topology.block[p, d]
         coupling = rng.normal(size=(3, 3))
         coupling += coupling.T
         equations.blocks[block] += coupling

@@ -107,13 +107,7 @@ def test_the_worst_joint_is_named():
     assert "(m5 " in next(iter(scatter_notes(cameras)))
 
 
-def test_a_noisy_camera_counts_less_from_its_third_second_on():
-    _, cameras = found(detections({"b": 2.5}), **REALTIME, follow_noise=True)
-    assert [c.ratio for c in cameras] == pytest.approx([1, 1.15, 1], abs=0.15)
-    assert not list(scatter_notes(cameras))
-
-
-@pytest.mark.parametrize("params", [{"window": 1.0}, {**REALTIME, "follow_noise": True}])
+@pytest.mark.parametrize("params", [{"window": 1.0}, REALTIME])
 def test_blocks_change_no_histogram_and_no_result(params):
     frames, settings = detections({"b": 2.5})[:600], FuseParams(**params)
     one, other = Events(), Events()

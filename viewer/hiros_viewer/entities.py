@@ -18,7 +18,6 @@ import rerun as rr
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.io.export.markers import RGB, person_colour
-from hiros_mcap.kernels.drawing import Singles, draw_bones, draw_joints, tops
 from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
 from hiros_viewer.columns import Line, TextRow, columns, strips, time_columns
@@ -58,6 +57,7 @@ _FAINT = 10 * CLASSES
 
 
 Counts = npt.NDArray[np.integer[Any]]
+Singles = npt.NDArray[np.float32]
 Rows = tuple[Stamps, Stamps]
 """(R, 2) times, and (R,) how many people are in each row."""
 
@@ -318,10 +318,10 @@ class Entities:
 
     def _joints(self, poses: Poses, people: Stamps, largest: float) -> tuple[Singles, Singles]:
         """Return joints (K, M, 3) and radii (K, M), m, of some of the poses."""
-        joints = np.empty((len(people), self.model.n_markers, 3), np.float32)
-        radii = np.empty(joints.shape[:2], np.float32)
-        draw_joints(poses.positions, poses.confidences, people, largest, joints, radii)
-        return joints, radii
+        confidences = poses.confidences[people]
+        sure = np.clip(np.where(np.isnan(confidences), 1.0, confidences), 0.0, 1.0)
+        radii = largest * (0.5 + 0.5 * sure)  # full size at 1 or if it is unknown, half at 0
+        return poses.positions[people].astype(np.float32), radii.astype(np.float32)
 
     def _parts(
         self, joints: Singles, radii: Singles, labels: Floats, has_label: Flags
@@ -338,10 +338,9 @@ class Entities:
     def _bone_parts(self, joints: Singles) -> Iterator[tuple[str, Mapping[Any, Any], Any]]:
         """Yield bones like :meth:`_parts`: those of left limbs have an entity of their own."""
         for part, ends in self._bones.items():
-            bones = np.empty((len(joints) * len(ends), 2, 3), np.float32)
-            per_pose = np.empty(len(joints), np.int32)
-            n_bones = draw_bones(joints, ends, bones, per_pose)
-            yield part, {rr.LineStrips3D.descriptor_strips(): strips(bones[:n_bones])}, per_pose
+            there = ~np.isnan(joints[:, ends, 0]).any(axis=2)
+            bones = {rr.LineStrips3D.descriptor_strips(): strips(joints[:, ends][there])}
+            yield part, bones, there.sum(axis=1)
 
     def _send_styles(self, path: str, *, is_strong: bool) -> None:
         """Say once how a person's entities look; classes and labels change."""
@@ -427,10 +426,14 @@ def person_of(path: str) -> int:
 
 
 def _highest(poses: Poses, people: Stamps) -> Floats:
-    """(K, 3) the highest joint of some of the poses, m; NaN for a pose without joints."""
-    highest = np.empty((len(people), 3))
-    tops(poses.positions, people, highest)
-    return highest
+    """(K, 3) mean x and y and greatest z of some of the poses, m; NaN for one without joints."""
+    positions = poses.positions[people]
+    there = ~np.isnan(positions)
+    count = np.where(there.any(axis=1), there.sum(axis=1), np.nan)
+    highest = np.where(there, positions, 0.0).sum(axis=1) / count
+    greatest = np.fmax.reduce(positions[:, :, 2], axis=1, initial=-np.inf)
+    highest[:, 2] = np.where(np.isinf(greatest), np.nan, greatest)
+    return np.asarray(highest)
 
 
 def packed(colour: RGB) -> int:

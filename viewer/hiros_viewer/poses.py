@@ -25,8 +25,7 @@ from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.frames import Block, rows_between
 from hiros_mcap.io.marker_uncertainty import UNCERTAIN_TOPIC, Deviations, read_uncertainty
-from hiros_mcap.kernels.drawing import pick
-from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, SkeletonModel, Stamps
+from hiros_mcap.skeletons import POSITION, UNTRACKED, Flags, Floats, Frame, SkeletonModel, Stamps
 from hiros_viewer.columns import GONE_NS, after_pauses
 
 HORIZON_NS = 3_000_000_000
@@ -59,9 +58,8 @@ class Poses:
         """Copy what is drawn of some frames of a block, by their numbers."""
         rows = block.rows[frames]
         indices, people = rows_between(rows), block.people
-        positions = np.empty((len(indices), people.markers.shape[1], 3))
-        confidences = np.empty(positions.shape[:2])
-        pick(people.markers, people.marker_confidences, indices, positions, confidences)
+        positions = people.markers[indices, :, POSITION]
+        confidences = people.marker_confidences[indices]
         times = np.stack([block.stamps[frames], block.log_times[frames]], axis=1)
         return cls(times, rows[:, 1] - rows[:, 0], people.ids[indices], positions, confidences)
 

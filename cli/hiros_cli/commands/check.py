@@ -61,7 +61,7 @@ def check(
         if value:
             raise ConfigError(f"--{name} has no effect on {target_kind} (see hiros check --help)")
     target = one_log(context, named)
-    prepare(quiet=quiet or json, everything=True)
+    prepare(quiet=quiet or json)
     from hiros_mcap.outputs import write_text
     from hiros_mcap.regression import check_report
     from hiros_mcap.regression.quantities import load_tolerances

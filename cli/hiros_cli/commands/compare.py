@@ -68,7 +68,7 @@ def compare(
     for path in logs:
         check_recording(path)
         settings_of(path)
-    prepare(quiet=quiet or json, everything=True)
+    prepare(quiet=quiet or json)
     from hiros_mcap.evaluate.comparison import DEFAULT, Entry, Task, camera_subsets, comparison
 
     default = CAMERA_STUDY if study == "cameras" else DEFAULT

@@ -112,7 +112,7 @@ def evaluate(
     inputs = (log, scoring.truth, parameters.config)
     check_outputs((html, "HTML page"), (table, "table of scores"), inputs=inputs, force=many.force)
     settings = settings_of(logs[0], parameters.settings())
-    prepare(quiet=many.quiet or many.json, system=settings.system)
+    prepare(quiet=many.quiet or many.json)
     from hiros_cli.evaluation import Output
 
     shown = Output(log, html, table, json=many.json, quiet=many.quiet, joints=joints)
@@ -159,7 +159,7 @@ def _many(
 ) -> NoReturn:
     """Score many logs, each with the parameters of its own folder."""
     settings, truth = parameters.settings(), scoring.truth
-    prepare(quiet=many.quiet or many.json, system=settings.system)
+    prepare(quiet=many.quiet or many.json)
     if settings.file is not None:
         settings = replace(settings, file=settings.file.absolute())
     if truth is not None and Path(truth).is_dir():

@@ -181,7 +181,7 @@ class _Run(NamedTuple):
         if reading.strict and reading.recover:
             raise ConfigError("--strict refuses what --recover accepts; choose one")
         with importing():
-            prepare(quiet=self.many.quiet, system=settings.system)
+            prepare(quiet=self.many.quiet)
             from hiros_mcap.running.pipeline import ProcessOptions
 
         _check_assignments(settings.system, settings.assignments)

@@ -41,15 +41,12 @@ def config(
     print(to_toml(settings.load(), sections, everything=everything, fixed=False), end="")
 
 
-def warmup(
-    everything: bool = flag("--all", "Also the kernels of the other systems."),
-    quiet: bool = QUIET,
-) -> None:
-    """Compile the kernels of fuse now, to make the first run fast."""
+def warmup(quiet: bool = QUIET) -> None:
+    """Compile the kernels now, to make the first run fast."""
     from hiros_mcap import kernels
 
     started = time.perf_counter()
-    prepare(quiet=quiet, everything=everything)
-    kernels.load(list(kernels.sources(everything=everything)))
+    prepare(quiet=quiet)
+    kernels.load(list(kernels.sources()))
     if not quiet:
         print(f"kernels ready after {time.perf_counter() - started:.1f} s")

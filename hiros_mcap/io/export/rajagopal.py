@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hiros_mcap.body.anatomy import continued, zxy
+from hiros_mcap.body.anatomy import continued
 from hiros_mcap.body.angles import wrapped
 from hiros_mcap.body.rotations import Y_UP, from_vector, to_matrix
 from hiros_mcap.body.segments import (
@@ -28,6 +28,7 @@ from hiros_mcap.body.segments import (
     segments_of,
     toes,
     unit,
+    zxy,
 )
 from hiros_mcap.io.result import Motion
 from hiros_mcap.skeletons import Floats, SkeletonModel

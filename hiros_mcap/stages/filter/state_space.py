@@ -37,10 +37,7 @@ from hiros_mcap.stages.filter.filtering import (
     clear,
     difference,
     displace,
-    erase,
-    fill_confidence,
     group_of,
-    is_shown,
     measure,
     pose_at,
     put,
@@ -278,14 +275,9 @@ def estimate(
             for k in range(len(group.elements)):
                 t = group.first + k
                 slot = step.slot[t]
-                if not slot[SLOT_AGE] < np.inf:
-                    continue
-                if not is_shown(window, t, steps.bridge):
-                    erase(group, k)
-                    continue
-                _carry_back(window, t, work)
-                _smooth(group, k, slot, work, window, interval, steps.order)
-                fill_confidence(group, k, slot)
+                if slot[SLOT_AGE] < np.inf:
+                    _carry_back(window, t, work)
+                    _smooth(group, k, slot, work, window, interval, steps.order)
 
 
 @entry
@@ -346,7 +338,7 @@ METHOD = FilterMethod(
     tune=tune,
     update=update,
     estimate=estimate,
-    work=lambda order, slots: np.zeros((3, 3)),
+    work=lambda order: np.zeros((3, 3)),
     state_columns=lambda order: STATE_COLUMNS,
     slot_columns=SLOT_COLUMNS,
 )

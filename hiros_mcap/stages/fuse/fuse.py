@@ -28,7 +28,7 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_mcap.stages.fuse.fuse_params import FuseParams
-from hiros_mcap.stages.fuse.fusion_noise import FusionNoise, RunningNoise
+from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 from hiros_mcap.stages.fuse.gathering import WIDTHS, ViewGatherer
 from hiros_mcap.stages.fuse.pose_error import PoseError
 from hiros_mcap.stages.fuse.residuals import ResidualMeter
@@ -62,8 +62,6 @@ def fuse_blocks(
     events, params = events or Events(), params or FuseParams()
     merging, known = merging or MergeParams(), known or KnownCameras()
     noise = FusionNoise.default(model, params.acceleration, params.offset, params.offset_time)
-    if params.follow_noise:
-        noise = RunningNoise.of(noise)
     angle = math.radians(params.pose_angle)
     pose_error = PoseError(angle, params.pose_shift, known)
     gatherer = ViewGatherer(model, merging)

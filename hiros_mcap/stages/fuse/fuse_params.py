@@ -23,7 +23,6 @@ class FuseParams(Params):
         "Seconds that are smoothed at once. Results do not depend on it as long as the "
         "look-ahead is long; 0 = every instant as soon as it has its look-ahead.",
     )
-    follow_noise: bool = fixed(False, "Learn on the way which cameras are noisier than others.")
     acceleration: Accelerations = advanced(
         3.0,
         description="Spectral density of the acceleration of a joint at rest, m2/s3. Joints that "

@@ -238,12 +238,10 @@ class WindowSmoother:
         """
         if self._batch < first // BATCH:
             self._batch = first // BATCH
-            self._noise.learn(self._names)
             self.displaced.learn()
         first_new = int(np.searchsorted(views.instants, self._next))
         self._next = int(views.instants[-1]) + 1 if len(views.instants) else self._next
         new = chosen(views, slice(first_new, None))
-        self._noise.take(new)
         variances = self._noise.variances(views, self._names, by_instant=self._is_filter)
         if self._params.majority:
             self._majority.vote(new, variances[first_new:])

@@ -196,7 +196,8 @@ def _assemble(x: Floats, energy: Energy, topology: Topology, scratch: SolverScra
         w_p, w_d = weights[k, W_PROXIMAL], weights[k, W_DISTAL]
         if w_l + w_p + w_d + w_o == 0.0:
             continue
-        p, d, s = topology.links[k, 0], topology.links[k, 1], topology.link_block[k]
+        p, d = topology.links[k, 0], topology.links[k, 1]
+        s = topology.block[p, d]
         _write_geometry(x, p, d, k, scratch)
         length, phi = scratch.length[k], scratch.angle[k]
         error = length - energy.nominal[k]

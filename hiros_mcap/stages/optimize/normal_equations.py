@@ -21,8 +21,7 @@ class Topology(NamedTuple):
 
     Step ``k`` eliminates marker ``order[k]``. Its neighbours that are still there have the blocks
     ``first[k]`` up to ``first[k + 1]``: block ``s`` couples marker ``row[s]``, which is eliminated
-    later, to ``order[k]``. Every pair ``s < t`` of these blocks updates block ``target[j]``, where
-    ``j`` counts the pairs from ``first_pair[k]`` on.
+    later, to ``order[k]``. Every pair of these neighbours is coupled by a block, too.
     """
 
     links: J2  # (L, 2) proximal and distal marker slot, -1 = absent
@@ -31,9 +30,7 @@ class Topology(NamedTuple):
     order: J1  # (M,) marker slots
     first: J1  # (M + 1,) first block of each step
     row: J1  # (S,) marker slot of each block's row
-    first_pair: J1  # (M + 1,) first pair of each step
-    target: J1  # (number of pairs,) block that a pair updates
-    link_block: J1  # (L,) block of each link, -1 for a link that couples nothing
+    block: J2  # (M, M) block that couples two markers, -1 = none
 
 
 class NormalEquations(NamedTuple):
@@ -60,20 +57,17 @@ def solve_equations(topology: Topology, damping: float, equations: NormalEquatio
     ``damping`` raises the diagonal of every pivot by that share, which shortens the step.
     """
     order, first, row = topology.order, topology.first, topology.row
-    first_pair, target = topology.first_pair, topology.target
     diagonal, inverse, blocks, scaled, gradient, step = equations
     for k in range(order.shape[0]):
         m = order[k]
         _invert(diagonal, m, damping, inverse)
-        pair = first_pair[k]
         for s in range(first[k], first[k + 1]):
             _scale(blocks, inverse, s, m, scaled)
         for s in range(first[k], first[k + 1]):
             r = row[s]
             _subtract(scaled, blocks, s, s, diagonal, r)
             for t in range(s + 1, first[k + 1]):
-                _subtract(scaled, blocks, t, s, blocks, target[pair])
-                pair += 1
+                _subtract(scaled, blocks, t, s, blocks, topology.block[row[t], r])
             for i in range(3):
                 for j in range(3):
                     gradient[r, i] -= scaled[s, i, j] * gradient[m, j]
@@ -135,45 +129,33 @@ def _subtract(a: Floats, b: Floats, s: int, t: int, out: Floats, r: int) -> None
 
 def topology_of(model: SkeletonModel) -> Topology:
     """Choose the elimination order (minimum degree, ties by slot) and lay out the blocks."""
-    couples = _couples(model)
     near: list[set[int]] = [set() for _ in range(model.n_markers)]
-    for p, d in filter(None, couples):
+    for p, d in _coupling(model).values():
         near[p].add(d)
         near[d].add(p)
     order, later = _minimum_degree(near)
-    place = {marker: k for k, marker in enumerate(order)}
-    blocks: dict[tuple[int, int], int] = {}
+    block = np.full(2 * [model.n_markers], -1)
     first, row = [0], list[int]()
     for marker, others in zip(order, later, strict=True):
-        for other in sorted(others, key=place.__getitem__):
-            blocks[marker, other] = len(row)
+        for other in sorted(others, key=order.index):
+            block[marker, other] = block[other, marker] = len(row)
             row.append(other)
         first.append(len(row))
-    first_pair, target = [0], list[int]()
-    for k in range(len(order)):
-        nodes = row[first[k] : first[k + 1]]
-        target += [blocks[a, b] for i, a in enumerate(nodes) for b in nodes[i + 1 :]]
-        first_pair.append(len(target))
-    ends = [pair and sorted(pair, key=place.__getitem__) for pair in couples]
-    link_block = [blocks[pair[0], pair[1]] if pair else -1 for pair in ends]
     # Links to a marker that does not exist count for no degree; a link to itself counts twice.
     whole = model.links[(model.links >= 0).all(axis=1)]
     degree = np.bincount(whole.ravel(), minlength=model.n_markers)
-    rows = (model.links, degree, _outward(model), order, first, row, first_pair, target, link_block)
+    rows = model.links, degree, _outward(model), order, first, row, block
     return Topology(*(np.ascontiguousarray(each, np.int32) for each in rows))
 
 
-def _couples(model: SkeletonModel) -> list[tuple[int, int] | None]:
-    """Return the two markers that each link couples; None if one is absent or both are one."""
-    pairs = zip(model.link_parents, model.link_children, strict=True)
-    return [(p, d) if p >= 0 and d >= 0 and p != d else None for p, d in pairs]
+def _coupling(model: SkeletonModel) -> dict[int, tuple[int, int]]:
+    """Return the links that couple two markers, and these."""
+    return {k: (p, d) for k, (p, d) in enumerate(model.links.tolist()) if min(p, d) >= 0 and p != d}
 
 
 def _minimum_degree(near: list[set[int]]) -> tuple[list[int], list[set[int]]]:
     """Eliminate the marker with the fewest neighbours and join these, until none is left."""
-    order: list[int] = []
-    later: list[set[int]] = []
-    left = set(range(len(near)))
+    order, later, left = list[int](), list[set[int]](), set(range(len(near)))
     while left:
         marker = min(left, key=lambda m: (len(near[m]), m))
         left.remove(marker)
@@ -191,8 +173,7 @@ def _outward(model: SkeletonModel) -> list[int]:
     Links of a cycle that no root leads to come last, in the order of the model. Links that couple
     nothing are left out.
     """
-    todo = [i for i, pair in enumerate(_couples(model)) if pair]
-    ordered: list[int] = []
+    todo, ordered = list(_coupling(model)), list[int]()
     while todo:
         waiting = {model.link_children[i] for i in todo}
         ready = [i for i in todo if model.link_parents[i] not in waiting] or [todo[0]]
