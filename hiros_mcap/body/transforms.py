@@ -26,7 +26,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from hiros_mcap.body.foreign_cameras import read_calibration
-from hiros_mcap.body.rotations import Rigid, angle, to_matrix
+from hiros_mcap.body.rotations import Rigid, to_matrix
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.frames import Block
 from hiros_mcap.kernels.array_types import joined
@@ -39,7 +39,7 @@ _REMEDY = "mend the transforms, or pass others with --extrinsics FILE"
 _DENORMALISED = 1e-3
 _ZERO = 1e-6
 _LISTED = 12
-_SAME_M, _SAME_RAD = 1e-4, math.radians(0.01)  # what rounding may change
+_SAME_M, _SAME_DEG = 1e-4, 0.01  # what rounding may change
 _FARTHEST_M = 100.0  # nobody is seen by cameras that are so far apart
 
 
@@ -65,12 +65,12 @@ class PoseChange(NamedTuple):
     parent: str
     log_time: int  # from when on the new pose counts, ns
     metres: float
-    radians: float
+    degrees: float
 
     @property
     def distance(self) -> str:
         """How far apart the poses are, in words."""
-        return f"{100 * self.metres:.1f} cm and {math.degrees(self.radians):.1f} degrees"
+        return f"{100 * self.metres:.1f} cm and {self.degrees:.1f} degrees"
 
 
 class _Edge:
@@ -101,8 +101,8 @@ class _Edge:
         publishers contradict each other.
         """
         new, count = Rigid(np.array(numbers[:4]), np.array(numbers[4:])), len(self._stamps)
-        apart = [_distance(new, self._pose(k)) for k in range(max(0, count - 2), count)]
-        same = [metres < _SAME_M and radians < _SAME_RAD for metres, radians in apart]
+        apart = [new.apart(self._pose(k)) for k in range(max(0, count - 2), count)]
+        same = [metres < _SAME_M and degrees < _SAME_DEG for metres, degrees in apart]
         if same and same[-1]:
             return ""
         if apart:
@@ -154,12 +154,6 @@ class _Edge:
         self._stamps = array("q", stamps.tobytes())
         self._numbers = array("d", rows[::-1][last].tobytes())
         self._in_order = True
-
-
-def _distance(one: Rigid, other: Rigid) -> tuple[float, float]:
-    """Distance and angle between two poses, m and rad."""
-    metres = float(np.linalg.norm(one.translation - other.translation))
-    return metres, float(angle(one.xyzw, other.xyzw))
 
 
 def _at(pose: Rigid) -> str:
@@ -546,6 +540,8 @@ class CameraEntry(BaseModel):
     quaternion_xyzw: Annotated[list[float], Field(min_length=4, max_length=4)]
     negate: Literal["", "x", "y", "z"] = ""
     """Axis of its detections whose sign is changed, because they are left-handed."""
+    since: Annotated[int, Field(ge=0)] = 0
+    """Log time, ns, at which the camera was moved to this pose; 0 = it always stood there."""
     verdict: str = ""  # good, doubtful, ...; "" in a file that somebody else wrote
     reason: str = ""  # why it is doubtful, "" otherwise
     error_deg: float | None = None
@@ -604,8 +600,9 @@ def read_extrinsics(path: str | Path) -> TransformTree:
 
     The calibrations of other programs are read, too; see :mod:`.foreign_cameras`.
 
-    What a calibration tells about a pose may follow it; see :func:`read_camera_entries`. A table
-    ``[clock]`` may follow, too: seconds to add to the stamps of each camera.
+    A camera that was moved has a second entry with ``since``, a log time in ns. What a calibration
+    tells about a pose may follow it; see :func:`read_camera_entries`. A table ``[clock]`` may
+    follow, too: seconds to add to the stamps of each camera.
 
     Raises ConfigError naming the file and the key.
     """
@@ -653,11 +650,11 @@ def _add_camera(tree: TransformTree, camera: CameraEntry, where: str) -> None:
     length = math.hypot(*camera.quaternion_xyzw)
     if abs(length - 1) > _DENORMALISED:
         raise ConfigError(f"{where}: quaternion_xyzw: its length is {length:g}, not 1")
-    if camera.frame in tree._edges:
+    if camera.frame in tree._edges and not camera.since:
         raise ConfigError(f"{where}: this frame occurs twice")
     numbers: Any = tuple(camera.translation), tuple(camera.quaternion_xyzw)
     transform = Transform(0, camera.parent, camera.frame, *numbers)
-    tree.add(transform, static=True)
+    tree.add(transform, static=True, log_time=camera.since)
 
 
 def transform_to_fixed(
@@ -723,8 +720,8 @@ def same_place(poses: Mapping[str, Rigid]) -> list[list[str]]:
     groups: list[list[str]] = []
     for name, pose in poses.items():
         for group in groups:
-            metres, radians = _distance(poses[group[0]], pose)
-            if metres < _SAME_M and radians < _SAME_RAD:
+            metres, degrees = poses[group[0]].apart(pose)
+            if metres < _SAME_M and degrees < _SAME_DEG:
                 group.append(name)
                 break
         else:
