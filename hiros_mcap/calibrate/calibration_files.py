@@ -20,14 +20,10 @@ _ERRORS = {
 
 
 def save_cameras(path: Path, rig: PeopleCalibration | TargetCalibration) -> None:
-    """Write the file, or nothing at all; raises LogError if it cannot be written."""
-    write_text(path, CAMERAS_MARK + cameras_toml(rig))
+    """Write poses and clocks as TOML: every camera with a pose, every clock that is known.
 
-
-def cameras_toml(rig: PeopleCalibration | TargetCalibration) -> str:
-    """Return poses and clocks as TOML: every camera with a pose, every clock that is known.
-
-    A camera whose frame is the fixed one is the parent of the others.
+    A camera whose frame is the fixed one is the parent of the others. The file is written, or
+    nothing at all; raises LogError if it cannot be written.
     """
     frame = rig.fixed_frame
     lines = [f"# verdict: {rig.verdict}" + (f" ({rig.reason})" if rig.reason else "")]
@@ -38,7 +34,7 @@ def cameras_toml(rig: PeopleCalibration | TargetCalibration) -> str:
     if clocks:
         lines += ["", "[clock]  # s to add to the stamps of each camera"]
     lines += [f"{_text(name)} = {seconds:.4f}" for name, seconds in clocks.items()]
-    return "\n".join([*lines, ""])
+    write_text(path, CAMERAS_MARK + "\n".join([*lines, ""]))
 
 
 def _camera(camera: CameraResult, pose: Rigid, parent: str) -> list[str]:

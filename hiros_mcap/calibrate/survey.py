@@ -204,7 +204,7 @@ def camera_faults(log: Log) -> dict[str, str]:
     """
     faults: dict[str, str] = {}
     owners = Counter(frame for camera in log.cameras for frame in camera.frames)
-    for camera in filter(_shows_people, log.cameras):
+    for camera in filter(attrgetter("frames"), log.cameras):
         frames = camera.frames
         shared = len(frames) != 1 or len(camera.sources) != 1 or owners[frames[0]] > 1
         if shared or moves(log, frames[0]):
@@ -212,14 +212,10 @@ def camera_faults(log: Log) -> dict[str, str]:
     return faults
 
 
-def _shows_people(camera: CameraChannel) -> bool:
-    return bool(camera.frames)
-
-
 def fixed_cameras(log: Log, faults: Mapping[str, str]) -> Iterator[FixedCamera]:
     """Yield the cameras that show people; those with faults are not movable."""
     fixed = log.fixed_frame
-    for camera in filter(_shows_people, log.cameras):
+    for camera in filter(attrgetter("frames"), log.cameras):
         for name in camera.sources.values():
             if name in faults:
                 yield FixedCamera(name, fixed, Rigid.identity(), movable=False)
