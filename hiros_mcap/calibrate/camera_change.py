@@ -122,15 +122,24 @@ def located(pair: Sequence[CameraView], early: Rig, late: Rig, mirror: Ints) -> 
     return CameraChange(float(edges[k]), float(edges[k + 1]), early, late)
 
 
-def second_poses(residuals: RigResiduals, points: Points) -> list[float]:
-    """Return by which share the misfit of each of C cameras is less with a second pose.
+class SecondPose(NamedTuple):
+    """The gain if a camera had another pose from some time on."""
+
+    share: float = 0.0  # of the misfit that is gone then
+    metres: float = 0.0
+    """How far one pose for all puts people off in the part that is seen less, root mean square."""
+    seconds: float = 0.0  # from when on, common time
+
+
+def second_poses(residuals: RigResiduals, points: Points) -> list[SecondPose]:
+    """Return what each of C cameras would gain by a second pose.
 
     The misfit is the sum of squares about the best rigid fit to the other cameras (Kabsch 1976),
     whose moments add up over time. Each part has :data:`LEAST_BINS` seconds with people.
     """
     start = points.seconds.min(initial=np.inf)
     bins = np.floor((points.seconds - start) / BIN_S)
-    shares = []
+    cameras = []
     for c, (is_seen, apart, weights) in enumerate(residuals.against_others()):
         positions = (residuals.means + residuals.offsets[c])[is_seen]
         moments = _moments(positions, positions - apart, weights)
@@ -141,10 +150,13 @@ def second_poses(residuals: RigResiduals, points: Points) -> list[float]:
         misfits = _misfits(early) + _misfits(total - early)
         whole = float(_misfits(total[None])[0])
         if not len(misfits) or whole <= 0.0:
-            shares.append(0.0)
+            cameras.append(SecondPose())
             continue
-        shares.append(1.0 - float(misfits.min()) / whole)
-    return shares
+        k = int(misfits.argmin())
+        better, mass = whole - float(misfits[k]), min(early[k, 0], total[0] - early[k, 0])
+        at = float(start + BIN_S * filled[k + LEAST_BINS])
+        cameras.append(SecondPose(better / whole, float(np.sqrt(max(better, 0.0) / mass)), at))
+    return cameras
 
 
 def steps_apart(views: Sequence[CameraView], rig: Rig, mirror: Ints) -> Floats:

@@ -16,6 +16,7 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
+from hiros_mcap.calibrate.camera_change import SecondPose
 from hiros_mcap.calibrate.camera_views import CameraView, Sighting
 from hiros_mcap.calibrate.coarse_clock import landmarks_of
 from hiros_mcap.calibrate.pair_pose import coarse_clocks, seen_elsewhere
@@ -23,6 +24,7 @@ from hiros_mcap.calibrate.refinement import linked, refine_poses
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.calibrate.survey import FixedCamera, Survey, seen_by
 from hiros_mcap.calibrate.verdict import UNLINKED, CalibratedCamera
+from hiros_mcap.events import Event
 from hiros_mcap.io.camera_clock import ClockCorrection
 from hiros_mcap.skeletons import Ints
 
@@ -60,8 +62,9 @@ class PosedViews:
     cameras: list[FixedCamera]  # with the poses that the log gives
     views: list[CameraView]
     rig: list[CalibratedCamera]
-    gains: list[float]  # by which share a second pose would explain each camera better
+    gains: list[SecondPose]  # by how much a second pose would explain each camera better
     moves: tuple[Move, ...] = ()
+    late: Event | None = None  # a camera that was moved for too short a time to tell a pose
 
     def pose(self, k: int) -> Rigid:
         """Return the pose of a row's camera that is used."""

@@ -34,11 +34,15 @@ from hiros_mcap.calibrate.refinement import (
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.calibrate.survey import FixedCamera, Survey
 from hiros_mcap.calibrate.verdict import SURE
+from hiros_mcap.events import Event, camera_displaced
 from hiros_mcap.skeletons import Floats, Ints
 
 GAIN = 0.12
 """A camera whose misfit falls by this share with a second pose may have been moved: that of healthy
 ones falls by 9 % at most."""
+LATE_M = 0.05
+"""If people are also so far off in one part, and that is too short for a pose, the camera is named:
+those of healthy ones are off by .045 m at most."""
 LEAST_M = 0.03
 """A second pose brings people nearer by this, in both parts: views of real detectors differ by
 1 to 2 cm."""
@@ -71,7 +75,7 @@ def split_moved(survey: Survey, corrections: Corrections, posed: PosedViews) -> 
         # What a moved camera does to the others is over when its parts are known.
         left = left if split is result else suspects(split, fixed_frame, mirror)
         result, left = split, [name for name in left if name not in tried]
-    return result if result.moves else posed
+    return result if result.moves else replace(posed, late=splitter.moved_late(result))
 
 
 def suspects(posed: PosedViews, fixed_frame: str, mirror: Ints) -> list[str]:
@@ -87,9 +91,9 @@ def suspects(posed: PosedViews, fixed_frame: str, mirror: Ints) -> list[str]:
         free = free[-1:]
     odd = [calibrated.name for calibrated, *_ in free if not calibrated.fits]
     doubtful = {
-        calibrated.name: gain
+        calibrated.name: gain.share
         for calibrated, gain, steps_of_camera in free
-        if calibrated.fits and (gain > GAIN or _is_far(steps_of_camera))
+        if calibrated.fits and (gain.share > GAIN or _is_far(steps_of_camera))
     }
     return odd + sorted(doubtful, key=lambda name: -doubtful[name])
 
@@ -134,6 +138,18 @@ class _Splitter:
         first = self._first_message(name, change.seconds)
         move = Move(name, *first, *parts.pose(c).apart(parts.pose(c + 1)))
         return replace(parts, moves=(*posed.moves, move))
+
+    def moved_late(self, posed: PosedViews) -> Event | None:
+        """Find the camera whose people are elsewhere from some time on."""
+        poses = [posed.pose(k) for k in range(len(posed.views))]
+        _, gains = refine_poses(posed.views, poses, self._mirror)
+        c = max(range(len(gains)), key=lambda k: (round(gains[k].metres, 2), k))
+        if gains[c].share <= GAIN or gains[c].metres <= LATE_M:
+            return None
+        name = posed.cameras[c].name
+        first, _ = self._first_message(name, gains[c].seconds)
+        other = [posed.cameras[1 - c].name] if len(gains) == 2 else []
+        return camera_displaced(first, name, gains[c].metres, other)
 
     def _narrowed(
         self, change: CameraChange, posed: PosedViews, pair: tuple[int, int]

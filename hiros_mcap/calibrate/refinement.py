@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.calibrate.camera_change import second_poses
+from hiros_mcap.calibrate.camera_change import SecondPose, second_poses
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.evidence import evidence_of
 from hiros_mcap.calibrate.gauge import moved, on_transforms
@@ -213,7 +213,7 @@ def refine_poses(
     moves: bool = True,
     proven_s: float = PROVEN.seconds,
     effort: Effort = FROM_GIVEN,
-) -> tuple[list[CalibratedCamera], list[float]]:
+) -> tuple[list[CalibratedCamera], list[SecondPose]]:
     """Find out whether the people know better poses than the given ones, and how the clocks go.
 
     The rig as a whole stays where the given poses put it. Cameras that see nobody in common with
@@ -235,7 +235,7 @@ def refine_poses(
         CalibratedCamera(v.name, v.frame, reason=UNLINKED if v.tracks else NO_VIEW, pose=pose)
         for v, pose in zip(views, given, strict=True)
     ]
-    gains = [0.0] * len(views)
+    gains = [SecondPose()] * len(views)
 
     def refined(some: list[int]) -> FittingRig | None:
         if len(some) < 2:

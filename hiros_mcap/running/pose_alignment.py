@@ -45,7 +45,7 @@ from hiros_mcap.calibrate.verdict import (
 )
 from hiros_mcap.config import Config
 from hiros_mcap.errors import LogError
-from hiros_mcap.events import CAMERA_MOVED, Events
+from hiros_mcap.events import CAMERA_MOVED, Event, Events
 from hiros_mcap.io.log import Log
 from hiros_mcap.running.clock_alignment import ClockAlignment, align_clocks
 from hiros_mcap.running.process_options import Calibration
@@ -84,6 +84,7 @@ class PoseAlignment:
     """The calibration by people, if the poses were found from them alone."""
     misfits: frozenset[str] = frozenset()  # cameras whose people are not where the others see them
     moves: tuple[Move, ...] = ()  # cameras that were moved in the middle of the log
+    late: Event | None = None  # a camera that was moved for too short a time to tell a pose
     alike: tuple[list[str], ...] = ()
     """Cameras that the log puts at one place with one orientation, where the people do not."""
     contradictions: tuple[str, ...] = ()
@@ -138,6 +139,8 @@ class PoseAlignment:
         """Note the cameras that were moved."""
         for move in self.moves:
             events.note(move.stamp, CAMERA_MOVED, source=move.camera, detail=move.distance)
+        if self.late:
+            events.log.append(self.late)
 
     def warnings(self) -> Iterator[str]:
         """Yield what makes the poses doubtful, and the remedy."""
@@ -368,7 +371,7 @@ def _aligned(posed: PosedViews, start: int, faults: Mapping[str, str]) -> PoseAl
     misfits = frozenset(
         camera.name for camera, calibrated in pairs if camera.movable and not calibrated.fits
     )
-    return PoseAlignment(summaries, misfits=misfits, moves=posed.moves)
+    return PoseAlignment(summaries, misfits=misfits, moves=posed.moves, late=posed.late)
 
 
 def _quick_survey(log: Log) -> tuple[Survey, bool]:

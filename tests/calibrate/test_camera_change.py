@@ -59,7 +59,10 @@ def test_a_second_pose_takes_away_the_misfit_of_a_camera_that_was_moved(metres):
         views.append(CameraView(name, name, tracks, 0.0, HALF_WIDTH_S))
     rig = Rig.alone(3)
     points = common_points(views, rig, np.arange(0.05, 9.9, 0.1), MIRROR, 0.5)
-    assert second_poses(residuals_of(points, rig), points)[2] > 0.8
+    gained = second_poses(residuals_of(points, rig), points)[2]
+    assert gained.share > 0.8
+    assert metres / 2 < gained.metres < metres
+    assert gained.seconds == pytest.approx(5.0, abs=1.0)
 
 
 @pytest.mark.parametrize(
