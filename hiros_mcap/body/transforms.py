@@ -540,8 +540,6 @@ class CameraEntry(BaseModel):
     quaternion_xyzw: Annotated[list[float], Field(min_length=4, max_length=4)]
     negate: Literal["", "x", "y", "z"] = ""
     """Axis of its detections whose sign is changed, because they are left-handed."""
-    since: Annotated[int, Field(ge=0)] = 0
-    """Log time, ns, at which the camera was moved to this pose; 0 = it always stood there."""
     verdict: str = ""  # good, doubtful, ...; "" in a file that somebody else wrote
     reason: str = ""  # why it is doubtful, "" otherwise
     error_deg: float | None = None
@@ -600,9 +598,8 @@ def read_extrinsics(path: str | Path) -> TransformTree:
 
     The calibrations of other programs are read, too; see :mod:`.foreign_cameras`.
 
-    A camera that was moved has a second entry with ``since``, a log time in ns. What a calibration
-    tells about a pose may follow it; see :func:`read_camera_entries`. A table ``[clock]`` may
-    follow, too: seconds to add to the stamps of each camera.
+    What a calibration tells about a pose may follow it; see :func:`read_camera_entries`. A table
+    ``[clock]`` may follow, too: seconds to add to the stamps of each camera.
 
     Raises ConfigError naming the file and the key.
     """
@@ -650,11 +647,11 @@ def _add_camera(tree: TransformTree, camera: CameraEntry, where: str) -> None:
     length = math.hypot(*camera.quaternion_xyzw)
     if abs(length - 1) > _DENORMALISED:
         raise ConfigError(f"{where}: quaternion_xyzw: its length is {length:g}, not 1")
-    if camera.frame in tree._edges and not camera.since:
+    if camera.frame in tree._edges:
         raise ConfigError(f"{where}: this frame occurs twice")
     numbers: Any = tuple(camera.translation), tuple(camera.quaternion_xyzw)
     transform = Transform(0, camera.parent, camera.frame, *numbers)
-    tree.add(transform, static=True, log_time=camera.since)
+    tree.add(transform, static=True)
 
 
 def transform_to_fixed(
