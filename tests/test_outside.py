@@ -13,13 +13,11 @@ from hiros_mcap.errors import HirosError
 from hiros_mcap.io.channels import (
     CONFIG_ATTACHMENT,
     EVENTS_ATTACHMENT,
-    LIMBS_ATTACHMENT,
     REPORT_ATTACHMENT,
 )
 from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.foxglove import FoxgloveInput
 from hiros_mcap.io.result import stored_events, stored_report
-from hiros_mcap.regression.differences import limbs_of
 from hiros_mcap.running.overview import overview_of
 
 DEEP = 200_000
@@ -127,13 +125,6 @@ def test_odd_attachments_are_damaged(data, tmp_path):
         with McapReader(path) as reader, pytest.raises(HirosError, match=f"{name} is damaged"):
             read(reader)
         overview_of(path)  # what it says of itself is left out
-
-
-@pytest.mark.parametrize("data", [b"\xff", b"[" * DEEP, b"[person]\n0 = 3"])
-def test_odd_limb_lengths_of_a_result_are_named(data, tmp_path):
-    path = with_attachment(tmp_path / "x.mcap", LIMBS_ATTACHMENT, data)
-    with pytest.raises(HirosError, match=r"x\.mcap: "):
-        limbs_of(path)
 
 
 @pytest.mark.parametrize("text", ["a = " + "[" * DEEP, "[input]\na = 2026-01-01"])

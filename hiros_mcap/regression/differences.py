@@ -10,12 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from hiros_mcap.body.limb_table import LimbTable
-from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.errors import LogError
 from hiros_mcap.evaluate.logs import has_outputs, output_channels, read_channel
 from hiros_mcap.evaluate.match import skeleton_distances
 from hiros_mcap.evaluate.mot import best_pairs
-from hiros_mcap.io.channels import LIMBS_ATTACHMENT, OUTPUT_PREFIX, PROVENANCE
+from hiros_mcap.io.channels import OUTPUT_PREFIX, PROVENANCE
 from hiros_mcap.io.log import open_reader
 from hiros_mcap.io.result import stored_parameters
 from hiros_mcap.regression.quantities import (
@@ -25,15 +24,12 @@ from hiros_mcap.regression.quantities import (
     Tolerances,
     beside,
     most,
-    union,
-    widened,
     worst,
 )
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
 
 SAME_PERSON = 0.3
 """m, mean joint distance: closer skeletons of two results are of the same person."""
-_BATCH = 256  # skeletons that are compared at once
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +64,11 @@ class ChannelComparison:
 
     topic: str
     frames: int = 0  # in the golden channel
+    start: int = 0  # first stamp of the golden channel, ns
     skeletons: int = 0
+    joints: tuple[str, str] | None = None
+    """Markers and links that only the golden channel has, and only the new one, in words; None if
+    both have the same ones."""
     missing_frames: int = 0
     extra_frames: int = 0
     frame_ids: Counter[tuple[str, str]] = field(default_factory=Counter)
@@ -86,6 +86,11 @@ class ChannelComparison:
     ids: dict[int, int] = field(default_factory=dict)
     """Golden person -> id now. Which ids people have does not matter."""
 
+    def diverge(self, index: int, stamp: int, what: str) -> None:
+        """Note a difference in a frame; only the first is kept."""
+        if self.first is None or (stamp, index) < (self.first.stamp, self.first.frame):
+            self.first = Divergence(index, stamp, (stamp - self.start) / 1e9, what)
+
     def differences(self, tolerances: Tolerances) -> list[Difference]:
         """Return what differs by more than is tolerated; empty if nothing does."""
         return [Difference(self.topic, *texts) for texts in self._texts(tolerances)]
@@ -96,6 +101,8 @@ class ChannelComparison:
             now = self.frames - self.missing_frames + self.extra_frames
             detail = f"{self.missing_frames} missing, {self.extra_frames} extra"
             yield "frames", str(self.frames), str(now), detail
+        if self.joints is not None:
+            yield "joints", *self.joints, "that only one has; numbers are not compared"
         for (frame, other), n in self.frame_ids.items():
             yield "coordinate frame", frame, other, f"in {n} frames"
         wrong = sum((self.missing + self.extra).values()) + sum(self.renamed.values())
@@ -127,26 +134,12 @@ class Comparison:
 
     channels: list[ChannelComparison]
     missing_channels: list[str] = field(default_factory=list)  # in the golden log only
-    lengths: dict[tuple[int, str], tuple[float, float]] = field(default_factory=dict)
-    """(golden person, link) -> calibrated length in the golden log and now, m; NaN = none."""
 
     def differences(self, tolerances: Tolerances) -> dict[str, list[Difference]]:
-        """Channel (or "calibration") -> what differs; empty if nothing does."""
+        """Channel -> what differs; empty if nothing does."""
         by_channel = {c.topic: lines for c in self.channels if (lines := c.differences(tolerances))}
         for topic in self.missing_channels:
             by_channel[topic] = [Difference(topic, "channel", "there", "missing")]
-        wrong = {
-            key: (was, now)
-            for key, (was, now) in self.lengths.items()
-            if not abs(now - was) <= tolerances.lengths
-        }
-        if wrong:
-            (person, link), (was, now) = max(
-                wrong.items(), key=lambda item: np.nan_to_num(abs(np.diff(item[1])[0]), nan=np.inf)
-            )
-            what = f"length of {link} of person {person}", _metres(was), _metres(now)
-            detail = f"{len(wrong)} limbs differ; this is the worst"
-            by_channel["calibration"] = [Difference("calibration", *what, detail)]
         return by_channel
 
 
@@ -166,8 +159,7 @@ def compare_logs(
         differs; None = those beside the golden log.
     log_times : whether they are compared, too.
 
-    Raises LogError if a log cannot be read, or the golden log holds no output channel; ConfigError
-    if the skeleton models differ: there is nothing to compare.
+    Raises LogError if a log cannot be read, or the golden log holds no output channel.
     """
     tolerances = beside(Path(golden)) if tolerances is None else tolerances
     if not has_outputs(golden):
@@ -182,9 +174,7 @@ def compare_logs(
     both = [topic for topic in topics if topic in there]
     logs = output, golden
     channels = [_compare_channel(t, *logs, tolerances, log_times=log_times) for t in both]
-    ids = {k: v for channel in channels for k, v in channel.ids.items()}
-    lengths = compare_limbs(limbs_of(output), limbs_of(golden), ids)
-    return Comparison(channels, [topic for topic in topics if topic not in there], lengths)
+    return Comparison(channels, [topic for topic in topics if topic not in there])
 
 
 def _compare_channel(
@@ -200,13 +190,19 @@ def _compare_channel(
     if not log_times:
         new, old = ([replace(f, log_time=f.stamp) for f in frames] for frames in (new, old))
     if (now.marker_names, now.link_names) != (model.marker_names, model.link_names):
-        if not set(now.marker_names) & set(model.marker_names):
-            fault = f"cannot be compared with {golden}: the skeletons share no marker"
-            raise ConfigError(f"{output}: {topic}: {fault}")
-        was, model = model, union(model, now)
-        new = [widened(frame, now, model) for frame in new]
-        old = [widened(frame, was, model) for frame in old]
+        joints = _beyond(model, now), _beyond(now, model)
+        start = next((frame.stamp for frame in (*old, *new)), 0)
+        result = ChannelComparison(topic, len(old), start, joints=joints)
+        result.diverge(0, result.start, "it has other joints")
+        return result
     return compare_frames(new, old, model, tolerances, topic)
+
+
+def _beyond(model: SkeletonModel, other: SkeletonModel) -> str:
+    """Return what only the first of two models has, in words."""
+    markers = [name for name in model.marker_names if name not in other.marker_names]
+    links = [f"link {name}" for name in model.link_names if name not in other.link_names]
+    return ", ".join([*markers, *links]) or "none"
 
 
 def compare_frames(
@@ -218,24 +214,29 @@ def compare_frames(
 ) -> ChannelComparison:
     """Compare frames of one channel; people are matched by where they are, not by their ids."""
     tolerances = tolerances or Tolerances()
-    result = ChannelComparison(topic, frames=len(golden))
-    pairs = _pair_frames(new, golden, round(tolerances.limit("times") * 1e9))
+    start = golden[0].stamp if golden else new[0].stamp if new else 0
+    result = ChannelComparison(topic, len(golden), start)
+    pairs = _pair_frames(new, golden, round(tolerances.times * 1e9))
     common = [(new[n], golden[g]) for n, g in pairs if n is not None and g is not None]
     result.ids = _match_people(common)
-    start = golden[0].stamp if golden else new[0].stamp if new else 0
-    collector = _DifferenceCollector(model, tolerances, result, start)
+    people: list[Pair] = []
     index = 0
     for n, g in pairs:
         index = index if g is None else g
         if n is None and g is not None:
             result.missing_frames += 1
-            collector.diverge(index, golden[g].stamp, "the frame is missing")
+            result.diverge(index, golden[g].stamp, "the frame is missing")
         elif g is None and n is not None:
             result.extra_frames += 1
-            collector.diverge(index, new[n].stamp, "an extra frame")
+            result.diverge(index, new[n].stamp, "an extra frame")
         elif n is not None and g is not None:
-            collector.add(index, new[n], golden[g])
-    collector.finish()
+            people += _compare_people(result, index, new[n], golden[g])
+    for quantity in QUANTITIES if people else ():
+        compared = QuantityComparison.of(quantity, people, model, tolerances.of(quantity), start)
+        result.quantities[quantity.name] = compared
+        if compared.first is not None:
+            pair, what = compared.first
+            result.diverge(pair.index, pair.was.stamp, what)
     return result
 
 
@@ -272,108 +273,53 @@ def _match_people(pairs: Sequence[tuple[Frame, Frame]]) -> dict[int, int]:
     return {people[row]: ids[column] for row, column in matched}
 
 
-@dataclass(slots=True)
-class _DifferenceCollector:
-    """Collects the differences of one channel, frame by frame."""
-
-    model: SkeletonModel
-    tolerances: Tolerances
-    result: ChannelComparison
-    start: int
-    pairs: list[Pair] = field(default_factory=list)
-
-    def diverge(self, index: int, stamp: int, what: str) -> None:
-        """Note a difference; only the first is kept."""
-        first = self.result.first
-        if first is None or (stamp, index) < (first.stamp, first.frame):
-            seconds = (stamp - self.start) / 1e9
-            self.result.first = Divergence(index, stamp, seconds, what)
-
-    def add(self, index: int, new: Frame, old: Frame) -> None:
-        """Match the people of two frames of the same time."""
-        result = self.result
-        if new.frame_id != old.frame_id:
-            result.frame_ids[old.frame_id, new.frame_id] += 1
-            self.diverge(index, old.stamp, f"the coordinate frame is {new.frame_id!r}")
-        result.skeletons += old.n_people
-        result.seen.update(old.ids.tolist())
-        rows = self._rows(new, old)
-        for g, row in enumerate(rows):
-            person = int(old.ids[g])
-            if row < 0:
-                result.missing[person] += 1
-                self.diverge(index, old.stamp, f"person {person} is missing")
-                continue
-            ident = int(new.ids[row])
-            if ident != result.ids.get(person, person):
-                result.renamed[person, ident] += 1
-                self.diverge(index, old.stamp, f"person {person} is now id {ident}")
-            self.pairs.append(Pair(index, old, g, new, row))
-        for row in set(range(new.n_people)) - set(rows):
-            ident = int(new.ids[row])
-            result.extra[ident] += 1
-            self.diverge(index, old.stamp, f"id {ident} is extra")
-
-    def _rows(self, new: Frame, old: Frame) -> list[int]:
-        """Row in ``new`` of every person of ``old``, -1 if there is none.
-
-        First those who have the expected id, then those who are where the person was.
-        """
-        distance = skeleton_distances(old.positions, new.positions)
-        # Of two skeletons without any marker, only the id is left to compare.
-        somewhere = [(~np.isnan(f.positions)).any(axis=(1, 2)) for f in (old, new)]
-        nowhere = ~np.logical_or.outer(*somewhere)
-        distance[nowhere] = 0.0
-        expected = np.array([self.result.ids.get(p, p) for p in old.ids.tolist()])
-        same = expected[:, None] == new.ids[None]
-        near = distance < SAME_PERSON
-        rows = np.full(old.n_people, -1)
-        for allowed in (near & same, near & ~nowhere):
-            free = ~np.isin(np.arange(new.n_people), rows)
-            cost = np.where(allowed & free & (rows < 0)[:, None], distance, np.inf)
-            for g, n in best_pairs(cost):
-                rows[g] = n
-        return [int(row) for row in rows]
-
-    def finish(self) -> None:
-        """Compare the numbers of those who were matched."""
-        for quantity in QUANTITIES:
-            compared = QuantityComparison(quantity)
-            self.result.quantities[quantity.name] = compared
-            for k in range(0, len(self.pairs), _BATCH):
-                pairs = self.pairs[k : k + _BATCH]
-                tolerance = self.tolerances.of(quantity)
-                first = compared.add(pairs, self.model, tolerance, self.start)
-                if first is not None:
-                    pair, what = first
-                    self.diverge(pair.index, pair.was.stamp, what)
+def _compare_people(
+    result: ChannelComparison, index: int, new: Frame, old: Frame
+) -> Iterator[Pair]:
+    """Note whom two frames of the same time lack, and yield those whom both have."""
+    if new.frame_id != old.frame_id:
+        result.frame_ids[old.frame_id, new.frame_id] += 1
+        result.diverge(index, old.stamp, f"the coordinate frame is {new.frame_id!r}")
+    result.skeletons += old.n_people
+    result.seen.update(old.ids.tolist())
+    rows = _rows(new, old, result.ids)
+    for g, row in enumerate(rows):
+        person = int(old.ids[g])
+        if row < 0:
+            result.missing[person] += 1
+            result.diverge(index, old.stamp, f"person {person} is missing")
+            continue
+        ident = int(new.ids[row])
+        if ident != result.ids.get(person, person):
+            result.renamed[person, ident] += 1
+            result.diverge(index, old.stamp, f"person {person} is now id {ident}")
+        yield Pair(index, old, g, new, row)
+    for row in set(range(new.n_people)) - set(rows):
+        ident = int(new.ids[row])
+        result.extra[ident] += 1
+        result.diverge(index, old.stamp, f"id {ident} is extra")
 
 
-def limbs_of(path: str | os.PathLike[str]) -> LimbTable:
-    """Limb lengths that a log carries as an attachment; empty if it has none."""
-    with open_reader(path) as reader:
-        text = (reader.attachment(LIMBS_ATTACHMENT) or b"").decode(errors="replace")
-        return LimbTable.from_toml(text, str(path)) if text else LimbTable()
+def _rows(new: Frame, old: Frame, ids: Mapping[int, int]) -> list[int]:
+    """Row in ``new`` of every person of ``old``, -1 if there is none.
 
-
-def compare_limbs(
-    new: LimbTable, golden: LimbTable, ids: Mapping[int, int]
-) -> dict[tuple[int, str], tuple[float, float]]:
-    """Lengths, before and now, of every link of a golden person that either log has calibrated.
-
-    A golden log without any calibration expects none.
+    First those who have the expected id, then those who are where the person was.
     """
-    lengths: dict[tuple[int, str], tuple[float, float]] = {}
-    for person, limbs in golden.people.items():
-        others = new.people.get(ids.get(person, person), {})
-        for link in {**limbs, **others}:
-            was, now = (t[link].length if link in t else np.nan for t in (limbs, others))
-            lengths[person, link] = was, now
-    return lengths
-
-
-def _metres(length: float) -> str:
-    return "not calibrated" if np.isnan(length) else f"{length:.7g} m"
+    distance = skeleton_distances(old.positions, new.positions)
+    # Of two skeletons without any marker, only the id is left to compare.
+    somewhere = [(~np.isnan(f.positions)).any(axis=(1, 2)) for f in (old, new)]
+    nowhere = ~np.logical_or.outer(*somewhere)
+    distance[nowhere] = 0.0
+    expected = np.array([ids.get(p, p) for p in old.ids.tolist()])
+    same = expected[:, None] == new.ids[None]
+    near = distance < SAME_PERSON
+    rows = [-1] * old.n_people
+    for allowed in (near & same, near & ~nowhere):
+        free = ~np.isin(np.arange(new.n_people), rows)
+        cost = np.where(allowed & free & (np.array(rows) < 0)[:, None], distance, np.inf)
+        for g, n in best_pairs(cost):
+            rows[g] = n
+    return rows
 
 
 _RUN = {

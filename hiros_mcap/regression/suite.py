@@ -35,7 +35,6 @@ from hiros_mcap.evaluate import load_truth
 from hiros_mcap.evaluate.logs import output_channels, read_channel
 from hiros_mcap.io.channels import (
     CONFIG_ATTACHMENT,
-    LIMBS_ATTACHMENT,
     PROVENANCE,
     add_skeleton_channel,
 )
@@ -81,8 +80,8 @@ class Case(Params):
     set: tuple[str, ...] = Field((), description="Parameters: stage.param=value.")
     system: str = Field("", description="Default: fuse; with a preset hiros.")
     stages: str = Field("", description="Chain of the system's stages. Default: all.")
-    tolerances: dict[str, float] = Field(
-        {}, description="Instead of those in GOLDEN.tolerances.toml."
+    tolerances: Tolerances | None = Field(
+        None, description="Instead of those in GOLDEN.tolerances.toml."
     )
 
     @field_validator("require")
@@ -166,9 +165,7 @@ def _case(path: Path, number: int, defaults: dict[str, Any], row: Any) -> Case:
     if not isinstance(row, dict):
         raise ConfigError(f"{path}: log {number} is not a table")
     label = row.get("name") or row.get("input") or number
-    case = validated(Case, {**defaults, **row}, f"{path}: log {label}")
-    validated(Tolerances, case.tolerances, f"{path}: log {case.title}: tolerances")
-    return case
+    return validated(Case, {**defaults, **row}, f"{path}: log {label}")
 
 
 def run_suite(
@@ -248,7 +245,7 @@ def _check_case(folder: Path, case: Case, out: Path, *, bless: bool) -> CaseResu
     if case.golden:
         golden = Golden(
             folder / case.golden,
-            Tolerances(**case.tolerances) if case.tolerances else None,
+            case.tolerances,
             case.channels,
         )
         result = golden.check(result, out, bless=bless)
@@ -348,8 +345,8 @@ def write_golden(
 ) -> None:
     """Write a compact copy of channels of an output.
 
-    Kept are all numbers of the skeletons, rounded, the limb lengths, and how the output came
-    about: version, configuration, hash of the input.
+    Kept are all numbers of the skeletons, rounded, and how the output came about: version,
+    configuration, hash of the input.
 
     Parameters
     ----------
@@ -365,9 +362,8 @@ def write_golden(
             for frame in frames:
                 writer.write(channel, frame.log_time, encoder.encode(compact(frame)))
         with open_reader(output) as reader:
-            for name in (LIMBS_ATTACHMENT, CONFIG_ATTACHMENT):
-                if (content := reader.attachment(name)) is not None:
-                    writer.add_attachment(name, content, "application/toml")
+            if (content := reader.attachment(CONFIG_ATTACHMENT)) is not None:
+                writer.add_attachment(CONFIG_ATTACHMENT, content, "application/toml")
             for name, values in reader.contents.metadata:
                 if name == PROVENANCE:
                     writer.add_metadata(name, values)

@@ -165,7 +165,7 @@ CASES = {
         for how in (off, absent)
     },
     "velocities x 100": (state("markers", VELOCITY, lambda v: 100 * v), "velocities"),
-    "box sizes": (state("boxes", slice(STATE, None), off), "box sizes"),
+    "box sizes": (state("boxes", slice(STATE, None), off), "positions"),
     **{
         f"{element} {value}": (confidence(element, value), "confidences")
         for element in ("confidences", "marker_confidences", "link_confidences")
@@ -182,9 +182,9 @@ CASES = {
     "extra person": (extra_person, "id 2"),
     "missing person": (one_person_less, "person 1"),
     "ids": (swapped_ids, "identity of person 0"),
-    "a marker": (all_gone("markers", slice(2, 3)), "positions"),
-    "a link": (all_gone("links", slice(2, 3)), "orientations"),
-    "all links": (all_gone("links", slice(None)), "orientations"),
+    "a marker": (all_gone("markers", slice(2, 3)), "joints"),
+    "a link": (all_gone("links", slice(2, 3)), "joints"),
+    "all links": (all_gone("links", slice(None)), "joints"),
 }  # fmt: skip
 
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from stick_figures import MODEL, at, person, seen
 
-from hiros_mcap.body.limb_table import Limb, LimbTable
-from hiros_mcap.regression.differences import Comparison, compare_frames, compare_limbs
+from hiros_mcap.regression.differences import compare_frames
 from hiros_mcap.regression.quantities import Tolerances
 
 
@@ -118,34 +117,6 @@ def test_orientations_that_vanish_and_appear():
     ]
     assert result.first is not None
     assert result.first.frame == 2
-
-
-def limbs(**lengths):
-    """Limb lengths of person 0."""
-    return LimbTable({0: {name: Limb(length, 0.0) for name, length in lengths.items()}})
-
-
-@pytest.mark.parametrize(
-    ("now", "fault"),
-    [
-        (limbs(arm=0.3, leg=0.4), ""),
-        (limbs(arm=0.3 + 9e-7, leg=0.4), ""),
-        (limbs(arm=0.3, leg=0.4 + 2e-6), "leg of person 0: was 0.4 m, is 0.400002 m"),
-        (limbs(arm=0.3), "leg of person 0: was 0.4 m, is not calibrated"),
-        (limbs(arm=0.3, leg=0.4, foot=0.2), "foot of person 0: was not calibrated, is 0.2 m"),
-        (LimbTable(), "2 limbs differ"),
-    ],
-)
-def test_limb_lengths(now, fault):
-    lengths = compare_limbs(now, limbs(arm=0.3, leg=0.4), {})
-    differences = Comparison([], lengths=lengths).differences(Tolerances())
-    assert bool(differences) == bool(fault)
-    assert fault in "".join(map(str, differences.get("calibration", [])))
-
-
-def test_limb_lengths_belong_to_people_not_to_ids():
-    now = LimbTable({7: limbs(arm=0.3).people[0], 0: limbs(arm=0.5).people[0]})
-    assert compare_limbs(now, limbs(arm=0.3), {0: 7}) == {(0, "arm"): (0.3, 0.3)}
 
 
 def test_missing_and_extra_frames():
