@@ -440,9 +440,8 @@ def consistency(path: Path) -> None:
             except (LogError, ConfigError) as error:
                 cells.append(f"{error}")
                 continue
-            errors = [f"{camera.median:.0f}" for camera in scores.cameras]
-            apart = [f"{mm:.0f}" for mm in scores.disagreement.values()]
-            cells.append(f"left out {' '.join(errors)} mm, cameras apart {' '.join(apart)} mm")
+            errors = [f"{camera.distance.median:.0f}" for camera in scores.cameras]
+            cells.append(f"left out {' '.join(errors)} mm")
     print(
         f"{path.name:46} {found.verdict}\n  recorded: {cells[0]}\n  found:    {cells[1]}",
         flush=True,

@@ -15,7 +15,7 @@ from hiros_mcap.evaluate.logs import ChannelResult
 from hiros_mcap.evaluate.measures import text_of, write_table
 from hiros_mcap.evaluate.remarks import notes_of
 from hiros_mcap.evaluate.truth import Alignment
-from hiros_mcap.wording import number, plain, plain_value
+from hiros_mcap.wording import number, plain
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,6 @@ def show_truth(
     output: Output,
     truth: Truth,
     results: Mapping[str, ChannelResult],
-    others: Sequence[int],
     warnings: Sequence[str],
 ) -> None:
     """Write the page, and print the scores of every channel and the angles of the last one."""
@@ -50,7 +49,6 @@ def show_truth(
             "log": str(output.log),
             "true_people": list(truth.people),
             "truth_covers": "partial" if truth.partial else "all",
-            "people_without_truth": list(others),
             "alignment": _alignment(truth.alignment),
             "channels": {topic: plain(result.scores) for topic, result in results.items()},
             "warnings": warnings,
@@ -73,7 +71,7 @@ def _alignment(found: Alignment | None) -> dict[str, Any] | None:
         return None
     translation, xyzw = found.pose.translation.tolist(), found.pose.xyzw.tolist()
     pose = {"translation": translation, "quaternion_xyzw": xyzw}
-    return {**pose, "scale": found.scale, "seconds": found.seconds}
+    return {**pose, "seconds": found.seconds}
 
 
 def _print_truth(
@@ -103,10 +101,7 @@ def show_self(output: Output, scores: SelfScores) -> None:
     if output.table is not None:
         write_table(output.table, score_tables.self_sheets(scores))
     if output.json:
-        listed = [{"cameras": list(k), "mm": v} for k, v in scores.disagreement.items()]
-        data = {"log": str(output.log), **plain(scores), "notes": notes}
-        data["disagreement"] = plain_value(listed)
-        print_json("eval.self", data)
+        print_json("eval.self", {"log": str(output.log), **plain(scores), "notes": notes})
     elif not output.quiet:
         _print_self(output, scores, notes)
 
@@ -114,7 +109,6 @@ def show_self(output: Output, scores: SelfScores) -> None:
 def _print_self(output: Output, scores: SelfScores, notes: Iterable[str]) -> None:
     result = scores.consistency
     people = ", ".join(f"{p.id} ({number(p.seconds, 1)} s)" for p in result.people) or "nobody"
-    pairs = [(f"{a}, {b}", number(mm, 1)) for (a, b), mm in scores.disagreement.items()]
     joints = {
         **{f"Joints of {c.topic}, mm": score_tables.joint_table(c.joints) for c in scores.cameras},
         **{f"Joints of {c.topic}, px": score_tables.pixel_table(c) for c in scores.images},
@@ -122,16 +116,6 @@ def _print_self(output: Output, scores: SelfScores, notes: Iterable[str]) -> Non
     page(
         f"{output.log}: each camera against the result of the others, without a truth",
         *((sheet.title, text_of(sheet)) for sheet in score_tables.self_sheets(scores)),
-        *(
-            [
-                (
-                    "Disagreement between cameras at one time, median mm",
-                    (("Cameras", "Median"), pairs),
-                )
-            ]
-            if pairs
-            else []
-        ),
         ["Result of all cameras:", f"people: {people}", *score_tables.lines_of(result)],
         *(joints.items() if output.joints else ()),
         notes=notes,

@@ -1,17 +1,17 @@
 """Where a truth of motion capture lies in the frame of a result, and when: found from the people.
 
 A laboratory's system has an origin, axes and a clock of its own. The truth is turned, moved and, if
-asked for, scaled and shifted in time as a whole, so that its people lie nearest to the result's:
+asked for, shifted in time as a whole, so that its people lie nearest to the result's:
 
-    result(t) = scale R truth(t - seconds) + T
+    result(t) = R truth(t - seconds) + T
 
 1. Every pair of a true person and a track gives a candidate for R and T: the rigid transform of
    all their common joints (Kabsch 1976). For the time, the candidates are tried at shifts over
    the whole log. The person's motion decides, since everybody fits somebody who stands still.
 2. The candidate that leaves people nearest to each other, over everybody, wins. Of shifts that
    fit alike, because somebody repeats a motion, the one that covers more of the track wins.
-3. From then on, matched skeletons are the pairs. R, T and the scale (Umeyama 1991, eq. 42) are
-   fitted to them with Cauchy weights; the lag of the result is added to the time.
+3. From then on, matched skeletons are the pairs. R and T are fitted to them with Cauchy weights;
+   the lag of the result is added to the time.
 
 What is constant in the error of a result is lost by that: an alignment hides it.
 """
@@ -23,7 +23,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 import numpy as np
 
 from hiros_mcap.body.rotations import Rigid, from_matrix, rotate
-from hiros_mcap.calibrate.registration import cauchy, rigid_fit, robust_kabsch
+from hiros_mcap.calibrate.registration import rigid_fit, robust_kabsch
 from hiros_mcap.errors import ConfigError, RegistrationError
 from hiros_mcap.evaluate.logs import Channel
 from hiros_mcap.evaluate.match import Matches, Track, match, skeleton_distances, tracks_of
@@ -46,26 +46,20 @@ _NEAR_M = 0.5  # median distance of a joint beyond which the truth is of somethi
 def aligned(truth: Truth, channels: Mapping[str, Channel], parts: Collection[str]) -> Truth:
     """Return the truth where :func:`align` finds it; as it is if ``parts`` is empty.
 
-    ``parts`` are "pose", and "time" and "scale", which include it.
+    ``parts`` are "pose", and "time", which includes it.
     """
     if not parts:
         return truth
-    return truth.aligned(align(truth, channels, time="time" in parts, scale="scale" in parts))
+    return truth.aligned(align(truth, channels, time="time" in parts))
 
 
-def align(
-    truth: Truth,
-    channels: Mapping[str, Channel],
-    *,
-    time: bool = False,
-    scale: bool = False,
-) -> Alignment:
+def align(truth: Truth, channels: Mapping[str, Channel], *, time: bool = False) -> Alignment:
     """Find where a truth lies in the frame of the last of some channels; see the module.
 
     Parameters
     ----------
     truth : in any frame; its times as good as known if ``time`` is not asked for.
-    time, scale : also find the shift of the times, and the scale.
+    time : also find the shift of the times.
 
     Returns
     -------
@@ -105,7 +99,7 @@ def align(
         if not np.isnan(late):
             found = found._replace(seconds=found.seconds + late / 1000)
             matches = match(frames, visible.aligned(found))
-        found = _refined(found, matches, scale=scale)
+        found = found._replace(pose=_refined(matches, found.pose))
     left = _left_m(visible.aligned(found), tracks)
     if not left < _NEAR_M:
         remedy = "" if time else ", at the right time? --align-time looks for the time"
@@ -203,18 +197,9 @@ def _left_m(truth: Truth, tracks: Mapping[int, Track]) -> float:
     return float(np.median(nearest)) if nearest else np.inf
 
 
-def _refined(found: Alignment, matches: Matches, *, scale: bool) -> Alignment:
-    """Return the transform that brings joints nearest, which were matched with the last one."""
+def _refined(matches: Matches, found: Rigid) -> Rigid:
+    """Return the pose that brings joints nearest, which were matched with the last one."""
     known = ~np.isnan(matches.true_poses + matches.poses).any(axis=-1)
-    aligned, target = matches.true_poses[known], matches.poses[known]
-    back = found.pose.inverse()
-    source = back.moved(aligned)  # scale times the truth
-    factor = 1.0
+    source, target = found.inverse().moved(matches.true_poses[known]), matches.poses[known]
     rotation, shift = robust_kabsch(source, target, np.ones(len(source)))
-    if scale:
-        weights = cauchy(np.linalg.norm(target - source @ rotation.T - shift, axis=1))[:, None]
-        start, goal = ((weights * p).sum(axis=0) / weights.sum() for p in (source, target))
-        turned = (source - start) @ rotation.T
-        factor = float((weights * turned * (target - goal)).sum() / (weights * turned**2).sum())
-        rotation, shift = robust_kabsch(factor * source, target, np.ones(len(source)))
-    return found._replace(pose=Rigid(from_matrix(rotation), shift), scale=factor * found.scale)
+    return Rigid(from_matrix(rotation), shift)

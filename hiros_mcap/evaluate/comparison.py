@@ -118,7 +118,6 @@ class Outcome:
     scores: Scores | None = None
     distance: ErrorStats | None = None
     """Of the detections where all systems have somebody; neither the error nor a bound on it."""
-    disagreement: float = float("nan")  # median of these distances, mm
     spread: float = float("nan")  # mean of the varying distances, mm
     misses: int = 0  # detections at which the system has nobody, but another one has
     detections: int = 0  # detections at which some system has somebody
@@ -203,11 +202,9 @@ def on_same_detections(done: Sequence[tuple[Outcome, list[Distances]]]) -> list[
             difference = _difference(joints, distances_of[0], stamps, first.name)
             outcome = replace(outcome, difference=difference)
         if outcome.scores is None:
-            distances = joints[scored].astype(np.float64)
             outcome = replace(
                 outcome,
-                distance=ErrorStats.of(distances),
-                disagreement=float(np.median(distances)) if distances.size else np.nan,
+                distance=ErrorStats.of(joints[scored].astype(np.float64)),
                 spread=mean_of(rest[scored].astype(np.float64)),
                 misses=int((anybody & ~there[k]).sum()),
                 detections=int(anybody.sum()),

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
@@ -20,22 +19,14 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.logs import Consistency, consistency
 from hiros_mcap.evaluate.match import match
 from hiros_mcap.evaluate.reprojection import ImageScores, image_scores, reprojection
-from hiros_mcap.evaluate.statistics import (
-    ErrorStats,
-    mean_of,
-    nan_mean,
-    parts_of,
-)
+from hiros_mcap.evaluate.statistics import ErrorStats, mean_of, nan_mean, parts_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.io.log import Source
 from hiros_mcap.io.rgb_cameras import poses_of
 from hiros_mcap.progress import Bar, Progress
 from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.running.recording import Recording
-from hiros_mcap.skeletons import Flags, Floats, Frame, Ints, SkeletonModel, Stamps, nearest_stamps
-
-SIMULTANEOUS_NS = 50_000_000
-"""Largest difference in time of two cameras' views that are compared."""
+from hiros_mcap.skeletons import Flags, Floats, Frame, Ints, SkeletonModel, Stamps
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +40,6 @@ class LeftOut:
     """They count as they are: what is struck out where it contradicts a result would flatter the
     result that is wrong."""
     distance: ErrorStats
-    median: float
     spread: float  # detectors differ by centimetres all the time; systems differ in the rest
     offset: float
     parts: Mapping[str, ErrorStats]
@@ -62,9 +52,6 @@ class SelfScores:
 
     consistency: Consistency  # of the result of all cameras, last stage
     cameras: tuple[LeftOut, ...]
-    disagreement: Mapping[tuple[str, str], float]
-    """Median distance between the same joint in two cameras at one time, mm. Both are compared
-    with the result of all, so the motion between their exposures does not count."""
     images: tuple[ImageScores, ...] = ()  # of the RGB cameras
 
 
@@ -100,13 +87,9 @@ def leave_one_out(
     model, frames_of = recording.model, frames_of_cameras(recording, 1 if recording.images else 2)
     everybody = _fused(recording, config, options, frames_of)
     cameras, _ = leave_each_out(recording, frames_of, config, options, progress)
-    residuals = {topic: _residuals(frames, everybody, model) for topic, frames in frames_of.items()}
     return SelfScores(
         consistency=consistency(everybody, model),
         cameras=cameras,
-        disagreement={
-            (a, b): _disagreement(residuals[a], residuals[b]) for a, b in combinations(frames_of, 2)
-        },
         images=_images(source, recording, everybody, config, options),
     )
 
@@ -180,7 +163,6 @@ def _fused(
 
 def _left_out(topic: str, residuals: _Residuals, varying: Floats, model: SkeletonModel) -> LeftOut:
     distances = 1000 * np.linalg.norm(residuals.displacement, axis=-1)
-    present = distances[~np.isnan(distances)]
     means = [mean_of(residuals.displacement[..., axis]) for axis in range(3)]
     return LeftOut(
         topic=topic,
@@ -188,7 +170,6 @@ def _left_out(topic: str, residuals: _Residuals, varying: Floats, model: Skeleto
         unmatched=residuals.unmatched,
         mirrored=int(residuals.mirrored.sum()),
         distance=ErrorStats.of(distances),
-        median=float(np.median(present)) if present.size else np.nan,
         spread=1000 * mean_of(np.linalg.norm(varying, axis=-1)),
         offset=1000 * float(np.linalg.norm(means)),
         parts={
@@ -238,23 +219,6 @@ def _numbered(frames: Sequence[Frame]) -> Iterator[Frame]:
         count = len(frame.ids)
         yield frame.replace(ids=np.arange(first, first + count, dtype=np.int32))
         first += count
-
-
-def _disagreement(a: _Residuals, b: _Residuals) -> float:
-    """Median distance, mm, between joints that two cameras see at one time."""
-    distances = [np.zeros(0)]
-    for person in np.intersect1d(a.people, b.people):
-        mine = np.nonzero((a.people == person) & ~a.mirrored)[0]
-        theirs = np.nonzero((b.people == person) & ~b.mirrored)[0]
-        if not len(mine) or not len(theirs):
-            continue
-        nearest = theirs[nearest_stamps(b.stamps[theirs], a.stamps[mine])]
-        close = np.abs(b.stamps[nearest] - a.stamps[mine]) <= SIMULTANEOUS_NS
-        difference = a.displacement[mine[close]] - b.displacement[nearest[close]]
-        distances.append(np.linalg.norm(difference, axis=-1).ravel())
-    joined = np.concatenate(distances)
-    joined = joined[~np.isnan(joined)]
-    return 1000 * float(np.median(joined)) if joined.size else np.nan
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,6 @@ from hiros_mcap.evaluate.match import (
     MATCH_DISTANCE,
     Matches,
     match,
-    people_without_truth,
     tracks_of,
 )
 from hiros_mcap.evaluate.scores import EllipsoidCoverage, Scores, coverage_of, score_matches
@@ -286,27 +285,6 @@ def evaluate_channels(
         covered = coverage_of(matches, stated, model) if stated else None
         results[topic] = ChannelResult(scores, matches, model, channel.skipped, covered)
     return results
-
-
-def covered_by(
-    channels: Mapping[str, Channel],
-    truth: Truth,
-    coverage: str = "auto",
-    max_distance: float = MATCH_DISTANCE,
-) -> tuple[Truth, tuple[int, ...]]:
-    """Return the truth, marked as partial or not, and the ids that show that it is partial.
-
-    ``coverage`` is "all", "partial", or "auto": then the last output channel decides, see
-    :func:`hiros_mcap.evaluate.match.people_without_truth`.
-
-    Raises LogError or ConfigError as :func:`evaluate_channels` does.
-    """
-    if coverage != "auto":
-        return replace(truth, partial=coverage == "partial"), ()
-    topic, channel = list(channels.items())[-1]
-    matches, model = _matched(topic, channel, truth, max_distance)
-    others = people_without_truth(matches, truth.seen_by(model), max_distance)
-    return replace(truth, partial=bool(others)), others
 
 
 def _matched(

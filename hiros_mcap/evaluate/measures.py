@@ -168,7 +168,8 @@ BRIEF = ("mpjpe", "jitter", "limb_cv", "id_switches", "idf1")
 
 LEFT_OUT = (
     Measure("median", "Median", "mm",
-            "distance of the left-out camera's joints from the result of the others, median"),
+            "distance of the left-out camera's joints from the result of the others, median",
+            at="distance.median"),
     Measure("mean", "Mean", "mm", "its mean", at="distance.mean"),
     Measure("sd", "SD", "mm", "its standard deviation", at="distance.deviation"),
     Measure("rms", "RMSE", "mm", "its root mean square", at="distance.rmse"),
@@ -208,7 +209,7 @@ SELF = (
     Measure("mean", "Mean", "mm", "distance of a left-out camera from the result of the others, "
             "mean, on the same detections and joints for all systems, mirrored ones included",
             at="distance.mean"),
-    Measure("disagreement", "Median", "mm", "its median"),
+    Measure("median", "Median", "mm", "its median", at="distance.median"),
     Measure("p95", "95 %", "mm", "95 % of them are less", at="distance.percentile_95"),
     Measure("spread", "Spread", "mm",
             "its mean without the median displacement of each joint of a person"),

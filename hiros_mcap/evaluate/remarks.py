@@ -17,25 +17,9 @@ _NEAR_END_MS = 30  # a lag so near to the longest one that is tried may be longe
 _MANY_FALSE = 0.1  # false people per frame that may be people whom the truth lacks
 
 
-def warnings_of(
-    truth: Truth,
-    results: Mapping[str, ChannelResult],
-    others: Sequence[int] = (),
-    *,
-    asked: bool = False,
-) -> list[str]:
-    """Return what makes the scores doubtful.
-
-    Parameters
-    ----------
-    truth, results : what was compared.
-    others : ids that show that the truth is partial.
-    asked : the user has said whether the truth is partial.
-    """
-    texts = [_partial(truth, others), _silence(results)]
-    if not asked:
-        texts.append(_unlabelled(results))
-    return [text for text in texts if text]
+def warnings_of(results: Mapping[str, ChannelResult]) -> list[str]:
+    """Return what makes the scores of results doubtful."""
+    return [text for text in (_silence(results), _unlabelled(results)) if text]
 
 
 def notes_of(truth: Truth, results: Mapping[str, ChannelResult]) -> list[str]:
@@ -87,18 +71,6 @@ def other_clock(results: Sequence[Scores]) -> str:
         f"the truth fits better {size:.0f} ms{most} {way}: {best.mean_at_lag:.1f} mm instead of "
         f"{best.mean:.1f}; if its clock or its begin is not that of the log, "
         "hiros eval --align-time finds the difference"
-    )
-
-
-def _partial(truth: Truth, others: Sequence[int]) -> str:
-    if not others:
-        return ""
-    names = ", ".join(map(str, others))
-    who = f"person {names} walks" if len(others) == 1 else f"the people {names} walk"
-    return (
-        f"the truth seems to have only {len(truth.people)} of the people: it has nobody where "
-        f"{who} about. Skeletons of nobody "
-        "therefore don't count, and False is unknown; --truth-covers all counts them"
     )
 
 

@@ -10,14 +10,13 @@ from __future__ import annotations
 import glob
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Self
 
 import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.evaluate.match import MATCH_DISTANCE
 from hiros_mcap.evaluate.mot import best_pairs
-from hiros_mcap.evaluate.statistics import nan_mean
+from hiros_mcap.evaluate.statistics import ErrorStats, nan_mean
 from hiros_mcap.evaluate.truth import Truth, shared_markers
 from hiros_mcap.io.log import Source, open_log, reading
 from hiros_mcap.io.rgb_cameras import RgbCamera, poses_of, read_rgb_cameras
@@ -27,32 +26,14 @@ _CHUNK = 256  # images whose people are projected at once
 
 
 @dataclass(frozen=True, slots=True)
-class PixelErrors:
-    """Distances in an image, px; NaN if there are none."""
-
-    median: float
-    percentile_95: float
-    count: int
-
-    @classmethod
-    def of(cls, distances: Floats) -> Self:
-        """Summarise distances in px, whatever their shape."""
-        present = distances[~np.isnan(distances)]
-        if not present.size:
-            return cls(np.nan, np.nan, 0)
-        median, high = np.percentile(present, [50, 95]).tolist()
-        return cls(median, high, present.size)
-
-
-@dataclass(frozen=True, slots=True)
 class Reprojection:
     """An RGB camera against a result; see :data:`measures.REPROJECTION`, in px."""
 
     topic: str
     detections: int
     unmatched: int
-    distance: PixelErrors
-    joints: Mapping[str, PixelErrors] = field(default_factory=dict)
+    distance: ErrorStats
+    joints: Mapping[str, ErrorStats] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,9 +96,8 @@ def reprojection(
         distances += [found[pair][None] for pair in pairs]
         people, unmatched = people + len(pixels), unmatched + len(pixels) - len(pairs)
     rows = np.concatenate(distances)
-    joints = {name: PixelErrors.of(rows[:, k]) for k, name in enumerate(names)}
-    joints = {name: errors for name, errors in joints.items() if errors.count}
-    return Reprojection(camera.topic, people, unmatched, PixelErrors.of(rows), joints)
+    joints = ErrorStats.by_name(names, rows)
+    return Reprojection(camera.topic, people, unmatched, ErrorStats.of(rows), joints)
 
 
 def _views(

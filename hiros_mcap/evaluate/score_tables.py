@@ -135,12 +135,6 @@ def system_sheets(outcomes: Sequence[Outcome]) -> list[Sheet]:
     ]
 
 
-def system_table(outcomes: Sequence[Outcome]) -> Table:
-    """Header and rows of one log, see :func:`system_sheets`."""
-    (sheet,) = system_sheets(outcomes)
-    return text_of(sheet)
-
-
 def has_truth(outcomes: Sequence[Outcome]) -> bool:
     """Whether all outcomes were compared with a truth."""
     return all(o.scores is not None for o in outcomes)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
@@ -36,17 +36,14 @@ coincide, and here an error of 1 degree about y already changes z by 1 / cos 75 
 
 
 @dataclass(frozen=True, slots=True)
-class Scores:
+class Scores(ErrorStats):
     """Numbers of one channel against the truth over all frames and people; NaN = unknown.
+
+    Those of :class:`ErrorStats` are of the distances of all joints, mm.
 
     :data:`hiros_mcap.evaluate.measures.MEASURES` says what each is. Units are mm, degrees, ms.
     """
 
-    mean: float
-    deviation: float
-    rmse: float
-    percentile_95: float
-    percentile_99: float
     angle_rmse: float
     angle_deviation: float
     """SD of the error of each of the eight, degrees, averaged: the error without the constant
@@ -123,7 +120,6 @@ def score_matches(matches: Matches, truth: Truth, model: SkeletonModel) -> Score
     poses, true_poses = matches.poses, matches.true_poses
     turns = matches.orientations, matches.true_orientations
     errors = 1000 * np.linalg.norm(poses - true_poses, axis=-1)
-    all_errors = ErrorStats.of(errors)
     bending = np.degrees(wrapped(flexions(model, poses) - flexions(model, true_poses)))
     angles = {name: AngleStats.of(bending[:, k]) for k, name in enumerate(ANGLES)}
     by_links = _link_angle_stats(model, *turns)
@@ -132,11 +128,7 @@ def score_matches(matches: Matches, truth: Truth, model: SkeletonModel) -> Score
     rows, columns = np.nonzero(~np.isnan(errors))
     _, low, high, _ = block_interval(errors[rows, columns], blocks_of(matches.stamps[rows]))
     return Scores(
-        mean=all_errors.mean,
-        deviation=all_errors.deviation,
-        rmse=all_errors.rmse,
-        percentile_95=all_errors.percentile_95,
-        percentile_99=all_errors.percentile_99,
+        **asdict(ErrorStats.of(errors)),
         angle_rmse=_pooled_rmse(angles),
         angle_deviation=_mean_deviation(angles),
         link_angle_rmse=_pooled_rmse(by_links),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,9 +54,10 @@ def block_interval(values: Floats, blocks: Stamps) -> tuple[float, float, float,
 
 @dataclass(frozen=True, slots=True)
 class ErrorStats:
-    """Distances to the truth, mm."""
+    """Distances, mm or px; NaN if there are none."""
 
     mean: float
+    median: float
     deviation: float
     rmse: float
     percentile_95: float
@@ -64,23 +66,24 @@ class ErrorStats:
 
     @classmethod
     def of(cls, errors: Floats) -> ErrorStats:
-        """Summarise errors in mm, whatever their shape."""
+        """Summarise errors, whatever their shape."""
         present = errors[~np.isnan(errors)]
         if not present.size:
-            return cls(np.nan, np.nan, np.nan, np.nan, np.nan, 0)
-        high, highest = np.percentile(present, [95, 99])
+            return cls(np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, 0)
+        median, high, highest = np.percentile(present, [50, 95, 99]).tolist()
         return cls(
             float(present.mean()),
+            median,
             float(present.std()),
             float(np.sqrt((present * present).mean())),
-            float(high),
-            float(highest),
+            high,
+            highest,
             present.size,
         )
 
     @classmethod
-    def by_name(cls, names: tuple[str, ...], errors: Floats) -> dict[str, ErrorStats]:
-        """Summarise each column of errors (R, M), mm; columns without any are left out."""
+    def by_name(cls, names: Sequence[str], errors: Floats) -> dict[str, ErrorStats]:
+        """Summarise each column of errors (R, M); columns without any are left out."""
         stats = {name: cls.of(errors[:, k]) for k, name in enumerate(names)}
         return {name: stat for name, stat in stats.items() if stat.count}
 

@@ -20,10 +20,9 @@ _Y_TO_Z = np.array([0.5**0.5, 0.0, 0.0, 0.5**0.5])
 
 
 class Alignment(NamedTuple):
-    """Pose, scale and shift that :func:`hiros_mcap.evaluate.alignment.align` gives a truth."""
+    """Pose and shift that :func:`hiros_mcap.evaluate.alignment.align` gives a truth."""
 
     pose: Rigid  # of the truth's frame in that of the result
-    scale: float = 1.0
     seconds: float = 0.0  # added to the times of the truth
 
     @property
@@ -40,8 +39,6 @@ class Alignment(NamedTuple):
             f"turned by {self.degrees:.1f} degrees (xyzw {quaternion})",
             f"moved by ({moved}) m",
         ]
-        if self.scale != 1.0:
-            parts.append(f"scaled by {self.scale:.4f}")
         if self.seconds:
             parts.append(f"shifted by {self.seconds:.3f} s")
         return (
@@ -153,12 +150,12 @@ class Truth:
         return replace(self, stamps=stamps, positions=positions, orientations=orientations)
 
     def aligned(self, alignment: Alignment) -> Truth:
-        """Return the truth scaled, then turned and moved, and at other times."""
-        pose, scale, seconds = alignment
+        """Return the truth turned and moved, and at other times."""
+        pose, seconds = alignment
         return replace(
             self,
             stamps=self.stamps + round(seconds * 1e9),
-            positions=pose.moved(scale * self.positions),
+            positions=pose.moved(self.positions),
             orientations=multiply(pose.xyzw, self.orientations),
             alignment=alignment,
         )

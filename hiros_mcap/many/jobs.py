@@ -21,7 +21,6 @@ from hiros_mcap.evaluate.leave_one_out import SelfScores, leave_one_out
 from hiros_mcap.evaluate.logs import (
     ChannelResult,
     check_scorable,
-    covered_by,
     evaluate_channels,
     find_truth,
     has_outputs,
@@ -41,9 +40,8 @@ from hiros_mcap.outputs import Kind
 from hiros_mcap.progress import Progress
 from hiros_mcap.running.pipeline import ProcessOptions, process, skeletons_read
 
-ScoresAgainst = tuple[Truth, dict[str, ChannelResult], Sequence[int], Sequence[str]]
-"""The truth as it was compared, the result of each channel, the ids of people whom the truth lacks,
-and warnings."""
+ScoresAgainst = tuple[Truth, dict[str, ChannelResult], Sequence[str]]
+"""The truth as it was compared, the result of each channel, and warnings."""
 TRUTH_SUFFIXES = (".truth.mcap", ".mcap", ".trc", ".c3d", ".csv")
 
 
@@ -135,12 +133,12 @@ class EvalJob(Job):
     """Folder with a file of the same name for each log, or a channel; None = the log's own."""
     channels: tuple[str, ...] = ()
     leave_one_out: bool = False
-    covers: str = "auto"
+    covers: str = "all"
     match_distance: float = 1.0
     shift: float = 0.0
     up: str = "z"
     align: tuple[str, ...] = ()
-    """In what the truth is brought to the result: "pose", "time", "scale"."""
+    """In what the truth is brought to the result: "pose", "time"."""
     asked: bool = False
     """Whether the user named the system or a parameter; otherwise results keep their own."""
 
@@ -178,10 +176,9 @@ class EvalJob(Job):
         config, system = self.settings.load(), self.settings.system
         channels = results_of(log, config, self.truth, self.channels, system)
         truth = aligned(truth, channels, self.align)
-        truth, others = covered_by(channels, truth, self.covers, self.match_distance)
+        truth = replace(truth, partial=self.covers == "partial")
         results = evaluate_channels(channels, truth, self.match_distance)
-        warnings = warnings_of(truth, results, others, asked=self.covers != "auto")
-        return truth, results, others, warnings
+        return truth, results, warnings_of(results)
 
     def by_itself(self, log: McapReader, progress: Progress | None = None) -> SelfScores:
         """Score each camera of a log against what the system makes of the others."""
@@ -196,17 +193,17 @@ class EvalJob(Job):
             scored = self.against(reader, None if named is None else str(named))
             if scored is None:
                 alone = self.by_itself(reader)
-                medians = [camera.median for camera in alone.cameras]
+                medians = [camera.distance.median for camera in alone.cameras]
                 values = {m.name: m.compared(alone.consistency) for m in CONSISTENCY}
                 return Finding({**values, "left_out_camera": float(np.median(medians))})
-        truth, results, _, warnings = scored
+        truth, results, warnings = scored
         scores = list(results.values())[-1].scores
         values = {name: m.compared(scores) for name, m in MEASURES.items()}
         values |= {"people": len(truth.people)}
         if truth.alignment is not None:
-            pose, scale, seconds = truth.alignment
-            values |= {"turned_deg": truth.alignment.degrees, "scaled_by": scale}
-            values |= {"moved_m": float(np.linalg.norm(pose.translation)), "shifted_s": seconds}
+            pose, seconds = truth.alignment
+            values |= {"turned_deg": truth.alignment.degrees, "shifted_s": seconds}
+            values |= {"moved_m": float(np.linalg.norm(pose.translation))}
         return Finding(values, warnings=tuple(warnings))
 
 

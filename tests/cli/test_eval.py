@@ -185,23 +185,22 @@ def test_a_truth_of_one_of_two_people(tmp_path, capsys):
         covers: json_of(
             tmp_path / "out.mcap", capsys, "--truth", str(one), "--truth-covers", covers
         )
-        for covers in ("all", "partial", "auto")
+        for covers in ("all", "partial")
     }
     scores = {covers: f["channels"]["/hiros/filtered"] for covers, f in found.items()}
     assert scores["all"]["false"] > 60
     assert abs(scores["all"]["tracking"]["mota"]) < 0.1
     assert scores["partial"]["false"] is None
     assert scores["partial"]["tracking"]["mota"] > 0.95
-    assert scores["auto"] == scores["partial"]
-    assert found["auto"]["truth_covers"] == "partial"
-    assert "--truth-covers all" in found["auto"]["warnings"][0]
-    assert found["all"]["warnings"] == []
+    assert found["partial"]["truth_covers"] == "partial"
+    assert "--truth-covers partial" in found["all"]["warnings"][0]
+    assert found["partial"]["warnings"] == []
 
 
 def test_without_truth(walking, capsys):
     assert run(["eval", str(walking), "--leave-one-out", "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
-    assert len(data["cameras"]) == len(data["disagreement"]) == 3
+    assert len(data["cameras"]) == 3
     assert run(["eval", str(walking), "--leave-one-out"]) == 0
     assert "Mirrored" in capsys.readouterr().out
 

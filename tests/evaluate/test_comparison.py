@@ -98,7 +98,7 @@ def test_side_by_side_as_one_after_the_other(walking):
     together, alone = comparison(tasks, jobs=2), comparison(tasks, jobs=1)
     assert [o.name for o in together] == ["raw", "hiros", "average"]
     assert [o.error for o in together] == [o.error for o in alone]
-    header, rows = score_tables.system_table(together)
+    header, rows = text_of(*score_tables.system_sheets(together))
     assert header[:2] == ("System", "Mean")
     assert [row[0] for row in rows] == ["hiros", "average", "raw"]
 
@@ -259,7 +259,7 @@ def test_what_is_known_without_a_truth(bare, capsys):
     assert not any("error" in key or "rank" in key for key in raw)
     assert raw["jitter"] > 5 * hiros["jitter"]
     assert 0.9 < hiros["coverage"] <= 1
-    assert (hiros["ids"], hiros["disagreement"] > 0) == (1, True)
+    assert (hiros["ids"], hiros["distance"]["median"] > 0) == (1, True)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ import pytest
 from stick_figures import MODEL, at, person, seen
 
 from hiros_mcap.evaluate import Truth, evaluate
-from hiros_mcap.evaluate.match import match, people_without_truth
 
 
 def walker(k, centre=0.0):
@@ -43,33 +42,3 @@ def test_who_is_missed_or_renamed_still_counts():
     assert (part.missing, part.switches) == (30, 1)
     assert part.tracking.mota == pytest.approx(1 - 31 / 150)
     assert part.tracking.idf1 == pytest.approx(2 * 60 / (150 + 120))
-
-
-def test_those_who_walk_where_the_truth_has_nobody_are_people():
-    assert people_without_truth(match(ALL, ONE), ONE) == (1, 2)
-    assert people_without_truth(match(ALL, Truth.of(ALL)), Truth.of(ALL)) == ()
-
-
-@pytest.mark.parametrize(
-    "false",
-    [
-        lambda k: person(5, 5),  # a coat on a hook
-        lambda k: person(5 + 0.05 * math.sin(k), 5),  # and what noise makes of it
-        lambda k: walker(k) + np.array([0.0, 0.3, 0.0]),  # a second skeleton of the same person
-        lambda k: walker(k, 4 if k < 30 else math.nan),  # a phantom of one second
-        lambda k: walker(k, 4 if 50 <= k < 100 else math.nan),  # a third of the time, but 1.7 s
-        lambda k: walker(k, 4 if k % 90 == 0 else math.nan),  # for 3 s, but in few frames
-    ],
-    ids=["still", "noisy", "double", "short", "too short", "rare"],
-)
-def test_a_false_person_is_not_excused(false):
-    frames = []
-    for k in range(150):
-        people = [pose for pose in (walker(k), false(k)) if not np.isnan(pose).any()]
-        frames.append(seen(people, at(k), ids=[0, 1][: len(people)]))
-    assert people_without_truth(match(frames, ONE), ONE) == ()
-
-
-def test_a_truth_of_somewhere_else_is_not_partial():
-    away = replace(ONE, positions=ONE.positions + 30.0)
-    assert people_without_truth(match(ALL, away), away) == ()

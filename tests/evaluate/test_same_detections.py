@@ -37,7 +37,7 @@ def test_who_has_nobody_where_it_is_hard_gains_nothing():
     worse[50:] = np.nan
     first, second = scored([camera(good)], [camera(worse)])
     assert (first.distance.mean, second.distance.mean) == pytest.approx((20, 30))
-    assert (first.disagreement, second.disagreement) == pytest.approx((20, 30))
+    assert (first.distance.median, second.distance.median) == pytest.approx((20, 30))
     assert (first.misses, second.misses) == (0, 50)
     assert first.detections == second.detections == 100
     assert second.difference is not None

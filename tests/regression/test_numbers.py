@@ -19,8 +19,7 @@ CROSSING, WALKING = "golden/two_people_crossing.fuse.mcap", "golden/one_person_w
 COMMANDS = {
     "eval": f"eval {CROSSING} --truth two_people_crossing.mcap",
     "eval-aligned": (
-        f"eval {WALKING} --truth one_person_walking.mcap --channel /hiros/filtered"
-        " --align-time --align-scale"
+        f"eval {WALKING} --truth one_person_walking.mcap --channel /hiros/filtered --align-time"
     ),
     "calibrate-people": "calibrate people two_people_crossing.mcap",
     "calibrate-noise": "calibrate noise one_person_walking.mcap",

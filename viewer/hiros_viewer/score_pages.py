@@ -117,10 +117,6 @@ def self_page(log: Path, scores: SelfScores) -> Page:
         caption = "Mean distance of each joint of the left-out camera, mm"
         page.figure(joint_map(means, "mm"), caption)
     add_images(page, scores.images)
-    if scores.disagreement:
-        page.heading("Disagreement between cameras")
-        rows = [[a, b, number(mm, 1)] for (a, b), mm in scores.disagreement.items()]
-        page.table(["camera", "camera", "median, mm"], rows)
     page.heading("Result of all cameras")
     page.table(
         ["person", "s", "frames"],

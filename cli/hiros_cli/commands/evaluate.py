@@ -49,10 +49,9 @@ class Scoring:
         "Score each camera against the result of the others. Default if LOG has no truth.",
     )
     truth_covers: str = option(
-        "all|partial|auto",
-        "Whether the truth has everybody: skeletons of nobody in a partial truth don't count. "
-        "auto: partial only if the result shows people walking whom it lacks.",
-        default="auto",
+        "all|partial",
+        "Whether the truth has everybody: skeletons of nobody in a partial truth don't count.",
+        default="all",
     )
     match_distance: float = option(
         "M",
@@ -68,22 +67,19 @@ class Scoring:
         "--align", "Turn and move the truth as a whole to where the result has the people."
     )
     align_time: bool = flag("--align-time", "--align, and find the shift of the truth's times.")
-    align_scale: bool = flag("--align-scale", "--align, and find the scale of the truth.")
 
     def __post_init__(self) -> None:
         if self.leave_one_out and self.truth is not None:
             raise ConfigError("--leave-one-out takes no --truth: it compares the cameras")
         if self.up not in ("z", "y"):
             raise ConfigError(f"--up: {self.up!r} is neither z nor y")
-        if self.truth_covers not in ("all", "partial", "auto"):
-            raise ConfigError(
-                f"--truth-covers: {self.truth_covers!r} is none of all, partial, auto"
-            )
+        if self.truth_covers not in ("all", "partial"):
+            raise ConfigError(f"--truth-covers: {self.truth_covers!r} is neither all nor partial")
 
     @property
     def alignment(self) -> tuple[str, ...]:
         """In what the truth is brought to the result."""
-        asked = {"pose": self.align, "time": self.align_time, "scale": self.align_scale}
+        asked = {"pose": self.align, "time": self.align_time}
         return tuple(name for name, is_asked in asked.items() if is_asked)
 
 
