@@ -34,10 +34,8 @@ class TrackingScores:
     """The three families of tracking measures, 0..1 but for MOTA, which may be negative."""
 
     mota: float  # 1 - (missing + false + switches) / true (Bernardin and Stiefelhagen 2008)
-    motp: float  # mean similarity of the matches
-    switches: int  # id switches by CLEAR MOT, which keeps a match as long as it is possible
-    idf1: float  # F1 of the one-to-one map from true people to ids (Ristani et al. 2016).
-    hota: float  # luiten et al. 2021: mean over similarities of sqrt(DetA AssA).
+    idf1: float  # F1 of the one-to-one map from true people to ids (Ristani et al. 2016)
+    hota: float  # mean over similarities of sqrt(DetA AssA) (Luiten et al. 2021)
 
 
 def tracking_scores(frames: Sequence[FrameSimilarity]) -> TrackingScores:
@@ -54,13 +52,13 @@ def tracking_scores(frames: Sequence[FrameSimilarity]) -> TrackingScores:
         placed.append((rows, columns, now.similarity))
     total = float(true.sum() + reported.sum())
     if not total:
-        return TrackingScores(*_clear(frames), np.nan, np.nan)
+        return TrackingScores(_mota(frames), np.nan, np.nan)
     together = np.zeros((len(people), len(names)))
     for rows, columns, similarity in placed:
         np.add.at(together, np.ix_(rows, columns), similarity > _TINY)
     hits = sum(together[row, column] for row, column in _best_scores(together))
     hota = _hota(placed, true, reported)
-    return TrackingScores(*_clear(frames), float(2 * hits / total), hota)
+    return TrackingScores(_mota(frames), float(2 * hits / total), hota)
 
 
 def _best_scores(score: Floats) -> list[tuple[int, int]]:
@@ -68,12 +66,11 @@ def _best_scores(score: Floats) -> list[tuple[int, int]]:
     return [(row, column) for row, column in best_pairs(-score) if score[row, column] > _TINY]
 
 
-def _clear(frames: Sequence[FrameSimilarity]) -> tuple[float, float, int]:
-    """MOTA, MOTP and switches; pairs of the previous frame are kept while they are possible."""
+def _mota(frames: Sequence[FrameSimilarity]) -> float:
+    """MOTA by CLEAR MOT: pairs of the previous frame are kept while they are possible."""
     previous: dict[int, int] = {}
     last: dict[int, int] = {}
     true = reported = matched = switches = 0
-    similarity = 0.0
     for now in frames:
         true, reported = true + len(now.true_ids), reported + len(now.ids)
         if not now.true_ids or not now.ids:
@@ -86,12 +83,9 @@ def _clear(frames: Sequence[FrameSimilarity]) -> tuple[float, float, int]:
             person, name = now.true_ids[row], now.ids[column]
             switches += last.get(person, name) != name
             previous[person] = last[person] = name
-            similarity += float(now.similarity[row, column])
         matched += len(pairs)
-    if not true:
-        return np.nan, np.nan, switches
     wrong = (true - matched) + (reported - matched) + switches
-    return 1 - wrong / true, similarity / matched if matched else np.nan, switches
+    return 1 - wrong / true if true else np.nan
 
 
 def _hota(placed: Sequence[tuple[Stamps, Stamps, Floats]], true: Floats, reported: Floats) -> float:

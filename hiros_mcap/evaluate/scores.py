@@ -221,7 +221,7 @@ def _unplaced(matches: Matches) -> Floats:
 
 
 def pck_curves(
-    errors: Floats, model: SkeletonModel, unplaced: Floats | None = None
+    errors: Floats, model: SkeletonModel, unplaced: Floats
 ) -> dict[str, tuple[float, ...]]:
     """Share of true joints that are within each threshold; all joints, and by part.
 
@@ -230,18 +230,13 @@ def pck_curves(
     errors : (R, M) mm, NaN where unknown.
     unplaced : (M,) how many true joints the result does not have; they are within no threshold.
     """
+    within = np.stack([(errors <= mm).sum(axis=0) for mm in PCK_MM], axis=1)
+    true = (~np.isnan(errors)).sum(axis=0) + unplaced
     groups = {"all": np.ones(model.n_markers, bool), **parts_of(model)}
-    more = np.zeros(model.n_markers) if unplaced is None else unplaced
     return {
-        name: _pck(errors[:, columns], float(more[columns].sum()))
+        name: tuple((within[columns].sum(axis=0) / (true[columns].sum() or np.nan)).tolist())
         for name, columns in groups.items()
     }
-
-
-def _pck(errors: Floats, unplaced: float) -> tuple[float, ...]:
-    present = errors[~np.isnan(errors)]
-    true = present.size + unplaced
-    return tuple(float((present <= t).sum() / true) if true else np.nan for t in PCK_MM)
 
 
 def _first_rows(matches: Matches) -> list[int]:
@@ -275,10 +270,8 @@ _SQUARE_68, _SQUARE_95 = 3.5059, 7.8147
 class EllipsoidCoverage:
     """Shares of the true joints; right are 0.68 and 0.95."""
 
-    joints: int  # joints whose uncertainty and truth are known
     within_68: float  # share inside the ellipsoid that holds 68 % of a normal distribution
     within_95: float
-    ratio: float  # root mean square of error / stated standard deviation, per axis: 1 is right
 
     def __str__(self) -> str:
         return (
@@ -300,8 +293,5 @@ def coverage_of(
     if not len(squares):
         return None
     return EllipsoidCoverage(
-        len(squares),
-        float((squares < _SQUARE_68).mean()),
-        float((squares < _SQUARE_95).mean()),
-        float(np.sqrt(squares.mean() / 3)),
+        float((squares < _SQUARE_68).mean()), float((squares < _SQUARE_95).mean())
     )

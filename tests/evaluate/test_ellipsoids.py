@@ -33,14 +33,12 @@ def test_coverage_of_normal_errors(error, within):
     found = coverage_of(matches(error), told, MODEL)
     assert found is not None
     assert found.within_68 == pytest.approx(within, abs=0.03)
-    assert found.ratio == pytest.approx(error / 0.01, rel=0.03)
 
 
 def test_joints_without_a_deviation_do_not_count():
     told = {(stamp, 7): {0: 0.01, 1: np.nan} for stamp in range(10)}
     found = coverage_of(matches(0.01, 20), told, MODEL)
     assert found is not None
-    assert found.joints == 10
     assert coverage_of(matches(0.01, 20), {}, MODEL) is None
 
 

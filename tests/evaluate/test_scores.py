@@ -11,6 +11,7 @@ from stick_figures import MODEL, POSE, START, at, person, seen
 
 from hiros_mcap.body.angles import flexions
 from hiros_mcap.evaluate import PCK_MM, Truth, evaluate
+from hiros_mcap.evaluate.mot import ALPHAS
 from hiros_mcap.evaluate.scores import pck_curves
 from hiros_mcap.skeletons import Frame, SkeletonModel
 
@@ -349,15 +350,15 @@ def test_jitter_does_not_count_across_a_pause():
 
 
 def test_similarity_falls_to_zero_at_the_matching_distance():
-    """Half a metre off: half similar at 1 m, three quarters at 2 m."""
+    """Half a metre off: half similar at 1 m, three quarters at 2 m. HOTA counts this."""
     away = [f.replace(markers=f.markers + np.eye(19)[0] * 0.5) for f in still()]
     for distance, similarity in ((1.0, 0.5), (2.0, 0.75)):
         tracking = evaluate(away, Truth.of(still()), MODEL, distance).tracking
-        assert tracking.motp == pytest.approx(similarity)
+        assert tracking.hota == pytest.approx((similarity + 1e-9 >= ALPHAS).mean())
 
 
 def test_a_joint_at_the_threshold_is_within_it():
-    curve = pck_curves(np.full((1, 8), 50.0), MODEL)["all"]
+    curve = pck_curves(np.full((1, 8), 50.0), MODEL, np.zeros(8))["all"]
     assert (curve[PCK_MM.index(45)], curve[PCK_MM.index(50)]) == (0, 1)
 
 
