@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import glob
 import os
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
@@ -45,6 +44,7 @@ from hiros_mcap.io.marker_uncertainty import (
     deviations_of,
     read_uncertainty,
 )
+from hiros_mcap.outside import parse
 from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.running.recording import Recording
 from hiros_mcap.skeletons import Frame, SkeletonModel
@@ -399,9 +399,5 @@ def settings_of(
             fault = f"its system {name} is not installed here; install it, or name a --system"
             raise LogError(fault, path=reader.path)
         text = (reader.attachment(CONFIG_ATTACHMENT) or b"").decode(errors="replace")
-        try:
-            table = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            fault = f"has no TOML in {CONFIG_ATTACHMENT}: {error}"
-            raise LogError(fault, path=reader.path) from None
+        table = parse(text, "TOML", f"{reader.path}: {CONFIG_ATTACHMENT}")
         return load_config(system=name, named={str(reader.path): table}), ProcessOptions(name)
