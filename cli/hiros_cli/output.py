@@ -38,9 +38,9 @@ def warn(text: str) -> None:
 SCHEMA_VERSIONS: Mapping[str, int] = {
     "process": 1,
     "info": 1,
-    "eval": 1,
-    "eval.self": 3,
-    "compare": 2,
+    "eval": 2,
+    "eval.self": 4,
+    "compare": 3,
     "check": 1,
     "recover": 2,
     "calibrate.people": 1,
