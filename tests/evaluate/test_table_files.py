@@ -1,4 +1,4 @@
-"""``--table``: the tables of eval, compare and plan as CSV."""
+"""``--table``: the tables of eval and compare as CSV."""
 
 from __future__ import annotations
 
@@ -59,11 +59,9 @@ def test_sheets_of_several_logs_are_one_csv_table(tmp_path):
     ]  # fmt: skip
 
 
-def test_another_suffix_is_refused_before_anything_is_run(tmp_path, capsys):
+def test_another_suffix_is_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"x.txt: a table ends in .csv"):
         write_table(tmp_path / "x.txt", SHEETS)
-    assert run(["plan", "--room", "6x5", "--table", "x.xls"]) == 2
-    assert capsys.readouterr().err.endswith("x.xls: a table ends in .csv\n")
 
 
 def test_a_table_of_hiros_is_replaced_and_another_file_is_not(tmp_path, walking):
@@ -103,14 +101,3 @@ def test_eval_and_compare_write_what_json_has(tmp_path, walking, capsys):
         column = row["Difference from the first 95 % low (mm)"]
         low = (outcome["difference"] or {}).get("low")
         assert (float(column) if column else None) == (low and pytest.approx(low, rel=1e-5))
-
-
-@pytest.mark.usefixtures("coarse_plans")
-def test_plan_writes_its_rigs(tmp_path, capsys):
-    target = tmp_path / "x.csv"
-    assert run(["plan", "--room", "4x4", "--cameras", "1", "--json", "--table", str(target)]) == 0
-    expected = json.loads(capsys.readouterr().out)["expected"]
-    rows = dicts(target)
-    assert [row["Cameras"] for row in rows] == ["all cameras", "without camera_0", "with one more"]
-    assert float(rows[0]["Error (mm)"]) == pytest.approx(expected["error_mm"], rel=1e-3)
-    assert float(rows[0]["1 camera (%)"]) == pytest.approx(100 * expected["one"], rel=1e-3)
