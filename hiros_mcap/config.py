@@ -28,7 +28,6 @@ from hiros_mcap._version import __version__
 from hiros_mcap.body.units import AXES, METRES, by_camera
 from hiros_mcap.defaults import DEFAULT_SYSTEM, NO_PRESET, takes_presets
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io.remote import is_remote
 from hiros_mcap.outside import parse, read_toml
 from hiros_mcap.params import Params, Seconds, advanced, explain, fixed, is_advanced, is_fixed
 from hiros_mcap.stages.detections.detection_params import PlausibleParams, SidesParams
@@ -280,9 +279,9 @@ def load_config(
 def settings_beside(log: str | os.PathLike[str]) -> Path | None:
     """Return the file hiros.toml of a log: in its folder, or else in the nearest one above.
 
-    None if there is none; a pipe, a server and an address of a store have none.
+    None if there is none; a pipe, a server and a graph have none.
     """
-    if str(log) == "-" or is_remote(str(log)):
+    if str(log) == "-" or "://" in str(log):
         return None
     files = (folder / SETTINGS for folder in Path(log).absolute().parents)
     return next((file for file in files if file.is_file()), None)

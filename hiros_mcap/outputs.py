@@ -18,15 +18,13 @@ from hiros_mcap.errors import LogError
 
 Kind = Literal[
     "log", "HTML page", "Rerun recording", "JUnit report", "Markdown summary", "limb table",
-    "camera file", "PNG picture", "export", "rosbag2 folder", "rosbag2 metadata", "table of logs",
-    "table of scores",
+    "camera file", "PNG picture", "export", "table of logs", "table of scores",
 ]  # fmt: skip
 
 HTML_MARK = '<meta name="generator" content="hiros">'
 JUNIT_MARK = "<!-- hiros check -->"
 MARKDOWN_MARK = "### hiros check: "
 TABLE_MARK = "log,verdict,"
-BAG_MARK = "# hiros rosbag2 metadata\n"
 LIMBS_MARK = "# hiros limb lengths\n"
 CAMERAS_MARK = "# hiros cameras\n"
 
@@ -67,7 +65,9 @@ def check_outputs(
     given = [Path(path) for path in inputs if path is not None]
     read = [file for path in given for file in (path.iterdir() if path.is_dir() else [path])]
     taken: list[Path] = []
-    for path, kind in _single_files(outputs, force=force, remedy=remedy):
+    for path, kind in outputs:
+        if path is None:
+            continue
         _check_place(path)
         if any(_same(path, other) for other in read):
             raise LogError("is an input; choose another output", path=path)
@@ -76,40 +76,6 @@ def check_outputs(
         if not (force or _may_replace(path, kind)):
             raise LogError(f"{_reason(kind)}; {remedy} overwrites it", path=path)
         taken.append(path)
-
-
-def target_kind(target: str | os.PathLike[str]) -> Kind:
-    """Return what a target asks for: a folder if it is one, or ends in a slash."""
-    text = os.fspath(target)
-    is_folder = text.endswith(("/", os.sep)) or Path(target).is_dir()
-    return "rosbag2 folder" if is_folder else "log"
-
-
-def bag_files(folder: Path) -> tuple[Path, Path]:
-    """Return the files of a rosbag2 folder: the recording and its metadata."""
-    return folder / f"{folder.resolve().name}_0.mcap", folder / "metadata.yaml"
-
-
-def _single_files(
-    outputs: Iterable[tuple[Path | None, Kind]], *, force: bool, remedy: str
-) -> Iterator[tuple[Path, Kind]]:
-    """Yield what is asked for, and instead of a rosbag2 folder that exists its two files.
-
-    Raises LogError if such a folder holds anything else.
-    """
-    for path, kind in outputs:
-        if path is None:
-            continue
-        if kind != "rosbag2 folder" or not path.exists():
-            yield path, kind
-            continue
-        if not path.is_dir():
-            raise LogError("is a file, not a folder for a ROS 2 bag", path=path)
-        recording, metadata = bag_files(path)
-        if not force and set(path.iterdir()) - {recording, metadata}:
-            raise LogError(f"holds other files; choose a new folder, or use {remedy}", path=path)
-        yield recording, "log"
-        yield metadata, "rosbag2 metadata"
 
 
 def _reason(kind: Kind) -> str:
@@ -168,8 +134,6 @@ _IS_OURS: Mapping[Kind, Callable[[bytes], bool]] = {
     "limb table": lambda head: head.startswith(LIMBS_MARK.encode()),
     "camera file": lambda head: head.startswith(CAMERAS_MARK.encode()),
     "PNG picture": lambda head: head.startswith(b"\x89PNG") and b"tEXtSoftware\0hiros" in head,
-    "rosbag2 folder": lambda head: False,
-    "rosbag2 metadata": lambda head: head.startswith(BAG_MARK.encode()),
     "table of logs": lambda head: head.startswith(TABLE_MARK.encode()),
     "table of scores": lambda head: bool(_SCORES.match(head)),
     "export": lambda head: (

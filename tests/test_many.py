@@ -95,7 +95,7 @@ def test_a_folder_with_nothing_but_one_file_is_that_log(tmp_path):
 
 
 def test_one_file_a_missing_file_and_a_pipe_are_not_many(tmp_path):
-    assert not any(are_many([name]) for name in ("-", str(tmp_path / "x.mcap"), "s3://b/d/"))
+    assert not any(are_many([name]) for name in ("-", str(tmp_path / "x.mcap")))
     (tmp_path / "logs").mkdir()
     (tmp_path / "logs/y.mcap").touch()
     pattern = str(tmp_path / "logs/*.mcap")
@@ -331,6 +331,17 @@ def test_ctrl_c_leaves_no_part_of_a_result(recordings, tmp_path):
         os.killpg(hiros.pid, signal.SIGINT)
     assert hiros.returncode == 128 + signal.SIGINT
     assert not list(out.glob(".*"))
+
+
+@pytest.mark.parametrize(
+    "arguments", [["s3://lab/walk.mcap"], ["walk.mcap", "a.mcap", "-o", "https://lab.org/out/"]]
+)
+def test_an_address_is_refused(arguments, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run(["process", *arguments]) == 2
+    assert "://" in (said := capsys.readouterr().err)
+    assert "is an address; hiros reads and writes files of this machine" in said
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_is_for_one_log_is_refused(walking, tmp_path, capsys):

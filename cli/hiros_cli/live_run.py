@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 from hiros_cli.output import printable, warn
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.outputs import target_kind
 from hiros_mcap.progress import bar
 
 if TYPE_CHECKING:
@@ -84,11 +83,6 @@ def check_live(logs: Sequence[str], outputs: Sequence[str], *, follow: bool) -> 
         raise ConfigError(
             "-o -: the standard output is a terminal; pipe it into a program, or name a file"
         )
-    for output in outputs:
-        if is_file(output) and target_kind(output) != "log":
-            raise ConfigError(
-                f"{output}: live input gives an MCAP file or a pipe, not a bag's folder"
-            )
 
 
 def run_live(

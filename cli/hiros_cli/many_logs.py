@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from typer import Context, Exit
+from typer import Exit
 
 from hiros_cli.exit_codes import BAD_INPUT, BUG, LOSSES
 from hiros_cli.options import FORCE, JSON, MANY, QUIET, option
@@ -46,13 +46,18 @@ class ManyLogs:
     def wanted(self, logs: Sequence[str], folder: str = "", **for_one: object) -> bool:
         """Whether there is more than one log, or one is to be treated so.
 
-        Raises ConfigError for an option of ``for_one`` log if there are many, and the reverse.
+        Raises ConfigError for an option of ``for_one`` log if there are many, and the reverse; and
+        for an address.
         """
-        from hiros_mcap.io.remote import is_remote
         from hiros_mcap.many.find import are_many
 
-        asked = self.jobs is not None or is_remote(folder)
-        if not (asked or are_many(logs)):
+        for name in (*logs, folder):
+            if "://" in name:
+                raise ConfigError(
+                    f"{name}: is an address; hiros reads and writes files of this machine, so copy "
+                    "them with the store's own tools, such as `aws s3 sync`"
+                )
+        if self.jobs is None and not are_many(logs):
             self.refuse_alone()
             return False
         for name, value in for_one.items():
@@ -67,14 +72,9 @@ class ManyLogs:
             raise ConfigError("--csv is for many logs; for one, use --json")
 
 
-def one_log(context: Context, named: str) -> Path:
-    """Return the path of the only log of a command; a copy of a remote one lives as long as that.
-
-    Raises OSError or LogError if it does not exist.
-    """
-    from hiros_mcap.io.remote import local_copy
-
-    path: Path = context.with_resource(local_copy(named))
+def one_log(named: str) -> Path:
+    """Return the path of the only log of a command; raises OSError if it does not exist."""
+    path = Path(named)
     path.stat()  # reports a missing file before anything slow happens
     return path
 
@@ -84,14 +84,11 @@ def run(job: Job, named: Sequence[str], many: ManyLogs, folder: str = "") -> NoR
 
     Raises HirosError or OSError if the logs are not found, or the folder cannot be written.
     """
-    from hiros_mcap.io.remote import is_remote
     from hiros_mcap.many.find import find_logs
     from hiros_mcap.many.run_logs import as_csv, in_processes, run_logs, to_dict
     from hiros_mcap.outputs import write_text
 
     check_outputs((many.csv, "table of logs"), inputs=(), force=many.force)
-    if is_remote(folder):
-        raise ConfigError(f"{folder}: results go to a folder of this machine; name it with -o")
     logs = find_logs(named, folder)
     if folder.endswith((".mcap", ".json", ".csv")) and not Path(folder).is_dir():
         raise ConfigError(f"{folder}: with many logs, -o names a folder, not a file")
@@ -152,9 +149,9 @@ def short(log: str) -> str:
 
 
 def _without_common(logs: Sequence[str]) -> list[str]:
-    """Return paths and addresses without the folders that all of them begin with."""
+    """Return paths without the folders that all of them begin with."""
     folders = [f"{log.rpartition('/')[0]}/" for log in logs]
-    common = os.path.commonprefix(folders).rpartition("/")[0]  # noqa: RUF071 - also addresses
+    common = os.path.commonprefix(folders).rpartition("/")[0]  # noqa: RUF071
     return [log.removeprefix(f"{common}/") for log in logs]
 
 

@@ -83,7 +83,7 @@ class Consistency:
 class Channel:
     """The content of a channel of skeletons, in a log or after a run."""
 
-    path: Path | str  # the log; an address if it is remote
+    path: Path | str  # the log
     frames: Sequence[Frame]
     model: SkeletonModel
     skipped: Mapping[str, int] = field(default_factory=dict)

@@ -8,7 +8,7 @@ The recorder names the parts of ``lab`` ``lab_0.mcap``, ``lab_1.mcap``, since RO
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePath
 from typing import NamedTuple
 
@@ -41,8 +41,7 @@ class Files(NamedTuple):
     """The files of a recording."""
 
     parts: Sequence[Path]  # in their order
-    promised: Mapping[str, int] = {}
-    """Messages of each topic that metadata.yaml counts; of "", those of no topic that it names."""
+    promised: int = 0  # messages that metadata.yaml counts
     remarks: Sequence[str] = ()  # guesses about the files, for notes
     warnings: Sequence[str] = ()  # that metadata.yaml was not used
 
@@ -90,14 +89,9 @@ def _is_of_rosbag2(path: Path) -> bool:
     """Whether a file begins as a metadata.yaml of rosbag2."""
     try:
         with path.open(encoding="utf-8", errors="replace") as file:
-            return is_metadata(file.read(4096))
+            return _RECORDED in file.read(4096)
     except OSError:
         return False
-
-
-def is_metadata(text: str) -> bool:
-    """Whether a metadata.yaml is of rosbag2."""
-    return _RECORDED in text
 
 
 def are_splits(folder: str, names: Iterable[str]) -> bool:
@@ -121,15 +115,11 @@ def _part(folder: str, name: str) -> tuple[int, str, str] | None:
     return (int(match[1]), match[2], suffix) if match else None
 
 
-def other_parts(name: str, names: Iterable[str]) -> list[str]:
-    """Return which files of a folder may be parts of the same recording as one of them.
-
-    Their names differ in numbers only; the recorder writes the first part first.
-    """
-    like = re.sub(r"\d+", "#", unpacked_name(name))
-    same = (n for n in names if n != name and re.sub(r"\d+", "#", unpacked_name(n)) == like)
-    logs = (other for other in same if is_log_name(other, STORAGES))
-    return sorted(logs, key=lambda other: _numbered(Path(other)))
+def other_parts(path: Path) -> list[str]:
+    """Return the files beside one of which it may be a part: names that differ in numbers only."""
+    like = re.sub(r"\d+", "#", unpacked_name(path.name))
+    logs = [other.name for other in _inside(path.parent) if other.name != path.name]
+    return [name for name in logs if re.sub(r"\d+", "#", unpacked_name(name)) == like]
 
 
 def files_of(path: Path, *, recover: bool = False) -> Files:
@@ -146,14 +136,14 @@ def files_of(path: Path, *, recover: bool = False) -> Files:
     if not path.is_dir():
         about = _described(path.parent, is_named=False)
         is_whole = [*map(unpacked_name, about.names)] == [unpacked_name(path.name)]
-        return Files([path], about.counts if is_whole else {}, warnings=about.faults)
+        return Files([path], about.n_messages if is_whole else 0, warnings=about.faults)
     about = _described(path, is_named=True)
     inside = _inside(path)
     if about.names:
         listed = [_found(path / name) for name in about.names]
         if recover:
-            return Files(sorted({*inside, *listed}, key=_numbered), about.counts)
-        return Files(_complete(path, listed, inside), about.counts)
+            return Files(sorted({*inside, *listed}, key=_numbered), about.n_messages)
+        return Files(_complete(path, listed, inside), about.n_messages)
     if len(inside) == 1 or (recover and inside):
         return Files(inside, warnings=about.faults)
     if are_splits(path.name, [part.name for part in inside]):
@@ -204,15 +194,6 @@ def _numbered(path: Path) -> tuple[list[tuple[int, str]], str]:
     return [(int(p), "") if p.isdecimal() else (-1, p) for p in parts], path.name
 
 
-class _Name(BaseModel):
-    name: str
-
-
-class _Topic(BaseModel):
-    topic_metadata: _Name
-    message_count: int
-
-
 class _Recorded(BaseModel):
     """What hiros takes from metadata.yaml."""
 
@@ -220,14 +201,13 @@ class _Recorded(BaseModel):
     compression_format: str | None = None
     compression_mode: str | None = None
     message_count: int = 0
-    topics_with_message_count: list[_Topic] = []
 
 
 class _Description(NamedTuple):
     """The content of metadata.yaml."""
 
     names: Sequence[str] = ()  # of the files
-    counts: Mapping[str, int] = {}  # messages of each topic; of "", those of no topic
+    n_messages: int = 0
     faults: Sequence[str] = ()  # why it was not used, if it cannot be understood
 
 
@@ -255,10 +235,5 @@ def _described(folder: Path, *, is_named: bool) -> _Description:
             "convert`, or record with --compression-format zstd",
             path=folder,
         )
-    counts: dict[str, int] = {}
-    for topic in info.topics_with_message_count:
-        name = topic.topic_metadata.name
-        counts[name] = counts.get(name, 0) + topic.message_count
-    counts[""] = max(0, info.message_count - sum(counts.values()))
     names = [PurePath(name).name for name in info.relative_file_paths]
-    return _Description(names, {topic: n for topic, n in counts.items() if n > 0})
+    return _Description(names, info.message_count)

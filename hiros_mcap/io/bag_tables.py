@@ -10,13 +10,15 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Self
 
 from hiros_mcap.errors import LogError, naming
+from hiros_mcap.io.channels import ChannelInfo
 from hiros_mcap.io.container import McapWriter, Recovery
 from hiros_mcap.io.container.file import is_packed, unpack_message
 from hiros_mcap.io.container.losses import ChannelLoss, Damage, Lost, merged
@@ -26,59 +28,69 @@ from hiros_mcap.io.ros_cdr import definition, exact_types, types_of
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
-
-class BagTopic(NamedTuple):
-    """A topic of a bag."""
-
-    id: int
-    name: str
-    type: str  # ``pkg/msg/Type``
-    n_messages: int
-    profiles: str = ""  # quality of service, as YAML
+Row = tuple[ChannelInfo, int, bytes]
+"""A message: its topic, log time in ns, and bytes."""
 
 
-class Bag(Protocol):
-    """An open bag.
+class Bag(ABC):
+    """An open bag, a context manager.
 
     Attributes
     ----------
-    path : the file. encoding : of its messages, as an MCAP would call it.
-    remarks : what was done to messages that were read.
+    path : what errors call it. kind : as :func:`hiros_mcap.io.bag_files.kind_of` tells.
+    topics : of the bag; one with several publishers of ROS 1 comes several times. Types are
+        ``pkg/msg/Type``.
+    remarks : notes about the file.
     """
 
-    path: Path
-    encoding: str
-    remarks: Sequence[str]
+    topics: Sequence[ChannelInfo]
+    remarks: Sequence[str] = ()
 
-    @property
-    def topics(self) -> Sequence[BagTopic]:
-        """Topics of the bag; one with several publishers of ROS 1 comes several times."""
+    def __init__(self, kind: str, path: Path) -> None:
+        self.kind, self.path = kind, path
 
-    def messages(self, topics: Collection[BagTopic]) -> Iterator[tuple[BagTopic, int, bytes]]:
-        """Yield the messages of some topics with their log times, ns, which increase.
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the file."""
+
+    def messages(self, topics: Collection[ChannelInfo]) -> Iterator[Row]:
+        """Yield the messages of some topics in the order of their log times.
 
         Raises LogError if the bag is damaged.
         """
+        with _one_error(self.kind, self.path):
+            yield from self._messages({topic.id: topic for topic in topics})
 
-    def types(self, topics: Collection[BagTopic]) -> Mapping[str, Typestore]:
+    @abstractmethod
+    def _messages(self, topics: Mapping[int, ChannelInfo]) -> Iterator[Row]:
+        """Yield the messages of some topics; raises any error."""
+
+    def types(self, topics: Collection[ChannelInfo]) -> Mapping[str, Typestore]:
         """Return the types of some topics by their names, and what they contain.
 
         Raises LogError for a definition that is missing or cannot be parsed.
         """
+        with _one_error(self.kind, self.path):
+            return self._types({topic.schema: topic.id for topic in topics})
+
+    @abstractmethod
+    def _types(self, ids: Mapping[str, int]) -> Mapping[str, Typestore]:
+        """Return types, each of which the topic with an id has; raises any error."""
 
 
-@contextmanager
-def open_bag(path: Path, kind: str, name: Path) -> Iterator[Bag]:
+def open_bag(path: Path, kind: str, name: Path) -> Bag:
     """Open a bag of a kind that :func:`hiros_mcap.io.bag_files.kind_of` tells.
 
     ``name`` is what errors call it. Raises LogError.
     """
     with _one_error(kind, name):
-        bag = _SqliteBag(path, name) if "SQLite" in kind else _Ros1Bag(path, name)
-    try:
-        yield bag
-    finally:
-        bag.close()
+        return _SqliteBag(path, kind, name) if "SQLite" in kind else _Ros1Bag(path, kind, name)
 
 
 @contextmanager
@@ -93,32 +105,31 @@ def _one_error(kind: str, path: Path) -> Iterator[None]:
         raise LogError(f"is {kind} that cannot be read: {reason}", path=path) from None
 
 
-def append_bag(bag: Bag, topics: Sequence[BagTopic], writer: McapWriter) -> None:
+def append_bag(bag: Bag, topics: Sequence[ChannelInfo], writer: McapWriter) -> None:
     """Write the messages of some topics of a bag as those of ROS 2; raises LogError."""
     stores = bag.types(topics)
-    channels = {topic.id: _channel(topic, stores[topic.type], writer) for topic in topics}
+    channels = {topic.id: _channel(topic, stores[topic.schema], writer) for topic in topics}
     for topic, time, data in bag.messages(topics):
         cdr = data
-        if bag.encoding == "ros1":
-            with _one_error("a ROS 1 bag", bag.path):
-                cdr = bytes(stores[topic.type].ros1_to_cdr(data, topic.type))
+        if topic.encoding == "ros1":
+            with _one_error(bag.kind, bag.path):
+                cdr = bytes(stores[topic.schema].ros1_to_cdr(data, topic.schema))
         writer.write(channels[topic.id], time, cdr)
 
 
-def _channel(topic: BagTopic, store: Typestore, writer: McapWriter) -> int:
+def _channel(topic: ChannelInfo, store: Typestore, writer: McapWriter) -> int:
     """Return the channel of a topic and its type; it is added unless a former part has it."""
-    text = store.generate_msgdef(topic.type, ros_version=2)[0].encode()
+    text = store.generate_msgdef(topic.schema, ros_version=2)[0].encode()
     schemas = writer.schemas.values()
-    same = (s.id for s in schemas if s.name == topic.type and s.data == text)
-    schema = next(same, None) or writer.add_schema(topic.type, text)
+    same = (s.id for s in schemas if s.name == topic.schema and s.data == text)
+    schema = next(same, None) or writer.add_schema(topic.schema, text)
     for ident, channel in writer.channels.items():
-        if channel.topic == topic.name and channel.schema_id == schema:
+        if channel.topic == topic.topic and channel.schema_id == schema:
             return ident
-    metadata = {"offered_qos_profiles": _profiles(topic)}
-    return writer.add_channel(topic.name, schema, metadata=metadata)
+    return writer.add_channel(topic.topic, schema, metadata=topic.metadata)
 
 
-def recover_bag(bag: Bag, topics: Sequence[BagTopic], writer: McapWriter) -> Recovery:
+def recover_bag(bag: Bag, topics: Sequence[ChannelInfo], writer: McapWriter) -> Recovery:
     """Write what can be read of a bag; return what is lost."""
     known, damages = [], []
     for topic in topics:
@@ -137,35 +148,20 @@ def recover_bag(bag: Bag, topics: Sequence[BagTopic], writer: McapWriter) -> Rec
         kept[writer.channels[ident].topic] += n
     counts: Counter[str] = Counter()
     for topic in topics:
-        counts[topic.name] += topic.n_messages
+        counts[topic.topic] += topic.count
     losses = (ChannelLoss(topic, kept[topic], n - kept[topic]) for topic, n in counts.items())
     return Recovery(tuple(damages), merged(losses))
-
-
-def _profiles(topic: BagTopic) -> str:
-    """Quality of service as releases from Humble on read it, "" where the bag says nothing."""
-    from rosbags.rosbag2.errors import ReaderError
-    from rosbags.rosbag2.metadata import dump_qos_v8, parse_qos
-
-    try:
-        return dump_qos_v8(parse_qos(topic.profiles))
-    except (ReaderError, KeyError, TypeError, ValueError, AttributeError):
-        return ""
 
 
 _NO_LOCKS = "win32-none" if os.name == "nt" else "unix-none"
 """SQLite's access to files without locks (sqlite.org/vfs.html)."""
 
 
-class _SqliteBag:
+class _SqliteBag(Bag):
     """The tables of rosbag2_storage_sqlite3, versions 1 to 4."""
 
-    encoding = "cdr"
-    remarks: Sequence[str] = ()
-    _KIND = "a SQLite bag"
-
-    def __init__(self, path: Path, name: Path) -> None:
-        self.path = name
+    def __init__(self, path: Path, kind: str, name: Path) -> None:
+        super().__init__(kind, name)
         wal = path.with_name(f"{path.name}-wal")
         waits = wal.is_file() and wal.stat().st_size > 0
         # Nothing beside the bag is written: SQLite makes no lock, and no index of what waits.
@@ -183,14 +179,13 @@ class _SqliteBag:
             raise
 
     def close(self) -> None:
-        """Close the file."""
         self._tables.close()
 
     def _columns(self, table: str) -> set[str]:
         rows = self._tables.execute("SELECT name FROM pragma_table_info(?)", [table])
         return {str(name) for (name,) in rows}
 
-    def _topics(self) -> Sequence[BagTopic]:
+    def _topics(self) -> Sequence[ChannelInfo]:
         if not self._columns("topics") or not self._columns("messages"):
             raise LogError("is a SQLite database without the tables of a bag", path=self.path)
         query = "SELECT topic_id, count(*) FROM messages GROUP BY topic_id"
@@ -198,44 +193,37 @@ class _SqliteBag:
         rows = self._tables.execute("SELECT * FROM topics ORDER BY id")
         named = [dict(zip((d[0] for d in rows.description), row, strict=True)) for row in rows]
         return [
-            BagTopic(
+            ChannelInfo(
                 int(row["id"]),
                 str(row["name"]),
                 str(row["type"]),
+                "cdr",
                 counts.get(row["id"], 0),
-                str(row.get("offered_qos_profiles", "")),
+                {"offered_qos_profiles": str(row.get("offered_qos_profiles", ""))},
             )
             for row in named
         ]
 
-    def messages(self, topics: Collection[BagTopic]) -> Iterator[tuple[BagTopic, int, bytes]]:
-        """Yield the messages of some topics, see :class:`Bag`."""
-        wanted = {topic.id: topic for topic in topics}
+    def _messages(self, topics: Mapping[int, ChannelInfo]) -> Iterator[Row]:
         query = (
             "SELECT topic_id, timestamp, data FROM messages "
             "WHERE topic_id IN (SELECT value FROM json_each(?)) ORDER BY timestamp, id"
         )
-        with _one_error(self._KIND, self.path):
-            for ident, time, data in self._tables.execute(query, [json.dumps([*wanted])]):
-                if not 0 <= time < 1 << 63:
-                    raise ValueError(f"a message has no such time: {time}")
-                plain = memoryview(data).tobytes()
-                if is_packed(plain):
-                    self.remarks = [*dict.fromkeys([*self.remarks, PACKED_MESSAGES])]
-                    plain = unpack_message(plain)
-                yield wanted[ident], time, plain
+        for ident, time, data in self._tables.execute(query, [json.dumps([*topics])]):
+            if not 0 <= time < 1 << 63:
+                raise ValueError(f"a message has no such time: {time}")
+            plain = memoryview(data).tobytes()
+            if is_packed(plain):
+                self.remarks = [*dict.fromkeys([*self.remarks, PACKED_MESSAGES])]
+                plain = unpack_message(plain)
+            yield topics[ident], time, plain
 
-    def types(self, topics: Collection[BagTopic]) -> Mapping[str, Typestore]:
-        """Return the types of some topics, see :class:`Bag`.
-
-        Bags of before 2023 have no definitions, and a recorder may not have found one.
-        """
-        with _one_error(self._KIND, self.path):
-            return {name: self._store(name) for name in {topic.type for topic in topics}}
-
-    def _store(self, name: str) -> Typestore:
+    def _types(self, ids: Mapping[str, int]) -> Mapping[str, Typestore]:
+        """Return types; bags of before 2023 have no definitions, others may lack one."""
         with naming(self.path):
-            return exact_types({name: definition(name, *self._definition(name))})
+            return {
+                name: exact_types({name: definition(name, *self._definition(name))}) for name in ids
+            }
 
     def _definition(self, name: str) -> tuple[str, str]:
         """Return how the definition of a type is written, and its text; "" if there is none."""
@@ -249,41 +237,32 @@ class _SqliteBag:
         return str(encoding), str(text)
 
 
-class _Ros1Bag:
+class _Ros1Bag(Bag):
     """A bag of ROS 1, read by the rosbags library."""
 
-    encoding = "ros1"
-    remarks: Sequence[str] = ()
-    _KIND = "a ROS 1 bag"
-
-    def __init__(self, path: Path, name: Path) -> None:
+    def __init__(self, path: Path, kind: str, name: Path) -> None:
         from rosbags.rosbag1 import Reader
 
-        self.path = name
+        super().__init__(kind, name)
         self._reader = Reader(path)
         self._reader.open()
         self._connections: dict[int, Any] = dict(enumerate(self._reader.connections))
-        self.topics: Sequence[BagTopic] = [
-            BagTopic(i, c.topic, c.msgtype, c.msgcount) for i, c in self._connections.items()
+        self.topics = [
+            ChannelInfo(i, c.topic, c.msgtype, "ros1", c.msgcount, {})
+            for i, c in self._connections.items()
         ]
 
     def close(self) -> None:
-        """Close the file."""
         self._reader.close()
 
-    def messages(self, topics: Collection[BagTopic]) -> Iterator[tuple[BagTopic, int, bytes]]:
-        """Yield the messages of some topics, see :class:`Bag`."""
-        wanted = {self._connections[topic.id].id: topic for topic in topics}
-        connections = [self._connections[topic.id] for topic in topics]
-        if not connections:  # rosbags takes none for all
-            return
-        with _one_error(self._KIND, self.path):
-            for connection, time, data in self._reader.messages(connections):
-                yield wanted[connection.id], time, data
+    def _messages(self, topics: Mapping[int, ChannelInfo]) -> Iterator[Row]:
+        connections = [self._connections[ident] for ident in topics]
+        wanted = {self._connections[ident].id: topic for ident, topic in topics.items()}
+        # rosbags takes none for all.
+        for connection, time, data in self._reader.messages(connections) if connections else ():
+            yield wanted[connection.id], time, data
 
-    def types(self, topics: Collection[BagTopic]) -> Mapping[str, Typestore]:
-        """Return the types of some topics, see :class:`Bag`; their Header is that of ROS 2."""
-        texts = {t.type: self._connections[t.id].msgdef.data for t in topics}
-        with _one_error(self._KIND, self.path):
-            store = types_of(texts)
-        return dict.fromkeys(texts, store)
+    def _types(self, ids: Mapping[str, int]) -> Mapping[str, Typestore]:
+        """Return types, whose Header is that of ROS 2."""
+        texts = {name: self._connections[ident].msgdef.data for name, ident in ids.items()}
+        return dict.fromkeys(texts, types_of(texts))

@@ -7,19 +7,14 @@ library. Its chunks are compressed, so that it takes as much memory as the file.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import hiros_schemas
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.bag_files import (
     METADATA,
-    STORAGES,
     files_of,
-    is_log_name,
-    is_recording,
     kind_of,
     other_parts,
 )
@@ -35,11 +30,9 @@ from hiros_mcap.io.container.reader import MEMORY
 from hiros_mcap.io.detectors import detector_readers
 from hiros_mcap.io.detectors.keypoint_messages import KEYPOINT_TYPES
 from hiros_mcap.io.detectors.rgb_keypoints import RgbRig
-from hiros_mcap.io.joining import Everything, Part, join, open_part, topics_of
+from hiros_mcap.io.joining import Everything, Part, channels_in, join
 from hiros_mcap.wording import quantity
 
-_LISTED = 6
-_LOOKED_INTO = 20
 PACKED_FILES = (
     "its files are compressed with zstd (ros2 bag record --compression-mode file); hiros reads "
     "temporary copies"
@@ -101,13 +94,13 @@ class _People(Everything):
     ----------
     left_out : type and number of messages of the other topics, see :class:`McapReader`.
     checked : whether checksums cover every message. remarks : of the files.
-    counts : messages of each topic. shows_people : whether any may.
+    count : messages of all topics. shows_people : whether any may.
     recovery : what is lost of the files.
     """
 
     def __init__(self) -> None:
         self.left_out: dict[str, tuple[str, int]] = {}
-        self.counts: Counter[str] = Counter()
+        self.count = 0
         self.remarks: dict[str, None] = {}
         self.checked, self.shows_people = True, False
         self.recovery = Recovery()
@@ -117,19 +110,19 @@ class _People(Everything):
         """Return the ids of a file's channels, or topics, that are taken over."""
         taken = []
         self.checked &= isinstance(part, McapReader) and part.has_checksums
-        topics = list(topics_of(part))
-        wanted = _wanted()
-        if any(name and _short(name) in KEYPOINT_TYPES for _, _, name, _ in topics):
+        channels, wanted = channels_in(part), _wanted()
+        if any(info.schema and _short(info.schema) in KEYPOINT_TYPES for info in channels):
             wanted |= {hiros_schemas.short_name(hiros_schemas.CAMERA_INFO)}
-        for ident, topic, name, n in topics:
-            self.counts[topic] += n
-            self.shows_people |= isinstance(part, McapReader) or _shows_people(name)
-            self._listed[f"{topic} ({name or 'no type'})"] = None
-            if name and _short(name) in wanted:
-                taken.append(ident)
+        for info in channels:
+            name = info.schema or "no type"
+            self.count += info.count
+            self.shows_people |= isinstance(part, McapReader) or _shows_people(info.schema)
+            self._listed[f"{info.topic} ({name})"] = None
+            if info.schema and _short(info.schema) in wanted:
+                taken.append(info.id)
             else:
-                _, before = self.left_out.get(topic, ("", 0))
-                self.left_out[topic] = name or "no type", before + n
+                _, before = self.left_out.get(info.topic, ("", 0))
+                self.left_out[info.topic] = name, before + info.count
         return taken
 
     def finish(self, part: Part, path: Path, writer: McapWriter) -> None:
@@ -162,21 +155,24 @@ def open_recording(path: Path, *, recover: bool = False, memory: int = MEMORY) -
     files = files_of(path, recover=recover)
     if len(files.parts) == 1 and not kind_of(files.parts[0]):
         reader = (RecoveringReader if recover else McapReader)(files.parts[0], memory=memory)
-        topics = {i: channel.topic for i, channel in reader.channels.items()}
-        counts: Counter[str] = Counter()
-        for ident, n in reader.counts.items():
-            counts[topics[ident]] += n
+        found = sum(reader.counts.values())
     else:
-        reader, counts = _read_parts(path, files.parts, recover, memory)
+        reader, found = _read_parts(path, files.parts, recover, memory)
     reader.remarks = (*reader.remarks, *files.remarks, *without_definition(reader, _wanted()))
-    reader.warnings = (*files.warnings, *_missing(files.promised, counts))
+    reader.warnings = files.warnings
+    if found < files.promised:
+        lost = (
+            f"{METADATA} counts {quantity(files.promised, 'message')}, and the recording holds "
+            f"{found}; copy the recording again if it is not complete"
+        )
+        reader.warnings = (*files.warnings, lost)
     return reader
 
 
 def _read_parts(
     path: Path, parts: Sequence[Path], recover: bool, memory: int
-) -> tuple[McapReader, Counter[str]]:
-    """Read a recording into memory; return also how many messages its topics have."""
+) -> tuple[McapReader, int]:
+    """Read a recording into memory; return also how many messages it has."""
     choice = _People()
 
     def write(writer: McapWriter) -> None:
@@ -187,40 +183,18 @@ def _read_parts(
     reader.checked, reader.left_out = choice.checked, choice.left_out
     reader.remarks = tuple(choice.remarks)
     reader.recovery = choice.recovery if recover else None
-    return reader, choice.counts
-
-
-def _missing(promised: Mapping[str, int], counts: Mapping[str, int]) -> Iterator[str]:
-    """Yield a warning if there are fewer messages than metadata.yaml counts."""
-    lost = {t: n - counts.get(t, 0) for t, n in promised.items() if t and n > counts.get(t, 0)}
-    total, found = sum(promised.values()), sum(counts.values())
-    if not lost and total <= found:
-        return
-    losses = [f"{promised[t] - n} of {promised[t]} of {t}" for t, n in sorted(lost.items())]
-    more = f" and {len(losses) - _LISTED} more topics" if len(losses) > _LISTED else ""
-    listing = f" ({', '.join(losses[:_LISTED])}{more})" if losses else ""
-    yield (
-        f"{METADATA} counts {quantity(total, 'message')}, and the recording holds {found}"
-        f"{listing}; copy the recording again if it is not complete"
-    )
+    return reader, choice.count
 
 
 def transforms_beside(path: Path) -> str:
-    """Return where a part of a recording that has no /tf_static finds it; "" if nowhere.
+    """Return where what may be a part of a recording finds /tf_static; "" if it has no others.
 
     Publishers send it once, so that the recorder writes it into one part only.
     """
-    if not path.is_file() or not is_log_name(path.name, STORAGES):
+    if not path.is_file() or not (others := other_parts(path)):
         return ""
-    names = [file.name for file in path.parent.iterdir()]
-    for name in other_parts(path.name, names)[:_LOOKED_INTO]:
-        with suppress(LogError), open_part(path.with_name(name)) as part:
-            if any(n and topic.endswith("/tf_static") for _, topic, _, n in topics_of(part)):
-                place = f"name the folder {path.parent} instead"
-                if not is_recording(path.parent):
-                    place = "join its parts in a folder by `hiros recover FOLDER -o OUT`"
-                return (
-                    f"{name} beside it has /tf_static, as one part of a split recording does: "
-                    f"{place}"
-                )
-    return ""
+    return (
+        f"{others[0]} beside it may be a part of the same recording, one part of which has "
+        f"/tf_static: name the folder {path.parent}, or join its parts by `hiros recover FOLDER "
+        "-o OUT`"
+    )

@@ -146,7 +146,6 @@ def as_transforms_say(cameras: Iterable[CameraChannel], tree: TransformTree) -> 
 
 
 def _as_transforms_say(camera: CameraChannel, tree: TransformTree) -> CameraChannel:
-    """Return a camera in the frame that the log's transforms have for it."""
     if camera.topic_frame in tree.children and len(camera.frames) < 2:
         return camera.in_frame(camera.topic_frame)
     if len(camera.frames) != 1 or camera.frames[0] in ("", *tree.frames):

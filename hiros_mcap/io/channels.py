@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -12,7 +13,6 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.container.records import Channel
-from hiros_mcap.io.layout import Layout
 from hiros_mcap.io.ros_cdr import CdrWriter
 from hiros_mcap.wording import quantity
 
@@ -84,7 +84,6 @@ class CameraChannel:
     """A skeleton channel that is read."""
 
     channel: ChannelInfo
-    layout: Layout
     sources: Mapping[str, str]
     """The name that each of its cameras goes by; usually there is one camera."""
     frames: tuple[str, ...]  # coordinate frames of its detections; none if nobody is on it
@@ -192,7 +191,7 @@ def select_skeletons(
                     listing=_listing(channels),
                 )
             raise LogError(f"no skeleton channel matches {glob!r}", listing=_listing(channels))
-        chosen = [i for i in detections if any(fnmatchcase(i.topic, glob) for glob in topics)]
+        chosen = [i for i in detections if is_selected(i.topic, topics, output_prefix)]
     chosen = readable(chosen)
     # Without any message, the room was empty.
     return tuple(info for info in chosen if info.count) or tuple(chosen)
@@ -234,6 +233,14 @@ def is_transform_topic(topic: str) -> bool:
 def is_static_topic(topic: str) -> bool:
     """Whether a topic is /tf_static, or that in a namespace."""
     return topic.rpartition("/")[2] == _TF_NAMES[0]
+
+
+def needs_latching(info: ChannelInfo) -> bool:
+    """Whether a channel is /tf_static and late subscribers would not get it."""
+    profiles = info.metadata.get("offered_qos_profiles", "")
+    durabilities = re.findall(r"^[- ]*durability: (\w+)", profiles, re.MULTILINE)
+    latched = bool(durabilities) and {*durabilities} <= {"1", "transient_local"}
+    return is_static_topic(info.topic) and info.encoding == "cdr" and not latched
 
 
 def namespace_of(topic: str) -> str:

@@ -3,7 +3,6 @@
 There is one decoder. It takes the messages of some chunks at once; a single message is a batch of
 one. What makes a message odd is handled on the way:
 
-- its schema is not the published one: it is translated first (see :mod:`hiros_mcap.io.layout`);
 - it cannot be decoded: its fault is kept, the others are not concerned;
 - it holds the skeletons of several cameras: it becomes one frame for each.
 """
@@ -23,7 +22,7 @@ from hiros_mcap.body.transforms import pose_arrays
 from hiros_mcap.errors import LogError
 from hiros_mcap.frames import Block
 from hiros_mcap.io.container import Batch, Keys, Records
-from hiros_mcap.io.layout import PUBLISHED, Bytes, Layout
+from hiros_mcap.io.container.records import Bytes
 from hiros_mcap.kernels import batch as batch_kernels
 from hiros_mcap.kernels import cdr, encode
 from hiros_mcap.kernels.record_index import CHANNEL, COLUMNS, LOG_TIME, START, STOP
@@ -45,16 +44,6 @@ _FAULTS = {
     cdr.STRING_END: "message has a string without its final NUL",
     cdr.NANOSEC: "message has a time of 1e9 or more nanoseconds",
     cdr.TOO_MANY: f"message has more than {cdr.MAX_PEOPLE} skeletons",
-}
-_ENCAPSULATIONS = {
-    0x0002: "PL_CDR_BE (parameter list)",
-    0x0003: "PL_CDR_LE (parameter list)",
-    0x0006: "CDR2_BE (XCDR2)",
-    0x0007: "CDR2_LE (XCDR2)",
-    0x0008: "D_CDR2_BE (XCDR2)",
-    0x0009: "D_CDR2_LE (XCDR2)",
-    0x000A: "PL_CDR2_BE (XCDR2)",
-    0x000B: "PL_CDR2_LE (XCDR2)",
 }
 _NOT_TEXT = "message has a string that is not UTF-8"
 Precision = Literal["micrometre", "full"]
@@ -90,13 +79,12 @@ class ModelBuilder:
         builder._max_markers, builder._max_links = model.max_markers, model.max_links
         return builder
 
-    def add(self, data: Bytes, topic: str, layout: Layout = PUBLISHED) -> bool:
+    def add(self, data: Bytes, topic: str) -> bool:
         """Take note of a message's markers and links; say whether it has any.
 
         Raises :class:`LogError` if the message is damaged, or gives an id another name or a link
         other ends than a former one did.
         """
-        data = layout(data, topic)
         rows = np.empty((len(data) // cdr.MIN_MARKER + 1, cdr.OUTLINE), np.int64)
         report = np.zeros(cdr.REPORT, np.int64)
         code = cdr.outline(_as_array(data), rows, report)
@@ -242,7 +230,6 @@ class Decoder:
     Parameters
     ----------
     model : of the frames.
-    layouts : of the messages, by channel; the published one if not given.
     poses : people whose message names one of these frames are moved to the fixed frame.
     exact : keep every bit. By default numbers that cannot be true are taken out
         (see :func:`hiros_mcap.kernels.batch.clean`), and so are markers at exactly 0 0 0, people
@@ -257,7 +244,6 @@ class Decoder:
         self,
         model: SkeletonModel,
         *,
-        layouts: Mapping[int, Layout] | None = None,
         poses: RestPoses | None = None,
         exact: bool = False,
         slim: bool = False,
@@ -265,7 +251,6 @@ class Decoder:
     ) -> None:
         self.model = model
         self._own_frames = {} if own_frames is None else own_frames
-        self._layouts = {i: how for i, how in (layouts or {}).items() if not how.is_published}
         self._poses = poses or RestPoses()
         self._exact = exact
         self._width = POSE if slim else STATE
@@ -273,7 +258,7 @@ class Decoder:
         self._slots = model.n_markers, model.n_links
         self._scratch = np.empty(sum(self._slots), np.int64)
 
-    def decode_message(self, data: Bytes, log_time: int = 0, *, channel: int = 0) -> list[Frame]:
+    def decode_message(self, data: Bytes, log_time: int = 0) -> list[Frame]:
         """Read one message: a frame for each camera that saw somebody, in order of appearance.
 
         Raises :class:`LogError` for damaged bytes, for an encapsulation other than plain CDR, and
@@ -281,7 +266,7 @@ class Decoder:
         come twice in one skeleton.
         """
         row = np.zeros((1, COLUMNS), np.uint64)
-        row[0, [CHANNEL, LOG_TIME, STOP]] = channel, log_time, len(data)
+        row[0, [LOG_TIME, STOP]] = log_time, len(data)
         (decoded,) = self.decode(Batch([Records(data, row, 0)], None))
         if decoded.faults:
             raise LogError(decoded.faults[0])
@@ -306,7 +291,7 @@ class Decoder:
         n = sum(len(records.messages) for records in batch.records)
         first, reports = np.zeros(n + 1, np.int64), np.zeros((n, cdr.REPORT), np.int64)
         faults: dict[int, str] = {}
-        sections = list(self._sections(batch.records, faults))
+        sections = list(_sections(batch.records))
         for section in sections:
             batch_kernels.read_headers(*section, first, reports)
         if n > 1 and first[-1] * 8 * (sum(self._slots) * (STATE + 1) + BOX) > self._MOST:
@@ -364,8 +349,7 @@ class Decoder:
         n = sum(len(records.messages) for records in batch.records)
         first, reports = np.zeros(n + 1, np.int64), np.zeros((n, cdr.REPORT), np.int64)
         rows = np.zeros((n, 4), np.int64)
-        sections = self._sections(batch.records, {})
-        for section, records in zip(sections, batch.records, strict=True):
+        for section, records in zip(_sections(batch.records), batch.records, strict=True):
             batch_kernels.read_headers(*section, first, reports)
             places = slice(section.message, section.message + len(records.messages))
             rows[places, :2] = records.messages[:, [CHANNEL, LOG_TIME]]
@@ -452,25 +436,6 @@ class Decoder:
                 for name, first_row, end_row in _by_source(sources, people, begin, end)
             ]
 
-    def _sections(self, chunks: Sequence[Records], faults: dict[int, str]) -> Iterator[_Section]:
-        """Yield the messages of each chunk in the published layout."""
-        message = 0
-        for data, table, _ in chunks:
-            places = table[:, [START, STOP]].astype(np.int64, order="C")
-            channels = table[:, CHANNEL].tolist() if self._layouts else ()
-            odd = [k for k, channel in enumerate(channels) if channel in self._layouts]
-            translated = bytearray(data if odd else b"")
-            for k in odd:
-                start, stop = places[k].tolist()
-                begin = len(translated)
-                try:
-                    translated += self._layouts[channels[k]](memoryview(data)[start:stop])
-                except LogError as error:
-                    faults[message + k] = error.fault
-                places[k] = begin, len(translated)
-            yield _Section(_as_array(bytes(translated) if odd else data), places, message)
-            message += len(table)
-
 
 class _Section(NamedTuple):
     """Messages in one array of bytes, as the kernels take them."""
@@ -478,6 +443,15 @@ class _Section(NamedTuple):
     data: npt.NDArray[np.uint8]
     places: cdr.Table  # (n, 2) first byte of each message, and the one after its last
     message: int  # number of the first message in the batch
+
+
+def _sections(chunks: Iterable[Records]) -> Iterator[_Section]:
+    """Yield the messages of each chunk."""
+    message = 0
+    for data, table, _ in chunks:
+        places = table[:, [START, STOP]].astype(np.int64, order="C")
+        yield _Section(_as_array(data), places, message)
+        message += len(table)
 
 
 def _source_times(section: _Section, reports: cdr.Table) -> cdr.Table:
@@ -633,9 +607,7 @@ def _fault(code: int, report: Sequence[int], data: Bytes) -> str:
     """Say what is wrong with a message and where."""
     at, person, key, start, end = report[: cdr.NAME_END + 1]
     if code == cdr.ENCAPSULATION:
-        number = int.from_bytes(data[:2], "big")
-        kind = _ENCAPSULATIONS.get(number, "unknown")
-        return f"message encapsulation 0x{number:04x} {kind} is not CDR"
+        return f"message encapsulation 0x{bytes(data[:2]).hex()} is not that of CDR (XCDR1)"
     if code in _FAULTS:
         where = f" (byte {at}, skeleton {person})" if person >= 0 else f" (byte {at})"
         return _FAULTS[code] + where

@@ -11,7 +11,7 @@ from pathlib import Path
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.bag_files import files_of, kind_of, unpacked_name
 from hiros_mcap.io.bag_tables import Bag, append_bag, open_bag, recover_bag
-from hiros_mcap.io.channels import type_name
+from hiros_mcap.io.channels import ChannelInfo, channels_of
 from hiros_mcap.io.container import McapReader, McapWriter, RecoveringReader, Recovery
 from hiros_mcap.io.container.file import MAX_WINDOW, LogFile
 from hiros_mcap.io.container.losses import RECOVERY_METADATA, Damage, Lost, joined
@@ -64,13 +64,21 @@ def _unzipped(path: Path, kind: str, *, recover: bool) -> Iterator[Path]:
         yield target
 
 
-def topics_of(part: Part) -> Iterator[tuple[int, str, str, int]]:
-    """Yield the id, topic, type and number of messages of each channel of a file."""
+def channels_in(part: Part) -> Sequence[ChannelInfo]:
+    """Return the channels, or topics, of a file."""
+    return channels_of(part) if isinstance(part, McapReader) else part.topics
+
+
+def messages_in(
+    part: Part, channels: Sequence[ChannelInfo]
+) -> Iterator[tuple[ChannelInfo, int, bytes]]:
+    """Yield the messages of some channels of a file, with their log times, ns; raises LogError."""
     if not isinstance(part, McapReader):
-        yield from ((topic.id, topic.name, topic.type, topic.n_messages) for topic in part.topics)
+        yield from part.messages(channels)
         return
-    for channel in part.channels.values():
-        yield channel.id, channel.topic, type_name(part, channel), part.counts[channel.id]
+    by_id = {info.id: info for info in channels}
+    for message in part.messages(by_id):
+        yield by_id[message.channel_id], message.log_time, message.data
 
 
 class Everything:
@@ -78,7 +86,7 @@ class Everything:
 
     def of(self, part: Part) -> list[int]:
         """Return the ids of a file's channels, or topics, that are taken over."""
-        return [ident for ident, *_ in topics_of(part)]
+        return [info.id for info in channels_in(part)]
 
     def finish(self, part: Part, path: Path, writer: McapWriter) -> None:
         """Take over what a file holds besides messages."""

@@ -13,8 +13,7 @@ from typing import Any
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.codec import Decoded, Decoder, ModelBuilder
 from hiros_mcap.io.container.reader import Batch
-from hiros_mcap.io.layout import PUBLISHED
-from hiros_mcap.kernels.record_index import CHANNEL, START, STOP
+from hiros_mcap.kernels.record_index import START, STOP
 from hiros_mcap.skeletons import SkeletonModel
 
 
@@ -48,11 +47,10 @@ class LiveDecoder(Decoder):
     def _grow(self, batch: Batch) -> bool:
         """Learn from messages; say whether they have something new. Damaged ones teach nothing."""
         for records in batch.records:
-            for row in records.messages[:, [CHANNEL, START, STOP]].tolist():
-                ident, start, stop = map(int, row)
+            for row in records.messages[:, [START, STOP]].tolist():
+                start, stop = map(int, row)
                 with suppress(LogError):
-                    data = bytes(records.data[start:stop])
-                    self._builder.add(data, "", self._layouts.get(ident, PUBLISHED))
+                    self._builder.add(bytes(records.data[start:stop]), "")
         before, model = self._whole.model, self._builder.build()
         if (model.marker_ids, model.link_ids) == (before.marker_ids, before.link_ids):
             return False

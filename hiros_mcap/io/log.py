@@ -16,7 +16,7 @@ import hashlib
 import math
 import os
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -62,7 +62,7 @@ from hiros_mcap.io.detectors.conversion import (
 )
 from hiros_mcap.io.detectors.keypoint_messages import is_keypoints
 from hiros_mcap.io.detectors.rgb_keypoints import RGB_TOPIC, RgbRig
-from hiros_mcap.io.layout import Layout, check_schema
+from hiros_mcap.io.layout import check_schema
 from hiros_mcap.io.log_accounts import DAMAGED, FAR_FUTURE, LATEST, STALE, Account
 from hiros_mcap.io.log_times import mend_log_times
 from hiros_mcap.io.opened_log import Log, Reading, span_of
@@ -72,7 +72,7 @@ from hiros_mcap.skeletons import Frame, SkeletonModel
 
 
 def learn_model(
-    reader: McapReader, layouts: Mapping[int, Layout]
+    reader: McapReader, channels: Collection[int]
 ) -> tuple[SkeletonModel, dict[int, Message]]:
     """Learn the skeleton model, and each channel's first message on the way.
 
@@ -82,8 +82,8 @@ def learn_model(
     will say so. Raises OtherSkeletonError if the first skeletons of a channel contradict another
     channel.
     """
-    learner = _Learner(layouts)
-    for records, rows in reader.runs(layouts.keys()):
+    learner = _Learner(set(channels))
+    for records, rows in reader.runs(channels):
         part = records._replace(messages=records.messages[rows])
         for message in part.at(learner.new_in(part)):
             learner.take(message, reader.channels[message.channel_id].topic)
@@ -98,20 +98,20 @@ def learn_model(
 
 
 class _Learner:
-    """Learns the skeleton model from messages of the channels with ``layouts``."""
+    """Learns the skeleton model from messages of some channels."""
 
-    def __init__(self, layouts: Mapping[int, Layout]) -> None:
+    def __init__(self, channels: set[int]) -> None:
         self.builder = ModelBuilder()
         self.first: dict[int, Message] = {}
         self.fault = ""  # why the first message that teaches nothing does so
-        self._layouts = layouts
+        self._channels = channels
         self._taught: set[int] = set()  # channels that have shown somebody
-        self._decoder = Decoder(self.builder.build(), layouts=layouts)
+        self._decoder = Decoder(self.builder.build())
 
     @property
     def done(self) -> bool:
         """Whether no further message teaches anything."""
-        return self.builder.complete and self._layouts.keys() == self._taught & self.first.keys()
+        return self.builder.complete and self._channels == self._taught & self.first.keys()
 
     def new_in(self, records: Records) -> list[int]:
         """Return which messages are the first of a channel, or do not fit the model so far."""
@@ -133,9 +133,9 @@ class _Learner:
         is_known = self.builder.complete and ident in self._taught
         if ident not in self.first or not (is_known or self._reads(message)):
             try:
-                if self.builder.add(message.data, topic, self._layouts[ident]):
+                if self.builder.add(message.data, topic):
                     self._taught.add(ident)
-                self._decoder = Decoder(self.builder.build(), layouts=self._layouts)
+                self._decoder = Decoder(self.builder.build())
             except LogError as error:
                 if isinstance(error, OtherSkeletonError) and ident not in self._taught:
                     raise OtherSkeletonError("the cameras have different skeletons") from None
@@ -145,7 +145,7 @@ class _Learner:
     def _reads(self, message: Message) -> bool:
         """Whether a message has nothing that the model lacks; faster than learning it."""
         try:
-            self._decoder.decode_message(message.data, channel=message.channel_id)
+            self._decoder.decode_message(message.data)
         except LogError:
             return False
         return True
@@ -367,15 +367,15 @@ def skeletons_of(
     """
     with naming(reader.path):
         chosen = select_skeletons(channels_of(reader), topics, output_prefix)
-        layouts = {info.id: _layout(reader, info) for info in chosen}
-        model, first = learn_model(reader, layouts)
-        decoder = Decoder(model, layouts=layouts)
+        for info in chosen:
+            check_schema(reader.schema(reader.channels[info.id]), info.topic)
+        model, first = learn_model(reader, {info.id for info in chosen})
+        decoder = Decoder(model)
         channels = [
-            _camera(reader, info, decoder, layouts[info.id], first[info.id])
+            _camera(reader, info, decoder, first[info.id])
             if info.count
-            else CameraChannel(info, layouts[info.id], {"": ""}, ())
-            for info in channels_of(reader)
-            if info.id in layouts
+            else CameraChannel(info, {"": ""}, ())
+            for info in chosen
         ]
         begin = min((message.log_time for message in first.values()), default=0)
         copies = copied_channels(reader, decoder, channels)
@@ -436,20 +436,8 @@ def open_groups(source: Source) -> Iterator[McapReader]:
                 groups.close()
 
 
-def _layout(reader: McapReader, info: ChannelInfo) -> Layout:
-    schema = reader.schema(reader.channels[info.id])
-    if schema is None:
-        raise LogError("has no message definition", topic=info.topic)
-    with naming(reader.path, info.topic):
-        return check_schema(schema.name, schema.encoding, schema.data)
-
-
 def _camera(
-    reader: McapReader,
-    info: ChannelInfo,
-    decoder: Decoder,
-    layout: Layout,
-    first: Message,
+    reader: McapReader, info: ChannelInfo, decoder: Decoder, first: Message
 ) -> CameraChannel:
     """Find out the names of a channel's cameras and frames from the first people on it.
 
@@ -460,7 +448,7 @@ def _camera(
     failed: LogError | None = None
     for message in _after(first, reader):
         try:
-            decoded = decoder.decode_message(message.data, message.log_time, channel=info.id)
+            decoded = decoder.decode_message(message.data, message.log_time)
         except LogError as error:
             failed = failed or error
             continue
@@ -477,7 +465,7 @@ def _camera(
     stamps = ((f.log_time, max(*f.stamps.tolist(), 0) or f.stamp) for f in named)
     lag = next((logged - stamp for logged, stamp in stamps if stamp > 0), 0)
     begin = named[0].log_time if named else 0
-    return CameraChannel(info, layout, sources, frames, size, lag=lag, begin=begin)
+    return CameraChannel(info, sources, frames, size, lag=lag, begin=begin)
 
 
 _NAMELESS = 100  # people without a coordinate frame, after whom a channel is taken to name none

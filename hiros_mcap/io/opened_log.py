@@ -38,7 +38,6 @@ from hiros_mcap.io.codec import Decoded, Decoder, RestPoses
 from hiros_mcap.io.container import LogOrder, McapReader, Recovery
 from hiros_mcap.io.container.losses import RECOVERY_METADATA
 from hiros_mcap.io.detectors.rgb_keypoints import RgbRig
-from hiros_mcap.io.layout import Layout
 from hiros_mcap.io.log_accounts import (
     DAMAGED,
     LATEST,
@@ -83,7 +82,6 @@ class Reading:
         self._fixed, self._spans, self._step, self._times = fixed, spans, step, times
         self._slim = slim
         self._inputs: dict[int, CameraInput] = {}
-        self._layouts: dict[int, Layout] = {}
         self._own_frames: dict[int, str] = {}
         self._names: dict[str, int] = {}
         """Of cameras and coordinate frames, to their numbers in blocks."""
@@ -126,11 +124,7 @@ class Reading:
         """Yield the messages, those of cameras at rest moved to ``poses``."""
         reader, times = self.log.reader, self._times
         decoder = self._decoder(
-            self.log.model,
-            layouts=self._layouts,
-            poses=poses,
-            slim=self._slim,
-            own_frames=self._own_frames,
+            self.log.model, poses=poses, slim=self._slim, own_frames=self._own_frames
         )
         batches = reader.batches(self._inputs, spans=self._spans if times is None else None)
         if self._step:
@@ -153,7 +147,6 @@ class Reading:
         topic = camera.channel.topic
         account = self.accounts.setdefault(topic, Account(topic))
         self._inputs[camera.channel.id] = CameraInput(camera, account)
-        self._layouts[camera.channel.id] = camera.layout
         if camera.own_frame:
             self._own_frames[camera.channel.id] = camera.own_frame
 
@@ -490,7 +483,7 @@ class Log:
     @property
     def has_plain_times(self) -> bool:
         """Whether the beginnings of the messages show the cameras and the times."""
-        return all(len(c.sources) == 1 and c.layout.is_published for c in self.cameras)
+        return all(len(camera.sources) == 1 for camera in self.cameras)
 
     def times(self, tables: Sequence[Stamps] = ()) -> dict[str, CameraTimes]:
         """Return when the messages of each camera were stamped and logged, in log order.

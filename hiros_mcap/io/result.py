@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from glob import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
@@ -353,33 +353,21 @@ def open_result(path: str | os.PathLike[str], channel: str = "") -> Result:
     return Result(Path(path), chosen, model, fixed, start, motions, events)
 
 
-def is_result(path: str | os.PathLike[str]) -> bool:
-    """Whether an MCAP file, or the folder of one, holds channels that hiros wrote.
+def content_of(path: str | os.PathLike[str]) -> Literal["result", "truth", ""]:
+    """Return "result" for a file with channels that hiros wrote, "truth" for one of truths alone.
 
-    False if it cannot be read, and for other bags, which would have to be converted first.
+    "" for any other, if it cannot be read, and for bags that would have to be converted first.
     """
     if kind_of(Path(path)) and len(list(Path(path).glob("*.mcap"))) != 1:
-        return False
-    try:
-        with open_reader(path) as reader:
-            return bool(_hiros_channels(reader)[0])
-    except LogError:
-        return False
-
-
-def is_truth(path: str | os.PathLike[str]) -> bool:
-    """Whether an MCAP file holds the skeletons of a truth and no others.
-
-    False if it cannot be read, and for bags.
-    """
-    if kind_of(Path(path)):
-        return False
+        return ""
     try:
         with open_reader(path) as reader:
             results, truths, detections = _hiros_channels(reader)
     except LogError:
-        return False
-    return bool(truths) and not results and not detections
+        return ""
+    if results:
+        return "result"
+    return "truth" if truths and not detections else ""
 
 
 def _hiros_channels(reader: McapReader) -> tuple[list[str], list[str], int]:

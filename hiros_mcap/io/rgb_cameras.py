@@ -33,7 +33,6 @@ from hiros_mcap.io.detectors.keypoint_messages import (
     lateness,
 )
 from hiros_mcap.io.detectors.rgb_keypoints import RgbRig, keypoints_of_guess
-from hiros_mcap.io.layout import PUBLISHED
 from hiros_mcap.io.log_accounts import LATEST
 from hiros_mcap.io.ros_messages import CAMERA_INFO, SeenLenses, open_messages
 from hiros_mcap.rays.intrinsics import Intrinsics
@@ -255,9 +254,7 @@ def placed_cameras(
 ) -> tuple[TransformTree, list[CameraChannel]]:
     """Return the transforms, and the cameras in the frames that these have for them."""
     infos = {info.topic: info for info in channels_of(reader)}
-    channels = [
-        CameraChannel(infos[c.topic], PUBLISHED, {c.name: c.name}, (c.name,)) for c in cameras
-    ]
+    channels = [CameraChannel(infos[c.topic], {c.name: c.name}, (c.name,)) for c in cameras]
     if tree is None:
         begin = min((f.log_time for c in cameras for f in c.frames[:1]), default=0)
         return transforms_of(reader, min(begin, LATEST), channels)

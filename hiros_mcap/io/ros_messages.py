@@ -17,10 +17,8 @@ import hiros_schemas
 from hiros_mcap.body.foreign_cameras import is_lens
 from hiros_mcap.errors import LogError, naming
 from hiros_mcap.io.bag_files import files_of
-from hiros_mcap.io.bag_tables import Bag
-from hiros_mcap.io.channels import channels_of
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.joining import open_part
+from hiros_mcap.io.joining import Part, channels_in, messages_in, open_part
 from hiros_mcap.io.ros_cdr import Bytes as Cdr
 from hiros_mcap.io.ros_cdr import RosMessage, decoder_of, ros2_types
 from hiros_mcap.rays.intrinsics import COUNTS, FISHEYE, PLUMB_BOB, Intrinsics, opencv
@@ -64,41 +62,22 @@ class RosMessages:
             return decoder_of(self._store, message.type)(message.data)
 
 
-def _of_files(parts: Sequence[McapReader | Bag], store: Any) -> RosMessages:
+def _of_files(parts: Sequence[Part], store: Any) -> RosMessages:
     """Return those of the files of a recording, in their order."""
     kinds = {name: kind for kind in KINDS for name in (kind, kind.replace("/msg/", "/"))}
-    types = {}
-    for part in parts:
-        for info in channels_of(part) if isinstance(part, McapReader) else ():
-            if info.encoding == "cdr" and info.schema in kinds:
-                types[info.topic] = kinds[info.schema]
-        for topic in () if isinstance(part, McapReader) else part.topics:
-            if topic.type in KINDS:
-                types[topic.name] = topic.type
+    chosen = [
+        [i for i in channels_in(part) if i.encoding in ("cdr", "ros1") and i.schema in kinds]
+        for part in parts
+    ]
 
     def read(topics: Collection[str]) -> Iterator[RosMessage]:
-        for part in parts:
-            rows = _in_file if isinstance(part, McapReader) else _in_bag
-            for topic, time, data in rows(part, topics, store):
-                yield RosMessage(topic, types[topic], time, data)
+        for part, infos in zip(parts, chosen, strict=True):
+            for info, time, data in messages_in(part, [i for i in infos if i.topic in topics]):
+                kind, is_old = kinds[info.schema], info.encoding == "ros1"
+                cdr = store.ros1_to_cdr(data, kind) if is_old else data
+                yield RosMessage(info.topic, kind, time, cdr)
 
-    return RosMessages(types, read, store)
-
-
-_Row = tuple[str, int, Cdr]  # topic, log time and CDR of a message
-
-
-def _in_file(part: Any, topics: Collection[str], _store: Any) -> Iterator[_Row]:
-    wanted = {c.id: c.topic for c in part.channels.values() if c.topic in topics}
-    for message in part.messages(wanted):
-        yield wanted[message.channel_id], message.log_time, message.data
-
-
-def _in_bag(part: Any, topics: Collection[str], store: Any) -> Iterator[_Row]:
-    taken = [topic for topic in part.topics if topic.name in topics]
-    for topic, time, data in part.messages(taken):
-        is_old = part.encoding == "ros1"
-        yield topic.name, time, store.ros1_to_cdr(data, topic.type) if is_old else data
+    return RosMessages({i.topic: kinds[i.schema] for infos in chosen for i in infos}, read, store)
 
 
 @contextmanager

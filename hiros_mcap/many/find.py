@@ -10,7 +10,6 @@ from itertools import islice
 from pathlib import Path, PurePosixPath
 
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io import remote
 from hiros_mcap.io.bag_files import (
     STORAGES,
     is_log_name,
@@ -30,8 +29,6 @@ def are_many(named: Sequence[str]) -> bool:
     if len(named) != 1:
         return True
     (text,) = named
-    if remote.is_remote(text):
-        return False
     path = Path(text)
     if path.is_dir():
         return not (is_recording(path) or _is_single(path))
@@ -56,16 +53,10 @@ def find_logs(named: Sequence[str], leave_out: str = "") -> list[str]:
     named : files, folders (searched with all folders below), globs.
     leave_out : folder of results, which may lie within the others.
 
-    Raises ConfigError if a folder or a glob has no logs, and for an address; OSError if a file
-    does not exist.
+    Raises ConfigError if a folder or a glob has no logs; OSError if a file does not exist.
     """
     distinct: dict[str, None] = {}
     for text in named:
-        if remote.is_remote(text):
-            raise ConfigError(
-                f"{text}: an address is for one log; copy several to this machine first, as by "
-                "`aws s3 sync`"
-            )
         logs = list(_local(text, leave_out))
         if not logs and glob.has_magic(text):
             raise _no_match(text)

@@ -33,7 +33,7 @@ from hiros_mcap.evaluate.remarks import warnings_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.log import open_reader
-from hiros_mcap.io.result import is_result, is_truth, open_result
+from hiros_mcap.io.result import content_of, open_result
 from hiros_mcap.many.find import base_name
 from hiros_mcap.many.manifest import Verdict
 from hiros_mcap.outputs import Kind
@@ -106,10 +106,9 @@ class ProcessJob(Job):
 
     def run(self, log: Path, target: Path) -> Finding:
         """Process a recording. A result of hiros and a truth are skipped."""
-        if is_result(log):
-            return Finding(verdict="skipped", error="is a result of hiros, not a recording")
-        if is_truth(log):
-            return Finding(verdict="skipped", error="is a truth, not a recording")
+        if content := content_of(log):
+            what = "result of hiros" if content == "result" else content
+            return Finding(verdict="skipped", error=f"is a {what}, not a recording")
         # Which files may be replaced was asked before the first log.
         summary = process(
             log, target, config=self.settings.load(), options=self.options, force=True

@@ -46,7 +46,7 @@ class Identity:
 class LogRecord:
     """Outcome of one log."""
 
-    log: str  # absolute path or address
+    log: str  # absolute path
     name: FileName  # by which its files in the output folder are called
     verdict: Verdict
     error: str = ""

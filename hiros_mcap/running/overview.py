@@ -33,7 +33,7 @@ from hiros_mcap.io.container.file import Table
 from hiros_mcap.io.container.records import Bytes
 from hiros_mcap.io.detectors.body_models import name_of
 from hiros_mcap.io.detectors.conversion import Selection
-from hiros_mcap.io.joining import open_part
+from hiros_mcap.io.joining import channels_in, messages_in, open_part
 from hiros_mcap.io.log import Log, Reading, open_log, open_reader
 from hiros_mcap.io.result import stored_parameters, stored_report, values_of
 from hiros_mcap.io.rgb_cameras import RgbCamera, read_rgb_cameras
@@ -275,23 +275,14 @@ def _notes(reading: Reading) -> Iterator[str]:
 
 def _of_bag(path: Path, parts: Iterable[Path], fault: str) -> Overview:
     """Report on a bag without skeletons to process; raises LogError if it cannot be read."""
-    stamps: dict[tuple[str, str], list[int]] = {}
-    encoding = "cdr"
+    stamps: dict[tuple[str, str, str], list[int]] = {}
     for name in parts:
         with open_part(name) as part:
-            if isinstance(part, McapReader):
-                topics = {info.id: (info.topic, info.schema) for info in channels_of(part)}
-                found = ((topics[m.channel_id], m.log_time) for m in part.messages())
-                known = [*topics.values()]
-            else:
-                encoding = part.encoding
-                known = [(topic.name, topic.type) for topic in part.topics]
-                rows = part.messages(part.topics)
-                found = (((topic.name, topic.type), time) for topic, time, _ in rows)
-            for topic in known:
-                stamps.setdefault(topic, [])
-            for topic, time in found:
-                stamps[topic].append(time)
+            infos = channels_in(part)
+            for info in infos:
+                stamps.setdefault((info.topic, info.schema, info.encoding), [])
+            for info, time, _ in messages_in(part, infos):
+                stamps[info.topic, info.schema, info.encoding].append(time)
     times = [time for times_of in stamps.values() for time in times_of]
     return Overview(
         path=str(path),
@@ -301,9 +292,12 @@ def _of_bag(path: Path, parts: Iterable[Path], fault: str) -> Overview:
         has_checksums=False,
         channels=tuple(
             _channel_row(
-                name, encoding, len(times_of), (min(times_of), max(times_of)) if times_of else None
+                (topic, kind),
+                encoding,
+                len(times_of),
+                (min(times_of), max(times_of)) if times_of else None,
             )
-            for name, times_of in sorted(stamps.items())
+            for (topic, kind, encoding), times_of in sorted(stamps.items())
         ),
         fault=fault,
     )

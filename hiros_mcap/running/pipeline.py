@@ -26,11 +26,10 @@ from typing import Any, Unpack
 from hiros_mcap.config import Config, load_config, settings_beside
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.frames import Block
-from hiros_mcap.io.bag_output import output_file, refuse_foreign_encodings
 from hiros_mcap.io.detectors.conversion import Selection
 from hiros_mcap.io.detectors.rgb_keypoints import RgbRig
 from hiros_mcap.io.log import DAMAGED, Log, Reading, Source, open_log
-from hiros_mcap.outputs import check_outputs, target_kind
+from hiros_mcap.outputs import check_outputs
 from hiros_mcap.progress import Bar, Progress, bar
 from hiros_mcap.running.observe import DETECTIONS, Observer, Stopwatch
 from hiros_mcap.running.preparation import (
@@ -51,7 +50,6 @@ from hiros_mcap.running.write import (
     LogOutput,
     NoOutput,
     SeveralOutputs,
-    kept_channels,
     open_output,
 )
 from hiros_mcap.systems import LETTERS, Run, chain_of
@@ -129,17 +127,14 @@ def process(
         options = replace(options, settings=file)
         config = load_config(file, system=options.system)
     check_limbs(options)
-    kind = "log" if target is None else target_kind(target)
+    path = None if target is None else Path(target)
     check_outputs(
-        ((None if target is None else Path(target), kind), (options.limbs_out, "limb table")),
+        ((path, "log"), (options.limbs_out, "limb table")),
         (source, options.settings, options.extrinsics, options.limbs_in),
         force=force,
     )
     watch = Stopwatch()
-    with open_input(source, config, options) as log, output_file(target) as path:
-        if kind == "rosbag2 folder":
-            kept = kept_channels(log, options)
-            refuse_foreign_encodings((i for i in log.channels if i.id in kept), Path(path or ""))
+    with open_input(source, config, options) as log:
         prepared = prepare(log, config, options, watch)
         with _following(progress) as follower:
             report = run_log(prepared, partial(open_output, path), watcher, follower)

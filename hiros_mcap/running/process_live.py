@@ -18,8 +18,14 @@ import hiros_schemas
 from hiros_mcap.config import Config, load_config
 from hiros_mcap.defaults import LIVE_SYSTEM
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io.bag_output import needs_latching
-from hiros_mcap.io.channels import HUMANS, LATCHED_QOS, ChannelInfo, channels_of, is_transform_topic
+from hiros_mcap.io.channels import (
+    HUMANS,
+    LATCHED_QOS,
+    ChannelInfo,
+    channels_of,
+    is_transform_topic,
+    needs_latching,
+)
 from hiros_mcap.io.container import McapWriter, Message
 from hiros_mcap.io.container.file import Pipe, Sink
 from hiros_mcap.io.container.live_input import LiveInput

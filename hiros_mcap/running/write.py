@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -15,10 +15,10 @@ from hiros_mcap._version import __version__
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.config import to_toml
 from hiros_mcap.frames import Block
-from hiros_mcap.io.bag_output import copy_latched, needs_latching
 from hiros_mcap.io.channels import (
     CONFIG_ATTACHMENT,
     EVENTS_ATTACHMENT,
+    LATCHED_QOS,
     LIMBS_ATTACHMENT,
     OUTPUT_PREFIX,
     OUTPUT_TOPICS,
@@ -31,9 +31,10 @@ from hiros_mcap.io.channels import (
     add_static_poses,
     is_static_topic,
     is_transform_topic,
+    needs_latching,
 )
 from hiros_mcap.io.codec import Encoder
-from hiros_mcap.io.container import ChunkCopier, McapWriter
+from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
 from hiros_mcap.io.container.losses import RECOVERY_METADATA
 from hiros_mcap.io.detectors.keypoint_messages import is_keypoints
 from hiros_mcap.io.detectors.rgb_keypoints import RGB_TOPIC
@@ -104,8 +105,20 @@ def open_output(
         # Where players need /tf_static latched, it is copied at once.
         latched = [info for info in log.channels if info.id in kept and needs_latching(info)]
         copier = ChunkCopier(log.reader, writer, set(kept) - {info.id for info in latched})
-        copy_latched(log.reader, writer, latched)
+        _copy_latched(log.reader, writer, latched)
         yield LogOutput(writer, copier, prepared, run, digest.result)
+
+
+def _copy_latched(reader: McapReader, writer: McapWriter, channels: Iterable[ChannelInfo]) -> None:
+    """Copy channels whole, with a quality of service that keeps them for late subscribers."""
+    for info in channels:
+        channel = reader.channels[info.id]
+        schema = reader.schema(channel)
+        ident = 0 if schema is None else writer.add_schema(schema.name, schema.data)
+        metadata = {**channel.metadata, "offered_qos_profiles": LATCHED_QOS}
+        copy = writer.add_channel(info.topic, ident, metadata=metadata)
+        for message in reader.messages([info.id]):
+            writer.write_message(copy, message)
 
 
 class LogOutput:

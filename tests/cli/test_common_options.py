@@ -79,7 +79,7 @@ def test_the_nearest_folder_above_has_the_parameters_of_a_log(lab):
     assert settings_beside(lab.parent / "a" / "log.mcap") == lab.with_name("hiros.toml")
     (lab.parent / "a" / "hiros.toml").touch()
     assert settings_beside(lab.parent / "a" / "bag") == lab.parent / "a" / "hiros.toml"
-    assert settings_beside("-") is settings_beside("s3://lab/log.mcap") is None
+    assert settings_beside("-") is settings_beside("ws://lab:8765") is None
 
 
 def test_each_of_many_logs_has_the_parameters_of_its_folder(lab, tmp_path, capsys):

@@ -148,7 +148,7 @@ def test_a_signal_ends_the_input(number, crossing, tmp_path):
         (["-", "-o", "-", "--unit", "mm"], "are for files"),
         (["-", "-o", "-", "--model", "kinect-v2"], "are for files"),
         (["-", "-o", "-", "--strict"], "are for files"),
-        (["-", "-o", "bag/"], "not a bag's folder"),
+        (["-", "-o", "bag/"], "process writes MCAP"),
         (["-", "-o", "-", *TWO_PASS], "reads the whole log first"),
         (["-", "-o", "-", "--recover"], "are for files"),
     ],

@@ -8,8 +8,8 @@ import hiros_schemas
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.errors import LogError, SchemaError
 from hiros_mcap.io.codec import Decoder, Encoder, ModelBuilder, RestPoses
-from hiros_mcap.io.container import Batch, Records
-from hiros_mcap.io.layout import PUBLISHED, check_schema
+from hiros_mcap.io.container import Batch, Records, Schema
+from hiros_mcap.io.layout import check_schema
 from hiros_mcap.skeletons import Frame, SkeletonModel
 
 NAME = hiros_schemas.SKELETON_GROUP
@@ -48,9 +48,9 @@ def edited(model, change):
     return gen.generic_writer()(message)
 
 
-def exact(model, data, layout=PUBLISHED):
+def exact(model, data):
     """The only frame of a message, to the bit."""
-    (frame,) = Decoder(model, layouts={0: layout}, exact=True).decode_message(data)
+    (frame,) = Decoder(model, exact=True).decode_message(data)
     return frame
 
 
@@ -187,18 +187,10 @@ def test_padding_of_a_payload_is_tolerated_and_no_more():
     assert "more than 3 bytes after" in refusal(data + bytes(4))
 
 
-@pytest.mark.parametrize(
-    ("head", "fault"),
-    [
-        (b"\0\3", "0x0003 PL_CDR_LE"),
-        (b"\0\7", "0x0007 CDR2_LE"),
-        (b"\0\x0a", "0x000a PL_CDR2_BE"),
-        (b"\x12\x34", "0x1234 unknown"),
-    ],
-)
-def test_other_encapsulations_are_refused_by_name(head, fault):
+@pytest.mark.parametrize("head", [b"\0\3", b"\0\7", b"\0\x0a", b"\x12\x34"])
+def test_other_encapsulations_are_refused_by_number(head):
     data = Encoder(stick()).encode(full(stick()))
-    assert fault in refusal(head + data[2:])
+    assert f"encapsulation 0x{head.hex()} is not" in refusal(head + data[2:])
 
 
 def test_empty_payload_is_refused():
@@ -530,8 +522,9 @@ def test_cleaning_twice_changes_nothing_more():
 # --- schemas ---------------------------------------------------------------------------------
 
 
-def checked(text, name=NAME, encoding="ros2msg"):
-    return check_schema(name, encoding, text.encode(), topic="/t")
+def check(text, name=NAME, encoding="ros2msg"):
+    data = text if isinstance(text, bytes) else text.encode()
+    check_schema(Schema(1, data, encoding, name), "/t")
 
 
 @pytest.mark.parametrize(
@@ -546,65 +539,33 @@ def checked(text, name=NAME, encoding="ros2msg"):
     ],
 )
 def test_schema_with_the_published_fields_is_read_directly(text):
-    assert checked(text) is PUBLISHED
-    assert checked(text, "hiros_skeleton_msgs/SkeletonGroup").is_published
-
-
-VARIANTS = {
-    "a field added": TEXT.replace("int32 id\n", "int32 id\nuint8[] extra\n"),
-    "fields reordered": TEXT.replace("int32 id\nstring name\n", "string name\nint32 id\n"),
-    "small numbers": TEXT.replace("float64 confidence", "float32 confidence"),
-    "wide ids": TEXT.replace("int32 parent_marker", "int64 parent_marker"),
-    "a fixed array": TEXT.replace("Marker[] markers", "Marker[2] markers"),
-    "a header of ROS 1": TEXT.replace("Time stamp\n", "Time stamp\nuint32 seq\n"),
-    "a field at the end": TEXT.replace("Skeleton[] skeletons\n", "Skeleton[] skeletons\nbool x\n"),
-}
-
-
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_messages_of_a_compatible_schema_are_translated(variant):
-    model, text = stick(), VARIANTS[variant]
-    frame = full(model, 2)
-    for array in (frame.confidences, frame.marker_confidences, frame.link_confidences):
-        array[:] = 0.25  # exact in float32
-    layout = checked(text)
-    data = gen.generic_writer(text)(gen.message_of(frame, model))
-    assert layout.difference
-    assert gen.same(exact(model, data, layout), frame)
-    builder = ModelBuilder()
-    builder.add(data, "/t", layout)
-    assert builder.build() == model
-
-
-def test_translated_message_of_several_cameras_can_be_split():
-    text = VARIANTS["a field added"]
-    message = gen.message_of(full(stick(), 2), stick())
-    message["skeletons"][0]["src_frame"] = "other"
-    decoder = Decoder(stick(), layouts={0: checked(text)})
-    frames = decoder.decode_message(gen.generic_writer(text)(message))
-    assert [frame.source for frame in frames] == ["other", "cam"]
+    check(text)
+    check(text, "hiros_skeleton_msgs/SkeletonGroup")
 
 
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        (TEXT.replace("float64 height", "float64 tall"), "lacks the field .*bounding_box.height"),
-        (TEXT.replace("int32 sec", "string sec"), "string instead of int32 for .*header.stamp.sec"),
-        (TEXT.replace("int32 sec", "int64 sec"), "builtin_interfaces/Time"),
-        (TEXT.replace("Link[] links\n", ""), r"lacks the field skeletons\[\].links\[\].id"),
-        (TEXT.replace("Skeleton[] skel", "Skeleton skel"), r"lacks the field skeletons\[\].id"),
+        (TEXT.replace("float64 height", "float64 tall"), "field .*bounding_box.tall where"),
+        (TEXT.replace("int32 id\n", "int32 id\nuint8[] extra\n"), r"extra\[\] where .* is exp"),
+        (TEXT.replace("int32 id\nstring name\n", "string name\nint32 id\n"), "name where .*.id is"),
+        (TEXT.replace("float64 confidence", "float32 confidence"), "is float32 instead of float64"),
+        (TEXT.replace("Marker[] markers", "Marker[2] markers"), r"markers\[2\].id where"),
+        (TEXT.replace("Time stamp\n", "Time stamp\nuint32 seq\n"), "seq where .*frame_id is"),
+        (TEXT.replace("[] skeletons\n", "[] skeletons\nbool x\n"), "field x is unknown"),
+        (TEXT.replace("Link[] links\n", ""), r"field skeletons\[\].links\[\].id is missing"),
         (TEXT.replace("MSG: hiros_skeleton_msgs/Box", "MSG: hiros_skeleton_msgs/B"), "Box is miss"),
         (TEXT.replace("float64 height", "Box inner\nfloat64 height"), "contains itself"),
         (TEXT.replace("int32 id", "int32 id id2 = 3", 1) + "\n" + "=" * 80, "lacks its line"),
         (TEXT + "\n" + "=" * 80 + "\nMSG: std_msgs/Header\nint8 x\n", "defined twice"),
         (TEXT.replace("string name", "???"), "no field"),
-        ("int8 x", "lacks the field"),
+        ("int8 x", "field x where"),
         ("\0\0garbage", "no field"),
     ],
 )  # fmt: skip
 def test_other_schemas_are_refused_by_their_first_fault(text, fault):
     with pytest.raises(SchemaError, match=f"^/t: .*{fault}"):
-        checked(text)
+        check(text)
 
 
 def test_schema_of_exponential_size_is_refused():
@@ -612,7 +573,7 @@ def test_schema_of_exponential_size_is_refused():
     bomb = TEXT.replace("float64 height", "a/T0 t\nfloat64 height")
     last = f"{'=' * 80}\nMSG: a/T20\nint8 x\n"
     with pytest.raises(SchemaError, match="more than 4096 fields"):
-        checked("\n".join([bomb, *levels, last]))
+        check("\n".join([bomb, *levels, last]))
 
 
 @pytest.mark.parametrize(
@@ -626,41 +587,14 @@ def test_schema_of_exponential_size_is_refused():
 )
 def test_other_kinds_of_schema_are_refused(name, encoding, fault):
     with pytest.raises(SchemaError, match=fault):
-        checked(TEXT, name, encoding)
+        check(TEXT, name, encoding)
 
 
 def test_schema_that_is_no_text_is_refused():
     with pytest.raises(SchemaError, match="not UTF-8"):
-        check_schema(NAME, "ros2msg", b"\xff\xfe")
+        check(b"\xff\xfe")
     with pytest.raises(SchemaError, match="larger than"):
-        check_schema(NAME, "ros2msg", b"#" * (2**20 + 1))
-
-
-def test_damaged_message_of_a_compatible_schema_is_refused():
-    text = VARIANTS["fields reordered"]
-    data = gen.generic_writer(text)(gen.message_of(full(stick()), stick()))
-    for n in (*range(0, len(data), 29), len(data) - 1):
-        with pytest.raises(LogError):
-            exact(stick(), data[:n], checked(text))
-    with pytest.raises(LogError, match="0x0003"):
-        exact(stick(), b"\0\3" + data[2:], checked(text))
-
-
-def test_elements_without_numbers_are_not_built_from_nothing():
-    """A few bytes may claim 2^32 elements that take no bytes of their own."""
-    bomb = f"\n{'=' * 80}\nMSG: hiros_skeleton_msgs/Bomb\nuint8[4] x\n"
-    text = TEXT.replace("Header header\n", "Header header\nBomb[] b\n", 1) + bomb
-    with pytest.raises(LogError, match="its own schema"):
-        exact(stick(), b"\0\1\0\0" + bytes(16) + b"\xff" * 4 + bytes(8), checked(text))
-
-
-def test_number_that_does_not_fit_the_published_type_is_refused():
-    text = VARIANTS["wide ids"]
-    message = gen.message_of(full(stick()), stick())
-    message["skeletons"][0]["links"][0]["parent_marker"] = 2**40
-    data = gen.generic_writer(text)(message)
-    with pytest.raises(LogError, match="cannot be read"):
-        exact(stick(), data, checked(text))
+        check(b"#" * (2**20 + 1))
 
 
 # --- all messages of a chunk at once ---------------------------------------------------------
@@ -722,17 +656,6 @@ def test_a_batch_of_many_says_what_batches_of_one_say():
         assert all(gen.same(a, b) for a, b in pairs)
     assert 10 < len(many.faults) < len(messages) - 10
     assert len(many.parts[-1]) == 2
-
-
-def test_a_damaged_message_of_another_schema_is_the_only_one_with_a_fault():
-    text = VARIANTS["a field added"]
-    good = gen.generic_writer(text)(gen.message_of(full(stick()), stick()))
-    chunks = [records_of([good, good]), records_of([good, good[:50], good], 10**6)]
-    decoder = Decoder(stick(), layouts={0: checked(text)})
-    (decoded,) = decoder.decode(Batch(chunks, None))
-    assert list(decoded.faults) == [3]
-    assert "its own schema" in decoded.faults[3]
-    assert [len(parts) for parts in decoded.parts] == [1, 1, 1, 0, 1]
 
 
 def test_a_batch_may_be_empty():

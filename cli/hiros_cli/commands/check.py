@@ -8,8 +8,6 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
 
-import typer
-
 from hiros_cli.compiling import prepare
 from hiros_cli.exit_codes import BAD_INPUT, DIFFERENT
 from hiros_cli.many_logs import one_log
@@ -24,7 +22,6 @@ if TYPE_CHECKING:
 
 
 def check(
-    context: typer.Context,
     named: str = argument(
         "OUT|SUITE", "Output of `hiros process`, or a suite (.toml) of recordings."
     ),
@@ -60,7 +57,7 @@ def check(
     for name, value in wrong.items():
         if value:
             raise ConfigError(f"--{name} has no effect on {target_kind} (see hiros check --help)")
-    target = one_log(context, named)
+    target = one_log(named)
     prepare(quiet=quiet or json)
     from hiros_mcap.outputs import write_text
     from hiros_mcap.regression import check_report

@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-import typer
-
 from hiros_cli.compiling import prepare
 from hiros_cli.many_logs import ManyLogs, one_log, run
 from hiros_cli.options import (
@@ -85,10 +83,9 @@ class Scoring:
 
 @grouped
 def evaluate(
-    context: typer.Context,
     logs: list[str] = argument(
         "LOG",
-        "Outputs of `hiros process`, or recordings to process first: files, folders, globs, URLs.",
+        "Outputs of `hiros process`, or recordings to process first: files, folders, globs.",
     ),
     scoring: Scoring = GROUP,
     joints: bool = flag("--joints", "Also show every joint and the signed angles."),
@@ -104,7 +101,7 @@ def evaluate(
     """
     if many.wanted(logs, html=html, joints=joints, table=table):
         _many(scoring, parameters, logs, many)
-    log = one_log(context, logs[0])
+    log = one_log(logs[0])
     inputs = (log, scoring.truth, parameters.config)
     check_outputs((html, "HTML page"), (table, "table of scores"), inputs=inputs, force=many.force)
     settings = settings_of(logs[0], parameters.settings())

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import typer
-
 from hiros_cli.compiling import prepare
 from hiros_cli.many_logs import ManyLogs, one_log, run
 from hiros_cli.options import FORCE, GROUP, MANY, QUIET, argument, grouped, option
@@ -18,8 +16,7 @@ from hiros_mcap.progress import bar
 
 @grouped
 def export(
-    context: typer.Context,
-    logs: list[str] = argument("LOG", "Outputs of `hiros process`: files, folders, globs, URLs."),
+    logs: list[str] = argument("LOG", "Outputs of `hiros process`: files, folders, globs."),
     output: str = option(
         "FILE",
         "Output file; its suffix is the format, such as .csv, .parquet, .trc, .mot or .c3d (a "
@@ -80,7 +77,7 @@ def export(
         part = (what, person, channel, rate, start, end)
         job = ExportJob(suffix, *part, names, least_confidence)
         run(job, logs, many, output)
-    log = one_log(context, logs[0])
+    log = one_log(logs[0])
     prepare(quiet=many.quiet)
     from hiros_mcap.io.result import open_result
 

@@ -6,8 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import typer
-
 from hiros_cli.compiling import prepare
 from hiros_cli.many_logs import ManyLogs, one_log, run
 from hiros_cli.options import CAMERAS, EXTRINSICS, GROUP, argument, grouped, settings_of
@@ -19,8 +17,7 @@ if TYPE_CHECKING:
 
 @grouped
 def info(
-    context: typer.Context,
-    logs: list[str] = argument("LOG", "MCAP files, ROS bags, folders of them, globs, URLs."),
+    logs: list[str] = argument("LOG", "MCAP files, ROS bags, folders of them, globs."),
     topic: list[str] | None = CAMERAS,
     extrinsics: Path | None = EXTRINSICS,
     many: ManyLogs = GROUP,
@@ -36,7 +33,7 @@ def info(
         from hiros_mcap.many.jobs import InfoJob
 
         run(InfoJob(tuple(topic or ()), extrinsics and extrinsics.absolute()), logs, many)
-    source = one_log(context, logs[0])
+    source = one_log(logs[0])
     from hiros_mcap.running.overview import overview_of
     from hiros_mcap.running.pipeline import ProcessOptions, open_input, skeletons_read
 

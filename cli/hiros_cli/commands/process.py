@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from hiros_mcap.running.process_options import Calibration, ProcessOptions
     from hiros_mcap.running.summary import Summary
 
-BAGS = frozenset({".db3", ".bag"})
 SUFFIX = ".hiros.mcap"
 
 
@@ -164,15 +163,12 @@ class _Run(NamedTuple):
 
     def target(self, source: Path, settings: Settings, named: str | None) -> str:
         """Return where the result of one log goes; refuses what must not be written."""
-        from hiros_mcap.outputs import target_kind
-
         name = named or str(beside(source, SUFFIX))
-        kind, target = target_kind(name), Path(name)
+        target = Path(name)
         inputs = (source, settings.file, self.reading.extrinsics, self.reading.limbs)
         saved = self.writing.save_limbs
-        check_outputs((target, kind), (saved, "limb table"), inputs=inputs, force=self.many.force)
-        if kind == "log":
-            _refuse_other_formats(target)
+        check_outputs((target, "log"), (saved, "limb table"), inputs=inputs, force=self.many.force)
+        _refuse_other_formats(target)
         return name
 
     def options(self, settings: Settings) -> ProcessOptions:
@@ -206,9 +202,8 @@ class _Run(NamedTuple):
 
 @grouped
 def process(
-    context: typer.Context,
     logs: list[str] = argument(
-        "LOG", "Recordings: MCAP files, ROS bags, folders of them, globs, URLs; - is a pipe."
+        "LOG", "Recordings: MCAP files, ROS bags, folders of them, globs; - is a pipe."
     ),
     writing: OutputOptions = GROUP,
     parameters: Parameters = GROUP,
@@ -236,17 +231,15 @@ def process(
     elif many.wanted(logs, writing.one or "", view=writing.view, save_limbs=writing.save_limbs):
         _many(run, logs)
     else:
-        _one(run, one_log(context, logs[0]), logs[0])
+        _one(run, one_log(logs[0]))
 
 
-def _one(run: _Run, source: Path, named: str) -> None:
-    """Process one log; ``named`` is how the user named it, such as an address."""
-    from hiros_mcap.io.remote import is_remote
-
+def _one(run: _Run, source: Path) -> None:
+    """Process one log."""
     settings, many = run.settings(), run.many
-    settings = settings_of(named, settings) if many.quiet else settings.of(named)
+    settings = settings_of(source, settings) if many.quiet else settings.of(source)
     named_output = run.writing.one
-    target = run.target(Path(source.name) if is_remote(named) else source, settings, named_output)
+    target = run.target(source, settings, named_output)
     options = run.options(settings)
     if named_output is None:
         _refuse_result(source)
@@ -313,9 +306,9 @@ def _live(run: _Run, logs: Sequence[str]) -> None:
 
 def _refuse_result(source: Path) -> None:
     """Refuse what ``for log in *.mcap`` does by accident; with --output it is on purpose."""
-    from hiros_mcap.io.result import is_result
+    from hiros_mcap.io.result import content_of
 
-    if is_result(source):
+    if content_of(source) == "result":
         raise ConfigError(
             f"{source}: is a result of hiros already; to process its recording again, name an "
             "output with -o"
@@ -332,15 +325,11 @@ def _refuse_other_formats(target: Path) -> None:
         raise ConfigError(
             f"{target}: process writes MCAP; for {suffix}, run hiros export on its result"
         )
-    if suffix in BAGS:
-        raise ConfigError(
-            f"{target}: process writes MCAP; for a ROS 2 bag, name a folder: "
-            f"-o {target.with_suffix('')}/"
-        )
     if suffix or not target.exists():  # mktemp gives no suffix
-        folder = "" if suffix else f", or {target}/ for a ROS 2 bag in a new folder"
-        named = target.with_suffix(".mcap")
-        raise ConfigError(f"{target}: process writes MCAP; name it {named}{folder}")
+        raise ConfigError(
+            f"{target}: process writes MCAP, which ros2 bag plays, too; name it "
+            f"{target.with_suffix('.mcap')}"
+        )
 
 
 def _viewer(source: Path, target: str, stack: ExitStack) -> Watcher | None:

@@ -25,14 +25,7 @@ from hiros_mcap.io.container.records import FormatError, Opcode
 MAX_RECORD = 64 * 2**20
 """Largest definition, metadata or summary record that is read, bytes."""
 _RERUN = b"RRF"  # files of `hiros view --save`
-_TABLES = (
-    ".csv",
-    ".tsv",
-    ".trc",
-    ".c3d",
-    ".json",
-    ".npy",
-)  # suffixes of files that `hiros import` reads
+_TABLES = (".csv", ".tsv", ".trc", ".c3d", ".json", ".npy")  # what `hiros import` reads
 _LOOSE = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
 
 Definition = TypeVar("Definition", r.Schema, r.Channel)
@@ -96,18 +89,12 @@ class Walk(ABC):
     """Where the walk is, and what it has found so far. A policy overrides what is abstract.
 
     Methods raise FormatError or struct.error for a fault, and CutOffError where the file ends.
-
-    Parameters
-    ----------
-    file : the file.
-    checksum : compare that of the data section, for which all of it is read.
     """
 
-    def __init__(self, file: LogFile, *, checksum: bool = True) -> None:
+    def __init__(self, file: LogFile) -> None:
         self.file = file
         self.at = 0
         self.contents = Contents()
-        self._checksum = checksum
         self._definitions = self.contents  # takes those outside of chunks
         self._ahead = b""
         self._ahead_at = 0
@@ -283,7 +270,7 @@ class Walk(ABC):
     def _data_end(self, begin: int, stop: int) -> None:
         """Compare the checksum of the data section, which may cover what has no other one."""
         crc = r.DataEnd.read(self._cursor(begin, stop)).data_section_crc
-        holds = not (crc and self._checksum) or crc == self.file.crc(0, self.at)
+        holds = not crc or crc == self.file.crc(0, self.at)
         self.contents.has_data_crc = crc != 0 and holds
         if not holds:
             raise FormatError("the checksum of the data section is wrong")

@@ -555,5 +555,4 @@ class ChunkCopier:
 
     def finish(self) -> None:
         """Copy the chunks that are left."""
-        while self._chunks:
-            self._writer.copy_chunk(self._reader, self._chunks.popleft())
+        self.until(2**64)

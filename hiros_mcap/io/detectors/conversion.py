@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -35,7 +34,7 @@ from hiros_mcap.io.channels import (
     readable,
 )
 from hiros_mcap.io.codec import Encoder
-from hiros_mcap.io.container import McapReader, McapWriter, Message, Schema
+from hiros_mcap.io.container import McapReader, McapWriter, Message
 from hiros_mcap.io.detectors import detector_readers
 from hiros_mcap.io.detectors.body_models import name_of
 from hiros_mcap.io.detectors.detector_reader import DetectorMessage, DetectorReader, SeenPeople
@@ -48,7 +47,7 @@ from hiros_mcap.io.detectors.keypoint_messages import (
 )
 from hiros_mcap.io.detectors.model_fitting import UNION, Fit, chosen_model
 from hiros_mcap.io.detectors.rgb_keypoints import RGB_TOPIC, RgbKeypoints, RgbRig
-from hiros_mcap.io.layout import Layout, check_schema
+from hiros_mcap.io.layout import check_schema
 from hiros_mcap.io.ros_cdr import (
     RosMessage,
     cdr_of,
@@ -251,20 +250,13 @@ def source_of(reader: McapReader, info: ChannelInfo, *, selected: bool) -> Input
     if schema is None or (info.encoding == "cdr" and name == TRANSFORMS):
         return InputChannel(info, kind, selected, is_native=True, cdr=_same, decode=_same)
     if info.encoding == "cdr" and name == SKELETONS:
-        layouts: dict[str, Layout] = {}
-        read = partial(_published, layouts, schema, info.topic)
-        return InputChannel(info, kind, selected, is_native=True, cdr=read, decode=_same)
+        if selected:
+            check_schema(schema, info.topic)
+        return InputChannel(info, kind, selected, is_native=True, cdr=_same, decode=_same)
     text = definition(name, schema.encoding, bytes(schema.data).decode(errors="replace"))
     store = types_of({name: text})
     cdr: Callable[[Any], Any] = cdr_of(store, name) if info.encoding == "ros1" else _same
     return InputChannel(info, kind, selected, False, cdr, decoder_of(store, name))
-
-
-def _published(layouts: dict[str, Layout], schema: Schema, topic: str, data: Any) -> Any:
-    """Return a message in the published layout; the schema is compared when the first one comes."""
-    if topic not in layouts:
-        layouts[topic] = check_schema(schema.name, schema.encoding, schema.data, topic=topic)
-    return layouts[topic](data, topic)
 
 
 def _same(data: Any) -> Any:
