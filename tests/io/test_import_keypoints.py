@@ -201,6 +201,20 @@ def test_mediapipes_landmarks_of_the_image_become_keypoints(tmp_path):
         assert frame.scores == pytest.approx(0.9)
 
 
+def test_legs_that_mediapipe_guesses_below_the_image_leave_shares_shares(tmp_path):
+    marks = np.column_stack([np.linspace(0.3, 0.7, 33), np.linspace(0.1, 0.9, 33)])
+    marks[25:] += [0.0, 1.4]  # somebody who sits at a desk
+    scores = np.where(marks[:, 1] > 1, 0.01, 0.99)
+    rows = zip(marks.tolist(), scores.tolist(), strict=True)
+    people = [[{"x": u, "y": v, "z": 0.1, "visibility": s} for (u, v), s in rows]]
+    frames = [{"timestamp_ms": 20 * k, "pose_landmarks": people} for k in range(3)]
+    (tmp_path / "cam1.json").write_text(json.dumps(frames))
+    setup = RgbSetup(calibrated(tmp_path, ["cam1"]))
+    import_joints([tmp_path / "cam1.json"], tmp_path / "log.mcap", "mediapipe-image", setup=setup)
+    frame = cameras_of(tmp_path / "log.mcap")["cam1"].frames[0]
+    np.testing.assert_allclose(frame.pixels[0, :25], (marks * [640, 480])[:25])
+
+
 def test_the_command_takes_rates_starts_and_poses(tmp_path, capsys):
     sources = [str(path) for path in two(tmp_path)]
     (calibration,) = calibrated(tmp_path)

@@ -75,6 +75,16 @@ class ImageSeries(NamedTuple):
         both = np.concatenate(self.images)
         return cleaned(both[..., :2], both[..., 2])[0]
 
+    def surest(self) -> Floats:
+        """(N, 2) px of the better rated half of all keypoints.
+
+        MediaPipe guesses where legs out of the image are, at two or three times its height.
+        """
+        scores = np.concatenate(self.images)[..., 2]
+        found = self.people()
+        seen = np.isfinite(found[..., 0])
+        return found[seen & (scores >= np.median(scores[seen]))] if seen.any() else found[seen]
+
 
 def of_camera(values: Mapping[str, float], camera: str) -> float | None:
     """Return the value of a camera, or that of all cameras; None if there is none."""
@@ -223,12 +233,11 @@ def _pixels(
 
     Raises ConfigError if they are of another image than the lens.
     """
-    people, whole = series.people().reshape(-1, 2), np.array(size, np.float64)
-    people = people[np.isfinite(people[:, 0])]
-    if not len(people):
+    surest, whole = series.surest(), np.array(size, np.float64)
+    if not len(surest):
         warn(f"{series.path}: {name}: no keypoint was found in any image")
         return np.ones(2), np.zeros(2)
-    low, high = np.percentile(people, (1, 99), axis=0)
+    low, high = np.percentile(surest, (1, 99), axis=0)
     if np.abs([low, high]).max() <= _SHARES:
         centred = low.min() < -_SHARES / 6  # OpenPose writes them from -1 to 1, too
         ends = "-1 to 1" if centred else "0 to 1"
