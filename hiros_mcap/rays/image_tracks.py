@@ -19,7 +19,7 @@ GATE = 0.1
 CROSSING = 0.04
 """People in one image who are nearer to each other may be confused: nobody follows them there."""
 GAP_S, SHORTEST_S = 0.15, 0.3
-"""A tracklet ends with a gap; a shorter one is left out."""
+"""A tracklet ends with a gap, of slow cameras with two lost images; a shorter one is left out."""
 HALF_WIDTH_S = 0.1
 """Half of the time over which a joint's path is taken for a line; more for slow cameras."""
 LEAST_JOINTS = 4
@@ -66,20 +66,23 @@ def image_view(frames: Sequence[KeypointFrame], lens: Intrinsics, middle: int) -
     weights = np.where(np.isfinite(rays[..., 0]) & (scores > 0.0), scores, 0.0)
     rays[weights <= 0.0] = np.nan
     period = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
-    tracks = _tracklets(seconds, np.concatenate([[0], np.cumsum(counts)]), rays, weights)
+    ends = np.concatenate([[0], np.cumsum(counts)])
+    tracks = _tracklets(seconds, ends, rays, weights, max(GAP_S, 2.5 * period))
     return ImageView(
         frames[0].camera if frames else "", tracks, max(HALF_WIDTH_S, 2.0 * period), lens.focal
     )
 
 
-def _tracklets(seconds: Floats, ends: Stamps, rays: Floats, weights: Floats) -> list[Tracklet]:
+def _tracklets(
+    seconds: Floats, ends: Stamps, rays: Floats, weights: Floats, gap: float
+) -> list[Tracklet]:
     """Join the people of consecutive images who are nearest to each other, mutually."""
     growing, done = list[list[int]](), list[list[int]]()
     times = np.repeat(seconds, np.diff(ends))
     for k, now in enumerate(seconds.tolist()):
         rows = range(int(ends[k]), int(ends[k + 1]))
         poses = rays[rows.start : rows.stop]
-        ended = [now - times[track[-1]] > GAP_S for track in growing]
+        ended = [now - times[track[-1]] > gap for track in growing]
         last = rays[[track[-1] for track in growing]]  # also of those that end: nobody else is them
         owners = _owners(poses, last)
         crossing = _crossing(poses)

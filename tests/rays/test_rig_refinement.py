@@ -37,6 +37,15 @@ def test_two_people_tell_poses_and_lags(people):
     assert max(rig.after.values()) < 7.0 < max(rig.before.values())
 
 
+@pytest.mark.parametrize("rate", [5.0, 10.0])
+def test_slow_detectors_tell_poses_too(rate, people):
+    scene = film(people, RIG, rate=rate, lags=dict.fromkeys(RIG, 0.0), seed=4)
+    rig = refine_rig(scene.frames, scene.lenses, turned(RIG, 1.0, seed=4))
+    degrees, metres, _ = off(rig, scene)
+    assert rig.reason == ""
+    assert (degrees, metres) < (0.6, 0.06)
+
+
 def test_the_same_input_gives_the_same_rig(people):
     scene = film(people, RIG, seed=1)
     one, two = (refine_rig(scene.frames, scene.lenses, turned(RIG, 1.0)) for _ in range(2))
