@@ -43,7 +43,7 @@ hiros eval "$out"
 hiros view "$out" --save "$work/out.rrd"
 hiros plot "$out" -o "$work/out.html"
 hiros plot "$out" -o "$work/out.png"
-for suffix in csv parquet trc mot c3d; do
+for suffix in csv parquet trc mot c3d bvh; do
   hiros export "$out" --person 0 -o "$work/out.$suffix"
 done
 echo "the lowest versions run the sample log"

@@ -29,6 +29,8 @@ LIMBS_MARK = "# hiros limb lengths\n"
 CAMERAS_MARK = "# hiros cameras\n"
 
 EXPORT_MARK = "written by hiros"
+BVH_START = "HIERARCHY \t "
+"""BVH has no comments; blanks at the end of its first line mean nothing."""
 CSV_START, JSONL_START = "person,time (s),", '{"person":'
 
 _SCORES = re.compile(rb"(Log,)?(Channel|System|Left out|Cameras),[^\n]*\(mm\)")
@@ -137,7 +139,8 @@ _IS_OURS: Mapping[Kind, Callable[[bytes], bool]] = {
     "table of logs": lambda head: head.startswith(TABLE_MARK.encode()),
     "table of scores": lambda head: bool(_SCORES.match(head)),
     "export": lambda head: (
-        head.startswith((CSV_START.encode(), JSONL_START.encode())) or EXPORT_MARK.encode() in head
+        head.startswith(tuple(map(str.encode, (CSV_START, JSONL_START, BVH_START))))
+        or EXPORT_MARK.encode() in head
     ),
 }
 

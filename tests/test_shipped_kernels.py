@@ -35,7 +35,7 @@ for command in (
     ["warmup"], ["simulate", f"{folder}/s.mcap", "--seconds", "2"], ["info", result],
     ["plot", result], ["recover", log, "-o", f"{folder}/r.mcap"],
     ["compare", log, "--system", "raw"],
-    ["export", result, "-o", f"{folder}/o.csv"], ["export", result, "-o", f"{folder}/o.mot"],
+    ["export", result, "-o", f"{folder}/o.csv"], ["export", result, "-o", f"{folder}/o.bvh"],
     ["check", result], ["eval", result, "--truth", log], ["calibrate", "people", log],
     ["view", result, "--save", f"{folder}/o.rrd"],
 ):

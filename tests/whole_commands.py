@@ -74,6 +74,7 @@ COMMANDS = {
     "process limbs": Command(f"{_PROCESS} --system hiros --limbs {{in}}/limbs.toml", "limbs.toml"),
     "export CSV": Command("export {in}/result.mcap -o {out}/x.csv", "result.mcap"),
     "export TRC": Command("export {in}/result.mcap -o {out}/x.trc", "result.mcap"),
+    "export BVH": Command("export {in}/result.mcap -o {out}/x.bvh", "result.mcap"),
     "info": Command("info {in}/log.mcap", "log.mcap"),
     "info of a result": Command("info {in}/result.mcap --json", "result.mcap"),
     "check": Command("check {in}/result.mcap --golden {in}/golden.mcap", "golden.mcap", _CHECKED),

@@ -284,7 +284,7 @@ def test_c3d_of_more_people_than_a_byte_counts_angles(tmp_path):
     assert len(markers.names) == 32
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".trc", ".jsonl", ".c3d"])
+@pytest.mark.parametrize("suffix", [".csv", ".trc", ".bvh", ".jsonl", ".c3d"])
 def test_no_marker_name_breaks_a_file(suffix, result, tmp_path):
     names = [NASTY if n == "KNEE_LEFT" else n for n in result.model.marker_names]
     named = replace(result, model=replace(result.model, marker_names=tuple(names)))
@@ -300,6 +300,7 @@ def test_no_marker_name_breaks_a_file(suffix, result, tmp_path):
     assert "_KNEE_LEFT_" in text
     assert text.count("\n") == expected.count("\n")
     assert text.count("\t") == expected.count("\t")
+    assert text.count("{") == expected.count("{") or suffix != ".bvh"
 
 
 def test_nobody_has_a_file_if_that_of_another_person_cannot_be_written(
@@ -337,6 +338,20 @@ def test_a_file_beyond_a_limit_of_size_is_one_error(log, tmp_path):
     for line, (suffix, fault) in zip(done.stderr.splitlines(), faults.items(), strict=True):
         assert f"out{suffix}: cannot be written: " in line and fault in line
     assert list(tmp_path.glob("*out*")) == []
+
+
+def test_bvh_is_read_by_another_library_and_stands_where_the_person_stood(result, tmp_path):
+    from bvh import Bvh
+
+    (path,) = export(result.select(person=0), tmp_path / "out.bvh")
+    read = Bvh(path.read_text())
+    assert read.frame_time == pytest.approx(1 / 30, abs=1e-6)
+    motion = result.motions[0].at(np.array([result.motions[0].times[0]]))
+    x, _, z = motion.positions[0, 0]
+    assert read.frame_joint_channel(0, "PELVIS", "Xposition") == pytest.approx(100 * x, abs=0.1)
+    assert read.frame_joint_channel(0, "PELVIS", "Yposition") == pytest.approx(100 * z, abs=0.1)
+    thigh = np.linalg.norm(read.joint_offset("KNEE_LEFT"))
+    assert 35 < thigh < 50
 
 
 @pytest.mark.parametrize("suffix", FORMATS)

@@ -19,8 +19,8 @@ def export(
     logs: list[str] = argument("LOG", "Outputs of `hiros process`: files, folders, globs."),
     output: str = option(
         "FILE",
-        "Output file; its suffix is the format, such as .csv, .parquet, .trc, .mot or .c3d (a "
-        "wrong one lists all). With many logs, the folder for all.",
+        "Output file; its suffix is the format, such as .csv, .parquet, .trc, .mot, .c3d or .bvh "
+        "(a wrong one lists all). With many logs, the folder for all.",
         "-o",
         "--output",
         default=...,
@@ -60,7 +60,7 @@ def export(
     ),
     many: ManyLogs = GROUP,
 ) -> None:
-    """Write joints and angles as CSV, TRC, MOT, C3D."""
+    """Write joints and angles as CSV, TRC, MOT, C3D, BVH."""
     from hiros_mcap.io.export.files import export as write
     from hiros_mcap.io.export.files import files_of, format_of, load_marker_set, renamed
 

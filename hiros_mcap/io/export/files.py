@@ -1,4 +1,4 @@
-"""A result as a file of another program: tables and biomechanics.
+"""A result as a file of another program: tables, biomechanics and animation.
 
 Its markers may have the names of a musculoskeletal model, so that its inverse kinematics finds
 them. A marker set is a TOML file of our names and theirs::
@@ -56,6 +56,7 @@ FORMATS = {
     ".trc": ExportFormat(biomechanics.write_trc, ("joints",), one_person=True, steady=True),
     ".mot": ExportFormat(biomechanics.write_mot, ("angles",), one_person=True, steady=True),
     ".c3d": ExportFormat(biomechanics.write_c3d, steady=True),
+    ".bvh": ExportFormat(biomechanics.write_bvh, ("joints",), one_person=True, steady=True),
 }
 """Suffix -> kind of file."""
 
