@@ -388,6 +388,9 @@ def test_the_reader_of_the_documentation_reads(tmp_path, scene, monkeypatch):
     expected = [frame for frame in frames if frame.source == "camera_0"]
     for a, b in zip(found, expected, strict=True):
         np.testing.assert_allclose(a.positions, b.positions[:, slots], atol=1e-5)
+    monkeypatch.setattr(names["LabBodies"], "read", lambda self, message: [message])
+    with pytest.raises(ConfigError, match="LabBodies gives DetectorMessage where SeenPeople of"):
+        open_log(path)
 
 
 @pytest.mark.parametrize(

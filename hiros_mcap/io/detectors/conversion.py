@@ -263,16 +263,28 @@ def _same(data: Any) -> Any:
     return data
 
 
-def _read(
-    readers: Iterable[DetectorReader], message: DetectorMessage
-) -> Iterable[SeenPeople] | None:
+def _read(readers: Iterable[DetectorReader], message: DetectorMessage) -> list[SeenPeople] | None:
     """Return what the first reader that does not decline finds; None if all do."""
     for reader in readers:
         if message.type in reader.types:
             people = reader.read(message)
             if people is not None:
-                return people
+                return _checked(reader, people)
     return None
+
+
+def _checked(reader: DetectorReader, people: Any) -> list[SeenPeople]:
+    """Return what a reader gives; raises ConfigError, which names it, where that is no people."""
+    given = list(people) if isinstance(people, Iterable) else [people]
+    for one in given:
+        fits = isinstance(one, SeenPeople) and one.frame.markers.shape[1] == one.model.n_markers
+        if not fits:
+            kind = type(reader)
+            raise ConfigError(
+                f"the detector reader {kind.__module__}.{kind.__qualname__} gives "
+                f"{type(one).__name__} where SeenPeople of its model are due; mend its read()"
+            )
+    return given
 
 
 def _probe(
@@ -317,7 +329,7 @@ def _models_of(
         whole = all(model.is_whole for model in models.values()) if models else False
         if source.type != TRANSFORMS and (whole or size > _PROBED):
             break
-    for people in (s for r in readers for s in r.rest()) if not models else ():
+    for people in (s for r in readers for s in _checked(r, r.rest())) if not models else ():
         models[people.topic] = people.model
     return models
 
@@ -421,7 +433,7 @@ class Conversion:
     def rest(self) -> Iterator[RosMessage]:
         """Yield what is held back until the end of the log."""
         for reader in self._readers:
-            yield from self._groups(reader.rest())
+            yield from self._groups(_checked(reader, reader.rest()))
 
     def _channel(self, writer: McapWriter, topic: str, kind: str) -> int:
         """Return the channel of a topic, which is added when it is first needed."""

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiros_mcap.body.anatomy import zxy
 from hiros_mcap.body.rotations import Y_UP, from_vector, nearest_rotation, to_matrix
+from hiros_mcap.body.segments import zxy
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.export.rajagopal import NEEDS, PELVIS, bridged, coordinates
