@@ -320,7 +320,7 @@ def altered(name, files):
     if source.suffix == ".mcap":
         return altered_log(source)
     data = source.read_bytes()
-    kind = source.suffix[1:].removesuffix("l")  # a line of JSON lines is JSON
+    kind = source.suffix[1:].replace("jsonl", "json")  # a line of JSON lines is JSON
     if kind == "c3d":
         return altered_bytes(data)
     return st.one_of([altered_text(data)] * 3 + [odd_text(kind)])

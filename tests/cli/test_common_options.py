@@ -111,5 +111,4 @@ def test_quiet_still_names_the_file_with_the_parameters(lab, capsys):
 
 def test_an_output_without_a_suffix_asks_what_it_is(lab, capsys):
     assert run(["process", str(lab), "-o", str(lab.with_name("new"))]) == 2
-    assert capsys.readouterr().err.endswith("new.mcap, or " + str(lab.with_name("new")) + "/ for a "
-                                            "ROS 2 bag in a new folder\n")  # fmt: skip
+    assert capsys.readouterr().err.endswith(f"name it {lab.with_name('new.mcap')}\n")

@@ -223,7 +223,7 @@ def test_a_run_that_fails_ends_though_the_server_goes_on(tmp_path):
         server.kill()
         server.communicate()
     assert done.returncode == 2
-    assert done.stderr.startswith(f"hiros: error: {url}: /camera/skeletons: schema lacks")
+    assert done.stderr.startswith(f"hiros: error: {url}: /camera/skeletons: schema is not that of")
     assert done.stderr.count("\n") == 1
     assert not list(tmp_path.iterdir())
 

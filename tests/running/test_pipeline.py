@@ -370,7 +370,7 @@ def test_options_take_what_people_write(walking, tmp_path):
     options = ProcessOptions(topics="/camera_0/*", keep=[], extrinsics="cameras.toml")  # type: ignore[arg-type]
     assert (options.topics, options.keep) == (("/camera_0/*",), ())
     assert options.extrinsics == Path("cameras.toml")
-    known = "'off', 'auto', 'accept', 'require'"
+    known = "'off', 'auto', 'require'"
     with pytest.raises(ConfigError, match=f"^calibrate: 'on' is none of {known}$"):
         process(walking, calibrate="on")
 
