@@ -27,7 +27,7 @@ from hiros_mcap.stages.fuse.fusing import (
     Sightings,
     Steps,
 )
-from hiros_mcap.stages.fuse.pair_lengths import RATE, LastMinute, measured_lengths
+from hiros_mcap.stages.fuse.pair_lengths import RATE, LastMinute, RunningLengths, measured_lengths
 from hiros_mcap.stages.fuse.pose_prior import (
     MotionPrior,
     body_frames,
@@ -265,24 +265,26 @@ def test_lengths_are_right_in_spite_of_noise_and_never_shortened_by_a_wrong_one(
 def told(limbs, poses):
     """Give poses at 15 Hz that are known to 0.1 mm."""
     stamps, variances = np.arange(len(poses)) * 66_666_667, np.full(poses.shape[:2], 1e-8)
-    limbs.update(stamps, poses, variances)
+    limbs.update(*((stamps,) if isinstance(limbs, LastMinute) else ()), poses, variances)
 
 
-def test_the_sides_of_a_body_draw_each_other_half_of_the_way_together():
+@pytest.mark.parametrize("meter", [LastMinute, RunningLengths])
+def test_the_sides_of_a_body_draw_each_other_half_of_the_way_together(meter):
     poses = np.zeros((100, 5, 3))
     poses[:, :, 0] = [0.0, 0.20, 0.24, 1.0, np.nan]  # a middle, left and right, a head, nothing
     pairs = np.array([[0, 1], [0, 2], [0, 3], [0, 4]], np.int32)
-    limbs = LastMinute(pairs, np.array([0, 2, 1, 3, 4], np.int32))
+    limbs = meter(pairs, np.array([0, 2, 1, 3, 4], np.int32))
     told(limbs, poses)
     lengths, _, counts = limbs.result()
     assert lengths == pytest.approx([0.21, 0.23, 1.0, 0.0], abs=1e-5)
     assert counts.tolist() == [100, 100, 100, 0]
 
 
-def test_a_limb_that_is_never_seen_is_as_long_as_that_of_the_other_side():
+@pytest.mark.parametrize("meter", [LastMinute, RunningLengths])
+def test_a_limb_that_is_never_seen_is_as_long_as_that_of_the_other_side(meter):
     poses = np.zeros((100, 3, 3))
     poses[:, :, 0] = [0.0, 0.20, np.nan]
-    limbs = LastMinute(np.array([[0, 1], [0, 2]], np.int32), np.array([0, 2, 1], np.int32))
+    limbs = meter(np.array([[0, 1], [0, 2]], np.int32), np.array([0, 2, 1], np.int32))
     told(limbs, poses)
     assert limbs.result()[0] == pytest.approx([0.20, 0.20], abs=1e-5)
 

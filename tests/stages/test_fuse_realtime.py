@@ -20,6 +20,7 @@ from hiros_mcap.stages.fuse.fusing import (
     JointStates,
     Steps,
 )
+from hiros_mcap.stages.fuse.pair_lengths import RunningLengths, measured_lengths
 from hiros_mcap.stages.fuse.pose_prior import RecentMotion
 from hiros_mcap.stages.known_cameras import KnownCameras
 from hiros_mcap.systems import Run, system
@@ -139,6 +140,21 @@ def test_a_filter_whose_predictions_fail_follows_faster():
     agile, usual = start_to_run()
     assert np.abs(agile[:30]).max() < 1e-9
     assert np.abs(agile[34:36]).mean() < 0.7 * np.abs(usual[34:36]).mean()
+
+
+def test_running_lengths_become_those_of_the_whole():
+    rng = np.random.default_rng(1)
+    ends = np.zeros((600, 2, 3))
+    ends[:, 1, 0] = 0.25
+    poses, variances = ends + rng.normal(0, 0.02, ends.shape), np.full((600, 2), 0.02**2)
+    poses[300, 1] += 5.0
+    poses[17] = np.nan
+    pairs = np.array([[0, 1]], np.int32)
+    running = RunningLengths(pairs, np.arange(2, dtype=np.int32))
+    running.update(poses, variances)
+    lengths = running.result()[0]
+    assert lengths == pytest.approx(measured_lengths(poses, variances, pairs), abs=0.002)
+    assert lengths == pytest.approx(0.25, abs=0.003)
 
 
 def swinging(seconds):

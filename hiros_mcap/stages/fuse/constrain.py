@@ -7,8 +7,8 @@
    (:mod:`hiros_mcap.stages.fuse.pose_prior`); then lengths are restored.
 4. Both take the part of the variance of each marker that their steps show.
 
-With a window, a pose knows those after it. Without one, lengths are measured twice a second until
-they stay, and the prior is the motion of the minute before.
+With a window, a pose knows those after it. Without one, lengths run on and the prior is the motion
+of the minute before.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from hiros_mcap.stages.fuse.pair_lengths import (
     LastMinute,
     MeasuredLengths,
     PairLimbs,
+    RunningLengths,
 )
 from hiros_mcap.stages.fuse.pose_prior import (
     RecentMotion,
@@ -47,7 +48,6 @@ from hiros_mcap.threads import run_each
 
 UNKNOWN_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
 _FORGET = 600.0  # s; somebody who returns has the same body
-_RENEWED = 500_000_000  # ns between two measurements of lengths, without a window
 _PIECE = 256  # poses that are projected together
 _LEAST_LEFT = 0.25  # of the variance. A longer step says that there was more noise than assumed.
 _STEPS_KEPT = 10.0  # s; time constant of the mean of the steps
@@ -122,12 +122,12 @@ class _Body:
     """The body of one person."""
 
     minute: LastMinute
+    running: RunningLengths  # in place of the minute, where each pose is corrected by those before
     recent: RecentMotion
     steps: StepMeter
     first: int
     last: int = 0  # when the person was first and last seen, ns
-    measured: MeasuredLengths | None = None  # None = to be measured anew
-    renewed: int = 0  # when that was so last, ns
+    measured: MeasuredLengths | None = None  # None = not since the last pose
     is_fixed: bool = False  # whether the lengths stay as they are
 
 
@@ -157,14 +157,13 @@ class _Bodies:
         for person, rows in people:
             body = self._body(person, int(stamps[rows[0]]))
             body.last = int(stamps[rows[-1]])
-            if self._params.window > 0 or stamps[rows[0]] - body.first <= enough:
+            if self._params.window > 0:
                 body.minute.update(stamps[rows], positions[rows], variances[rows])  # 1
+            elif stamps[rows[0]] - body.first <= enough:
+                body.running.update(positions[rows], variances[rows])
             if not body.is_fixed:
-                is_known = body.last - body.first >= enough
-                is_due = body.last - body.renewed >= _RENEWED
-                if is_known or is_due or self._params.window > 0:
-                    body.measured, body.renewed = None, body.last
-                if is_known:
+                body.measured = None
+                if body.last - body.first >= enough:
                     self._keep(person, body)
                     body.is_fixed = True
             if self._params.window == 0:
@@ -194,7 +193,8 @@ class _Bodies:
         body = self._people.get(person)
         if body is None or stamp - body.last > _FORGET * 1e9:
             minute = LastMinute(self._pairs, self._mirror, max(MINUTE, self._params.enough))
-            body = self._people[person] = _Body(minute, RecentMotion(), StepMeter(), stamp)
+            running = RunningLengths(self._pairs, self._mirror)
+            body = self._people[person] = _Body(minute, running, RecentMotion(), StepMeter(), stamp)
         return body
 
     def _lengths(self, person: int) -> Floats:
@@ -204,7 +204,8 @@ class _Bodies:
     def _result(self, body: _Body) -> MeasuredLengths:
         """Return the lengths of a body, measured anew if there are new poses."""
         if body.measured is None:
-            body.measured = body.minute.result()
+            meter = body.minute if self._params.window > 0 else body.running
+            body.measured = meter.result()
         return body.measured
 
     def _keep(self, person: int, body: _Body) -> None:

@@ -1,7 +1,8 @@
 """Distances of markers that a body keeps constant: of links, and within head, thorax and pelvis.
 
 Noise of variance v along each axis lengthens them: L^2 = mean |d|^2 - 3 v. The other side of the
-body tells a part of each (:func:`drawn_together`).
+body tells a part of each (:func:`drawn_together`). They are measured from many poses at once
+(:class:`LastMinute`) or on the way (:class:`RunningLengths`).
 """
 
 from __future__ import annotations
@@ -24,11 +25,17 @@ MeasuredLengths = tuple[Floats, Floats, Ints]
 as they were seen, m; poses with both ends."""
 
 
+def without_noise(squares: Floats, varied: Floats, stated: Floats) -> Floats:
+    """Lengths, m, from mean ``squares`` of distances, m2.
+
+    The variance of the noise is that ``stated``, m2, and at most that by which the distance itself
+    ``varied``: an overstated one would shorten.
+    """
+    return np.asarray(np.sqrt(np.maximum(squares - 3 * np.minimum(stated, varied), 0.0)))
+
+
 def measured_lengths(positions: Floats, variances: Floats, pairs: Ints) -> Floats:
     """(K,) Distances of markers without the part that noise adds, m; NaN = unknown.
-
-    The variance of the noise is that of the markers, and at most that by which the distance itself
-    varies: an overstated one would shorten.
 
     Parameters
     ----------
@@ -50,8 +57,7 @@ def measured_lengths(positions: Floats, variances: Floats, pairs: Ints) -> Float
     weights = seen / (noise + 2 * _LENGTH_DEVIATION**2)
     mean = np.nansum(weights * clipped, axis=0) / weights.sum(axis=0)
     stated = np.nansum(weights * noise, axis=0) / weights.sum(axis=0)
-    noise = np.minimum(stated, np.nanvar(np.sqrt(clipped), axis=0))
-    lengths[enough] = np.sqrt(np.maximum(mean - 3 * noise, 0.0))
+    lengths[enough] = without_noise(mean, np.nanvar(np.sqrt(clipped), axis=0), stated)
     return lengths
 
 
@@ -105,6 +111,49 @@ class LastMinute:
         lengths = np.nan_to_num(measured_lengths(poses, variances, self._pairs))
         deviations, counts = _deviations(poses, self._pairs)
         return drawn_together(lengths, counts, self._other), deviations, counts
+
+
+class RunningLengths:
+    """Measures distances by running means, so the first poses use what there is.
+
+    Parameters
+    ----------
+    pairs : (K, 2) slots. mirror : (M,) slot of the same joint on the other side.
+    """
+
+    def __init__(self, pairs: Ints, mirror: Ints) -> None:
+        self._a, self._b = pairs[:, 0], pairs[:, 1]
+        self._other = other_sides(pairs, mirror)
+        self._counts = np.zeros(len(pairs), np.int32)
+        self._weight = np.zeros(len(pairs))
+        self._means = np.zeros((4, len(pairs)))
+        """Of the square of the distance, its square, the distance, and the noise."""
+
+    def update(self, positions: Floats, variances: Floats) -> None:
+        """Take poses: (T, M, 3) m, (T, M) m2 along each axis."""
+        noises = variances[:, self._a] + variances[:, self._b]
+        for pose, noise in zip(positions, noises, strict=True):
+            squares = ((pose[self._a] - pose[self._b]) ** 2).sum(axis=1)
+            seen = ~np.isnan(squares)
+            squares = np.where(seen, squares, 0.0)
+            mean, mean_square = self._means[:2]
+            spread = np.sqrt(np.maximum(mean_square - mean**2, 0.0))
+            clipped = np.clip(squares, mean - _OUTLIER * spread, mean + _OUTLIER * spread)
+            squares = np.where(self._counts >= _FEWEST, clipped, squares)
+            new = seen / (noise + 2 * _LENGTH_DEVIATION**2)
+            self._weight += new
+            gain = new / np.maximum(self._weight, 1e-12)
+            values = np.stack([squares, squares**2, np.sqrt(squares), noise])
+            self._means += gain * (values - self._means)
+            self._counts += seen
+
+    def result(self) -> MeasuredLengths:
+        """Return what the poses so far show."""
+        square, _, distance, stated = self._means
+        varied = np.maximum(square - distance**2, 0.0)
+        lengths = without_noise(square, varied, stated)
+        lengths = drawn_together(lengths, self._weight, self._other)
+        return lengths, np.sqrt(varied), self._counts
 
 
 class PairLimbs:
