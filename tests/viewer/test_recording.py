@@ -15,7 +15,7 @@ from scipy.stats import chi2
 
 from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.body.symmetry import split_side, symmetry_of
+from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.body.transforms import transform_to_fixed
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
@@ -642,39 +642,6 @@ def test_the_tree(recording):
         assert path in found
 
 
-def test_cameras_have_their_numbers(recording):
-    (table,) = texts(recording, "/cameras", "TextDocument:text")
-    lines = [line.split(" | ") for line in table.splitlines() if "camera_" in line]
-    assert [line[0] for line in lines] == ["| camera_0", "| camera_1", "| camera_2"]
-    for line in lines:
-        used, of = map(int, line[1].split(" of "))
-        assert 0 < used <= of
-        assert 50 <= int(line[2].rstrip("%")) <= 100
-        assert 10 < int(line[3].removesuffix(" mm")) < 100
-
-
-def test_a_mirrored_view_is_marked_and_listed(processed, tmp_path, monkeypatch):
-    """Of camera_1's detections, the viewer is shown mirrored ones for a second."""
-    target, shown = tmp_path / "mirrored.rrd", Scene.detections
-    with open_log(processed) as log:
-        start, mirror = log.span[0], symmetry_of(log.model).mirror
-
-    def mirrored(scene, camera, poses):
-        if camera == "camera_1":
-            since = poses.stamps[poses.frames] - start
-            some = (since > 0.8e9) & (since < 1.8e9)
-            poses.positions[some] = poses.positions[some][:, mirror]
-        shown(scene, camera, poses)
-
-    monkeypatch.setattr(Scene, "detections", mirrored)
-    assert run(["view", str(processed), "--save", str(target), "-q"]) == 0
-    bones = rows(target, "/marked/camera_1/mirrored/bones", "LineStrips3D:strips")
-    wrong = [stamp - start for stamp, strips in bones.items() if len(strips)]
-    assert sum(0.8e9 < since < 1.8e9 for since in wrong) >= 25
-    assert any("view mirrored camera_1: for" in text for text in texts(target, "/log"))
-    assert "/wrong_view/camera_1/mirrored" in entities(target)
-
-
 def test_a_time_range_has_its_results_though_they_were_logged_much_later(processed, tmp_path):
     """A system may wait until it knows limbs; nobody may be there meanwhile."""
     late, target = tmp_path / "late.mcap", tmp_path / "late.rrd"
@@ -777,15 +744,13 @@ def test_a_recording_is_read_with_the_settings_beside_it(crossing, tmp_path, cap
 def test_the_legend_names_what_the_layout_shows(layout):
     plain = Content(["merged", "filtered"], [0], ["camera_0"], BOX)
     words = legend(plain, layout)
-    for absent in ("White", "Red", "Magenta", "Faint", "Ellipsoids", "frusta"):
+    for absent in ("White", "Red", "Faint", "Ellipsoids", "frusta"):
         assert absent not in words
     assert ("Yellow" in words) == (layout == "stages")
     assert ("curves" in words.split("Point")[0]) == (layout == "overview")
-    lanes = {"/a": "person", "/b": "mirrored", "/c": "far off", "/d": "no data"}
-    full = replace(plain, shows_truth=True, has_predicted=True, lanes=lanes)
+    full = replace(plain, shows_truth=True, has_predicted=True)
     words = legend(full, layout)
     assert "**Faint**" in words
-    assert ("Magenta" in words) == ("20 cm" in words) == (layout != "stages")
     has_truth = layout == "overview"
     assert ("**White**: the truth" in words) == ("the way to the truth" in words) == has_truth
     assert ("Thin lines" in words) == (layout == "cameras")

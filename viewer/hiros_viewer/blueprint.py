@@ -16,8 +16,8 @@ from hiros_mcap.body.angles import JOINTS
 from hiros_mcap.body.rotations import Rigid, rotate
 from hiros_mcap.skeletons import Floats
 from hiros_viewer.columns import LOGGED, STAMP, TIMELINE
-from hiros_viewer.entities import CAMERA_TABLE, KEY, Layer, person_part
-from hiros_viewer.palette import BEFORE, FAULTY
+from hiros_viewer.entities import KEY, Layer, person_part
+from hiros_viewer.palette import BEFORE
 
 _AHEAD = np.array([0.0, 0.0, 3.0])  # z of a camera points where it looks
 _BONES = ("bones", "left_bones")
@@ -54,7 +54,7 @@ class Content:
     """Whether ellipsoids are drawn round joints, whose own size would hide them."""
     has_predicted: bool = False  # whether somebody is in the result while no camera sees them
     lanes: Mapping[str, str] = field(default_factory=dict)
-    """Path of a lane -> what it shows: "person", "no data" or a fault of a camera's view."""
+    """Path of a lane -> what it shows: "person" or "no data"."""
     moved: Collection[str] = ()  # stages whose joints are not those of the result
     longest: int = 0  # who of the people is there for longest: whose curves are seen first
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -136,14 +136,12 @@ def overview(content: Content) -> rrb.Container:
 
 
 def _lanes(content: Content) -> Any:
-    """Return who is there, when a camera's view is wrong, and when nothing was recorded.
+    """Return who is there, and when nothing was recorded.
 
     It shows whatever has states, also people who come while it is watched.
     """
-    kinds = content.lanes.values()
     in_result = ["People in the result"] * (not content.is_raw)
-    faulty = ["when a camera's view is wrong"] * any(kind in FAULTY for kind in kinds)
-    name = "; ".join([*in_result, *faulty, *["no data"] * ("no data" in kinds)])
+    name = "; ".join([*in_result, *["no data"] * ("no data" in content.lanes.values())])
     name = name[:1].upper() + name[1:]
     return rrb.StateTimelineView(origin="/", contents="/**", name=name, time_view=_whole())
 
@@ -180,15 +178,9 @@ def cameras(content: Content) -> rrb.Container:
         below = [_series(content, "residual", "Distance to the result, mm", corner=corner)]
         if content.lanes:  # else the viewer fills it with advice
             below.append(_lanes(content))
-        table = rrb.TextDocumentView(origin=CAMERA_TABLE, name="Cameras in numbers")
-        has_free_cell = n % columns == columns - 1
-        (rooms if has_free_cell else below).insert(n if has_free_cell else 0, table)
     grid = rrb.Grid(*rooms, grid_columns=columns)
     shares = [3, 0.25 + 0.25 * (len(content.prefixes) == 2), 1.15]
-    widths = [5, 3, 3] if len(below) == 3 else None  # the table has eight columns
-    return rrb.Vertical(
-        grid, _key(), rrb.Horizontal(*below, column_shares=widths), row_shares=shares
-    )
+    return rrb.Vertical(grid, _key(), rrb.Horizontal(*below), row_shares=shares)
 
 
 LAYOUTS: dict[str, Callable[[Content], Any]] = {
@@ -247,8 +239,8 @@ def _room(
     visible = content.cameras if cameras is None else cameras
     shows_truth = content.shows_truth and len(stages) == 1 and not seen_by
     is_covered = shows_truth or (stages and not seen_by and content.hides_detections)
-    kinds = ("marked",) if is_covered and not content.is_raw else ("detections", "marked")
-    contents += [f"+ /{kind}/{camera}/**" for kind in kinds for camera in visible]
+    if content.is_raw or not is_covered:
+        contents += [f"+ /detections/{camera}/**" for camera in visible]
     stages = [stage for stage in stages if stage]
     contents += [f"+ {prefix}/{stage}/**" for prefix in content.prefixes for stage in stages]
     overrides: dict[str, Any] = {}

@@ -26,7 +26,6 @@ from hiros_viewer.palette import (
     CLASSES,
     DISPLACEMENT,
     ERROR,
-    FAULTY,
     TRUTH,
     camera_colour,
     curve_colour,
@@ -76,15 +75,6 @@ class Layer:
         return f"{self.name} {text}" if self.name else text
 
 
-CAMERA_TABLE = "/cameras"
-CAMERA_COLUMNS = (
-    *("camera", "used", "coverage", "distance"),
-    *("mirrored", "far off", "flips", "outliers"),
-)
-_CAMERA_NOTE = (
-    "Used: its messages. Coverage: people of the result that it reports. Distance: of its "
-    "detections to the result, median. Flips: relabelled detections. Outliers: markers left out."
-)
 KEY = "/key"
 
 
@@ -119,9 +109,6 @@ class Entities:
         self.recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         classes = _annotations(self.model.marker_names, dim_detections=dim_detections)
         self.recording.log("/", classes, static=True)
-
-    def _document(self, path: str, text: str) -> None:
-        self.recording.log(path, rr.TextDocument(text, media_type="text/markdown"), static=True)
 
     def camera(self, name: str, number: int, pose: Rigid, lens: Intrinsics | None = None) -> None:
         """Draw a camera as a frustum at its pose in the fixed frame, with its lens if known."""
@@ -242,26 +229,6 @@ class Entities:
             return _TRUE
         return colour_number(person_of(path), self._layer) % CLASSES
 
-    def marks(self, camera: str, kind: str, poses: Poses, rows: Rows) -> None:
-        """Send detections of a camera that are wrong, in a colour that warns, and say how."""
-        path = f"/marked/{path_part(camera)}/{fault_part(kind)}"
-        colour = FAULTY[kind]
-        if self._is_new(path):
-            style = rr.LineStrips3D.from_fields(colors=[colour], radii=_DETECTION_M)
-            for part in self._bones:
-                self.recording.log(f"{path}{part}", style, static=True)
-            name = rr.Points3D.from_fields(
-                colors=[label_colour(colour)], radii=0.001, labels=[f"{camera} {kind}"],
-                show_labels=True,
-            )  # fmt: skip
-            self.recording.log(f"{path}/name", name, static=True)
-        people = np.arange(len(poses.ids))
-        joints, _ = self._joints(poses, people, _DETECTION_M)
-        self._send_bones(path, joints, rows)
-        tops_ = _highest(poses, people) - np.array([0, 0, _LABEL_ABOVE_M])
-        where = {rr.Points3D.descriptor_positions(): rr.components.Position3DBatch(tops_)}
-        self._send(f"{path}/name", rows[0], where, rows[1])
-
     def _is_new(self, path: str) -> bool:
         """Whether it was not said yet how an entity looks; it is to be said now."""
         is_new = path not in self._begun
@@ -293,12 +260,6 @@ class Entities:
             rr.Ellipsoids3D.descriptor_centers(): rr.components.Translation3DBatch(centers),
         }
         self._send(path, times, parts, present.sum(axis=1))
-
-    def camera_table(self, rows: Sequence[Sequence[str]]) -> None:
-        """Show numbers of each camera, in the order of :data:`CAMERA_COLUMNS`."""
-        lines = [CAMERA_COLUMNS, ["---"] * len(CAMERA_COLUMNS), *rows]
-        table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-        self._document(CAMERA_TABLE, f"{table}\n\n{_CAMERA_NOTE}")
 
     def joint_lines(
         self, path: str, times: Stamps, ends: tuple[Floats, Floats], *, is_error: bool
@@ -413,11 +374,6 @@ def path_part(name: str) -> str:
 def person_part(person: int) -> str:
     """Return a person as one part of an entity path; spaces would be shown with backslashes."""
     return f"person_{person}"
-
-
-def fault_part(kind: str) -> str:
-    """Return a fault of a camera's view as one part of an entity path."""
-    return kind.replace(" ", "_")
 
 
 def person_of(path: str) -> int:

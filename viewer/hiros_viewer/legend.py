@@ -70,14 +70,8 @@ def _meanings(content: Content, layout: str) -> Iterator[tuple[str, str]]:
         yield "Thin lines", "what cameras report"
     if content.has_predicted:
         yield "Faint", "nobody sees the person, who is predicted"
-    faults = set(content.lanes.values()) if layout != "stages" else set()
-    if "mirrored" in faults:
-        yield "Magenta", "a camera swaps left and right"
-    red = ["a detection more than 20 cm off"] if "far off" in faults else []
-    shows_truth = content.shows_truth and layout == "overview"
-    if red or shows_truth:
-        yield "Red", ", or ".join([*red, *["the way to the truth"] * shows_truth])
-    if shows_truth:
+    if content.shows_truth and layout == "overview":
+        yield "Red", "the way to the truth"
         yield "White", "the truth"
     if content.shows_uncertainty:
         yield "Ellipsoids", "the true joint is inside with 68 %"

@@ -29,8 +29,6 @@ TRUTH: RGB = (235, 240, 235)
 """Of true people, beside a result in hues."""
 DISTANCES: dict[str, RGB] = {"mean": CURVES[2], "largest": CURVES[3]}
 """Of curves of the distance between two logs, whose people are orange and blue."""
-FAULTY: dict[str, RGB] = {"mirrored": (255, 0, 255), "far off": (255, 60, 60)}
-"""Of a camera's view while it is wrong, in the room and in its lane."""
 SILENCE: RGB = (110, 110, 110)
 """Of the lane while no camera sends anything."""
 ERROR: RGB = (255, 70, 70)

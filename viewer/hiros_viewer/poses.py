@@ -293,11 +293,6 @@ class Crowd:
         times = np.insert(poses.times, places[hides], before[hides] + GONE_NS, axis=0)
         return times, np.insert(poses.counts, places[hides], 0)
 
-    def changes(self, poses: Poses) -> Flags:
-        """(N,) whether a frame shows anybody, or is the first that hides them."""
-        shown = poses.counts > 0
-        return np.asarray(shown | np.append(self._shown, shown[:-1]))
-
     def finish(self) -> Stamps:
         """Return the time (1, 2) at which whoever is shown is hidden; (0, 2) if nobody is."""
         if self._last is None or not self._shown:

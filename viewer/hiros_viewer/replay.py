@@ -8,7 +8,6 @@ import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -28,7 +27,7 @@ from hiros_mcap.events import Event
 from hiros_mcap.io.channels import OUTPUT_PREFIX, TRUTH_PREFIX, channels_of
 from hiros_mcap.io.detectors.rgb_keypoints import RGB_TOPIC
 from hiros_mcap.io.log import CameraChannel, Log, open_log, reading
-from hiros_mcap.io.result import stored_events, stored_report
+from hiros_mcap.io.result import stored_events
 from hiros_mcap.io.rgb_cameras import RgbCamera, poses_of, read_rgb_cameras
 from hiros_mcap.io.ros_messages import open_messages, read_pictures
 from hiros_mcap.rays.confidence import TRIANGULATED
@@ -91,7 +90,6 @@ class Source:
     events: tuple[Event, ...]
     start: int  # ns; what seconds count from
     topics: tuple[str, ...]
-    report: Mapping[str, Mapping[str, Any]]  # by camera: what the run that made the result counted
     later: Mapping[str, Mapping[float, Rigid]]
     """By camera that was moved: the poses after that, by the seconds from the start of the log."""
 
@@ -294,7 +292,6 @@ class _Replay:
             if begin <= event.stamp <= end:
                 scene.event(event)
         scene.finish()
-        scene.describe_cameras(source.report)
 
     def _final(self, source: Source) -> str:
         """Return the stage that curves are taken from; "" = there is none."""
@@ -392,10 +389,8 @@ def describe(log: Log) -> Source:
             later.update({names[source]: moved for source in camera.sources.values() if moved})
     stages = tuple(stage for stage in STAGES if stage in kinds and stage != "truth")
     topics = tuple(dict.fromkeys(camera.channel.topic for camera in log.cameras))
-    cameras = stored_report(log.reader).cameras
-    report = {names.get(camera.name, camera.name): camera.model_dump() for camera in cameras}
     events = stored_events(log.reader)
-    return Source(log.model, poses, names, stages, events, log.span[0], topics, report, later)
+    return Source(log.model, poses, names, stages, events, log.span[0], topics, later)
 
 
 def _later_poses(log: Log, camera: CameraChannel) -> dict[float, Rigid]:

@@ -14,10 +14,7 @@
     /error_lines/<person>, /error/<person>   from the result to the truth; their length, mm
     /uncertainty/<person>       ellipsoids that hold the true joints with 68 %
     /<person>                   while somebody is tracked;  /log   events
-    /marked/<camera>/<fault>    detections that are mirrored or far off
-    /wrong_view/<camera>/<fault>   while there are any
     /no_data                    while no camera sends anything;  /world/no_data   so in the room
-    /cameras                    numbers of each camera
     /images/<camera>            what an RGB camera sees (:mod:`hiros_viewer.images`)
 
 A person's part of a path is person_<id>. Time is in seconds from the start, as a date, and as the
@@ -30,14 +27,13 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import rerun as rr
 
 from hiros_mcap.body.anatomy import ANGLE_NAMES, MAIN_ANGLES, MOST_RAD, anatomical_angles, continued
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.body.symmetry import split_side, symmetry_of
+from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.evaluate.match import MATCH_DISTANCE, skeleton_distances
 from hiros_mcap.evaluate.mot import best_pairs
 from hiros_mcap.evaluate.truth import Truth
@@ -51,13 +47,12 @@ from hiros_viewer.entities import (
     MAGNIFIED,
     Entities,
     Layer,
-    fault_part,
     path_part,
     person_hue,
     person_part,
 )
 from hiros_viewer.images import CameraImages
-from hiros_viewer.palette import DISTANCES, FAULTY, SIDES, SILENCE, curve_colour, shade
+from hiros_viewer.palette import DISTANCES, SIDES, SILENCE, curve_colour, shade
 from hiros_viewer.poses import (
     HALF_SIZE,
     HIDDEN,
@@ -72,17 +67,16 @@ from hiros_viewer.poses import (
 from hiros_viewer.view_check import (
     Compared,
     EarlierPoses,
-    FaultySpan,
-    ViewCheck,
     Waiting,
     apart,
+    mean_distances,
 )
 
 STAGES = ("tracked", "merged", "optimized", "filtered", "truth")
 _ALONE = Layer()
 _MOST_BOUNDS = 2000
 PERSON, NO_DATA = "person", "no data"
-"""States of a lane besides the faults of a camera's view."""
+"""What a lane shows."""
 SILENCE_S = 1.0
 """Without any message for longer, there is no data; detectors send several messages a second."""
 _ROOTS = ("pelvis", "spinebase", "midhip", "hips", "spine_base", "spinemid")
@@ -123,13 +117,11 @@ class Scene:
         self.moved: set[str] = set()  # stages whose joints are not those of the last one
         self.has_predicted = False  # whether somebody whom no camera saw is in the last stage
         self.lanes: dict[str, str] = {}
-        """Path of a lane -> what it shows: a person, a fault of a camera's view, or no data."""
+        """Path of a lane -> what it shows: a person, or no data."""
         self.n_true = 0  # frames of the last stage whose instant the truth covers
         self.layer, self.prefix = layer, layer.prefix
         self._crowds = defaultdict[str, Crowd](Crowd)
         """By camera; in the order in which cameras were first seen."""
-        self._marks = defaultdict[Channel, Crowd](Crowd)
-        """By camera and kind of fault: its detections that have it."""
         self._stages: dict[str, Visits] = {}
         self._curves: dict[str, Stamps] = {}  # by path: (2,) times of the newest row
         self._texts = defaultdict[str, list[TextRow]](list)
@@ -142,8 +134,6 @@ class Scene:
         """By person: stamp -> the true person who is nearest."""
         self._newest: Stamps | None = None  # (2,) times of the last message
         self._waiting = Waiting()
-        mirror = symmetry_of(model).mirror
-        self._checks = defaultdict[str, ViewCheck](lambda: ViewCheck(mirror))  # by camera
         self._lengths = Counter[int]()  # frames of the last stage that everybody is in
         self._root = _root_slot(model)
         self._recording = recording
@@ -239,45 +229,11 @@ class Scene:
             self._extend_bounds(poses.positions)
 
     def _compare(self, some: Iterable[Compared]) -> None:
-        """Draw how far detections are from the nearest person each, and mark wrong ones."""
+        """Draw how far detections are from the nearest person each."""
         for camera, detections, people, rows in some:
-            check = self._checks[camera]
-            distances, faults = check.compare(detections, people, rows)
+            distances = mean_distances(detections, people, rows)
             present = ~np.isnan(distances)
             self._extend_camera("/residual", camera, detections.times[present], distances[present])
-            for kind, wrong in faults.items():
-                if wrong.any() or (camera, kind) in self._marks:
-                    self._mark(camera, kind, detections.only(wrong))
-            self._mark_faults(camera, check.spans(detections, faults))
-
-    def _mark(self, camera: str, kind: str, wrong: Poses) -> None:
-        """Draw the detections of frames that are wrong, if there are any."""
-        crowd = self._marks[camera, kind]
-        kept = np.flatnonzero(crowd.changes(wrong))
-        if len(kept):
-            wrong = wrong.select(kept)
-            self._entities.marks(camera, kind, wrong, crowd.rows(wrong))
-
-    def _mark_faults(self, camera: str, spans: Iterable[FaultySpan]) -> None:
-        """Show when a camera's view was wrong: a lane, and a line in the list of events."""
-        for kind, start, end in spans:
-            path = f"/wrong_view/{path_part(camera)}/{fault_part(kind)}"
-            self._lane(path, Line(f"{camera} {kind}", FAULTY[kind]), kind)
-            self._texts[path] += [(start, kind, "INFO"), (end, "gone", "INFO")]
-            detail = f"for {(end[0] - start[0]) / 1e9:.2f} s"
-            event = Event(int(start[0]), f"view {kind}", UNTRACKED, camera, detail)
-            self.event(event, int(start[1]))
-
-    def describe_cameras(self, report: Mapping[str, Mapping[str, Any]]) -> None:
-        """Show the numbers of each camera: those of the run, by camera, and what was drawn."""
-        rows = []
-        for camera in self.cameras:
-            run, check = report.get(camera, {}), self._checks[camera]
-            used = f"{run['used']} of {run['messages']}" if run.get("messages") else "-"
-            counts = [str(run.get(name, "-")) for name in ("flips", "outliers")]
-            rows.append((camera, used, *check.row(), *counts))
-        if rows and self.final:
-            self._entities.camera_table(rows)
 
     def stage(self, name: str, poses: Poses) -> None:
         """Draw a stage's people."""
@@ -393,14 +349,9 @@ class Scene:
             if len(times := crowd.finish()):
                 self._entities.detections(camera, number, nobody, (times, np.zeros(1, np.int64)))
         self._compare(self._waiting.rest())
-        for (camera, kind), crowd in self._marks.items():
-            if len(times := crowd.finish()):
-                self._entities.marks(camera, kind, nobody, (times, np.zeros(1, np.int64)))
         for name, visits in self._stages.items():
             for visit in visits.finish():
                 self._send_visit(name, visit, nobody)
-        for camera, check in self._checks.items():
-            self._mark_faults(camera, check.finish())
         for image in self.images:
             image.finish(self.start or 0)
         self._send_texts()
