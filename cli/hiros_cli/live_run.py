@@ -154,7 +154,7 @@ def _output(
     from hiros_mcap.io.foxglove_server import FoxgloveServer
 
     with contextlib.ExitStack() as stack:
-        server = FoxgloveServer(wanted, warn)
+        server = FoxgloveServer(wanted)
         stack.callback(server.discard)
         if not quiet:
             print(f"hiros: serving the results at {server.url}", file=sys.stderr, flush=True)

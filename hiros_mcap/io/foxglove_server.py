@@ -1,29 +1,27 @@
 """Results for others: a Foxglove WebSocket server that gives what a pipe would get.
 
-The package foxglove-sdk speaks the protocol, behind a :class:`ClientGate`. The run never waits.
+The package foxglove-sdk speaks the protocol. The run never waits: who reads too slowly loses the
+oldest messages.
 """
 
 from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
 from threading import Thread
 from types import SimpleNamespace
 from typing import Any
 
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.channels import is_static_topic
-from hiros_mcap.io.client_gate import ClientGate
 from hiros_mcap.io.container.live_output import MessageSink
 from hiros_mcap.io.container.records import Channel, Schema
 from hiros_mcap.io.foxglove import split_address
 
 _LOOPBACK, _PORT = "127.0.0.1", 8765
-_QUEUED = 2048  # messages of a client that wait for the gate, which takes them at once
+_QUEUED = 512  # messages that wait for a client: about 2 s of five cameras, with the results
 _LATCHED = 1000
 """Messages with static transforms that a client gets that comes later; a camera has one or two."""
-_log = logging.getLogger(__name__)
 _FAREWELL_S = 0.5  # for clients to take what is left
 
 
@@ -35,12 +33,11 @@ class FoxgloveServer(MessageSink):
     Parameters
     ----------
     url : ``ws://HOST:PORT``; without a host only this computer is served, port 0 is any free one.
-    report : takes a line about a client that is refused or disconnected.
 
     Raises ConfigError for another address, LogError if the server cannot start.
     """
 
-    def __init__(self, url: str, report: Callable[[str], object] = _log.warning) -> None:
+    def __init__(self, url: str) -> None:
         host, port = _address(url)
         try:
             import foxglove
@@ -65,16 +62,15 @@ class FoxgloveServer(MessageSink):
         try:
             self._server: Any = foxglove.start_server(
                 name="hiros",
-                host=_LOOPBACK,
-                port=0,
+                host=host,
+                port=port,
                 server_listener=listener,
                 context=self._context,
                 message_backlog_size=_QUEUED,
             )
-            self._gate = ClientGate(host, port, self._server.port, report)
         except (OSError, RuntimeError, OverflowError) as error:
             raise LogError(f"cannot be served: {error}", path=url) from None
-        self.url = f"ws://{f'[{host}]' if ':' in host else host}:{self._gate.port}"
+        self.url = f"ws://{f'[{host}]' if ':' in host else host}:{self._server.port}"
         super().__init__(self.url)
 
     def commit(self) -> None:
@@ -88,7 +84,6 @@ class FoxgloveServer(MessageSink):
             stopping = Thread(target=server.stop, daemon=True)
             stopping.start()
             stopping.join(_FAREWELL_S)
-            self._gate.close(_FAREWELL_S)
 
     def greet(self, channel: int) -> None:
         """Send the static transforms again if ``channel``, the library's number, has them."""
