@@ -48,8 +48,6 @@ from hiros_mcap.running.report import Report
 from hiros_mcap.running.summary import Summary
 from hiros_mcap.running.write import (
     LogOutput,
-    NoOutput,
-    SeveralOutputs,
     open_output,
 )
 from hiros_mcap.systems import LETTERS, Run, chain_of
@@ -59,8 +57,8 @@ __all__ = ["ProcessOptions", "Watcher", "open_input", "process"]
 _log = logging.getLogger(__name__)
 Sink = Callable[[str, Block], None]
 """Takes what went into the first stage, or came out of any, by channel."""
-Output = Callable[[Prepared, Run], AbstractContextManager[NoOutput | LogOutput | SeveralOutputs]]
-"""Opens what a run writes."""
+Output = Callable[[Prepared, Run], AbstractContextManager[Sequence[LogOutput]]]
+"""Opens what a run writes, to several places or to none."""
 
 
 def process(
@@ -242,8 +240,9 @@ def run_log(
     observer = Observer(chain)
     reading = log.read(slim=True)
     report = Report(prepared, run, observer, reading)
-    with output(prepared, run) as out:
-        sinks = [observer.see, *_shown_to(watcher, log, chain), out.write]
+    with output(prepared, run) as outputs:
+        written = [out.write for out in outputs]
+        sinks = [observer.see, *_shown_to(watcher, log, chain), *written]
         detections = prepared.detections(reading)
         _consume(stream(detections, run, chain, sinks, watch), log, progress or Bar())
         watch.charge("read", log.reader.cpu_s)
@@ -252,8 +251,9 @@ def run_log(
         if options.strict:
             _refuse_skipped(reading, report.summary(None))
         with watch.timing("write"):
-            out.commit(report.summary(None))
-        watch.charge("write", out.cpu_s)
+            for out in outputs:
+                out.commit(report.summary(None))
+        watch.charge("write", sum(out.cpu_s for out in outputs))
     if watcher is not None:
         watcher.end(run.events)
     if options.limbs_out:

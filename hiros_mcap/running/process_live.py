@@ -40,7 +40,7 @@ from hiros_mcap.running.pipeline import check_limbs, conclude, run_log
 from hiros_mcap.running.preparation import Prepared, prepare
 from hiros_mcap.running.process_options import ProcessOptions, Watcher
 from hiros_mcap.running.summary import Summary
-from hiros_mcap.running.write import LogOutput, NoOutput, SeveralOutputs, is_kept, is_of_rgb
+from hiros_mcap.running.write import LogOutput, is_kept, is_of_rgb
 from hiros_mcap.systems import Run
 
 Target = int | Path | Sink
@@ -150,11 +150,8 @@ def _causal(config: Config, options: ProcessOptions) -> Config:
 @contextmanager
 def _open_outputs(
     targets: Sequence[Target], source: LiveInput, log: LiveLog, prepared: Prepared, run: Run
-) -> Iterator[NoOutput | LogOutput | SeveralOutputs]:
-    """Yield the output; pipes and servers get what is written before the input is waited for."""
-    if not targets:
-        yield NoOutput()
-        return
+) -> Iterator[Sequence[LogOutput]]:
+    """Yield the outputs; pipes and servers get what is written before the input is waited for."""
     compression = prepared.options.compression
     with ExitStack() as stack:
         # What somebody waits for goes first.
@@ -183,7 +180,7 @@ def _open_outputs(
                 writer.flush()
 
         log.reader.done = flush
-        yield outputs[0] if len(outputs) == 1 else SeveralOutputs(outputs)
+        yield outputs
 
 
 def _copy_as_read(log: LiveLog, writer: McapWriter, options: ProcessOptions) -> None:

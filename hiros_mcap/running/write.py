@@ -51,50 +51,14 @@ if TYPE_CHECKING:
     from hiros_mcap.io.export.run_summary import SummaryExport
 
 
-class NoOutput:
-    """A run of which only the summary is wanted."""
-
-    cpu_s = 0.0
-
-    def write(self, channel: str, block: Block) -> None:
-        """Do nothing."""
-
-    def commit(self, summary: Summary) -> None:
-        """Do nothing."""
-
-
-class SeveralOutputs:
-    """A run that is written to several places."""
-
-    def __init__(self, outputs: Sequence[LogOutput]) -> None:
-        self._outputs = outputs
-
-    @property
-    def cpu_s(self) -> float:
-        """CPU time of the writers' threads, s."""
-        return sum(output.cpu_s for output in self._outputs)
-
-    def write(self, channel: str, block: Block) -> None:
-        """Write the frames of a stage to each."""
-        for output in self._outputs:
-            output.write(channel, block)
-
-    def commit(self, summary: Summary) -> None:
-        """Finish each."""
-        for output in self._outputs:
-            output.commit(summary)
-
-
 @contextmanager
-def open_output(
-    target: Path | None, prepared: Prepared, run: Run
-) -> Iterator[NoOutput | LogOutput]:
-    """Yield the output of a run; nothing appears at ``target`` without a commit.
+def open_output(target: Path | None, prepared: Prepared, run: Run) -> Iterator[Sequence[LogOutput]]:
+    """Yield the outputs of a run, one or none; nothing appears at ``target`` without a commit.
 
     Raises LogError if ``target`` is the input or cannot be written.
     """
     if target is None:
-        yield NoOutput()
+        yield ()
         return
     log, options = prepared.log, prepared.options
     with (
@@ -106,7 +70,7 @@ def open_output(
         latched = [info for info in log.channels if info.id in kept and needs_latching(info)]
         copier = ChunkCopier(log.reader, writer, set(kept) - {info.id for info in latched})
         _copy_latched(log.reader, writer, latched)
-        yield LogOutput(writer, copier, prepared, run, digest.result)
+        yield [LogOutput(writer, copier, prepared, run, digest.result)]
 
 
 def _copy_latched(reader: McapReader, writer: McapWriter, channels: Iterable[ChannelInfo]) -> None:
