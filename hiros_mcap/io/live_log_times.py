@@ -1,7 +1,7 @@
-"""Log times of live input that cannot be right: each message is mended by those before it.
+"""Log times of live input that cannot be right.
 
-What is right stands in :mod:`.log_times`. The recorder's clock goes on where the last message was
-logged, and the stamps of a camera where its last one was. A log time that leaves both is wrong.
+A recorder with use_sim_time logs at 0 until it hears /clock: such a message gets its stamp with the
+delay of the last one, as in :mod:`.log_times`. Where time begins anew, nobody can mend it.
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ from dataclasses import replace
 from hiros_mcap.io.channels import TF_TOPICS, channels_of
 from hiros_mcap.io.container.live_reader import LiveReader
 from hiros_mcap.io.container.records import Message
-from hiros_mcap.io.log_times import EARLY, FAR, StampPlace, place_of, remark, stamp_of
-from hiros_mcap.wording import quantity
+from hiros_mcap.io.log_times import EARLY, StampPlace, place_of, remarks, stamp_of
 
 _BACK = 10 * 10**9
 """ns: how far messages out of order may lie behind the newest one."""
@@ -30,7 +29,7 @@ class LiveLogTimes:
     def __init__(self, reader: LiveReader) -> None:
         self._reader = reader
         self._places: dict[int, StampPlace | None] = {}
-        self._delays: dict[int, int] = {}  # channel -> log time - stamp, ns, of its last message
+        self._delay = 0  # log time - stamp, ns, of the last message
         self._last = 0  # log time, ns, of the last message with a stamp
         self._newest = 0  # the latest of these
         self._back = 0  # how many such messages were far behind it, one after the other
@@ -46,8 +45,12 @@ class LiveLogTimes:
         place = self._places[ident]
         if place is None:
             return message
-        stamp = stamp_of(message, place)
-        right = self._judged(ident, logged, stamp) if stamp else self._unstamped(logged)
+        right, stamp = logged, stamp_of(message, place)
+        if logged == 0:
+            due = max(stamp + self._delay, 0) if stamp else self._last
+            right = due if due > EARLY else 0
+        if stamp:
+            self._delay, self._last = right - stamp, right
         self._compare(self._last)
         if right == logged:
             return message
@@ -65,27 +68,6 @@ class LiveLogTimes:
                 "time; start hiros again, or name the file instead of a pipe"
             )
 
-    def _unstamped(self, logged: int) -> int:
-        return self._last if logged == 0 and self._last > EARLY else logged
-
-    def _judged(self, ident: int, logged: int, stamp: int) -> int:
-        """Return the right log time, ns, of a message with a stamp; remember both."""
-        usual = next(reversed(self._delays.values()), 0)
-        due = max(stamp + self._delays.get(ident, usual), 0)
-        is_known = bool(self._delays)
-        fits = abs(logged - due) <= FAR or not is_known
-        goes_on = abs(logged - self._last) <= FAR and self._last > 0
-        if logged == 0 and due > EARLY:
-            right = due
-        elif fits or goes_on or abs(due - self._last) > FAR:
-            right = logged
-        else:
-            right = due
-        self._delays[ident], self._last = right - stamp, right
-        return right
-
     def remarks(self) -> Iterator[str]:
         """Say how many messages were mended."""
-        if self._mended:
-            parts = [f"{quantity(n, 'message')} of {t}" for t, n in sorted(self._mended.items())]
-            yield remark(parts, "at time 0 (1970) or far from all others")
+        return remarks(self._mended)

@@ -9,18 +9,18 @@ delivery gives it. From there on the log is read as if it had been logged so.
   and the last of these the recorder's clock went right.
 - **Wrong.** A log time far outside of that, or 0. What the recorder's clock did between is none of
   that: it may stall, and deliveries may be late (:mod:`hiros_mcap.io.camera_clock`).
-- **Mended.** Only where the stamp, with the camera's usual delay, gives a time that joins the right
-  ones. Where both times make no sense, both stay. A message without a stamp, as of an empty room,
-  is put beside the message before it in the file.
+- **Mended.** Only where the stamp, with the camera's usual delay, gives a time within a day of the
+  right ones. Where both times make no sense, both stay. A message without a stamp, as of an empty
+  room, is put beside the message before it in the file.
 
 /tf_static is kept for late listeners, and is rightly logged at any time.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from datetime import UTC, datetime
 from typing import NamedTuple
 
 import numpy as np
@@ -93,8 +93,8 @@ def mend_log_times(reader: McapReader) -> None:
             rows = np.isin(reader.load(chunk).messages[:, CHANNEL], list(places))
             mended[chunk.offset] = rows, new
     reader.retime(mended)
-    names = {i: info.topic for i, info in infos.items()}
-    reader.remarks = (*reader.remarks, *_remarks(channels, log_times, right, names))
+    mended_counts = Counter(infos[i].topic for i in channels[right != log_times].tolist())
+    reader.remarks = (*reader.remarks, *remarks(mended_counts))
 
 
 def place_of(reader: McapReader, info: ChannelInfo) -> StampPlace | None:
@@ -214,7 +214,7 @@ def right_log_times(
     is_wrong = (log_times < first - far) | (log_times > last + far)
     is_wrong |= (log_times == 0) & (np.where(stamped, due, first) > EARLY)
     is_wrong &= ~latched | (log_times > last)
-    begin, end = _joined(due[is_wrong & stamped], first, last)
+    begin, end = (first - _PAUSE, last + _PAUSE) if last else (0, LATEST)
     mended = is_wrong & stamped & (due >= begin) & (due <= end)
     right = np.where(mended, due, log_times)
     good, lost = np.flatnonzero(~is_wrong | mended), np.flatnonzero(is_wrong & ~stamped)
@@ -239,59 +239,18 @@ def _delays(channels: Stamps, lags: Stamps, inside: Flags, usual: int) -> Stamps
 
 
 def _usual(lags: Stamps) -> int:
-    """Return the usual log time - stamp, ns, of (N,): about which most lie, or enough near 0."""
-    if not len(lags):
-        return 0
-    ordered = np.sort(lags)
-    usable = ordered[np.abs(ordered) <= FAR]
-    if len(usable) >= _ENOUGH:
-        return int(np.median(usable))
-    within = np.searchsorted(ordered, ordered + FAR, "right") - np.arange(len(ordered))
-    densest = int(np.argmax(within))
-    return int(np.median(ordered[densest : densest + within[densest]]))
+    """Return the usual log time - stamp, ns, of (N,): the middle, or that of enough near 0."""
+    near = lags[np.abs(lags) <= FAR]
+    counted = near if len(near) >= _ENOUGH else lags
+    return int(np.median(counted)) if len(counted) else 0
 
 
-def _joined(times: Stamps, first: int, last: int) -> tuple[int, int]:
-    """Return from when to when times join what is right between ``first`` and ``last``, ns."""
-    if not len(times) or not last:  # nothing is known to be right: the times are all there is
-        return (int(times.min()), int(times.max())) if len(times) else (first, last)
-    for time in np.sort(times[times < first])[::-1].tolist():
-        first = time if first - time <= FAR else first
-    for time in np.sort(times[times > last]).tolist():
-        last = time if time - last <= FAR else last
-    return first, last
-
-
-def _remarks(
-    channels: Stamps, log_times: Stamps, right: Stamps, names: dict[int, str]
-) -> Iterator[str]:
-    """Say how many messages of which channels are logged at which wrong times."""
-    pairs = zip(log_times.tolist(), right.tolist(), strict=True)
-    kinds = np.array([_when(*pair) for pair in pairs])
-    for when in sorted({*kinds.tolist()} - {""}):
-        parts = []
-        for channel in sorted(np.unique(channels[kinds == when]).tolist(), key=names.__getitem__):
-            n = int(((channels == channel) & (kinds == when)).sum())
-            share = max(100 * n / int((channels == channel).sum()), 1)
-            parts.append(f"{share:.0f} % of {names[channel]} ({quantity(n, 'message')})")
-        yield remark(parts, when)
-
-
-def remark(parts: Sequence[str], when: str) -> str:
-    """Say what was logged at a wrong time, and what hiros does."""
-    verb = "was" if len(parts) == 1 else "were"
-    return f"{', '.join(parts)} {verb} logged {when}; the stamps fit, so hiros goes by them"
-
-
-def _when(log_time: int, right: int) -> str:
-    """Say when a message was logged; "" if that is right."""
-    if log_time == right:
-        return ""
-    if log_time == 0:
-        return "at time 0 (1970), as by a recorder with use_sim_time before the first /clock"
-    if log_time == LATEST:
-        return "after the year 2262"
-    year, right_year = (
-        datetime.fromtimestamp(t // 1_000_000_000, UTC).year for t in (log_time, right)
-    )
-    return "far from all others" if year == right_year else f"in {year}, far from all others"
+def remarks(mended: Mapping[str, int]) -> Iterator[str]:
+    """Say how many messages of which topics were logged at a wrong time, and what hiros does."""
+    if mended:
+        parts = [f"{quantity(n, 'message')} of {topic}" for topic, n in sorted(mended.items())]
+        verb = "was" if len(parts) == 1 else "were"
+        yield (
+            f"{', '.join(parts)} {verb} logged at time 0 (1970) or far from all others; the stamps "
+            "fit, so hiros goes by them"
+        )

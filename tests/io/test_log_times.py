@@ -81,7 +81,7 @@ def test_the_stamp_counts_and_info_counts_what_was_logged_elsewhere(
     assert told.seconds == pytest.approx(healthy[1].seconds, abs=0.1)
     assert not told.clocks
     (remark,) = [remark for remark in told.remarks if "the stamps fit" in remark]
-    assert f"% of {CAMERA} (" in remark
+    assert f"of {CAMERA}" in remark
     assert remark in summary.notes
     assert overview_of(tmp_path / "out.mcap").seconds == pytest.approx(told.seconds, abs=0.2)
 
