@@ -19,6 +19,7 @@ from typing import Any
 from urllib.parse import SplitResult, urlsplit
 
 from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.io.container.live_input import LiveInput
 from hiros_mcap.io.container.records import Channel, McapRecord, Message, Schema
 from hiros_mcap.outside import parse
 
@@ -38,8 +39,8 @@ Wanted = Callable[[str, str], bool]
 """Tells from topic and message type whether to subscribe."""
 
 
-class FoxgloveInput:
-    """The channels of a server: a :class:`~hiros_mcap.io.container.live_input.LiveInput`.
+class FoxgloveInput(LiveInput):
+    """The channels of a server.
 
     Parameters
     ----------
@@ -53,30 +54,20 @@ class FoxgloveInput:
     def __init__(self, url: str, wanted: Wanted, largest: int = LARGEST) -> None:
         if not split_address(url).hostname:
             raise ConfigError(f"{url}: names no host; a server is at ws://HOST:PORT")
-        self.name = url
-        self.fault = ""
+        super().__init__(url)
         self._largest = largest
         self._connection: Any = None
         self._wanted = wanted
-        self._stopped = False
         self._ids: dict[int, int] = {}
         """Channel of the server -> our number of it and of the subscription."""
         self._counts: dict[int, int] = {}  # our number of a channel -> messages so far
         self._again: Counter[int] = Counter()
         """Channel of the server -> how often it was too early to subscribe."""
 
-    def stop(self) -> None:
-        """End the input here; a signal handler may call it."""
-        self._stopped = True
-
     def close(self) -> None:
         """Cut the connection, without a farewell, which a server may leave unanswered."""
         if self._connection is not None:
             self._connection.close_socket()
-
-    def digest(self) -> str:
-        """Return "": what came cannot be had again."""
-        return ""
 
     def records(self) -> Iterator[McapRecord | None]:
         """Subscribe, and yield what comes until the server closes the connection.

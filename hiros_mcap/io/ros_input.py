@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.channels import LATCHED_QOS, RELIABLE_QOS, is_transform_topic
+from hiros_mcap.io.container.live_input import LiveInput
 from hiros_mcap.io.container.records import Channel, McapRecord, Message, Schema
 from hiros_mcap.io.ros_node import RosNode, definition_of, message_class, not_installed
 from hiros_mcap.wording import quantity
@@ -46,8 +47,8 @@ class _Row(NamedTuple):
     info: dict[str, Any]
 
 
-class RosInput:
-    """The topics of a graph: a :class:`~hiros_mcap.io.container.live_input.LiveInput`.
+class RosInput(LiveInput):
+    """The topics of a graph.
 
     Parameters
     ----------
@@ -64,9 +65,9 @@ class RosInput:
         needed: Wanted = lambda *_: False,
         warn: Callable[[str], None] = lambda _: None,
     ) -> None:
-        self.name = node.graph
+        super().__init__(node.graph)
         self._node, self._wanted, self._needed, self._warn = node, wanted, needed, warn
-        self._stopped = 0  # when somebody asked to stop, ns; 0 = go on
+        self._end = 0  # when somebody asked to stop, ns
         self._names = node.remapped()
         self._clock: Any = None  # subscription to /clock
         self._time: int | None = None
@@ -90,27 +91,14 @@ class RosInput:
         self._lost: dict[int, int] = {}  # channel -> messages that were lost on the way
         self._in_time = time.time_ns()  # when no message had to wait for long, ns
 
-    @property
-    def fault(self) -> str:
-        """Topics that are not read, and messages that were lost; "" if there are none."""
-        topics = {ident: self._names.get(topic, topic) for (topic, _), ident in self._ids.items()}
-        lost = (
-            f"{topics[ident]}: {quantity(n, 'message')} lost on the way"
-            for ident, n in self._lost.items()
-        )
-        return "; ".join([*self._refused.values(), *lost])
-
     def stop(self) -> None:
-        """End the input here; a signal handler may call it."""
-        self._stopped = time.time_ns()
+        """End the input here; what has arrived is still taken."""
+        self._end = time.time_ns()
+        super().stop()
 
     def close(self) -> None:
         """Leave the graph."""
         self._node.close()
-
-    def digest(self) -> str:
-        """Return "": what came cannot be had again."""
-        return ""
 
     def records(self) -> Iterator[McapRecord | None]:
         """Subscribe to what is there and to what comes, and yield it until somebody stops it.
@@ -125,11 +113,11 @@ class RosInput:
             arrived = self._arrived()
             self._in_time = self._in_time if arrived else time.time_ns()
             # A busy run has not taken all that came before it was stopped.
-            goes_on = not self._stopped or any(row.at < self._stopped for row in arrived)
+            goes_on = not self._stopped or any(row.at < self._end for row in arrived)
             for row in arrived:
                 if row.ident == _CLOCK:
                     self._time = row.data.clock.sec * 10**9 + row.data.clock.nanosec
-                elif not self._stopped or row.at < self._stopped:
+                elif not self._stopped or row.at < self._end:
                     yield self._message(row)
             yield None
         if not self._counts:
@@ -210,6 +198,7 @@ class RosInput:
     def _refuse(self, topic: str, kind: str, reason: str) -> None:
         """Go on without a topic; raises LogError for one that is needed, before a run begins."""
         self._refused[topic, kind] = reason
+        self._tell()
         if self._needed(self._names.get(topic, topic), kind) and not any(self._counts.values()):
             raise LogError(f"{reason}; --topic chooses other cameras", path=self.name)
 
@@ -287,6 +276,16 @@ class RosInput:
         self._numbers[ident, publisher] = number
         if number > before + 1:
             self._lost[ident] = self._lost.get(ident, 0) + number - before - 1
+            self._tell()
+
+    def _tell(self) -> None:
+        """Say which topics are not read, and which messages were lost."""
+        topics = {ident: self._names.get(topic, topic) for (topic, _), ident in self._ids.items()}
+        lost = (
+            f"{topics[ident]}: {quantity(n, 'message')} lost on the way"
+            for ident, n in self._lost.items()
+        )
+        self.fault = "; ".join([*self._refused.values(), *lost])
 
 
 def _refusal(kind: str) -> str:

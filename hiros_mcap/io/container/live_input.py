@@ -7,9 +7,10 @@ import os
 import select
 import struct
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container.file import unpack_chunk
@@ -36,21 +37,20 @@ _AFTERWARDS_S = 1.0
 """How long to look for more behind the end mark; a writer that stops later is not waited for."""
 
 
-class LiveInput(Protocol):
+class LiveInput(ABC):
     """Records that are still being written.
 
     Attributes
     ----------
     name : what errors and summaries call it.
-    fault : what was odd about its end, "" if nothing was.
+    fault : what was odd about it, "" if nothing was.
     """
 
-    name: str
+    def __init__(self, name: str) -> None:
+        self.name, self.fault = name, ""
+        self._stopped = False
 
-    @property
-    def fault(self) -> str:
-        """See above."""
-
+    @abstractmethod
     def records(self) -> Iterator[McapRecord | None]:
         """Yield definitions, messages and metadata in their order, and None before it waits.
 
@@ -59,38 +59,31 @@ class LiveInput(Protocol):
 
     def stop(self) -> None:
         """End the input here; a signal handler may call it."""
+        self._stopped = True
 
     def close(self) -> None:
         """Let go of what was opened for the input; nothing is read afterwards."""
 
     def digest(self) -> str:
-        """SHA-256 of all bytes so far, in hexadecimal; "" if there are none to be had again."""
+        """SHA-256 of all bytes so far, in hexadecimal; "" if what came cannot be had again."""
+        return ""
 
 
-class McapInput:
-    """The bytes of an MCAP: a :class:`LiveInput`.
+class McapInput(LiveInput):
+    """The bytes of an MCAP.
 
     Parameters
     ----------
-    descriptor : of a pipe or an open file. name : what errors and summaries call it.
+    descriptor : of a pipe or an open file, which belongs to the caller. name : of the input.
     follow : wait at the end of a file for more.
     """
 
     def __init__(self, descriptor: int, name: str, *, follow: bool = False) -> None:
-        self.name = name
-        self.fault = ""
+        super().__init__(name)
         self._descriptor = descriptor
         self._follow = follow
-        self._stopped = False
         self._digest = hashlib.sha256()
         self._buffer = bytearray()
-
-    def stop(self) -> None:
-        """End the input here; a signal handler may call it."""
-        self._stopped = True
-
-    def close(self) -> None:
-        """Do nothing: the descriptor belongs to the caller."""
 
     def digest(self) -> str:
         """SHA-256 of all bytes so far, in hexadecimal."""
