@@ -61,7 +61,7 @@ class LiveInput(ABC):
         """End the input here; a signal handler may call it."""
         self._stopped = True
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 - most inputs hold nothing
         """Let go of what was opened for the input; nothing is read afterwards."""
 
     def digest(self) -> str:
