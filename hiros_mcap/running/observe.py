@@ -45,41 +45,6 @@ class MessageRate:
 
 
 @dataclass(slots=True)
-class CommonPauses:
-    """When no camera sent anything, although they usually do."""
-
-    latest: int = 0
-    messages: int = 0
-    pauses: list[tuple[int, int]] = field(default_factory=list)
-    """Start and end of each step of more than a second, ns."""
-
-    def add(self, stamps: Stamps) -> None:
-        """Take note of the times of messages, in the order in which they are read."""
-        if not self.messages and len(stamps):
-            self.latest = int(stamps[0])
-        before = np.maximum.accumulate(np.concatenate([[self.latest], stamps]))
-        starts = np.flatnonzero(stamps - before[:-1] > _GAP)
-        self.pauses += zip(before[starts].tolist(), stamps[starts].tolist(), strict=True)
-        self.latest, self.messages = int(before[-1]), self.messages + len(stamps)
-
-    def notes(self, start: int) -> Iterator[str]:
-        """Yield when nobody sent anything, in seconds from ``start``, ns."""
-        # Cameras that send once in some seconds do not pause.
-        if not self.pauses or len(self.pauses) > 0.1 * self.messages:
-            return
-        first, last = max(self.pauses, key=lambda span: span[1] - span[0])
-        when = f"from {(first - start) * 1e-9:.1f} to {(last - start) * 1e-9:.1f} s"
-        if len(self.pauses) == 1:
-            yield f"all cameras pause {when}"
-        else:
-            seconds = sum(b - a for a, b in self.pauses) * 1e-9
-            yield (
-                f"all cameras pause {len(self.pauses)} times, {seconds:.1f} s in all; the longest "
-                f"pause is {when}"
-            )
-
-
-@dataclass(slots=True)
 class DetectionSample:
     """The first detections of every camera, which may tell why nobody is found."""
 
@@ -135,7 +100,7 @@ class Observer:
     Attributes
     ----------
     rates : by source. people : by id. seen_by : ids that the tracker gave, by source.
-    written : frames by channel. sample : the first detections. pauses : of all cameras at once.
+    written : frames by channel. sample : the first detections.
     delays : how long after their time results of the last stage are logged, in ms.
     """
 
@@ -146,14 +111,12 @@ class Observer:
         self.seen_by: defaultdict[str, set[int]] = defaultdict(set)
         self.written: Counter[str] = Counter()
         self.sample = DetectionSample()
-        self.pauses = CommonPauses()
         self.delays: Counter[int] = Counter()
 
     def see(self, channel: str, block: Block) -> None:
         """Take note of what goes into the first stage, or comes out of any."""
         if channel == DETECTIONS:
             self.sample.add(block)
-            self.pauses.add(block.stamps)
             for code in np.unique(block.sources).tolist():
                 self.rates[block.names[code]].add(block.stamps[block.sources == code])
             return

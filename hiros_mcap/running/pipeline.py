@@ -14,10 +14,9 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import fields, replace
-from difflib import get_close_matches
+from dataclasses import replace
 from functools import partial
 from inspect import Parameter, Signature, signature
 from pathlib import Path
@@ -88,20 +87,6 @@ def process(
     choices : fields of :class:`ProcessOptions`, in place of those of ``options``:
         ``process("lab.mcap", "clean.mcap", system="hiros", calibrate="off")``.
 
-        - system : "fuse", "hiros", "malaguti", "lee", ...; ``hiros systems`` lists them.
-        - stages : chain of T tracker, M merger, O optimizer, F filter; "" runs all.
-        - topics : globs of the detection channels; () reads all.
-        - keep : globs of the input channels to copy; None copies those read and the transforms.
-        - settings : file that ``config`` came from, for the summary.
-        - extrinsics : file with the cameras' poses.
-        - limbs_in, limbs_out : files with limb lengths, to read and to write.
-        - calibrate : "off", "auto" or "require": whether the cameras' poses are refined.
-        - strict : refuse a log if a message has to be skipped.
-        - recover : run on what can be read of a damaged log.
-        - memory : GiB that a run may take, about.
-        - markers : also write MarkerArray, JointState and Log.
-        - compression : "zstd", "lz4" or "" for none.
-
     The logger ``hiros_mcap`` gets the warnings of the summary, the steps of the run (INFO), and
     its notes and events (DEBUG).
 
@@ -119,7 +104,7 @@ def process(
         raise ConfigError(f"config: {config!r} is neither a Config nor the name of a file")
     if not isinstance(progress, bool | None) and not hasattr(progress, "update"):
         raise ConfigError(f"progress: {progress!r} is no bool and has no method update()")
-    options = _chosen(options or ProcessOptions(), choices)
+    options = replace(options or ProcessOptions(), **choices)
     if not isinstance(config, Config):
         file = settings_beside(source) if config is None else Path(config)
         options = replace(options, settings=file)
@@ -151,19 +136,6 @@ def conclude(report: Report, target: str | None) -> Summary:
     if target is not None:
         _log.info("%s: wrote %s", summary.source, target)
     return summary
-
-
-def _chosen(options: ProcessOptions, choices: Mapping[str, Any]) -> ProcessOptions:
-    """Replace fields; raises TypeError for one that does not exist."""
-    names = [field.name for field in fields(ProcessOptions)]
-    for name in choices:
-        if name not in names:
-            near = get_close_matches(name, names, n=1)
-            guess = f"; did you mean {near[0]!r}?" if near else ""
-            raise TypeError(
-                f"process() has no argument {name!r}{guess} (of ProcessOptions: {', '.join(names)})"
-            )
-    return replace(options, **choices)
 
 
 def _keywords_of(function: Callable[..., Any]) -> Signature:

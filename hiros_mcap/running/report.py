@@ -307,7 +307,6 @@ class Report:
     def _all_notes(self) -> Iterator[str]:
         """Yield what nobody asked for but should know."""
         yield from unmatched_globs(self.log, self.prepared.options)
-        yield from self.observer.pauses.notes(self.log.span[0])
         yield from self.prepared.poses.notes(found=bool(self.observer.people))
         yield from self._displaced_for_a_while()
         yield from self.reading.remarks

@@ -22,7 +22,6 @@ from hiros_mcap.io.log import Log, Reading
 from hiros_mcap.running.clock_alignment import ClockAlignment
 from hiros_mcap.running.observe import (
     DETECTIONS,
-    CommonPauses,
     DetectionSample,
     MessageRate,
     Observer,
@@ -55,24 +54,6 @@ def test_the_rate_is_that_of_the_intervals_without_pauses():
 
 def test_a_message_out_of_order_does_not_count_for_the_rate():
     assert rate(0, 0.1, 0.05, 0.15).hertz == pytest.approx(10)
-
-
-def test_pauses_of_all_cameras_are_those_that_nobody_fills():
-    def notes(*seconds):
-        pauses = CommonPauses()
-        for part in (seconds[:7], seconds[7:30], seconds[30:]):
-            if not part:
-                continue
-            pauses.add(np.array([round((100 + s) * S) for s in part], np.int64))
-        return list(pauses.notes(100 * S))
-
-    busy = [k / 10 for k in range(30)]
-    assert notes(*busy) == []
-    assert notes(*busy, 4.5, 4.4) == ["all cameras pause from 2.9 to 4.5 s"]
-    assert notes(*busy, 5.0, 5.1, 8.5) == [
-        "all cameras pause 2 times, 5.5 s in all; the longest pause is from 5.1 to 8.5 s"
-    ]
-    assert notes(0, 2, 4, 6, 8, 10) == []  # this is how often they send
 
 
 def sample(scale, confidence):
