@@ -104,7 +104,8 @@ def process(
         raise ConfigError(f"config: {config!r} is neither a Config nor the name of a file")
     if not isinstance(progress, bool | None) and not hasattr(progress, "update"):
         raise ConfigError(f"progress: {progress!r} is no bool and has no method update()")
-    options = replace(options or ProcessOptions(), **choices)
+    chosen: dict[str, Any] = dict(choices)
+    options = replace(options or ProcessOptions(), **chosen)
     if not isinstance(config, Config):
         file = settings_beside(source) if config is None else Path(config)
         options = replace(options, settings=file)
