@@ -73,7 +73,7 @@ class ClockAlignment:
 
     def ordered(self, blocks: Iterable[Block]) -> Iterator[Block]:
         """Yield messages with right stamps in their order, for all stages."""
-        return in_time_order(blocks, self.wait or self.reorder)
+        return in_time_order(blocks, self.wait or self.reorder, patient=self.wait > 0)
 
     def follower(self) -> ClockFollower:
         """Return what corrects each message by those before it; it notes here what it finds."""

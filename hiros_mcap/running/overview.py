@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -20,6 +21,7 @@ from hiros_mcap.io.bag_files import files_of, kind_of
 from hiros_mcap.io.camera_clock import clock_verdict, clocks_in_words
 from hiros_mcap.io.channels import (
     EVENTS_ATTACHMENT,
+    OUTPUT_PREFIX,
     OUTPUT_TOPICS,
     PROVENANCE,
     TRUTH_PREFIX,
@@ -27,17 +29,28 @@ from hiros_mcap.io.channels import (
     channels_of,
 )
 from hiros_mcap.io.container import McapReader
+from hiros_mcap.io.container.file import Table
+from hiros_mcap.io.container.records import Bytes
 from hiros_mcap.io.detectors.body_models import name_of
 from hiros_mcap.io.detectors.conversion import Selection
 from hiros_mcap.io.joining import channels_in, messages_in, open_part
 from hiros_mcap.io.log import Log, Reading, open_log, open_reader
 from hiros_mcap.io.result import stored_parameters, stored_report, values_of
 from hiros_mcap.io.rgb_cameras import RgbCamera, read_rgb_cameras
-from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME
+from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
 from hiros_mcap.systems import sections_of
 from hiros_mcap.wording import plain, quantity
 
 _GAP_S = 1.0
+_STAMP = struct.Struct("<iI")  # seconds, nanoseconds
+_STAMP_AT = {
+    hiros_schemas.SKELETON_GROUP: 4,  # behind the encapsulation of CDR
+    hiros_schemas.JOINT_STATE: 4,
+    hiros_schemas.LOG: 4,
+    hiros_schemas.MARKER_ARRAY: 8,  # behind the number of markers
+}
+"""Type of a result -> where in its messages the first stamp lies, bytes."""
+
 LogKind = Literal["recording", "result", "golden", "truth", "other"]
 """recording: skeletons to process. result: what `hiros process` wrote. golden: what `hiros check`
 compares with. truth: true skeletons only. other: no skeletons that can be read."""
@@ -53,7 +66,8 @@ class ChannelRow:
     messages: int
     rate_hz: float  # messages per second between the first and the last; NaN below two
     seconds: float
-    """Time between the log times of the first and the last message, s; NaN without messages."""
+    """Time between the first and the last message, s; NaN without messages. Of results it is the
+    time of the data, of all else the log time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -313,17 +327,39 @@ def _kind(reader: McapReader, channels: Iterable[ChannelInfo]) -> LogKind:
 
 
 def _spans(reader: McapReader) -> dict[int, tuple[int, int]]:
-    """Log times, ns, of the first and the last message of every channel with messages."""
+    """Time, ns, of the first and the last message of every channel with messages.
+
+    It is the log time, but for results that of the data: they are logged later, many at once.
+    """
     spans: dict[int, tuple[int, int]] = {}
+    stamped = {
+        info.id: at
+        for info in channels_of(reader)
+        for name, at in _STAMP_AT.items()
+        if info.topic.startswith(f"{OUTPUT_PREFIX}/") and info.has_type(name)
+    }
     for batch in reader.batches():
         for records in batch.records:
-            ids, times = records.messages[:, [CHANNEL, LOG_TIME]].T
+            ids = records.messages[:, CHANNEL]
             for ident in np.unique(ids).tolist():
-                logged = times[ids == ident]
-                first, last = int(logged.min()), int(logged.max())
+                rows = records.messages[ids == ident]
+                at = stamped.get(ident)
+                times = rows[:, LOG_TIME] if at is None else _stamps(records.data, rows, at)
+                first, last = int(min(times)), int(max(times))
                 before = spans.get(ident, (first, last))
                 spans[ident] = min(before[0], first), max(before[1], last)
     return spans
+
+
+def _stamps(data: Bytes, rows: Table, at: int) -> list[int]:
+    """Return the stamps, ns, at a byte of messages in little-endian CDR; log times of shorter."""
+    times = []
+    for time, start, stop in rows[:, [LOG_TIME, START, STOP]].tolist():
+        if stop - start >= at + _STAMP.size:
+            seconds, nanoseconds = _STAMP.unpack_from(data, start + at)
+            time = seconds * 1_000_000_000 + nanoseconds
+        times.append(time)
+    return times
 
 
 def _channel_row(

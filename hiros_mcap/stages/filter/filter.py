@@ -21,13 +21,12 @@ from hiros_mcap.kernels.array_types import F1, I1, I2, arrays
 from hiros_mcap.kernels.compile import entry
 from hiros_mcap.skeletons import POSITION, STATE, UNTRACKED, Floats, Ints, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.filter import butterworth, state_space
+from hiros_mcap.stages.filter import state_space
 from hiros_mcap.stages.filter.filter_params import FilterParams
-from hiros_mcap.stages.filter.filtering import FilterMethod, FilterPast, FilterSteps, close_gaps
+from hiros_mcap.stages.filter.filtering import FilterMethod, FilterPast, FilterSteps
 from hiros_mcap.stages.filter.link_lengths import average_lengths, restore_lengths
 from hiros_mcap.stages.look_ahead import LookAhead
 
-_METHODS = {"state_space": state_space.METHOD, "butterworth": butterworth.METHOD}
 _JITTER = 0.001
 """s by which a frame may come early and still complete a look-ahead: stamps are rounded."""
 _INTERVALS = 31  # number of intervals whose median is the sample time
@@ -95,7 +94,7 @@ class _SkeletonFilter:
         self, model: SkeletonModel, params: FilterParams, events: Events, *,
         keep_positions: bool = False,
     ) -> None:  # fmt: skip
-        self._params, self._events, self._method = params, events, _METHODS[params.method]
+        self._params, self._events, self._method = params, events, _method(params)
         self._keep_positions = keep_positions
         # What the earlier stage leaves out, it does not know.
         self._bridge = 0.0 if keep_positions else params.bridge
@@ -103,7 +102,7 @@ class _SkeletonFilter:
         self._max_gap = round(params.max_gap * 1e9)
         nobody = _nobody(model, params.order, self._method)
         self._bank = Bank(nobody, params.max_gap + params.lookahead)
-        self._work = self._method.work(params.order)
+        self._work = self._method.work(params.order, _SLOTS)
         self._numbers: dict[int, int] = {}  # source and id to the person's number in the bank
         self._n_people = 0
         self._sources = CameraNumbers()
@@ -188,7 +187,6 @@ class _SkeletonFilter:
         unfiltered = positions.copy() if self._keep_positions else positions
         # Beyond 3.4: the look-ahead, which removes the lag (fixed-lag smoothing)
         self._method.estimate(out.people, todo, past, self._work)
-        close_gaps(out.people, todo, past)
         if self._keep_positions:
             positions[:] = unfiltered
         elif self._params.keep_lengths:
@@ -230,10 +228,23 @@ class _SkeletonFilter:
 
     def _reserve(self, needed: int) -> None:
         """Let the rings hold so many steps: all that are waited for, and the one before."""
-        while (past := self._bank.past).ring.shape[1] < needed:
+        past = self._bank.past
+        while past.ring.shape[1] < needed:
             # Twice the same: wherever a step belongs in the longer ring, there it is.
             ring, times, lengths = (np.concatenate([a, a], axis=1) for a in past[1:4])
-            self._bank.past = past._replace(ring=ring, times=times, lengths=lengths)
+            past = past._replace(ring=ring, times=times, lengths=lengths)
+        if past is not self._bank.past:
+            self._bank.past = past
+            self._work = self._method.work(self._params.order, past.ring.shape[1])
+
+
+def _method(params: FilterParams) -> FilterMethod:
+    """Return the chosen filter; Butterworth's kernels are compiled only where it is chosen."""
+    if params.method == "state_space":
+        return state_space.METHOD
+    from hiros_mcap.stages.filter import butterworth
+
+    return butterworth.METHOD
 
 
 def _nobody(model: SkeletonModel, order: int, method: FilterMethod) -> FilterPast:

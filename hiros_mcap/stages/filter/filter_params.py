@@ -36,10 +36,10 @@ class FilterParams(Params):
     )
     order: int = advanced(
         2,
-        ge=2,
+        ge=1,
         le=10,
         description="Order of the filter. state_space: 2 = constant velocity, 3 = constant "
-        "acceleration (sharper, with a better acceleration). butterworth: any from 2 on.",
+        "acceleration (sharper, with a better acceleration). butterworth: any.",
     )
     bridge: Seconds = fixed(
         0.2,

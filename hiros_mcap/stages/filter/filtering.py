@@ -19,7 +19,7 @@ import numpy as np
 
 from hiros_mcap.kernels import quaternions
 from hiros_mcap.kernels.array_types import F1, F2, F3, F4, I1, I2
-from hiros_mcap.kernels.compile import entry, kernel
+from hiros_mcap.kernels.compile import kernel
 from hiros_mcap.kernels.quaternions import Quaternion, Vector
 from hiros_mcap.skeletons import (
     ACCELERATION,
@@ -77,7 +77,7 @@ class FilterMethod(NamedTuple):
     """order, cutoff (Hz), sample time (s), look-ahead (samples) -> tuning."""
     update: Callable[[People, FilterSteps, FilterPast, Any], None]
     estimate: Callable[[People, FilterSteps, FilterPast, Any], None]
-    work: Callable[[int], Any]  # order -> constants and scratch
+    work: Callable[[int, int], Any]  # order, R -> constants and scratch of the kernels
     state_columns: Callable[[int], int]  # order -> columns of ``FilterPast.states``
     slot_columns: int
 
@@ -217,6 +217,14 @@ def write_motion(group: Group, k: int, c: int, velocity: float, acceleration: fl
 
 
 @kernel
+def erase(group: Group, k: int) -> None:
+    """Make a position or orientation, its velocity and its acceleration absent."""
+    write_pose(group, k, (np.nan, np.nan, np.nan, np.nan))
+    for c in range(3):
+        write_motion(group, k, c, np.nan, np.nan)
+
+
+@kernel
 def clear(row: Any) -> None:
     """Make a trajectory absent from a slot."""
     if row[SLOT_AGE] < np.inf:
@@ -226,11 +234,14 @@ def clear(row: Any) -> None:
 
 
 @kernel
-def _gap(window: Window, t: int) -> float:
-    """How long, s, trajectory ``t`` is not measured about the first step.
+def is_shown(window: Window, t: int, bridge: float) -> bool:
+    """Whether trajectory ``t`` is measured at the first step, or in a gap of at most ``bridge`` s.
 
     The gap ends at the next measurement that the window holds, or else at its last step.
     """
+    age = window.ring[window.first & window.mask, t, SLOT_AGE]
+    if age == 0.0 or not age <= bridge:
+        return bool(age == 0.0)
     last = window.first
     for step in range(window.first + 1, window.end):
         row = window.ring[step & window.mask, t]
@@ -240,27 +251,11 @@ def _gap(window: Window, t: int) -> float:
         if row[SLOT_AGE] == 0.0:
             break
     times, mask = window.times, window.mask
-    age = window.ring[window.first & mask, t, SLOT_AGE]
-    return float(age + times[last & mask] - times[window.first & mask])
+    return bool(age + times[last & mask] - times[window.first & mask] <= bridge)
 
 
-@entry
-def close_gaps(people: People, steps: FilterSteps, past: FilterPast) -> None:
-    """Make absent what is not measured for longer than ``bridge`` s.
-
-    What is filled in gets half of the confidence of its last measurement.
-    """
-    for j in range(len(steps.rows)):
-        window = window_of(steps, past, j)
-        for number in range(GROUPS):
-            group = group_of(people, steps.people[j], number)
-            for k in range(len(group.elements)):
-                row = window.ring[window.first & window.mask, group.first + k]
-                if not 0.0 < row[SLOT_AGE] < np.inf:
-                    continue
-                if _gap(window, group.first + k) > steps.bridge:
-                    write_pose(group, k, (np.nan, np.nan, np.nan, np.nan))
-                    for c in range(3):
-                        write_motion(group, k, c, np.nan, np.nan)
-                elif np.isnan(group.confidences[k]):
-                    group.confidences[k] = 0.5 * row[SLOT_CONFIDENCE]
+@kernel
+def fill_confidence(group: Group, k: int, row: Any) -> None:
+    """Give an element that is filled in half of the confidence of its last measurement."""
+    if row[SLOT_AGE] > 0.0 and np.isnan(group.confidences[k]):
+        group.confidences[k] = 0.5 * row[SLOT_CONFIDENCE]

@@ -37,7 +37,10 @@ from hiros_mcap.stages.filter.filtering import (
     clear,
     difference,
     displace,
+    erase,
+    fill_confidence,
     group_of,
+    is_shown,
     measure,
     pose_at,
     put,
@@ -275,9 +278,14 @@ def estimate(
             for k in range(len(group.elements)):
                 t = group.first + k
                 slot = step.slot[t]
-                if slot[SLOT_AGE] < np.inf:
-                    _carry_back(window, t, work)
-                    _smooth(group, k, slot, work, window, interval, steps.order)
+                if not slot[SLOT_AGE] < np.inf:
+                    continue
+                if not is_shown(window, t, steps.bridge):
+                    erase(group, k)
+                    continue
+                _carry_back(window, t, work)
+                _smooth(group, k, slot, work, window, interval, steps.order)
+                fill_confidence(group, k, slot)
 
 
 @entry
@@ -338,7 +346,7 @@ METHOD = FilterMethod(
     tune=tune,
     update=update,
     estimate=estimate,
-    work=lambda order: np.zeros((3, 3)),
+    work=lambda order, slots: np.zeros((3, 3)),
     state_columns=lambda order: STATE_COLUMNS,
     slot_columns=SLOT_COLUMNS,
 )
