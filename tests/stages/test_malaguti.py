@@ -775,7 +775,7 @@ CHANGES = [
     for name, value in {
         "measurement_noise": 0.1, "process_noise": 1.0, "step": 0.033, "use_confidence": False,
         "min_confidence": 0.1, "history": 3, "outlier_factor": 2.0, "max_outliers": 0,
-        "range_noise": 0.1, "max_gap": 0.5, "rate": 10.0, "consecutive": True,
+        "range_noise": 0.1, "max_gap": 0.5, "consecutive": True,
     }.items()
 ] + [
     (straighten, StraightenParams, "frames", 3), (straighten, StraightenParams, "rate", 0.5),
