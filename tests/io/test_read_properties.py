@@ -31,7 +31,9 @@ def test_a_changed_schema_is_an_error_or_the_published_one(data):
     except SchemaError as error:
         assert error.fault
     else:
-        changed = hiros_schemas.parse(NAME, text)
+        time = "builtin_interfaces/Time"  # recorders may leave out what ROS 2 has built in
+        whole = hiros_schemas.parse(NAME, TEXT)
+        changed = {time: whole[time], **hiros_schemas.parse(NAME, text)}
         assert hiros_schemas.leaves(changed, NAME) == LEAVES
 
 
