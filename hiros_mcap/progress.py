@@ -80,12 +80,15 @@ def bar(
     if shown_on is None:
         lines, ended = JobLines(label), Event()
         teller = Thread(target=lines.tell, args=(ended, MINUTE_S), daemon=True)
-        if not (quiet or notebook or live):
+        is_told = not (quiet or notebook or live)
+        if is_told:
             teller.start()
         try:
             yield lines
         finally:
             ended.set()
+            if is_told:
+                teller.join()  # no line comes after the end
         return
     from rich.progress import (
         BarColumn,

@@ -137,6 +137,22 @@ def test_of_a_crowd_the_page_draws_those_who_are_seen_longest(processed, monkeyp
     assert "Not drawn, because others are seen for longer: person 0." in page
 
 
+def test_somebody_without_an_angle_leaves_the_page_to_the_others(processed):
+    collection = collected(processed, with_truth=False)
+    body = collection.people[0]
+    legless = replace(
+        body,
+        poses=np.where(np.arange(body.poses.shape[1])[:, None] < 3, body.poses, np.nan),
+        orientations=np.full_like(body.orientations, np.nan),
+    )
+    people = {0: legless, 1: collection.people[1]}
+    page = curves.page_of(replace(collection, people=people)).html()
+    assert page.count("No joint with an angle was seen.") == 1
+    assert "Person 1," in page
+    with pytest.raises(ConfigError, match="no joint with an angle was seen"):
+        curves.page_of(replace(collection, people={0: legless}))
+
+
 def test_a_page_says_of_what_it_is_and_how_good(processed, plotted):
     for fact in (
         f"<h1>{processed}: /hiros/filtered</h1>",

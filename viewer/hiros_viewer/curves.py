@@ -172,7 +172,10 @@ def grid_of(curves: Curves, body: Body, kind: str) -> CurveGrid:
 
 
 def page_of(curves: Curves) -> Page:
-    """Everything of everybody on one page; of a crowd, of those who are seen longest."""
+    """Everything of everybody on one page; of a crowd, of those who are seen longest.
+
+    Raises ConfigError if nobody who is drawn has a joint with an angle.
+    """
     page = Page(curves.title, curves.about)
     longest = sorted(curves.people, key=lambda person: -len(curves.people[person].seconds))
     drawn = {*longest[:MOST_PEOPLE]}
@@ -181,6 +184,7 @@ def page_of(curves: Curves) -> Page:
             f"Not drawn, because others are seen for longer: person {', '.join(left)}. "
             "--person ID with a .png draws one."
         )
+    without_angles = set()
     for person, body in curves.people.items():
         if person not in drawn:
             continue
@@ -189,7 +193,13 @@ def page_of(curves: Curves) -> Page:
         for line in in_words(body.marks):
             page.text(line)
         caption = "Joint angles, degrees. Flexion, abduction and inward rotation are positive."
-        page.figure(picture_of(grid_of(curves, body, "angles")), caption)
+        try:
+            page.figure(picture_of(grid_of(curves, body, "angles")), caption)
+        except ConfigError:  # of somebody who was seen in parts
+            without_angles.add(person)
+            if without_angles == drawn:
+                raise
+            page.text("No joint with an angle was seen.")
         if limb_links(curves.model):
             page.figure(picture_of(grid_of(curves, body, "limbs")), "Limb lengths, mm")
         if body.true_poses is not None:

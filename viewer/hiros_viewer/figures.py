@@ -230,7 +230,7 @@ def angle_grid(
             row.append(CurvePlot(curves, y_range, f"{side} {joint}, degrees", has_zero=True))
         rows.append(row)
     if not rows:
-        raise ConfigError("the marker names reveal no joint with an angle")
+        raise ConfigError("no joint with an angle was seen, or the marker names reveal none")
     return over_time(rows, 1.6 * len(rows) + 0.5, seconds, marks)
 
 
