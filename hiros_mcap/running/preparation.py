@@ -88,10 +88,11 @@ def prepare(log: Log, config: Config, options: ProcessOptions, watch: Stopwatch)
         log = _rays_given(log, config, options)
         clocks, poses = align_cameras(log, config, mode, reorder)
         if poses.guessed:
-            log = _rays_found(log, poses.guessed, config, options)
+            log, faults = _rays_found(log, poses.guessed, config, options)
             alone = config.input.model_copy(update={"rays": "none"})
             at_rest = config.model_copy(update={"input": alone})
             clocks, poses = align_cameras(log, at_rest, mode, reorder)
+            poses.contradictions = *faults, *poses.contradictions
     log = poses.used_in(log)
     offsets = () if clocks.given else clocks.offsets
     known = KnownCameras(
@@ -204,8 +205,8 @@ def _rays_given(log: Log, config: Config, options: ProcessOptions) -> Log:
 
 def _rays_found(
     log: Log, guessed: Mapping[str, DepthErrors], config: Config, options: ProcessOptions
-) -> Log:
-    """Take the cameras as rays that guess depths; the log as it is if that is not possible."""
+) -> tuple[Log, tuple[str, ...]]:
+    """Take the cameras as rays that guess depths; where rays fail, return the log and say why."""
     topics = {
         camera.channel.topic
         for camera in log.cameras
@@ -215,14 +216,15 @@ def _rays_found(
         f"{name} {1000 * e.along:.0f} against {1000 * e.across:.0f} mm"
         for name, e in guessed.items()
     )
+    finding = f"the detector guesses depths ({errors} across the rays)"
     remark = (
-        f"the detector guesses depths ({errors} across the rays): only the directions of joints "
-        "count, triangulated as those of RGB cameras; input.rays=none takes them as they are"
+        f"{finding}: only the directions of joints count, triangulated as those of RGB cameras; "
+        "input.rays=none takes them as they are"
     )
     try:
-        return with_rays(log, topics, remark, refine=poses_are_refined(config, options))
-    except LogError:
-        return log
+        return with_rays(log, topics, remark, refine=poses_are_refined(config, options)), ()
+    except LogError as error:
+        return log, (f"{finding}, but the depths count, as triangulation failed: {error.fault}",)
 
 
 def poses_are_refined(config: Config, options: ProcessOptions) -> bool:

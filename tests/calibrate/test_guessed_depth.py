@@ -91,6 +91,18 @@ def test_a_wrong_pose_is_no_guess(scene, poses, tmp_path):
     assert not any(FOUND in note for note in summary.notes)
 
 
+def test_depths_that_are_guessed_are_told_where_rays_fail(scene, poses, tmp_path):
+    """All cameras are turned by 5 degrees, so that nobody is where their rays meet."""
+    turn = Rigid(from_vector(np.array([0.0, 0.087, 0.0])), np.zeros(3))
+    turned = {name: pose @ turn.inverse() for name, pose in poses.items()}
+    turned["camera_1"] = poses["camera_1"] @ turn
+    _, summary = run(tmp_path, scene, guessed(scene, NAMES), turned)
+    (warning,) = (text for text in summary.warnings if FOUND in text)
+    assert "but the depths count, as triangulation failed: " in warning
+    assert len(summary.cameras) == 3
+    assert not any(FOUND in note for note in summary.notes)
+
+
 def test_cameras_are_named_beforehand_by_name_or_topic(scene, poses, tmp_path):
     config = load_config(None, ['input.rays=["camera_0", "/camera_1/people"]'])
     _, summary = run(tmp_path, scene, scene.detections, poses, config)
