@@ -76,8 +76,7 @@ def process(
     Parameters
     ----------
     source : MCAP log with SkeletonGroup channels and the cameras' transforms.
-    target : output log; None runs without writing one. A folder, or a name that ends in "/", gets
-        a ROS 2 bag.
+    target : output log; None runs without writing one.
     config : parameters of the stages, or a TOML file with them. None takes them from a file
         hiros.toml in the log's folder, or in the nearest one above, if there is one.
     options : what is read, run and written.

@@ -119,9 +119,9 @@ class OutputOptions:
 
     output: list[str] | None = option(
         "OUT",
-        f"Output file, DIR/ for a ROS 2 bag, - for a pipe, ws://HOST:PORT to serve live "
-        f"results, ros2:// to publish them; may be repeated for these; with many logs, the folder "
-        f"for all. Default: LOG's name with {SUFFIX}.",
+        f"Output file, - for a pipe, ws://HOST:PORT to serve live results, ros2:// to publish "
+        f"them; may be repeated for these; with many logs, the folder for all. Default: LOG's "
+        f"name with {SUFFIX}.",
         "--output",
         "-o",
         panel=OUTPUT,
