@@ -256,7 +256,7 @@ def open_live(
     selects = partial(is_selected, topics=topics, output_prefix=OUTPUT_PREFIX)
     conversion = LiveConversion(reader, selects, tree, rays)
     log_times = LiveLogTimes(reader)
-    reader.convert = lambda message: conversion.converted(log_times.right(message))
+    reader.mend_times, reader.convert = log_times.right, conversion.converted
     reader.rest = conversion.held_back
 
     def attempt() -> LiveLog:

@@ -655,6 +655,46 @@ def test_a_run_ends_where_time_begins_anew_and_bears_single_old_messages(
     assert any("time went back by 36" in text for text in summary.warnings) == ends
 
 
+@pytest.mark.parametrize("places", [{0}, {60}, {0, 1, 30, 31, 32, 90}], ids=str)
+def test_single_messages_far_ahead_are_left_out_and_counted(places, crossing, by_file, tmp_path):
+    """A message of the next hour comes before some of the recording."""
+    ahead = shifted(crossing, tmp_path / "ahead.mcap", lambda topic: 3600.0)
+    future = iter([pair for pair in recorded(ahead) if pair[0].startswith("/camera")])
+    sent = []
+    for k, pair in enumerate(recorded(crossing)):
+        sent += [next(future), pair] if k in places else [pair]
+    summary, out = run_live(send(crossing, sent))
+    assert results(out) == by_file
+    notes = [text for text in summary.notes if "ahead of all others" in text]
+    counts = [int(text.split(": ")[1].split(" ")[0]) for text in notes]
+    assert sum(counts) == len(places)
+    assert summary.warnings == ()
+
+
+@pytest.mark.parametrize("seconds", [3600.0, -3600.0])
+def test_a_log_time_that_is_wrong_alone_is_mended_by_the_stamp(seconds, crossing, by_file):
+    """All messages of the second half: the recorder's clock was set, those of the cameras not."""
+    sent = recorded(crossing)
+    half, step = len(sent) // 2, round(1e9 * seconds)
+    late = [(t, replace(m, log_time=m.log_time + step)) for t, m in sent[half:]]
+    summary, out = run_live(send(crossing, sent[:half] + late))
+    found, expected = (messages["/hiros/filtered"] for messages in (results(out), by_file))
+    assert [data for _, data in found] == [data for _, data in expected]
+    assert any("the stamps fit, so hiros goes by them" in note for note in summary.notes)
+
+
+def test_nothing_is_lost_where_all_time_goes_on_later(crossing, tmp_path):
+    """The recording pauses for a minute, or its computer's clock is set ahead."""
+    later = recorded(shifted(crossing, tmp_path / "later.mcap", lambda topic: 60.0))
+    sent = recorded(crossing)
+    half = len(sent) // 2
+    summary, _ = run_live(send(crossing, sent[:half] + later[half:]))
+    assert sum(camera.used for camera in summary.cameras) == sum(
+        topic.startswith("/camera") for topic, _ in sent
+    )
+    assert not any("ahead of all others" in note for note in summary.notes)
+
+
 def chunk(data, size, compression="zstd"):
     """Return an MCAP up to a chunk that claims to have ``size`` bytes."""
     content = struct.pack("<QQQI", 0, 0, size, 0)

@@ -39,6 +39,7 @@ class LiveReader(McapReader):
     span : log times, ns, of the first message and of the latest, of the channels handed out.
     hidden : channels whose messages become those of other channels.
     fault : why nothing more is read though the input goes on; "" while it is read.
+    mend_times : gives messages right log times, and may leave some out; None stays between them.
     convert : what a message becomes. rest : what is still to come when the input has ended.
     """
 
@@ -55,6 +56,7 @@ class LiveReader(McapReader):
         self.span = (0, 0)
         self.hidden: set[int] = set()
         self.fault = ""
+        self.mend_times: Callable[[Iterator[Message | None]], Iterator[Message | None]] = iter
         self.convert: Callable[[Message], Iterable[Message]] = lambda message: (message,)
         self.rest: Callable[[], Iterable[Message]] = lambda: ()
         self._contents = Contents()
@@ -144,6 +146,22 @@ class LiveReader(McapReader):
         return items
 
     def _read(self, source: LiveInput) -> Iterator[Message | None]:
+        """Yield the messages as they are to be used, and None before more is awaited."""
+        for original in self.mend_times(self._arriving(source)):
+            if original is None:
+                yield None
+                continue
+            for message in self.convert(original):
+                self.counts[message.channel_id] += message.channel_id != original.channel_id
+                yield message
+            if self.fault:
+                self.source.stop()
+                break
+        for message in self.rest():
+            self.counts[message.channel_id] += 1
+            yield message
+
+    def _arriving(self, source: LiveInput) -> Iterator[Message | None]:
         """Yield the messages, and None before more is awaited; note everything else."""
         for record in self._awaited(source.records()):
             if record is None:
@@ -156,15 +174,7 @@ class LiveReader(McapReader):
                 fault = f"damaged: a message belongs to channel {record.channel_id}, not defined"
                 raise LogError(fault, path=self.path)
             self.counts[record.channel_id] += 1
-            for message in self.convert(self._unpacked(record)):
-                self.counts[message.channel_id] += message.channel_id != record.channel_id
-                yield message
-            if self.fault:
-                self.source.stop()
-                break
-        for message in self.rest():
-            self.counts[message.channel_id] += 1
-            yield message
+            yield self._unpacked(record)
 
     def _awaited(self, records: Iterator[McapRecord | None]) -> Iterator[McapRecord | None]:
         """Yield the records; add up the time in which there was nothing to do but wait."""
