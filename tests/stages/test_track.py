@@ -463,6 +463,19 @@ def test_a_static_phantom_of_one_camera_of_three_is_nobody(late):
     assert {i for f in tracked[-60:] for i in f.ids.tolist()} == {0, 1, -1}
 
 
+@pytest.mark.parametrize(("sway", "is_somebody"), [(0.0, False), (0.12, True)])
+def test_an_object_beside_people_who_stand_is_nobody(sway, is_somebody):
+    """Nobody has been there, but any picture of people so near to it holds it. The living sway."""
+    frames = []
+    for k in range(300):
+        for c, name in enumerate("abc"):
+            lone = [person(sway * math.sin(k / 20), 1.0)] if name == "a" else []
+            frames.append(seen([person(0.0, 0.3), person(0.0, -0.3), *lone], at(k, c), name))
+    tracked = list(track(frames, MODEL, cameras=CAMERAS))
+    last = [f.ids.tolist() for f in tracked[-60:] if f.source == "a"]
+    assert {i[2] >= 0 for i in last} == {is_somebody}
+
+
 @pytest.mark.parametrize("since", [0, 40])
 def test_a_second_body_on_a_person_is_not_a_person(since):
     frames = [seen([person()] + [person(0.15)] * (k >= since), at(k)) for k in range(90)]

@@ -13,6 +13,7 @@ from hiros_mcap.stages.track.tracking import LAST, NEVER
 
 _PERSON_RADIUS = 0.35  # m: a person this near to a line of sight blocks it
 _MARGIN = 0.3  # m: how far a place may lie beyond the farthest person reported
+PICTURE = math.cos(math.radians(20.0))  # of any camera: people are in the middle on average
 _ENOUGH = 5  # people that a camera must have reported before its silence says anything
 _INTERVAL = 500_000_000  # ns between two messages of a camera that are learned from
 _FIRST_INTERVAL = 200_000_000  # ns until it has reported enough
@@ -30,16 +31,21 @@ class _FieldOfView:
     stamp: int = 0
     people: int = 0
 
-    def contains(self, direction: Floats, distance: float, margin: float) -> bool:
-        """Whether a place is in the cone and, give or take ``margin``, between the spheres."""
-        near = self.nearest - margin <= distance <= self.farthest + margin
-        return near and float(direction @ self.axis) >= self.least_cosine
+    def contains(self, ray: Floats, margin: float = 0.0, widest: float = 1.0) -> bool:
+        """Whether a place is in the cone and, give or take ``margin``, between the spheres.
 
-    def widen(self, direction: Floats, distance: float) -> None:
-        """Hold a place, too."""
-        if self.contains(direction, distance, 0.0):
+        ``ray`` : (3,) to the place, m. ``widest`` : cosine of an angle that the cone has at least.
+        """
+        distance = math.hypot(*ray.tolist())
+        near = self.nearest - margin <= distance <= self.farthest + margin
+        return near and float(ray @ self.axis) >= distance * min(self.least_cosine, widest)
+
+    def widen(self, ray: Floats) -> None:
+        """Hold the place at a ray (3,), m, too."""
+        distance = math.hypot(*ray.tolist())
+        if distance == 0.0 or self.contains(ray):
             return
-        self.directions.append(direction)
+        self.directions.append(ray / distance)
         mean = np.mean(self.directions, axis=0)
         self.axis = mean / max(float(np.linalg.norm(mean)), 1e-9)
         self.least_cosine = float(np.min(np.array(self.directions) @ self.axis))
@@ -79,26 +85,26 @@ class Coverage:
         view.stamp = stamp
         view.people += len(places)
         for place in places:
-            ray = place - self._origins[source]
-            distance = math.hypot(*ray.tolist())
-            if distance > 0.0:
-                view.widen(ray / distance, distance)
+            view.widen(place - self._origins[source])
 
-    def covers(self, source: str, place: Floats) -> bool:
-        """Whether ``source`` looks at ``place`` (3,), m, whoever stands in between."""
+    def covers(self, source: str, place: Floats, widest: float = 1.0) -> bool:
+        """Whether ``source`` looks at ``place`` (3,), m, whoever stands in between.
+
+        ``widest`` : cosine; nearer to the middle of its people, it looks wherever they were.
+        """
         view = self._views.get(source)
         if view is None or view.people < _ENOUGH:
             return False
-        ray = place - self._origins[source]
-        distance = float(np.linalg.norm(ray))
-        return view.contains(ray / max(distance, 1e-9), distance, _MARGIN)
+        return view.contains(place - self._origins[source], _MARGIN, widest)
 
-    def sees(self, source: str, place: Floats, others: Floats | Sequence[Floats]) -> bool:
+    def sees(
+        self, source: str, place: Floats, others: Floats | Sequence[Floats], widest: float = 1.0
+    ) -> bool:
         """Whether ``source`` covers ``place`` and none of ``others`` (N, 3) stands in between.
 
         Whoever is at the place himself may be among them.
         """
-        if not self.covers(source, place):
+        if not self.covers(source, place, widest):
             return False
         origin = self._origins[source]
         ray = place - origin

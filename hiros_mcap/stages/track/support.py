@@ -1,7 +1,8 @@
 """Who counts as a person: the support of a track confirms it, or withdraws its id.
 
 Every report of a camera supports a track. A message of another camera that looks at the place, with
-nobody in between, and reports nobody there contradicts it. A second view of a person is nobody new.
+nobody in between, and reports nobody there contradicts it. What does not even sway is contradicted
+where any picture shows it, too. A second view of a person is nobody new.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 from hiros_mcap.events import Events
 from hiros_mcap.frames import CameraNumbers
 from hiros_mcap.skeletons import UNTRACKED, Floats
-from hiros_mcap.stages.track.coverage import Coverage
+from hiros_mcap.stages.track.coverage import PICTURE, Coverage
 from hiros_mcap.stages.track.identity import Identities
 from hiros_mcap.stages.track.track_params import TrackParams
 from hiros_mcap.stages.track.tracked_people import (
@@ -25,6 +26,7 @@ from hiros_mcap.stages.track.tracked_people import (
 
 _SECOND_VIEW = 800_000_000  # ns for which a track beside a person may be another view of them
 _MERGEABLE = 2_400_000_000  # ns for which a track may be merged into an older one
+_STATUE = 0.05  # m; a living body sways farther from its first place
 _DOUBTFUL = 1.5  # gates: cameras whose views of a person differ by more are not calibrated
 
 
@@ -141,4 +143,5 @@ class Confirmation:
 
     def _ought_to_see(self, source: str, track: PersonTrack, scene: Present) -> bool:
         centres = [self._people.centre(person) for person in scene.persons]
-        return self._coverage.sees(source, self._people.centre(track), centres)
+        widest = PICTURE if track.travelled <= _STATUE else 1.0
+        return self._coverage.sees(source, self._people.centre(track), centres, widest)
