@@ -437,8 +437,9 @@ def test_the_last_record_of_a_log_counts_and_a_line_that_was_cut_does_not(tmp_pa
 
 def test_means_are_those_of_the_numbers_that_are_known():
     values = [1.0, 2, 6.0, float("nan"), "text"]
-    records = [LogRecord(f"/{v}", "x", "done", values={"n": v}) for v in values]
-    assert column_means(records) == {"n": 3.0, "took_s": 0.0}
+    records = [LogRecord(f"/{v}", "x", "done", values={"n": v}, seconds=4.0) for v in values]
+    failed = LogRecord("/f", "x", "failed", seconds=0.1)
+    assert column_means([*records, failed]) == {"n": 3.0, "took_s": 4.0}
 
 
 def test_the_table_of_many_logs_as_csv(recordings, tmp_path, capsys):

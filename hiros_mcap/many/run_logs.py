@@ -231,7 +231,11 @@ def values_of(record: LogRecord) -> dict[str, Any]:
 
 
 def column_means(records: Sequence[LogRecord]) -> dict[str, float]:
-    """Return the mean of every column of numbers, over the logs that have it; not of people."""
+    """Return the mean of every column of numbers, over the logs that have it; not of people.
+
+    Logs of which nothing was measured, failed or skipped ones, took no time and do not count.
+    """
+    records = [record for record in records if record.values]
     means = {}
     for name in columns_of(records):
         values = [values_of(record).get(name) for record in records]
