@@ -1,13 +1,14 @@
 """hiros in a ROS 2 graph: how late its results are, and a long run.
 
     python benchmarks/ros_graph.py delay [SECONDS [PEOPLE [CAMERAS]]]
-    python benchmarks/ros_graph.py soak [MINUTES [SPEED [PEOPLE [CAMERAS [RATE]]]]]
+    python benchmarks/ros_graph.py soak [MINUTES [SPEED [PEOPLE [CAMERAS [RATE [GONE]]]]]]
 
 Needs rclpy and hiros_skeleton_msgs. ``delay`` plays a simulated log at its speed, and takes how
 long after its last needed message a result reaches another process, through the graph and through
 a Foxglove server. ``soak`` plays a minute forwards and backwards with a clock of its own, and
 prints for each minute how long it took, how far the results are behind, s, the memory of hiros, MB,
-its share of one core, and the results by id; at the end, what was lost.
+its share of one core, and the results by id; at the end, what was lost. In the middle of each
+minute, the node of the first camera dies, and comes back after ``GONE`` seconds.
 
 Only delay, memory and losses count here, so the simulated detector is the ideal one.
 """
@@ -145,8 +146,9 @@ def hear(address: str, heard: list) -> None:
 
 
 def soak(
-    minutes: float = 30, speed: float = 5, people: float = 2, cameras: float = 3, rate: float = 15
-) -> None:
+    minutes: float = 30, speed: float = 5, people: float = 2, cameras: float = 3, rate: float = 15,
+    gone: float = 0,
+) -> None:  # fmt: skip
     """Print memory, results and ids by minute."""
     import rclpy
     from hiros_skeleton_msgs.msg import SkeletonGroup
@@ -197,18 +199,25 @@ def soak(
         while not all(p.get_subscription_count() for p in publishers.values()):
             clock.publish(tick(first))
             time.sleep(0.1)
-        begin, sent, minute = time.monotonic(), 0, 1
+        begin, sent, minute, mortal = time.monotonic(), 0, 1, min(publishers)
         scene = f"{people:g} people and {cameras:g} cameras"
         print(f"{minutes:g} min of {scene} at {speed:g} times the speed, {machine()}")
         print(f"{'minute':>6} {'took':>6} {'behind':>6} {'MB':>6} {'CPU':>5}  ids", flush=True)
         since, cpu = begin, cpu_of(run.pid)
-        for topic, frame in repeated(rows, first, int(minutes)):
+        for played, (topic, frame) in enumerate(repeated(rows, first, int(minutes)), 1):
             at = (frame.log_time - first) / 1e9
             time.sleep(max(0.0, begin + at / speed - time.monotonic()))
             clock.publish(tick(frame.log_time))
-            publishers[topic].publish(encoder.encode(frame))
-            sent += 1
-            if at >= minute * MINUTE_S or sent == len(rows) * int(minutes):
+            if topic == mortal:
+                is_gone = MINUTE_S / 2 <= at % MINUTE_S < MINUTE_S / 2 + gone
+                if is_gone and topic in publishers:
+                    node.destroy_publisher(publishers.pop(topic))
+                elif not is_gone and topic not in publishers:
+                    publishers[topic] = node.create_publisher(SkeletonGroup, topic, 100)
+            if topic in publishers:
+                publishers[topic].publish(encoder.encode(frame))
+                sent += 1
+            if at >= minute * MINUTE_S or played == len(rows) * int(minutes):
                 now = time.monotonic()
                 behind = (frame.stamp - heard[-1]) / 1e9 if heard else float("nan")
                 ids = ", ".join(f"{person} ({n})" for person, n in sorted(counts.items()))
@@ -241,4 +250,5 @@ def tick(nanoseconds: int) -> bytes:
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background ignores it
     {"delay": delay, "soak": soak}[sys.argv[1]](*map(float, sys.argv[2:]))

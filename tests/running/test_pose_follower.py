@@ -6,6 +6,7 @@ import threading
 
 import numpy as np
 import pytest
+from odd_logs import later
 from test_live import AS_KNOWN, LIVE, recorded, results, run_live, send
 from test_pose_alignment import turned, write
 
@@ -86,6 +87,26 @@ def test_wrong_poses_are_not_taken_for_wrong_clocks(tmp_path, movable):
         for _ in follower.correct(log.blocks()):
             pass
     assert faults == []
+
+
+@pytest.mark.parametrize("ahead", [0.06, -0.06])
+def test_a_clock_that_log_times_hide_is_proved_by_the_people_and_stays_so(ahead, folder):
+    """A camera's stamps and log times are off alike; comparison after comparison tells the same."""
+    ns = round(1e9 * ahead)
+    with open_log(folder / "true.mcap") as log:
+        frames = [
+            later(f, ns).replace(log_time=f.log_time + ns) if f.source == "camera_2" else f
+            for f in log.detections()
+        ]
+        frames.sort(key=lambda frame: frame.log_time)
+        clocks, known = ClockFollower({}, [], 0.0), KnownCameras()
+        follower = PoseFollower(log.read(), PoseAlignment(), known, clocks, movable=True)
+        start, told = frames[0].log_time, {}
+        for block in follower.correct(map(Block.of, frames)):
+            seconds = (int(block.log_times[0]) - start) // 10**9
+            told[seconds] = clocks.proved("camera_2") - clocks.proved("camera_0")
+    assert told[1] == 0.0
+    assert [told[s] for s in (5, 7, 9, 11)] == pytest.approx([-ahead] * 4, abs=0.015)
 
 
 def test_detections_come_nearer_to_where_the_true_pose_puts_them(folder):
