@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 from film import JOINTS, OF_MODEL, PARTS, load
-from scenes import REALISTIC, published
+from scenes import REALISTIC, guessing, published
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side, symmetry_of
@@ -97,11 +97,12 @@ def of_film(cache: Path) -> list[Errors]:
     ]
 
 
-def simulated(kind: str) -> list[Errors]:
-    """Return the errors of a simulated detector."""
+def simulated(kind: str, *, guesses: bool = False) -> list[Errors]:
+    """Return the errors of a simulated detector, which sees depths or ``guesses`` them."""
     found = list[Errors]()
     for seed in SEEDS:
         scene = published(seed, **{**REALISTIC, "seconds": 10.0, "detector": {"kind": kind}})
+        scene = guessing(scene, seed) if guesses else scene
         names = [split_side(name) for name in scene.model.marker_names]
         slots = [names.index(split_side(name)) for name in JOINTS]
         truth = Truth.of(scene.truth)
@@ -173,6 +174,7 @@ def main() -> None:
         "MediaPipe on film": of_film(given.cache),
         "simulated Kinect": simulated("kinect"),
         "simulated, ideal": simulated("ideal"),
+        "simulated, depth guessed": simulated("kinect", guesses=True),
     }
     table = {name: dict(rows(errors)) for name, errors in columns.items()}
     print(f"| mm | {' | '.join(table)} |\n|{'---|' * (1 + len(table))}")

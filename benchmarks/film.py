@@ -9,6 +9,7 @@ cache: films of four calibrated cameras, and a detector with its models. It need
 
 - The films (pose2sim 0.10.49, BSD-3-Clause): four cameras, 100 frames at 60 Hz; somebody walks on
   a beam and balances. The second film is the same with another person, who was put into it.
+  Two longer ones of 6 Hz, test sessions of mprib/caliscope (BSD-2-Clause), cannot be had by pip.
 - The detector: MediaPipe Pose 0.10.14, full. Its world landmarks are put into each camera by PnP:
   a real detector's 3D skeletons, whose depth is a guess. Runs of files take them as rays.
 - The poses: those of the package are off by two degrees. One bundle adjustment mends them, of the

@@ -17,12 +17,14 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import Transform, TransformTree, transform_to_fixed
+from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.io.channels import add_skeleton_channel, add_static_poses
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.simulate import SimulateParams, simulate
+from hiros_mcap.simulate.chance import coloured
 from hiros_mcap.simulate.simulation import TRUTH_TOPIC, write_log
-from hiros_mcap.skeletons import Frame, SkeletonModel
+from hiros_mcap.skeletons import POSITION, Floats, Frame, SkeletonModel, Stamps
 
 
 @dataclass(frozen=True)
@@ -144,6 +146,43 @@ def misplaced(scene: Scene, degrees: float, metres: float = 0.0) -> Scene:
     """Return a scene whose second camera is said to stand where it does not."""
     name = sorted(scene.poses)[1]
     return replace(scene, poses={**scene.poses, name: scene.poses[name] @ _push(degrees, metres)})
+
+
+GUESSED_BODY, GUESSED_TILT, GUESSED_SECONDS = 0.035, 0.3, 1.0
+"""Of a detector that guesses depths: SD of the depth of a body as a share of its distance, SD of
+the slope of each link against the image, and the time constant of both, s."""
+
+
+def guessing(scene: Scene, seed: int) -> Scene:
+    """Return a scene whose detectors guess depths from one image, as MediaPipe does on film.
+
+    Joints stay on their rays. A body is too near or too far, and each link leans towards the camera
+    or away from it, with all that hangs on it; both change slowly.
+    """
+    rng, truth, frames = np.random.default_rng(seed), Truth.of(scene.truth), list[Frame]()
+    parents = scene.model.link_parents
+    for name, pose in scene.poses.items():
+        views = [frame for frame in scene.frames if frame.source == name]
+        stamps: Stamps = np.array([frame.stamp for frame in views])
+        lasts = float(np.exp(-np.median(np.diff(stamps)) * 1e-9 / GUESSED_SECONDS))
+        shape = (len(views), len(truth.people))
+        bodies = 1 + GUESSED_BODY * coloured(rng, shape, lasts)
+        slopes = GUESSED_TILT * coloured(rng, (*shape, len(parents)), lasts)
+        # Before the first and after the last instant of the truth, people are where they were then.
+        true = truth.at(np.clip(stamps, truth.stamps[0], truth.stamps[-1]))[0]
+        for frame, there, body, slope in zip(views, true, bodies, slopes, strict=True):
+            people = frame.people.copy()
+            for points in people.markers[:, :, POSITION]:
+                off: Floats = np.linalg.norm(pose.moved(points[None])[0] - there, axis=2)
+                who = int(np.nanargmin(np.nanmean(off, axis=1)))
+                length = np.linalg.norm(points[1:] - points[list(parents)], axis=1)
+                deeper = np.zeros(len(points))
+                for link, parent in enumerate(parents):  # parents come first
+                    deeper[link + 1] = deeper[parent] + slope[who, link] * length[link]
+                away = np.linalg.norm(points, axis=1)
+                points *= (body[who] + deeper / away)[:, None]
+            frames.append(frame.replace(people=people))
+    return replace(scene, frames=frames)
 
 
 def _push(degrees: float, metres: float) -> Rigid:
