@@ -28,7 +28,7 @@ from hiros_mcap.config import Settings
 from hiros_mcap.many.find import find_logs
 from hiros_mcap.many.jobs import ProcessJob
 from hiros_mcap.many.manifest import LogRecord
-from hiros_mcap.many.run_logs import in_processes, run_logs
+from hiros_mcap.many.run_logs import run_logs
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.simulation import write_log
 
@@ -57,7 +57,7 @@ def cpu() -> float:
 def measure(logs: list[str], out: Path, jobs: int) -> tuple[float, float, list[LogRecord]]:
     """Return wall time from the first to the last log, time before the first, and the records."""
     start, first, records = time.perf_counter(), 0.0, []
-    for record, _ in run_logs(ProcessJob(Settings()), logs, str(out), in_processes(jobs)):
+    for record, _ in run_logs(ProcessJob(Settings()), logs, str(out), jobs):
         first = first or time.perf_counter() - start
         records.append(record)
     return time.perf_counter() - start, first, records

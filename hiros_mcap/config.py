@@ -6,10 +6,9 @@ are accepted, and an error names the layer, the parameter and what would have be
 
 from __future__ import annotations
 
-import difflib
 import os
 import textwrap
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -43,6 +42,7 @@ from hiros_mcap.stages.malaguti.malaguti_params import (
 from hiros_mcap.stages.merge.merge_params import MergeParams
 from hiros_mcap.stages.optimize.optimize_params import OptimizeParams
 from hiros_mcap.stages.track.track_params import TrackParams
+from hiros_mcap.wording import instead
 
 Table = dict[str, dict[str, Any]]
 """Values by section and parameter."""
@@ -251,7 +251,7 @@ def load_config(
     read.
     """
     if preset not in PRESETS:
-        raise ConfigError(f"no preset {preset!r}{_instead(preset, PRESETS)}")
+        raise ConfigError(f"no preset {preset!r}{instead(preset, PRESETS)}")
     if preset not in presets_of(system):
         raise ConfigError(
             f"preset {preset} is of hiros and means nothing to {system}; run the system hiros, or "
@@ -332,16 +332,16 @@ def _check_names(
     the account of a run holds it, too.
     """
     if section not in Config.model_fields:
-        instead = _instead(section, Config.model_fields)
-        raise ConfigError(f"{origin}: no section {section!r}{instead}")
+        guess = instead(section, Config.model_fields)
+        raise ConfigError(f"{origin}: no section {section!r}{guess}")
     if not isinstance(values, Mapping):
         raise ConfigError(f"{origin}: {section} is a section, not a value")
     params = _section(section)
     there, is_open = params.model_fields, params.model_config.get("extra") == "allow"
     for name, value in values.items():
         if name not in there and not is_open:
-            instead = _instead(name, there, section)
-            raise ConfigError(f"{origin}: no parameter {section}.{name}{instead}")
+            guess = instead(name, there, f"{section}.")
+            raise ConfigError(f"{origin}: no parameter {section}.{name}{guess}")
         if name in there and is_fixed(there[name]) and are_refused:
             now = merged.get(section, {}).get(name, there[name].default)
             if value != now:
@@ -356,15 +356,6 @@ def _section(name: str) -> type[Params]:
     if not (isinstance(section, type) and issubclass(section, Params)):
         raise TypeError(f"section {name} is not a Params class")
     return section
-
-
-def _instead(name: str, there: Iterable[str], section: str = "") -> str:
-    """Return what the user may have meant, and everything that there is."""
-    names = list(there)
-    prefix = f"{section}." if section else ""
-    near = difflib.get_close_matches(name, names, n=1)
-    guess = f"; did you mean {prefix}{near[0]}?" if near else ""
-    return f"{guess} (there are: {', '.join(names)})"
 
 
 def _explained(error: ValidationError, origins: Mapping[tuple[str, ...], str]) -> ConfigError:

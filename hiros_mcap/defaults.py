@@ -6,11 +6,6 @@ DEFAULT_SYSTEM, LIVE_SYSTEM = "fuse", "fuse-realtime"
 """Live input cannot wait for later frames."""
 _PRESET_SYSTEM, _LIVE_PRESET_SYSTEM = "hiros", "hiros-realtime"
 NO_PRESET = "default"
-SYSTEM_NAMES = (
-    "fuse", "fuse-realtime", "hiros", "hiros-realtime", "malaguti", "openptrack", "maf", "average",
-    "raw", "lee", "lee-a1", "lee-a2", "lee-a3", "lee-a4",
-)  # fmt: skip
-"""The names in :data:`hiros_mcap.systems.SYSTEMS`, for a shell that completes them."""
 
 LEAST_CONFIDENCE = 0.1
 """A marker that is less certain is a gap.

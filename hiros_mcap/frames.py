@@ -19,7 +19,11 @@ from hiros_mcap.skeletons import Floats, Frame, People, Stage, Stamps, Uncertain
 
 
 class Doubts(NamedTuple):
-    """Why P detections count less than they say: what the stages before the merger find out."""
+    """Why P detections count less than they say: what the stages before the merger find out.
+
+    A block with these columns is a table of views: a row is what a camera shows of a person.
+    Plausible and hidden write variances, and plausible which views are distorted.
+    """
 
     variances: F2
     """(P, M) m2, by which the variance of a marker is larger, because its camera cannot see it or

@@ -1,10 +1,11 @@
-"""Numbers in words, and records as JSON."""
+"""Numbers and wrong names in words, and records as JSON."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
+from difflib import get_close_matches
 from typing import Any
 
 
@@ -24,6 +25,14 @@ def duration(seconds: float) -> str:
         if seconds >= length:
             return f"{seconds / length:.1f} {unit}"
     return f"{seconds:.1f} s"
+
+
+def instead(name: str, there: Iterable[str], prefix: str = "") -> str:
+    """Return what a wrong name may have meant, with a prefix, and all the names that there are."""
+    names = list(there)
+    near = get_close_matches(name, names, n=1)
+    guess = f"; did you mean {prefix}{near[0]}?" if near else ""
+    return f"{guess} (there are: {', '.join(names)})"
 
 
 def plain(record: Any) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.many.find import are_many, distinct_names, find_logs
 from hiros_mcap.many.jobs import Finding, Job, ProcessJob
 from hiros_mcap.many.manifest import HEAD, Identity, LogRecord, Manifest
-from hiros_mcap.many.run_logs import column_means, in_processes, locked, run_logs, run_one
+from hiros_mcap.many.run_logs import column_means, locked, run_logs, run_one
 
 SAMPLES = Path(__file__).parents[1] / "sample_data"
 BAG = "rosbag2_bagfile_information:\n  version: 8\n"
@@ -165,7 +165,7 @@ def test_a_log_of_another_time_is_done(tmp_path):
     for k in (0, 0, 1):
         log.write_bytes(b"one")
         os.utime(log, (k, k))
-        ((_, now),) = run_logs(job, [str(log)], out, in_processes(1))
+        ((_, now),) = run_logs(job, [str(log)], out, 1)
         done.append(now)
     assert done == [True, False, True]
 
@@ -192,19 +192,20 @@ def test_other_parameters_do_everything_again(walking, tmp_path):
 
 def test_a_stopped_run_has_its_manifest(recordings, tmp_path):
     job, out = ProcessJob(Settings()), str(tmp_path / "out")
-    runs = run_logs(job, find_logs([str(recordings)]), out, in_processes(1))
+    runs = run_logs(job, find_logs([str(recordings)]), out, 1)
     done = [next(runs)[0], next(runs)[0]]
     runs.close()  # type: ignore[attr-defined]
     assert set(Manifest("process", Path(out)).records) == {record.log for record in done}
 
 
-def test_a_log_that_kills_its_process_is_reported(recordings):
-    def deadly(function, tasks, *, lost):  # type: ignore[no-untyped-def]
+def test_a_log_that_kills_its_process_is_reported(recordings, monkeypatch):
+    def deadly(function, tasks, jobs, lost):  # type: ignore[no-untyped-def]
         yield 0, lost(0, "a process was killed by signal 9")
         yield 1, function(*tasks[1])
 
+    monkeypatch.setattr("hiros_mcap.many.run_logs.run_tasks", deadly)
     logs = find_logs([str(recordings / "walk.mcap"), str(recordings / "b")])
-    walk, lab = (record for record, _ in run_logs(Nothing(), logs, "", deadly))
+    walk, lab = (record for record, _ in run_logs(Nothing(), logs, ""))
     assert (walk.verdict, lab.verdict) == ("failed", "done")
     assert walk.error == "stopped its process more than once: a process was killed by signal 9"
 

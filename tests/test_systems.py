@@ -31,7 +31,10 @@ def test_some_of_the_stages_can_be_chosen():
 
 
 def test_an_unknown_system_is_named_with_those_that_exist():
-    with pytest.raises(ConfigError, match=r"no system 'hirso' \(there are: fuse, fuse-realtime"):
+    with pytest.raises(
+        ConfigError,
+        match=r"no system 'hirso'; did you mean hiros\? \(there are: fuse, ",
+    ):
         system("hirso")
 
 

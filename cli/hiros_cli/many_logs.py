@@ -85,7 +85,7 @@ def run(job: Job, named: Sequence[str], many: ManyLogs, folder: str = "") -> NoR
     Raises HirosError or OSError if the logs are not found, or the folder cannot be written.
     """
     from hiros_mcap.many.find import find_logs
-    from hiros_mcap.many.run_logs import as_csv, in_processes, run_logs, to_dict
+    from hiros_mcap.many.run_logs import as_csv, run_logs, to_dict
     from hiros_mcap.outputs import write_text
 
     check_outputs((many.csv, "table of logs"), inputs=(), force=many.force)
@@ -95,9 +95,8 @@ def run(job: Job, named: Sequence[str], many: ManyLogs, folder: str = "") -> NoR
     _name_settings(job, logs)
     by_log: dict[str, LogRecord] = {}
     with bar(quantity(len(logs), "log"), quiet=many.quiet) as progress:
-        runner = in_processes(many.jobs or 0)
         try:
-            for record, is_new in run_logs(job, logs, folder, runner, force=many.force):
+            for record, is_new in run_logs(job, logs, folder, many.jobs or 0, force=many.force):
                 by_log[record.log] = record
                 place = f"{len(by_log)}/{len(logs)}"
                 _tell(record, place, is_new=is_new, quiet=many.quiet)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
 from inspect import Parameter, signature
@@ -169,6 +169,23 @@ def seconds_range(option: str, text: str) -> tuple[float, float]:
     if not window[0] < window[1]:
         raise ConfigError(f"{option}: {text!r} ends before it starts")
     return window
+
+
+def by_camera(option: str, texts: Iterable[str] | None, form: str) -> dict[str, float]:
+    """Read ``CAMERA=NUMBER``s, or a number alone, of "", if the ``form`` allows it.
+
+    Raises ConfigError for another form.
+    """
+    numbers = {}
+    for text in texts or ():
+        camera, _, number = text.rpartition("=")
+        try:
+            numbers[camera] = float(number)
+        except ValueError:
+            numbers[camera] = math.nan
+        if not math.isfinite(numbers[camera]) or not (camera or "or" in form):
+            raise ConfigError(f"{option}: {text!r} is not of the form {form}")
+    return numbers
 
 
 EXAMPLES: Mapping[str, tuple[str, ...]] = {

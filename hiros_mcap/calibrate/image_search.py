@@ -15,6 +15,7 @@ from hiros_mcap.calibrate.ball_image import DepthCamera
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.camera_frames import add_transforms
 from hiros_mcap.io.channels import is_static_topic, namespace_of
+from hiros_mcap.io.detectors.detector_reader import nanoseconds
 from hiros_mcap.io.ros_cdr import RosMessage
 from hiros_mcap.io.ros_messages import (
     CAMERA_INFO,
@@ -59,8 +60,7 @@ def static_transforms(log: RosMessages) -> TransformTree:
 
 def stamp_of(content: Any, message: RosMessage) -> int:
     """Return header.stamp, ns; the log time if there is none."""
-    stamp = content.header.stamp
-    return stamp.sec * 1_000_000_000 + stamp.nanosec or message.log_time
+    return nanoseconds(content.header.stamp) or message.log_time
 
 
 def search_images(

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-import hiros_schemas
 from hiros_mcap.config import Config, load_config
 from hiros_mcap.defaults import DEFAULT_SYSTEM
 from hiros_mcap.errors import ConfigError, LogError
@@ -34,6 +33,8 @@ from hiros_mcap.io.channels import (
     PROVENANCE,
     TRUTH_PREFIX,
     channels_of,
+    is_ours,
+    skeleton_channels,
 )
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.detectors.keypoint_messages import is_keypoints
@@ -113,14 +114,14 @@ def has_outputs(source: Source) -> bool:
 def check_recording(path: str | os.PathLike[str]) -> None:
     """Raise LogError if a log holds results of hiros or a truth, but no detections."""
     topics = _skeletons(path)
-    if topics and all(map(_is_ours, topics)):
+    if topics and all(map(is_ours, topics)):
         fault = "holds results or a truth, but no detections; name the recording"
         raise LogError(fault, path=path)
 
 
 def has_cameras(source: Source) -> bool:
     """Whether a log holds skeletons of cameras, which can be processed."""
-    return any(not _is_ours(topic) for topic, count in _skeletons(source).items() if count)
+    return any(not is_ours(topic) for topic, count in _skeletons(source).items() if count)
 
 
 def start_of(source: Source) -> int:
@@ -148,13 +149,8 @@ def _skeletons(source: Source, globs: Sequence[str] = ("*",)) -> dict[str, int]:
     The keypoints of RGB cameras count, too: they become skeletons.
     """
     with reading(source) as file, open_groups(file) as reader:
-        channels = [i for i in channels_of(reader) if i.has_type(hiros_schemas.SKELETON_GROUP)]
-        channels += filter(is_keypoints, channels_of(file))
+        channels = [*skeleton_channels(reader), *filter(is_keypoints, channels_of(file))]
     return {i.topic: i.count for i in channels if any(fnmatchcase(i.topic, g) for g in globs)}
-
-
-def _is_ours(topic: str) -> bool:
-    return topic.startswith((f"{OUTPUT_PREFIX}/", f"{TRUTH_PREFIX}/"))
 
 
 def output_channels(source: Source, globs: Sequence[str] = ()) -> list[str]:

@@ -18,7 +18,13 @@ from hiros_mcap.io.bag_files import (
     kind_of,
     other_parts,
 )
-from hiros_mcap.io.channels import HUMANS, OTHER_TYPES, without_definition
+from hiros_mcap.io.channels import (
+    HUMANS,
+    OTHER_TYPES,
+    TRANSFORM_TYPES,
+    ChannelInfo,
+    without_definition,
+)
 from hiros_mcap.io.container import (
     McapReader,
     McapWriter,
@@ -27,7 +33,7 @@ from hiros_mcap.io.container import (
     Recovery,
 )
 from hiros_mcap.io.container.reader import MEMORY
-from hiros_mcap.io.detectors import detector_readers
+from hiros_mcap.io.detectors import types_read
 from hiros_mcap.io.detectors.keypoint_messages import KEYPOINT_TYPES
 from hiros_mcap.io.detectors.rgb_keypoints import RgbRig
 from hiros_mcap.io.joining import Everything, Part, channels_in, join
@@ -39,24 +45,9 @@ PACKED_FILES = (
 )
 
 
-def _wanted() -> set[str]:
-    """Types that are taken over: those of the detectors, and transforms."""
-    return {name for reader in detector_readers() for name in reader.types}
-
-
-def _short(name: str) -> str:
-    """Return a type as ``pkg/Type``, "" for a name that is none."""
-    try:
-        return hiros_schemas.short_name(name)
-    except hiros_schemas.DefinitionError:
-        return ""
-
-
-def _shows_people(name: str) -> bool:
-    """Whether a type may hold skeletons, or says that transforms do."""
-    short = _short(name)
-    transforms = ("tf2_msgs/TFMessage", "tf/tfMessage")
-    return short.startswith(HUMANS) or (short in _wanted() and short not in transforms)
+def _shows_people(info: ChannelInfo) -> bool:
+    """Whether a channel may hold skeletons, or says that transforms do."""
+    return info.type.startswith(HUMANS) or info.type in types_read() - {*TRANSFORM_TYPES}
 
 
 class MemoryReader(McapReader):
@@ -110,15 +101,15 @@ class _People(Everything):
         """Return the ids of a file's channels, or topics, that are taken over."""
         taken = []
         self.checked &= isinstance(part, McapReader) and part.has_checksums
-        channels, wanted = channels_in(part), _wanted()
-        if any(info.schema and _short(info.schema) in KEYPOINT_TYPES for info in channels):
+        channels, wanted = channels_in(part), types_read()
+        if any(info.type in KEYPOINT_TYPES for info in channels):
             wanted |= {hiros_schemas.short_name(hiros_schemas.CAMERA_INFO)}
         for info in channels:
             name = info.schema or "no type"
             self.count += info.count
-            self.shows_people |= isinstance(part, McapReader) or _shows_people(info.schema)
+            self.shows_people |= isinstance(part, McapReader) or _shows_people(info)
             self._listed[f"{info.topic} ({name})"] = None
-            if info.schema and _short(info.schema) in wanted:
+            if info.type in wanted:
                 taken.append(info.id)
             else:
                 _, before = self.left_out.get(info.topic, ("", 0))
@@ -158,7 +149,7 @@ def open_recording(path: Path, *, recover: bool = False, memory: int = MEMORY) -
         found = sum(reader.counts.values())
     else:
         reader, found = _read_parts(path, files.parts, recover, memory)
-    reader.remarks = (*reader.remarks, *files.remarks, *without_definition(reader, _wanted()))
+    reader.remarks = (*reader.remarks, *files.remarks, *without_definition(reader, types_read()))
     reader.warnings = files.warnings
     if found < files.promised:
         lost = (

@@ -101,6 +101,10 @@ class CameraTimes:
             return self
         return replace(self, stamps=correction.apply(self.stamps, self.log_times))
 
+    def followed(self, correction: ClockCorrection) -> CameraTimes:
+        """Return the same without the steps and the drift of the clock."""
+        return replace(self, stamps=correction.follow(self.stamps, self.log_times))
+
     def moved(self, seconds: float) -> CameraTimes:
         """Return the same with later stamps."""
         return replace(self, stamps=self.stamps + round(seconds * 1e9))
@@ -142,7 +146,7 @@ class ClockCorrection:
 
     def changes(self, times: CameraTimes) -> bool:
         """Whether the correction does anything to a camera's messages."""
-        return bool((self.apply(*_pair(times)) != times.stamps).any())
+        return bool((times.corrected(self).stamps != times.stamps).any())
 
     def plus(self, seconds: float) -> ClockCorrection:
         """Return the correction with a constant more."""
@@ -158,14 +162,9 @@ class ClockVerdict:
 
     corrections: Mapping[str, ClockCorrection] = field(default_factory=dict)  # by camera
     faults: tuple[ClockFault, ...] = ()  # in the order of their times
-    times: Mapping[str, CameraTimes] = field(default_factory=dict)
-    """By camera, after the corrections."""
+    lags: Mapping[str, float] = field(default_factory=dict)
+    """Usual lag of each camera after the corrections, s."""
     wait: float = 0.0  # longest time, s, that a message has to wait for older ones of other cameras
-
-    @property
-    def lags(self) -> dict[str, float]:
-        """Usual lag of each camera after the corrections, s."""
-        return {name: median(times.lags) for name, times in self.times.items()}
 
 
 def clock_verdict(
@@ -184,7 +183,7 @@ def clock_verdict(
     }
     fixed, faults = corrections_of(clocks, set(given))
     fixed = {name: _with_limits(fixed[name], times) for name, times in clocks.items()}
-    right = {name: replace(t, stamps=fixed[name].apply(*_pair(t))) for name, t in clocks.items()}
+    right = {name: times.corrected(fixed[name]) for name, times in clocks.items()}
     faults += _late(right)
     faults += _wrong(clocks, fixed)
     for name, seconds in given.items():
@@ -193,7 +192,7 @@ def clock_verdict(
     return ClockVerdict(
         fixed,
         tuple(sorted(faults, key=lambda fault: (fault.at_ns, fault.camera))),
-        right,
+        {name: median(times.lags) for name, times in right.items()},
         longest_wait(right.values()),
     )
 
@@ -218,31 +217,23 @@ def corrections_of(
     return _without_drift(clocks, fixed, faults), faults
 
 
-def _followed(times: CameraTimes, correction: ClockCorrection) -> CameraTimes:
-    return replace(times, stamps=correction.follow(*_pair(times)))
-
-
-def _pair(times: CameraTimes) -> tuple[Stamps, Stamps]:
-    return times.stamps, times.log_times
-
-
 def _wrong(
     cameras: Mapping[str, CameraTimes], fixed: Mapping[str, ClockCorrection]
 ) -> Iterator[ClockFault]:
     """Yield which cameras have single messages with times that make no sense."""
     for name, times in cameras.items():
-        stamps = fixed[name].follow(*_pair(times))
+        stamps = times.followed(fixed[name]).stamps
         wrong = np.flatnonzero(fixed[name].wrong(stamps, times.log_times))
         if len(wrong):
-            errors = (stamps - fixed[name].apply(*_pair(times)))[wrong] * 1e-9
+            right = times.corrected(fixed[name]).stamps[wrong]
+            errors = (stamps[wrong] - right) * 1e-9
             worst = float(errors[np.argmax(np.abs(errors))])
-            first = int(fixed[name].apply(*_pair(times))[wrong[0]])
-            yield ClockFault(name, WRONG, worst, first, corrected=True, messages=len(wrong))
+            yield ClockFault(name, WRONG, worst, int(right[0]), corrected=True, messages=len(wrong))
 
 
 def _with_limits(correction: ClockCorrection, times: CameraTimes) -> ClockCorrection:
     """Add the least lag of a camera, and the longest one if longer ones are wrong times."""
-    followed = _followed(times, correction)
+    followed = times.followed(correction)
     lags, (right, wrong) = times.log_times - followed.stamps, _judged(followed)
     floor = int(np.quantile(lags[~wrong], 0.05, method="lower"))
     early = (lags[wrong] - floor) * 1e-9
@@ -531,7 +522,7 @@ def _stepped(
     offsets = np.round((ahead[right] - ahead) * 1e9).astype(np.int64)
     begins = [int(times.log_times[place]) for place, _ in steps]
     correction = ClockCorrection((-(2**63), *begins), tuple(offsets.tolist()))
-    stamps = correction.follow(*_pair(times))
+    stamps = times.followed(correction).stamps
     return correction, [
         ClockFault(name, STEP, seconds, int(stamps[place]), corrected=True)
         for place, seconds in steps
@@ -548,7 +539,7 @@ def _level(
     given: Set[str],
 ) -> dict[str, ClockCorrection]:
     """Align clocks that differ by more than any delivery takes, and name them."""
-    lags = {name: median(_followed(times, fixed[name]).lags) for name, times in cameras.items()}
+    lags = {name: median(times.followed(fixed[name]).lags) for name, times in cameras.items()}
     if not lags:
         return fixed
     usual = middle_of(lags)
@@ -598,7 +589,7 @@ def _without_drift(
     faults: list[ClockFault],
 ) -> dict[str, ClockCorrection]:
     """Correct and name clocks that run faster or slower than the others."""
-    followed = {name: _followed(times, fixed[name]) for name, times in cameras.items()}
+    followed = {name: times.followed(fixed[name]) for name, times in cameras.items()}
     result = dict(fixed)
     for name, slope in find_drifts(followed).items():
         first = int(followed[name].stamps[0])

@@ -14,12 +14,11 @@ import hiros_schemas
 from hiros_mcap.body.transforms import Transform, TransformTree, parse_tf
 from hiros_mcap.errors import ConfigError, naming
 from hiros_mcap.io.channels import (
-    OUTPUT_PREFIX,
     TF_TOPICS,
-    TRUTH_PREFIX,
     CameraChannel,
     ChannelInfo,
     channels_of,
+    is_ours,
     is_static_topic,
     is_transform_topic,
     namespace_of,
@@ -176,7 +175,7 @@ def as_file_says(cameras: Iterable[CameraChannel], tree: TransformTree) -> list[
     known = list(cameras)
     owners = Counter(name for camera in known for name in camera.frames)
     named = [_as_file_says(camera, tree, known, owners) for camera in known]
-    seeing = [camera for camera in named if camera.frames and _is_recorded(camera)]
+    seeing = [camera for camera in named if camera.frames and not is_ours(camera.channel.topic)]
     if lacking := [c for c in seeing if not set(c.frames) <= set(tree.frames)]:
         raise ConfigError(
             f"{tree.source}: has no pose of {', '.join(c.channel.topic for c in lacking)}; the "
@@ -184,11 +183,6 @@ def as_file_says(cameras: Iterable[CameraChannel], tree: TransformTree) -> list[
             "which are topics or frames, or choose other cameras with --topic"
         )
     return named
-
-
-def _is_recorded(camera: CameraChannel) -> bool:
-    """Whether a channel is of a camera, and neither a result nor a truth."""
-    return not camera.channel.topic.startswith((f"{OUTPUT_PREFIX}/", f"{TRUTH_PREFIX}/"))
 
 
 def _in_words(cameras: Iterable[CameraChannel]) -> str:
@@ -206,7 +200,7 @@ def _as_file_says(
     owners: Counter[str],
 ) -> CameraChannel:
     """Return a camera in the frame that the file has for it; see :func:`as_file_says`."""
-    if len(camera.frames) > 1 or not _is_recorded(camera):
+    if len(camera.frames) > 1 or is_ours(camera.channel.topic):
         return camera
     if camera.topic_frame in tree.frames:
         return camera.in_frame(camera.topic_frame)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
@@ -21,7 +22,6 @@ OUTPUT_TOPICS = tuple(
     f"{OUTPUT_PREFIX}/{stage}" for stage in ("tracked", "merged", "optimized", "filtered")
 )
 """Of the stages' channels, in the order of the chain."""
-LIMBS_ATTACHMENT = "hiros/limbs.toml"
 EVENTS_ATTACHMENT = "hiros/events.json"
 CONFIG_ATTACHMENT = "hiros/config.toml"
 """The parameters in effect."""
@@ -35,6 +35,8 @@ OTHER_TYPES = (
 )
 TRUTH_PREFIX = "/truth"
 TF_TOPICS = ("/tf_static", "/tf")
+TRANSFORM_TYPES = "tf2_msgs/TFMessage", "tf/tfMessage"
+"""``pkg/Type`` of ROS 2 and of ROS 1."""
 HUMANS = "hri_msgs/"
 """Package of the types of ROS4HRI, whose bodies are on /tf."""
 _TF_NAMES = tuple(topic.strip("/") for topic in TF_TOPICS)
@@ -74,6 +76,13 @@ class ChannelInfo:
     count: int  # messages in the file
     metadata: Mapping[str, str]  # as recorded; rosbag2 keeps the quality of service here
 
+    @property
+    def type(self) -> str:
+        """Type as ``pkg/Type``; "" if it has none, or a name that is none."""
+        with suppress(hiros_schemas.DefinitionError):
+            return hiros_schemas.short_name(self.schema)
+        return ""
+
     def has_type(self, name: str) -> bool:
         """Whether messages are of a type, ``pkg/msg/Type``; the form ``pkg/Type`` is the same."""
         return self.schema in (name, hiros_schemas.short_name(name))
@@ -106,18 +115,26 @@ class CameraChannel:
 
 def channels_of(reader: McapReader) -> tuple[ChannelInfo, ...]:
     """List the channels of a file in the order of their topics."""
-    channels = [
-        ChannelInfo(
-            id=channel.id,
-            topic=channel.topic,
-            schema=type_name(reader, channel),
-            encoding=channel.message_encoding,
-            count=reader.counts.get(channel.id, 0),
-            metadata=channel.metadata,
-        )
-        for channel in reader.channels.values()
-    ]
+    channels = (info_of(reader, ident) for ident in reader.channels)
     return tuple(sorted(channels, key=lambda info: (info.topic, info.id)))
+
+
+def skeleton_channels(reader: McapReader) -> list[ChannelInfo]:
+    """List the channels of SkeletonGroups, of cameras, results and truths."""
+    return [i for i in channels_of(reader) if i.has_type(hiros_schemas.SKELETON_GROUP)]
+
+
+def info_of(reader: McapReader, ident: int) -> ChannelInfo:
+    """Return a channel of a file by its number."""
+    channel = reader.channels[ident]
+    return ChannelInfo(
+        id=ident,
+        topic=channel.topic,
+        schema=type_name(reader, channel),
+        encoding=channel.message_encoding,
+        count=reader.counts.get(ident, 0),
+        metadata=channel.metadata,
+    )
 
 
 def type_name(reader: McapReader, channel: Channel) -> str:
@@ -241,6 +258,16 @@ def needs_latching(info: ChannelInfo) -> bool:
     durabilities = re.findall(r"^[- ]*durability: (\w+)", profiles, re.MULTILINE)
     latched = bool(durabilities) and {*durabilities} <= {"1", "transient_local"}
     return is_static_topic(info.topic) and info.encoding == "cdr" and not latched
+
+
+def kept_for_late(channel: Channel) -> Channel:
+    """Return a channel with the quality of service that keeps it for late subscribers."""
+    return replace(channel, metadata={**channel.metadata, "offered_qos_profiles": LATCHED_QOS})
+
+
+def is_ours(topic: str) -> bool:
+    """Whether a topic has results of hiros, or a truth: neither is of a camera."""
+    return topic.startswith((f"{OUTPUT_PREFIX}/", f"{TRUTH_PREFIX}/"))
 
 
 def namespace_of(topic: str) -> str:

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from hiros_mcap.io.channels import OUTPUT_PREFIX, TRUTH_PREFIX, CameraChannel
+from hiros_mcap.io.channels import CameraChannel, is_ours
 from hiros_mcap.io.codec import Decoder
 from hiros_mcap.io.container import Batch, McapReader
 from hiros_mcap.kernels.batch import SAME, TELLING
@@ -32,8 +32,7 @@ def copied_channels(
     ``decoder`` gives people in the coordinates of the cameras. Results and truths are no cameras:
     stages may well show the same.
     """
-    ours = f"{OUTPUT_PREFIX}/", f"{TRUTH_PREFIX}/"
-    cameras = [c for c in cameras if c.frames and not c.channel.topic.startswith(ours)]
+    cameras = [c for c in cameras if c.frames and not is_ours(c.channel.topic)]
     if len(cameras) < 2:
         return {}
     shown = _people(reader, decoder, cameras)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -31,23 +32,25 @@ from hiros_mcap.io.channels import (
     CameraChannel,
     ChannelInfo,
     channels_of,
+    info_of,
     is_selected,
     is_static_topic,
     is_transform_topic,
     not_used,
     select_skeletons,
 )
-from hiros_mcap.io.codec import Decoder, OtherSkeletonError, RestPoses
+from hiros_mcap.io.codec import Decoded, Decoder, ModelBuilder, OtherSkeletonError, RestPoses
 from hiros_mcap.io.container import Message
 from hiros_mcap.io.container.live_input import LiveInput
 from hiros_mcap.io.container.live_reader import LiveReader
+from hiros_mcap.io.container.reader import Batch
 from hiros_mcap.io.detectors.conversion import is_of_other_detector
 from hiros_mcap.io.detectors.live_conversion import LiveConversion
-from hiros_mcap.io.live_decoder import LiveDecoder
 from hiros_mcap.io.live_log_times import LiveLogTimes
 from hiros_mcap.io.log import skeletons_of
 from hiros_mcap.io.log_accounts import DAMAGED
 from hiros_mcap.io.opened_log import Log, Reading
+from hiros_mcap.kernels.record_index import START, STOP
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_mcap.wording import quantity
 
@@ -55,6 +58,63 @@ LISTEN_S = 1.0
 """s of the log's own time: a camera sends several messages in it."""
 _PATIENCE_S = 10.0  # how long after the first skeletons transforms may come
 _MOST = 20_000  # messages that are kept while nobody is there: about two minutes of five cameras
+
+
+class LiveDecoder(Decoder):
+    """A decoder that leaves out markers and links which the model does not have.
+
+    A recording is read to its end for the model of its skeletons. Live, results begin after a
+    second, and some detectors send only the joints that they see. Parameters as of
+    :class:`Decoder`.
+    """
+
+    def __init__(self, model: SkeletonModel, **options: Any) -> None:
+        super().__init__(model, **options)
+        self._options = options
+        self._builder = ModelBuilder.of(model)
+        self._whole = Decoder(model, **options)  # reads all that was ever sent
+
+    @property
+    def left_out(self) -> list[str]:
+        """Names of the markers that are left out, in the order of their ids."""
+        whole, known = self._whole.model, self.model.marker_ids
+        pairs = zip(whole.marker_ids, whole.marker_names, strict=True)
+        return [name for ident, name in pairs if ident not in known]
+
+    def decode(self, batch: Batch) -> Iterator[Decoded]:
+        """Read the messages of a batch; see :meth:`Decoder.decode`."""
+        decoded = [*self._whole.decode(batch)]
+        if any(some.faults for some in decoded) and self._grow(batch):
+            decoded = [*self._whole.decode(batch)]
+        is_whole = self._whole.model == self.model
+        yield from decoded if is_whole else map(self._reduced, decoded)
+
+    def _grow(self, batch: Batch) -> bool:
+        """Learn from messages; say whether they have something new. Damaged ones teach nothing."""
+        for records in batch.records:
+            for row in records.messages[:, [START, STOP]].tolist():
+                start, stop = map(int, row)
+                with suppress(LogError):
+                    self._builder.add(bytes(records.data[start:stop]), "")
+        before, model = self._whole.model, self._builder.build()
+        if (model.marker_ids, model.link_ids) == (before.marker_ids, before.link_ids):
+            return False
+        self._whole = Decoder(model, **self._options)
+        return True
+
+    def _reduced(self, decoded: Decoded) -> Decoded:
+        """Return what the model has of messages that were read whole."""
+        whole, people = self._whole.model, decoded.people
+        markers = [whole.marker_ids.index(ident) for ident in self.model.marker_ids]
+        links = [whole.link_ids.index(ident) for ident in self.model.link_ids]
+        known = people._replace(
+            markers=people.markers[:, markers].copy(),
+            marker_confidences=people.marker_confidences[:, markers].copy(),
+            links=people.links[:, links].copy(),
+            link_confidences=people.link_confidences[:, links].copy(),
+        )
+        zeros = {message: numbers[markers] for message, numbers in decoded.zeros.items()}
+        return decoded._replace(people=known, zeros=zeros)
 
 
 class LiveReading(Reading):
@@ -76,7 +136,6 @@ class LiveReading(Reading):
         """Channels that have shown nobody yet, so that their frame is not known."""
         self._refused: dict[int, str] = {}
         """Channel -> why it is not read, "" for what holds no detections."""
-        self._spaced: dict[int, bool] = {}  # channel -> whether it has transforms in a namespace
         self._waiting: Counter[str] = Counter()
         """Messages of cameras that could not be used yet, by topic."""
         log.reader.listeners.append(self._hear)
@@ -128,25 +187,18 @@ class LiveReading(Reading):
         ident = message.channel_id
         if ident in self._refused or (ident in self._inputs and ident not in self._blind):
             return
-        topic = self.log.reader.channels[ident].topic
-        if topic in TF_TOPICS or self._is_transforms(ident):
+        info = info_of(self.log.reader, ident)
+        topic = info.topic
+        if topic in TF_TOPICS or is_read(info):
             if not self.log.transforms.source:
                 add_transforms(self.log.transforms, topic, message.data, message.log_time)
             return
-        info = next(info for info in channels_of(self.log.reader) if info.id == ident)
         if takes(info, self.log.topics):
             self._join(info, message)
         else:
             is_people = info.has_type(hiros_schemas.SKELETON_GROUP)
             is_wanted = is_people and is_selected(topic, self.log.topics, OUTPUT_PREFIX)
             self._refused[ident] = not_used(replace(info, count=0)) if is_wanted else ""
-
-    def _is_transforms(self, ident: int) -> bool:
-        """Whether a channel has transforms in a namespace."""
-        if ident not in self._spaced:
-            infos = channels_of(self.log.reader)
-            self._spaced[ident] = any(i.id == ident and is_read(i) for i in infos)
-        return self._spaced[ident]
 
     def _join(self, info: ChannelInfo, message: Message) -> None:
         """Read a camera from its first message on that holds somebody in a known place."""

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from statistics import median_low
 
-from hiros_mcap.io.channels import TF_TOPICS, channels_of
+from hiros_mcap.io.channels import info_of
 from hiros_mcap.io.container.live_reader import LiveReader
 from hiros_mcap.io.container.records import Message
 from hiros_mcap.io.log_times import EARLY, FAR, StampPlace, place_of, remarks, stamp_of
@@ -82,9 +82,7 @@ class LiveLogTimes:
     def _place(self, ident: int) -> StampPlace | None:
         """Return where the stamps of a channel's messages lie; None if their times all count."""
         if ident not in self._places:
-            (info,) = (info for info in channels_of(self._reader) if info.id == ident)
-            is_static = info.topic == TF_TOPICS[0]
-            self._places[ident] = None if is_static else place_of(self._reader, info)
+            self._places[ident] = place_of(self._reader, info_of(self._reader, ident))
         return self._places[ident]
 
     def _retimed(self, message: Message, stamp: int) -> Message:

@@ -47,6 +47,7 @@ from hiros_mcap.io.channels import (
     channels_of,
     is_selected,
     select_skeletons,
+    skeleton_channels,
 )
 from hiros_mcap.io.codec import Decoder, ModelBuilder, OtherSkeletonError
 from hiros_mcap.io.container import Batch, McapReader, Message, Records
@@ -289,7 +290,7 @@ def _with_triangulated(
     images = [info.topic for info in infos if is_keypoints(info)]
     if topics is None or not images:
         return topics
-    others = [info.topic for info in infos if info.has_type(hiros_schemas.SKELETON_GROUP)]
+    others = [info.topic for info in skeleton_channels(reader)]
 
     def names(glob: str, channels: Iterable[str]) -> bool:
         return any(fnmatchcase(topic, glob) for topic in channels)

@@ -28,7 +28,12 @@ import numpy.typing as npt
 
 import hiros_schemas
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.channels import OUTPUT_PREFIX, TF_TOPICS, TRUTH_PREFIX, ChannelInfo, channels_of
+from hiros_mcap.io.channels import (
+    TF_TOPICS,
+    ChannelInfo,
+    channels_of,
+    is_ours,
+)
 from hiros_mcap.io.container import McapReader, Records
 from hiros_mcap.io.container.records import Chunk, Message, Schema
 from hiros_mcap.io.log_accounts import LATEST
@@ -48,8 +53,6 @@ _STAMP_AT = 4
 """Byte of a message at which its header's stamp begins: behind the encapsulation of CDR, or behind
 the number of a ROS 1 header."""
 Bytes = npt.NDArray[np.uint8]
-_OURS = f"{OUTPUT_PREFIX}/", f"{TRUTH_PREFIX}/"
-"""Topics that were written later: their times tell nothing of the recorder."""
 
 
 class StampPlace(NamedTuple):
@@ -60,7 +63,8 @@ class StampPlace(NamedTuple):
     """Whether the messages are SkeletonGroups, whose people have times of their own."""
 
 
-_NO_STAMP = StampPlace(1 << 62, has_people=False)
+NO_STAMP = StampPlace(1 << 62, has_people=False)
+"""Of a channel whose messages have no stamp to go by."""
 
 
 def mend_log_times(reader: McapReader) -> None:
@@ -73,12 +77,13 @@ def mend_log_times(reader: McapReader) -> None:
     chunks = sorted(reader.contents.chunks, key=lambda chunk: chunk.offset)
     if not _is_odd(reader, [chunk for chunk in chunks if chunk.holds(stamped)], stamped):
         return
-    latched = {i: _NO_STAMP for i, info in infos.items() if info.topic == TF_TOPICS[0]}
+    latched = {i: NO_STAMP for i, info in infos.items() if info.topic == TF_TOPICS[0]}
     places = stamped | latched
     chunks = [chunk for chunk in chunks if chunk.holds(places)]
-    parts = [_read(records, places) for records in reader.ahead(map(reader.load, chunks))]
+    parts = [times_of(records, places) for records in reader.ahead(map(reader.load, chunks))]
     channels, log_times, stamps = np.concatenate(parts).T
-    ours = [i for i in places if infos[i].topic.startswith(_OURS)]
+    # What was written later tells nothing of the recorder.
+    ours = [i for i in places if is_ours(infos[i].topic)]
     right = right_log_times(
         channels, log_times, stamps, ~np.isin(channels, ours), np.isin(channels, list(latched))
     )
@@ -154,7 +159,7 @@ def _odd(spans: Sequence[tuple[int, int]]) -> set[int]:
     return odd
 
 
-def _read(records: Records, places: Mapping[int, StampPlace]) -> Stamps:
+def times_of(records: Records, places: Mapping[int, StampPlace]) -> Stamps:
     """(N, 3) channel, log time and stamp, ns, of messages with stamps; a stamp of 0 is none."""
     messages = records.messages[np.isin(records.messages[:, CHANNEL], list(places))]
     channels = messages[:, CHANNEL].astype(np.int64)

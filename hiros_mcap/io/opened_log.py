@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -12,7 +11,6 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-import hiros_schemas
 from hiros_mcap.body.body_size import unit_of, unit_warning
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import (
@@ -33,6 +31,7 @@ from hiros_mcap.io.channels import (
     ChannelInfo,
     channels_of,
     not_used,
+    skeleton_channels,
 )
 from hiros_mcap.io.codec import Decoded, Decoder, RestPoses
 from hiros_mcap.io.container import LogOrder, McapReader, Recovery
@@ -50,7 +49,7 @@ from hiros_mcap.io.log_accounts import (
 )
 from hiros_mcap.io.unread_channels import not_read
 from hiros_mcap.skeletons import Frame, SkeletonModel, Stamps
-from hiros_mcap.wording import quantity
+from hiros_mcap.wording import instead, quantity
 
 _MILLIMETRES_M = 1000.0
 """Cameras of one room that seem to be farther apart have poses in mm; in cm, it would be large."""
@@ -283,11 +282,9 @@ class Log:
         frames |= set(self.transforms.frames)
         if self.wanted_frame and self.wanted_frame not in frames and any(frames):
             names = sorted(filter(None, frames))
-            near = difflib.get_close_matches(self.wanted_frame, names, n=1)
-            guess = f"; did you mean {near[0]!r}?" if near else ""
             raise LogError(
-                f"has no frame {self.wanted_frame!r} for the results to be in{guess} (there are: "
-                f"{', '.join(names)})",
+                f"has no frame {self.wanted_frame!r} for the results to be in"
+                f"{instead(self.wanted_frame, names)}",
                 path=self.path,
             )
 
@@ -511,8 +508,11 @@ def span_of(reader: McapReader) -> tuple[int, int]:
     Not those of all messages: /tf_static and whatever else is kept for late listeners may be
     logged with a time of 0. In a file with nothing else, all messages count.
     """
-    skeletons = [i for i in channels_of(reader) if i.has_type(hiros_schemas.SKELETON_GROUP)]
-    inputs = [i.id for i in skeletons if i.count and not i.topic.startswith(f"{OUTPUT_PREFIX}/")]
+    inputs = [
+        i.id
+        for i in skeleton_channels(reader)
+        if i.count and not i.topic.startswith(f"{OUTPUT_PREFIX}/")
+    ]
     wanted = inputs or list(reader.channels)
     first = next(reader.messages(wanted), None)
     if first is None:

@@ -20,9 +20,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
-import hiros_schemas
 from hiros_mcap.body.anatomy import ANGLE_NAMES, anatomical_angles
 from hiros_mcap.body.segments import LinkAxes, link_axes
 from hiros_mcap.defaults import LEAST_CONFIDENCE
@@ -36,6 +35,7 @@ from hiros_mcap.io.channels import (
     REPORT_ATTACHMENT,
     TRUTH_PREFIX,
     channels_of,
+    skeleton_channels,
 )
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.log import open_log, open_reader, span_of
@@ -376,7 +376,7 @@ def _hiros_channels(reader: McapReader) -> tuple[list[str], list[str], int]:
     Results are in the order of the stages, and may be without messages if no camera sent any. All
     others have messages.
     """
-    skeletons = [i for i in channels_of(reader) if i.has_type(hiros_schemas.SKELETON_GROUP)]
+    skeletons = skeleton_channels(reader)
     topics = {info.topic for info in skeletons}
     results = [topic for topic in OUTPUT_TOPICS if topic in topics]
     others = sorted({info.topic for info in skeletons if info.count} - {*results})
@@ -436,18 +436,10 @@ def stored_events(reader: McapReader) -> tuple[Event, ...]:
         raise LogError(f"attachment {EVENTS_ATTACHMENT} is damaged", path=reader.path) from None
 
 
-class _CameraReport(BaseModel):
-    model_config = ConfigDict(extra="allow")
-    name: str
-    messages: int = 0
-    used: int = 0
-
-
 class StoredReport(BaseModel):
     """Part of a run's summary that is read back, :class:`hiros_mcap.running.summary.Summary`."""
 
     warnings: tuple[str, ...] = ()
-    cameras: list[_CameraReport] = []
 
 
 def stored_report(reader: McapReader) -> StoredReport:

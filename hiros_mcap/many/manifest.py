@@ -39,7 +39,7 @@ class Identity:
     """By which an input is known."""
 
     size: int  # Bytes; of a folder, those of its files
-    modified: str  # time of the last change, or what a server gives instead
+    modified: str  # time of the last change, ns
 
 
 @dataclass(frozen=True, slots=True)

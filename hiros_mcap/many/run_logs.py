@@ -3,7 +3,7 @@
 ::
 
     logs = find_logs(["recordings/"])
-    for record, _ in run_logs(ProcessJob(Settings()), logs, "results", in_processes(2)):
+    for record, _ in run_logs(ProcessJob(Settings()), logs, "results", jobs=2):
         print(record.log, record.verdict)
 """
 
@@ -18,10 +18,9 @@ import os
 import re
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -36,17 +35,9 @@ from hiros_mcap.outputs import check_outputs, remove_parts
 from hiros_mcap.wording import plain, plain_value
 from hiros_mcap.workers import run_tasks
 
-Runner = Callable[..., Iterator[tuple[int, LogRecord]]]
-"""Calls a function for each task, somewhere, with ``lost``: as :func:`workers.run_tasks`."""
-
-
-def in_processes(jobs: int) -> Runner:
-    """Return the runner of this machine; 0 = a process per core."""
-    return partial(run_tasks, jobs=jobs)
-
 
 def run_logs(
-    job: Job, logs: Sequence[str], folder: str, runner: Runner, *, force: bool = False
+    job: Job, logs: Sequence[str], folder: str, jobs: int = 0, *, force: bool = False
 ) -> Iterator[tuple[LogRecord, bool]]:
     """Yield what becomes of each log as it gets ready, and whether it was done now.
 
@@ -57,6 +48,7 @@ def run_logs(
     ----------
     logs : absolute paths, see :func:`hiros_mcap.many.find.find_logs`.
     folder : where the results go; "" keeps nothing.
+    jobs : processes at once; 0 = one per core.
     force : replace files that hiros did not write.
 
     Raises LogError if the folder cannot be written, or a file in it must not be replaced;
@@ -91,7 +83,7 @@ def run_logs(
         tasks = [(job, record, folder) for record in todo]
         if place is not None:
             stack.callback(remove_parts, place)
-        for _, record in runner(run_one, tasks, lost=lost):
+        for _, record in run_tasks(run_one, tasks, jobs, lost):
             manifest.add(record)
             yield record, True
 

@@ -65,14 +65,10 @@ class ClockAlignment:
     needed: Mapping[str, float] = field(default_factory=dict)
     """Camera -> wait, s, that its messages need, where that is over the longest one."""
 
-    def correct(self, blocks: Iterable[Block]) -> Iterable[Block]:
-        """Return blocks with right stamps, in the order in which they came."""
+    def ordered(self, blocks: Iterable[Block]) -> Iterator[Block]:
+        """Yield messages at right stamps, in their order."""
         if self.corrections:
             blocks = (_corrected(block, self.corrections) for block in blocks)
-        return blocks
-
-    def ordered(self, blocks: Iterable[Block]) -> Iterator[Block]:
-        """Yield messages with right stamps in their order, for all stages."""
         return in_time_order(blocks, self.wait or self.reorder, patient=self.wait > 0)
 
     def follower(self) -> ClockFollower:

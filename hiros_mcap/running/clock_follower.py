@@ -137,7 +137,7 @@ class ClockFollower:
         clock = self._clocks[source]
         more = round(seconds * 1e9) - clock.proved
         clock.proved += more
-        self._note(source, OFFSET, -more * 1e-9, clock.stamps[-1])
+        self._note(source, -more * 1e-9, clock.stamps[-1])
 
     def proved(self, source: str) -> float:
         """Seconds that are to be added to the stamps of a camera in all, as proved so far."""
@@ -181,7 +181,7 @@ class ClockFollower:
         foresees = lag < -_FORESIGHT and usual >= 0.0
         if foresees or lag < usual - self._reorder or lag > usual + LONGEST_DELAY:
             clock.offset += round((lag - usual) * 1e9)
-            self._note(source, OFFSET, usual - lag, log_time - round(usual * 1e9))
+            self._note(source, usual - lag, log_time - round(usual * 1e9))
 
     def _take(self, stamp: int, source: str, log_time: int, n_people: int) -> int:
         """Return the corrected stamp of a message."""
@@ -212,13 +212,12 @@ class ClockFollower:
             if fault.kind != DRIFT or fault.camera not in drifting:
                 self._faults.append(fault)
 
-    def _note(self, source: str, kind: str, seconds: float, stamp: int) -> None:
-        """Note a fault; offsets of a camera are one."""
+    def _note(self, source: str, seconds: float, stamp: int) -> None:
+        """Note by how much a clock is ahead; all that is found of a camera is one fault."""
         now = stamp
         for fault in list(self._faults):
-            if kind == OFFSET and (fault.camera, fault.kind) == (source, kind):
+            if (fault.camera, fault.kind) == (source, OFFSET):
                 self._faults.remove(fault)
                 seconds, stamp = seconds + fault.seconds, fault.at_ns
-        if kind == OFFSET:
-            self._ahead.append((now, source, seconds))
-        self._faults.append(ClockFault(source, kind, seconds, stamp, corrected=True))
+        self._ahead.append((now, source, seconds))
+        self._faults.append(ClockFault(source, OFFSET, seconds, stamp, corrected=True))

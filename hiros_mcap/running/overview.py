@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import math
 import os
-import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-import hiros_schemas
 from hiros_mcap.config import load_config, presets_of, to_toml
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.bag_files import files_of, kind_of
@@ -27,29 +24,21 @@ from hiros_mcap.io.channels import (
     TRUTH_PREFIX,
     ChannelInfo,
     channels_of,
+    skeleton_channels,
 )
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.container.file import Table
-from hiros_mcap.io.container.records import Bytes
 from hiros_mcap.io.detectors.body_models import name_of
 from hiros_mcap.io.detectors.conversion import Selection
 from hiros_mcap.io.joining import channels_in, messages_in, open_part
 from hiros_mcap.io.log import Log, Reading, open_log, open_reader
+from hiros_mcap.io.log_times import NO_STAMP, StampPlace, place_of, times_of
 from hiros_mcap.io.result import stored_parameters, stored_report, values_of
 from hiros_mcap.io.rgb_cameras import RgbCamera, read_rgb_cameras
-from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
+from hiros_mcap.running.observe import MessageRate
 from hiros_mcap.systems import sections_of
 from hiros_mcap.wording import plain, quantity
 
 _GAP_S = 1.0
-_STAMP = struct.Struct("<iI")  # seconds, nanoseconds
-_STAMP_AT = {
-    hiros_schemas.SKELETON_GROUP: 4,  # behind the encapsulation of CDR
-    hiros_schemas.JOINT_STATE: 4,
-    hiros_schemas.LOG: 4,
-    hiros_schemas.MARKER_ARRAY: 8,  # behind the number of markers
-}
-"""Type of a result -> where in its messages the first stamp lies, bytes."""
 
 LogKind = Literal["recording", "result", "golden", "truth", "other"]
 """recording: skeletons to process. result: what `hiros process` wrote. golden: what `hiros check`
@@ -204,7 +193,7 @@ def overview_of(
 def _of_file(path: str | os.PathLike[str], reader: McapReader) -> Overview:
     """Report on a file, whether its skeletons can be processed or not."""
     channels, spans = channels_of(reader), _spans(reader)
-    kind = _kind(reader, channels)
+    kind = _kind(reader)
     start = min((begin for begin, _ in spans.values()), default=0)
     end = max((end for _, end in spans.values()), default=0)
     return Overview(
@@ -217,7 +206,7 @@ def _of_file(path: str | os.PathLike[str], reader: McapReader) -> Overview:
             _channel_row((i.topic, i.schema), i.encoding, i.count, spans.get(i.id))
             for i in channels
         ),
-        people=_people(reader, channels) if kind in ("result", "golden", "truth") else (),
+        people=_people(reader) if kind in ("result", "golden", "truth") else (),
         run=_run(reader) if kind in ("result", "golden") else None,
         keypoints=tuple(_keypoint_rows(reader)),
     )
@@ -312,9 +301,9 @@ def _size(path: Path) -> int:
     return sum(file.stat().st_size for file in files if file.is_file())
 
 
-def _kind(reader: McapReader, channels: Iterable[ChannelInfo]) -> LogKind:
+def _kind(reader: McapReader) -> LogKind:
     """Tell what a file is by where its skeletons are, and who wrote it."""
-    skeletons = [i.topic for i in channels if i.has_type(hiros_schemas.SKELETON_GROUP)]
+    skeletons = [info.topic for info in skeleton_channels(reader)]
     results = [topic for topic in skeletons if topic in OUTPUT_TOPICS]
     true = [topic for topic in skeletons if topic.startswith(f"{TRUTH_PREFIX}/")]
     if results:
@@ -332,34 +321,23 @@ def _spans(reader: McapReader) -> dict[int, tuple[int, int]]:
     It is the log time, but for results that of the data: they are logged later, many at once.
     """
     spans: dict[int, tuple[int, int]] = {}
-    stamped = {
-        info.id: at
-        for info in channels_of(reader)
-        for name, at in _STAMP_AT.items()
-        if info.topic.startswith(f"{OUTPUT_PREFIX}/") and info.has_type(name)
-    }
+    places = {info.id: _place_of(reader, info) for info in channels_of(reader)}
     for batch in reader.batches():
         for records in batch.records:
-            ids = records.messages[:, CHANNEL]
+            ids, log_times, stamps = times_of(records, places).T
+            times = np.where(stamps > 0, stamps, log_times)
             for ident in np.unique(ids).tolist():
-                rows = records.messages[ids == ident]
-                at = stamped.get(ident)
-                times = rows[:, LOG_TIME] if at is None else _stamps(records.data, rows, at)
-                first, last = int(min(times)), int(max(times))
+                of_channel = times[ids == ident]
+                first, last = int(of_channel.min()), int(of_channel.max())
                 before = spans.get(ident, (first, last))
                 spans[ident] = min(before[0], first), max(before[1], last)
     return spans
 
 
-def _stamps(data: Bytes, rows: Table, at: int) -> list[int]:
-    """Return the stamps, ns, at a byte of messages in little-endian CDR; log times of shorter."""
-    times = []
-    for time, start, stop in rows[:, [LOG_TIME, START, STOP]].tolist():
-        if stop - start >= at + _STAMP.size:
-            seconds, nanoseconds = _STAMP.unpack_from(data, start + at)
-            time = seconds * 1_000_000_000 + nanoseconds
-        times.append(time)
-    return times
+def _place_of(reader: McapReader, info: ChannelInfo) -> StampPlace:
+    """Return where the stamps of a channel's messages lie, if they are results."""
+    is_result = info.topic.startswith(f"{OUTPUT_PREFIX}/")
+    return (place_of(reader, info) if is_result else None) or NO_STAMP
 
 
 def _channel_row(
@@ -374,9 +352,9 @@ def _channel_row(
 # Results and truths
 
 
-def _people(reader: McapReader, channels: Iterable[ChannelInfo]) -> tuple[PersonRow, ...]:
+def _people(reader: McapReader) -> tuple[PersonRow, ...]:
     """People of the last stage, else of the truths."""
-    topics = [i.topic for i in channels if i.count and i.has_type(hiros_schemas.SKELETON_GROUP)]
+    topics = [info.topic for info in skeleton_channels(reader) if info.count]
     last = [topic for topic in OUTPUT_TOPICS if topic in topics][-1:]
     rows = []
     for topic in last or [topic for topic in topics if topic.startswith(f"{TRUTH_PREFIX}/")]:
@@ -479,8 +457,10 @@ def _camera_rows(reading: Reading, fixed: str) -> Iterator[CameraRow]:
         people = [n for _, n in counts[name]]
         if (fault := _unresolved(log, frame_id, fixed)) and not any(people):
             frame_id = fault = ""  # of a camera that shows nobody, nothing depends on its frame
-        steps = [(b - a) / 1e9 for (a, _), (b, _) in pairwise(sorted(counts[name])) if b > a]
-        steady = [step for step in steps if step <= _GAP_S]
+        stamps, rate = np.sort([stamp for stamp, _ in counts[name]]), MessageRate()
+        if len(stamps):
+            rate.add(stamps)
+        steps = [step / 1e9 for step in np.diff(stamps).tolist() if step]
         # A camera may begin late, or stop: what other cameras' log times show.
         first, last = logged.get(name, (begin, end))
         steps += [gap for gap in ((first - begin) / 1e9, (end - last) / 1e9) if gap > _GAP_S]
@@ -490,7 +470,7 @@ def _camera_rows(reading: Reading, fixed: str) -> Iterator[CameraRow]:
             frame=frame_id,
             fault=fault,
             frames=len(people),
-            rate_hz=len(steady) / sum(steady) if steady else math.nan,
+            rate_hz=rate.hertz,
             longest_gap_s=max(steps, default=math.nan),
             least_people=min(people, default=0),
             most_people=max(people, default=0),

@@ -50,6 +50,7 @@ from hiros_mcap.running.write import (
     open_output,
 )
 from hiros_mcap.systems import LETTERS, Run, chain_of
+from hiros_mcap.wording import instead
 
 __all__ = ["ProcessOptions", "Watcher", "open_input", "process"]
 
@@ -104,6 +105,9 @@ def process(
     if not isinstance(progress, bool | None) and not hasattr(progress, "update"):
         raise ConfigError(f"progress: {progress!r} is no bool and has no method update()")
     chosen: dict[str, Any] = dict(choices)
+    names = signature(ProcessOptions).parameters
+    for name in chosen.keys() - names.keys():
+        raise TypeError(f"process() has no argument {name!r}{instead(name, names)}")
     options = replace(options or ProcessOptions(), **chosen)
     if not isinstance(config, Config):
         file = settings_beside(source) if config is None else Path(config)

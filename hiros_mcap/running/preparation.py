@@ -49,8 +49,7 @@ class Prepared:
         reading = reading or self.log.read()
         if self.clocks.causal:
             return self._causal_detections(reading)
-        blocks = self.clocks.correct(reading.blocks())
-        return self.clocks.ordered(blocks)
+        return self.clocks.ordered(reading.blocks())
 
     def _causal_detections(self, reading: Reading) -> Iterator[Block]:
         """Correct clocks and poses by the messages so far; wait for late ones.

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 
@@ -20,10 +19,10 @@ from hiros_mcap.defaults import LIVE_SYSTEM
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.channels import (
     HUMANS,
-    LATCHED_QOS,
     ChannelInfo,
-    channels_of,
+    info_of,
     is_transform_topic,
+    kept_for_late,
     needs_latching,
 )
 from hiros_mcap.io.container import McapWriter, Message
@@ -190,14 +189,12 @@ def _copy_as_read(log: LiveLog, writer: McapWriter, options: ProcessOptions) -> 
     @cache
     def copied(ident: int) -> int | None:
         """Return the output's channel for one of the input; None if it is not copied."""
-        info = next(info for info in channels_of(log.reader) if info.id == ident)
+        info = info_of(log.reader, ident)
         is_read = takes(info, options.topics or None) or (is_rgb and is_of_rgb(info))
         if not is_kept(info, options, is_read=is_read):
             return None
         channel = log.reader.channels[ident]
-        if needs_latching(info):
-            metadata = {**channel.metadata, "offered_qos_profiles": LATCHED_QOS}
-            channel = replace(channel, metadata=metadata)
+        channel = kept_for_late(channel) if needs_latching(info) else channel
         return writer.adopt(channel, log.reader.schema(channel))
 
     def copy(message: Message) -> None:

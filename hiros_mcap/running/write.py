@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -18,8 +18,6 @@ from hiros_mcap.frames import Block
 from hiros_mcap.io.channels import (
     CONFIG_ATTACHMENT,
     EVENTS_ATTACHMENT,
-    LATCHED_QOS,
-    LIMBS_ATTACHMENT,
     OUTPUT_PREFIX,
     OUTPUT_TOPICS,
     PROVENANCE,
@@ -31,10 +29,11 @@ from hiros_mcap.io.channels import (
     add_static_poses,
     is_static_topic,
     is_transform_topic,
+    kept_for_late,
     needs_latching,
 )
 from hiros_mcap.io.codec import Encoder
-from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
+from hiros_mcap.io.container import ChunkCopier, McapWriter
 from hiros_mcap.io.container.losses import RECOVERY_METADATA
 from hiros_mcap.io.detectors.keypoint_messages import is_keypoints
 from hiros_mcap.io.detectors.rgb_keypoints import RGB_TOPIC
@@ -69,20 +68,14 @@ def open_output(target: Path | None, prepared: Prepared, run: Run) -> Iterator[S
         # Where players need /tf_static latched, it is copied at once.
         latched = [info for info in log.channels if info.id in kept and needs_latching(info)]
         copier = ChunkCopier(log.reader, writer, set(kept) - {info.id for info in latched})
-        _copy_latched(log.reader, writer, latched)
+        for info in latched:
+            channel = kept_for_late(log.reader.channels[info.id])
+            schema = log.reader.schema(channel)
+            ident = writer.add_schema(schema.name, schema.data, schema.encoding) if schema else 0
+            copy = writer.add_channel(info.topic, ident, metadata=channel.metadata)
+            for message in log.reader.messages([info.id]):
+                writer.write_message(copy, message)
         yield [LogOutput(writer, copier, prepared, run, digest.result)]
-
-
-def _copy_latched(reader: McapReader, writer: McapWriter, channels: Iterable[ChannelInfo]) -> None:
-    """Copy channels whole, with a quality of service that keeps them for late subscribers."""
-    for info in channels:
-        channel = reader.channels[info.id]
-        schema = reader.schema(channel)
-        ident = 0 if schema is None else writer.add_schema(schema.name, schema.data)
-        metadata = {**channel.metadata, "offered_qos_profiles": LATCHED_QOS}
-        copy = writer.add_channel(info.topic, ident, metadata=metadata)
-        for message in reader.messages([info.id]):
-            writer.write_message(copy, message)
 
 
 class LogOutput:
@@ -192,7 +185,6 @@ class LogOutput:
         if self._recovery:
             writer.add_metadata(RECOVERY_METADATA, self._recovery)
         writer.add_attachment(CONFIG_ATTACHMENT, config, "application/toml")
-        writer.add_attachment(LIMBS_ATTACHMENT, run.limbs.to_toml().encode(), "application/toml")
         writer.add_attachment(EVENTS_ATTACHMENT, run.events.to_json().encode(), "application/json")
         report = json.dumps(summary.reproducible(), indent=1, sort_keys=True)
         writer.add_attachment(REPORT_ATTACHMENT, report.encode(), "application/json")

@@ -28,18 +28,7 @@ def in_time_order(
     patient: bool = False,
     lateness: Lateness | None = None,
 ) -> Iterator[Block]:
-    """Yield the frames sorted as :class:`TimeOrder` does."""
-    order = TimeOrder(delay, patient=patient, lateness=lateness)
-    for block in blocks:
-        ready = order.push(block)
-        del block  # else it lies in memory until the next one is made
-        while ready:
-            yield ready.pop(0)
-    yield from order.rest()
-
-
-class TimeOrder:
-    """A queue that sorts messages by (stamp, source).
+    """Yield messages sorted by (stamp, source).
 
     A message leaves when every camera has sent a younger one, and when as much time has passed as
     the latest message so far would have needed. It waits ``delay`` seconds at most, and nobody
@@ -53,10 +42,19 @@ class TimeOrder:
     patient : every message waits so long. Messages of a file may be late without a warning.
     lateness : measures how long every message waits, in place of ``delay``.
     """
+    order = _TimeOrder(delay, lateness, patient=patient)
+    for block in blocks:
+        ready = order.push(block)
+        del block  # else it lies in memory until the next one is made
+        while ready:
+            yield ready.pop(0)
+    yield from order.rest()
 
-    def __init__(
-        self, delay: float = 0.0, *, patient: bool = False, lateness: Lateness | None = None
-    ) -> None:
+
+class _TimeOrder:
+    """The queue of :func:`in_time_order`, which has the same parameters."""
+
+    def __init__(self, delay: float, lateness: Lateness | None, *, patient: bool) -> None:
         self._lateness = lateness
         self._held = HeldFrames()
         self._waiting: list[tuple[int, str, int]] = []

@@ -30,6 +30,7 @@ from hiros_mcap.params import Params
 from hiros_mcap.skeletons import STATE, Floats, SkeletonModel
 from hiros_mcap.stages.known_cameras import KnownCameras
 from hiros_mcap.stages.merge.merge_params import MergeParams
+from hiros_mcap.wording import instead
 
 Stages = Mapping[str, BlockStage]
 """Output channel -> the stage that fills it, in order; ``frames.by_frame`` takes frames."""
@@ -294,7 +295,7 @@ def system(name: str) -> System:
     if name in plugins.installed(plugins.SYSTEMS):
         return _installed(name)
     if name not in SYSTEMS:
-        raise ConfigError(f"no system {name!r} (there are: {', '.join(system_names())})")
+        raise ConfigError(f"no system {name!r}{instead(name, system_names())}")
     return SYSTEMS[name]
 
 

@@ -29,11 +29,11 @@ from hiros_cli.compiling import importing, independent, prepare
 from hiros_cli.options import EXAMPLES
 from hiros_mcap import __version__, kernels, progress, workers
 from hiros_mcap.config import load_config
-from hiros_mcap.defaults import SYSTEM_NAMES
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.log import open_log
 from hiros_mcap.kernels import shipped
 from hiros_mcap.simulate import SimulateParams
+from hiros_mcap.systems import SYSTEMS
 
 
 def test_info_tells_cameras_frames_and_skeleton(crossing, capsys):
@@ -325,7 +325,7 @@ def test_nothing_is_taken_from_the_folder_in_which_one_stands(tmp_path):
 def test_systems_are_listed_once_with_their_chains(capsys):
     assert run(["systems"]) == 0
     rows = [line.split() for line in capsys.readouterr().out.splitlines()[1:]]
-    assert sorted(row[0] for row in rows) == sorted(SYSTEM_NAMES)
+    assert sorted(row[0] for row in rows) == sorted(SYSTEMS)
     (malaguti,) = (row for row in rows if row[0] == "malaguti")
     assert malaguti[-3:] == ["T,", "TM,", "TMO"]
     (lee,) = (k for k, row in enumerate(rows) if row[0] == "lee")

@@ -177,12 +177,17 @@ def test_static_transforms_that_nobody_keeps_are_kept_in_the_copy(
     assert needs_latching(info) is needed
 
 
-def test_the_copy_of_static_transforms_is_whole_and_latched(walking, tmp_path):
+@pytest.mark.parametrize("encoding", ["ros2msg", "ros2idl"])
+def test_the_copy_of_static_transforms_is_whole_and_latched(walking, tmp_path, encoding):
     source, target = tmp_path / "in.mcap", tmp_path / "out.mcap"
     with McapReader(walking) as old, McapWriter(source) as new:
         for definition in (*old.contents.schemas.values(), *old.channels.values()):
-            is_channel = isinstance(definition, Channel)
-            new.define(replace(definition, metadata={}) if is_channel else definition)
+            if isinstance(definition, Channel):
+                new.define(replace(definition, metadata={}))
+            elif definition.name == TF:
+                new.define(replace(definition, encoding=encoding))
+            else:
+                new.define(definition)
         for message in old.messages():
             new.write_message(message.channel_id, message)
         new.commit()
@@ -193,6 +198,9 @@ def test_the_copy_of_static_transforms_is_whole_and_latched(walking, tmp_path):
         assert not needs_latching(info)
         copy = [bytes(m.data) for m in after.messages([info.id])]
         assert copy == [bytes(m.data) for m in before.messages([old_info.id])] != []
+        schema = after.schema(after.channels[info.id])
+        old_schema = before.schema(before.channels[old_info.id])
+        assert (schema.encoding, schema.data) == (encoding, old_schema.data)
 
 
 def static_of(reader):

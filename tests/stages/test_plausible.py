@@ -14,8 +14,7 @@ from hiros_mcap.frames import Block, Doubts, frames_of, join
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
 from hiros_mcap.stages.detections.plausible import PlausibleParams, drop_implausible_blocks
-from hiros_mcap.stages.detections.sides import decide_sides
-from hiros_mcap.stages.detections.views import views_of
+from hiros_mcap.stages.detections.sides import decide_sides, views_of
 from hiros_mcap.stages.merge.merge import merge_blocks
 
 CAMERAS = {"a": np.array([-3.0, 0.0, 1.0]), "b": np.array([0.0, -3.0, 1.0])}

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-import hiros_schemas
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.config import Config
 from hiros_mcap.errors import ConfigError, LogError
@@ -24,7 +23,7 @@ from hiros_mcap.evaluate.logs import (
 )
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.events import Event
-from hiros_mcap.io.channels import OUTPUT_PREFIX, TRUTH_PREFIX, channels_of
+from hiros_mcap.io.channels import OUTPUT_PREFIX, TRUTH_PREFIX, skeleton_channels
 from hiros_mcap.io.detectors.rgb_keypoints import RGB_TOPIC
 from hiros_mcap.io.log import CameraChannel, Log, open_log, reading
 from hiros_mcap.io.result import stored_events
@@ -369,7 +368,7 @@ def _window(start: int, seconds: tuple[float, float] | None) -> tuple[int, int]:
 def _skeletons_of_result(path: Path) -> list[str]:
     """Return globs of the skeletons in a result, also of those that were keypoints; no truth."""
     with reading(path) as reader:
-        channels = [i for i in channels_of(reader) if i.has_type(hiros_schemas.SKELETON_GROUP)]
+        channels = skeleton_channels(reader)
     topics = [info.topic for info in channels if not info.topic.startswith(f"{TRUTH_PREFIX}/")]
     return list(map(glob.escape, topics))
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 from hiros_cli.compiling import prepare
 from hiros_cli.many_logs import ManyLogs, one_log, run
-from hiros_cli.options import FORCE, GROUP, MANY, QUIET, argument, grouped, option
+from hiros_cli.options import FORCE, GROUP, MANY, QUIET, argument, by_camera, grouped, option
 from hiros_cli.output import check_outputs, print_json, warn
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
@@ -139,7 +138,10 @@ def import_(
     from hiros_mcap.io.joints.image_series import RgbSetup
     from hiros_mcap.io.joints.importing import import_joints
 
-    rates, starts = _by_camera("--rate", rate), _by_camera("--start", start)
+    form = "NUMBER or CAMERA=NUMBER"
+    rates, starts = by_camera("--rate", rate, form), by_camera("--start", start, form)
+    if any(hertz <= 0 for hertz in rates.values()):
+        raise ConfigError("--rate: should be above 0")
     setup = RgbSetup(tuple(calibration or ()), extrinsics, joints or "", rates, starts)
     notes: list[str] = []
     with bar(f"importing {sources[0].name}", quiet=quiet) as progress:
@@ -148,17 +150,3 @@ def import_(
         print(f"wrote {sum(written.values())} messages on {len(written)} channels to {output}")
         for text in notes:
             print(f"note: {text}")
-
-
-def _by_camera(name: str, texts: list[str] | None) -> dict[str, float]:
-    """Return numbers by camera, of "" for all; raises ConfigError for other text."""
-    values = {}
-    for text in texts or ():
-        camera, _, number = text.rpartition("=")
-        try:
-            values[camera] = float(number)
-        except ValueError:
-            values[camera] = math.nan
-        if not math.isfinite(values[camera]) or (name == "--rate" and values[camera] <= 0):
-            raise ConfigError(f"{name}: {text!r} is no number, or CAMERA=NUMBER")
-    return values

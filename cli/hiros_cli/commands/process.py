@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack, redirect_stdout
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,6 +25,7 @@ from hiros_cli.options import (
     PARAMETERS,
     Parameters,
     argument,
+    by_camera,
     flag,
     grouped,
     option,
@@ -109,7 +110,8 @@ class InputOptions:
             if value is not None
         }
         if self.clock:
-            tables["--clock"] = {"clock": dict(map(_clock, self.clock))}
+            clocks = by_camera("--clock", self.clock, "CAMERA=SECONDS")
+            tables["--clock"] = {"clock": clocks}
         return tables
 
 
@@ -178,12 +180,10 @@ class _Run(NamedTuple):
             raise ConfigError("--strict refuses what --recover accepts; choose one")
         with importing():
             prepare(quiet=self.many.quiet)
-            from hiros_mcap.running.pipeline import ProcessOptions
+            from hiros_mcap.running.pipeline import ProcessOptions, check_limbs
 
         _check_assignments(settings.system, settings.assignments)
-        limbs = {"--limbs": reading.limbs, "--save-limbs": writing.save_limbs}
-        _check_effects(settings.system, self.stages, limbs)
-        return ProcessOptions(
+        options = ProcessOptions(
             system=settings.system,
             stages=self.stages,
             settings=settings.file,
@@ -198,6 +198,8 @@ class _Run(NamedTuple):
             recover=reading.recover,
             memory=reading.memory,
         )
+        check_limbs(options)
+        return options
 
 
 @grouped
@@ -367,16 +369,6 @@ def _calibration(text: str) -> Calibration:
     raise ConfigError(f"--calibrate: {text!r} is none of off, auto, require")
 
 
-def _clock(text: str) -> tuple[str, float]:
-    camera, equals, seconds = text.rpartition("=")
-    try:
-        if not (equals and camera):
-            raise ValueError
-        return camera, float(seconds)
-    except ValueError:
-        raise ConfigError(f"--clock: {text!r} is not of the form CAMERA=SECONDS") from None
-
-
 def _check_assignments(system: str, assignments: Sequence[str]) -> None:
     """Refuse parameters that the system does not read."""
     from hiros_mcap.config import Config
@@ -390,18 +382,6 @@ def _check_assignments(system: str, assignments: Sequence[str]) -> None:
                 f"--set: {name} has no effect: --system {system} does not read it; hiros systems "
                 "and hiros config --system NAME show what does"
             )
-
-
-def _check_effects(system: str, stages: str, limbs: Mapping[str, Path | None]) -> None:
-    """Refuse options on limb lengths, by name, that would change nothing."""
-    from hiros_mcap.systems import chain_of
-
-    if "optimized" in chain_of(system, stages):
-        return
-    choice = f"--stages {stages}" if stages else f"--system {system}"
-    for name, path in limbs.items():
-        if path is not None:
-            raise ConfigError(f"{name} has no effect: {choice} has no optimizer")
 
 
 def _show(summary: Summary, *, json: bool, quiet: bool) -> None:

@@ -141,10 +141,10 @@ class McapWriter:
                 self.define(contents.schemas[channel.schema_id])
             self.define(channel)
 
-    def add_schema(self, name: str, data: bytes) -> int:
-        """Add a definition of ROS 2 messages and return its id."""
+    def add_schema(self, name: str, data: bytes, encoding: str = "ros2msg") -> int:
+        """Add a definition of messages and return its id."""
         ident = self._free(self.schemas, self._reserved[0])
-        schema = r.Schema(id=ident, name=name, encoding="ros2msg", data=data)
+        schema = r.Schema(id=ident, name=name, encoding=encoding, data=data)
         self._define(self.schemas, schema)
         return schema.id
 

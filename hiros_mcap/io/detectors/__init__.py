@@ -63,6 +63,11 @@ def detector_readers() -> tuple[type[DetectorReader], ...]:
     return (*_READERS, *(r for r in _installed() if r not in _READERS))
 
 
+def types_read() -> set[str]:
+    """Return the types that readers take, ``pkg/Type``."""
+    return {name for reader in detector_readers() for name in reader.types}
+
+
 @cache
 def _installed() -> tuple[type[DetectorReader], ...]:
     readers = []

@@ -24,6 +24,7 @@ from hiros_mcap.io.bags import MemoryReader
 from hiros_mcap.io.channels import (
     HUMANS,
     LATCHED_QOS,
+    TRANSFORM_TYPES,
     ChannelInfo,
     add_ros_channel,
     add_skeleton_channel,
@@ -35,7 +36,7 @@ from hiros_mcap.io.channels import (
 )
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapReader, McapWriter, Message
-from hiros_mcap.io.detectors import detector_readers
+from hiros_mcap.io.detectors import detector_readers, types_read
 from hiros_mcap.io.detectors.body_models import name_of
 from hiros_mcap.io.detectors.detector_reader import DetectorMessage, DetectorReader, SeenPeople
 from hiros_mcap.io.detectors.keypoint_messages import (
@@ -63,7 +64,6 @@ from hiros_mcap.wording import quantity
 SKELETONS = hiros_schemas.short_name(hiros_schemas.SKELETON_GROUP)
 TRANSFORMS = hiros_schemas.short_name(hiros_schemas.TF_MESSAGE)
 LENSES = hiros_schemas.short_name(hiros_schemas.CAMERA_INFO)
-_OLD_TRANSFORMS = "tf/tfMessage"
 ENCODINGS = "cdr", "ros1"
 """Of messages that can be read, as they are or converted."""
 _PROBED = 16 * 2**20
@@ -124,14 +124,9 @@ class InputChannel(NamedTuple):
         )
 
 
-def _types() -> set[str]:
-    """Return the types that readers take, ``pkg/Type``."""
-    return {name for kind in detector_readers() for name in kind.types}
-
-
 def is_of_other_detector(info: ChannelInfo) -> bool:
     """Whether a channel has a type that a reader converts; transforms do not count."""
-    return type_of(info) in _types() - {SKELETONS, TRANSFORMS, _OLD_TRANSFORMS}
+    return info.type in types_read() - {SKELETONS, *TRANSFORM_TYPES}
 
 
 def converted(reader: McapReader, selection: Selection) -> McapReader:
@@ -180,37 +175,24 @@ def _check_names(selection: Selection, topics: Sequence[str]) -> None:
 
 def of_people(reader: McapReader, selects: Callable[[str], bool]) -> list[ChannelInfo]:
     """Return the wanted channels with messages of the types that readers take; no transforms."""
-    types = _types()
-    infos = (i for i in channels_of(reader) if i.count and type_of(i) in types)
-    return [info for info in infos if not is_transforms(info) and selects(info.topic)]
-
-
-def is_transforms(info: ChannelInfo) -> bool:
-    """Whether a channel has transforms, of ROS 1 or 2."""
-    return type_of(info) in (TRANSFORMS, _OLD_TRANSFORMS)
-
-
-def type_of(info: ChannelInfo) -> str:
-    """Type of a channel as ``pkg/Type``; "" if it has none."""
-    try:
-        return hiros_schemas.short_name(info.schema)
-    except hiros_schemas.DefinitionError:
-        return ""
+    types = types_read()
+    infos = (i for i in channels_of(reader) if i.count and i.type in types)
+    return [info for info in infos if info.type not in TRANSFORM_TYPES and selects(info.topic)]
 
 
 def _sources(reader: McapReader, selection: Selection) -> list[InputChannel]:
     """Return the channels that may show people, and those that are copied as they are."""
-    types = _types()
+    types = types_read()
     types |= {LENSES} if selection.rig is not None else set()
-    infos = [i for i in channels_of(reader) if i.count and type_of(i) in types]
+    infos = [i for i in channels_of(reader) if i.count and i.type in types]
     selected_infos = readable(of_people(reader, selection.selects), ENCODINGS)
     sources = []
     for info in infos:
-        moves = is_transforms(info)
+        moves = info.type in TRANSFORM_TYPES
         selected = info in selected_infos
         if selection.rig is not None and info.topic == RGB_TOPIC:
             continue  # of a former run, which made it of the same keypoints
-        copied = type_of(info) in (SKELETONS, LENSES) and info.encoding in ENCODINGS
+        copied = info.type in (SKELETONS, LENSES) and info.encoding in ENCODINGS
         if selected or (moves and is_transform_topic(info.topic)) or copied:
             sources.append(source_of(reader, info, selected=selected))
     # Every log has transforms. Those of humans are looked for where something hints at them.
@@ -243,8 +225,8 @@ def name_detections(reader: McapReader) -> None:
 def source_of(reader: McapReader, info: ChannelInfo, *, selected: bool) -> InputChannel:
     """Prepare a channel; raises LogError for a definition that cannot be used."""
     schema = reader.schema(reader.channels[info.id])
-    name = type_of(info)
-    kind = TRANSFORMS if is_transforms(info) else name
+    name = info.type
+    kind = TRANSFORMS if name in TRANSFORM_TYPES else name
     if info.encoding not in ENCODINGS:
         raise not_cdr(info)
     if schema is None or (info.encoding == "cdr" and name == TRANSFORMS):
@@ -440,13 +422,13 @@ class Conversion:
         if topic not in self._ids:
             if kind == SKELETONS:
                 self._ids[topic] = add_skeleton_channel(writer, topic)
-            elif kind not in (TRANSFORMS, _OLD_TRANSFORMS):
+            elif kind == TRANSFORMS:
+                qos = [LATCHED_QOS] if is_static_topic(topic) else []
+                self._ids[topic] = add_ros_channel(writer, topic, hiros_schemas.TF_MESSAGE, *qos)
+            else:
                 self._ids[topic] = add_ros_channel(
                     writer, topic, long_name(kind), **self._said(topic)
                 )
-            else:
-                qos = [LATCHED_QOS] if is_static_topic(topic) else []
-                self._ids[topic] = add_ros_channel(writer, topic, hiros_schemas.TF_MESSAGE, *qos)
         return self._ids[topic]
 
     def _said(self, topic: str) -> Mapping[str, str]:

@@ -18,7 +18,7 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import Transform, parse_tf
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.channels import is_static_topic
+from hiros_mcap.io.channels import TRANSFORM_TYPES, is_static_topic
 from hiros_mcap.io.detectors.body_models import body_model
 from hiros_mcap.io.detectors.detector_reader import (
     DetectorMessage,
@@ -58,7 +58,7 @@ class _Human:
 class HumanFrames(DetectorReader):
     """Reads /tf and /tf_static; the camera is the frame in which the bodies are."""
 
-    types = ("tf2_msgs/TFMessage", "tf/tfMessage")
+    types = TRANSFORM_TYPES
 
     def __init__(self) -> None:
         self._model = body_model("ros4hri")

@@ -16,7 +16,7 @@ import hiros_schemas
 from hiros_mcap.body.transforms import TransformTree
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.camera_frames import add_transforms
-from hiros_mcap.io.channels import HUMANS, ChannelInfo, channels_of
+from hiros_mcap.io.channels import HUMANS, TRANSFORM_TYPES, ChannelInfo, channels_of, info_of
 from hiros_mcap.io.container.live_reader import LiveReader
 from hiros_mcap.io.container.records import Channel, Message, Schema
 from hiros_mcap.io.detectors.conversion import (
@@ -26,9 +26,7 @@ from hiros_mcap.io.detectors.conversion import (
     InputChannel,
     Selection,
     is_of_other_detector,
-    is_transforms,
     source_of,
-    type_of,
 )
 from hiros_mcap.io.detectors.detector_reader import SeenPeople
 from hiros_mcap.io.detectors.keypoint_messages import KEYPOINT_TYPES, is_keypoints, joint_model
@@ -110,9 +108,10 @@ class LiveConversion(Conversion):
         """Learn from transforms and lenses where RGB cameras stand."""
         ident = message.channel_id
         if ident not in self._teaches:
-            info = self._info(ident)
+            info = info_of(self._live, ident)
             is_lens = info.has_type(hiros_schemas.CAMERA_INFO)
-            kind = "lens" if is_lens else "pose" if is_transforms(info) else ""
+            is_transforms = info.type in TRANSFORM_TYPES
+            kind = "lens" if is_lens else "pose" if is_transforms else ""
             self._teaches[ident] = kind, info
             if is_keypoints(info) and self._selection.selects(info.topic):
                 self._rig.models[info.topic] = joint_model(info)
@@ -226,7 +225,7 @@ class LiveConversion(Conversion):
     def _source(self, ident: int) -> InputChannel | None:
         """Return how a channel is read."""
         if ident not in self._read_as:
-            self._read_as[ident] = self._found(self._info(ident))
+            self._read_as[ident] = self._found(info_of(self._live, ident))
         source = self._read_as[ident]
         if source is not None and source.type == TRANSFORMS:
             source = source._replace(selected=self._may_show_humans())
@@ -236,10 +235,10 @@ class LiveConversion(Conversion):
 
     def _found(self, info: ChannelInfo) -> InputChannel | None:
         selected = self._selection.selects(info.topic)
-        is_group = type_of(info) == SKELETONS
-        if not (is_of_other_detector(info) or is_transforms(info) or is_group):
-            return None
-        if not (selected or is_transforms(info)):
+        is_group = info.type == SKELETONS
+        is_transforms = info.type in TRANSFORM_TYPES
+        shows_people = selected and (is_group or is_of_other_detector(info))
+        if not (shows_people or is_transforms):
             return None
         try:
             source = source_of(self._live, info, selected=selected)
@@ -252,8 +251,8 @@ class LiveConversion(Conversion):
 
     def _group_source(self, ident: int) -> InputChannel | None:
         """Return how the SkeletonGroups of a channel are read; None for other channels."""
-        info = self._info(ident)
-        if type_of(info) != SKELETONS or not self._selection.selects(info.topic):
+        info = info_of(self._live, ident)
+        if info.type != SKELETONS or not self._selection.selects(info.topic):
             return None
         source = source_of(self._live, info, selected=True)
         return source if source.is_native else None
@@ -266,7 +265,7 @@ class LiveConversion(Conversion):
         if self._known[0] != len(self._live.channels):
             infos = channels_of(self._live)
             others = any(
-                type_of(info) == SKELETONS
+                info.type == SKELETONS
                 and self._selection.selects(info.topic)
                 and info.id not in self._human
                 for info in infos
@@ -274,6 +273,3 @@ class LiveConversion(Conversion):
             hints = any(info.schema.startswith(HUMANS) for info in infos)
             self._known = len(infos), hints or not others
         return self._known[1]
-
-    def _info(self, ident: int) -> ChannelInfo:
-        return next(info for info in channels_of(self._live) if info.id == ident)

@@ -25,6 +25,7 @@ model starts anew when the trunk is seen again.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -46,7 +47,6 @@ from hiros_mcap.stages.detections.facing_evidence import (
     measure,
     write_evidence,
 )
-from hiros_mcap.stages.detections.views import views_of
 from hiros_mcap.stages.look_ahead import LookAhead
 
 _SLAVED = 0.3  # toes that point the same way less often than this follow the label
@@ -229,6 +229,18 @@ class _Sides:
         for source, n in zip(self._cameras, by_camera.tolist(), strict=True):
             self._events.count("flip", source, n)
         return block
+
+
+def views_of(table: Block) -> Block:
+    """Return the copy of tracked frames as a table of views, with doubts.
+
+    The tracker may still write ids into the arrays of its blocks. From the copy on, the step that
+    holds a table may write into it. Distorted views have no markers and no links in it.
+    """
+    people, doubts = table.people, table.doubt_columns()
+    for array in people.markers, people.marker_confidences, people.links, people.link_confidences:
+        array[doubts.distorted] = np.nan
+    return replace(table, doubts=doubts)
 
 
 def _views_in(block: Block) -> tuple[Stamps, Stamps]:
