@@ -78,17 +78,18 @@ def bar(
     """
     shown_on = None if quiet else _console(notebook=notebook)
     if shown_on is None:
-        lines, ended = JobLines(label), Event()
+        lines = JobLines(label)
+        if quiet or notebook or live:
+            yield lines
+            return
+        ended = Event()
         teller = Thread(target=lines.tell, args=(ended, MINUTE_S), daemon=True)
-        is_told = not (quiet or notebook or live)
-        if is_told:
-            teller.start()
+        teller.start()
         try:
             yield lines
         finally:
             ended.set()
-            if is_told:
-                teller.join()  # no line comes after the end
+            teller.join()  # no line comes after the end
         return
     from rich.progress import (
         BarColumn,

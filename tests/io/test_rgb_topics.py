@@ -12,7 +12,11 @@ from hiros_mcap.io.channels import add_ros_channel, add_static_poses
 from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
 from hiros_mcap.io.container.live_input import McapInput
 from hiros_mcap.io.detectors.body_models import body_model, joints_of
-from hiros_mcap.io.detectors.keypoint_messages import add_camera_info
+from hiros_mcap.io.detectors.keypoint_messages import (
+    add_camera_info,
+    add_keypoint_channel,
+    encode_detections,
+)
 from hiros_mcap.io.live_log import open_live
 from hiros_mcap.io.log import open_log
 from hiros_mcap.io.rgb_cameras import placed_cameras, poses_of, read_rgb_cameras
@@ -128,6 +132,26 @@ def test_a_lens_that_changes_is_a_warning(size, zoom, said, log, tmp_path):
         reading = live.read()
         list(reading.frames())
     assert [text for text in reading.warnings if "the lens of" in text] == found
+
+
+def test_a_camera_whose_keypoints_have_no_score_is_named(log, tmp_path):
+    """A detector that writes logits, or -1 for what it does not know."""
+    path, topic = tmp_path / "log.mcap", "/camera_1/keypoints"
+    with McapReader(log) as reader, McapWriter(path) as writer:
+        (camera,) = (c for c in read_rgb_cameras(reader) if c.topic == topic)
+        ChunkCopier(
+            reader, writer, {i for i, c in reader.channels.items() if c.topic != topic}
+        ).finish()
+        channel = add_keypoint_channel(writer, topic, "coco-17")
+        for frame in camera.frames:
+            below = frame._replace(scores=frame.scores - 2.0)
+            writer.write(channel, frame.log_time, encode_detections(below, camera.name))
+        writer.commit()
+    with open_log(path) as opened:
+        (said,) = (text for text in opened.warnings if "no keypoint counts" in text)
+    assert said.startswith(f"{topic}: ")
+    with open_log(log) as opened:
+        assert not any("no keypoint counts" in text for text in opened.warnings)
 
 
 def test_a_result_of_rgb_cameras_says_how_it_was_made(log, tmp_path, capsys):
