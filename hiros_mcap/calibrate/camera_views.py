@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hiros_mcap.frames import Block, rows_between
-from hiros_mcap.kernels.following import follow_people
+from hiros_mcap.kernels.distance import follow_people
 from hiros_mcap.kernels.local_line import Tracklet
 from hiros_mcap.skeletons import POSITION, Floats, Ints, Stamps
 

@@ -28,7 +28,7 @@ from hiros_mcap.body.segments import unit
 from hiros_mcap.body.units import AXES
 from hiros_mcap.calibrate.camera_views import Seen
 from hiros_mcap.rays.common_instants import mean_known
-from hiros_mcap.rays.confidence import TRIANGULATED
+from hiros_mcap.rays.keypoints import TRIANGULATED
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
 
 _SIGNS = np.array([1.0, -1.0, 1.0, 1.0])  # of :data:`CUES`: elbows point backwards

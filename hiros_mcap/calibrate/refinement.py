@@ -51,7 +51,7 @@ from hiros_mcap.calibrate.verdict import (
     weakness_of,
 )
 from hiros_mcap.kernels.rig_equations import CLOCK
-from hiros_mcap.rays.confidence import TRIANGULATED
+from hiros_mcap.rays.keypoints import TRIANGULATED
 from hiros_mcap.skeletons import Flags, Floats, Ints
 
 LEAST_POINTS = 100

@@ -46,9 +46,9 @@ from hiros_mcap.io.container.live_reader import LiveReader
 from hiros_mcap.io.container.reader import Batch
 from hiros_mcap.io.detectors.conversion import is_of_other_detector
 from hiros_mcap.io.detectors.live_conversion import LiveConversion
-from hiros_mcap.io.live_log_times import LiveLogTimes
 from hiros_mcap.io.log import skeletons_of
 from hiros_mcap.io.log_accounts import DAMAGED
+from hiros_mcap.io.log_times import LiveLogTimes
 from hiros_mcap.io.opened_log import Log, Reading
 from hiros_mcap.kernels.record_index import START, STOP
 from hiros_mcap.skeletons import SkeletonModel

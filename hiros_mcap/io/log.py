@@ -45,6 +45,7 @@ from hiros_mcap.io.channels import (
     CameraChannel,
     ChannelInfo,
     channels_of,
+    check_schema,
     is_selected,
     select_skeletons,
     skeleton_channels,
@@ -63,7 +64,6 @@ from hiros_mcap.io.detectors.conversion import (
 )
 from hiros_mcap.io.detectors.keypoint_messages import is_keypoints
 from hiros_mcap.io.detectors.rgb_keypoints import RGB_TOPIC, RgbRig
-from hiros_mcap.io.layout import check_schema
 from hiros_mcap.io.log_accounts import DAMAGED, FAR_FUTURE, LATEST, STALE, Account
 from hiros_mcap.io.log_times import mend_log_times
 from hiros_mcap.io.opened_log import Log, Reading, span_of

@@ -10,8 +10,10 @@ import math
 
 import numpy as np
 
-from hiros_mcap.kernels.compile import inlined
+from hiros_mcap.kernels.compile import inlined, kernel
 from hiros_mcap.skeletons import Floats
+
+_ROUNDS, _SMALL = 8, 0.003  # of Weiszfeld's iteration; m
 
 
 @inlined
@@ -41,3 +43,25 @@ def mean_position(positions: Floats) -> tuple[float, float, float]:
             n += 1
             x, y, z = x + positions[m, 0], y + positions[m, 1], z + positions[m, 2]
     return (x / n, y / n, z / n) if n > 0 else (np.nan, np.nan, np.nan)
+
+
+@kernel
+def geometric_median(points: Floats, n: int, out: Floats) -> None:
+    """Write nearly the geometric median of the first ``n`` points (N, 3), m: Weiszfeld (1937).
+
+    It has the least sum of distances from the points: who is far off hardly moves it. Unlike a
+    median along each axis, it does not depend on the axes.
+    """
+    out[0], out[1], out[2] = 0.0, 0.0, 0.0
+    for k in range(n):
+        for c in range(3):
+            out[c] += points[k, c] / n
+    for _ in range(_ROUNDS):
+        x, y, z, total = 0.0, 0.0, 0.0, 0.0
+        for k in range(n):
+            weight = 1.0 / (point_distance(points[k], out) + _SMALL)
+            total += weight
+            x += weight * points[k, 0]
+            y += weight * points[k, 1]
+            z += weight * points[k, 2]
+        out[0], out[1], out[2] = x / total, y / total, z / total

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.kernels.array_types import chosen, joined
-from hiros_mcap.kernels.following import follow_people
+from hiros_mcap.kernels.distance import follow_people
 from hiros_mcap.kernels.local_line import Lines, Tracklet, fit_lines
 from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame

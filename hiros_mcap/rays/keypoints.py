@@ -1,4 +1,8 @@
-"""What a detector finds in one image: the keypoints of everybody in it."""
+"""What a detector finds in one image, and what the confidence of a joint from such images says.
+
+Skeletons carry one number per joint, its confidence. That of a triangulated joint states the
+standard deviation of its position: half is 35 mm.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.skeletons import Floats
+
+TRIANGULATED = "rgb_cameras"
+"""Name of the camera that stands for all RGB cameras."""
+_USUAL = 0.02  # m; the deviation at a confidence of .71
+_MARGIN = 0.5
+"""Of the image's size; a detector that guesses joints outside of it knows nothing beyond."""
 
 
 class KeypointFrame(NamedTuple):
@@ -21,10 +31,6 @@ class KeypointFrame(NamedTuple):
     """(P, J, 2) px; NaN where a joint was not found."""
     scores: Floats
     """(P, J) how sure the detector is, 0 to 1."""
-
-
-_MARGIN = 0.5
-"""Of the image's size; a detector that guesses joints outside of it knows nothing beyond."""
 
 
 def cleaned(
@@ -46,9 +52,19 @@ def cleaned(
         width, height = size
         there &= (u > -_MARGIN * width) & (u < (1 + _MARGIN) * width)
         there &= (v > -_MARGIN * height) & (v < (1 + _MARGIN) * height)
-    given = np.nan_to_num(scores, posinf=1.0)
+    given = np.where(np.isnan(scores), 0.0, scores)
     if given.any():
         there &= given > 0
     else:
         given = np.ones_like(given)
     return np.where(there[..., None], pixels, np.nan), np.where(there, np.clip(given, 0, 1), 0.0)
+
+
+def confidence_of(deviations: Floats) -> Floats:
+    """Return the confidence, 0 to 1, of joints with a standard deviation along each axis, m."""
+    return np.asarray(_USUAL / np.hypot(_USUAL, deviations))
+
+
+def variance_of(confidences: Floats) -> Floats:
+    """Return the variance along each axis, m2: the inverse of :func:`confidence_of`."""
+    return np.asarray(_USUAL**2 * (1.0 / np.maximum(confidences, 1e-3) ** 2 - 1.0))

@@ -7,9 +7,9 @@ import pytest
 import hiros_schemas
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.errors import LogError, SchemaError
+from hiros_mcap.io.channels import check_schema
 from hiros_mcap.io.codec import Decoder, Encoder, ModelBuilder, RestPoses
 from hiros_mcap.io.container import Batch, Records, Schema
-from hiros_mcap.io.layout import check_schema
 from hiros_mcap.skeletons import Frame, SkeletonModel
 
 NAME = hiros_schemas.SKELETON_GROUP

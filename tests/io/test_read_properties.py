@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 import hiros_schemas
 from hiros_mcap.errors import SchemaError
+from hiros_mcap.io.channels import check_schema
 from hiros_mcap.io.container import LogOrder, Schema
-from hiros_mcap.io.layout import check_schema
 
 NAME = hiros_schemas.SKELETON_GROUP
 TEXT = hiros_schemas.text(NAME)

@@ -5,9 +5,8 @@ import pytest
 
 from hiros_mcap.body.rotations import Rigid, from_matrix
 from hiros_mcap.io.detectors.body_models import body_model
-from hiros_mcap.rays.confidence import confidence_of, variance_of
 from hiros_mcap.rays.intrinsics import Intrinsics
-from hiros_mcap.rays.keypoints import KeypointFrame
+from hiros_mcap.rays.keypoints import KeypointFrame, confidence_of, variance_of
 from hiros_mcap.rays.triangulator import Triangulator
 
 MODEL = body_model("coco-17")

@@ -11,7 +11,7 @@ from builders import at_once, same
 from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, by_frame, frames_of, join
-from hiros_mcap.rays.confidence import TRIANGULATED, confidence_of
+from hiros_mcap.rays.keypoints import TRIANGULATED, confidence_of
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.running.report import scatter_by_camera, scatter_notes, scatter_of

@@ -29,7 +29,7 @@ from hiros_mcap.io.log import CameraChannel, Log, open_log, reading
 from hiros_mcap.io.result import stored_events
 from hiros_mcap.io.rgb_cameras import RgbCamera, poses_of, read_rgb_cameras
 from hiros_mcap.io.ros_messages import open_messages, read_pictures
-from hiros_mcap.rays.confidence import TRIANGULATED
+from hiros_mcap.rays.keypoints import TRIANGULATED
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.running.pipeline import skeletons_read
 from hiros_mcap.skeletons import SkeletonModel

@@ -29,6 +29,7 @@ from hiros_mcap.io.channels import (
     add_ros_channel,
     add_skeleton_channel,
     channels_of,
+    check_schema,
     is_static_topic,
     is_transform_topic,
     not_cdr,
@@ -48,7 +49,6 @@ from hiros_mcap.io.detectors.keypoint_messages import (
 )
 from hiros_mcap.io.detectors.model_fitting import UNION, Fit, chosen_model
 from hiros_mcap.io.detectors.rgb_keypoints import RGB_TOPIC, RgbKeypoints, RgbRig
-from hiros_mcap.io.layout import check_schema
 from hiros_mcap.io.ros_cdr import (
     RosMessage,
     cdr_of,

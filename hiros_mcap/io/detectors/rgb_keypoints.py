@@ -26,9 +26,8 @@ from hiros_mcap.io.detectors.detector_reader import (
     add_links,
 )
 from hiros_mcap.io.detectors.keypoint_messages import KEYPOINT_TYPES, decode_keypoints, joined
-from hiros_mcap.rays.confidence import TRIANGULATED, confidence_of
 from hiros_mcap.rays.intrinsics import Intrinsics
-from hiros_mcap.rays.keypoints import KeypointFrame, cleaned
+from hiros_mcap.rays.keypoints import TRIANGULATED, KeypointFrame, cleaned, confidence_of
 from hiros_mcap.rays.skeleton_rays import NONE_GUESSED, GuessedDepth, keypoints_of
 from hiros_mcap.rays.triangulator import LocatedPeople, Triangulator
 from hiros_mcap.skeletons import Frame, SkeletonModel

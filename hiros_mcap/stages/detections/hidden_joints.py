@@ -13,8 +13,8 @@ import numpy as np
 from hiros_mcap.frames import CameraMessages, Doubts
 from hiros_mcap.kernels.array_types import B1, F1, F2, F3, I1, I2, arrays
 from hiros_mcap.kernels.compile import entry, inlined, kernel
-from hiros_mcap.kernels.geometric_median import geometric_median
 from hiros_mcap.kernels.line_of_sight import OUTLINE, Capsules, outline
+from hiros_mcap.kernels.points import geometric_median
 from hiros_mcap.skeletons import UNTRACKED, Floats, People
 from hiros_mcap.stages.detections.impossible_postures import PostureLimits, doubt_posture
 from hiros_mcap.stages.detections.visibility import (

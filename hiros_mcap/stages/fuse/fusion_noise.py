@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.body.symmetry import split_side
-from hiros_mcap.rays.confidence import TRIANGULATED, variance_of
+from hiros_mcap.rays.keypoints import TRIANGULATED, variance_of
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel
 from hiros_mcap.stages.detections.visibility import GUESSED_BELOW, GUESSED_SHARE
 from hiros_mcap.stages.fuse.fuse_params import FuseParams

@@ -22,8 +22,7 @@ import numpy as np
 
 from hiros_mcap.kernels.array_types import F1, F2, F3, I1, arrays
 from hiros_mcap.kernels.compile import entry, kernel
-from hiros_mcap.kernels.geometric_median import geometric_median
-from hiros_mcap.kernels.points import point_distance
+from hiros_mcap.kernels.points import geometric_median, point_distance
 from hiros_mcap.skeletons import Floats
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.fuse.fusing import Sightings

@@ -43,7 +43,7 @@ from hiros_mcap.calibrate.gauge import CHI2_3_MEDIAN
 from hiros_mcap.events import COMMON, RESIDUAL, Events
 from hiros_mcap.frames import Block, together
 from hiros_mcap.kernels.array_types import chosen
-from hiros_mcap.rays.confidence import TRIANGULATED
+from hiros_mcap.rays.keypoints import TRIANGULATED
 from hiros_mcap.skeletons import POSITION, VELOCITY, Floats, Ints, Stamps
 from hiros_mcap.stages.fuse.fusing import Sightings, joined_out_of
 from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
