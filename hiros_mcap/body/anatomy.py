@@ -65,8 +65,6 @@ MAIN_ANGLES: tuple[str, ...] = tuple(
 )
 """Those that a picture shows which has no room for all."""
 
-_AXES = {"x": 0, "y": 1, "z": 2}
-
 Columns = Mapping[str, Floats]
 
 
@@ -76,7 +74,6 @@ def anatomical_angles(
     orientations: Floats | None = None,
     axes: LinkAxes | None = None,
     *,
-    up: str = "z",
     unwrapped: bool = True,
 ) -> Floats:
     """(T, A) angles over time, rad; the columns are :data:`ANGLE_NAMES`.
@@ -95,7 +92,6 @@ def anatomical_angles(
     model : names the markers. positions : (T, M, 3) of one person, m; NaN where absent.
     orientations : (T, L, 4) x y z w of the links, of any convention; None uses markers alone.
     axes : what :func:`hiros_mcap.body.segments.link_axes` measured; None measures it here.
-    up : axis of the fixed frame that points up, for the pelvis: "x", "y" or "z".
     unwrapped : continue angles over 180 degrees instead of jumping by 360.
 
     Returns
@@ -106,7 +102,7 @@ def anatomical_angles(
         axes = link_axes(model, positions, orientations)
     at, body = finder(model, positions), segments_of(model, positions, orientations, axes)
     columns = dict.fromkeys(ANGLE_NAMES, np.full(len(positions), np.nan))
-    columns |= _pelvis_angles(body["pelvis"], _AXES[up])
+    columns |= _pelvis_angles(body["pelvis"])
     columns |= _trunk_angles(body["pelvis"], body["thorax"])
     columns |= _neck_angles(at, body)
     for side in SIDES:
@@ -173,11 +169,10 @@ def _continued(angles: Floats, most: float) -> Floats:
 # -- joints ----------------------------------------------------------------------------------------
 
 
-def _pelvis_angles(pelvis: Floats, up: int) -> Columns:
-    """Tilt, obliquity and rotation against the fixed frame, by the sequence y x z."""
-    vertical = np.eye(3)[up]
-    forward = np.eye(3)[(up + 1) % 3]
-    world = np.stack([forward, vertical, np.cross(forward, vertical)], axis=-1)
+def _pelvis_angles(pelvis: Floats) -> Columns:
+    """Tilt, obliquity, rotation against the fixed frame, whose z is up, by the sequence y x z."""
+    forward, _, up = np.eye(3)
+    world = np.stack([forward, up, np.cross(forward, up)], axis=-1)
     r = world.T @ pelvis
     return {
         "pelvis tilt": -np.arctan2(r[:, 1, 0], r[:, 1, 1]),

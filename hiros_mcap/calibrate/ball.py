@@ -13,10 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from hiros_mcap.body.transforms import TransformTree
-from hiros_mcap.calibrate.ball_image import BallFit, ColorRange, DepthCamera, find_ball
+from hiros_mcap.calibrate.ball_image import ColorRange, find_ball
 from hiros_mcap.calibrate.ball_poses import BallTrack, calibrate_centres
 from hiros_mcap.calibrate.gauge import WORLD
 from hiros_mcap.calibrate.image_search import (
@@ -29,8 +30,7 @@ from hiros_mcap.calibrate.image_search import (
 )
 from hiros_mcap.calibrate.verdict import TargetCalibration
 from hiros_mcap.errors import LogError, RegistrationError, naming
-from hiros_mcap.io.ros_messages import POINT, Bytes, RosMessages, open_messages
-from hiros_mcap.skeletons import Floats
+from hiros_mcap.io.ros_messages import POINT, RosMessages, open_messages
 
 RADIUS_M = 0.24
 """The paper's ball."""
@@ -69,10 +69,7 @@ def calibrate_ball(
         if points:
             tracks = _ready_centres(log, points)
         else:
-
-            def find(colour: Bytes, depth: Floats, camera: DepthCamera) -> BallFit | None:
-                return find_ball(colour, depth, camera, radius, color)
-
+            find = partial(find_ball, radius=radius, color=color)
             searches = search_images(log, pair_channels(log, chosen), tree, find)
             tracks = [_track_of(search) for search in searches]
     try:

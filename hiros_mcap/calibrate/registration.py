@@ -19,6 +19,7 @@ from hiros_mcap.skeletons import Flags, Floats, Stamps, nearest_stamps
 
 _FLAT = 1e-9  # points lie on a line below this ratio of their second to their first singular value
 _LEAST_POINTS = 4
+_LEAST_SHARE = 0.5  # of inliers: a lost frame costs little, a wrong centre spoils the registration
 _ROUNDS, _NEARER = 60, 0.8
 """Steps to a sphere at most, and by which factor inliers come nearer with each."""
 
@@ -31,9 +32,7 @@ class SphereFit(NamedTuple):
     rms: float  # root mean square of the inliers' distances from the surface, m
 
 
-def fit_sphere(
-    points: Floats, radius: float, *, tolerance: float = 0.01, least_share: float = 0.5
-) -> SphereFit:
+def fit_sphere(points: Floats, radius: float, *, tolerance: float = 0.01) -> SphereFit:
     """Find the sphere of a known radius that most points lie on (Lee, 2.1.1).
 
     The paper's RANSAC draws points at random. Here the start is known: the sensor, at the origin,
@@ -45,11 +44,9 @@ def fit_sphere(
     points : (N, 3) points of the ball and outliers, m; points with NaN are left out.
     radius : m; 0.24 in the paper.
     tolerance : m: inliers are at most this far from the surface; two to three times the noise.
-    least_share : smallest share of inliers. A lost frame costs little; a wrong centre spoils the
-        registration.
 
-    Raises RegistrationError if fewer than four points are known, or fewer than ``least_share`` of
-    them lie on a sphere.
+    Raises RegistrationError if fewer than four points are known, or less than half of them lie on a
+    sphere.
     """
     finite = np.isfinite(points).all(axis=1)
     if finite.sum() < _LEAST_POINTS:
@@ -69,10 +66,10 @@ def fit_sphere(
             break
         centre = centre + step * min(1.0, radius / 2.0 / max(length, 1e-12))
         reach = max(tolerance, _NEARER * reach)
-    if inliers.sum() < max(_LEAST_POINTS, least_share * len(here)):
+    if inliers.sum() < max(_LEAST_POINTS, _LEAST_SHARE * len(here)):
         raise RegistrationError(
             f"no sphere of radius {radius:g} m: {inliers.mean():.0%} of {len(here)} points lie on "
-            f"the best one, {least_share:.0%} needed"
+            f"the best one, {_LEAST_SHARE:.0%} needed"
         )
     residuals = np.linalg.norm(here[inliers] - centre, axis=1) - radius
     on_sphere = np.zeros(len(points), np.bool_)

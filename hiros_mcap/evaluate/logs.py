@@ -250,17 +250,14 @@ def _read(source: Source, globs: Sequence[str]) -> dict[str, Channel]:
 
 
 def evaluate_log(
-    source: Source,
-    truth: Truth,
-    globs: Sequence[str] = (),
-    max_distance: float = MATCH_DISTANCE,
+    source: Source, truth: Truth, globs: Sequence[str] = ()
 ) -> dict[str, ChannelResult]:
     """Topic -> result of every output channel against the truth, in the order of the stages.
 
     Raises LogError or ConfigError if the log cannot be read, has no output channel, or shares no
     time or marker with the truth.
     """
-    return evaluate_channels(read_results(source, globs), truth, max_distance)
+    return evaluate_channels(read_results(source, globs), truth)
 
 
 def evaluate_channels(

@@ -176,7 +176,7 @@ def poses_of(
 
 def rgb_rig(
     reader: McapReader, tree: TransformTree | None, selects: Callable[[str], bool],
-    guessed: GuessedDepth = NONE_GUESSED, *, refine: bool = True, clocks: bool = True,
+    guessed: GuessedDepth = NONE_GUESSED, *, refine: bool = True,
 ) -> RgbRig | None:  # fmt: skip
     """Find out how the RGB cameras of a log stand; None if it has no keypoints.
 
@@ -185,7 +185,7 @@ def rgb_rig(
     tree : the cameras' poses, of a file; None = those of the log.
     selects : says of a topic whether its keypoints are wanted.
     guessed : 3D skeletons that count as keypoints.
-    refine, clocks : whether poses and lags are found from the people where they tell better ones.
+    refine : whether poses are those that the people tell, where these are better.
 
     Raises
     ------
@@ -210,7 +210,7 @@ def rgb_rig(
     given = _given_lags(known, cameras, channels)
     frames = {c.name: [_on_time(f, given.get(c.name, 0.0)) for f in c.frames] for c in cameras}
     lenses = {c.name: c.lens for c in cameras}
-    found = refine_rig(frames, lenses, poses, clocks=clocks and not given)
+    found = refine_rig(frames, lenses, poses, clocks=not given)
     _check_poses(found, frames, lenses, poses, cameras[0].model)
     if guessed.models and not found.reason and _worst(found.before) < _SHAPE_PX:
         found = found._replace(reason="bodies that are guessed tell no better ones")
