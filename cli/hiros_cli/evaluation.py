@@ -27,16 +27,13 @@ class Output:
     table: Path | None
     json: bool
     quiet: bool
-    joints: bool
+    joints: bool  # whether a table of every joint is printed, too
 
 
 def show_truth(
-    output: Output,
-    truth: Truth,
-    results: Mapping[str, ChannelResult],
-    warnings: Sequence[str],
+    output: Output, truth: Truth, results: Mapping[str, ChannelResult], warnings: Sequence[str]
 ) -> None:
-    """Write the page, and print the scores of every channel and the angles of the last one."""
+    """Write the page and the table; print the scores of all channels, the angles of the last."""
     notes = notes_of(truth, results)
     if output.html is not None:
         from hiros_viewer.score_pages import truth_page
@@ -70,8 +67,7 @@ def _alignment(found: Alignment | None) -> dict[str, Any] | None:
     if found is None:
         return None
     translation, xyzw = found.pose.translation.tolist(), found.pose.xyzw.tolist()
-    pose = {"translation": translation, "quaternion_xyzw": xyzw}
-    return {**pose, "seconds": found.seconds}
+    return {"translation": translation, "quaternion_xyzw": xyzw, "seconds": found.seconds}
 
 
 def _print_truth(
@@ -92,7 +88,7 @@ def _print_truth(
 
 
 def show_self(output: Output, scores: SelfScores) -> None:
-    """Write the page, and print what a log says about itself."""
+    """Write the page and the table, and print what a log says about itself."""
     if output.html is not None:
         from hiros_viewer.score_pages import self_page
 

@@ -5,8 +5,8 @@ TOML has a table per camera, as aniposelib writes it (Anipose, FreeMoCap, Pose2S
 them below ``cameras``, or rotations as matrices. Rotation and translation bring the room's points
 into the camera's frame, whose axes are OpenCV's: x right, y down, z ahead.
 
-Qualisys counts lengths of the lens in 64ths of a pixel, places in mm, and has y up and z backwards
-in the camera; the coefficients of its distortion are OpenCV's. A file of ROS has no pose.
+Qualisys counts lengths of the lens in 64ths of a pixel, and places in mm. Its cameras have y up and
+z backwards; its coefficients of distortion are OpenCV's. A file of ROS has no pose.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class LensAndPose(NamedTuple):
 def read_calibration(path: Path) -> list[LensAndPose]:
     """Read a calibration of any of these programs; [] if a file of TOML or JSON is no calibration.
 
-    Raises ConfigError naming the file and the camera.
+    Raises ConfigError, which names the file and the camera.
     """
     suffix = path.suffix.lower()
     if suffix in (".txt", ".xml"):
@@ -71,9 +71,9 @@ def _tables(raw: Any) -> dict[str, dict[str, Any]]:
 def _of_table(key: str, table: Mapping[str, Any], where: str) -> LensAndPose:
     pose = None
     if table.get("rotation") is not None:
-        fault = "rotation and translation should be three numbers"
-        rotation = _numbers(table["rotation"], (3, 9), f"{where}: {fault}")
-        translation = _numbers(table.get("translation"), (3,), f"{where}: {fault}")
+        fault = f"{where}: rotation and translation should be three numbers"
+        rotation = _numbers(table["rotation"], (3, 9), fault)
+        translation = _numbers(table.get("translation"), (3,), fault)
         turn = from_vector(rotation) if len(rotation) == 3 else _turn(rotation.reshape(3, 3), where)
         pose = _placed(turn, translation, where)
     name = str(table.get("name", key))
@@ -92,7 +92,7 @@ def _turn(matrix: Floats, where: str) -> Floats:
 
 
 def _placed(turn: Floats, shift: Floats, where: str) -> Rigid:
-    """Return the pose of a camera into whose frame these bring points of the room."""
+    """Return the pose of a camera; ``turn`` and ``shift``, m, bring the room into its frame."""
     pose = Rigid(turn, shift).inverse()
     if (apart := float(np.linalg.norm(pose.translation))) > _FARTHEST_M:
         raise ConfigError(
@@ -103,7 +103,7 @@ def _placed(turn: Floats, shift: Floats, where: str) -> Rigid:
 
 
 def is_lens(size: Sequence[float], matrix: Floats) -> bool:
-    """Whether an image has pixels, and a (3, 3) matrix the form of a lens, in the right order."""
+    """Whether an image has pixels, and a (3, 3) matrix focal lengths above (0, 0, 1) and a zero."""
     finite = bool(np.isfinite([*size, *matrix.ravel()]).all())
     there = min(*size, matrix[0, 0], matrix[1, 1]) > 0
     return finite and there and bool((matrix[[1, 2, 2, 2], [0, 0, 1, 2]] == (0, 0, 0, 1)).all())
@@ -121,9 +121,9 @@ def _with_lens(
     found = _numbers(distortion, (0, 4, 5, 8, 12, 14), fault)
     if fisheye and len(found) > 4 and not found[4:].any():
         found = found[:4]
-    model = "plumb_bob" if len(found) <= 5 else "rational_polynomial"
     if fisheye and len(found) != 4:
         raise ConfigError(fault)
+    model = "plumb_bob" if len(found) <= 5 else "rational_polynomial"
     model = "equidistant" if fisheye else model
     return LensAndPose(name, (round(width), round(height)), lens, found, model, pose)
 
@@ -145,8 +145,7 @@ def _qualisys(path: Path) -> Iterator[LensAndPose]:
         )
         if not lens:  # a camera that only sees markers
             continue
-        turned = node.get("viewrotation", "0")
-        if turned != "0":
+        if (turned := node.get("viewrotation", "0")) != "0":
             raise ConfigError(
                 f"{where}: its video is turned by {turned} degrees (viewrotation), and the lens is "
                 "of the image before; write the lens of the turned image as TOML"

@@ -21,7 +21,7 @@ LEAST_PIXELS = 30
 """A ball that covers fewer depth pixels is too far away."""
 MOST_REGIONS = 4
 """Regions of the colour that are tried, the largest first."""
-MOST_POINTS = 1500
+MOST_POINTS = 1500  # of a region, from which the sphere is found
 COVERAGE = 0.3
 """Least share of the ball's disc that inliers must cover: a small flat patch fits any sphere."""
 CURVED = 1.5
@@ -39,7 +39,7 @@ class ColorRange(NamedTuple):
 
     low: tuple[int, int, int] = (170, 110, 50)
     high: tuple[int, int, int] = (10, 255, 255)
-    """A hue that is less than the low one means: round over 179. The default is red."""
+    """If its hue is less than the low one, the range goes over 179 to 0. The default is red."""
 
     @classmethod
     def parse(cls, text: str) -> ColorRange:
@@ -73,19 +73,19 @@ class BallFit(NamedTuple):
 
 
 def find_ball(
-    colour: Bytes, depth: Floats, camera: DepthCamera, radius: float, color: ColorRange
+    image: Bytes, depth: Floats, camera: DepthCamera, radius: float, color: ColorRange
 ) -> BallFit | None:
     """Return the ball in a colour image (H, W, 3) and a depth image (h, w), None if it is not seen.
 
-    Of all regions that have the ball's colour, that is the ball which is a sphere of its radius.
-    Two such spheres are no ball: nobody can tell which one is meant.
+    The ball is that region of its colour which is a sphere of its radius, m. Depths are in m. Two
+    such spheres at different places are no ball: nobody can tell which one is meant.
     """
-    labels = color_regions(colour, color)
-    points, numbers = points_of_labels(labels, depth, camera)
+    labels = color_regions(image, color)
+    points, region_of = points_of_labels(labels, depth, camera)
     # Depth has holes. Where each depth pixel has its colour pixel, they can be counted.
     size = int((labels > 0).sum()) if camera.colour is None else 0
     focal = camera.focal * math.sqrt(len(points) / size if size else 1.0)
-    regions = [points[numbers == k] for k in range(1, MOST_REGIONS + 1)]
+    regions = [points[region_of == k] for k in range(1, MOST_REGIONS + 1)]
     balls = [ball for region in regions if (ball := fit_ball(region, points, focal, radius))]
     if not balls:
         return None
@@ -96,7 +96,7 @@ def find_ball(
 
 
 def color_regions(image: Bytes, color: ColorRange) -> Labels:
-    """(H, W) number of the region that a pixel belongs to, the largest is 1; 0 = another colour.
+    """(H, W) number of each pixel's region, the largest is 1; 0 = of another colour.
 
     Pixels in the range give the histogram of hue and saturation under this light. Its
     back-projection (Swain and Ballard 1991) finds what has the same colours.
@@ -133,7 +133,7 @@ def _in_range(hsv: Any, color: ColorRange) -> Bytes:
 
 
 def points_of_labels(labels: Labels, depth: Floats, camera: DepthCamera) -> tuple[Floats, Labels]:
-    """(N, 3) points in the depth camera's frame that have the colour, and (N,) their regions."""
+    """(N, 3) points of the colour, m, in the depth camera's frame, and (N,) their regions."""
     measured = np.isfinite(depth)
     if camera.colour is None:
         measured &= labels > 0
@@ -157,7 +157,7 @@ def _labels_of(points: Floats, labels: Labels, lens: Intrinsics, to_colour: Rigi
 
 
 def fit_ball(region: Floats, points: Floats, focal: float, radius: float) -> BallFit | None:
-    """Return the ball that a region (N, 3) is the largest part of, None if it is none.
+    """Return the ball of which a region (N, 3), m, is the largest part, None if it is of no ball.
 
     Besides the sphere's inliers, three things must fit: the sphere bulges towards the camera, a
     plane fits worse, and enough of its disc is covered by ``points`` (M, 3) of all regions.
@@ -176,19 +176,19 @@ def fit_ball(region: Floats, points: Floats, focal: float, radius: float) -> Bal
     except RegistrationError:
         return None
     surface = sample[fit.inliers]
-    everywhere = np.abs(np.linalg.norm(points - fit.centre, axis=1) - radius) <= tolerance
+    on_ball = np.abs(np.linalg.norm(points - fit.centre, axis=1) - radius) <= tolerance
     disc = math.pi * (focal * radius / float(fit.centre[2])) ** 2
     plane = np.linalg.svd(surface - surface.mean(axis=0), compute_uv=False)[2]
     bulges = np.linalg.norm(fit.centre) > np.linalg.norm(surface.mean(axis=0))
     flat = plane / math.sqrt(len(surface)) < CURVED * fit.rms
-    inliers = int(everywhere.sum())
+    inliers = int(on_ball.sum())
     if not bulges or flat or inliers < COVERAGE * disc:
         return None
     return BallFit(fit.centre, inliers, _free_radius(surface, fit.centre))
 
 
 def _free_radius(surface: Floats, centre: Floats) -> float:
-    """Radius of the sphere nearest to the points, found from the fitted centre."""
+    """Return the radius, m, of the sphere nearest to the points, by Gauss-Newton from a centre."""
     radius = 0.0
     for _ in range(5):
         rays = surface - centre

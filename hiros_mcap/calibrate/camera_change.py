@@ -1,9 +1,9 @@
 """When a camera was moved in the middle of a log.
 
-Each stretch of some seconds gives a pose of the camera in another one. Each instant tells how far
-its people are apart by each of these poses. Of all pairs of poses, and all times at which one could
-have followed the other, the best has the least sum of distances. It has to bring people nearer for
-some seconds than any single pose does.
+Each stretch of some seconds gives a pose of the camera in another camera's frame. By each of these
+poses, people are some distance apart at each instant. Of all pairs of poses, and all times at which
+the second could have replaced the first, the best has the least sum of distances. It counts if this
+is less than the sum of any single pose, by what a few seconds make.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.joint_refinement import Points
-from hiros_mcap.calibrate.pair_pose import FIT_M, PairFit, alike, ambiguous, register_pair, usable
+from hiros_mcap.calibrate.pair_pose import FIT_M, alike, ambiguous, register_pair, usable
 from hiros_mcap.calibrate.sampling import CELL_S, Rig, group, instants_of, placed, sample
 from hiros_mcap.kernels.array_types import chosen
 from hiros_mcap.kernels.rig_equations import RigResiduals
@@ -53,14 +53,14 @@ class CameraChange(NamedTuple):
 
 
 def partner_of(views: Sequence[CameraView], c: int, cameras: Sequence[int]) -> int | None:
-    """Return that one of some other cameras which sees most at the same time as camera ``c``."""
+    """Return which of the other ``cameras`` sees somebody most often together with camera ``c``."""
     cells = {k: _cells(views[k]) for k in {c, *cameras}}
     candidates = [k for k in cameras if k != c]
     return max(candidates, key=lambda k: len(cells[k] & cells[c]), default=None)
 
 
 def _cells(view: CameraView) -> set[int]:
-    """Return in which tenths of a second a camera sees somebody."""
+    """Return the numbers of the tenths of a second in which a camera sees somebody."""
     seconds = [track.seconds for track in view.tracks]
     return {int(s // CELL_S) for times in seconds for s in times.tolist()}
 
@@ -77,41 +77,44 @@ def find_change(pair: Sequence[CameraView], mirror: Ints) -> CameraChange | None
     instants = instants_of(pair[:1], CHANGE_INSTANTS)
     if len(rigs) < 2 or len(instants) < 2:
         return None
-    table = np.stack([_distances(pair, rig, instants, mirror) for rig in rigs], axis=1)
-    complete = ~np.isnan(table).any(axis=1)
-    instants, table = instants[complete], table[complete]
+    distances = np.stack([_distances(pair, rig, instants, mirror) for rig in rigs], axis=1)
+    complete = ~np.isnan(distances).any(axis=1)
+    instants, distances = instants[complete], distances[complete]
     step = float(np.median(np.diff(instants))) if len(instants) > 1 else np.inf
     least = int(LEAST_PART_S / step)
-    if not 0 < least < len(table) - least:
+    if not 0 < least < len(distances) - least:
         return None
-    early = np.cumsum(table, axis=0)
+    early = np.cumsum(distances, axis=0)
     late = early[-1] - early
-    sums = (early[:, :, None] + late[:, None])[least - 1 : -least]  # by last instant, and poses
+    # By the last instant of the first pose, the first pose and the second one.
+    sums = (early[:, :, None] + late[:, None])[least - 1 : -least]
     k, before, after = (int(n) for n in np.unravel_index(sums.argmin(), sums.shape))
     if before == after or sums.min() + LEAST_M * least > early[-1].min():
         return None
-    k += least
-    gains = table[:k, after] - table[:k, before], table[k:, before] - table[k:, after]
+    k += least  # now the first instant of the second pose
+    gains = distances[:, after] - distances[:, before]
+    metres = min(float(gains[:k].mean()), float(-gains[k:].mean()))
     ends = float(instants[k - 1]), float(instants[k])
-    return CameraChange(*ends, rigs[before], rigs[after], min(float(g.mean()) for g in gains))
+    return CameraChange(*ends, rigs[before], rigs[after], metres)
 
 
 def _stretch_poses(first: CameraView, second: CameraView, mirror: Ints) -> list[Rig]:
-    """Return the poses that differ of the second camera in the first, from stretches of the log."""
-    begin, end = (float(f([t.seconds[k] for t in second.tracks])) for f, k in ((min, 0), (max, -1)))
+    """Return the different poses of the second camera in the first that stretches of a log give."""
+    begin = min(float(track.seconds[0]) for track in second.tracks)
+    end = max(float(track.seconds[-1]) for track in second.tracks)
     length = max((end - begin) / STRETCHES, LEAST_PART_S)
     rigs: list[Rig] = []
     for at in np.arange(begin, end - 0.75 * length, length / 2.0):
-        fit = _pose(first, part_of(second, at, at + length), mirror)
-        if fit is not None and not any(alike(fit.rig, rig, LEAST_DEG, LEAST_M) for rig in rigs):
-            rigs.append(fit.rig)
+        rig = _pose(first, part_of(second, at, at + length), mirror)
+        if rig is not None and not any(alike(rig, other, LEAST_DEG, LEAST_M) for other in rigs):
+            rigs.append(rig)
     return rigs
 
 
 def located(pair: Sequence[CameraView], early: Rig, late: Rig, mirror: Ints) -> CameraChange:
     """Find the time at which one pose of the second camera replaces another one.
 
-    It begins at -inf or ends at inf if one of both fits throughout.
+    It begins at -inf, or ends at inf, if one of the poses fits throughout.
     """
     instants = instants_of(pair[:1], CHANGE_INSTANTS)
     before, after = (_distances(pair, rig, instants, mirror) for rig in (early, late))
@@ -162,8 +165,8 @@ def second_poses(residuals: RigResiduals, points: Points) -> list[SecondPose]:
 def steps_apart(views: Sequence[CameraView], rig: Rig, mirror: Ints) -> Floats:
     """(C, C) by how much more, m, people of two cameras are apart in one part of a log.
 
-    The log is cut in two where the mean distances of both parts differ most significantly; each
-    has :data:`LEAST_PART_S`. NaN where two cameras see nobody at the same time for so long.
+    The log is cut in two where the mean distances of both parts differ most significantly. Each
+    part has :data:`LEAST_PART_S`. NaN where two cameras do not see people together for so long.
     """
     instants = instants_of(views, PAIR_INSTANTS, rig)
     samples = sample(views, instants, rig)
@@ -190,7 +193,7 @@ def _step(distances: Floats, instants: Floats) -> float:
 
 
 def _moments(points: Floats, targets: Floats, weights: Floats) -> Floats:
-    """(P, 17) what the misfit of two sets of (P, 3) points is made of, for each pair."""
+    """(P, 17) moments of P pairs of points: weighted 1, both points, their products and squares."""
     products = (points[:, :, None] * targets[:, None, :]).reshape(-1, 9)
     squares = np.sum(points**2 + targets**2, axis=1)[:, None]
     rows = np.concatenate([np.ones((len(points), 1)), points, targets, products, squares], axis=1)
@@ -210,19 +213,19 @@ def _misfits(moments: Floats) -> Floats:
 
 
 def part_of(view: CameraView, begin: float, end: float) -> CameraView:
-    """Return what a camera sees from one time to another, s of its own time."""
+    """Return what a camera sees from ``begin`` to before ``end``, s of its own time."""
     parts = [(t, (t.seconds >= begin) & (t.seconds < end)) for t in view.tracks]
     tracks = [chosen(track, kept) for track, kept in parts if np.count_nonzero(kept) > 1]
     return replace(view, tracks=tracks)
 
 
-def _pose(first: CameraView, second: CameraView, mirror: Ints) -> PairFit | None:
-    """Return the pose of the second camera in the first; None unless no other one fits."""
+def _pose(first: CameraView, second: CameraView, mirror: Ints) -> Rig | None:
+    """Return the pose of the second camera in the first; None if none fits, or several do."""
     if not second.tracks:
         return None
     instants = instants_of([second], PAIR_INSTANTS)
     fits = register_pair([first, second], [(0.0, [])], instants, mirror)
-    return fits[0] if usable(fits) and not ambiguous(fits) else None
+    return fits[0].rig if usable(fits) and not ambiguous(fits) else None
 
 
 def _distances(pair: Sequence[CameraView], rig: Rig, instants: Floats, mirror: Ints) -> Floats:
@@ -236,7 +239,7 @@ def _distances_of(
 ) -> Floats:
     """(K,) mean distance of the people of two cameras, m; NaN unless both see somebody.
 
-    Somebody who fits nobody counts with the distance at which people do not fit any more.
+    Who fits nobody counts with :data:`~hiros_mcap.calibrate.pair_pose.FIT_M`.
 
     Parameters
     ----------
@@ -247,12 +250,10 @@ def _distances_of(
     instants, cameras = of_pair.instants, of_pair.cameras
     counts = [np.bincount(instants[cameras == c], minlength=n_instants) for c in pair]
     common = np.minimum(*counts)
-    is_common = common > 0
-    values = np.full(n_instants, np.nan)
     distances = group(of_pair, places[rows], mirror, FIT_M).distances
     fitting = np.isfinite(distances)
     sums = np.bincount(instants[fitting], distances[fitting], minlength=n_instants)
     matched = np.bincount(instants[fitting], minlength=n_instants)
     totals = sums + FIT_M * np.maximum(common - matched, 0)
-    values[is_common] = totals[is_common] / common[is_common]
-    return values
+    means = np.full(n_instants, np.nan)
+    return np.asarray(np.divide(totals, common, out=means, where=common > 0))

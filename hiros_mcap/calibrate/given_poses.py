@@ -30,7 +30,7 @@ from hiros_mcap.skeletons import Ints
 
 _APART_MM = 60.0
 """Where a clock is wrong by most of a second, people who walk slowly may still fit: they are off by
-8 to 11 cm, and not by 4 to 5."""
+8 to 11 cm, others by 4 to 5."""
 _DELAY_S = 0.1  # lags of right clocks mostly differ by less
 
 Corrections = Mapping[str, ClockCorrection]
@@ -56,7 +56,7 @@ class Move(NamedTuple):
 class PosedViews:
     """Views of the cameras, and the poses that follow from the people in them.
 
-    A camera that was moved has a row before, and the next one after that.
+    A camera that was moved has two rows: before the move, and after it.
     """
 
     cameras: list[FixedCamera]  # with the poses that the log gives
@@ -82,7 +82,7 @@ class PosedViews:
         return poses
 
     def to_given(self) -> dict[str, Rigid]:
-        """Camera -> what takes its people back to the log's pose, without those with two poses."""
+        """Camera -> what takes its people back to the log's pose; none that was moved."""
         twice = {move.camera for move in self.moves}
         return {
             camera.name: camera.pose @ self.pose(k).inverse()
@@ -100,7 +100,7 @@ def views_of(
     cameras: Iterable[FixedCamera], sightings: Mapping[str, list[Sighting]],
     shifts: Iterable[float], mirror: Ints,
 ) -> list[CameraView]:  # fmt: skip
-    """Return the people that cameras see, whose times are later than stated by ``shifts``, s."""
+    """Return the people that cameras see; ``shifts``, s, are added to the cameras' times."""
     return [
         seen_by(camera, sightings.get(camera.name, []), mirror, shift)
         for camera, shift in zip(cameras, shifts, strict=True)
@@ -113,8 +113,8 @@ def compare_poses(
 ) -> PosedViews:  # fmt: skip
     """Compare the cameras' poses with those that their people give, and find the clocks.
 
-    One camera alone cannot be compared. Clocks that are far off are searched for if people do not
-    fit, or if the lags suggest it.
+    One camera alone gives no views. Clocks that are far off are searched for if people do not fit,
+    or if the lags suggest it.
 
     Parameters
     ----------
@@ -135,8 +135,8 @@ def compare_poses(
 
     posed = refined([0.0] * len(cameras))
     hints = [lags.get(camera.name, 0.0) for camera in cameras]
-    fitting, nearness = _fit(posed)
-    if fitting == len(cameras) and -nearness < _APART_MM and np.ptp(hints) < _DELAY_S:
+    fitting, minus_worst = _fit(posed)
+    if fitting == len(cameras) and -minus_worst < _APART_MM and np.ptp(hints) < _DELAY_S:
         return posed
     # All of the log: at the right lag, short stretches overlap less than at a wrong one.
     sightings = survey.many(corrections)
@@ -147,9 +147,9 @@ def compare_poses(
 
 
 def _fit(posed: PosedViews) -> tuple[int, float]:
-    """Return how many cameras see the people where others see them, and minus the worst residual.
+    """Return how many cameras see the people where others do, and minus the worst residual, mm.
 
-    The residual is in mm; 0 unless all of them do.
+    More is better in both. Unless all cameras fit, the residual counts as 0.
     """
     fitting = [camera for camera in posed.rig if camera.fits and camera.reason != UNLINKED]
     all_fit = len(fitting) == len(posed.rig)
@@ -157,10 +157,11 @@ def _fit(posed: PosedViews) -> tuple[int, float]:
 
 
 def with_strays(survey: Survey, corrections: Corrections, posed: PosedViews) -> PosedViews:
-    """Find out who of the cameras that share no view would share one if they stood elsewhere.
+    """Find the cameras that share no view with the others, but would share one from elsewhere.
 
-    Such a camera does not fit. The others see different people, and nothing is wrong with that. The
-    largest group of cameras that see the same people counts as right; any other is like a camera.
+    Such a camera does not fit. If it sees different people wherever it stands, nothing is wrong.
+    The largest group of cameras that see the same people counts as right; a smaller one is like a
+    camera alone.
     """
     strays = _strays(survey, posed)
     if not any(posed.cameras[k].movable for group in strays for k in group):
@@ -182,7 +183,7 @@ def with_strays(survey: Survey, corrections: Corrections, posed: PosedViews) -> 
 
 
 def _strays(survey: Survey, posed: PosedViews) -> list[list[int]]:
-    """Return the cameras that share no view with the others: each alone, or in groups."""
+    """Return the groups of cameras that share no view with the others, many with one camera."""
     alone = [[k] for k, camera in enumerate(posed.rig) if camera.reason == UNLINKED]
     poses = [posed.pose(k) for k in range(len(posed.rig))]
     fitting = [k for k, camera in enumerate(posed.rig) if camera.fits and [k] not in alone]

@@ -20,7 +20,7 @@ from hiros_mcap.errors import ConfigError, LogError
 
 ADDRESS = "ros2://"
 NAME = "hiros"
-"""Of the node; another one by ``--ros-args -r __node:=NAME``."""
+"""Of the node, unless ``--ros-args -r __node:=NAME`` gives another."""
 _REMEDY = (
     "source a ROS 2 of this Python (source /opt/ros/DISTRO/setup.bash, in an environment made with "
     '--system-site-packages), or install its wheels: pip install "hiros-mcap[ros2]"'
@@ -48,7 +48,7 @@ class RosNode:
         except ImportError as error:
             raise LogError(f"needs rclpy ({_line(error)}): {_REMEDY}", path=ADDRESS) from None
         self._context: Any = rclpy.Context()
-        self._given = tuple(arguments)
+        self._arguments = arguments
         try:
             rclpy.init(
                 args=[NAME, "--ros-args", *arguments],
@@ -60,7 +60,10 @@ class RosNode:
             )
         except Exception as error:  # noqa: BLE001 - RCLError, and errors of names and arguments
             self._context.try_shutdown()
-            raise _not_started(error, arguments) from None
+            if arguments:
+                text = f"--ros-args {' '.join(arguments)}: refused by ROS 2: {_line(error)}"
+                raise ConfigError(text) from None
+            raise LogError(f"ROS 2 does not start: {_line(error)}", path=ADDRESS) from None
 
     @property
     def graph(self) -> str:
@@ -78,32 +81,32 @@ class RosNode:
             time.sleep(seconds)
             return
         nothing_else = (0,) * 5
-        awaited = rclpy_implementation.WaitSet(
+        waiting = rclpy_implementation.WaitSet(
             len(subscriptions), *nothing_else, self._context.handle
         )
         for subscription in subscriptions:
-            awaited.add_subscription(subscription.handle)
-        awaited.wait(round(seconds * 1e9))
+            waiting.add_subscription(subscription.handle)
+        waiting.wait(round(seconds * 1e9))
 
     def close(self) -> None:
-        """Leave the graph; what is called twice does nothing."""
+        """Leave the graph; a second call does nothing."""
         if self._context.ok():
             self.node.destroy_node()
             self._context.try_shutdown()
 
     def remapped(self) -> dict[str, str]:
-        """Name in the graph -> the name that hiros has for it, of all remapping rules.
+        """Return the name in the graph -> the name that hiros has for it, of all remapping rules.
 
         A node that subscribes to what it finds needs the rules the other way round.
         """
-        rules = [text.partition(":=")[0].rpartition(":")[2] for text in self._given if ":=" in text]
-        names = {}
-        for name in rules:
-            if not name.startswith("__"):
-                names[self.node.resolve_topic_name(name)] = self.node.resolve_topic_name(
-                    name, only_expand=True
-                )
-        return names
+        rules = (text.partition(":=") for text in self._arguments if ":=" in text)
+        names = [left.rpartition(":")[2] for left, _, _ in rules]
+        resolve = self.node.resolve_topic_name
+        return {
+            resolve(name): resolve(name, only_expand=True)
+            for name in names
+            if not name.startswith("__")
+        }
 
     def owns(self, endpoint: Any) -> bool:
         """Whether an endpoint of the graph belongs to this node, or to another of its name."""
@@ -111,18 +114,11 @@ class RosNode:
         return (endpoint.node_name, endpoint.node_namespace) == here
 
 
-def _not_started(error: Exception, arguments: Sequence[str]) -> LogError | ConfigError:
-    if arguments:
-        return ConfigError(f"--ros-args {' '.join(arguments)}: refused by ROS 2: {_line(error)}")
-    return LogError(f"ROS 2 does not start: {_line(error)}", path=ADDRESS)
-
-
 def _check_middleware() -> None:
     """Raise LogError for a middleware that is not there: ROS 2 would end the process."""
-    wanted = os.environ.get("RMW_IMPLEMENTATION")
-    if wanted:
+    if middleware := os.environ.get("RMW_IMPLEMENTATION"):
         try:
-            ctypes.CDLL(f"lib{wanted}.so")
+            ctypes.CDLL(f"lib{middleware}.so")
         except OSError as error:
             raise LogError(
                 f"the middleware of RMW_IMPLEMENTATION is not there ({_line(error)}): install it, "
@@ -132,7 +128,7 @@ def _check_middleware() -> None:
 
 
 def _line(error: Exception) -> str:
-    """Return the first line of an error."""
+    """Return the first line of an error, without its place in the sources of ROS 2."""
     return str(error).partition("\n")[0].partition(", at /")[0][:200] or type(error).__name__
 
 
@@ -189,12 +185,9 @@ def _define(kind: str, texts: dict[str, str]) -> None:
     for name, idl in message_class(kind).get_fields_and_field_types().items():
         base, most, is_sequence, array = _FIELD.fullmatch(idl).groups()  # type: ignore[union-attr]
         suffix = array or (f"[{'<=' + most if most else ''}]" if is_sequence else "")
-        lines.append(f"{_ros_name(base)}{suffix} {name}\n")
+        word, _, longest = base.partition("<")  # string<10>
+        ros_name = _IDL.get(word, word) + (f"<={longest[:-1]}" if longest else "")
+        lines.append(f"{ros_name}{suffix} {name}\n")
         if "/" in base and base not in texts:
             _define("/msg/".join((base if "/" in base else f"{package}/{base}").split("/")), texts)
     texts[hiros_schemas.short_name(kind)] = "".join(lines)
-
-
-def _ros_name(idl: str) -> str:
-    name, _, most = idl.partition("<")
-    return _IDL.get(name, name) + (f"<={most[:-1]}" if most else "")

@@ -39,14 +39,15 @@ MAX_PADDING = 3
 # Added to a negative id that no marker has: beyond every int32, and that id again in 32 bits.
 ABSENT = 1 << 32
 
-# Elements of a report: where a message is at fault, and what it holds besides its people.
+# Elements of a report: where a message is at fault, and what it holds besides its people. An
+# outline looks at no source: its counts have those places.
 AT, PERSON, ID, NAME, NAME_END = range(5)
 COUNT, HEADER_STAMP, FRAME, FRAME_END, SOURCE, SOURCE_END, MIXED = range(5, 12)
 ROWS, MOST_MARKERS, MOST_LINKS = 9, 10, 11
 REPORT = 12
 
 # Columns of an outline.
-IS_LINK, ROW_ID, ROW_NAME, ROW_END, PARENT, CHILD = 0, 1, 2, 3, 4, 5
+IS_LINK, ROW_ID, ROW_NAME, ROW_END, PARENT, CHILD = range(6)
 OUTLINE = 6
 
 # The fewest bytes that an element takes: its numbers and an empty string.
@@ -75,7 +76,7 @@ class Tables(NamedTuple):
 
 
 # Columns of the tables.
-SLOT_ID, WORD, LENGTH, LINK_ENDS_AT = 0, 1, 2, 3
+SLOT_ID, WORD, LENGTH, LINK_ENDS_AT = range(4)
 
 
 class Slots(NamedTuple):
@@ -413,8 +414,8 @@ def _elements(
         if fault == OK and slots.seen[slot] == person:
             fault = REPEATED_MARKER
         if fault != OK:
-            is_kind = fault in (UNKNOWN_MARKER, MARKER_NAME, REPEATED_MARKER)
-            return fault + (1 if is_link and is_kind else 0), at
+            is_of_marker = fault in (UNKNOWN_MARKER, MARKER_NAME, REPEATED_MARKER)
+            return fault + (1 if is_link and is_of_marker else 0), at
         slots.seen[slot] = person
         at = _numbers(data, at, swap, slots, person * n + slot)
         if at < 0:

@@ -10,10 +10,10 @@ from xml.etree import ElementTree
 
 from hiros_mcap.evaluate.measures import BRIEF, MEASURES, markdown_text
 from hiros_mcap.outputs import JUNIT_MARK, MARKDOWN_MARK
-from hiros_mcap.regression.suite import CaseResult
+from hiros_mcap.regression.suite import CaseResult, Status
 from hiros_mcap.wording import plain
 
-_MARKS = {"equal": "✅ equal", "different": "❌ different", "error": "⚠️ error"}
+_MARKS: dict[Status, str] = {"equal": "✅ equal", "different": "❌ different", "error": "⚠️ error"}
 
 
 def totals(results: Sequence[CaseResult]) -> str:
@@ -27,18 +27,15 @@ def totals(results: Sequence[CaseResult]) -> str:
 
 
 def as_dict(results: Sequence[CaseResult]) -> dict[str, Any]:
-    """Plain data for JSON."""
+    """Return plain data for JSON."""
     counts = Counter(r.status for r in results)
-    numbers = {
-        "equal": counts["equal"],
-        "different": counts["different"],
-        "errors": counts["error"],
-    }
-    return {**numbers, "logs": [plain(r) for r in results]}
+    equal, different, errors = (counts[status] for status in _MARKS)
+    logs = [plain(r) for r in results]
+    return {"equal": equal, "different": different, "errors": errors, "logs": logs}
 
 
 def lines(result: CaseResult) -> list[str]:
-    """Return what is wrong with a log, one line each: what was and is, where it begins."""
+    """Return what is wrong with a log: its error, the differences, the first frame that differs."""
     begin = [
         f"{topic}: first in frame {d.frame}, {d.seconds:.3f} s: {d.what}"
         for topic, d in result.first
@@ -47,35 +44,29 @@ def lines(result: CaseResult) -> list[str]:
 
 
 def junit(results: Sequence[CaseResult], name: str) -> str:
-    """JUnit XML: a difference is a failure, a log that cannot be processed an error."""
-    suite = ElementTree.Element(
+    """Return JUnit XML: a difference is a failure, a log that cannot be processed is an error."""
+    counts, title = Counter(r.status for r in results), _xml_text(name)
+    root = ElementTree.Element("testsuites")
+    suite = ElementTree.SubElement(
+        root,
         "testsuite",
-        name=_xml_text(name),
+        name=title,
         tests=str(len(results)),
-        failures=str(sum(r.status == "different" for r in results)),
-        errors=str(sum(r.status == "error" for r in results)),
+        failures=str(counts["different"]),
+        errors=str(counts["error"]),
         time=f"{sum(r.seconds for r in results):.3f}",
     )
-    for result in results:
+    for r in results:
         case = ElementTree.SubElement(
-            suite,
-            "testcase",
-            classname=_xml_text(name),
-            name=_xml_text(result.name),
-            time=f"{result.seconds:.3f}",
+            suite, "testcase", classname=title, name=_xml_text(r.name), time=f"{r.seconds:.3f}"
         )
-        if result.status != "equal":
-            kind = "error" if result.status == "error" else "failure"
-            faults = lines(result)
+        if r.status != "equal":
+            kind = "error" if r.status == "error" else "failure"
+            faults = lines(r)
             fault = ElementTree.SubElement(case, kind, message=_xml_text(faults[0]))
             fault.text = _xml_text("\n".join(faults))
-        metrics = [
-            f"{name} = {MEASURES[name].shown(value)}" for name, value in result.metrics.items()
-        ]
-        told = _xml_text("\n".join([*metrics, *result.notes]))
-        ElementTree.SubElement(case, "system-out").text = told
-    root = ElementTree.Element("testsuites")
-    root.append(suite)
+        metrics = [f"{m} = {MEASURES[m].shown(value)}" for m, value in r.metrics.items()]
+        ElementTree.SubElement(case, "system-out").text = _xml_text("\n".join([*metrics, *r.notes]))
     ElementTree.indent(root)
     body = ElementTree.tostring(root, encoding="unicode")
     return f'<?xml version="1.0" encoding="utf-8"?>\n{JUNIT_MARK}\n{body}\n'
@@ -87,7 +78,7 @@ def _xml_text(text: str) -> str:
 
 
 def markdown(results: Sequence[CaseResult], name: str) -> str:
-    """Summary for a pull request: a table of the logs, and one of what was and is for each."""
+    """Return a summary for a pull request: a table of the logs, then the differences of each."""
     # A metric that no log has would be an empty column.
     measures = [m for m in BRIEF if any(m in r.metrics for r in results)]
     rows = [
@@ -115,7 +106,7 @@ def _details(r: CaseResult) -> list[str]:
         rows = [(d.where, d.what, d.was, d.now) for d in r.differences]
         text += [*_table(("where", "what", "was", "is"), rows), ""]
         detail = "\n".join([*lines(r), *r.notes])
-        fence = "`" * (1 + max(map(len, re.findall("`+", f"``{detail}"))))
+        fence = "`" * (1 + max(map(len, re.findall("`+", f"``{detail}"))))  # longer than any in it
         text += ["<details><summary>details</summary>", "", fence, detail, fence, "", "</details>"]
     return text
 

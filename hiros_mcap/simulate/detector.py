@@ -15,7 +15,7 @@ from hiros_mcap.body.rotations import conjugate, from_matrix, from_vector, multi
 from hiros_mcap.simulate.body_model import LINK_SEGMENTS, MARKERS, MODEL, SLOT, SYMMETRY, BodyModel
 from hiros_mcap.simulate.cameras import SimulatedCamera, seconds_since, stream
 from hiros_mcap.simulate.chance import coloured, episodes, runs
-from hiros_mcap.simulate.limb_errors import TrueView, errors_of, exchanged, lost
+from hiros_mcap.simulate.limb_errors import TrueView, draw_errors, exchanged, lost
 from hiros_mcap.simulate.motion import Person, standing
 from hiros_mcap.simulate.occlusion import Mask, Sight, sight_of
 from hiros_mcap.simulate.paths import Spot
@@ -139,7 +139,7 @@ def _fit(detections: SimulatedDetections, camera: SimulatedCamera, params: Simul
         hidden = sight.covered[:, person] | (~sight.framed[:, person] & (params.occlusion > 0))
         view = TrueView(positions.copy(), hidden, rate)
         detections.guessed[:, person] = hidden
-        errors = errors_of(rng, view, joint, noise=params.noise, guesses=params.occlusion)
+        errors = draw_errors(rng, view, joint, noise=params.noise, guesses=params.occlusion)
         errors.bend(positions, detections.orientations[:, person])
         share = min(params.flips * _EXCHANGED[camera.kind], 1.0)
         for start, stop in runs(exchanged(rng, view, share)):

@@ -10,17 +10,17 @@ where link k belongs to segment g. The rotation r_g, the log s_g of the scale an
 whole body are sums of errors that hold until the next decision
 (:func:`~hiros_mcap.simulate.chance.held`):
 
-1. small ones of each segment, of whose variance a part lasts. Both sides share a part of the scale;
+1. small ones of each segment. A part of their variance lasts. Both sides share a part of the scale;
    knees slide along the leg.
 2. slips of a limb, of the widths, or of the whole body. Only decisions that movement brings are
    slips, more often in views from the side and from behind.
 3. guesses while others cover a share C of the body: of segments whose ends are covered, and of the
    whole body by C. A guess has one size: a body that is shifted far is also distorted.
 
-In a mistake, a slip or a guess, hips and shoulders get narrower: the far side of a body is put too
-close to the near one. A person is lost at a share of cover that is drawn for each time of cover.
-Who turns the back is taken to face the camera for a part of the time. ``benchmarks/detector.py``
-holds all this beside real recordings.
+Slips and guesses are mistakes. They make hips and shoulders narrower: the far side of a body is put
+too close to the near one. Each time that others cover a person, the share at which the detector
+loses the person is drawn. Who turns the back seems to face the camera for a part of the time.
+``benchmarks/detector.py`` compares all this with real recordings.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ from hiros_mcap.skeletons import Floats, Stamps
 _SHIFT = 0.008  # SD of the shift of the body, m (between two cameras 23 to 28 mm, poses included)
 _DIRECTION = np.radians(2.3)  # SD of the direction of an upper arm or a thigh
 _LENGTH_SD = 0.02  # relative SD of a limb's length (robust SD of all errors: .03 to .07)
-_SHARED = 0.55  # of the error of a length, what both sides have in common: r = 0.3
+_SHARED = 0.55  # share of a length's SD that both sides have in common: their r is its square, .3
 _SLIDE = 0.025  # relative SD by which a knee slides along the leg (thigh, shank: r = -.35 to -.64)
-_ASIDE = 1.0  # how much larger these are in views from the side and from behind (.3 to 2)
+_ASIDE = 1.0  # how much more directions and lengths err from the side and from behind (.3 to 2)
 _FROM_DEG = (45.0, 90.0, 135.0)  # facing of views from the front, the side, behind
-_SECONDS = 1.2
+_STANDING_SECONDS = 1.2
 """s; mean time for which a decision holds while somebody stands (95 % of second differences of a
 hand: 24 mm)."""
 _MOVING_SECONDS = 0.15  # the same of somebody who moves fast (faster than .3 m/s: 129 mm)
-_MOVES = 0.3  # m/s, mean of the joints: movement brings half as many decisions as at most
+_MOVES = 0.3  # m/s, mean of the joints, at which movement brings half of its most decisions
 _LASTING = 0.1  # share of their variance that lasts (autocorrelation .2 to .5 after 1 s)
 _LASTING_SECONDS = 20.0  # s, for which the lasting part holds (recordings: 15 to 100 s)
 _SLIPS = (0.08, 0.12, 0.15)
@@ -81,9 +81,9 @@ class Segment(NamedTuple):
 
     name: str
     ends: tuple[str, ...]  # markers at the far ends of the links
-    turns: float = 1.0  # errors of the direction beside those of an upper arm (measured)
+    turns: float = 1.0  # small errors of the direction, times those of an upper arm (measured)
     mistakes: float = 1.0  # the same of slips and guesses
-    lengths: float = 1.0  # errors of the length beside those of a leg
+    lengths: float = 1.0  # errors of the length, times those of a leg
 
 
 _MIDDLE = (
@@ -166,17 +166,17 @@ class LimbErrors:
             *(noise * part for part in (self.turn, self.scale, self.shift, self.joints))
         )
 
-    def add(self, wrong: Floats, draws: Floats) -> None:
+    def add(self, sizes: Floats, draws: Floats) -> None:
         """Add mistakes to segments.
 
         Parameters
         ----------
-        wrong : (n, G) how large they are beside a usual mistake; 0 = none.
+        sizes : (n, G) of usual mistakes; 0 = none.
         draws : (n, G + 1, 4) as :func:`_mistakes` makes them.
         """
-        turned = _ANGLE * wrong * _MISTAKES
-        self.turn += turned[..., None] * draws[:, :-1, :3]
-        lengths = wrong * draws[:, :-1, 3]
+        angles = _ANGLE * sizes * _MISTAKES
+        self.turn += angles[..., None] * draws[:, :-1, :3]
+        lengths = sizes * draws[:, :-1, 3]
         scale = _LOG_LENGTH * lengths
         narrower = _NARROW * np.abs(lengths[:, _WIDTHS])
         scale[:, _WIDTHS] = np.log1p(-np.minimum(narrower, _NARROWEST))
@@ -226,17 +226,12 @@ class Pace(NamedTuple):
         """Return the pace of a view."""
         moves = 1 / (1 + (_MOVES / np.maximum(view.speed, 1e-9)) ** 2)
         moving = moves / _MOVING_SECONDS
-        both = 1 / _SECONDS + moving
+        both = 1 / _STANDING_SECONDS + moving
         return cls(both / view.rate, moving / both)
 
 
-def errors_of(
-    rng: np.random.Generator,
-    view: TrueView,
-    joint: float,
-    *,
-    noise: float,
-    guesses: float,
+def draw_errors(
+    rng: np.random.Generator, view: TrueView, joint: float, *, noise: float, guesses: float
 ) -> LimbErrors:
     """Draw the errors of a view; ``noise`` and ``guesses`` scale them.
 
@@ -271,6 +266,7 @@ def _drawn(rng: np.random.Generator, pace: Pace, k: int) -> Floats:
     quick = np.empty((len(pace.per_frame), len(SEGMENTS), k))
     for segment in range(len(SEGMENTS)):
         decision = held(rng, pace.per_frame)
+        # Minus the variance: the mean square of a size is 1.
         size = np.exp(_SIZES * rng.standard_normal((decision[-1] + 1, 1)) - _SIZES**2)
         quick[:, segment] = (size * rng.standard_normal((len(size), k)))[decision]
     slow = _lasting(rng, pace, (len(SEGMENTS), k))
@@ -280,7 +276,7 @@ def _drawn(rng: np.random.Generator, pace: Pace, k: int) -> Floats:
 
 def _lasting(rng: np.random.Generator, pace: Pace, shape: tuple[int, int]) -> Floats:
     """(n, K, k) numbers of SD 1 that hold for long."""
-    per_frame = pace.per_frame * _SECONDS / _LASTING_SECONDS
+    per_frame = pace.per_frame * _STANDING_SECONDS / _LASTING_SECONDS
     numbers = np.empty((len(per_frame), *shape))
     for row in range(shape[0]):
         decision = held(rng, per_frame)
@@ -289,11 +285,7 @@ def _lasting(rng: np.random.Generator, pace: Pace, shape: tuple[int, int]) -> Fl
 
 
 def _slip(
-    rng: np.random.Generator,
-    errors: LimbErrors,
-    view: TrueView,
-    pace: Pace,
-    noise: float,
+    rng: np.random.Generator, errors: LimbErrors, view: TrueView, pace: Pace, noise: float
 ) -> None:
     """Let limbs, the widths, and the whole body be somewhere else for a while."""
     odds = np.interp(view.facing, _FROM_DEG, _SLIPS) * pace.moving
@@ -309,11 +301,7 @@ def _slip(
 
 
 def _guess(
-    rng: np.random.Generator,
-    errors: LimbErrors,
-    view: TrueView,
-    pace: Pace,
-    scale: float,
+    rng: np.random.Generator, errors: LimbErrors, view: TrueView, pace: Pace, scale: float
 ) -> None:
     """Guess what others cover."""
     decision = held(rng, pace.per_frame)
@@ -329,7 +317,10 @@ def _guess(
 
 
 def _mistakes(rng: np.random.Generator, decision: Stamps) -> tuple[Floats, Floats]:
-    """(n,) numbers from 0 to 1 of the decisions, and (D, G + 1, 4) draws, each of one size."""
+    """(n,) chance, from 0 to 1, of each frame's decision, and (D, G + 1, 4) draws of all decisions.
+
+    Three draws are for a direction or a shift, one is for a length; the last row is the body's.
+    """
     count = decision[-1] + 1
     size = np.exp(_SIZES * rng.standard_normal((count, 1, 1)))
     draws = size * rng.standard_normal((count, len(SEGMENTS) + 1, 4))

@@ -1,10 +1,10 @@
 """Our own system and the published ones, each a table of stages.
 
 Ours follow Hi-ROS (Guidolin et al. 2023): tracker, merger, optimizer, filter. The published ones
-are Malaguti et al. (2019) with its baselines, and Lee et al. (2022). Malaguti and the baselines
-have its association by centroids (III-A). Lee follows one person with cameras that a wire
-synchronises. Here the tracker of Hi-ROS comes first, and every person is merged as the paper merges
-its one. The variants A1 to A5 of section 3.1 are the same stages with other parameters
+are Malaguti et al. (2019) with its baselines, and Lee et al. (2022). Malaguti's paper associates by
+centroids (III-A); its baselines do so, too. Lee's follows one person with cameras that a wire
+synchronises. Here the tracker of Hi-ROS comes first, and each person is merged as the paper's one
+person. Its variants A1 to A5 (section 3.1) are the same stages with other parameters
 (``systems/presets``).
 
 Packages bring others by an entry point of the group ``hiros.systems``, which names a
@@ -59,8 +59,8 @@ class Run:
 
     def widths(self, channel: str, least: tuple[int, int]) -> tuple[int, int]:
         """Return the columns of markers, and of links, of a channel; the stages need ``least``."""
-        is_whole = self.derivatives is None or channel in self.derivatives
-        return (STATE, STATE) if is_whole else least
+        takes_all = self.derivatives is None or channel in self.derivatives
+        return (STATE, STATE) if takes_all else least
 
     def stage(self, stage: Callable[..., Any], params: Params, **more: Any) -> partial[Any]:
         """Return a stage with what every stage takes (model, parameters, events), and more."""
@@ -108,15 +108,13 @@ def fuse(run: Run) -> Stages:
 
     config = run.config
     mended = _mended_views(run, guesses=False)
-    fusion = run.stage(
+    smooth = run.stage(
         fuse_blocks, config.fuse, merging=config.merge, fixed_frame=run.fixed_frame,
         known=run.known,
     )  # fmt: skip
-    widths = run.widths("tracked", VIEW_WIDTHS)
     return {
-        "tracked": _tracker(run, widths=widths),
-        # smoothed positions
-        "merged": lambda blocks: fusion(mended(blocks)),
+        "tracked": _tracker(run, widths=run.widths("tracked", VIEW_WIDTHS)),
+        "merged": lambda blocks: smooth(mended(blocks)),
         # lengths and prior
         "optimized": run.stage(constrain_blocks, config.constrain, limbs=run.limbs),
         # velocities and accelerations
@@ -139,7 +137,7 @@ def _mended_views(run: Run, *, guesses: bool) -> BlockStage:
 
     Detections that contradict the person's own body count less; then left and right are decided;
     then joints that a camera does not see count less. With ``guesses``, so do those that its
-    detector guesses by its own word.
+    detector says it guesses.
     """
     from hiros_mcap.stages.detections.hidden import mend_hidden_blocks
     from hiros_mcap.stages.detections.plausible import drop_implausible_blocks
@@ -170,7 +168,7 @@ def merging_order(params: MergeParams) -> tuple[str, ...]:
 
 
 def raw(run: Run) -> Stages:
-    """Give detections as they are the ids of the association."""
+    """Leave detections as they are, and give them the ids of the association."""
     from hiros_mcap.stages.malaguti.associate import associate
 
     return {"tracked": by_block(run.stage(associate, run.config.associate))}
@@ -197,8 +195,8 @@ def openptrack(run: Run) -> Stages:
     """Filter each joint (III-B to III-D), with the numbers of ``presets/openptrack.toml``."""
     from hiros_mcap.stages.malaguti.kalman import kalman
 
-    fuse = run.stage(kalman, run.config.kalman, fixed_frame=run.fixed_frame, cameras=run.cameras)
-    return {**raw(run), "merged": by_block(fuse)}
+    joints = run.stage(kalman, run.config.kalman, fixed_frame=run.fixed_frame, cameras=run.cameras)
+    return {**raw(run), "merged": by_block(joints)}
 
 
 def malaguti(run: Run) -> Stages:
@@ -214,12 +212,11 @@ def lee(run: Run) -> Stages:
     from hiros_mcap.stages.lee.cluster import cluster_blocks
     from hiros_mcap.stages.lee.predict import predict
 
-    config = run.config
-    merge = run.stage(cluster_blocks, config.cluster, fixed_frame=run.fixed_frame)
+    merge = run.stage(cluster_blocks, run.config.cluster, fixed_frame=run.fixed_frame)
     return {
         "tracked": _tracker(run),
         "merged": merge,  # 2.2.1, 2.2.2
-        "filtered": by_block(run.stage(predict, config.predict)),  # 2.2.3
+        "filtered": by_block(run.stage(predict, run.config.predict)),  # 2.2.3
     }
 
 
@@ -230,7 +227,7 @@ LETTERS = {"T": "tracked", "M": "merged", "O": "optimized", "F": "filtered"}
 _HIROS = ("T", "TM", "TO", "TF", "TMF", "TMO", "TMOF")
 _FUSE = ("T", "TM", "TMO", "TMF", "TMOF")
 _LEE = ("T", "TM", "TMF")
-_UNFILTERED = _LEE[:2], ("track", "cluster")
+_LEE_UNFILTERED = _LEE[:2], ("track", "cluster")
 
 _HIROS_SECTIONS = ("track", "plausible", "sides", "merge", "optimize", "filter")
 _FUSE_SECTIONS = ("track", "plausible", "sides", "merge", "fuse", "constrain", "filter")
@@ -273,10 +270,10 @@ SYSTEMS: dict[str, System] = {
         "Lee 2022, its A5: sides re-arranged, joints clustered, Kalman filter",
         *(lee, _LEE, ("track", "cluster", "predict")),
     ),
-    "lee-a1": System("A1: mean of the cameras", lee, *_UNFILTERED, of="lee"),
-    "lee-a2": System("A2: sides re-arranged, mean of the cameras", lee, *_UNFILTERED, of="lee"),
-    "lee-a3": System("A3: sides re-arranged, DBSCAN", lee, *_UNFILTERED, of="lee"),
-    "lee-a4": System("A4: A3 with the previous position", lee, *_UNFILTERED, of="lee"),
+    "lee-a1": System("A1: mean of the cameras", lee, *_LEE_UNFILTERED, of="lee"),
+    "lee-a2": System("A2: sides re-arranged, mean of the cameras", lee, *_LEE_UNFILTERED, of="lee"),
+    "lee-a3": System("A3: sides re-arranged, DBSCAN", lee, *_LEE_UNFILTERED, of="lee"),
+    "lee-a4": System("A4: A3 with the previous position", lee, *_LEE_UNFILTERED, of="lee"),
 }
 
 
@@ -320,8 +317,7 @@ def _installed(name: str) -> System:
 
 def sections_of(name: str) -> tuple[str, ...]:
     """Return the sections of the configuration that a system reads; ConfigError as in system."""
-    sections = system(name).sections
-    return ("input", "clock", "output", *sections)
+    return ("input", "clock", "output", *system(name).sections)
 
 
 def chain_of(name: str, stages: str = "") -> tuple[str, ...]:
@@ -330,9 +326,9 @@ def chain_of(name: str, stages: str = "") -> tuple[str, ...]:
     Raises ConfigError if there is no such system, or it has no such chain.
     """
     chains = system(name).chains
-    chosen = stages.upper() or chains[-1]
-    if chosen not in chains:
+    chain = stages.upper() or chains[-1]
+    if chain not in chains:
         raise ConfigError(
             f"system {name} cannot run the stages {stages!r} (there are: {', '.join(chains)})"
         )
-    return tuple(LETTERS[letter] for letter in chosen)
+    return tuple(LETTERS[letter] for letter in chain)

@@ -55,13 +55,13 @@ def hiros(
     verbose: bool = flag("--verbose", "With any command: show its steps on stderr."),
     debug: bool = flag("--debug", "With any command: show tracebacks of errors."),
 ) -> None:
-    """Options of all commands; their values are read before (:mod:`hiros_cli.common_options`)."""
+    """Options of all commands; :mod:`hiros_cli.common_options` has read their values before."""
     if context.invoked_subcommand is None:
         print(context.get_help())
         raise typer.Exit(2)
 
 
-app.command(cls=HelpfulCommand, no_args_is_help=False)(process.process)
+app.command(cls=HelpfulCommand)(process.process)
 app.command(cls=HelpfulCommand)(view.view)
 app.command(cls=HelpfulCommand)(plot.plot)
 app.command(cls=HelpfulCommand)(export.export)
@@ -123,9 +123,9 @@ def _show_plain_arguments(command: Any) -> None:
     """Show arguments by their names alone: newer typer adds Python types, LOG <list[Path]>."""
     for sub in getattr(command, "commands", {}).values():
         _show_plain_arguments(sub)
-    for one in command.params:
-        if one.param_type_name == "argument":
-            shown = f"{one.metavar}..." if one.nargs != 1 else str(one.metavar)
-            shown = shown if one.required else f"[{shown}]"
-            one.get_usage_pieces = lambda ctx, shown=shown: [shown]
-            one.display_type_rich = lambda ctx: ""
+    for parameter in command.params:
+        if parameter.param_type_name == "argument":
+            shown = f"{parameter.metavar}..." if parameter.nargs != 1 else str(parameter.metavar)
+            shown = shown if parameter.required else f"[{shown}]"
+            parameter.get_usage_pieces = lambda ctx, shown=shown: [shown]
+            parameter.display_type_rich = lambda ctx: ""

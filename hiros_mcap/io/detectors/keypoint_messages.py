@@ -1,11 +1,10 @@
 """Messages of RGB cameras: keypoints as ``yolo_msgs/DetectionArray``, lenses as CameraInfo.
 
-hiros writes DetectionArrays, and also reads ``hri_msgs/Skeleton2D``, which has 18 joints of one
-person in shares of the image.
+A DetectionArray has any number of joints and people, in px of the image, but does not name the
+joints: the id of a keypoint is its number in a joint model, from 1. A channel that hiros writes
+names the model in its metadata; in others it is COCO's, which YOLO uses.
 
-yolo_msgs has any number of joints and people, in px of the image, but does not name the joints:
-the id of a keypoint is its number in a joint model, from 1. A channel that hiros writes says in its
-metadata which model that is; of others it is COCO's, which YOLO has.
+hiros also reads ``hri_msgs/Skeleton2D``: 18 joints of one person, in shares of the image.
 """
 
 from __future__ import annotations
@@ -26,18 +25,16 @@ from hiros_mcap.rays.keypoints import KeypointFrame, cleaned
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
 JOINTS = "hiros:joints"
-"""Key of a channel's metadata: which model of the table numbers the joints, or their names."""
+"""Key of a channel's metadata: the model of the table that numbers the joints, or their names."""
 LATE = "hiros:late"
-"""Key of a channel's metadata: s by which its stamps are late, as hiros found from the people."""
+"""Key of a channel's metadata: how late its stamps are, s, as hiros found from the people."""
 USUAL_JOINTS = "coco-17"
 _HRI = body_model("hri-18")
-_DETECTIONS, _SKELETON2D = map(
-    hiros_schemas.short_name, (hiros_schemas.DETECTION_ARRAY, hiros_schemas.SKELETON_2D)
-)
+_DETECTIONS = hiros_schemas.short_name(hiros_schemas.DETECTION_ARRAY)
+KEYPOINT_TYPES = _DETECTIONS, hiros_schemas.short_name(hiros_schemas.SKELETON_2D)
+"""Types that are read, ``pkg/Type``."""
 DETECTIONS_IN_SPACE = f"{_DETECTIONS}3D"
 """What a channel of detections with keypoints in space is called, see :mod:`.yolo_bodies`."""
-KEYPOINT_TYPES = _DETECTIONS, _SKELETON2D
-"""Types that are read, ``pkg/Type``."""
 
 
 def joint_model(info: ChannelInfo) -> SkeletonModel:
@@ -49,7 +46,7 @@ def joint_model(info: ChannelInfo) -> SkeletonModel:
 
 
 def lateness(info: ChannelInfo) -> float:
-    """Return by how many seconds the stamps of a channel of keypoints are late."""
+    """Return how late the stamps of a channel of keypoints are, s."""
     try:
         return float(info.metadata.get(LATE, "0"))
     except ValueError:
@@ -58,8 +55,7 @@ def lateness(info: ChannelInfo) -> float:
 
 def is_keypoints(info: ChannelInfo) -> bool:
     """Whether a channel has keypoints of images."""
-    types = hiros_schemas.DETECTION_ARRAY, hiros_schemas.SKELETON_2D
-    return any(info.has_type(name) for name in types)
+    return info.type in KEYPOINT_TYPES
 
 
 def decode_keypoints(
@@ -67,8 +63,8 @@ def decode_keypoints(
 ) -> KeypointFrame:
     """Return the people of a message of :data:`KEYPOINT_TYPES`; its camera is the optical frame.
 
-    ``joints`` are those of the channel's model; ``lenses`` tell the images' sizes, by frame.
-    Detections without keypoints are of other things; ids beyond the model are left out, and so is
+    ``joints`` is the number in the channel's model; ``lenses`` tell the images' sizes, by frame.
+    Left out are detections without keypoints, which are of other things, ids beyond the model, and
     what :func:`~hiros_mcap.rays.keypoints.cleaned` does not take as found.
 
     Raises LogError for a message that is damaged.
@@ -109,9 +105,8 @@ def _of_skeleton2d(message: Any) -> tuple[Floats, Floats]:
 def joined(*messages: KeypointFrame) -> KeypointFrame:
     """Return the people of one image; some detectors have a topic per person."""
     pixels = np.concatenate([message.pixels for message in messages])
-    return messages[0]._replace(
-        pixels=pixels, scores=np.concatenate([message.scores for message in messages])
-    )
+    scores = np.concatenate([message.scores for message in messages])
+    return messages[0]._replace(pixels=pixels, scores=scores)
 
 
 def has_keypoints_in_space(message: DetectorMessage) -> bool | None:
@@ -124,7 +119,7 @@ def has_keypoints_in_space(message: DetectorMessage) -> bool | None:
 
 
 def _keypoints(message: DetectorMessage, name: str) -> list[Sequence[Any]]:
-    """Return the keypoints of each detection that has some; others are of other things."""
+    """Return the keypoints of each detection that has some; the others show no people."""
     people = [getattr(d, name).data for d in message.fields.detections if hasattr(d, name)]
     return [keypoints for keypoints in people if len(keypoints)]
 
@@ -183,7 +178,5 @@ def camera_info(lens: Intrinsics, frame_id: str, stamp: int) -> bytes:
     out.array(lens.matrix)
     out.array(np.eye(3))
     out.array(np.column_stack([lens.matrix, np.zeros(3)]))
-    for number in (0, 0, 0, 0, 0, 0):  # binning, region of interest
-        out.uint32(number)
-    out.byte(0)
+    out.raw(bytes(6 * 4 + 1))  # no binning, no region of interest
     return out.finish()

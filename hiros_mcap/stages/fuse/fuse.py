@@ -51,8 +51,8 @@ def fuse_blocks(
     blocks : tracked frames in the fixed frame, roughly in time order.
     model, params : the skeleton; see :class:`FuseParams`.
     events : counts as :func:`hiros_mcap.stages.merge.merge.merge_blocks` does.
-    merging : how instants are made and sides corrected.
-    known : of the cameras.
+    merging : how instants are made and sides corrected. fixed_frame : name of the fixed frame.
+    known : where the cameras stand, and how well that is known.
 
     Yields
     ------
@@ -62,8 +62,7 @@ def fuse_blocks(
     events, params = events or Events(), params or FuseParams()
     merging, known = merging or MergeParams(), known or KnownCameras()
     noise = FusionNoise.default(model, params.acceleration, params.offset, params.offset_time)
-    angle = math.radians(params.pose_angle)
-    pose_error = PoseError(angle, params.pose_shift, known)
+    pose_error = PoseError(math.radians(params.pose_angle), params.pose_shift, known)
     gatherer = ViewGatherer(model, merging)
     instants = InstantMerger(
         model, gatherer, gatherer.bank, events, fixed_frame,
@@ -75,8 +74,8 @@ def fuse_blocks(
 
     times = merging.cameras, merging.max_delta_time
     for block in instants.run(blocks, *times, in_step=merging.in_step):  # 1
-        views, names = gatherer.take(instants.cameras, known.places), instants.cameras
-        smoothed = smoother.update(block, views, names)  # 2, 3, 4, 6
+        views = gatherer.take(instants.cameras, known.places)
+        smoothed = smoother.update(block, views, instants.cameras)  # 2, 3, 4, 6
         yield from residuals.compared(smoothed)  # 5
     yield from residuals.compared(smoother.rest())
     residuals.finish()

@@ -1,8 +1,8 @@
 """Who counts as a person: the support of a track confirms it, or withdraws its id.
 
 Every report of a camera supports a track. A message of another camera that looks at the place, with
-nobody in between, and reports nobody there contradicts it. What does not even sway is contradicted
-where any picture shows it, too. A second view of a person is nobody new.
+nobody in between, and reports nobody there contradicts it. A track that does not even sway is
+contradicted in a wider cone, which any picture shows. A second view of a person is nobody new.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ class Confirmation:
         self._params, self._events = params, events
         self._coverage = Coverage(cameras)
 
-    def look(self, names: CameraNumbers) -> None:
-        """Say from which time on messages of the cameras tell what these look at."""
+    def note_due(self, names: CameraNumbers) -> None:
+        """Note from which time on the next message of each camera is learned from."""
         self._people.cameras.due[:] = [self._coverage.due(name) for name in names]
 
     def confirm(self, group: DetectionGroup) -> None:
@@ -61,7 +61,7 @@ class Confirmation:
             self._coverage.learn(group.source, places, group.stamp)
             due = self._coverage.due(group.source)
             self._people.cameras.due[self._people.names[group.source]] = due
-        for track in [track for track in self._people.tracks if track not in certain]:
+        for track in [track for track in self._people.tracks if not track.certain]:
             if track.number not in self._people.bank.rows:  # merged into another one by now
                 continue
             self._add_report(track, group, scene)
@@ -69,7 +69,7 @@ class Confirmation:
             self._merge_into_person(track, group, scene)
 
     def conclude(self, track: PersonTrack, group: DetectionGroup) -> None:
-        """Name a doubtful track of whom the last message is known."""
+        """Name a doubtful track at once: no message tells more about it."""
         scene = Present(set(), frozenset(), self._people.confirmed())
         self._identities.name(track, group, scene, at_once=True)
 
@@ -103,8 +103,8 @@ class Confirmation:
     def _is_duplicate(self, track: PersonTrack, stamp: int, scene: Present) -> bool:
         """Whether a tentative track is a second view of a person, nobody new.
 
-        It lies on the person; or it is near one whom no camera has shown beside it: the cameras
-        may disagree for a moment.
+        It lies on the person, or near one whom no camera has shown beside it: cameras may disagree
+        for a moment.
         """
         distances = self._people.distances(track, scene.persons)
         if (distances < self._params.min_distance).any():
@@ -112,9 +112,9 @@ class Confirmation:
         if not self._params.merge_tracks or stamp - track.first >= _SECOND_VIEW:
             return False
         near = np.flatnonzero(distances < _DOUBTFUL * self._params.max_distance)
-        return any(self._hides(scene.persons[i], track, stamp) for i in near.tolist())
+        return any(self._may_be_same(scene.persons[i], track, stamp) for i in near.tolist())
 
-    def _hides(self, person: PersonTrack, track: PersonTrack, stamp: int) -> bool:
+    def _may_be_same(self, person: PersonTrack, track: PersonTrack, stamp: int) -> bool:
         """Whether a person is there whom no camera has shown beside a track."""
         return person.is_there(stamp) and person.number not in track.beside
 
@@ -132,7 +132,7 @@ class Confirmation:
         for person, distance in zip(scene.persons, distances, strict=True):
             is_older = person.first < track.first
             is_near = distance < _DOUBTFUL * self._params.max_distance
-            if is_older and is_near and self._hides(person, track, group.stamp):
+            if is_older and is_near and self._may_be_same(person, track, group.stamp):
                 if track.confirmed:
                     scene.persons.remove(track)
                 self._people.remove(track)

@@ -132,7 +132,7 @@ class _Tracker:
         """Track messages, and write into them; yield those that are decided."""
         messages, log_times = self._people.messages_of(block), block.log_times.tolist()
         n_detections, place = int(block.sizes.max(initial=0)), 0
-        self._support.look(self._people.names)
+        self._support.note_due(self._people.names)
         self._identities.note_pauses(block)
         while place < len(block):
             known = self._prepare(block, place, n_detections)  # delete, leave out copies
