@@ -88,5 +88,5 @@ def _unlabelled(results: Mapping[str, ChannelResult]) -> str:
         return ""
     return (
         f"{scores.false} skeletons in {scores.frames} frames are of nobody. If the truth lacks "
-        "people who were there, use --truth-covers partial"
+        "people who were there, use --truth-covers partial; if it has another frame, --align"
     )

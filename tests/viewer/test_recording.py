@@ -226,6 +226,65 @@ def test_every_colour_of_a_person_has_a_distinct_shade():
     assert contrast(SIDES["right"], SIDES["left"]) > 1.2
 
 
+MACHADO = {
+    "all cones": np.eye(3),
+    "no red cones": np.array(
+        [[0.1523, 1.0526, -0.2049], [0.1145, 0.7863, 0.0992], [-0.0039, -0.0481, 1.0520]]
+    ),
+    "no green cones": np.array(
+        [[0.3673, 0.8606, -0.2280], [0.2801, 0.6725, 0.0474], [-0.0118, 0.0429, 0.9689]]
+    ),
+}
+"""Linear RGB of the eyes without a kind of cones (Machado 2009)."""
+
+
+@pytest.mark.parametrize("eyes", MACHADO)
+@pytest.mark.parametrize(("people", "apart", "sides"), [(4, 15, 14), (6, 12, 14), (10, 11, 8)])
+def test_people_differ_also_to_colour_blind_eyes(eyes, people, apart, sides):
+    rights = lab(PEOPLE[:people], MACHADO[eyes])
+    lefts = lab([shade(colour) for colour in PEOPLE[:people]], MACHADO[eyes])
+    for one, other in itertools.permutations(range(people), 2):
+        assert ciede2000(rights[one], rights[other]) > apart
+        assert ciede2000(lefts[one], rights[other]) > sides
+
+
+def test_ciede2000_has_the_values_of_its_paper():
+    """Sharma 2005, table 1."""
+    assert ciede2000([50, 2.6772, -79.7751], [50, 0, -82.7485]) == pytest.approx(2.0425, abs=1e-4)
+    assert ciede2000([50, 2.5, 0], [50, 0, -2.5]) == pytest.approx(4.3065, abs=1e-4)
+
+
+def lab(colours, eyes):
+    """CIE L*a*b* of sRGB colours, as these eyes see them."""
+    part = np.array(colours) / 255
+    linear = np.where(part > 0.04045, ((part + 0.055) / 1.055) ** 2.4, part / 12.92)
+    to_xyz = [[0.4125, 0.3576, 0.1804], [0.2127, 0.7152, 0.0722], [0.0193, 0.1192, 0.9503]]
+    xyz = np.clip(linear @ eyes.T, 0, 1) @ np.transpose(to_xyz) / np.sum(to_xyz, axis=1)
+    x, y, z = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16 / 116).T
+    return np.transpose([116 * y - 16, 500 * (x - y), 200 * (y - z)])
+
+
+def ciede2000(one, other):
+    """Difference of two colours, L*a*b* (Sharma 2005, eqs. 2 to 22)."""
+    (l_1, a_1, b_1), (l_2, a_2, b_2) = one, other
+    grey = 1.5 - 0.5 * _seventh((np.hypot(a_1, b_1) + np.hypot(a_2, b_2)) / 2)
+    c_1, c_2 = np.hypot(grey * a_1, b_1), np.hypot(grey * a_2, b_2)
+    h_1, h_2 = np.arctan2(b_1, grey * a_1), np.arctan2(b_2, grey * a_2)
+    turn = (h_2 - h_1 + np.pi) % (2 * np.pi) - np.pi
+    middle, c, h = (l_1 + l_2) / 2, (c_1 + c_2) / 2, np.degrees(h_1 + turn / 2) % 360
+    terms = {1: (-0.17, -30), 2: (0.24, 0), 3: (0.32, 6), 4: (-0.2, -63)}
+    t = 1 + sum(k * np.cos(np.radians(n * h + shift)) for n, (k, shift) in terms.items())
+    light = (l_2 - l_1) / (1 + 0.015 * (middle - 50) ** 2 / np.sqrt(20 + (middle - 50) ** 2))
+    chroma = (c_2 - c_1) / (1 + 0.045 * c)
+    hue = 2 * np.sqrt(c_1 * c_2) * np.sin(turn / 2) / (1 + 0.015 * c * t)
+    rotation = -2 * _seventh(c) * np.sin(np.radians(60 * np.exp(-(((h - 275) / 25) ** 2))))
+    return np.sqrt(light**2 + chroma**2 + hue**2 + rotation * chroma * hue)
+
+
+def _seventh(chroma):
+    return np.sqrt(chroma**7 / (chroma**7 + 25.0**7))
+
+
 def contrast(a, b):
     """Ratio of luminances, which everybody sees, by WCAG 2.1."""
     bright, dark = sorted((luminance(a), luminance(b)), reverse=True)

@@ -10,7 +10,7 @@ from hiros_mcap.io.export.markers import PEOPLE
 from hiros_viewer.blueprint import Content, blueprint, fitting
 from hiros_viewer.entities import KEY, LONGEST_M, MAGNIFIED
 
-HUES = ("orange", "blue", "green", "pink", "yellow", "violet", "turquoise", "red", "lime", "lilac")
+HUES = ("orange", "blue", "pink", "teal", "aqua", "violet", "yellow", "red", "green", "mauve")
 """Names of the colours of people, and of logs that are overlaid."""
 
 

@@ -22,16 +22,20 @@ RGB = tuple[int, int, int]
 PEOPLE: tuple[RGB, ...] = (
     (255, 140, 0),
     (0, 174, 255),
-    (50, 220, 90),
-    (255, 80, 160),
-    (250, 220, 50),
-    (160, 110, 255),
-    (0, 220, 210),
-    (255, 90, 70),
-    (190, 230, 60),
-    (210, 160, 255),
+    (248, 169, 189),
+    (19, 168, 123),
+    (119, 244, 247),
+    (111, 109, 233),
+    (222, 237, 21),
+    (228, 74, 89),
+    (60, 217, 115),
+    (201, 121, 176),
 )
-"""Ten colours that stay apart on a dark ground and for colour-blind people."""
+"""Ten colours for a dark ground, the first ones the most different.
+
+Also to eyes without red or green cones (Machado 2009), they are apart by at least 15 of CIEDE2000
+among four people, 12 among six, 11 among ten.
+"""
 
 
 def person_colour(person: int) -> RGB:
