@@ -70,8 +70,8 @@ def in_words(marks: Sequence[Mark]) -> list[str]:
     return lines
 
 
-TRUTH, RESULT, SPREAD = "#1f5fa8", "#e07b1a", "#9aa4af"
-LEFT, RIGHT = "#8a8f98", "#3c56d8"
+TRUTH, RESULT, SPREAD = "#1f5fa8", "#e07b1a", "#6f7985"
+LEFT, RIGHT = "#6f747d", "#3c56d8"
 """Of the limbs on each side, as in the viewer: pale and strong."""
 OTHERS = ("#0072b2", "#e07b1a", "#000000", "#8c564b", "#66ccee", "#332288", "#a04000", "#cc79a7")
 """Of curves of channels and systems, in their order: colour-blind people tell them apart, too."""
@@ -113,7 +113,7 @@ class CurveGrid:
     rows: Sequence[Sequence[CurvePlot]]
     height: float  # of all plots, inches
     x_range: tuple[float, float]
-    x_title: str = "s"
+    x_title: str = "time, s"
     marks: Sequence[Mark] = ()  # spans of x that are shown as bands in all plots
 
 
