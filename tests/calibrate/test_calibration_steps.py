@@ -110,6 +110,20 @@ def test_the_lag_of_two_clocks_needs_no_pose():
     assert pairs == [(0, 0)]
 
 
+def test_neighbouring_lags_vote_together_and_pairs_add_up(monkeypatch):
+    """Two lags side by side with 3 votes each beat a lone one with 4; 6 votes of two pairs, too."""
+    step, lone, side, shared = 0.05, 20, 60, 140
+    votes = {"one": {lone: 4.0, side: 3.0, side + 1: 3.0, shared: 3.0}, "two": {shared: 3.0}}
+    monkeypatch.setattr(
+        "hiros_mcap.calibrate.coarse_clock.alikeness",
+        lambda one, _, lags: np.array([votes[one].get(k, 0.0) for k in range(len(lags))]),
+    )
+    found = lag_candidates(["one", "two"], ["other"])
+    places = [lag / step + 100 for lag, _ in found]
+    assert places == pytest.approx([shared, side, lone], abs=1.01)
+    assert [len(pairs) for _, pairs in found] == [2, 1, 1]
+
+
 def test_log_times_hint_at_a_lag_that_many_people_hide(monkeypatch):
     monkeypatch.setattr("hiros_mcap.calibrate.pair_pose.lag_candidates", lambda *_: [])
     cameras = [

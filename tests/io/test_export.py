@@ -20,6 +20,7 @@ from hiros_mcap.events import Event
 from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
+from hiros_mcap.io.export.biomechanics import tree_of
 from hiros_mcap.io.export.files import FORMATS, export, files_of, load_marker_set, steady
 from hiros_mcap.io.joints.marker_files import read_c3d
 from hiros_mcap.io.result import Motion, open_result
@@ -352,6 +353,28 @@ def test_bvh_is_read_by_another_library_and_stands_where_the_person_stood(result
     assert read.frame_joint_channel(0, "PELVIS", "Yposition") == pytest.approx(100 * z, abs=0.1)
     thigh = np.linalg.norm(read.joint_offset("KNEE_LEFT"))
     assert 35 < thigh < 50
+
+
+@pytest.mark.parametrize(
+    ("links", "root"),
+    [
+        ([(0, 1), (0, 2), (2, 3)], 0),
+        ([(2, 3), (1, 2), (1, 0)], 1),  # in any order
+        ([(0, 1), (2, 3)], None),  # two trees
+        ([(0, 1), (0, 2), (1, 3), (2, 3)], None),  # two ways to one joint
+        ([(0, 1), (1, 2), (2, 0)], None),  # a ring
+        ([], None),
+    ],
+)
+def test_links_form_a_tree_or_are_refused(links, root):
+    model = SkeletonModel.of("abcd", [(f"{p}{c}", p, c) for p, c in links])
+    if root is None:
+        with pytest.raises(ConfigError, match="form a tree with one root"):
+            tree_of(model)
+        return
+    found, tree = tree_of(model)
+    assert found == root
+    assert sorted((p, c) for p, children in tree.items() for c in children) == sorted(links)
 
 
 @pytest.mark.parametrize("suffix", FORMATS)

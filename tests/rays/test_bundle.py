@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from filmed import around, film, turned, walking
 
+from hiros_mcap.body.rotations import Rigid, from_vector, rotate
 from hiros_mcap.kernels.ray_equations import UNKNOWNS, RayPoints, RayWork, ray_loss
 from hiros_mcap.rays.bundle import (
     _moved,
     adjust,
     cameras_at,
+    centres_of,
     equations,
     placed,
     poses_of,
@@ -129,3 +131,19 @@ def test_people_before_a_real_detector_give_the_poses_and_their_errors(truth):
         scaled += list(off[:, 0] / expected)
         assert 3.0 < np.nanmedian(found.distances) < 9.0
     assert 0.3 < np.sqrt(np.mean(np.square(scaled))) < 1.7
+
+
+@pytest.mark.parametrize("degrees", [1.0, -3.0])
+def test_a_rig_whose_place_and_direction_differ_goes_some_of_the_way(degrees):
+    """The given cameras stand turned about the middle and look as before: neither tells all."""
+    true = cameras_at(list(RIG.values()))
+    middle, turn = centres_of(true).mean(axis=0), from_vector([0.0, 0.0, np.radians(degrees)])
+    elsewhere = [
+        Rigid(pose.xyzw, middle + rotate(turn, pose.translation - middle)) for pose in RIG.values()
+    ]
+    points = rays_at(crowd(20), true)
+    start = adjust(points, true, FOCALS, np.zeros((4, UNKNOWNS), np.bool_))
+    found = poses_of(placed(start, cameras_at(elsewhere), HELD).cameras)
+    ways = apart(found, RIG.values())[:, 0] / abs(degrees)
+    assert ways == pytest.approx(np.full(4, ways[0]), abs=1e-6)  # it stays a rig
+    assert 0.2 < ways[0] < 0.8

@@ -15,11 +15,11 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate import load_truth
 from hiros_mcap.evaluate.logs import evaluate_log, read_channel
 from hiros_mcap.events import events_from_json
-from hiros_mcap.io.camera_clock import CameraTimes
+from hiros_mcap.io.camera_clock import DRIFT, LATE, OFFSET, CameraTimes, ClockFault
 from hiros_mcap.io.channels import EVENTS_ATTACHMENT, add_static_poses
 from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.log import open_log
-from hiros_mcap.running.clock_alignment import ClockAlignment
+from hiros_mcap.running.clock_alignment import STILL, ClockAlignment, clock_notes, clock_warnings
 from hiros_mcap.running.overview import overview_of
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.summary import PoseSummary
@@ -250,6 +250,42 @@ def test_a_significant_offset_is_corrected_or_a_fault_says_why_not(
     )
     moved = clocks.corrected_times("wrong").stamps - clocks.times["wrong"].stamps
     assert (moved == (round(ms * 1e6) if corrected else 0)).all()
+
+
+@pytest.mark.parametrize(("late", "wait"), [(0.0, 0.0), (0.25, 0.0), (0.5, 0.6), (59.95, 60.0)])
+def test_messages_wait_when_they_are_later_than_the_stages_take(late, wait):
+    clocks = three(right=0.0, wrong=0.0)
+    clocks.reorder = 0.25
+    stamps = clocks.times["right"].stamps
+    sent = np.sort(stamps + 100 * S)
+    late_ones = CameraTimes(np.array([sent[-1] - round(late * S)]), sent[-1:] + 1)
+    clocks.times = {**clocks.times, "long": CameraTimes(sent, sent), "late": late_ones}
+    clocks.take_offsets([
+        PoseSummary("right", "good", clock_ms=0.0, error_ms=1.0),
+        PoseSummary("wrong", "good", clock_ms=40.0, error_ms=1.0),
+    ])  # fmt: skip
+    assert clocks.wait == pytest.approx(wait)
+
+
+@pytest.mark.parametrize(
+    ("kind", "seconds", "corrected", "reason", "grave"),
+    [
+        (OFFSET, 0.05, True, "", True),
+        (OFFSET, -0.049, True, "", False),
+        (OFFSET, -0.05, False, "only 3 s of common view", True),
+        (OFFSET, 0.049, False, "only 3 s of common view", False),
+        (OFFSET, 0.2, False, STILL, True),
+        (OFFSET, -0.199, False, STILL, False),
+        (DRIFT, 1e-4, True, "", True),
+        (LATE, 30.0, True, "", False),
+    ],
+)
+def test_a_fault_is_a_warning_or_a_note_by_its_size_and_kind(
+    kind, seconds, corrected, reason, grave
+):
+    """A camera that nobody moves before may only deliver late: that is no warning so soon."""
+    faults = [ClockFault("a", kind, seconds, S, corrected, reason=reason)]
+    assert (len([*clock_warnings(faults, 0)]), len([*clock_notes(faults, 0)])) == (grave, not grave)
 
 
 def test_a_camera_that_was_moved_has_the_surer_of_its_two_clocks():

@@ -373,6 +373,18 @@ def test_confident_markers_move_less():
     assert moved[7] > 5 * moved[6] > 0
 
 
+@pytest.mark.parametrize(("confidence", "counts_as"), [(np.nan, 1.0), (0.0, 0.01), (1.5, 1.0)])
+def test_a_confidence_that_is_absent_or_beyond_its_limits_counts_as(confidence, counts_as):
+    def positions(value):
+        frame = person(displaced(wrist=[0.03, 0.0, 0.02], knee=[0.0, 0.03, 0.0]))
+        frame.marker_confidences[:] = 0.5
+        frame.marker_confidences[0, [4, 7]] = value
+        return optimized(frame).positions
+
+    np.testing.assert_array_equal(positions(confidence), positions(counts_as))
+    assert np.abs(positions(0.5) - positions(counts_as)).max() > 1e-4
+
+
 @pytest.mark.parametrize(("confidence", "share"), [(0.01, 1 / 2), (0.03, 3 / 4), (1.0, 100 / 101)])
 def test_a_marker_of_no_confidence_moves_as_one_of_a_hundredth(confidence, share):
     model = SkeletonModel.of("ab", [("link", 0, 1)])
