@@ -103,8 +103,9 @@ class Identities:
         stood = bool(np.linalg.norm(place - before) <= _STANDS)
         seconds = track.seen_before + (track.seen - track.first) * 1e-9
         return PersonCues(
-            track.id, track.seen, place, lengths, counts, seconds, stood, may_be=track.may_be
-        )
+            track.id, track.seen, place, lengths, counts, seconds, stood, track=track.number,
+            may_be=track.may_be,
+        )  # fmt: skip
 
     def advance(self, stamp: int) -> None:
         """Come to the time, ns, of a message: learn, forget."""
@@ -152,18 +153,18 @@ class Identities:
         scatter.keep(self._people.bank.rows)
         self._places = {n: places[n] for n in places if n in self._people.bank.rows}
 
-    def _latest(self, person: PersonTrack, track: PersonTrack) -> int:
-        """Return when a person was last seen, at most, who may be a track, ns.
+    def _latest(self, number: int, track: PersonTrack) -> int:
+        """Return when a person, by the number of the track, was last seen, who may be a track, ns.
 
         If cameras disagree for a moment, the old track may still be seen after the new one began.
         No camera then shows both.
         """
-        disagree = self._params.merge_tracks and person.number not in track.beside
+        disagree = self._params.merge_tracks and number not in track.beside
         return track.first + (OVERLAP if disagree else 0)
 
     def _is_unseen_since(self, person: PersonTrack, track: PersonTrack) -> bool:
         """Whether a person was last seen before a track began, and not for a while."""
-        return person.seen < self._latest(person, track) and not person.is_there(track.seen)
+        return person.seen < self._latest(person.number, track) and not person.is_there(track.seen)
 
     def _somebody_goes(self, track: PersonTrack) -> bool:
         """Whether a person may be the newcomer, and is unseen in a moment: then it is absent.
@@ -172,7 +173,7 @@ class Identities:
         """
         return self._params.reidentify > 0 and any(
             person.confirmed
-            and person.seen < min(self._latest(person, track), track.seen)
+            and person.seen < min(self._latest(person.number, track), track.seen)
             and person.is_there(track.seen)
             and person.number not in track.beside
             for person in self._people.tracks
@@ -182,14 +183,14 @@ class Identities:
         """Whether a newcomer may be anybody known."""
         if not self._params.reidentify:
             return False
-        return any(old.stamp < track.first for old in self._absent) or any(
+        return any(old.stamp < self._latest(old.track, track) for old in self._absent) or any(
             person.confirmed and self._is_unseen_since(person, track)
             for person in self._people.tracks
         )
 
     def _absent_before(self, track: PersonTrack, scene: Present) -> list[PersonCues]:
         """Whoever left, or is unseen, since before a track began, oldest first."""
-        left = [old for old in self._absent if old.stamp < track.first]
+        left = [old for old in self._absent if old.stamp < self._latest(old.track, track)]
         unseen = [person for person in scene.persons if self._is_unseen_since(person, track)]
         return sorted([*left, *map(self._cues_of, unseen)], key=lambda old: old.stamp)
 

@@ -47,7 +47,7 @@ _FEWEST_LENGTHS = 5.0  # detections that make a limb's length worth comparing
 _PLACE, _WALK, _ROOM = 0.4, 0.7, 2.5  # SD of the place, m: at once, more per s, at most
 _TOP_SPEED = 4.0  # m/s on the floor; nobody comes back faster
 _REACH = 0.6  # m, besides
-OVERLAP = 500_000_000  # ns for which two tracks of a person may run side by side
+OVERLAP = 800_000_000  # ns for which two tracks of a person may run side by side
 _SURE_IF_MISSING, _SURE_IF_COMPLETE = 0.95, 0.5  # that a newcomer was there before
 _SURE_IF_UNWATCHED = 0.998  # the same if cameras watched for fewer s than it takes to go
 _SOMEBODY = 0.5  # expected number of missing people from which on somebody is
@@ -76,6 +76,7 @@ class PersonCues:
     seconds: float = 1.0  # for which the person was seen
     stood: bool = False  # whether one who is absent had not moved in the last second or two
     watched: float = math.inf  # s of an absence in which cameras watched; they may pause
+    track: int = -1  # number of the track of one who is absent
     may_be: dict[int, float] = field(default_factory=dict)
     """Id of who left before -> probability that it is the same person, who then got a new id."""
 
@@ -286,7 +287,7 @@ def place_cue(new: PersonCues, old: PersonCues) -> float:
     """Logarithm of the likelihood ratio of the way on the floor; -inf if it can't be."""
     if new.stamp < old.stamp - OVERLAP:
         return -math.inf
-    seconds = max((new.stamp - old.stamp) * 1e-9, 0.0)
+    seconds = abs(new.stamp - old.stamp) * 1e-9
     way = float(np.hypot(*(new.place - old.place)[:2]))
     if not is_near(way, seconds):
         return -math.inf

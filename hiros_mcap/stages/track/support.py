@@ -16,6 +16,7 @@ from hiros_mcap.frames import CameraNumbers
 from hiros_mcap.skeletons import UNTRACKED, Floats
 from hiros_mcap.stages.track.coverage import PICTURE, Coverage
 from hiros_mcap.stages.track.identity import Identities
+from hiros_mcap.stages.track.reidentify import OVERLAP
 from hiros_mcap.stages.track.track_params import TrackParams
 from hiros_mcap.stages.track.tracked_people import (
     DetectionGroup,
@@ -24,7 +25,6 @@ from hiros_mcap.stages.track.tracked_people import (
     TrackedPeople,
 )
 
-_SECOND_VIEW = 800_000_000  # ns for which a track beside a person may be another view of them
 _MERGEABLE = 2_400_000_000  # ns for which a track may be merged into an older one
 _STATUE = 0.05  # m; a living body sways farther from its first place
 _DOUBTFUL = 1.5  # gates: cameras whose views of a person differ by more are not calibrated
@@ -109,7 +109,7 @@ class Confirmation:
         distances = self._people.distances(track, scene.persons)
         if (distances < self._params.min_distance).any():
             return True
-        if not self._params.merge_tracks or stamp - track.first >= _SECOND_VIEW:
+        if not self._params.merge_tracks or stamp - track.first >= OVERLAP:
             return False
         near = np.flatnonzero(distances < _DOUBTFUL * self._params.max_distance)
         return any(self._may_be_same(scene.persons[i], track, stamp) for i in near.tolist())
