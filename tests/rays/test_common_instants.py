@@ -69,6 +69,13 @@ def test_an_image_that_is_early_waits_for_one_that_is_nearer():
     assert [instant / PERIOD for instant, _, _ in out] == pytest.approx([30, 31, 32, 33], abs=1e-6)
 
 
+def test_an_early_image_counts_once_none_can_be_nearer():
+    stamps = [round(k * PERIOD) for k in (*range(20, 32), 31.8, 32.9, 33.9, 34.9)]
+    _, out = instants([("a", stamp) for stamp in stamps])
+    assert [instant for instant, _, _ in out] == stamps
+    assert [came / PERIOD for _, _, came in out[11:14]] == pytest.approx([31.0, 32.9, 32.9])
+
+
 def test_neither_the_origin_of_time_nor_the_names_of_cameras_matter():
     images = sent({"a": 0.0, "b": 0.4})
     plain = [(instant, came) for instant, _, came in instants(images)[1]]
