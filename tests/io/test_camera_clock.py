@@ -15,6 +15,7 @@ from hiros_mcap.io.camera_clock import (
     WRONG,
     CameraTimes,
     ClockFault,
+    _explained,
     _tenth,
     clock_verdict,
     clocks_in_words,
@@ -301,6 +302,15 @@ def test_the_stamps_of_a_regular_camera_tell_a_step_more_exactly_than_its_delays
     times = camera(seed, rate=5, seconds=60.0, delay=wifi, clock=lambda t: 0.5 * (t > 30.0))
     fault = only(clock_verdict({"a": camera(1, seconds=60.0), "b": times}))
     assert (fault.kind, fault.seconds) == (STEP, pytest.approx(0.5, abs=0.005))
+
+
+@pytest.mark.parametrize("sent", [1, 2, 3, 5])
+@pytest.mark.parametrize("seconds", [0.5, -0.5, 3.0])
+def test_a_step_is_told_as_exactly_where_messages_are_lost_at_it(sent, seconds):
+    usual = (0.2, 0.001, 0.02)  # period, its noise and the error of the lags, s
+    interval = sent * 0.2 + seconds
+    assert _explained(interval, seconds + 0.02, usual) == pytest.approx(seconds)
+    assert _explained(sent * 0.2, 0.07, usual) == 0.0  # of the lags alone
 
 
 @pytest.mark.parametrize("late", [0.63, 0.8, 2.0])
