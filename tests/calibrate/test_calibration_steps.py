@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -24,7 +27,7 @@ from hiros_mcap.calibrate.gauge import find_floor, moved, on_transforms, placeme
 from hiros_mcap.calibrate.joint_refinement import Points, free_unknowns, refine, residuals_of
 from hiros_mcap.calibrate.pair_pose import PairFit, chained, coarse_clocks, ranked, spanning_tree
 from hiros_mcap.calibrate.people import _only_ambiguous
-from hiros_mcap.calibrate.refinement import FROM_GIVEN, refine_together
+from hiros_mcap.calibrate.refinement import FROM_GIVEN, _certainty, refine_together
 from hiros_mcap.calibrate.registration import kabsch
 from hiros_mcap.calibrate.sampling import Rig, instants_of, lines_of, sample
 from hiros_mcap.calibrate.verdict import Evidence, verdict_of
@@ -99,6 +102,25 @@ def test_samples_of_nobody_have_as_many_joints_as_others():
     assert samples.lines.weights.shape == (0, 8)
     empty = CameraView("a", "a", [], 0.0, 0.1)
     assert sample([empty], np.array([60.0]), Rig.alone(1)).lines.positions.shape == (0, 0, 3)
+
+
+def test_certainty_is_in_standard_errors_whatever_the_unit_of_the_loss(monkeypatch):
+    seconds = np.arange(0.0, 240.0, 0.1)
+    losses = np.random.default_rng(2).normal(0.2, 1.0, len(seconds))
+    refined: Any = SimpleNamespace(
+        points=SimpleNamespace(seconds=seconds), rig=None, start=None, free=np.ones((2, 7), bool),
+        residuals=SimpleNamespace(distances=np.ones(3)),
+    )  # fmt: skip
+
+    def certainty(values):
+        monkeypatch.setattr("hiros_mcap.calibrate.refinement._held_out", lambda *_: values)
+        return _certainty(refined, SIDES, 20.0)
+
+    usual = losses.mean() / (losses.std() / np.sqrt(len(losses)))
+    assert certainty(losses) == pytest.approx(usual, rel=0.3)
+    assert certainty(1000.0 * losses) == pytest.approx(certainty(losses))
+    assert certainty(-losses) == pytest.approx(-certainty(losses))
+    assert certainty(0.0 * losses) == 0.0
 
 
 def test_the_lag_of_two_clocks_needs_no_pose():

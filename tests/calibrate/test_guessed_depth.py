@@ -12,7 +12,7 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.logs import evaluate_log
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.io.container.live_input import McapInput
-from hiros_mcap.running.pipeline import process
+from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.process_live import process_live
 
 NAMES = ("camera_0", "camera_1", "camera_2")
@@ -82,6 +82,13 @@ def test_without_two_cameras_that_guess_all_stays_as_it_is(names, scene, poses, 
     as_they_are, _ = run(tmp_path, scene, frames, poses, AS_THEY_ARE)
     assert found == as_they_are
     assert len(summary.cameras) == 3
+
+
+def test_poses_that_are_kept_leave_the_choice_of_rays(scene, poses, tmp_path):
+    log = write(tmp_path / "log.mcap", list(guessed(scene, NAMES)), scene.model, poses)
+    options = ProcessOptions(calibrate="off", stages="T")
+    rays, alone = (process(log, config=c, options=options) for c in (None, AS_THEY_ARE))
+    assert (len(rays.cameras), len(alone.cameras)) == (1, 3)
 
 
 def test_a_wrong_pose_is_no_guess(scene, poses, tmp_path):
