@@ -93,7 +93,6 @@ def test_parallel_rays_and_rays_backwards_meet_nowhere():
 
 @pytest.mark.parametrize("expected", [0, 1])
 def test_of_two_pairs_that_agree_the_one_near_the_expected_place_counts(expected):
-    """Without one it is the pair whose rays pass nearer to each other."""
     rays = rays_at(PLACES[:1], noises=NOISES[:, :1])
     rays.directions[2:] = rays_at(PLACES[1:2]).directions[2:, :1]
     assert met(rays, PLACES[[expected]]).points == pytest.approx(PLACES[[expected]], abs=1e-6)
