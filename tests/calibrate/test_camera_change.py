@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.calibrate.camera_change import find_change, located, second_poses
+from hiros_mcap.calibrate.camera_change import _step, find_change, located, second_poses
 from hiros_mcap.calibrate.camera_views import HALF_WIDTH_S, CameraView
 from hiros_mcap.calibrate.joint_refinement import common_points, residuals_of
 from hiros_mcap.calibrate.sampling import Rig
@@ -89,3 +89,11 @@ def test_a_camera_has_moved_if_it_was_turned_or_shifted(degrees, metres, moves):
 def test_a_pose_that_fits_throughout_is_never_replaced(moved_s):
     change = change_of(moved_s)
     assert not np.isfinite([change.begin, change.end]).all()
+
+
+@pytest.mark.parametrize("before", [40, 80])
+def test_a_step_is_told_in_metres_wherever_it_is(before):
+    seconds = np.arange(120.0)
+    distances = np.where(seconds < before, 0.4, 0.1)
+    distances[::7] = np.nan
+    assert _step(distances, seconds) == pytest.approx(0.3)

@@ -135,7 +135,6 @@ def test_people_before_a_real_detector_give_the_poses_and_their_errors(truth):
 
 @pytest.mark.parametrize("degrees", [1.0, -3.0])
 def test_a_rig_whose_place_and_direction_differ_goes_some_of_the_way(degrees):
-    """The given cameras stand turned about the middle and look as before: neither tells all."""
     true = cameras_at(list(RIG.values()))
     middle, turn = centres_of(true).mean(axis=0), from_vector([0.0, 0.0, np.radians(degrees)])
     elsewhere = [

@@ -62,7 +62,6 @@ def test_cameras_out_of_step_share_one_instant_a_period(phase):
 
 
 def test_an_image_that_is_early_waits_for_one_that_is_nearer():
-    """The second camera has an image 0.2 periods early; the nearer one of the first comes later."""
     stamps = [("a", 30.0), ("b", 30.0), ("a", 31.0), ("b", 31.0), ("b", 31.8), ("a", 32.0),
               ("b", 33.0), ("a", 33.0)]  # fmt: skip
     _, out = instants([(name, round(k * PERIOD)) for name, k in stamps])

@@ -71,10 +71,8 @@ def test_a_turned_or_a_larger_room_has_turned_or_larger_points(real):
 
 @pytest.mark.parametrize("angle", [0.3, 0.03, 3e-3, 3e-4, 1e-4])
 def test_the_deviation_grows_as_the_angle_of_two_rays_shrinks(angle):
-    """Along the view it is that of one ray by the sine of half the angle."""
     place, noise = np.array([[0.5, 3.0, 1.0]]), 1e-6
-    half = 3.0 * np.tan(angle / 2)
-    centres = np.array([[0.5 - half, 0.0, 1.0], [0.5 + half, 0.0, 1.0]])
+    centres = [0.5, 0.0, 1.0] + 3.0 * np.tan(angle / 2) * np.array([[-1, 0, 0], [1, 0, 0]])
     out = met(rays_at(place, centres, np.full((2, 1), noise)))
     variances = 1 / np.array([2.0, 2 * np.cos(angle / 2) ** 2, 2 * np.sin(angle / 2) ** 2])
     assert out.points == pytest.approx(place, abs=1e-6)

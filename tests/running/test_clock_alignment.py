@@ -271,7 +271,7 @@ def test_messages_wait_when_they_are_later_than_the_stages_take(late, wait):
     ("kind", "seconds", "corrected", "reason", "grave"),
     [
         (OFFSET, 0.05, True, "", True),
-        (OFFSET, -0.049, True, "", False),
+        (OFFSET, 0.049, True, "", False),
         (OFFSET, -0.05, False, "only 3 s of common view", True),
         (OFFSET, 0.2, False, STILL, True),
         (OFFSET, -0.199, False, STILL, False),
