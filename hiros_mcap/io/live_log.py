@@ -152,8 +152,9 @@ class LiveReading(Reading):
         reader = self.log.reader
         faults = (*self._refused.values(), reader.fault or reader.source.fault)
         faulty = (f"{topic}: not used: {fault}" for topic, fault in self._faulty.items())
-        late, lenses = self._late_joints(), self.log.conversion.seen_lenses.changes.values()
-        return (*super().warnings, *waiting, *filter(None, faults), *faulty, *late, *lenses)
+        late, conversion = self._late_joints(), self.log.conversion
+        seen = *late, *conversion.seen_lenses.changes.values(), *conversion.rgb.warnings()
+        return (*super().warnings, *waiting, *filter(None, faults), *faulty, *seen)
 
     def _late_joints(self) -> Iterator[str]:
         """Yield which joints came too late for the results."""

@@ -379,15 +379,6 @@ def _warnings(
             f"{', '.join(bare)}: {n} of keypoints not used: no CameraInfo is in their frame; "
             "record camera_info"
         )
-    for camera in cameras:
-        some = [frame.pixels for frame in camera.frames if len(frame.pixels)]
-        if not some or any(np.isfinite(pixels).any() for pixels in some):
-            continue
-        yield (
-            f"{camera.topic}: no keypoint counts: each has a score of 0 or less, lies at 0 0, or "
-            "far outside the image; let the detector give scores from 0 to 1, and px of the image "
-            "of camera_info"
-        )
     errors = found.after if is_moved else found.before
     poor = [name for name, error in errors.items() if error > _POOR_PX]
     if poor:

@@ -150,6 +150,10 @@ def test_a_camera_whose_keypoints_have_no_score_is_named(log, tmp_path):
     with open_log(path) as opened:
         (said,) = (text for text in opened.warnings if "no keypoint counts" in text)
     assert said.startswith(f"{topic}: ")
+    with path.open("rb") as file, open_live(McapInput(file.fileno(), "live")) as live:
+        reading = live.read()
+        list(reading.frames())
+    assert [text for text in reading.warnings if "no keypoint counts" in text] == [said]
     with open_log(log) as opened:
         assert not any("no keypoint counts" in text for text in opened.warnings)
 

@@ -498,6 +498,7 @@ class Conversion:
 
     def warnings(self) -> Iterator[str]:
         """Say which transforms were left out; those of cameras are in their accounts."""
+        yield from self.rgb.warnings()
         for topic, n in self.faulty.items():
             if topic not in self._models:
                 found = quantity(n, "message")

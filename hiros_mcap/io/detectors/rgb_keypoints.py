@@ -93,6 +93,8 @@ class RgbKeypoints(DetectorReader):
         """Messages of cameras whose lens or place is not known, by optical frame."""
         self._foreign: Counter[str] = Counter()
         """Messages with other joints, by topic."""
+        self._blank: dict[str, bool] = {}
+        """Topic -> whether it has shown people, but no keypoint that counts."""
 
     def read(self, message: DetectorMessage) -> Iterable[SeenPeople] | None:
         """Take the keypoints of an image; return the people of the instants that are complete."""
@@ -143,6 +145,9 @@ class RgbKeypoints(DetectorReader):
             self._foreign[topic] += 1
             return
         self.model = model
+        if len(image.pixels):
+            shows = bool(np.isfinite(image.pixels).any())
+            self._blank[topic] = self._blank.get(topic, True) and not shows
         self._triangulator = triangulator = self._triangulator or Triangulator(model)
         try:
             home = rig.homes.get(name, name)
@@ -171,6 +176,15 @@ class RgbKeypoints(DetectorReader):
         frame.stamps[:] = skeletons.stamp
         add_links(frame, self.model)
         return SeenPeople(RGB_TOPIC, self.model, frame)
+
+    def warnings(self) -> Iterator[str]:
+        """Name the cameras none of whose keypoints counts."""
+        for topic in (topic for topic, is_blank in self._blank.items() if is_blank):
+            yield (
+                f"{topic}: no keypoint counts: each has a score of 0 or less, lies at 0 0, or far "
+                "outside the image; let the detector give scores from 0 to 1, and px of the image "
+                "of camera_info"
+            )
 
     def remarks(self) -> Iterator[str]:
         """Say how the cameras were taken, and what of their keypoints is not in the skeletons."""
