@@ -282,8 +282,8 @@ def too_few(topics: Sequence[str], lensed: Sequence[str]) -> LogError:
     """Return the error of a log without two RGB cameras that can be used."""
     if bare := [topic for topic in topics if topic not in lensed]:
         return LogError(
-            f"{', '.join(bare)}: keypoints without a lens: no CameraInfo is in their frame; record "
-            "camera_info, or import them with --calibration"
+            f"{', '.join(bare)}: keypoints without a lens: no usable CameraInfo is in their frame; "
+            "record camera_info of a calibrated lens, or import them with --calibration"
         )
     return LogError(
         f"{', '.join(topics)}: one RGB camera alone does not tell where people are; record two or "
@@ -376,8 +376,8 @@ def _warnings(
     if bare := [info.topic for info in infos if info.topic not in lensed]:
         n = quantity(sum(i.count for i in infos if i.topic in bare), "message")
         yield (
-            f"{', '.join(bare)}: {n} of keypoints not used: no CameraInfo is in their frame; "
-            "record camera_info"
+            f"{', '.join(bare)}: {n} of keypoints not used: no usable CameraInfo is in their "
+            "frame; record camera_info of a calibrated lens"
         )
     errors = found.after if is_moved else found.before
     poor = [name for name, error in errors.items() if error > _POOR_PX]

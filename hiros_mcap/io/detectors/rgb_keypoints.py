@@ -193,7 +193,7 @@ class RgbKeypoints(DetectorReader):
         for name, n in self._homeless.items():
             yield (
                 f"{quantity(n, 'message')} of keypoints in the frame {name!r} not used: no "
-                "CameraInfo or no pose of this frame"
+                "usable CameraInfo or no pose of this frame"
             )
         for topic, n in self._foreign.items():
             yield f"{topic}: {quantity(n, 'message')} not used: other joints than other cameras'"
