@@ -25,7 +25,7 @@ from pydantic import (
 
 from hiros_mcap._version import __version__
 from hiros_mcap.body.units import AXES, METRES, by_camera
-from hiros_mcap.defaults import DEFAULT_SYSTEM, NO_PRESET, takes_presets
+from hiros_mcap.defaults import DEFAULT_SYSTEM, LIVE_SYSTEM, NO_PRESET
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.outside import parse, read_toml
 from hiros_mcap.params import Params, Seconds, advanced, explain, fixed, is_advanced, is_fixed
@@ -226,7 +226,7 @@ def _values_of(name: str) -> Table:
 
 def presets_of(system: str) -> tuple[str, ...]:
     """Return the presets that a system takes: all change hiros and what shares its stages."""
-    return PRESETS if takes_presets(system) else (NO_PRESET,)
+    return (NO_PRESET,) if system in (DEFAULT_SYSTEM, LIVE_SYSTEM) else PRESETS
 
 
 def load_config(

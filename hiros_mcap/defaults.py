@@ -20,8 +20,3 @@ def default_system(preset: str = NO_PRESET, *, live: bool = False) -> str:
     if preset == NO_PRESET:
         return LIVE_SYSTEM if live else DEFAULT_SYSTEM
     return _LIVE_PRESET_SYSTEM if live else _PRESET_SYSTEM
-
-
-def takes_presets(system: str) -> bool:
-    """Whether presets mean something to a system: they change hiros and what shares its stages."""
-    return system not in (DEFAULT_SYSTEM, LIVE_SYSTEM)

@@ -105,17 +105,14 @@ def _same(one: Path, other: Path) -> bool:
 
 
 def _may_replace(path: Path, kind: Kind) -> bool:
+    """Whether a file is not there, empty, or of this kind and by hiros."""
     if not path.exists():
         return True
     with path.open("rb") as file:
-        head = file.read(HEAD)
+        ends = file.read(HEAD)
         file.seek(-min(HEAD, path.stat().st_size), os.SEEK_END)
-        return may_replace(head + file.read(), kind)
-
-
-def may_replace(head: bytes, kind: Kind) -> bool:
-    """Whether a file that begins (and ends) so is empty, or of this kind and by hiros."""
-    return not head or _IS_OURS[kind](head)
+        ends += file.read()
+    return not ends or _IS_OURS[kind](ends)
 
 
 def _is_log(head: bytes) -> bool:

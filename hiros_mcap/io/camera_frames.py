@@ -150,7 +150,7 @@ def _as_transforms_say(camera: CameraChannel, tree: TransformTree) -> CameraChan
     if len(camera.frames) != 1 or camera.frames[0] in ("", *tree.frames):
         return camera
     frame = camera.frames[0]
-    same = [name for name in tree.frames if _differ_by_prefix(name, frame)]
+    same = [n for n in tree.frames if n.endswith(f"/{frame}") or frame.endswith(f"/{n}")]
     if len(same) != 1:
         return camera
     tree.remark(
@@ -158,10 +158,6 @@ def _as_transforms_say(camera: CameraChannel, tree: TransformTree) -> CameraChan
         "transforms, since nothing but a prefix differs (tf_prefix)"
     )
     return camera.in_frame(same[0])
-
-
-def _differ_by_prefix(one: str, other: str) -> bool:
-    return one.endswith(f"/{other}") or other.endswith(f"/{one}")
 
 
 def as_file_says(cameras: Iterable[CameraChannel], tree: TransformTree) -> list[CameraChannel]:

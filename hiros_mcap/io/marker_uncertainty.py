@@ -51,7 +51,8 @@ def _head(frame_id: str, names: tuple[str, ...], markers: tuple[int, ...]) -> by
     out = CdrWriter()
     out.header(0, frame_id)
     out.strings(names)
-    out.int32s(markers)
+    out.uint32(len(markers))
+    out.int32(*markers)
     return out.finish()[len(HEADER) + TIME_SIZE :]
 
 

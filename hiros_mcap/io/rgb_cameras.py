@@ -208,7 +208,8 @@ def rgb_rig(
         for camera, channel in zip(cameras, channels, strict=True)
     }
     given = _given_lags(known, cameras, channels)
-    frames = {c.name: [_on_time(f, given.get(c.name, 0.0)) for f in c.frames] for c in cameras}
+    late = {c.name: round(given.get(c.name, 0.0) * SECOND) for c in cameras}
+    frames = {c.name: [f._replace(stamp=f.stamp - late[c.name]) for f in c.frames] for c in cameras}
     lenses = {c.name: c.lens for c in cameras}
     found = refine_rig(frames, lenses, poses, clocks=not given)
     _check_poses(found, frames, lenses, poses, cameras[0].model)
@@ -272,10 +273,6 @@ def _given_lags(
         for name, seconds in tree.clocks.items()
         for channel in cameras_called(name, channels)
     }
-
-
-def _on_time(frame: KeypointFrame, lag: float) -> KeypointFrame:
-    return frame._replace(stamp=frame.stamp - round(lag * SECOND)) if lag else frame
 
 
 def too_few(topics: Sequence[str], lensed: Sequence[str]) -> LogError:

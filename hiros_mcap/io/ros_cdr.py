@@ -197,11 +197,6 @@ class CdrWriter:
         self.uint32(values.size)
         self.array(values)
 
-    def int32s(self, values: Sequence[int]) -> None:
-        """Write a sequence of int32."""
-        self.uint32(len(values))
-        self._put("i", 4, *values)
-
     def string(self, text: str) -> None:
         """Write a string."""
         data = text.encode() + b"\0"

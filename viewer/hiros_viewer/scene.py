@@ -135,7 +135,8 @@ class Scene:
         self._newest: Stamps | None = None  # (2,) times of the last message
         self._waiting = Waiting()
         self._lengths = Counter[int]()  # frames of the last stage that everybody is in
-        self._root = _root_slot(model)
+        names = [split_side(name)[0] for name in model.marker_names]
+        self._root = next((names.index(root) for root in _ROOTS if root in names), 0)
         self._recording = recording
         self._entities = Entities(recording, model, self._root, layer)
 
@@ -502,8 +503,3 @@ def magnified(ways: Floats) -> Floats:
     lengths = MAGNIFIED * np.linalg.norm(ways, axis=-1, keepdims=True)
     arrows: Floats = MAGNIFIED * ways * np.minimum(1.0, LONGEST_M / np.maximum(lengths, LONGEST_M))
     return arrows
-
-
-def _root_slot(model: SkeletonModel) -> int:
-    names = [split_side(name)[0] for name in model.marker_names]
-    return next((names.index(root) for root in _ROOTS if root in names), 0)

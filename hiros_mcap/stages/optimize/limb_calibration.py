@@ -133,7 +133,8 @@ class Calibration:
         """Take the measurements (P, L) of a frame; settle the calibrations that are due."""
         if self._start is None:
             self._start = self._checked = stamp
-        learns = self._in_window(stamp)
+        windows, seconds = self._params.calibration_windows, (stamp - self._start) / SECOND
+        learns = not windows or any(start <= seconds < end for start, end in windows)
         for row, identity in enumerate(ids):
             if identity < 0:
                 continue
@@ -186,11 +187,6 @@ class Calibration:
     def _enough(self) -> int:
         """A third of a buffer, when there is no more to wait for."""
         return max(2, self._params.calibration_frames // 3)
-
-    def _in_window(self, stamp: int) -> bool:
-        windows = self._params.calibration_windows
-        seconds = (stamp - (self._start or 0)) / SECOND
-        return not windows or any(start <= seconds < end for start, end in windows)
 
     def _admit(self, identity: int, stamp: int) -> None:
         """Take the lengths of a new person from the table, or start to measure them."""
