@@ -23,6 +23,7 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.outside import parse, read_text, read_yaml
 from hiros_mcap.skeletons import Floats
 
+_SHORTEST_FOCAL = 0.05  # of the larger side of the image
 _FARTHEST_M = 50.0
 """A camera that sees people stands nearer to the origin; in mm, no room is so small."""
 _ROUNDED = 0.01
@@ -103,9 +104,12 @@ def _placed(turn: Floats, shift: Floats, where: str) -> Rigid:
 
 
 def is_lens(size: Sequence[float], matrix: Floats) -> bool:
-    """Whether an image has pixels, and a (3, 3) matrix focal lengths above (0, 0, 1) and a zero."""
+    """Whether an image has pixels, and a (3, 3) matrix focal lengths above (0, 0, 1) and a zero.
+
+    A focal length of less than a twentieth of the image is none: it is in mm, say.
+    """
     finite = bool(np.isfinite([*size, *matrix.ravel()]).all())
-    there = min(*size, matrix[0, 0], matrix[1, 1]) > 0
+    there = min(size) > 0 and min(matrix[0, 0], matrix[1, 1]) > _SHORTEST_FOCAL * max(size)
     return finite and there and bool((matrix[[1, 2, 2, 2], [0, 0, 1, 2]] == (0, 0, 0, 1)).all())
 
 
@@ -116,7 +120,8 @@ def _with_lens(
     width, height = _numbers(size, (2,), f"{where}: size should be width and height, px")
     lens = _numbers(matrix, (9,), f"{where}: matrix should be 3 x 3 numbers").reshape(3, 3)
     if not is_lens((width, height), lens):
-        raise ConfigError(f"{where}: has no focal lengths or image size; calibrate the lens")
+        fault = "has no focal lengths in px or no image size; calibrate the lens"
+        raise ConfigError(f"{where}: {fault}")
     fault = f"{where}: distortions should be 4, 5, 8, 12 or 14 numbers, or 4 of a fisheye lens"
     found = _numbers(distortion, (0, 4, 5, 8, 12, 14), fault)
     if fisheye and len(found) > 4 and not found[4:].any():

@@ -153,7 +153,7 @@ def intrinsics_of(info: Any, topic: str) -> Intrinsics:
     """Read the CameraInfo of a topic; raises LogError if the lens is not usable."""
     matrix = np.asarray(info.k, np.float64).reshape(3, 3)
     if not is_lens((info.width, info.height), matrix):
-        fault = "its CameraInfo has no focal lengths or image size; calibrate the lens"
+        fault = "its CameraInfo has no focal lengths in px or no image size; calibrate the lens"
         raise LogError(fault, topic=topic)
     name = info.distortion_model or PLUMB_BOB
     model = FISHEYE if name == "fisheye" else name

@@ -261,7 +261,8 @@ def placed(bundle: Bundle, given: RayCameras, held: Flags, known: Flags | None =
         middle, goal = scale * share @ centres, share @ goals
         turns = np.einsum("c,cki,ckj->ij", share, cameras.rotations, given.rotations)
         arms = np.einsum("c,ci,cj->ij", share, scale * centres - middle, goals - goal)
-        turn = nearest_rotation(turns / PRIOR_RAD**2 + arms / PRIOR_M**2)
+        # The square of an angle is 3 less a trace, that of a distance has twice the trace.
+        turn = nearest_rotation(turns / PRIOR_RAD**2 + 2.0 * arms / PRIOR_M**2)
         shift = goal - turn @ middle
         rotations = cameras.rotations @ turn.T
         apart = np.linalg.norm(scale * centres @ turn.T + shift - goals, axis=1) / PRIOR_M

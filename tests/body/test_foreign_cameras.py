@@ -85,12 +85,13 @@ def test_a_fisheye_lens_has_four_coefficients(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "fault"),
     [
-        ("a.toml", ANIPOSE.replace("1410", "0"), "cam_0: has no focal lengths or image size"),
+        ("a.toml", ANIPOSE.replace("1410", "0"), "cam_0: has no focal lengths in px or no"),
+        ("a.toml", ANIPOSE.replace("1410", "3"), "cam_0: has no focal lengths in px"),
         ("a.toml", ANIPOSE.replace("[1920, 1080]", "[1920]"), "size should be width and height"),
         (
             "a.toml",
             ANIPOSE.replace("[1400, 0, 960]", "[1400, 0, 0]").replace("[0, 0, 1]", "[960, 0, 1]"),
-            "cam_0: has no focal lengths or image size",
+            "cam_0: has no focal lengths in px or no",
         ),
         (
             "a.toml",

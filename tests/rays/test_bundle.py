@@ -145,4 +145,4 @@ def test_a_rig_whose_place_and_direction_differ_goes_some_of_the_way(degrees):
     found = poses_of(placed(start, cameras_at(elsewhere), HELD).cameras)
     ways = apart(found, RIG.values())[:, 0] / abs(degrees)
     assert ways == pytest.approx(np.full(4, ways[0]), abs=1e-6)  # it stays a rig
-    assert 0.2 < ways[0] < 0.8
+    assert 0.6 < ways[0] < 0.7  # to where the sum of squares is least
