@@ -129,7 +129,9 @@ def read_pictures(messages: RosMessages) -> Iterator[FilmFrame]:
             continue
         times = stamp.sec * SECOND + stamp.nanosec, raw.log_time
         if raw.type == IMAGE:
-            yield FilmFrame(frame_id, *times, "", b"", colour_image(message))
+            with naming(None, raw.topic):
+                pixels = colour_image(message)
+            yield FilmFrame(frame_id, *times, "", b"", pixels)
         else:
             data, is_video = bytes(message.data), raw.type == VIDEO
             yield FilmFrame(frame_id, *times, message.format, data, is_video=is_video)
@@ -275,7 +277,10 @@ def _pixels(message: Any, kind: np.dtype[Any], channels: int) -> npt.NDArray[Any
     height, width, step = message.height, message.width, message.step
     used = width * channels * kind.itemsize
     if step < used or len(message.data) < height * step or not used * height:
-        raise LogError(f"an image of {width} x {height} pixels has only {len(message.data)} bytes")
+        raise LogError(
+            f"an image of {width} x {height} pixels has only {len(message.data)} bytes, in rows of "
+            f"{step}; record the images again"
+        )
     rows = np.asarray(message.data, np.uint8)[: height * step].reshape(height, step)[:, :used]
     return np.ascontiguousarray(rows).view(kind).reshape(height, width, channels)
 

@@ -183,6 +183,27 @@ def test_a_video_begins_with_the_first_keypoints_of_its_camera(tmp_path, capsys)
     assert "no video that the viewer plays" in capsys.readouterr().err
 
 
+def test_a_picture_that_claims_more_than_it_has_is_named(tmp_path, capsys):
+    log, film, target = (tmp_path / name for name in ("log.mcap", "film.mcap", "log.rrd"))
+    rig = {"kinds": ("rgb",)}
+    params = SimulateParams.model_validate({"cameras": 1, "seconds": 0.5, "rig": rig})
+    write_log(log, params)
+    types, raw = STORE.types, "sensor_msgs/msg/Image"
+    time = types["builtin_interfaces/msg/Time"](*divmod(params.start, 10**9))
+    size, data = (100_000, 100_000), np.zeros(10, np.uint8)
+    header = types["std_msgs/msg/Header"](time, "camera_0")
+    message = types[raw](header, *size, "rgb8", 0, 3 * size[1], data)
+    with McapWriter(film) as writer:
+        text = STORE.generate_msgdef(raw)[0]
+        channel = writer.add_channel("/image", writer.add_schema(raw, text.encode()))
+        writer.write(channel, params.start, bytes(STORE.serialize_cdr(message, raw)))
+        writer.commit()
+    assert run(["view", str(log), "--save", str(target), "-q", "--images", str(film)]) == 2
+    fault = f"{film}: /image: an image of 100000 x 100000 pixels has only 10 bytes"
+    assert fault in capsys.readouterr().err
+    assert not target.exists()
+
+
 def picture_message(frame_id, stamp):
     """A black CompressedImage of 4 x 3 px."""
     _, data = cv2.imencode(".png", np.zeros((3, 4, 3), np.uint8))

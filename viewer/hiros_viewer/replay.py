@@ -14,7 +14,7 @@ import rerun as rr
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.config import Config
-from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.errors import ConfigError, LogError, naming
 from hiros_mcap.evaluate.logs import (
     find_truth,
     has_cameras,
@@ -267,7 +267,7 @@ class _Replay:
     ) -> None:
         """Draw the images and videos of a log between two times, ns; of images, one a step."""
         due = dict.fromkeys(views, (self._asked or _EVER)[0])
-        with open_messages(log) as messages:
+        with naming(log), open_messages(log) as messages:
             for picture in read_pictures(messages):
                 name = picture.frame_id
                 if name in views and due[name] <= picture.stamp <= span[1]:
