@@ -234,6 +234,13 @@ def test_a_result_shows_who_the_keypoints_became(tmp_path):
     chunks = list(rerun.chunk.RrdReader(str(target)).stream().to_chunks())
     paths = {chunk.entity_path for chunk in chunks}
     assert "/detections/rgb_cameras" in paths
+    places, trail = (
+        rows(target, f"/filtered/person_0{part}", "Points3D:positions") for part in ("", "/trail")
+    )
+    shown = [stamp for stamp in trail if len(trail[stamp])]
+    hips = [np.mean(places[stamp][11:13], axis=0) for stamp in shown]  # in the order of COCO
+    assert np.allclose(hips, [trail[stamp][0] for stamp in shown], atol=1e-5)
+    assert len(shown) > 20
     assert "/world/cameras/camera_0" in paths
     assert "/world/cameras/rgb_cameras" not in paths  # together they stand nowhere
     assert _first_time(chunks) == _first_time(

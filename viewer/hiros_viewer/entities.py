@@ -84,16 +84,16 @@ class Entities:
     Parameters
     ----------
     recording : where to draw. model : of all skeletons.
-    root : marker whose path is a person's trail. layer : which of the overlaid logs this is.
+    roots : markers whose mean leaves a person's trail. layer : which of the overlaid logs this is.
     """
 
     def __init__(
-        self, recording: rr.RecordingStream, model: SkeletonModel, root: int, layer: Layer
+        self, recording: rr.RecordingStream, model: SkeletonModel, roots: list[int], layer: Layer
     ) -> None:
         self.recording = recording
         self.model = model
         self.start = 0  # ns; what seconds count from
-        self._root = root
+        self._roots = roots
         self._above = _LABEL_ABOVE_M + _LABEL_STEP_M * layer.number
         self._layer = layer
         self._begun: set[str] = set()
@@ -294,7 +294,7 @@ class Entities:
         yield from self._bone_parts(joints)
         there = ~np.isnan(labels[:, 0])
         yield "/name", {where: points(labels[there & has_label])}, there & has_label
-        yield "/trail", {where: points(joints[there, self._root])}, there
+        yield "/trail", {where: points(joints[there][:, self._roots].mean(axis=1))}, there
 
     def _bone_parts(self, joints: Singles) -> Iterator[tuple[str, Mapping[Any, Any], Any]]:
         """Yield bones like :meth:`_parts`: those of left limbs have an entity of their own."""

@@ -136,9 +136,11 @@ class Scene:
         self._waiting = Waiting()
         self._lengths = Counter[int]()  # frames of the last stage that everybody is in
         names = [split_side(name)[0] for name in model.marker_names]
-        self._root = next((names.index(root) for root in _ROOTS if root in names), 0)
+        root = next((names.index(root) for root in _ROOTS if root in names), 0)
+        hips = [slot for slot, name in enumerate(names) if name == "hip"]
+        self._roots = hips if hips and names[root] not in _ROOTS else [root]
         self._recording = recording
-        self._entities = Entities(recording, model, self._root, layer)
+        self._entities = Entities(recording, model, self._roots, layer)
 
     @property
     def cameras(self) -> list[str]:
@@ -449,7 +451,7 @@ class Scene:
         jumping = anatomical_angles(self.model, poses, unwrapped=False)[:, main]
         angles = past.angles(times, jumping, MOST_RAD[main])
         self._extend_angles(person, times, np.degrees(angles))
-        moments, roots = past.continued(times, poses[:, self._root])
+        moments, roots = past.continued(times, poses[:, self._roots].mean(axis=1))
         steps = np.diff(moments[:, 0])
         steady = (steps > 0) & (steps < GONE_NS)
         speeds = np.linalg.norm(np.diff(roots, axis=0), axis=-1)[steady] / (steps[steady] / 1e9)
