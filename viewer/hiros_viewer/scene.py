@@ -6,7 +6,7 @@
     /detections/<camera>        what the camera reports, in the fixed frame, thin and dim
     /<stage>/<person>           joints; stages are tracked merged optimized filtered truth
     .../bones .../left_bones    left limbs have a darker shade;  .../name  label above the head
-    .../trail                   path of the root
+    .../trail                   path of the pelvis, or of the middle of the hips
     /angles/<person>/<joint>    curves of the last stage, left and right
     /speed/<person>             of the last stage
     /displacement/<stage>/<person>   lines to where a stage had the joints;  /moved/...  its mean
@@ -136,9 +136,9 @@ class Scene:
         self._waiting = Waiting()
         self._lengths = Counter[int]()  # frames of the last stage that everybody is in
         names = [split_side(name)[0] for name in model.marker_names]
-        root = next((names.index(root) for root in _ROOTS if root in names), 0)
+        middle = [names.index(root) for root in _ROOTS if root in names]
         hips = [slot for slot, name in enumerate(names) if name == "hip"]
-        self._roots = hips if hips and names[root] not in _ROOTS else [root]
+        self._roots = middle[:1] or hips or [0]
         self._recording = recording
         self._entities = Entities(recording, model, self._roots, layer)
 
