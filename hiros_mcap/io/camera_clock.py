@@ -23,8 +23,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -156,15 +157,11 @@ class ClockCorrection:
         return replace(self, offsets=offsets, floor=floor)
 
 
-@dataclass(frozen=True, slots=True)
-class ClockVerdict:
-    """Corrections, faults and lags of all clocks of a log."""
+class ClockVerdict(NamedTuple):
+    """Corrections and faults of all clocks of a log."""
 
-    corrections: Mapping[str, ClockCorrection] = field(default_factory=dict)  # by camera
-    faults: tuple[ClockFault, ...] = ()  # in the order of their times
-    lags: Mapping[str, float] = field(default_factory=dict)
-    """Usual lag of each camera after the corrections, s."""
-    wait: float = 0.0  # longest time, s, that a message has to wait for older ones of other cameras
+    corrections: dict[str, ClockCorrection]  # by camera
+    faults: tuple[ClockFault, ...]  # in the order of their times
 
 
 def clock_verdict(
@@ -189,12 +186,8 @@ def clock_verdict(
     for name, seconds in given.items():
         if name in fixed:
             fixed[name] = replace(fixed[name].plus(seconds), floor=fixed[name].floor)
-    return ClockVerdict(
-        fixed,
-        tuple(sorted(faults, key=lambda fault: (fault.at_ns, fault.camera))),
-        {name: median(times.lags) for name, times in right.items()},
-        longest_wait(right.values()),
-    )
+    faults.sort(key=lambda fault: (fault.at_ns, fault.camera))
+    return ClockVerdict(fixed, tuple(faults))
 
 
 def corrections_of(
@@ -726,10 +719,11 @@ def described(fault: ClockFault, start: int) -> str:
     return f"{fault.camera}: {messages} with a wrong time (by up to {size}){at}"
 
 
-def clocks_in_words(verdict: ClockVerdict, start: int) -> tuple[str, ...]:
+def clocks_in_words(cameras: Mapping[str, CameraTimes], start: int) -> tuple[str, ...]:
     """Return everything that times alone say about the clocks of a log, in words."""
-    texts = [described(fault, start) for fault in verdict.faults]
-    lags = verdict.lags
+    corrections, faults = clock_verdict(cameras)
+    texts = [described(fault, start) for fault in faults]
+    lags = {name: median(cameras[name].corrected(c).lags) for name, c in corrections.items()}
     for name, lag in lags.items() if len(lags) > 1 else ():
         ahead = middle_of(lags) - lag
         if abs(ahead) > _REMARKABLE:

@@ -37,7 +37,6 @@ from hiros_mcap.io.log import Log
 from hiros_mcap.running.clock_follower import ClockFollower
 from hiros_mcap.running.summary import PoseSummary
 from hiros_mcap.skeletons import Stamps
-from hiros_mcap.stages.time_order import in_time_order
 
 _WORTH_A_WARNING = 0.05  # s
 _LIKELY_NO_DELAY = 0.2  # s: deliveries of cameras usually differ by less
@@ -53,7 +52,6 @@ class ClockAlignment:
 
     corrections: dict[str, ClockCorrection] = field(default_factory=dict)  # by camera
     faults: list[ClockFault] = field(default_factory=list)
-    wait: float = 0.0  # s: how late messages are; 0 if no later than the stages can take
     given: Mapping[str, float] = field(default_factory=dict)  # camera -> seconds that the user adds
     reorder: float = 0.0  # longest time, s, by which the stages take messages that are late
     times: Mapping[str, CameraTimes] = field(default_factory=dict)
@@ -65,11 +63,17 @@ class ClockAlignment:
     needed: Mapping[str, float] = field(default_factory=dict)
     """Camera -> wait, s, that its messages need, where that is over the longest one."""
 
-    def ordered(self, blocks: Iterable[Block]) -> Iterator[Block]:
-        """Yield messages at right stamps, in their order."""
-        if self.corrections:
-            blocks = (_corrected(block, self.corrections) for block in blocks)
-        return in_time_order(blocks, self.wait or self.reorder, patient=self.wait > 0)
+    def corrected(self, blocks: Iterable[Block]) -> Iterable[Block]:
+        """Return messages at right stamps."""
+        if not self.corrections:
+            return blocks
+        return (_corrected(block, self.corrections) for block in blocks)
+
+    @property
+    def wait(self) -> float:
+        """Longest time, s, that messages of a file wait for older ones of other cameras."""
+        late = longest_wait(map(self.corrected_times, self.times))
+        return max(self.reorder, min(late + 0.1, LONGEST_WAIT))
 
     def follower(self) -> ClockFollower:
         """Return what corrects each message by those before it; it notes here what it finds."""
@@ -126,8 +130,6 @@ class ClockAlignment:
             self.offsets.append((0, name, total))
             at = int(self.corrected_times(name).stamps[0])
             self.faults.append(ClockFault(name, OFFSET, total, at, corrected=True))
-        if offsets:
-            self.wait = _wait_for(longest_wait(map(self.corrected_times, self.times)), self.reorder)
 
     def note_events(self, events: Events) -> None:
         """Note the faults."""
@@ -200,15 +202,8 @@ def align_clocks(
         for name, correction in verdict.corrections.items()
         if correction.changes(times[name])
     }
-    faults = list(verdict.faults)
     used = {name: camera_times for name, camera_times in times.items() if len(camera_times.stamps)}
-    wait = _wait_for(verdict.wait, reorder)
-    return ClockAlignment(corrections, faults, wait, given, reorder, used)
-
-
-def _wait_for(late: float, reorder: float) -> float:
-    """Return how long, s, messages wait if they are late by so much; 0 if the stages take them."""
-    return min(late + 0.1, LONGEST_WAIT) if late > reorder else 0.0
+    return ClockAlignment(corrections, list(verdict.faults), given, reorder, used)
 
 
 def given_corrections(log: Log, config: Config) -> dict[str, float]:

@@ -15,7 +15,7 @@ import numpy as np
 from hiros_mcap.config import load_config, presets_of, to_toml
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.bag_files import files_of, kind_of
-from hiros_mcap.io.camera_clock import clock_verdict, clocks_in_words
+from hiros_mcap.io.camera_clock import clocks_in_words
 from hiros_mcap.io.channels import (
     EVENTS_ATTACHMENT,
     OUTPUT_PREFIX,
@@ -249,7 +249,7 @@ def _with_cameras(overview: Overview, log: Log) -> Overview:
         warnings=log.warnings if fixed else (),
         remarks=(*log.remarks, *_notes(reading)),
         skipped={t: dict(account.skipped) for t, account in reading.accounts.items()},
-        clocks=clocks_in_words(clock_verdict(log.times()), start),
+        clocks=clocks_in_words(log.times(), start),
     )
 
 

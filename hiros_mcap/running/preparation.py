@@ -41,32 +41,37 @@ class Prepared:
     watch: Stopwatch
     known: KnownCameras = field(default_factory=KnownCameras)
 
+    @property
+    def is_causal(self) -> bool:
+        """Whether a message is used as soon as may be, for whoever waits for the result."""
+        return self.clocks.causal or self.log.is_live
+
     def detections(self, reading: Reading | None = None) -> Iterator[Block]:
         """Read the log: detections at corrected times and in their order, where better poses are.
 
         ``reading`` is one of the log; None begins another. Raises LogError where it is damaged.
         """
         reading = reading or self.log.read()
-        if self.clocks.causal:
-            return self._causal_detections(reading)
-        return self.clocks.ordered(reading.blocks())
-
-    def _causal_detections(self, reading: Reading) -> Iterator[Block]:
-        """Correct clocks and poses by the messages so far; wait for late ones.
-
-        A merger takes instants. They are cut here, since an instant that is complete ends a wait.
-        """
-        movable = self.config.input.poses != "given" and self.options.calibrate != "off"
-        clocks = self.clocks.follower()
-        follower = PoseFollower(reading, self.poses, self.known, clocks, movable=movable)
+        if not self.is_causal:
+            return in_time_order(self.clocks.corrected(reading.blocks()), self.clocks.wait)
         lateness = Lateness(self.config.input.max_delay, self.clocks.reorder)
         self.clocks.needed = lateness.needed
-        ordered = in_time_order(follower.correct(reading.blocks()), lateness=lateness)
+        ordered = in_time_order(self._causally_corrected(reading), lateness)
+        # A merger takes instants. They are cut here: an instant that is complete ends a wait.
         chain = chain_of(self.options.system, self.options.stages)
         if LETTERS["M"] not in chain or "merge" not in sections_of(self.options.system):
             return ordered
         merge = self.config.merge
         return by_instants(ordered, merge.cameras, merge.max_delta_time, in_step=merge.in_step)
+
+    def _causally_corrected(self, reading: Reading) -> Iterable[Block]:
+        """Correct clocks and poses by the messages so far."""
+        if not self.clocks.causal:
+            return self.clocks.corrected(reading.blocks())
+        movable = self.config.input.poses != "given" and self.options.calibrate != "off"
+        clocks = self.clocks.follower()
+        follower = PoseFollower(reading, self.poses, self.known, clocks, movable=movable)
+        return follower.correct(reading.blocks())
 
 
 def prepare(log: Log, config: Config, options: ProcessOptions, watch: Stopwatch) -> Prepared:

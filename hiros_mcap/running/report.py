@@ -135,7 +135,7 @@ class Report:
     def _delay(self) -> DelaySummary | None:
         """Return how late the results of a causal run were."""
         observer = self.observer
-        if not (observer.delays and (self.prepared.clocks.causal or self.log.is_live)):
+        if not (observer.delays and self.prepared.is_causal):
             return None
         return DelaySummary(observer.delay(50), observer.delay(95))
 
@@ -194,7 +194,7 @@ class Report:
 
     def _longer_wait(self, camera: CameraSummary) -> str:
         """Return the parameter, and a value, with which a camera's messages come in time."""
-        if self.prepared.clocks.causal:
+        if self.prepared.is_causal:
             needed = [s for name, s in self.prepared.clocks.needed.items() if name in camera.name]
             return f"input.max_delay={max(needed, default=1.0):.2f}"
         stage = "track" if "track" in sections_of(self.run.system) else "associate"

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
 
 from hiros_mcap.frames import Block, HeldFrames
 
-_USUAL_DELAY = 100_000_000  # ns: how late cameras are taken to be before any was late
-# Of Lateness.
 SHARE = 0.97  # of the messages of a camera
 _MEMORY = 10_000_000_000  # ns
 _EVERY = 10  # messages of a camera after which its lateness is found again
@@ -21,86 +19,40 @@ for what is late by no more. Where a camera's messages come faster than _FAST, i
 limit: what is later is older than what the others have shown since."""
 
 
-def in_time_order(
-    blocks: Iterable[Block],
-    delay: float = 0.0,
-    *,
-    patient: bool = False,
-    lateness: Lateness | None = None,
-) -> Iterator[Block]:
+def in_time_order(blocks: Iterable[Block], wait: float | Lateness) -> Iterator[Block]:
     """Yield messages sorted by (stamp, source).
 
-    A message leaves when every camera has sent a younger one, and when as much time has passed as
-    the latest message so far would have needed. It waits ``delay`` seconds at most, and nobody
-    waits for a camera that has been silent for so long. A message that is later still leaves at
-    once, out of order. Its log time is that of the arrival that let it leave, so log times never
-    run backwards.
+    A message leaves when one has come that is younger by ``wait``. What is later still leaves at
+    once, out of order. The log time is that of the arrival that let a message leave, so log times
+    never run backwards.
 
     Parameters
     ----------
-    delay : longest wait, s in time of the data.
-    patient : every message waits so long. Messages of a file may be late without a warning.
-    lateness : measures how long every message waits, in place of ``delay``.
+    wait : s in time of the data; of live messages, what measures it as they come.
     """
-    order = _TimeOrder(delay, lateness, patient=patient)
+    held = HeldFrames()
+    waiting: list[tuple[int, str, int]] = []  # a heap: stamp, camera, number of each that is held
+    lateness = wait if isinstance(wait, Lateness) else None
+    patience = 0 if isinstance(wait, Lateness) else round(wait * 1e9)
+    latest = now = 0  # stamp and log time, ns
     for block in blocks:
-        ready = order.push(block)
-        del block  # else it lies in memory until the next one is made
-        while ready:
-            yield ready.pop(0)
-    yield from order.rest()
-
-
-class _TimeOrder:
-    """The queue of :func:`in_time_order`, which has the same parameters."""
-
-    def __init__(self, delay: float, lateness: Lateness | None, *, patient: bool) -> None:
-        self._lateness = lateness
-        self._held = HeldFrames()
-        self._waiting: list[tuple[int, str, int]] = []
-        """A heap: stamp, camera and number of each message that is held."""
-        self._latest_of: dict[str, int] = {}  # camera -> its latest stamp, ns
-        self._latest = self._now = self._begin = 0
-        """Latest stamp and log time, and the first stamp, ns."""
-        self._patience = round(delay * 1e9)
-        self._delay = self._patience if patient else min(self._patience, _USUAL_DELAY)
-        """How late the latest message was, ns."""
-
-    def push(self, block: Block) -> list[Block]:
-        """Take messages; return those that leave now, with their log times."""
-        first, leaving = self._held.add(block), list[tuple[int, int]]()
+        first, leaving = held.add(block), list[tuple[int, int]]()
         for number, (stamp, source, log_time) in enumerate(block.messages(), first):
-            if self._lateness:
-                self._patience = self._delay = self._lateness.take(stamp, source, log_time)
-            self._latest, self._now = max(self._latest, stamp), max(self._now, log_time)
-            self._begin = self._begin or stamp
-            self._delay = max(self._delay, min(self._latest - stamp, self._patience))
-            self._latest_of[source] = max(self._latest_of.get(source, 0), stamp)
-            heappush(self._waiting, (stamp, source, number))
-            while self._waiting and self._leaves(*self._waiting[0][:2]):
-                leaving.append((heappop(self._waiting)[2], self._now))
+            if lateness is not None:
+                patience = lateness.take(stamp, source, log_time)
+            latest, now = max(latest, stamp), max(now, log_time)
+            heappush(waiting, (stamp, source, number))
+            while waiting and waiting[0][0] <= latest - patience:
+                leaving.append((heappop(waiting)[2], now))
+        del block  # else it lies in memory until the next one is made
         # What waited goes on together with what came: later stages cost a call per block.
-        ready = [self._logged(*zip(*leaving, strict=True))] if leaving else []
-        self._held.keep([number for *_, number in self._waiting])
-        return ready
-
-    def rest(self) -> Iterator[Block]:
-        """Yield what is left, now that nothing more comes."""
-        if n := len(self._waiting):
-            yield self._logged([number for *_, number in sorted(self._waiting)], [self._now] * n)
-
-    def _logged(self, numbers: Sequence[int], log_times: Sequence[int]) -> Block:
-        return self._held.take(numbers).logged_at(log_times)
-
-    def _leaves(self, stamp: int, source: str) -> bool:
-        """Whether a message waits no longer: it waited enough, or no camera sends an older one."""
-        oldest = self._latest - self._patience
-        if stamp <= oldest:
-            return True
-        if stamp > self._latest - self._delay or stamp == self._latest or self._begin >= oldest:
-            return False  # or there may be cameras that have not sent anything yet
-        latest_of = self._latest_of.items()
-        return all(last <= oldest or (last, name) >= (stamp, source) for name, last in latest_of)
+        numbers, log_times = zip(*leaving, strict=True) if leaving else ((), ())
+        ready = [held.take(numbers).logged_at(log_times)] if leaving else []
+        held.keep([number for *_, number in waiting])
+        while ready:
+            yield ready.pop()
+    if waiting:
+        yield held.take([n for *_, n in sorted(waiting)]).logged_at([now] * len(waiting))
 
 
 @dataclass(slots=True)

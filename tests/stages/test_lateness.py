@@ -50,7 +50,7 @@ def test_a_fast_camera_whose_messages_come_frames_later_is_in_every_instant(rate
     frames = [seen([person()], stamp, camera, ids=[0]) for stamp in stamps for camera in "abcd"]
     frames = [replace(f, log_time=f.stamp + late * (f.source == "d")) for f in frames]
     frames.sort(key=lambda frame: frame.log_time)
-    instants = list(merge(list(ordered(frames, lateness=Lateness(0.25))), MODEL, events=events))
+    instants = list(merge(list(ordered(frames, Lateness(0.25))), MODEL, events=events))
     assert events.total(TOO_LATE) <= 8
     assert len(instants) == pytest.approx(2 * rate, abs=2)
 
