@@ -441,7 +441,10 @@ def systems_of(
     written(film, rig, log)
     for system in names:
         options = ProcessOptions(system=system, keep=())
-        process(log, out, config=load_config(None, (), system=system), options=options)
+        # A run that does not wait cannot find out that depths are guessed.
+        live = {"input": {"rays": [CAMERAS[k] for k in rig]}} if system.endswith("realtime") else {}
+        config = load_config(system=system, named={"live": live})
+        process(log, out, config=config, options=options)
         topic = f"/hiros/{chain_of(system, options.stages)[-1]}"
         (result,), (own,) = (
             evaluate_log(out, truth, [topic]).values() for truth in (film.truth, film.own)

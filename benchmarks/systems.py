@@ -8,6 +8,7 @@
     python benchmarks/systems.py --seeds 5                    each scene five times: the mean, and
                                                               its standard error
     python benchmarks/systems.py --scenes 'detector*' --seeds 6 --system fuse --system lee
+    python benchmarks/systems.py --scenes 'depths*' --first 99 --set input.rays=none
     python benchmarks/systems.py --json before.json           ... change the code ...
     python benchmarks/systems.py --before before.json         "before > now" in each cell
 
@@ -43,6 +44,7 @@ from scenes import (
     DETECTOR,
     REALISTIC,
     Scene,
+    guessing,
     knocked,
     misplaced,
     published,
@@ -135,6 +137,11 @@ def passing(setting: Setting, seed: int, kind: str, **changes: Any) -> Scene:
     return published(setting.seeds + seed, **params)
 
 
+def depths_guessed(setting: Setting, seed: int, **changes: Any) -> Scene:
+    """Simulate people who stand and pass each other, before detectors that guess depths."""
+    return guessing(passing(setting, seed, "kinect", **changes), setting.seeds + seed)
+
+
 SCENES: Mapping[str, Callable[[Setting], Scene]] = {
     "upright, walk": partial(two, seed=101, action="walk"),
     "upright, cross": partial(two, seed=102, action="cross"),
@@ -174,6 +181,12 @@ SCENES: Mapping[str, Callable[[Setting], Scene]] = {
         for cameras, people, seed in ((2, 2, 122), (3, 3, 123))
         for kind in ("ideal", "kinect")
     },
+    **{
+        f"depths guessed, {cameras} cameras": partial(
+            depths_guessed, seed=seed, cameras=cameras, people=people
+        )
+        for cameras, people, seed in ((2, 2, 122), (3, 3, 123))
+    },
 }
 """By "kind, what": seeds are arbitrary and fixed."""
 LEFT_SO = "left so"
@@ -194,7 +207,7 @@ def main() -> None:
             many: dict[str, list[Row]] = {system: [] for system in systems}
             for log, truth in made:
                 for system in systems:
-                    many[system].append(scored(log, truth, system, mode))
+                    many[system].append(scored(log, truth, system, mode, given.set))
             for system, some in many.items():
                 key = f"{name} | {system}"
                 rows[key] = mean_of(some)
@@ -210,7 +223,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--scenes", default="*", metavar="GLOB", help="simulated logs; '' = none")
     parser.add_argument("--setting", choices=SETTINGS, default="usual", help="of simulated logs")
     parser.add_argument("--seeds", type=int, default=1, metavar="N", help="of simulated logs")
+    parser.add_argument("--first", type=int, default=0, metavar="N", help="a thousand seeds each")
     parser.add_argument("--system", action="append", metavar="NAME")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers")
     parser.add_argument("--before", type=Path, metavar="FILE", help="numbers of a former run")
     given = parser.parse_args()
@@ -225,17 +240,18 @@ def logs(
     """Yield the name of each scene, its logs with their truth, and whether poses are mended."""
     for name, make in SCENES.items():
         if fnmatchcase(name, given.scenes):
-            made = simulated(make, SETTINGS[given.setting], given.seeds, folder / "scene.mcap")
+            numbers = range(given.first, given.first + given.seeds)
+            made = simulated(make, SETTINGS[given.setting], numbers, folder / "scene.mcap")
             yield name, made, "off" if name.endswith(LEFT_SO) else "auto"
     for log, truth in zip(given.logs[::2], given.logs[1::2], strict=True):
         yield log.stem, iter([(log, load_truth(truth))]), "auto"
 
 
 def simulated(
-    make: Callable[[Setting], Scene], setting: Setting, seeds: int, path: Path
+    make: Callable[[Setting], Scene], setting: Setting, numbers: Sequence[int], path: Path
 ) -> Iterator[tuple[Path, Truth]]:
-    """Write a scene, once for each seed, and yield it with its truth."""
-    for k in range(seeds):
+    """Write a scene, once for each number of a seed, and yield it with its truth."""
+    for k in numbers:
         make(setting._replace(seeds=setting.seeds + 1000 * k)).write(path, transforms=True)
         yield path, load_truth(path)
 
@@ -248,11 +264,13 @@ def warm_up(systems: list[str], folder: Path) -> None:
         scored(path, load_truth(path), system, "auto")
 
 
-def scored(log: Path, truth: Truth, system: str, mode: Calibration) -> Row:
+def scored(
+    log: Path, truth: Truth, system: str, mode: Calibration, settings: Sequence[str] = ()
+) -> Row:
     """Process a log and score the last stage."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out.mcap"
-        config = load_config(None, (), system=system)
+        config = load_config(None, settings, system=system)
         options = ProcessOptions(system=system, keep=(), calibrate=mode)
         start = time.process_time()
         process(log, out, config=config, options=options)
