@@ -14,14 +14,13 @@ import numpy as np
 from hiros_mcap.body.segments import PELVIS
 from hiros_mcap.body.symmetry import split_side, symmetry_of
 from hiros_mcap.calibrate.camera_views import CameraView
-from hiros_mcap.calibrate.sampling import lines_of
 from hiros_mcap.kernels.correlation import STEP_S, Signature, alikeness
+from hiros_mcap.rays.lags import APART_S, sampled
 from hiros_mcap.skeletons import Floats, SkeletonModel, Stamps
 
 LONGEST_LAG_S = 5.0
 LAGS = 10
 """The right lag of somebody who walks is one of many: every step looks like the last one."""
-APART_S = 0.3
 
 
 class Landmarks(NamedTuple):
@@ -56,15 +55,11 @@ def landmarks_of(model: SkeletonModel) -> Landmarks:
 
 def signatures_of(view: CameraView, landmarks: Landmarks) -> list[Signature]:
     """Return the signature of each tracklet of a camera, at 20 Hz."""
-    return [_signature(view, k, landmarks) for k in range(len(view.tracks))]
+    return [_signature(*sampled(track, view.half_width), landmarks) for track in view.tracks]
 
 
-def _signature(view: CameraView, k: int, landmarks: Landmarks) -> Signature:
-    seconds = view.tracks[k].seconds
-    first, last = int(np.ceil(seconds[0] / STEP_S)), int(np.floor(seconds[-1] / STEP_S))
-    times: Floats = STEP_S * np.arange(first, last + 1, dtype=np.float64)
-    lines = lines_of(view, k, times)
-    positions = np.where(lines.weights[:, :, None] > 0.0, lines.positions, np.nan)
+def _signature(first: int, positions: Floats, landmarks: Landmarks) -> Signature:
+    """Return the signature of positions (T, M, 3), NaN = absent, from step ``first`` on."""
     left, right = positions[:, landmarks.left], positions[:, landmarks.right]
     pelvis = positions[:, landmarks.pelvis].mean(axis=1)[:, None]
     across = np.linalg.norm(left - right, axis=2)

@@ -25,9 +25,10 @@ from hiros_mcap.calibrate.joint_refinement import (
 )
 from hiros_mcap.calibrate.pair_pose import FIT_M
 from hiros_mcap.calibrate.registration import robust_kabsch
-from hiros_mcap.calibrate.sampling import Rig, group, lines_of, placed, sample
+from hiros_mcap.calibrate.sampling import Rig, group, placed, sample
 from hiros_mcap.calibrate.verdict import SHARE_VARIANCE, Evidence
 from hiros_mcap.kernels.rig_equations import RigResiduals
+from hiros_mcap.rays.image_tracks import lines_at
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
 WHOLE = 8
@@ -283,7 +284,7 @@ def _poses(view: CameraView, track: int) -> Floats:
     """(K, M, 3) of a tracklet at 20 Hz; NaN where it stands still, or a joint is not seen."""
     seconds = view.tracks[track].seconds
     times: Floats = np.arange(seconds[0], seconds[-1], STEP_S)
-    lines = lines_of(view, track, times)
+    lines = lines_at(view.tracks[track], times, view.half_width)
     seen = lines.weights > 0.0
     total = np.maximum(seen.sum(axis=1), 1)[:, None]
     speed = np.linalg.norm((lines.velocities * seen[:, :, None]).sum(axis=1) / total, axis=1)

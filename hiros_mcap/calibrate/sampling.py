@@ -10,8 +10,7 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid, from_matrix, to_matrix
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.kernels.grouping import GroupingWork, Groups, Skeletons, group_people
-from hiros_mcap.kernels.local_line import Lines
-from hiros_mcap.rays.image_tracks import Samples, lines_at, sample_tracks
+from hiros_mcap.rays.image_tracks import Samples, sample_tracks
 from hiros_mcap.skeletons import Floats, Ints
 
 CELL_S = 0.1
@@ -55,11 +54,6 @@ class Rig(NamedTuple):
     def select(self, cameras: Sequence[int]) -> Rig:
         """Return some of the cameras."""
         return Rig(*(array[list(cameras)] for array in self))
-
-
-def lines_of(view: CameraView, track: int, seconds: Floats) -> Lines:
-    """Return the joints of a tracklet at times, s, of its camera's clock, increasing."""
-    return lines_at(view.tracks[track], seconds, view.half_width)
 
 
 def sample(views: Sequence[CameraView], instants: Floats, rig: Rig) -> Samples:

@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from itertools import count, pairwise
-from typing import Literal, NamedTuple, Self
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -62,22 +63,6 @@ class ModelBuilder:
         self._links: dict[int, tuple[tuple[str, int, int], str]] = {}
         self._max_markers = 0
         self._max_links = 0
-
-    @classmethod
-    def of(cls, model: SkeletonModel) -> Self:
-        """Return a builder that knows a model already."""
-        builder, ids = cls(), (*model.marker_ids, -1)
-        names = zip(model.marker_ids, model.marker_names, strict=True)
-        builder._markers = {ident: (name, "") for ident, name in names}
-        ends = zip(model.link_parents, model.link_children, strict=True)
-        rows = zip(model.link_ids, model.link_names, ends, strict=True)
-        builder._links = {
-            ident: ((name, ids[parent], ids[child]), "")
-            for ident, name, (parent, child) in rows
-            if parent >= 0 <= child
-        }
-        builder._max_markers, builder._max_links = model.max_markers, model.max_links
-        return builder
 
     def add(self, data: Bytes, topic: str) -> bool:
         """Take note of a message's markers and links; say whether it has any.
@@ -141,8 +126,8 @@ class ModelBuilder:
         )
 
 
-def model_tables(model: SkeletonModel) -> cdr.Tables:
-    """Prepare a model for the kernels; its ids must increase."""
+def model_tables(model: SkeletonModel, *, is_open: bool = False) -> cdr.Tables:
+    """Prepare a model for the kernels, see :class:`~.cdr.Tables`; its ids must increase."""
     words = bytearray()
     markers = _prepare(words, model.marker_ids, model.marker_names)
     links = _prepare(words, model.link_ids, model.link_names)
@@ -156,6 +141,7 @@ def model_tables(model: SkeletonModel) -> cdr.Tables:
         np.array(markers, np.int64).reshape(-1, 3),
         np.array(ends, np.int64).reshape(-1, 5),
         np.frombuffer(bytes(words), np.uint64).copy(),
+        is_open,
     )
 
 
@@ -236,6 +222,8 @@ class Decoder:
         without any marker and copies of people; a person's time before 1970 becomes 0.
     slim : leave out the columns of velocities and accelerations until a message holds one.
     own_frames : channel -> the frame of its detections, whatever frame its messages name.
+    is_open : leave out markers and links that are not in the model. Who reads a log while it is
+        written does not know all that will come.
     """
 
     _MOST = 64 * 2**20  # bytes of people; a larger batch is decoded in parts
@@ -248,15 +236,24 @@ class Decoder:
         exact: bool = False,
         slim: bool = False,
         own_frames: Mapping[int, str] | None = None,
+        is_open: bool = False,
     ) -> None:
         self.model = model
+        self._beyond = ModelBuilder()  # of messages of which something was left out
         self._own_frames = {} if own_frames is None else own_frames
         self._poses = poses or RestPoses()
         self._exact = exact
         self._width = POSE if slim else STATE
-        self._tables = model_tables(model)
+        self._tables = model_tables(model, is_open=is_open)
         self._slots = model.n_markers, model.n_links
         self._scratch = np.empty(sum(self._slots), np.int64)
+
+    @property
+    def left_out(self) -> list[str]:
+        """Names of the markers that were left out, in the order of their ids."""
+        beyond, known = self._beyond.build(), self.model.marker_ids
+        pairs = zip(beyond.marker_ids, beyond.marker_names, strict=True)
+        return [name for ident, name in pairs if ident not in known]
 
     def decode_message(self, data: Bytes, log_time: int = 0) -> list[Frame]:
         """Read one message: a frame for each camera that saw somebody, in order of appearance.
@@ -300,6 +297,9 @@ class Decoder:
         channels = np.concatenate([records.messages[:, CHANNEL] for records in batch.records])
         own = [self._own_frames.get(ident, "") for ident in channels.tolist()]
         people, results = self._people(sections, data, first, reports, own)
+        for i in np.flatnonzero(reports[:, cdr.LEFT_OUT]).tolist():
+            with suppress(LogError):
+                self._beyond.add(data[i], "")
         return Decoded(
             people,
             np.concatenate([records.keys for records in batch.records]),

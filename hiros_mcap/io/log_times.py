@@ -36,7 +36,7 @@ import hiros_schemas
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.channels import TF_TOPICS, ChannelInfo, channels_of, info_of, is_ours
 from hiros_mcap.io.container import McapReader, Records
-from hiros_mcap.io.container.live_reader import LiveReader
+from hiros_mcap.io.container.live_reader import Arriving, LiveReader
 from hiros_mcap.io.container.records import Chunk, Message, Schema
 from hiros_mcap.io.log_accounts import LATEST
 from hiros_mcap.io.ros_cdr import definition
@@ -287,7 +287,7 @@ class LiveLogTimes:
         self._mended: Counter[str] = Counter()
         self._left_out: Counter[str] = Counter()
 
-    def right(self, messages: Iterable[Message | None]) -> Iterator[Message | None]:
+    def right(self, messages: Arriving) -> Arriving:
         """Yield messages with right log times, without those that are far ahead alone."""
         for message in messages:
             place = None if message is None else self._place(message.channel_id)
@@ -305,8 +305,9 @@ class LiveLogTimes:
                 self._leave_out(self._ahead)
                 self._ahead = []
             self._newest = max(self._newest, time)
-            self._compare(time)
             yield message
+            if self._begins_anew(time):
+                return
         yield from self._followed()
 
     def _followed(self) -> list[Message]:
@@ -345,15 +346,16 @@ class LiveLogTimes:
         self._mended[self._reader.channels[ident].topic] += 1
         return replace(message, log_time=right)
 
-    def _compare(self, logged: int) -> None:
-        """Notice that time goes on from an earlier one."""
+    def _begins_anew(self, logged: int) -> bool:
+        """Notice that time goes on from an earlier one, and end there."""
         self._back = self._back + 1 if self._newest - logged > _APART else 0
         if self._back == _STAY:
-            self._reader.fault = (
+            self._reader.end(
                 f"time went back by {(self._newest - logged) * 1e-9:.0f} s, and hiros ended there: "
                 "a clock was set back, a recording is played again, or a file is not in order of "
                 "time; start hiros again, or name the file instead of a pipe"
             )
+        return self._back == _STAY
 
     def remarks(self) -> Iterator[str]:
         """Say how many messages were mended, and how many were left out."""

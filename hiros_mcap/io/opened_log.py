@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import chain
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -70,6 +70,7 @@ class Reading:
     ----------
     log : what is read.
     accounts : what became of the messages so far, by topic.
+    decoder : reads the messages.
     """
 
     def __init__(
@@ -80,13 +81,13 @@ class Reading:
         self.accounts: dict[str, Account] = {}
         self._fixed, self._spans, self._step, self._times = fixed, spans, step, times
         self._slim = slim
+        self.decoder = Decoder(log.model)
         self._inputs: dict[int, CameraInput] = {}
         self._own_frames: dict[int, str] = {}
         self._names: dict[str, int] = {}
         """Of cameras and coordinate frames, to their numbers in blocks."""
         for camera in sorted(log.cameras, key=lambda camera: camera.channel.topic):
             self._use(camera)
-        self._account_for_conversion()
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -122,9 +123,10 @@ class Reading:
     def _blocks(self, poses: RestPoses | None) -> Iterator[tuple[Sequence[str], Block]]:
         """Yield the messages, those of cameras at rest moved to ``poses``."""
         reader, times = self.log.reader, self._times
-        decoder = self._decoder(
-            self.log.model, poses=poses, slim=self._slim, own_frames=self._own_frames
-        )
+        decoder = self.decoder = Decoder(
+            self.log.model, poses=poses, slim=self._slim, own_frames=self._own_frames,
+            is_open=self.log.is_live,
+        )  # fmt: skip
         batches = reader.batches(self._inputs, spans=self._spans if times is None else None)
         if self._step:
             spans = None if times is None else self._spans
@@ -136,10 +138,12 @@ class Reading:
             order.add(some, some.keys)
             for part, messages in order.before(some.until):
                 yield from self._accounted(part, messages)
-
-    def _decoder(self, model: SkeletonModel, **options: Any) -> Decoder:
-        """Return what reads the messages; see :class:`Decoder`."""
-        return Decoder(model, **options)
+        for topic, (n, first) in reader.faults.items():  # could not be converted
+            if topic in self.accounts:
+                account = self.accounts[topic]
+                account.read += n
+                account.skipped[DAMAGED] += n
+                account.first_error = account.first_error or first
 
     def _use(self, camera: CameraChannel) -> None:
         """Read the messages of a camera from here on."""
@@ -148,14 +152,6 @@ class Reading:
         self._inputs[camera.channel.id] = CameraInput(camera, account)
         if camera.own_frame:
             self._own_frames[camera.channel.id] = camera.own_frame
-
-    def _account_for_conversion(self) -> None:
-        """Account for the messages that could not be converted."""
-        for topic, (n, first) in self.log.reader.faults.items():
-            if topic in self.accounts:
-                account = self.accounts[topic]
-                account.read, account.first_error = n, first
-                account.skipped[DAMAGED] = n
 
     def _accounted(
         self, decoded: Decoded, messages: Sequence[int]

@@ -42,9 +42,9 @@ ABSENT = 1 << 32
 # Elements of a report: where a message is at fault, and what it holds besides its people. An
 # outline looks at no source: its counts have those places.
 AT, PERSON, ID, NAME, NAME_END = range(5)
-COUNT, HEADER_STAMP, FRAME, FRAME_END, SOURCE, SOURCE_END, MIXED = range(5, 12)
+COUNT, HEADER_STAMP, FRAME, FRAME_END, SOURCE, SOURCE_END, MIXED, LEFT_OUT = range(5, 13)
 ROWS, MOST_MARKERS, MOST_LINKS = 9, 10, 11
-REPORT = 12
+REPORT = 13
 
 # Columns of an outline.
 IS_LINK, ROW_ID, ROW_NAME, ROW_END, PARENT, CHILD = range(6)
@@ -73,6 +73,7 @@ class Tables(NamedTuple):
     """(L, 5) the same, then the ids of the parent and the child marker; ABSENT + an unused id
     stands for a marker that the log never shows."""
     words: W1  # prepared bytes of all slots
+    is_open: bool  # whether markers and links that the model lacks are left out, and no fault
 
 
 # Columns of the tables.
@@ -403,10 +404,16 @@ def _elements(
     count, at = _count(data, at, swap, MIN_LINK if is_link else MIN_MARKER)
     if count < 0:
         return TRUNCATED, at
-    person, n, slot = report[PERSON], len(slots.table), -1
+    person, n, slot, left_out = report[PERSON], len(slots.table), -1, 0
     for _ in range(count):
         report[AT] = at
         fault, slot, at = _identify(data, at, swap, slot + 1, slots, tables.words, report)
+        if fault == UNKNOWN_MARKER and tables.is_open:
+            at = align8(align4(at) + 8 if is_link else at) + 8 * (1 + STATE)
+            if at > data.size:
+                return TRUNCATED, at
+            left_out += 1
+            continue
         if fault == OK:
             report[ID] = slots.table[slot, SLOT_ID]
             if is_link:
@@ -420,8 +427,9 @@ def _elements(
         at = _numbers(data, at, swap, slots, person * n + slot)
         if at < 0:
             return -at, at
-    if count < n:
+    if count - left_out < n:
         _leave_out(slots, person)
+    report[LEFT_OUT] += left_out
     return OK, at
 
 
@@ -452,6 +460,7 @@ def decode(
     report[SOURCE] = 0
     report[SOURCE_END] = 0
     report[MIXED] = 0
+    report[LEFT_OUT] = 0
     seen[:] = -1
     n = len(tables.markers)
     # Flat arrays and a row: a slice per row would cost more than its numbers.

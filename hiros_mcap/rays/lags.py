@@ -14,10 +14,10 @@ from itertools import combinations
 import numpy as np
 
 from hiros_mcap.kernels.correlation import STEP_S, Signature, alikeness
-from hiros_mcap.kernels.local_line import Lines, Tracklet, fit_lines
+from hiros_mcap.kernels.local_line import Tracklet
 from hiros_mcap.kernels.ray_equations import RayCameras
 from hiros_mcap.rays.bundle import centres_of
-from hiros_mcap.rays.image_tracks import ImageView
+from hiros_mcap.rays.image_tracks import ImageView, lines_at
 from hiros_mcap.skeletons import Floats, Stamps
 
 LONGEST_LAG_S = 3.0
@@ -108,10 +108,9 @@ def lag_votes(views: Sequence[ImageView], cameras: RayCameras) -> dict[tuple[int
 def sampled(track: Tracklet, half_width: float) -> tuple[int, Floats]:
     """Return the first step of a tracklet, and its rays (T, J, 3) at every step."""
     first = int(np.ceil(track.seconds[0] / STEP_S))
-    times = STEP_S * np.arange(first, int(np.floor(track.seconds[-1] / STEP_S)) + 1)
-    shape = len(times), track.weights.shape[1]
-    lines = Lines(np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.zeros(shape))
-    fit_lines(track, times, half_width, lines)
+    steps = np.arange(first, int(np.floor(track.seconds[-1] / STEP_S)) + 1, dtype=np.float64)
+    times: Floats = STEP_S * steps
+    lines = lines_at(track, times, half_width)
     return first, np.where(lines.weights[..., None] > 0.0, lines.positions, np.nan)
 
 

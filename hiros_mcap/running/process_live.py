@@ -32,7 +32,7 @@ from hiros_mcap.io.container.live_output import MessageSink
 from hiros_mcap.io.container.writer import LiveWriter
 from hiros_mcap.io.detectors.rgb_keypoints import RGB_TOPIC
 from hiros_mcap.io.export.run_summary import SummaryExport
-from hiros_mcap.io.live_log import LiveLog, may_be_read, open_live, takes
+from hiros_mcap.io.live_log import LiveLog, may_be_read, open_live
 from hiros_mcap.progress import Progress
 from hiros_mcap.running.observe import Stopwatch
 from hiros_mcap.running.pipeline import check_limbs, conclude, run_log
@@ -190,7 +190,9 @@ def _copy_as_read(log: LiveLog, writer: McapWriter, options: ProcessOptions) -> 
     def copied(ident: int) -> int | None:
         """Return the output's channel for one of the input; None if it is not copied."""
         info = info_of(log.reader, ident)
-        is_read = takes(info, options.topics or None) or (is_rgb and is_of_rgb(info))
+        is_people = info.has_type(hiros_schemas.SKELETON_GROUP) and info.encoding == "cdr"
+        is_people = is_people and may_be_read(info, options.topics or None)
+        is_read = is_people or (is_rgb and is_of_rgb(info))
         if not is_kept(info, options, is_read=is_read):
             return None
         channel = log.reader.channels[ident]

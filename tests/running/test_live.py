@@ -231,15 +231,20 @@ def test_where_nothing_is_merged_no_message_waits_for_other_cameras(crossing):
     assert "/hiros/tracked" not in order[::2]
 
 
-def test_a_camera_may_join_later(crossing):
+@pytest.mark.parametrize("named", [False, True])
+def test_a_camera_may_join_later(named, crossing):
+    """Also where topics are ``named``, one by one."""
     sent = recorded(crossing)
-    late = sorted({topic for topic, _ in sent if topic.startswith("/camera")})[0]
+    cameras = sorted({topic for topic, _ in sent if topic.startswith("/camera")})
+    late, options = cameras[0], replace(LIVE, topics=tuple(cameras) if named else ())
     start = min(m.log_time for topic, m in sent if topic.startswith("/camera"))
     sent = [(t, m) for t, m in sent if t != late or m.log_time > start + 1_000_000_000]
-    summary, _ = run_live(send(crossing, sent))
+    summary, out = run_live(send(crossing, sent), options)
     camera = next(camera for camera in summary.cameras if camera.topic == late)
     assert camera.used == sum(topic == late for topic, _ in sent)
     assert summary.warnings == ()
+    copied = NonSeekingReader(io.BytesIO(out)).iter_messages(topics=[late])
+    assert len([*copied]) == camera.used
 
 
 def test_transforms_may_come_later(crossing, by_file):
@@ -401,6 +406,9 @@ def test_what_may_show_people_is_subscribed_to():
     assert named("/camera_0/body_tracking_data", markers)
     assert named("/tf", "tf2_msgs/msg/TFMessage")  # of humans
     assert not named("/camera_1/body_tracking_data", markers)
+    two = subscription(ProcessOptions(topics=["/camera_0/*", "/camera_1/*"]))
+    groups = [two(f"/camera_{k}/skeletons", hiros_schemas.SKELETON_GROUP) for k in range(3)]
+    assert groups == [True, True, False]
 
 
 def test_other_markers_are_copied_and_no_camera(crossing, by_file):

@@ -8,7 +8,7 @@ What came while a run was busy is handed out together, which takes half of the t
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 from time import perf_counter, thread_time
 from typing import TypeVar
@@ -24,6 +24,8 @@ from hiros_mcap.io.container.walk import Contents
 from hiros_mcap.kernels.record_index import COLUMNS
 
 T = TypeVar("T")
+Arriving = Iterator[Message | None]
+"""Messages, and None before more is awaited."""
 _TOGETHER = 32  # messages that are handed out together at most: results wait for all of them
 
 
@@ -39,8 +41,8 @@ class LiveReader(McapReader):
     span : log times, ns, of the first message and of the latest, of the channels handed out.
     hidden : channels whose messages become those of other channels.
     fault : why nothing more is read though the input goes on; "" while it is read.
-    mend_times : gives messages right log times, and may leave some out; None stays between them.
-    convert : what a message becomes. rest : what is still to come when the input has ended.
+    steps : what messages go through as they come, one after the other: each turns the messages of
+        the one before into others. None between them says that more is awaited.
     """
 
     def __init__(self, source: LiveInput) -> None:
@@ -56,9 +58,7 @@ class LiveReader(McapReader):
         self.span = (0, 0)
         self.hidden: set[int] = set()
         self.fault = ""
-        self.mend_times: Callable[[Iterator[Message | None]], Iterator[Message | None]] = iter
-        self.convert: Callable[[Message], Iterable[Message]] = lambda message: (message,)
-        self.rest: Callable[[], Iterable[Message]] = lambda: ()
+        self.steps: Sequence[Callable[[Arriving], Arriving]] = ()
         self._contents = Contents()
         self._messages = self._read(source)
 
@@ -73,17 +73,14 @@ class LiveReader(McapReader):
     def close(self) -> None:
         """Do nothing: the input belongs to the caller."""
 
-    def listen(
-        self, enough: Callable[[Message], bool], most: int, keep: Callable[[str], bool]
-    ) -> None:
-        """Fill the preface until a message is ``enough``, or the input ends.
+    def listening(self, most: int, keep: Callable[[str], bool]) -> Iterator[Message]:
+        """Yield the messages as they come, and keep them in the preface.
 
         Of more than ``most`` messages the first are forgotten, but for topics to ``keep``.
         """
         for message in filter(None, self._messages):
             self.preface.append(message)
-            if enough(message):
-                return
+            yield message
             if len(self.preface) > most:
                 old, recent = self.preface[: most // 2], self.preface[most // 2 :]
                 kept = [m for m in old if keep(self.channels[m.channel_id].topic)]
@@ -145,23 +142,14 @@ class LiveReader(McapReader):
         """Return the items: nothing can be read before it is there."""
         return items
 
-    def _read(self, source: LiveInput) -> Iterator[Message | None]:
+    def _read(self, source: LiveInput) -> Arriving:
         """Yield the messages as they are to be used, and None before more is awaited."""
-        for original in self.mend_times(self._arriving(source)):
-            if original is None:
-                yield None
-                continue
-            for message in self.convert(original):
-                self.counts[message.channel_id] += message.channel_id != original.channel_id
-                yield message
-            if self.fault:
-                self.source.stop()
-                break
-        for message in self.rest():
-            self.counts[message.channel_id] += 1
-            yield message
+        messages = self._arriving(source)
+        for step in self.steps:
+            messages = step(messages)
+        yield from messages
 
-    def _arriving(self, source: LiveInput) -> Iterator[Message | None]:
+    def _arriving(self, source: LiveInput) -> Arriving:
         """Yield the messages, and None before more is awaited; note everything else."""
         for record in self._awaited(source.records()):
             if record is None:
@@ -187,6 +175,11 @@ class LiveReader(McapReader):
             finally:
                 self.waited_s += perf_counter() - began - (thread_time() - worked)
             yield record
+
+    def end(self, fault: str) -> None:
+        """Read no further, for a reason."""
+        self.fault = fault
+        self.source.stop()
 
     def hide(self, ident: int) -> None:
         """Forget a channel whose messages become those of another one, also in the preface."""

@@ -157,7 +157,7 @@ def converted(reader: McapReader, selection: Selection) -> McapReader:
     new.remarks = (*reader.remarks, *conversion.remarks())
     new.warnings = (*reader.warnings, *conversion.warnings())
     new.rig = selection.rig
-    new.faults = {t: (n, conversion.first[t]) for t, n in conversion.faulty.items()}
+    new.faults = conversion.faults
     return new
 
 
@@ -323,7 +323,7 @@ class Conversion:
     ----------
     target : the model; None = each topic keeps its own.
     left_out : type and number of messages of every topic that is not taken over.
-    faulty, first : number of messages that cannot be decoded, and why the first one cannot.
+    faults : by topic, number of messages that cannot be decoded, and why the first one cannot.
     copies_images : whether keypoints are copied beside the skeletons that they become.
     """
 
@@ -351,8 +351,7 @@ class Conversion:
         self._ids: dict[str, int] = {}
         self._missing: dict[str, Counter[str]] = {}
         self._declined: Counter[str] = Counter()
-        self.faulty: Counter[str] = Counter()
-        self.first: dict[str, str] = {}
+        self.faults: dict[str, tuple[int, str]] = {}
         self.left_out = {
             info.topic: (info.schema or "no type", info.count)
             for info in channels_of(reader)
@@ -389,8 +388,8 @@ class Conversion:
             if copies and not (moves and people is not None and _is_of_one_body(converted.cdr)):
                 yield RosMessage(topic, source.type, message.log_time, bytes(converted.cdr))
         except LogError as error:
-            self.faulty[topic] += 1
-            self.first.setdefault(topic, error.fault)
+            n, first = self.faults.get(topic, (0, error.fault))
+            self.faults[topic] = n + 1, first
             return
         if reads and people is None and not moves:
             self._declined[topic] += 1
@@ -499,10 +498,9 @@ class Conversion:
     def warnings(self) -> Iterator[str]:
         """Say which transforms were left out; those of cameras are in their accounts."""
         yield from self.rgb.warnings()
-        for topic, n in self.faulty.items():
+        for topic, (n, first) in self.faults.items():
             if topic not in self._models:
-                found = quantity(n, "message")
-                yield f"{topic}: {found} left out; the first one: {self.first[topic]}"
+                yield f"{topic}: {quantity(n, 'message')} left out; the first one: {first}"
 
     def _fusion(self) -> Iterator[str]:
         """Say which models became one."""

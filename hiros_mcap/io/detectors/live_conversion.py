@@ -15,9 +15,9 @@ import numpy as np
 import hiros_schemas
 from hiros_mcap.body.transforms import TransformTree
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.camera_frames import add_transforms
+from hiros_mcap.io.camera_frames import add_transforms, is_read
 from hiros_mcap.io.channels import HUMANS, TRANSFORM_TYPES, ChannelInfo, channels_of, info_of
-from hiros_mcap.io.container.live_reader import LiveReader
+from hiros_mcap.io.container.live_reader import Arriving, LiveReader
 from hiros_mcap.io.container.records import Channel, Message, Schema
 from hiros_mcap.io.detectors.conversion import (
     SKELETONS,
@@ -36,6 +36,7 @@ from hiros_mcap.io.detectors.skeleton_groups import SkeletonGroups
 from hiros_mcap.io.ros_cdr import RosMessage
 from hiros_mcap.io.ros_messages import SeenLenses
 from hiros_mcap.rays.skeleton_rays import LENS, GuessedDepth, looking_at
+from hiros_mcap.skeletons import SkeletonModel
 
 _PROBED = 100
 """Messages of a channel that show nobody, after which it is taken to be of another use."""
@@ -81,9 +82,17 @@ class LiveConversion(Conversion):
         self._added: dict[tuple[str, str], int] = {}
         """Topic and type -> channel of the new messages."""
 
-    def converted(self, message: Message) -> Iterator[Message]:
-        """Yield what a message becomes: itself, if it is of no other detector."""
-        self._learn(message)
+    def converted(self, messages: Arriving) -> Arriving:
+        """Yield what messages become: themselves, if they are of no other detector."""
+        for message in messages:
+            for new in self._converted(message) if message else (None,):
+                if new is not None:
+                    self._learn(new)
+                yield new
+        for rest in self.rest():  # waited for another message when the input ended
+            yield self._message(rest, Message(0, rest.log_time, b"", rest.log_time, 0), None)
+
+    def _converted(self, message: Message) -> Iterator[Message]:
         source = self._source(message.channel_id)
         if source is None:
             yield message
@@ -105,21 +114,17 @@ class LiveConversion(Conversion):
             self._read_as[message.channel_id] = None
 
     def _learn(self, message: Message) -> None:
-        """Learn from transforms and lenses where RGB cameras stand."""
+        """Learn from transforms and lenses where cameras stand; raises LogError for damage."""
         ident = message.channel_id
         if ident not in self._teaches:
             info = info_of(self._live, ident)
             is_lens = info.has_type(hiros_schemas.CAMERA_INFO)
-            is_transforms = info.type in TRANSFORM_TYPES
-            kind = "lens" if is_lens else "pose" if is_transforms else ""
-            self._teaches[ident] = kind, info
-            if is_keypoints(info) and self._selection.selects(info.topic):
-                self._rig.models[info.topic] = joint_model(info)
+            self._teaches[ident] = "lens" if is_lens else "pose" if is_read(info) else "", info
         kind, info = self._teaches[ident]
-        with suppress(LogError):
-            if kind == "pose" and not self._rig.tree.source:
-                add_transforms(self._rig.tree, info.topic, message.data, message.log_time)
-            elif kind == "lens":
+        if kind == "pose" and not self._rig.tree.source:
+            add_transforms(self._rig.tree, info.topic, message.data, message.log_time)
+        elif kind == "lens":
+            with suppress(LogError):
                 source = source_of(self._live, info, selected=True).message(message)
                 self.seen_lenses.take(
                     info.topic, message.log_time, source.cdr, lambda: source.fields
@@ -154,10 +159,14 @@ class LiveConversion(Conversion):
             if len(frames) > 1:
                 self.rgb.rig = replace(self._rig, fixed_frame=tree.common_root(frames))
 
-    def held_back(self) -> Iterator[Message]:
-        """Yield what waited for another message when the input ended."""
-        for new in self.rest():
-            yield self._message(new, Message(0, new.log_time, b"", new.log_time, 0), None)
+    def settle(self, model: SkeletonModel, tree: TransformTree) -> None:
+        """Go on with the skeleton of the results and the transforms of the log, which is open now.
+
+        Cameras that come later get that skeleton. The transforms grow with those that come.
+        """
+        self.target, self._rig = model, replace(self._rig, tree=tree)
+        if self.rgb.rig is not None:
+            self.rgb.rig = replace(self.rgb.rig, tree=tree)
 
     def unite(self, messages: Iterable[Message]) -> list[Message]:
         """Give skeletons the union of all models, from now on; return ``messages`` with it.
@@ -174,12 +183,6 @@ class LiveConversion(Conversion):
         self.target = chosen_model("", self._models)
         return [again for message in messages for again in self._refitted(message)]
 
-    def take_faults(self) -> dict[str, tuple[int, str]]:
-        """Return the messages that could not be converted since the last call, by topic."""
-        faults = {topic: (n, self.first[topic]) for topic, n in self.faulty.items()}
-        self.faulty.clear()
-        return faults
-
     def _refitted(self, message: Message) -> Iterator[Message]:
         """Yield a message of the preface with the target's skeleton."""
         source = self._group_source(message.channel_id)
@@ -191,23 +194,19 @@ class LiveConversion(Conversion):
 
     def _message(self, new: RosMessage, message: Message, source: InputChannel | None) -> Message:
         """Return a new message, on the old channel where that has the type."""
-        keeps_channel = (
-            source is not None
-            and source.is_native
-            and (new.type, new.topic) == (source.type, source.info.topic)
-        )
-        if source is not None and new.type == SKELETONS and source.type != SKELETONS:
-            known = self._layouts.get(source.info.topic, {})
-            self._layouts[source.info.topic] = {**known, new.topic: self._models[new.topic]}
-        ident = message.channel_id if keeps_channel else self._channel_of(new)
-        if (
-            source is not None
-            and not keeps_channel
-            and source.type not in (TRANSFORMS, *KEYPOINT_TYPES)
-        ):
-            self._live.hide(message.channel_id)
-        if source is not None and not keeps_channel and source.type == TRANSFORMS:
-            self._human.add(ident)
+        topic, kind = (source.info.topic, source.type) if source else ("", "")
+        if source and new.type == SKELETONS != kind:
+            known = self._layouts.get(topic, {})
+            self._layouts[topic] = {**known, new.topic: self._models[new.topic]}
+        if source and source.is_native and (new.type, new.topic) == (kind, topic):
+            ident = message.channel_id
+        else:
+            ident = self._channel_of(new)
+            self._live.counts[ident] += 1
+            if kind == TRANSFORMS:
+                self._human.add(ident)
+            elif source and kind not in KEYPOINT_TYPES:
+                self._live.hide(message.channel_id)
         return replace(message, channel_id=ident, log_time=new.log_time, data=bytes(new.data))
 
     def _channel_of(self, new: RosMessage) -> int:
@@ -245,6 +244,8 @@ class LiveConversion(Conversion):
         except LogError:  # of another use
             return None
         self._sources[info.id] = source
+        if is_keypoints(info):
+            self._rig.models[info.topic] = joint_model(info)
         # Whoever comes when results have their skeleton gets that one.
         stays = is_group and source.is_native and self.target is None and not self._rays
         return None if stays else source
