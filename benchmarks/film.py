@@ -46,12 +46,12 @@ from typing import NamedTuple
 import numpy as np
 from scenes import Scene
 
+from hiros_mcap.body.intrinsics import Intrinsics
 from hiros_mcap.body.rotations import Rigid, from_matrix, nearest_rotation
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate.logs import Channel, ChannelResult, evaluate_channels, evaluate_log
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.io.detectors.body_models import body_model
-from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.skeletons import Flags, Floats, Frame

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from rays.filmed import around, film, turned, walking
 
+from hiros_mcap.body.intrinsics import Intrinsics
 from hiros_mcap.body.rotations import Rigid, from_vector, to_matrix
 from hiros_mcap.kernels.ray_equations import CAUCHY, UNKNOWNS, RayCameras, RayPoints, ray_loss
 from hiros_mcap.rays.bundle import (
@@ -35,7 +36,6 @@ from hiros_mcap.rays.bundle import (
     triangulated,
 )
 from hiros_mcap.rays.image_tracks import instants_of, sample_images, views_of
-from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame
 from hiros_mcap.rays.matching import joints_of, match
 from hiros_mcap.rays.relative_pose import rig_from_people

@@ -11,19 +11,19 @@ z backwards; its coefficients of distortion are OpenCV's. A file of ROS has no p
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
 
+from hiros_mcap.body.intrinsics import FISHEYE, PLUMB_BOB, RATIONAL, Intrinsics
 from hiros_mcap.body.rotations import Rigid, from_matrix, from_vector
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.outside import parse, read_text, read_yaml
 from hiros_mcap.skeletons import Floats
 
-_SHORTEST_FOCAL = 0.05  # of the larger side of the image
 _FARTHEST_M = 50.0
 """A camera that sees people stands nearer to the origin; in mm, no room is so small."""
 _ROUNDED = 0.01
@@ -36,10 +36,7 @@ class LensAndPose(NamedTuple):
     """What a calibration tells of a camera."""
 
     name: str
-    size: tuple[int, int] | None  # of the image, px; None if the file has no lens, as ``matrix``
-    matrix: Floats | None  # (3, 3) focal lengths and principal point, px
-    distortion: Floats  # coefficients in the order of OpenCV
-    model: str  # "plumb_bob", "rational_polynomial" or "equidistant"
+    lens: Intrinsics | None  # None if the file has none
     pose: Rigid | None  # in the room; None if the file has none
 
 
@@ -80,7 +77,7 @@ def _of_table(key: str, table: Mapping[str, Any], where: str) -> LensAndPose:
     name = str(table.get("name", key))
     size = table.get("size", table.get("resolution"))
     if size is None or "matrix" not in table:
-        return LensAndPose(name, None, None, np.zeros(0), "", pose)
+        return LensAndPose(name, None, pose)
     distortion = table.get("distortions", table.get("distortion")) or []
     return _with_lens(name, size, table["matrix"], distortion, table.get("fisheye"), pose, where)
 
@@ -103,34 +100,23 @@ def _placed(turn: Floats, shift: Floats, where: str) -> Rigid:
     return pose
 
 
-def is_lens(size: Sequence[float], matrix: Floats) -> bool:
-    """Whether an image has pixels, and a (3, 3) matrix focal lengths above (0, 0, 1) and a zero.
-
-    A focal length of less than a twentieth of the image is none: it is in mm, say.
-    """
-    finite = bool(np.isfinite([*size, *matrix.ravel()]).all())
-    there = min(size) > 0 and min(matrix[0, 0], matrix[1, 1]) > _SHORTEST_FOCAL * max(size)
-    return finite and there and bool((matrix[[1, 2, 2, 2], [0, 0, 1, 2]] == (0, 0, 0, 1)).all())
-
-
 def _with_lens(
     name: str, size: Any, matrix: Any, distortion: Any, fisheye: Any, pose: Rigid | None, where: str
 ) -> LensAndPose:
     """Return a camera with a lens; raises ConfigError if it is none."""
     width, height = _numbers(size, (2,), f"{where}: size should be width and height, px")
-    lens = _numbers(matrix, (9,), f"{where}: matrix should be 3 x 3 numbers").reshape(3, 3)
-    if not is_lens((width, height), lens):
-        fault = "has no focal lengths in px or no image size; calibrate the lens"
-        raise ConfigError(f"{where}: {fault}")
+    square = _numbers(matrix, (9,), f"{where}: matrix should be 3 x 3 numbers").reshape(3, 3)
     fault = f"{where}: distortions should be 4, 5, 8, 12 or 14 numbers, or 4 of a fisheye lens"
     found = _numbers(distortion, (0, 4, 5, 8, 12, 14), fault)
     if fisheye and len(found) > 4 and not found[4:].any():
         found = found[:4]
     if fisheye and len(found) != 4:
         raise ConfigError(fault)
-    model = "plumb_bob" if len(found) <= 5 else "rational_polynomial"
-    model = "equidistant" if fisheye else model
-    return LensAndPose(name, (round(width), round(height)), lens, found, model, pose)
+    model = FISHEYE if fisheye else PLUMB_BOB if len(found) <= 5 else RATIONAL
+    lens = Intrinsics((round(width), round(height)), square, found, model)
+    if lens.fault:
+        raise ConfigError(f"{where}: {lens.fault}")
+    return LensAndPose(name, lens, pose)
 
 
 def _qualisys(path: Path) -> Iterator[LensAndPose]:

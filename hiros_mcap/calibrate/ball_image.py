@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hiros_mcap.body.intrinsics import Intrinsics, opencv
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.calibrate.registration import fit_sphere
 from hiros_mcap.errors import ConfigError, RegistrationError
 from hiros_mcap.io.ros_messages import Bytes
-from hiros_mcap.rays.intrinsics import Intrinsics, opencv
 from hiros_mcap.skeletons import Floats
 
 Labels = npt.NDArray[np.int32]

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hiros_mcap.body.intrinsics import opencv
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import TransformTree, read_extrinsics
 from hiros_mcap.calibrate.ball_image import DepthCamera, points_of_labels
@@ -34,7 +35,6 @@ from hiros_mcap.calibrate.registration import board_frame, rigid_fit
 from hiros_mcap.calibrate.verdict import TargetCalibration, TargetCamera
 from hiros_mcap.errors import ConfigError, RegistrationError, naming
 from hiros_mcap.io.ros_messages import Bytes, open_messages
-from hiros_mcap.rays.intrinsics import opencv
 from hiros_mcap.skeletons import Floats
 
 DICTIONARY = "DICT_4X4_50"

@@ -93,7 +93,7 @@ def calibrate_filmed(
         return None
     cameras = sampled_cameras(reader, selects)
     if len(cameras) < 2:
-        raise too_few(images, [camera.topic for camera in cameras])
+        raise too_few(reader, images, [camera.topic for camera in cameras])
     frames = {camera.name: camera.frames for camera in cameras}
     views = views_of(frames, {camera.name: camera.lens for camera in cameras})
     rig = rig_from_people(views)

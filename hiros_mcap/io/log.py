@@ -336,7 +336,7 @@ def with_rays(log: Log, topics: Collection[str], remark: str, *, refine: bool) -
         selects = (wanted | filmed).__contains__
         rig = rgb_rig(log.reader, log.transforms, selects, guessed, refine=refine)
         if rig is None:
-            raise too_few(sorted(topics), sorted(topics))
+            raise too_few(log.reader, sorted(topics), sorted(topics))
         rig = replace(rig, remarks=(remark, *rig.remarks))
         reader = converted(log.reader, Selection(selects=selects, rig=rig))
         kept = [glob.escape(topic) for topic in sorted(wanted - filmed)]

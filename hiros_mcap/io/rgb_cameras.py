@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hiros_mcap.body.intrinsics import Intrinsics
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import TransformTree
@@ -32,15 +33,13 @@ from hiros_mcap.io.detectors.keypoint_messages import (
     joint_model,
     lateness,
 )
-from hiros_mcap.io.detectors.rgb_keypoints import RgbRig, keypoints_of_guess
+from hiros_mcap.io.detectors.rgb_keypoints import NO_LENS, RgbRig, keypoints_of_guess
 from hiros_mcap.io.log_accounts import LATEST
 from hiros_mcap.io.ros_messages import CAMERA_INFO, SeenLenses, open_messages
-from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame
 from hiros_mcap.rays.rig_refinement import MOST_S, STRETCHES, RayRig, refine_rig
 from hiros_mcap.rays.skeleton_rays import LENS, NONE_GUESSED, GuessedDepth, looking_at
 from hiros_mcap.skeletons import SECOND, SkeletonModel
-from hiros_mcap.wording import quantity
 
 _EVER = (0, 2**63 - 1)
 _POOR_PX = 25.0  # median reprojection error beyond which poses, lenses or sizes are wrong
@@ -57,7 +56,6 @@ class RgbCamera(NamedTuple):
     lens: Intrinsics
     model: SkeletonModel  # of the joints; only their names and links count
     frames: list[KeypointFrame]  # in the order of the log
-    change: str = ""  # how its lens changes during the log
 
 
 def read_rgb_cameras(
@@ -76,17 +74,15 @@ def read_rgb_cameras(
     Raises LogError if the log cannot be read.
     """
     infos = _channels(reader, selects, guessed)
-    seen = _lenses(reader) if infos else SeenLenses()
-    lenses = seen.lenses | dict.fromkeys(guessed.turns, LENS)
+    known = _lenses(reader).lenses if infos else {}
+    lenses = known | dict.fromkeys(guessed.turns, LENS)
     cameras: dict[str, RgbCamera] = {}
     for info in infos:
         model = guessed.models.get(info.topic) or joint_model(info)
         for name, frames in _frames_of(reader, info, model, lenses, guessed, span, step).items():
             if name not in lenses:
                 continue
-            camera = RgbCamera(
-                info.topic, name, lenses[name], model, [], seen.changes.get(name, "")
-            )
+            camera = RgbCamera(info.topic, name, lenses[name], model, [])
             cameras.setdefault(name, camera).frames.extend(frames)
     return [camera._replace(frames=_together(camera.frames)) for camera in cameras.values()]
 
@@ -199,7 +195,7 @@ def rgb_rig(
         return None
     cameras = sampled_cameras(reader, selects, guessed)
     if len(cameras) < 2:
-        raise too_few([i.topic for i in infos], [c.topic for c in cameras])
+        raise too_few(reader, [i.topic for i in infos], [c.topic for c in cameras])
     known, channels = placed_cameras(reader, tree, cameras)
     fixed = known.common_root([channel.frames[0] for channel in channels])
     turns = {camera.name: guessed.turns.get(camera.name, Rigid.identity()) for camera in cameras}
@@ -216,16 +212,17 @@ def rgb_rig(
     if guessed.models and not found.reason and _worst(found.before) < _SHAPE_PX:
         found = found._replace(reason="bodies that are guessed tell no better ones")
     is_moved = refine and not found.reason
+    seen = _lenses(reader)
     homes = {c.name: channel.frames[0] for c, channel in zip(cameras, channels, strict=True)}
     if is_moved:
         moved = {homes[n]: {0: pose @ turns[n].inverse()} for n, pose in found.poses.items()}
         known = known.with_poses(moved, fixed)
     lags = {c.name: given.get(c.name, 0.0) + found.lags.get(c.name, 0.0) for c in cameras}
     return RgbRig(
-        known, fixed, lenses,
+        known, fixed, lenses, seen.faults,
         {i.topic: guessed.models.get(i.topic) or joint_model(i) for i in infos}, homes, lags,
         {c.topic: lags[c.name] for c in cameras}, is_moved,
-        tuple(_remarks(found, is_moved)), tuple(_warnings(found, infos, cameras, is_moved)),
+        tuple(_remarks(found, is_moved)), tuple(_warnings(found, seen, cameras, is_moved)),
         guessed,
     )  # fmt: skip
 
@@ -275,12 +272,12 @@ def _given_lags(
     }
 
 
-def too_few(topics: Sequence[str], lensed: Sequence[str]) -> LogError:
+def too_few(reader: McapReader, topics: Sequence[str], lensed: Sequence[str]) -> LogError:
     """Return the error of a log without two RGB cameras that can be used."""
     if bare := [topic for topic in topics if topic not in lensed]:
+        why = "; ".join(_lenses(reader).faults.values()) or NO_LENS
         return LogError(
-            f"{', '.join(bare)}: keypoints without a lens: no usable CameraInfo is in their frame; "
-            "record camera_info of a calibrated lens, or import them with --calibration"
+            f"{', '.join(bare)}: keypoints without a lens: {why}, or import them with --calibration"
         )
     return LogError(
         f"{', '.join(topics)}: one RGB camera alone does not tell where people are; record two or "
@@ -365,17 +362,10 @@ def _remarks(found: RayRig, is_moved: bool) -> Iterator[str]:
 
 
 def _warnings(
-    found: RayRig, infos: Sequence[ChannelInfo], cameras: Sequence[RgbCamera], is_moved: bool
+    found: RayRig, seen: SeenLenses, cameras: Sequence[RgbCamera], is_moved: bool
 ) -> Iterator[str]:
     """Yield reasons to doubt the skeletons of RGB cameras."""
-    yield from dict.fromkeys(camera.change for camera in cameras if camera.change)
-    lensed = {camera.topic for camera in cameras}
-    if bare := [info.topic for info in infos if info.topic not in lensed]:
-        n = quantity(sum(i.count for i in infos if i.topic in bare), "message")
-        yield (
-            f"{', '.join(bare)}: {n} of keypoints not used: no usable CameraInfo is in their "
-            "frame; record camera_info of a calibrated lens"
-        )
+    yield from (seen.changes[c.name] for c in cameras if c.name in seen.changes)
     errors = found.after if is_moved else found.before
     poor = [name for name, error in errors.items() if error > _POOR_PX]
     if poor:

@@ -14,14 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 import hiros_schemas
-from hiros_mcap.body.foreign_cameras import is_lens
+from hiros_mcap.body.intrinsics import COUNTS, FISHEYE, PLUMB_BOB, Intrinsics, opencv
 from hiros_mcap.errors import LogError, naming
 from hiros_mcap.io.bag_files import files_of
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.joining import Part, channels_in, messages_in, open_part
 from hiros_mcap.io.ros_cdr import Bytes as Cdr
 from hiros_mcap.io.ros_cdr import RosMessage, decoder_of, ros2_types
-from hiros_mcap.rays.intrinsics import COUNTS, FISHEYE, PLUMB_BOB, Intrinsics, opencv
 from hiros_mcap.skeletons import SECOND, Floats
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -153,10 +152,6 @@ _CONFIG_BYTES = 12
 
 def intrinsics_of(info: Any, topic: str) -> Intrinsics:
     """Read the CameraInfo of a topic; raises LogError if the lens is not usable."""
-    matrix = np.asarray(info.k, np.float64).reshape(3, 3)
-    if not is_lens((info.width, info.height), matrix):
-        fault = "its CameraInfo has no focal lengths in px or no image size; calibrate the lens"
-        raise LogError(fault, topic=topic)
     name = info.distortion_model or PLUMB_BOB
     model = FISHEYE if name == "fisheye" else name
     distortion = np.asarray(info.d, np.float64)
@@ -165,7 +160,11 @@ def intrinsics_of(info: Any, topic: str) -> Intrinsics:
         n = np.isfinite(distortion).sum()
         fault = f"its CameraInfo has {n} coefficients of the lens model {name!r}"
         raise LogError(f"{fault}; hiros reads {known}", topic=topic)
-    return Intrinsics((int(info.width), int(info.height)), matrix, distortion, model)
+    matrix = np.asarray(info.k, np.float64).reshape(3, 3)
+    lens = Intrinsics((int(info.width), int(info.height)), matrix, distortion, model)
+    if lens.fault:
+        raise LogError(f"its CameraInfo {lens.fault}", topic=topic)
+    return lens
 
 
 _STAMPED = 12
@@ -181,11 +180,13 @@ class SeenLenses:
     ----------
     lenses : the first lens of each optical frame.
     changes : how it changes later, if it does, as a warning.
+    faults : why a frame has no lens, though there is CameraInfo of it.
     """
 
     def __init__(self) -> None:
         self.lenses: dict[str, Intrinsics] = {}
         self.changes: dict[str, str] = {}
+        self.faults: dict[str, str] = {}
         self._firsts: dict[str, Intrinsics] = {}
         self._latest: dict[str, tuple[bytes, int]] = {}
         """Topic -> content, and when another one is looked at: an autofocus changes it always."""
@@ -196,9 +197,15 @@ class SeenLenses:
         if log_time < due or bytes(data[_STAMPED:]) == content:
             return
         self._latest[topic] = bytes(data[_STAMPED:]), log_time + SECOND
-        with suppress(LogError):  # of a depth camera, say, that nobody calibrated
+        with suppress(LogError):  # damaged
             info = decode()
-            name, lens = info.header.frame_id, intrinsics_of(info, topic)
+            name = info.header.frame_id
+            try:
+                lens = intrinsics_of(info, topic)
+            except LogError as error:
+                self.faults[name] = str(error)
+                return
+            self.faults.pop(name, None)
             if topic not in self._firsts:
                 self._firsts[topic] = self.lenses[name] = lens
             elif name not in self.changes and (text := _change(self._firsts[topic], lens)):

@@ -131,6 +131,7 @@ class People3D:
     Attributes
     ----------
     noises : (C,) standard deviation at which the rays of each camera pass a joint, m; learned.
+    joined : (C,) detections of each camera that were somebody's whom another one sees.
     counts : "detections"; of these, "alone", whom no second camera sees, and "vague", whose place
         cameras tell badly; "keypoints"; of these, "outvoted", which other cameras contradict.
     """
@@ -139,6 +140,7 @@ class People3D:
         self.model, self.mirror = model, mirror
         self.people: list[Somebody] = []
         self.noises = np.zeros(0)
+        self.joined = np.zeros(0, np.int64)
         self.counts = Counter[str]()
         self._last = 0
         self._works: dict[int, tuple[Rays, Triangulated]] = {}
@@ -146,6 +148,7 @@ class People3D:
     def add_camera(self) -> None:
         """Let a camera join."""
         self.noises = np.append(self.noises, _WHITE)
+        self.joined = np.append(self.joined, 0)
 
     def update(self, instant: int, seen: Detections) -> list[Found]:
         """Return the people at an instant, ns, whom two cameras show at least."""
@@ -164,6 +167,7 @@ class People3D:
             self.people.append(one.person)
         self.counts["detections"] += len(free)
         self.counts["alone"] += int(free.sum())
+        np.add.at(self.joined, seen.cameras[~free], 1)
         for one in (*found, *born):
             self._prove(instant, one, seen)
         self._learn(instant, seen, found)

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hiros_mcap.body.intrinsics import Intrinsics
 from hiros_mcap.kernels.array_types import chosen, joined
 from hiros_mcap.kernels.distance import follow_people
 from hiros_mcap.kernels.local_line import Lines, Tracklet, fit_lines
-from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame
 from hiros_mcap.skeletons import Flags, Floats, Stamps
 

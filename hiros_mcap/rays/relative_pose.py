@@ -19,11 +19,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hiros_mcap.body.intrinsics import opencv
 from hiros_mcap.body.rotations import Rigid, from_matrix, from_vector
 from hiros_mcap.kernels.ray_equations import RayCameras
 from hiros_mcap.rays.bundle import cameras_at, poses_of, triangulated
 from hiros_mcap.rays.image_tracks import ImageView, Samples, instants_of, sample_images
-from hiros_mcap.rays.intrinsics import opencv
 from hiros_mcap.rays.matching import joints_of, match, ray_distances
 from hiros_mcap.rays.rig_refinement import GATES, RigFit, fit_rig, free_unknowns
 from hiros_mcap.skeletons import Flags, Floats, Stamps

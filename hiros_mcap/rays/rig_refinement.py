@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hiros_mcap.body.intrinsics import Intrinsics
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.kernels.array_types import chosen
 from hiros_mcap.kernels.ray_equations import LAG, UNKNOWNS, RayCameras, RayPoints
@@ -28,7 +29,6 @@ from hiros_mcap.rays.bundle import (
     with_common_velocities,
 )
 from hiros_mcap.rays.image_tracks import ImageView, instants_of, sample_images, views_of
-from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame
 from hiros_mcap.rays.lags import APART_S, coarse_lags
 from hiros_mcap.rays.matching import joints_of, match

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hiros_mcap.body.intrinsics import Intrinsics
 from hiros_mcap.body.rotations import Rigid, from_vector
-from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
 LENS = Intrinsics(

@@ -13,21 +13,25 @@ Images come in, as they do live; common instants, who is who, and the joints in 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
+from hiros_mcap.body.intrinsics import Intrinsics
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.rays.common_instants import CommonInstants, ImagePeople, mean_known, sizes_of
 from hiros_mcap.rays.cross_view import Detections, People3D
-from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame
 from hiros_mcap.skeletons import SECOND, Floats, SkeletonModel
 from hiros_mcap.wording import quantity
 
 _TWICE = 0.1  # of a person's size in the image: two detections as near are of one person
+
+_FEW = 20  # detections of a camera that tell nothing about it
+_STRANGE = 0.01  # share of a camera's detections that may be of somebody by chance
 
 
 class LocatedPeople(NamedTuple):
@@ -59,6 +63,7 @@ class Triangulator:
         self.people = People3D(model, mirror)
         self.doubled = 0
         """Detections of somebody whom the same image shows twice."""
+        self._shown = Counter[str]()  # detections of each camera
         self._lags: dict[str, int] = {}
         self._log_time = 0
 
@@ -79,6 +84,7 @@ class Triangulator:
         scores = np.where(np.isfinite(points[..., 0]), frame.scores, 0.0)
         kept = _once(points, scores)
         self.doubled += len(points) - len(kept)
+        self._shown[frame.camera] += len(kept)
         stamp = frame.stamp - self._lags[frame.camera]
         for instant, sights in self.instants.add(
             frame.camera, stamp, pose, points[kept], scores[kept]
@@ -101,6 +107,18 @@ class Triangulator:
             np.array([f.deviations for f in found]).reshape(-1, joints),
             np.array([f.scores for f in found]).reshape(-1, joints),
         )
+
+    def warnings(self) -> Iterator[str]:
+        """Name the cameras that show somebody, but nobody whom another one shows."""
+        joined = dict(zip(self.lenses, self.people.joined.tolist(), strict=True))
+        shown = {name: n for name, n in self._shown.items() if n > _FEW}
+        if alone := [name for name, n in shown.items() if joined[name] < _STRANGE * n]:
+            n = quantity(sum(shown[name] for name in alone), "detection")
+            yield (
+                f"{', '.join(alone)}: {n} of people in images not used: they are nobody whom "
+                "another RGB camera shows; check the detector, and the camera's pose, lens and "
+                "image size"
+            )
 
     def remarks(self) -> Iterator[str]:
         """Say what of the images is not in the skeletons."""

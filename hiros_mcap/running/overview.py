@@ -217,7 +217,7 @@ def _keypoint_rows(reader: McapReader) -> Iterator[KeypointRow]:
     cameras: list[RgbCamera] = []
     with suppress(LogError):
         cameras = read_rgb_cameras(reader)
-    for topic, name, lens, model, frames, _ in cameras:
+    for topic, name, lens, model, frames in cameras:
         people = [len(frame.pixels) for frame in frames] or [0]
         seconds = (frames[-1].stamp - frames[0].stamp) / 1e9 if frames else 0.0
         rate = (len(frames) - 1) / seconds if seconds > 0 else math.nan

@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hiros_mcap.body.intrinsics import PLUMB_BOB, Intrinsics
 from hiros_mcap.body.rotations import rotate
 from hiros_mcap.io.detectors.body_models import body_model, joints_of
-from hiros_mcap.rays.intrinsics import PLUMB_BOB, Intrinsics
 from hiros_mcap.simulate.body_model import MARKERS, SLOT
 from hiros_mcap.simulate.cameras import SimulatedCamera, stream
 from hiros_mcap.simulate.chance import coloured

@@ -10,6 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
+from hiros_mcap.body.intrinsics import Intrinsics
 from hiros_mcap.body.rotations import Rigid, conjugate, from_matrix, multiply, to_vector
 from hiros_mcap.io.channels import add_skeleton_channel, add_static_poses
 from hiros_mcap.io.codec import Encoder
@@ -20,7 +21,6 @@ from hiros_mcap.io.detectors.keypoint_messages import (
     encode_detections,
 )
 from hiros_mcap.progress import Progress
-from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame
 from hiros_mcap.simulate.actions import ACTIONS
 from hiros_mcap.simulate.body_model import LINK_SEGMENTS, MODEL, BodyModel

@@ -62,9 +62,10 @@ FILES = {
 def test_a_camera_is_the_same_in_every_file(name, tmp_path):
     (tmp_path / name).write_text(FILES[name])
     (camera,) = read_calibration(tmp_path / name)
-    assert (camera.name, camera.size, camera.model) == ("left", (1920, 1080), "plumb_bob")
-    np.testing.assert_allclose(camera.matrix, [[1400, 0, 960], [0, 1410, 540], [0, 0, 1]])
-    np.testing.assert_allclose(camera.distortion, DISTORTION)
+    lens = camera.lens
+    assert (camera.name, lens.size, lens.model) == ("left", (1920, 1080), "plumb_bob")
+    np.testing.assert_allclose(lens.matrix, [[1400, 0, 960], [0, 1410, 540], [0, 0, 1]])
+    np.testing.assert_allclose(lens.distortion, DISTORTION)
     if name.endswith("yaml"):
         with pytest.raises(ConfigError, match="has no poses of cameras; it tells their lenses"):
             read_extrinsics(tmp_path / name)
@@ -79,7 +80,7 @@ def test_a_fisheye_lens_has_four_coefficients(tmp_path):
     four = f"distortions = {DISTORTION[:4]}\nfisheye = true"
     path.write_text(ANIPOSE.replace(f"distortions = {DISTORTION}", four))
     (camera,) = read_calibration(path)
-    assert (camera.model, camera.distortion.tolist()) == ("equidistant", DISTORTION[:4])
+    assert (camera.lens.model, camera.lens.distortion.tolist()) == ("equidistant", DISTORTION[:4])
 
 
 @pytest.mark.parametrize(
@@ -87,6 +88,13 @@ def test_a_fisheye_lens_has_four_coefficients(tmp_path):
     [
         ("a.toml", ANIPOSE.replace("1410", "0"), "cam_0: has no focal lengths in px or no"),
         ("a.toml", ANIPOSE.replace("1410", "3"), "cam_0: has no focal lengths in px"),
+        (
+            "a.toml",
+            ANIPOSE.replace("[-0.1", "[1e5"),
+            "cam_0: has a distortion that cannot",
+        ),
+        ("a.qca.txt", FILES["Calib.qca.txt"].replace('"-0.1"', '"1e30"'), "left: has a distort"),
+        ("a.yaml", ROS.replace("[-0.1", "[-1e5"), "a.yaml: has a distortion that cannot"),
         ("a.toml", ANIPOSE.replace("[1920, 1080]", "[1920]"), "size should be width and height"),
         (
             "a.toml",

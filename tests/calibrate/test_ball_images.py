@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from rendered_ball import RADIUS, K, compressed, header, image, millimetres, render
 
+from hiros_mcap.body.intrinsics import Intrinsics
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.calibrate.ball_image import ColorRange, DepthCamera, find_ball
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.ros_messages import colour_image, depth_image, is_colour, is_depth
-from hiros_mcap.rays.intrinsics import Intrinsics
 
 LENS = Intrinsics((160, 120), K, np.zeros(5))
 CAMERA = DepthCamera(LENS.rays(120, 160), K[0, 0], None, Rigid.identity())

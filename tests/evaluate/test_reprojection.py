@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hiros_mcap.body.intrinsics import Intrinsics
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.evaluate.reprojection import reprojection
 from hiros_mcap.io.rgb_cameras import RgbCamera
-from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame
 from hiros_mcap.skeletons import POSITION, Frame, SkeletonModel
 

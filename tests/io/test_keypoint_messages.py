@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import hiros_schemas
+from hiros_mcap.body.intrinsics import FISHEYE, Intrinsics
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.detectors.detector_reader import DetectorMessage
 from hiros_mcap.io.detectors.keypoint_messages import (
@@ -17,7 +18,6 @@ from hiros_mcap.io.detectors.keypoint_messages import (
 )
 from hiros_mcap.io.ros_cdr import decoder_of, types_of
 from hiros_mcap.io.ros_messages import intrinsics_of
-from hiros_mcap.rays.intrinsics import FISHEYE, Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame, cleaned
 from hiros_mcap.running.overview import overview_of
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import hiros_schemas
 from hiros_cli.app import run
+from hiros_mcap.body.intrinsics import Intrinsics
 from hiros_mcap.evaluate.logs import evaluate_channels, find_truth, read_results
 from hiros_mcap.io.channels import add_ros_channel, add_static_poses
 from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
@@ -21,7 +24,6 @@ from hiros_mcap.io.live_log import open_live
 from hiros_mcap.io.log import open_log
 from hiros_mcap.io.rgb_cameras import placed_cameras, poses_of, read_rgb_cameras
 from hiros_mcap.io.ros_cdr import CdrWriter
-from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.simulation import write_log
@@ -134,28 +136,49 @@ def test_a_lens_that_changes_is_a_warning(size, zoom, said, log, tmp_path):
     assert [text for text in reading.warnings if "the lens of" in text] == found
 
 
-def test_a_camera_whose_keypoints_have_no_score_is_named(log, tmp_path):
-    """A detector that writes logits, or -1 for what it does not know."""
-    path, topic = tmp_path / "log.mcap", "/camera_1/keypoints"
+def at_one_place(frame, lens):
+    there = np.isfinite(frame.pixels)
+    return frame._replace(pixels=np.where(there, [[[640.0, 360.0]]], np.nan)), lens
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        # A detector that writes logits, or -1 for what it does not know.
+        (
+            lambda frame, lens: (frame._replace(scores=frame.scores - 2.0), lens),
+            "/camera_1/keypoints: no keypoint counts",
+        ),
+        (at_one_place, "camera_1: 30 detections of people in images not used: they are nobody"),
+        (
+            lambda frame, lens: (frame, replace(lens, distortion=np.array([1e30, 0, 0, 0]))),
+            "camera_1: 30 messages of keypoints not used: /camera_1/camera_info: its CameraInfo "
+            "has a distortion that cannot be undone on",
+        ),
+    ],
+    ids=["no score", "one place", "absurd distortion"],
+)
+def test_a_camera_that_tells_nothing_is_named(change, said, log, tmp_path):
+    path, topics = tmp_path / "log.mcap", ("/camera_1/keypoints", "/camera_1/camera_info")
     with McapReader(log) as reader, McapWriter(path) as writer:
-        (camera,) = (c for c in read_rgb_cameras(reader) if c.topic == topic)
-        ChunkCopier(
-            reader, writer, {i for i, c in reader.channels.items() if c.topic != topic}
-        ).finish()
-        channel = add_keypoint_channel(writer, topic, "coco-17")
+        (camera,) = (c for c in read_rgb_cameras(reader) if c.topic in topics)
+        others = {i for i, c in reader.channels.items() if c.topic not in topics}
+        ChunkCopier(reader, writer, others).finish()
+        channel = add_keypoint_channel(writer, topics[0], "coco-17")
+        _, lens = change(camera.frames[0], camera.lens)
+        add_camera_info(writer, topics[1], lens, camera.name, camera.frames[0].log_time)
         for frame in camera.frames:
-            below = frame._replace(scores=frame.scores - 2.0)
-            writer.write(channel, frame.log_time, encode_detections(below, camera.name))
+            data = encode_detections(change(frame, lens)[0], camera.name)
+            writer.write(channel, frame.log_time, data)
         writer.commit()
     with open_log(path) as opened:
-        (said,) = (text for text in opened.warnings if "no keypoint counts" in text)
-    assert said.startswith(f"{topic}: ")
-    with path.open("rb") as file, open_live(McapInput(file.fileno(), "live")) as live:
-        reading = live.read()
+        assert sum(text.startswith(said) for text in opened.warnings) == 1
+    with path.open("rb") as file, open_live(McapInput(file.fileno(), "live")) as opened:
+        reading = opened.read()
         list(reading.frames())
-    assert [text for text in reading.warnings if "no keypoint counts" in text] == [said]
+    assert sum(text.startswith(said) for text in reading.warnings) == 1
     with open_log(log) as opened:
-        assert not any("no keypoint counts" in text for text in opened.warnings)
+        assert opened.warnings == ()
 
 
 def test_a_result_of_rgb_cameras_says_how_it_was_made(log, tmp_path, capsys):

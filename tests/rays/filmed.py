@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hiros_mcap.body.intrinsics import Intrinsics
 from hiros_mcap.body.rotations import Rigid, from_matrix, from_vector
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.io.channels import add_static_poses
@@ -15,7 +16,6 @@ from hiros_mcap.io.detectors.keypoint_messages import (
     add_keypoint_channel,
     encode_detections,
 )
-from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame
 from hiros_mcap.simulate import SimulateParams, simulate
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from hiros_mcap.body.intrinsics import Intrinsics
 from hiros_mcap.body.rotations import Rigid, from_matrix
 from hiros_mcap.io.detectors.body_models import body_model
-from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame, confidence_of, variance_of
 from hiros_mcap.rays.triangulator import Triangulator
 

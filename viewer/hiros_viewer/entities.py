@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
+from hiros_mcap.body.intrinsics import Intrinsics
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.io.export.markers import RGB, person_colour
-from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
 from hiros_viewer.columns import Line, TextRow, columns, strips, time_columns
 from hiros_viewer.palette import (

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 import hiros_schemas
+from hiros_mcap.body.intrinsics import Intrinsics
 from hiros_mcap.io.channels import LATCHED_QOS, ChannelInfo, add_ros_channel
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.detectors.body_models import BODY_MODELS, body_model, linked
 from hiros_mcap.io.detectors.detector_reader import DetectorMessage, nanoseconds
 from hiros_mcap.io.ros_cdr import CdrWriter
-from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame, cleaned
 from hiros_mcap.skeletons import Floats, SkeletonModel
 

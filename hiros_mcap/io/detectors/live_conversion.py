@@ -68,8 +68,9 @@ class LiveConversion(Conversion):
         super().__init__(reader, Selection(selects=selects), (), {})
         self._guessed, self._rays = GuessedDepth({}, {}), frozenset(rays)
         self.seen_lenses = SeenLenses()
-        lenses = self.seen_lenses.lenses
-        self._rig = RgbRig(tree or TransformTree(), "", lenses, {}, guessed=self._guessed)
+        lenses, faults = self.seen_lenses.lenses, self.seen_lenses.faults
+        tree = tree or TransformTree()
+        self._rig = RgbRig(tree, "", lenses, faults, {}, guessed=self._guessed)
         self._teaches: dict[int, tuple[str, ChannelInfo]] = {}
         """Channel -> what of the RGB cameras it tells."""
         self._live = reader
@@ -81,6 +82,12 @@ class LiveConversion(Conversion):
         """Channels of humans that transforms show."""
         self._added: dict[tuple[str, str], int] = {}
         """Topic and type -> channel of the new messages."""
+
+    @property
+    def hint(self) -> str:
+        """Why messages that look like skeletons are none, if no channel shows any; else ""."""
+        waits = self._rig.models and self.rgb.rig is None
+        return super().hint or ("; ".join(self.seen_lenses.faults.values()) if waits else "")
 
     def converted(self, messages: Arriving) -> Arriving:
         """Yield what messages become: themselves, if they are of no other detector."""

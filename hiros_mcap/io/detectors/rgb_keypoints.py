@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 import hiros_schemas
+from hiros_mcap.body.intrinsics import Intrinsics
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import TransformTree
 from hiros_mcap.errors import LogError
@@ -26,7 +27,6 @@ from hiros_mcap.io.detectors.detector_reader import (
     add_links,
 )
 from hiros_mcap.io.detectors.keypoint_messages import KEYPOINT_TYPES, decode_keypoints, joined
-from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import TRIANGULATED, KeypointFrame, cleaned, confidence_of
 from hiros_mcap.rays.skeleton_rays import NONE_GUESSED, GuessedDepth, keypoints_of
 from hiros_mcap.rays.triangulator import LocatedPeople, Triangulator
@@ -34,6 +34,7 @@ from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.wording import quantity
 
 _ONE_PERSON = hiros_schemas.short_name(hiros_schemas.SKELETON_2D)
+NO_LENS = "no usable CameraInfo is in their frame; record camera_info of a calibrated lens"
 RGB_TOPIC = "/rgb/skeletons"
 """Channel of the triangulated skeletons."""
 
@@ -48,6 +49,8 @@ class RgbRig:
     """In which the skeletons are."""
     lenses: dict[str, Intrinsics]
     """By optical frame."""
+    faults: Mapping[str, str]
+    """Why a frame has no lens, though there is CameraInfo of it."""
     models: dict[str, SkeletonModel]
     """Of the joints on each topic."""
     homes: Mapping[str, str] = field(default_factory=dict)
@@ -179,6 +182,12 @@ class RgbKeypoints(DetectorReader):
 
     def warnings(self) -> Iterator[str]:
         """Name the cameras none of whose keypoints counts."""
+        for name, n in self._homeless.items():
+            if self.rig is not None and name not in self.rig.lenses:
+                why = self.rig.faults.get(name, NO_LENS)
+                yield f"{name}: {quantity(n, 'message')} of keypoints not used: {why}"
+        if self._triangulator is not None:
+            yield from self._triangulator.warnings()
         for topic in (topic for topic, is_blank in self._blank.items() if is_blank):
             yield (
                 f"{topic}: no keypoint counts: each has a score of 0 or less, lies at 0 0, or far "
@@ -190,11 +199,10 @@ class RgbKeypoints(DetectorReader):
         """Say how the cameras were taken, and what of their keypoints is not in the skeletons."""
         if self.rig is not None:
             yield from self.rig.remarks
-        for name, n in self._homeless.items():
-            yield (
-                f"{quantity(n, 'message')} of keypoints in the frame {name!r} not used: no "
-                "usable CameraInfo or no pose of this frame"
-            )
+            for name, n in self._homeless.items():
+                if name in self.rig.lenses:
+                    some = quantity(n, "message")
+                    yield f"{name}: {some} of keypoints not used: no lens or no pose was known yet"
         for topic, n in self._foreign.items():
             yield f"{topic}: {quantity(n, 'message')} not used: other joints than other cameras'"
         if self._triangulator is not None:

@@ -26,7 +26,6 @@ from hiros_mcap.io.detectors.keypoint_messages import (
     add_keypoint_channel,
     encode_detections,
 )
-from hiros_mcap.rays.intrinsics import Intrinsics
 from hiros_mcap.rays.keypoints import KeypointFrame, cleaned
 from hiros_mcap.skeletons import Floats, Stamps
 
@@ -143,8 +142,8 @@ def add_images(
         add_static_poses(writer, poses, WORLD, first)
     _check_lengths(series, warn)
     for each, camera in zip(series, cameras, strict=True):
-        assert camera.size is not None and camera.matrix is not None  # noqa: S101 - for the type
-        lens = Intrinsics(camera.size, camera.matrix, camera.distortion, camera.model)
+        lens = camera.lens
+        assert lens is not None  # noqa: S101 - for the type
         add_camera_info(writer, f"/{camera.name}/camera_info", lens, camera.name, first)
         factor, shift = _pixels(each, camera.name, lens.size, warn, note)
         model = joints[len(each.joints)] if each.is_counted else _named(each.joints)
@@ -177,13 +176,13 @@ def _with_lenses(series: Sequence[ImageSeries], setup: RgbSetup, note: Say) -> l
     known: dict[str, LensAndPose] = {}
     for path in setup.calibration:
         cameras = read_calibration(path)
-        if not any(camera.size for camera in cameras):
+        if not any(camera.lens for camera in cameras):
             fault = "tells no lens" if cameras else "is no calibration of cameras"
             raise ConfigError(f"{path}: {fault}; hiros needs size, matrix and distortions of each")
         for camera in cameras:
             name = path.stem if camera.name in known else camera.name
             known[name] = camera._replace(name=name)
-    lenses = [name for name, camera in known.items() if camera.size]
+    lenses = [name for name, camera in known.items() if camera.lens]
     names = _matched([s.camera for s in series], lenses, setup.calibration[0], note)
     return [known[names[s.camera]] for s in series]
 

@@ -17,6 +17,12 @@ FISHEYE = "equidistant"
 COUNTS = {PLUMB_BOB: (0, 4, 5, 8), RATIONAL: (5, 8, 12, 14), FISHEYE: (4,)}
 """How many coefficients each model has, in the order of OpenCV."""
 
+_SHORTEST_FOCAL = 0.05  # of the larger side of the image; less is in mm, say
+_LEAST_KNOWN, _KNOWN = 0.25, 0.01
+"""Share of the image whose pixels can be undistorted to this part of its larger side. Of a fisheye
+lens of 220 degrees it is 0.3, since nothing is known of what lies behind a camera."""
+_ALONG = 16  # pixels along each side that tell that share
+
 _LIMIT = "OPENCV_IO_MAX_IMAGE_PIXELS"
 
 
@@ -49,6 +55,28 @@ class Intrinsics:
     distortion: Floats
     """(D,) coefficients of ``model``; empty = none."""
     model: str = PLUMB_BOB
+
+    @property
+    def fault(self) -> str:
+        """Why this is no lens of a camera, with the remedy; "" if it is one."""
+        matrix, longest = self.matrix, max(self.size)
+        is_finite = bool(np.isfinite(matrix).all())
+        there = min(self.size) > 0 and min(matrix[0, 0], matrix[1, 1]) > _SHORTEST_FOCAL * longest
+        is_flat = bool((matrix[[1, 2, 2, 2], [0, 0, 1, 2]] == (0, 0, 0, 1)).all())
+        if not (is_finite and there and is_flat):
+            return "has no focal lengths in px or no image size; calibrate the lens"
+        across, down = (np.linspace(0.0, side - 1.0, _ALONG) for side in self.size)
+        pixels = np.stack(np.meshgrid(across, down), axis=-1)
+        with np.errstate(all="ignore"):
+            seen = np.insert(self.normalized(pixels), 2, 1.0, axis=-1)
+            missed = np.linalg.norm(self.pixels(seen) - pixels, axis=-1)
+        unknown = 1.0 - float(np.mean(missed < _KNOWN * longest))
+        if unknown > 1.0 - _LEAST_KNOWN:
+            return (
+                f"has a distortion that cannot be undone on {unknown:.0%} of its image; calibrate "
+                "the lens"
+            )
+        return ""
 
     @property
     def focal(self) -> float:
