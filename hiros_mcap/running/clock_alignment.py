@@ -72,8 +72,10 @@ class ClockAlignment:
     @property
     def wait(self) -> float:
         """Longest time, s, that messages of a file wait for older ones of other cameras."""
+        if not self.times:
+            return self.reorder
         late = longest_wait(map(self.corrected_times, self.times))
-        return max(self.reorder, min(late + 0.1, LONGEST_WAIT))
+        return min(late + 0.1, LONGEST_WAIT)
 
     def follower(self) -> ClockFollower:
         """Return what corrects each message by those before it; it notes here what it finds."""

@@ -29,10 +29,11 @@ from hiros_mcap.calibrate.pair_pose import PairFit, chained, coarse_clocks, rank
 from hiros_mcap.calibrate.people import _only_ambiguous
 from hiros_mcap.calibrate.refinement import FROM_GIVEN, _certainty, refine_together
 from hiros_mcap.calibrate.registration import kabsch
-from hiros_mcap.calibrate.sampling import Rig, instants_of, lines_of, sample
+from hiros_mcap.calibrate.sampling import Rig, instants_of, sample
 from hiros_mcap.calibrate.verdict import Evidence, verdict_of
 from hiros_mcap.kernels.correlation import correlate
 from hiros_mcap.kernels.local_line import Tracklet
+from hiros_mcap.rays.image_tracks import lines_at
 
 SIDES = symmetry_of(MODEL).mirror
 GOOD = Evidence(share=1.0, residual=0.03, seconds=20.0, spread=1.0)
@@ -88,8 +89,7 @@ def test_a_line_gives_position_and_velocity_at_any_time():
     poses = POSE + np.array([0.5, -0.2, 0.1]) * seconds[:, None, None]
     weights = np.ones(poses.shape[:2])
     weights[:, 3] = 0.0
-    camera = CameraView("a", "a", [Tracklet(seconds, poses, weights)], 0.0, 0.1)
-    lines = lines_of(camera, 0, np.array([0.205, 0.777]))
+    lines = lines_at(Tracklet(seconds, poses, weights), np.array([0.205, 0.777]), half_width=0.1)
     assert lines.positions[1, 0] == pytest.approx(POSE[0] + 0.777 * np.array([0.5, -0.2, 0.1]))
     assert lines.velocities[0, 5] == pytest.approx([0.5, -0.2, 0.1])
     assert lines.weights[0, 3] == 0.0

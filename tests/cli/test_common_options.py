@@ -31,7 +31,7 @@ def long_lab(whole_crossing, tmp_path):
 def test_verbose_shows_the_steps_and_a_warning_once(long_lab, capsys):
     assert run(["process", str(long_lab), *LATE, "-q", "--verbose"]) == 0
     told = capsys.readouterr().err
-    assert told.count("camera_1/skeletons: 79 % of 147 messages not used") == 1
+    assert told.count("camera_1/skeletons: 97 % of 147 messages not used") == 1
     assert f"hiros: {long_lab}: system fuse: tracked, merged, optimized, filtered\n" in told
 
 

@@ -252,7 +252,7 @@ def test_a_significant_offset_is_corrected_or_a_fault_says_why_not(
     assert (moved == (round(ms * 1e6) if corrected else 0)).all()
 
 
-@pytest.mark.parametrize(("late", "wait"), [(0.0, 0.25), (0.25, 0.35), (0.5, 0.6), (59.95, 60.0)])
+@pytest.mark.parametrize(("late", "wait"), [(0.0, 0.1), (0.25, 0.35), (0.5, 0.6), (59.95, 60.0)])
 def test_messages_of_a_file_wait_until_the_latest_has_come(late, wait):
     clocks = three(right=0.0, wrong=0.0)
     clocks.reorder = 0.25
