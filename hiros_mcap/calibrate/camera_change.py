@@ -17,14 +17,20 @@ import numpy as np
 
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.joint_refinement import Points
-from hiros_mcap.calibrate.pair_pose import FIT_M, alike, ambiguous, register_pair, usable
+from hiros_mcap.calibrate.pair_pose import (
+    FIT_M,
+    PAIR_INSTANTS,
+    alike,
+    ambiguous,
+    register_pair,
+    usable,
+)
 from hiros_mcap.calibrate.sampling import CELL_S, Rig, group, instants_of, placed, sample
 from hiros_mcap.kernels.array_types import chosen
 from hiros_mcap.kernels.rig_equations import RigResiduals
 from hiros_mcap.rays.image_tracks import Samples
 from hiros_mcap.skeletons import Floats, Ints
 
-PAIR_INSTANTS = 100
 CHANGE_INSTANTS = 400
 LEAST_PART_S = 3.0
 """A shorter part does not tell a pose."""
