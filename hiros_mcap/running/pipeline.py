@@ -121,7 +121,9 @@ def process(
         force=force,
     )
     watch = Stopwatch()
-    with open_input(source, config, options) as log:
+    with watch.timing("open"):  # other detectors' messages are converted there
+        opened = open_input(source, config, options)
+    with opened as log:
         prepared = prepare(log, config, options, watch)
         with _following(progress) as follower:
             report = run_log(prepared, partial(open_output, path), watcher, follower)

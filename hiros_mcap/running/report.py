@@ -87,8 +87,8 @@ class Report:
         start, end = self.log.span
         watch = self.prepared.watch
         people, chain, cpu = self.observer.people, self.observer.chain, watch.cpu
-        before = ("read", "calibrate") if self.prepared.poses.cameras else ("read",)
-        steps = [name for name in (*before, *chain, "write") if name in cpu]
+        calibrated = ("calibrate",) if self.prepared.poses.cameras else ()
+        steps = [name for name in ("open", "read", *calibrated, *chain, "write") if name in cpu]
         cameras = tuple(map(self._camera, self.log.cameras))
         scatters = tuple(scatter_by_camera(self.run.events, self.run.model))
         return Summary(

@@ -55,6 +55,9 @@ def test_every_chain_of_the_paper_runs(walking, chain, tmp_path):
         topics = {channel.topic for channel in reader.channels.values()}
     assert topics == {f"/hiros/{LETTERS[letter]}" for letter in chain}
     assert [person.id for person in summary.people] == [0]
+    before = ["open", "read", "calibrate"] if summary.poses else ["open", "read"]
+    steps = [*before, *(LETTERS[letter] for letter in chain), "write"]
+    assert [step.name for step in summary.stages if step.cpu_s > 0] == steps
 
 
 @pytest.mark.parametrize("chain", ["M", "F", "MF", "FT", "TOM", "X"])
