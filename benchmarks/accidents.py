@@ -68,7 +68,8 @@ class Room:
             yield f"exit code {process.returncode}: {text[-300:]}"
         if "Traceback" in text or "bug:" in text:
             yield text[-500:]
-        if process.returncode == 2 and text.count("hiros: error:") != 1:
+        alone = all(line.startswith("hiros: ") for line in text.splitlines())
+        if process.returncode == 2 and not (alone and text.count("hiros: error:") == 1):
             yield f"not one line of error: {text[-300:]}"
         changed = {n: d for n, d in self._digests().items() if self._inputs.get(n) != d}
         for name, digest in changed.items():
@@ -169,8 +170,8 @@ def case_full_disk(make: Callable[[], Room], times: int, chance: random.Random) 
 
     for name in ("process", "export", "view"):
         whole, _ = whole_results(make(), COMMANDS[name])
-        for _ in range(times):
-            room, size = make(), chance.randrange(1, 400_000)
+        for k in range(times):
+            room, size = make(), chance.randrange(1, 400_000) if k else 0
 
             def limit(size: int = size) -> None:
                 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # EFBIG, as a full disk's ENOSPC

@@ -727,19 +727,20 @@ def test_a_time_range_has_its_results_though_they_were_logged_much_later(process
 LIMITED = """
 import resource, sys
 from hiros_cli.app import run
-resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
+resource.setrlimit(resource.RLIMIT_FSIZE, 2 * (int(sys.argv[3]),))
 sys.exit(run(["view", sys.argv[1], "--save", sys.argv[2], "-q"]))
 """
 
 
-def test_a_recording_beyond_a_limit_of_size_is_one_error_and_no_file(processed, tmp_path):
+@pytest.mark.parametrize("limit", ["0", "300000"])
+def test_a_recording_beyond_a_limit_of_size_is_one_error_and_no_file(limit, processed, tmp_path):
     target = tmp_path / "out.rrd"
     done = subprocess.run(
-        [sys.executable, "-c", LIMITED, processed, target],
+        [sys.executable, "-c", LIMITED, processed, target, limit],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 2, done.stderr
-    assert f"hiros: error: {target}: cannot be written: " in done.stderr
+    assert done.stderr == f"hiros: error: {target}: cannot be written: File too large\n"
     assert list(tmp_path.iterdir()) == []
 
 

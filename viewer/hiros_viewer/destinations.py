@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 APPLICATION = "hiros"
 LOOPBACK = "127.0.0.1"
 _PATIENCE_S = 20.0
+_ROOM = 1 << 16
+"""Bytes, more than what is left of a disk on which rerun finds no place."""
 MEMORY_LIMIT = "50%"
 """Of the machine's; a viewer or its server drops what is oldest beyond it."""
 
@@ -54,15 +56,23 @@ def save(target: Path, name: str, draw: Draw) -> None:
     with replacing(target) as temporary:
         temporary.touch()  # rerun's own error would be none of the file system
         try:
-            recording.save(temporary)
+            _told_of_the_disk(temporary, target, lambda: recording.save(temporary))
             draw(recording)
         finally:
-            try:
-                recording.flush()  # else a full disk goes unnoticed
-            except RuntimeError as error:
-                raise LogError(f"cannot be written: {error}", path=target) from error
+            try:  # else a full disk goes unnoticed
+                _told_of_the_disk(temporary, target, recording.flush)
             finally:
                 recording.disconnect()
+
+
+def _told_of_the_disk(file: Path, target: Path, write: Callable[[], object]) -> None:
+    """Have rerun write to a file; raises OSError or LogError where it cannot."""
+    try:
+        write()
+    except RuntimeError as error:
+        with file.open("ab") as end:  # which the system refuses in its own words
+            end.write(bytes(_ROOM))
+        raise LogError(f"cannot be written: {error}", path=target) from error
 
 
 def connect(url: str, name: str, draw: Draw) -> None:
@@ -139,8 +149,6 @@ def connected(
     url: str, process: subprocess.Popen[bytes], name: str
 ) -> Iterator[rr.RecordingStream]:
     """Yield a recording that goes to a viewer."""
-    # When the viewer is closed, rerun would print a line per message that it cannot send.
-    os.environ.setdefault("RUST_LOG", "off")
     recording = new_recording(name)
     recording.connect_grpc(url)
     try:
