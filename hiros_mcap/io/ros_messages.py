@@ -5,6 +5,7 @@ A log of skeletons is read by :mod:`hiros_mcap.io.log`, which is much faster.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -110,19 +111,22 @@ class FilmFrame(NamedTuple):
     is_video: bool = False
 
 
-def read_pictures(messages: RosMessages) -> Iterator[FilmFrame]:
+def read_pictures(
+    messages: RosMessages, unread: Counter[tuple[str, str, str]]
+) -> Iterator[FilmFrame]:
     """Yield the colour images, or frames of a video, of one topic for each coordinate frame.
 
-    Raises LogError for a damaged one.
+    Those in other encodings, but for depths, are counted in ``unread`` by coordinate frame, topic
+    and encoding. Raises LogError for a damaged one.
     """
     kinds, topics = (IMAGE, COMPRESSED_IMAGE, VIDEO), dict[str, str]()
     for raw in messages.read([t for t, kind in messages.types.items() if kind in kinds]):
-        message = messages.decode(raw)
-        if raw.type == VIDEO:
-            stamp, frame_id = message.timestamp, message.frame_id
-        elif is_colour(message):
-            stamp, frame_id = message.header.stamp, message.header.frame_id
-        else:
+        message, is_video = messages.decode(raw), raw.type == VIDEO
+        head = message if is_video else message.header
+        stamp, frame_id = head.timestamp if is_video else head.stamp, head.frame_id
+        if not (message.format in VIDEO_CODECS if is_video else is_colour(message)):
+            if is_video or not is_depth(message):
+                unread[frame_id, raw.topic, getattr(message, "encoding", "") or message.format] += 1
             continue
         if topics.setdefault(frame_id, raw.topic) != raw.topic:
             continue
@@ -132,11 +136,13 @@ def read_pictures(messages: RosMessages) -> Iterator[FilmFrame]:
                 pixels = colour_image(message)
             yield FilmFrame(frame_id, *times, "", b"", pixels)
         else:
-            data, is_video = bytes(message.data), raw.type == VIDEO
+            data = bytes(message.data)
             yield FilmFrame(frame_id, *times, message.format, data, is_video=is_video)
 
 
-_CHANNELS = {
+VIDEO_CODECS = ("h264", "h265", "vp9", "av1")
+"""Formats of foxglove's CompressedVideo."""
+CHANNELS = {
     "bgr8": (0, 1, 2),
     "8UC3": (0, 1, 2),
     "rgb8": (2, 1, 0),
@@ -234,7 +240,7 @@ def is_depth(message: Any) -> bool:
 def is_colour(message: Any) -> bool:
     """Whether an Image or CompressedImage has colours."""
     if hasattr(message, "encoding"):
-        return message.encoding in _CHANNELS
+        return message.encoding in CHANNELS
     grey = message.format.split(";")[0].strip() in ("mono8", "mono16", "8UC1", "16UC1", "32FC1")
     return not is_depth(message) and not grey
 
@@ -243,7 +249,7 @@ def colour_image(message: Any) -> Bytes:
     """(H, W, 3) blue, green, red; raises LogError for a damaged image."""
     if not hasattr(message, "encoding"):
         return _picture(message.data, colour=True)
-    order = _CHANNELS[message.encoding]
+    order = CHANNELS[message.encoding]
     pixels = _pixels(message, np.dtype("u1"), len(order))
     return np.ascontiguousarray(pixels[:, :, order[:3]])
 

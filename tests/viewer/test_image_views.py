@@ -183,25 +183,54 @@ def test_a_video_begins_with_the_first_keypoints_of_its_camera(tmp_path, capsys)
     assert "no video that the viewer plays" in capsys.readouterr().err
 
 
-def test_a_picture_that_claims_more_than_it_has_is_named(tmp_path, capsys):
-    log, film, target = (tmp_path / name for name in ("log.mcap", "film.mcap", "log.rrd"))
+@pytest.fixture(scope="module")
+def keypoints(tmp_path_factory):
+    """A log of one RGB camera without pictures, and its first time."""
+    log = tmp_path_factory.mktemp("log") / "log.mcap"
     rig = {"kinds": ("rgb",)}
     params = SimulateParams.model_validate({"cameras": 1, "seconds": 0.5, "rig": rig})
     write_log(log, params)
-    types, raw = STORE.types, "sensor_msgs/msg/Image"
-    time = types["builtin_interfaces/msg/Time"](*divmod(params.start, 10**9))
-    size, data = (100_000, 100_000), np.zeros(10, np.uint8)
-    header = types["std_msgs/msg/Header"](time, "camera_0")
-    message = types[raw](header, *size, "rgb8", 0, 3 * size[1], data)
-    with McapWriter(film) as writer:
-        text = STORE.generate_msgdef(raw)[0]
-        channel = writer.add_channel("/image", writer.add_schema(raw, text.encode()))
-        writer.write(channel, params.start, bytes(STORE.serialize_cdr(message, raw)))
+    return log, params.start
+
+
+def write_film(path, stamp, *images):
+    """Write raw images: topic, width and height, encoding, bytes."""
+    raw = "sensor_msgs/msg/Image"
+    time = STORE.types["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9))
+    header = STORE.types["std_msgs/msg/Header"](time, "camera_0")
+    with McapWriter(path) as writer:
+        schema = writer.add_schema(raw, STORE.generate_msgdef(raw)[0].encode())
+        channels = {topic: writer.add_channel(topic, schema) for topic, *_ in images}
+        for topic, (width, height), encoding, size in images:
+            data = np.zeros(size, np.uint8)
+            message = STORE.types[raw](header, height, width, encoding, 0, 3 * width, data)
+            writer.write(channels[topic], stamp, bytes(STORE.serialize_cdr(message, raw)))
         writer.commit()
+
+
+def test_a_picture_that_claims_more_than_it_has_is_named(keypoints, tmp_path, capsys):
+    (log, start), film, target = keypoints, tmp_path / "film.mcap", tmp_path / "log.rrd"
+    write_film(film, start, ("/image", (100_000, 100_000), "rgb8", 10))
     assert run(["view", str(log), "--save", str(target), "-q", "--images", str(film)]) == 2
     fault = f"{film}: /image: an image of 100000 x 100000 pixels has only 10 bytes"
     assert fault in capsys.readouterr().err
     assert not target.exists()
+
+
+@pytest.mark.parametrize("others", [[], ["16UC1"], ["16UC1", "rgb8"]])
+def test_pictures_of_an_unknown_encoding_are_counted_where_a_camera_has_no_others(
+    others, keypoints, tmp_path, capsys
+):
+    (log, start), film, target = keypoints, tmp_path / "film.mcap", tmp_path / "log.rrd"
+    unknown = [("/image", (4, 3), "foo16", 36)] * 7
+    write_film(film, start, *unknown, *((f"/{name}", (4, 3), name, 36) for name in others))
+    assert run(["view", str(log), "--save", str(target), "-q", "--images", str(film)]) == 0
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == ("rgb8" not in others)
+    for line in said:
+        assert line.startswith(
+            f"hiros: warning: {film}: /image: 7 images of camera_0 not drawn: 'foo16' is none of "
+        )
 
 
 def picture_message(frame_id, stamp):

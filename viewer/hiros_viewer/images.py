@@ -33,8 +33,6 @@ from hiros_viewer.poses import Crowd, Poses
 
 _KEYPOINTS, _RESULT = (-2.5, -0.8, 40.0), (-2.0, -2.0, 30.0)
 """Radii of joints and bones, points on the screen, and what is on top: thin lines on thick ones."""
-_VIDEO = {"h264": "H264", "h265": "H265", "vp9": "VP9", "av1": "AV1"}
-"""Formats of foxglove's CompressedVideo -> codecs of the viewer."""
 Part = tuple[str, dict[Any, Any], Stamps]
 """Path below the people's own, batches, and how many instances each person has."""
 
@@ -135,9 +133,7 @@ class CameraImages:
         self._recording.send_columns(f"{self.path}/picture", time_columns(times, start), rows)
 
     def picture(self, picture: FilmFrame, start: int) -> None:
-        """Draw an image, or a frame of a video whose codec the viewer knows."""
-        if picture.is_video and picture.format not in _VIDEO:
-            return
+        """Draw an image, or a frame of a video."""
         self._recording.set_time(TIMELINE, duration=(picture.stamp - start) / 1e9)
         self._recording.set_time(STAMP, timestamp=np.datetime64(picture.stamp, "ns"))
         self._recording.set_time(LOGGED, timestamp=np.datetime64(picture.log_time, "ns"))
@@ -179,6 +175,6 @@ def _drawn(picture: FilmFrame) -> Any:
     if picture.pixels is not None:
         return rr.Image(picture.pixels, color_model="BGR").compress(jpeg_quality=80)
     if picture.is_video:
-        return rr.VideoStream(codec=rr.VideoCodec[_VIDEO[picture.format]], sample=picture.data)
+        return rr.VideoStream(codec=rr.VideoCodec[picture.format.upper()], sample=picture.data)
     kind = "png" if "png" in picture.format else "jpeg"
     return rr.EncodedImage(contents=picture.data, media_type=f"image/{kind}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import math
 import os
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,11 +29,12 @@ from hiros_mcap.io.detectors.rgb_keypoints import RGB_TOPIC
 from hiros_mcap.io.log import CameraChannel, Log, open_log, reading
 from hiros_mcap.io.result import stored_events
 from hiros_mcap.io.rgb_cameras import RgbCamera, poses_of, read_rgb_cameras
-from hiros_mcap.io.ros_messages import open_messages, read_pictures
+from hiros_mcap.io.ros_messages import CHANNELS, VIDEO_CODECS, open_messages, read_pictures
 from hiros_mcap.rays.keypoints import TRIANGULATED
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.running.pipeline import skeletons_read
 from hiros_mcap.skeletons import SkeletonModel
+from hiros_mcap.wording import quantity
 from hiros_viewer.blueprint import LAYOUTS, Content
 from hiros_viewer.entities import Layer, path_part
 from hiros_viewer.images import CameraImages
@@ -76,6 +78,8 @@ class ViewOptions:
     """Of each log, how it is read if it is a recording: its frame, skeleton and unit."""
     images: Sequence[str] = ()
     """Logs with the images of RGB cameras, and videos as CAMERA=FILE; none = the log's own."""
+    warn: Callable[[str], None] = lambda _: None
+    """Is told which images cannot be drawn."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,14 +271,24 @@ class _Replay:
     ) -> None:
         """Draw the images and videos of a log between two times, ns; of images, one a step."""
         due = dict.fromkeys(views, (self._asked or _EVER)[0])
+        unread: Counter[tuple[str, str, str]] = Counter()
+        bare = set(views)
         with naming(log), open_messages(log) as messages:
-            for picture in read_pictures(messages):
+            for picture in read_pictures(messages, unread):
                 name = picture.frame_id
+                bare.discard(name)
                 if name in views and due[name] <= picture.stamp <= span[1]:
                     due[name] = picture.stamp + (0 if picture.is_video else self._step)
                     if not picture.is_video:  # whose frames need those before
                         picture = picture._replace(stamp=max(picture.stamp, span[0]))
                     views[name].picture(picture, start)
+        known = ", ".join((*CHANNELS, *VIDEO_CODECS))
+        for name, topic, encoding in (key for key in unread if key[0] in bare):
+            n = quantity(unread[name, topic, encoding], "image")
+            self.options.warn(
+                f"{log}: {topic}: {n} of {name} not drawn: {encoding!r} is none of {known}, or "
+                "colours as JPEG or PNG"
+            )
 
     def _finish(self, scene: Scene, source: Source, drawn: int) -> None:
         """Draw what is known of the whole log: images, the truth and the events."""

@@ -17,7 +17,7 @@ from hiros_cli.options import (
     seconds_range,
     settings_of,
 )
-from hiros_cli.output import check_outputs
+from hiros_cli.output import check_outputs, warn
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.progress import bar
 
@@ -69,7 +69,7 @@ def view(
     configs = [settings_of(log).load() for log in logs]
     options = ViewOptions(
         *(layout, window, extrinsics, stage or "", truth),
-        *(uncertainty, configs, images or ()),
+        *(uncertainty, configs, images or (), warn),
     )
     name = recording_name(list(logs), layout)
 
