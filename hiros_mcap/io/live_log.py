@@ -81,15 +81,14 @@ class LiveReading(Reading):
         )
         reader = self.log.reader
         faults = (*self._refused, reader.fault or reader.source.fault)
-        conversion = self.log.conversion
         late = (
             f"joints that nobody had shown when the results began, and that are not in them: "
             f"{', '.join(names)}; start hiros while somebody is seen whole"
             for names in [self.decoder.left_out]
             if names
         )
-        seen = *late, *conversion.seen_lenses.changes.values(), *conversion.warnings()
-        return (*super().warnings, *waiting, *filter(None, faults), *seen)
+        converted = self.log.conversion.warnings()
+        return (*super().warnings, *waiting, *filter(None, faults), *late, *converted)
 
     def _hear(self, message: Message) -> None:
         """Learn of new cameras from a message before it is handed out."""

@@ -114,7 +114,7 @@ def test_live_no_message_is_lost_where_rgb_cameras_see_nobody_at_first(log):
         ((640, 480), 1.0, ["its image from 1920 x 1080 to 640 x 480 px; hiros takes the first"]),
     ],
 )
-def test_a_lens_that_changes_is_a_warning(size, zoom, said, log, tmp_path):
+def test_a_lens_that_changes_is_a_warning_if_keypoints_need_it(size, zoom, said, log, tmp_path):
     path = tmp_path / "log.mcap"
     with McapReader(log) as reader, McapWriter(path) as writer:
         ChunkCopier(reader, writer, reader.channels).finish()
@@ -125,6 +125,9 @@ def test_a_lens_that_changes_is_a_warning(size, zoom, said, log, tmp_path):
         name = read_rgb_cameras(reader)[0].name
         topic = next(c.topic for c in reader.channels.values() if c.topic.endswith("camera_info"))
         add_camera_info(writer, topic, lens, name, stamp)
+        for k, width in enumerate((640, 1920)):  # of a camera that has no keypoints
+            other = replace(lens, size=(width, 1080))
+            add_camera_info(writer, "/other/camera_info", other, "other", stamp + k * SECOND)
         writer.commit()
     with open_log(path) as opened:
         found = [text for text in opened.warnings if "the lens of" in text]

@@ -67,10 +67,11 @@ class LiveConversion(Conversion):
     ) -> None:
         super().__init__(reader, Selection(selects=selects), (), {})
         self._guessed, self._rays = GuessedDepth({}, {}), frozenset(rays)
-        self.seen_lenses = SeenLenses()
-        lenses, faults = self.seen_lenses.lenses, self.seen_lenses.faults
-        tree = tree or TransformTree()
-        self._rig = RgbRig(tree, "", lenses, faults, {}, guessed=self._guessed)
+        self._seen_lenses = SeenLenses()
+        seen, tree = self._seen_lenses, tree or TransformTree()
+        self._rig = RgbRig(
+            tree, "", seen.lenses, seen.faults, {}, guessed=self._guessed, changes=seen.changes
+        )
         self._teaches: dict[int, tuple[str, ChannelInfo]] = {}
         """Channel -> what of the RGB cameras it tells."""
         self._live = reader
@@ -87,7 +88,7 @@ class LiveConversion(Conversion):
     def hint(self) -> str:
         """Why messages that look like skeletons are none, if no channel shows any; else ""."""
         waits = self._rig.models and self.rgb.rig is None
-        return super().hint or ("; ".join(self.seen_lenses.faults.values()) if waits else "")
+        return super().hint or ("; ".join(self._seen_lenses.faults.values()) if waits else "")
 
     def converted(self, messages: Arriving) -> Arriving:
         """Yield what messages become: themselves, if they are of no other detector."""
@@ -133,7 +134,7 @@ class LiveConversion(Conversion):
         elif kind == "lens":
             with suppress(LogError):
                 source = source_of(self._live, info, selected=True).message(message)
-                self.seen_lenses.take(
+                self._seen_lenses.take(
                     info.topic, message.log_time, source.cdr, lambda: source.fields
                 )
         if kind and self.rgb.rig is None:

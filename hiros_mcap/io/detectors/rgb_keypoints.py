@@ -65,6 +65,8 @@ class RgbRig:
     warnings: tuple[str, ...] = ()
     guessed: GuessedDepth = NONE_GUESSED
     """3D skeletons that are taken as keypoints; the above have their topics and frames, too."""
+    changes: Mapping[str, str] = field(default_factory=dict)
+    """Live: how the lens of a frame changes, as a warning. Of a file, ``warnings`` has it."""
 
 
 def keypoints_of_guess(frame: Frame, guessed: GuessedDepth) -> KeypointFrame:
@@ -186,7 +188,9 @@ class RgbKeypoints(DetectorReader):
             if self.rig is not None and name not in self.rig.lenses:
                 why = self.rig.faults.get(name, NO_LENS)
                 yield f"{name}: {quantity(n, 'message')} of keypoints not used: {why}"
-        if self._triangulator is not None:
+        if self._triangulator is not None and self.rig is not None:
+            changes, used = self.rig.changes, self._triangulator.lenses
+            yield from (text for name, text in changes.items() if name in used)
             yield from self._triangulator.warnings()
         for topic in (topic for topic, is_blank in self._blank.items() if is_blank):
             yield (
