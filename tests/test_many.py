@@ -249,6 +249,7 @@ def test_results_among_the_recordings_are_no_recordings(walking, tmp_path):
     assert process(tmp_path / "out", tmp_path / "again") == 0
     (record,) = records_of(tmp_path / "again").values()
     assert (record["verdict"], record["files"]) == ("skipped", {})
+    assert record["error"] == "is a result of hiros, not a recording"
 
 
 def test_a_truth_among_the_recordings_is_no_recording(walking, tmp_path):
@@ -256,8 +257,10 @@ def test_a_truth_among_the_recordings_is_no_recording(walking, tmp_path):
     keep(walking, tmp_path / "walk.truth.mcap", "/truth")
     keep(walking, tmp_path / "detector_off.mcap", "/tf_static")
     assert process(tmp_path, tmp_path / "out") == 2
-    verdicts = {name: one["verdict"] for name, one in records_of(tmp_path / "out").items()}
+    records = records_of(tmp_path / "out")
+    verdicts = {name: one["verdict"] for name, one in records.items()}
     assert verdicts == {"walk": "done", "walk.truth": "skipped", "detector_off": "failed"}
+    assert records["walk.truth"]["error"] == "is a truth, not a recording"
 
 
 def keep(source, target, prefix):

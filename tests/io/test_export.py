@@ -23,7 +23,7 @@ from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
 from hiros_mcap.io.export.biomechanics import tree_of
 from hiros_mcap.io.export.files import FORMATS, export, files_of, load_marker_set, steady
 from hiros_mcap.io.joints.marker_files import read_c3d
-from hiros_mcap.io.result import Motion, open_result
+from hiros_mcap.io.result import Motion, Result, open_result
 from hiros_mcap.regression.suite import write_golden
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
@@ -258,6 +258,13 @@ def test_tables_in_python_have_the_gaps_of_files(result):
     everything = doubtful.joints(least_confidence=0)
     np.testing.assert_array_equal(everything.loc[0, "KNEE_LEFT"].notna().all(axis=1), True)
     assert (doubtful.confidences()["KNEE_LEFT"] == 0.05).sum() == 15
+
+
+def test_tables_of_nobody_have_the_columns_of_somebody_and_no_row(result):
+    nobody = replace(result, motions={})
+    for table in (Result.joints, Result.confidences, Result.angles):
+        assert table(nobody).columns.equals(table(result).columns)
+        assert len(table(nobody)) == 0
 
 
 def test_warnings_of_export_reach_the_user(log, tmp_path, capsys, monkeypatch):

@@ -97,6 +97,15 @@ def test_attachments_and_metadata_are_found(path):
         assert reader.contents.metadata == [("about", {"key": "value"})]
 
 
+@pytest.mark.parametrize("beyond", range(1, 13))
+def test_an_attachment_may_not_claim_a_byte_more_than_its_record_has(beyond, path):
+    data = bytearray(write_log(path, enable_crcs=False, enable_data_crcs=False).read_bytes())
+    at = data.index(b"text/plain", data.index(b"some note") - 30) + len(b"text/plain")
+    data[at] += beyond
+    path.write_bytes(data)
+    assert "an attachment's data reach past its record" in fault_of(path)
+
+
 def test_every_combination_of_optional_records_is_read(path):
     names = ("repeat_channels", "repeat_schemas", "use_statistics", "use_summary_offsets")
     indexes = (IndexType.NONE, IndexType.CHUNK, IndexType.MESSAGE, IndexType.ALL)

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from filmed import around, film, turned, walking
 
+from hiros_mcap.kernels.local_line import Tracklet
 from hiros_mcap.rays.bundle import cameras_at
 from hiros_mcap.rays.image_tracks import views_of
-from hiros_mcap.rays.lags import coarse_lags
+from hiros_mcap.rays.lags import STEP_S, coarse_lags, sampled
 from hiros_mcap.rays.rig_refinement import LEAST_RAYS, refine_rig
 
 RIG = around()
@@ -35,6 +36,17 @@ def test_two_people_tell_poses_and_lags(people):
     assert seconds < 0.004  # a quarter of a frame
     assert 0.0 in rig.lags.values()
     assert max(rig.after.values()) < 7.0 < max(rig.before.values())
+
+
+@pytest.mark.parametrize("begin", [-8.0, -0.4, 0.0, 0.6, 4.0])
+@pytest.mark.parametrize("length", [1.3, 4.0, 9.9])
+def test_somebody_is_compared_at_every_step_while_he_is_seen(begin, length):
+    """The steps are multiples of one time; those at the ends count."""
+    seconds = STEP_S * np.linspace(begin, begin + length, 30)
+    track = Tracklet(seconds, np.ones((30, 2, 3)), np.ones((30, 2)))
+    first, rays = sampled(track, 0.5)
+    steps = [step for step in range(-20, 20) if begin <= step <= begin + length]
+    assert (first, len(rays)) == (steps[0], len(steps))
 
 
 @pytest.mark.parametrize("rate", [5.0, 10.0])
