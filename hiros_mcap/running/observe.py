@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -101,11 +102,15 @@ class Observer:
     ----------
     rates : by source. people : by id. seen_by : ids that the tracker gave, by source.
     written : frames by channel. sample : the first detections.
-    delays : how long after their time results of the last stage are logged, in ms.
+    delays : how long after their time results of the last stage were known, in ms.
+
+    ``prompt`` : see McapReader. Later messages lay in a queue while the run was busy.
     """
 
-    def __init__(self, chain: Sequence[str]) -> None:
-        self.chain = tuple(chain)
+    def __init__(
+        self, chain: Sequence[str], prompt: Callable[[], tuple[float, int]] = lambda: (math.inf, 0)
+    ) -> None:
+        self.chain, self._prompt = tuple(chain), prompt
         self.rates: defaultdict[str, MessageRate] = defaultdict(MessageRate)
         self.people: dict[int, Presence] = {}
         self.seen_by: defaultdict[str, set[int]] = defaultdict(set)
@@ -127,8 +132,10 @@ class Observer:
                 ids = block.people.ids[rows[block.sources[owners] == code]]
                 self.seen_by[block.names[code]].update(np.unique(ids).tolist())
         if channel == self.chain[-1]:
-            late = (block.log_times - block.stamps) // 1_000_000
-            self.delays.update(late.tolist())
+            (at, log_time), logged = self._prompt(), block.log_times
+            passed = int(max(time.perf_counter() - at, 0.0) * 1e9)
+            known = logged + np.maximum(passed - np.maximum(logged - log_time, 0), 0)
+            self.delays.update(((known - block.stamps) // 1_000_000).tolist())
             self._count(block)
 
     def _count(self, block: Block) -> None:

@@ -215,7 +215,7 @@ def run_log(
     if watcher is not None:
         run = replace(run, derivatives=None)  # it sees them in every channel
     _log.info("%s: system %s: %s", log.path, options.system, ", ".join(chain))
-    observer = Observer(chain)
+    observer = Observer(chain, lambda: log.reader.prompt)
     reading = log.read(slim=True)
     report = Report(prepared, run, observer, reading)
     with output(prepared, run) as outputs:

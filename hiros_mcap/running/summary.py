@@ -57,7 +57,8 @@ class PlacementSummary:
 class DelaySummary:
     """How long after their time the results of a causal run were known, by the log's clock.
 
-    It holds how late the messages came and how long the stages waited, not what they computed.
+    It holds how late the messages came and how long the stages waited. Of live input, it also holds
+    how long messages lay here while the run was busy, and what was computed.
     """
 
     median_s: float

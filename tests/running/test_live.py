@@ -519,6 +519,40 @@ def test_what_was_waited_for_is_no_work(crossing):
     assert f"{waited}{summary.log_s / work:.1f} times real time" in _headline(summary)[1]
 
 
+class Busy:
+    """Holds a run up once, for so many seconds."""
+
+    def __init__(self, seconds):
+        self.seconds = seconds
+
+    def begin(self, *_):
+        pass
+
+    end = begin
+
+    def frame(self, channel, _):
+        if channel == "filtered":
+            time.sleep(self.seconds)
+            self.seconds = 0.0
+
+
+def test_results_are_later_by_the_time_for_which_the_run_was_busy(crossing):
+    messages = recorded(crossing)
+
+    def as_recorded():
+        start = time.perf_counter() - messages[0][1].log_time * 1e-9
+        for topic, message in messages:
+            time.sleep(max(0.0, start + message.log_time * 1e-9 - time.perf_counter()))
+            yield topic, message
+
+    most = []
+    for seconds in (0.0, 1.5):
+        with piped(send(crossing, as_recorded())) as source:
+            summary = process_live(source, None, options=LIVE, watcher=Busy(seconds))
+        most.append(summary.delay.most_s)
+    assert most[1] > most[0] + 0.5
+
+
 def test_stopping_ends_the_input(crossing, tmp_path):
     out = tmp_path / "out.mcap"
 

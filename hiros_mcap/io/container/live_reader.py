@@ -26,6 +26,7 @@ from hiros_mcap.kernels.record_index import COLUMNS
 T = TypeVar("T")
 Arriving = Iterator[Message | None]
 """Messages, and None before more is awaited."""
+_IDLE_S = 0.001  # s: who waits longer for a message had dealt with all before
 _TOGETHER = 32  # messages that are handed out together at most: results wait for all of them
 
 
@@ -147,7 +148,12 @@ class LiveReader(McapReader):
         messages = self._arriving(source)
         for step in self.steps:
             messages = step(messages)
-        yield from messages
+        awaits, waited = True, -1.0
+        for message in messages:
+            if message and awaits and self.waited_s - waited > _IDLE_S:
+                self.prompt = perf_counter(), message.log_time
+            awaits, waited = message is None, self.waited_s
+            yield message
 
     def _arriving(self, source: LiveInput) -> Arriving:
         """Yield the messages, and None before more is awaited; note everything else."""

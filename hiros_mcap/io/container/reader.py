@@ -10,6 +10,7 @@ overlap so much in time that they would take more is refused.
 from __future__ import annotations
 
 import heapq
+import math
 import os
 import struct
 import time
@@ -219,6 +220,7 @@ class McapReader:
     types : channel -> what its messages hold, where their type does not tell.
     faults : by topic, how many messages could not be converted, and why the first one could not.
     waited_s : time in which more of the file was waited for.
+    prompt : when the latest message came that was waited for, s, and its log time, ns.
     """
 
     recovery: Recovery | None = None
@@ -228,6 +230,7 @@ class McapReader:
     types: Mapping[int, str] = MappingProxyType({})
     faults: Mapping[str, tuple[int, str]] = MappingProxyType({})
     waited_s = 0.0
+    prompt = math.inf, 0
 
     def __init__(self, path: str | os.PathLike[str] | LogFile, *, memory: int = MEMORY) -> None:
         self._file = path if isinstance(path, LogFile) else LogFile(path)
