@@ -37,6 +37,7 @@ ROUNDS = 20
 _UNKNOWN = 1.0  # standard error, radians or m, from which on a pose tells nothing
 STILL = 1e-5
 """A step that changes less, m or radians, is the last."""
+_ROUNDING = 1e-9  # by so much a sum may grow and be the same
 
 Placement = tuple[Floats, Floats]
 """Rotation (3, 3) and shift (3,) of the common frame in the fixed frame."""
@@ -170,10 +171,14 @@ def _deviations(
 def _improved(
     rig: Rig, given: Mapping[int, Rigid], deviations: Floats, placement: Placement
 ) -> Placement:
-    """Return the placement after one Gauss-Newton step; it turns about the cameras' middle."""
+    """Return the placement after one Gauss-Newton step; it turns about the cameras' middle.
+
+    The placement stays if the step makes it worse: poses that contradict the rig may have no end.
+    """
     angles, shifts, chi2 = _deviations(rig, given, deviations, placement)
     # All poses may be worse than the prior says; only those that are worse than most count less.
-    weights = 1.0 / (1.0 + chi2 / max(6.0, float(np.median(chi2))))
+    scale = max(6.0, float(np.median(chi2)))
+    weights = 1.0 / (1.0 + chi2 / scale)
     turn, shift = placement
     places = rig.shifts[list(given)] @ turn.T + shift
     angle, metres = deviations.T[:, :, None, None]
@@ -186,7 +191,12 @@ def _improved(
     slope = np.einsum("k,kia,ki->a", weights, rows, off)
     step = -np.linalg.solve(hessian, slope)
     small = to_matrix(from_vector(step[:3]))
-    return small @ turn, small @ shift + step[3:]
+    after = small @ turn, small @ shift + step[3:]
+    cost, less = (
+        float(np.log1p(each / scale).sum())
+        for each in (chi2, _deviations(rig, given, deviations, after)[2])
+    )
+    return after if less <= cost * (1.0 + _ROUNDING) else placement
 
 
 def on_floor(rig: Rig, floor: Floor | None, people: Floats) -> Placement:

@@ -295,6 +295,13 @@ class CalibratedCamera(CameraResult):
         return self.verdict != "impossible" or self.reason in (NO_VIEW, UNLINKED)
 
     @property
+    def agrees(self) -> bool:
+        """Whether nothing speaks against its pose, but that people walk as strangers might, too."""
+        if self.evidence is None:
+            return False
+        return not weakness_of(replace(self.evidence, repetition=math.inf), USABLE)
+
+    @property
     def uncertainty(self) -> float:
         """Standard error of the orientation, degrees; 0 where nothing tells it."""
         return 0.0 if math.isnan(self.error_deg) else self.error_deg

@@ -38,6 +38,7 @@ from hiros_mcap.calibrate.survey import (
 )
 from hiros_mcap.calibrate.verdict import (
     CONFIRMED,
+    GRADES,
     SURE,
     UNLINKED,
     CalibratedCamera,
@@ -314,11 +315,20 @@ def _found_anew(
     nowhere = misfit and any(len(group) == len(posed.cameras) for group in alike)
     error = LogError(_NOWHERE, path=survey.log.path) if nowhere else None
     try:
-        return replace(_from_nothing(survey, clocks, error, mode), alike=tuple(alike))
+        anew = _from_nothing(
+            survey, clocks, error, mode, contradicted=mode != "require" and _all_wrong(posed)
+        )
+        return replace(anew, alike=tuple(alike))
     except LogError:
         if nowhere:
             raise
         return None
+
+
+def _all_wrong(posed: PosedViews) -> bool:
+    """Whether people prove that poses are wrong, and no two cameras confirm each other's."""
+    fitting = [camera for camera in posed.rig if camera.fits and camera.reason != UNLINKED]
+    return len(fitting) < _ENOUGH
 
 
 def _separated(
@@ -428,9 +438,12 @@ def _require(log: Log, alignment: PoseAlignment) -> None:
 
 def _from_nothing(
     survey: Survey, clocks: ClockAlignment, error: LogError | None, mode: Calibration,
-    frames: Iterable[str] | None = None,
+    frames: Iterable[str] | None = None, *, contradicted: bool = False,
 ) -> PoseAlignment:  # fmt: skip
     """Use poses that need no transforms; raise LogError if the people do not tell them.
+
+    Where the log's are ``contradicted``, cameras are known to see the same people. So it does not
+    count that strangers might fit, too.
 
     Without poses in the log (``error`` says so), two cameras are enough: the others are left out.
     Channels that share one of ``frames`` get frames of their own; None = any frame.
@@ -446,7 +459,11 @@ def _from_nothing(
     except LogError as reason:
         raise LogError(_fault_of_both(error, reason.fault), path=log.path) from None
     enough = CONFIRMED if mode == "require" else SURE
-    left = {camera.name for camera in calibration.cameras if camera.verdict not in enough}
+    left = {
+        camera.name
+        for camera in calibration.cameras
+        if camera.verdict not in enough and not (contradicted and camera.agrees)
+    }
     poses = {
         camera.frame: {0: camera.pose}
         for camera in calibration.cameras
@@ -479,11 +496,15 @@ def _weak_poses(rig: PeopleCalibration, left_out: frozenset[str]) -> Iterator[st
             f"{camera.name} is left out, because the people do not tell its pose "
             f"({camera.reason}): {camera.remedy}. {_DOUBTFUL}"
         )
-    weak = [camera for camera in rig.cameras if camera.verdict == "usable"]
+    used = [camera for camera in rig.cameras if camera.name not in left_out]
+    weak = [camera for camera in used if camera.verdict not in CONFIRMED]
     if weak:
-        worst = max(reversed(weak), key=lambda camera: camera.uncertainty)
+        worst = max(
+            reversed(weak), key=lambda camera: (GRADES.index(camera.verdict), camera.uncertainty)
+        )
+        grade = "usable only" if worst.verdict == "usable" else worst.verdict
         yield (
-            f"the cameras' poses are usable only: expect joints to be {rig.people_mm:.0f} mm off "
+            f"the cameras' poses are {grade}: expect joints to be {rig.people_mm:.0f} mm off "
             f"by them ({worst.name}: {worst.reason}); for better ones, {worst.remedy}"
         )
 

@@ -259,6 +259,18 @@ def test_the_rig_stays_though_one_camera_was_moved():
     assert placed.shifts[others] == pytest.approx(wanted, abs=0.003)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_a_rig_that_contradicts_the_given_poses_stays_near_them(seed):
+    """Two rooms, of whose people somebody made one: nothing fits, and nothing runs away."""
+    turns = Rotation.random(4, random_state=seed)
+    rig = Rig(turns[:2].as_matrix(), np.array([[0.0, 0.0, 0.0], [2.4, -0.3, 0.8]]), np.zeros(2))
+    places = np.array([[-2.8, 2.3, 2.0], [15.2, 1.7, 2.0]])
+    given = {c: Rigid(turns[c + 2].as_quat(), places[c]) for c in range(2)}
+    placed = moved(rig, on_transforms(rig, given))
+    apart = np.linalg.norm(placed.shifts[:, None] - places, axis=2)
+    assert apart.min(axis=1).max() < 20.0
+
+
 def test_the_rig_stays_though_the_people_hardly_place_one_camera_in_it():
     turns = Rotation.random(3, random_state=2)
     rig = Rig(turns.as_matrix(), np.eye(3), np.zeros(3))

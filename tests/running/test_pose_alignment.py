@@ -486,3 +486,23 @@ def test_a_camera_whose_people_are_elsewhere_is_named(scene, detections, true, t
     summary = process(write(tmp_path / "log.mcap", scene, short, given), options=FIRST_STAGE)
     named = "camera_2: its pose does not fit the people (its people are those whom"
     assert any(text.startswith(named) for text in summary.warnings)
+
+
+def test_two_cameras_one_of_which_is_wrong_show_one_person_all_the_same(tmp_path):
+    """People walk as regularly as strangers might. But here they are proved to be the same."""
+    params = {"people": 1, "cameras": 2, "seconds": 14.0, "seed": 5, "rig": {"rate": 15.0}}
+    params["detector"] = {"kind": "kinect"}
+    two = simulate(SimulateParams.model_validate(params))
+    true = {camera.name: camera.pose for camera in two.cameras}
+    given = true | {"camera_1": turned(true["camera_1"], 30.0, 1.0)}
+    log, out = write(tmp_path / "log.mcap", two, list(two.detections), given), tmp_path / "out.mcap"
+    summary = process(log, out, options=FIRST_STAGE)
+    assert verdicts(summary) == ["doubtful"] * 2
+    assert any("the cameras' poses are doubtful: expect" in text for text in summary.warnings)
+    assert len(summary.people) == 1
+    with open_log(out) as result:
+        used = [result.transforms.lookup(name, result.fixed_frame, 0) for name in NAMES[:2]]
+    ways = [one.inverse() @ other for one, other in (used, tuple(true.values()))]
+    assert apart(*ways) < 1.5
+    with pytest.raises(LogError, match="--calibrate require"):
+        process(log, options=ProcessOptions(calibrate="require"))
