@@ -119,6 +119,8 @@ class Found:
     """(J,) mean score of the images that agree."""
     views: list[int]
     """Rows of the detections."""
+    missed: float
+    """Mean distance at which the rays that agree pass the joints, m."""
 
 
 class People3D:
@@ -225,7 +227,9 @@ class People3D:
             self.counts["outvoted"] += int((there & ~out.agrees).sum())
             n = np.maximum(out.agrees.sum(axis=0), 1)
             scores = np.where(out.agrees, seen.scores[rows], 0.0).sum(axis=0) / n
-            return Found(person, out.points.copy(), out.deviations.copy(), scores, list(rows))
+            missed = float(out.distances[out.agrees].mean())
+            points, deviations = out.points.copy(), out.deviations.copy()
+            return Found(person, points, deviations, scores, list(rows), missed)
         return None
 
     def _triangulated(
@@ -271,7 +275,7 @@ class People3D:
             groups = [group for pair in pairs if (group := self._group(instant, seen, pair, rows))]
             if not groups:
                 return
-            best = max(groups, key=lambda g: (len(g.views), -_misfit(g)))
+            best = max(groups, key=lambda g: (len(g.views), -g.missed))
             best.person.tracks = {int(seen.cameras[n]): int(seen.tracks[n]) for n in best.views}
             free[best.views] = False
             yield best

@@ -156,6 +156,15 @@ def test_two_people_are_never_one():
             assert min(np.abs(found.points - truth).max(axis=(1, 2))) < 1e-5
 
 
+def test_two_people_side_by_side_are_not_two_between_them():
+    """The rays of one to the other meet nearer to the two cameras, and not as well."""
+    aside = np.array([0.4, 0.0, 0.0])
+    two = [BODY - aside, BODY * [1.0, 1.0, 1.04] + aside]
+    _, out = located(images([camera(67), camera(113)], people=lambda k: two))
+    shown = [np.sort(found.points[:, :, 0].mean(axis=1)) for _, found in out[4:]]
+    np.testing.assert_allclose(shown, np.tile([-0.4, 0.4], (len(shown), 1)), atol=1e-3)
+
+
 def test_somebody_twice_in_an_image_is_one():
     triangulator, out = located(images(FOUR, people=lambda k: [at(k), at(k)]))
     assert [len(found.points) for _, found in out[4:]] == [1] * 16
