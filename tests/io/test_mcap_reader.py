@@ -21,6 +21,7 @@ from mcap_logs import (
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.container import records as r
+from hiros_mcap.io.container.file import LogFile
 
 
 def read(path, channels=None):
@@ -56,6 +57,13 @@ class Counting(McapReader):
 def test_every_kind_of_container_reads_as_the_library_reads_it(path, kind):
     write_log(path, **KINDS[kind])
     assert read(path) == by_library(path)
+
+
+@pytest.mark.parametrize("size", [1, 100])
+def test_a_disk_that_gives_a_few_bytes_at_a_time_gives_the_same(size, path, monkeypatch):
+    wanted, whole = read(write_log(path)), LogFile._read_at
+    monkeypatch.setattr(LogFile, "_read_at", lambda file, at, n: whole(file, at, min(n, size)))
+    assert read(path) == wanted
 
 
 @pytest.mark.parametrize("kind", KINDS)
