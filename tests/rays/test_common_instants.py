@@ -94,6 +94,18 @@ def test_a_camera_that_sends_nothing_is_waited_for_in_the_first_second_only():
     assert all(wait <= PERIOD for instant, wait in came if instant > first + second)
 
 
+@pytest.mark.parametrize("early", [0, 1])
+def test_who_falls_silent_is_waited_for_a_period_longer_than_who_is_late(early):
+    """At that very time all instants come that only waited for this camera."""
+    both = sent({"a": 0.0, "b": 0.0}, n=10)
+    last = both[-1][1]
+    limit = last + CommonInstants().wait + PERIOD
+    alone = [("a", stamp) for stamp in range(last + PERIOD, limit - PERIOD // 2, PERIOD)]
+    _, out = instants([*both, *alone, ("a", limit - early)])
+    came = {came for instant, _, came in out if last + PERIOD < instant < limit - PERIOD}
+    assert came == {-1 if early else limit}
+
+
 def test_an_image_that_comes_when_its_time_is_over_is_counted_and_left_out():
     images = sent({"a": 0.0, "b": 0.0})
     late = [("a", images[40][1]), ("b", images[20][1])]
