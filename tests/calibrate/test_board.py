@@ -41,8 +41,8 @@ def plate():
     return picture
 
 
-def see(camera, seed, board=True):
-    """Ray-cast the board: BGR (H, W, 3) and depth (H, W), m, with noise."""
+def see(camera, seed, board=True, unknown=()):
+    """Ray-cast the board: BGR (H, W, 3) and depth (H, W), m, with noise; 0 at some markers."""
     rng = np.random.default_rng(seed)
     columns, rows = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
     rays = np.stack([(columns - 319.5) / 520, (rows - 239.5) / 520, np.ones((HEIGHT, WIDTH))], -1)
@@ -54,6 +54,8 @@ def see(camera, seed, board=True):
     on = ((at >= 0) & (at < 700)).all(axis=-1) & (depth > 0) & board
     pixels[on] = plate()[at[on][:, 1], at[on][:, 0]]
     depth = np.where((depth > 0) & (depth < 6), depth, 4.0) + rng.normal(0, 0.004, depth.shape)
+    for k in unknown:
+        depth[np.abs(places - MARKERS[k]).max(axis=-1) < 0.15] = 0.0
     pixels = np.clip(pixels + rng.normal(0, 3, pixels.shape), 0, 255).astype(np.uint8)
     return np.repeat(pixels[..., None], 3, axis=2), depth
 
@@ -79,13 +81,14 @@ def above(angle):
 CAMERAS = [above(0.3), above(1.8)]
 
 
-def write_board(path, sees=(True, True), n=6):
+def write_board(path, sees=(True, True), n=6, unknown=()):
+    """Write a log; in the first image of camera 0, the depth of some markers is unknown."""
     messages = []
     for k, camera in enumerate(CAMERAS):
         frame = f"camera_{k}_optical"
         for i in range(n):
             stamp = 10**18 + i * 33_333_333
-            pixels, metres = see(camera, 10 * k + i, sees[k])
+            pixels, metres = see(camera, 10 * k + i, sees[k], () if k or i else unknown)
             head = header(stamp, frame)
             messages += [
                 (f"/camera_{k}/color/image_raw", stamp, image(head, pixels, "bgr8")),
@@ -114,6 +117,13 @@ def test_each_camera_sees_the_board(log):
     found = calibrate_board(log)
     assert (found.verdict, found.gauge) == ("good", "board"), found.reason
     assert [camera.seen for camera in found.cameras] == [6, 6]
+    assert_right([camera.pose for camera in found.cameras])
+
+
+@pytest.mark.parametrize("unknown", [(2,), (0, 1, 2, 3)])
+def test_an_image_without_the_depth_of_a_marker_is_left_out(unknown, tmp_path):
+    found = calibrate_board(write_board(tmp_path / "board.mcap", unknown=unknown))
+    assert [camera.seen for camera in found.cameras] == [5, 6]
     assert_right([camera.pose for camera in found.cameras])
 
 

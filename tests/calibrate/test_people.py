@@ -15,6 +15,7 @@ from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid, angle
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import read_extrinsics
+from hiros_mcap.calibrate.camera_views import Sighting
 from hiros_mcap.calibrate.joint_refinement import (
     Points,
     free_unknowns,
@@ -24,6 +25,7 @@ from hiros_mcap.calibrate.joint_refinement import (
 )
 from hiros_mcap.calibrate.people import calibrate_people
 from hiros_mcap.calibrate.sampling import Rig
+from hiros_mcap.calibrate.survey import Survey, _seconds_with_people
 from hiros_mcap.calibrate.verdict import GOOD, Evidence, weakness_of
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.log import open_log
@@ -196,6 +198,30 @@ def test_somebody_who_stands_still_tells_no_clock(scene, tmp_path):
     assert found.verdict != "impossible"
     assert max(degrees for degrees, _ in errors(scene, found)) < 0.7
     assert all(np.isnan(camera.clock_s) for camera in found.cameras)
+
+
+def test_a_second_counts_in_which_two_cameras_see_somebody():
+    some, none = np.zeros((1, 1, 3)), np.zeros((0, 1, 3))
+    seen = {
+        "left": [Sighting(at, some, some[..., 0]) for at in (-0.9, 0.0, 0.99, 2.5)],
+        "right": [Sighting(at, some, some[..., 0]) for at in (-0.1, 0.5, 1.0)],
+    }
+    assert _seconds_with_people(seen) == 2
+    blind = [Sighting(at, none, none[..., 0]) for at in (1.5, 2.6)]
+    assert _seconds_with_people({**seen, "blind": blind}) == 2
+    assert _seconds_with_people({**seen, "third": seen["left"]}) == 3
+
+
+@pytest.mark.parametrize("hours", [-1, 1])
+def test_what_a_camera_stamps_at_quite_another_time_is_compared_with_nobody(hours, scene, tmp_path):
+    ns = hours * 3600 * 10**9
+    frames = [
+        f.replace(stamp=f.stamp + ns, stamps=f.stamps + ns) if f.source == "camera_2" else f
+        for f in scene.detections
+    ]
+    with open_log(write(tmp_path / "log.mcap", frames, scene.model)) as log:
+        sightings = Survey(log, fixed=False).sightings({})
+    assert [name for name, some in sorted(sightings.items()) if some] == ["camera_0", "camera_1"]
 
 
 def test_one_camera_is_refused(scene, tmp_path):

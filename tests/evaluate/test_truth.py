@@ -208,6 +208,12 @@ def test_links_that_the_result_lacks_are_counted():
     assert note == "2 links of the truth join no two joints that the result links"
 
 
+def test_a_truth_whose_joints_are_those_of_the_result_need_not_name_them():
+    results = evaluate_channels({"/x": Channel("x", frames(), MODEL)}, Truth.of(frames()))
+    with_names, without = (notes_of(Truth.of(frames(), m), results) for m in (MODEL, None))
+    assert with_names == without
+
+
 def test_where_nobody_was_seen_everybody_is_missing():
     """Frames of nobody have no skeleton model; the truth's counts."""
     empty = SkeletonModel.of([], [])

@@ -201,6 +201,9 @@ def test_the_copy_of_static_transforms_is_whole_and_latched(walking, tmp_path, e
         schema = after.schema(after.channels[info.id])
         old_schema = before.schema(before.channels[old_info.id])
         assert (schema.encoding, schema.data) == (encoding, old_schema.data)
+    hiros_mcap.process(source, target, stages="T", keep=["/truth/*"])
+    with McapReader(target) as after:
+        assert static_of(after) == []  # the same holds for it as for other channels
 
 
 def static_of(reader):
