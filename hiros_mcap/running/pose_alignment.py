@@ -180,7 +180,7 @@ class PoseAlignment:
         Where nobody was ``found``, no view tells whether cameras see the same people.
         """
         yield from self.agreements
-        for camera in filter(self._is_unconfirmed, self.cameras if found else ()):
+        for camera in (c for c in self.cameras if found and c.reason == UNLINKED):
             yield (
                 f"{camera.name} {camera.reason}; if it should, its pose is wrong, and people "
                 "may appear twice. hiros calibrate people may find it"
@@ -190,10 +190,6 @@ class PoseAlignment:
                 "hiros moved the cameras to where they see the same people at the same place; "
                 "--calibrate off keeps the log's poses"
             )
-
-    def _is_unconfirmed(self, camera: PoseSummary) -> bool:
-        """Whether others see people, but not those whom the camera sees."""
-        return camera.reason == UNLINKED and len(self.cameras) > 1
 
 
 def align_cameras(

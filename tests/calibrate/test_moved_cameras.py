@@ -150,6 +150,15 @@ def test_the_terminal_lists_both_parts(log, capsys):
     assert "hiros: warning: camera_2 was moved" in printed.err
 
 
+def test_of_two_cameras_the_second_was_moved(scene, healthy, tmp_path):
+    """Nobody else tells which one it was."""
+    start = min(frame.stamp for frame in healthy)
+    frames = [moved(frame, start, FAR) for frame in healthy if frame.source != "camera_1"]
+    summary = process(logged(tmp_path / "log.mcap", scene, frames), options=FIRST_STAGE)
+    assert [one.name for one in summary.poses] == ["camera_0", "camera_2", "camera_2"]
+    assert summary.poses[1].until_s == pytest.approx(AT_S, abs=0.25)
+
+
 def test_the_time_is_found_in_parts_of_the_log_that_were_not_read_at_first(log, done, monkeypatch):
     monkeypatch.setattr(survey, "MOST_S", 17.0)
     monkeypatch.setattr(survey, "STRETCHES", 2)  # 0.75 to 9.25 s, and 10.75 to 19.25 s
