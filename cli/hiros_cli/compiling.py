@@ -129,19 +129,18 @@ def _ensure_writable() -> bool:
     from hiros_mcap.kernels import cache_folder, is_private
 
     folder = cache_folder()
+    why = "it is full or cannot be written, so each run compiles its kernels anew; mend that"
     try:
         folder.mkdir(mode=0o755, parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
         if not is_private(folder):
-            warn(
-                f"{folder}: other users may write there, so its compiled kernels are not used; "
-                "remove it, or name a folder of your own in NUMBA_CACHE_DIR"
-            )
+            why = "other users may write there, so its compiled kernels are not used; remove it"
         elif shutil.disk_usage(folder).free >= _SPACE:
             return True
     except OSError:
         pass
+    warn(f"{folder}: {why}, or name a folder of your own in NUMBA_CACHE_DIR")
     private = tempfile.mkdtemp(prefix="hiros-kernels-")
     atexit.register(shutil.rmtree, private, ignore_errors=True)
     os.environ["NUMBA_CACHE_DIR"] = private

@@ -299,9 +299,9 @@ def test_a_complete_cache_is_used_where_nothing_can_be_written(full_cache, tmp_p
     assert os.environ["NUMBA_CACHE_DIR"] == str(tmp_path / "kernels")
 
 
-@pytest.mark.parametrize("fault", ["one is missing", "others may write there"])
-def test_else_kernels_go_to_a_folder_of_the_process(fault, full_cache):
-    if fault == "one is missing":
+@pytest.mark.parametrize("fault", ["it is full", "other users may write there"])
+def test_else_kernels_go_to_a_folder_of_the_process_and_a_line_says_why(fault, full_cache, capsys):
+    if fault == "it is full":
         full_cache[7].unlink()
     else:
         kernels.cache_folder().chmod(0o777)
@@ -309,6 +309,9 @@ def test_else_kernels_go_to_a_folder_of_the_process(fault, full_cache):
     folder = Path(os.environ["NUMBA_CACHE_DIR"])
     assert folder.name.startswith("hiros-kernels-")
     assert folder.is_dir()
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f": {fault}" in line
+    assert line.endswith(", or name a folder of your own in NUMBA_CACHE_DIR")
 
 
 def test_nothing_is_taken_from_the_folder_in_which_one_stands(tmp_path):
