@@ -9,7 +9,7 @@ import hiros_schemas
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import transform_to_fixed
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.channels import add_skeleton_channel
+from hiros_mcap.io.channels import ChannelInfo, add_skeleton_channel, select_skeletons
 from hiros_mcap.io.codec import Decoder, Encoder, ModelBuilder
 from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.log import DAMAGED, STALE, open_log
@@ -498,6 +498,15 @@ def test_a_log_of_results_only_is_an_error(path):
 def test_a_log_without_skeletons_is_an_error_that_lists_the_channels(path):
     with pytest.raises(LogError, match=r"no SkeletonGroup channel.*/a \(pkg/msg/Type, 20\)"):
         open_log(write_log(path))
+
+
+@pytest.mark.parametrize(
+    ("counts", "taken"), [((3, 0, 1), "ac"), ((0, 0, 0), "abc"), ((1, 1, 1), "abc")]
+)
+def test_a_channel_without_messages_is_no_camera_unless_none_has_any(counts, taken):
+    kind = hiros_schemas.SKELETON_GROUP
+    infos = [ChannelInfo(k, f"/{'abc'[k]}", kind, "cdr", n, {}) for k, n in enumerate(counts)]
+    assert [info.topic[1:] for info in select_skeletons(infos)] == [*taken]
 
 
 def test_a_log_of_an_empty_room_has_frames_of_nobody(path):
