@@ -115,8 +115,14 @@ def test_two_steps_are_both_corrected():
     assert worst(cameras, verdicts, camera(2)) < 0.005
 
 
-def test_the_part_that_agrees_with_the_other_cameras_keeps_its_stamps():
-    cameras = three(clock=lambda t: np.where(t < 10, 3.0, 0.0))
+@pytest.mark.parametrize("ahead", [-3.0, 3.0])
+@pytest.mark.parametrize("recorder", [-60.0, 0.0, 60.0])
+def test_the_part_that_agrees_with_the_other_cameras_keeps_its_stamps(ahead, recorder):
+    """Whatever the recorder's clock says, s."""
+    cameras = {
+        name: CameraTimes(times.stamps, times.log_times + round(recorder * 1e9))
+        for name, times in three(clock=lambda t: np.where(t < 10, ahead, 0.0)).items()
+    }
     assert worst(cameras, clock_verdict(cameras), camera(2)) < 0.005
 
 
