@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hiros_mcap.calibrate.verdict import SURE
+from hiros_mcap.calibrate.verdict import NO_VIEW, UNLINKED
 from hiros_mcap.config import Config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.events import Events
@@ -103,7 +103,7 @@ class ClockAlignment:
         measured = {name: c for name, c in surest.items() if not math.isnan(c.clock_ms)}
         offsets = significant_offsets(measured.values(), lags, self.given)
         for name, seconds in offsets.items():
-            if measured[name].verdict not in SURE:
+            if not measured[name].tells_the_clock:
                 self._note(name, seconds, measured[name].reason)
         for name, lag in lags.items():
             ahead = middle_of(lags) - lag
@@ -111,12 +111,13 @@ class ClockAlignment:
                 pose = surest.get(name)
                 is_alone = pose is not None and pose.verdict == "impossible"
                 self._note(name, ahead, pose.reason if pose and is_alone else STILL)
-        self._add({name: s for name, s in offsets.items() if measured[name].verdict in SURE})
+        self._add({name: s for name, s in offsets.items() if measured[name].tells_the_clock})
         right = right_clock(measured.values(), lags, self.given)
         return [replace(camera, clock_ms=camera.clock_ms - right) for camera in cameras]
 
     def _note(self, camera: str, seconds: float, reason: str) -> None:
         """Note an offset that is not corrected."""
+        reason = f"it {reason}" if reason in (NO_VIEW, UNLINKED) else reason
         at = int(self.corrected_times(camera).stamps[0])
         fault = ClockFault(camera, OFFSET, seconds, at, corrected=False, reason=reason)
         self.faults.append(fault)
@@ -171,7 +172,7 @@ def right_clock(
     Clocks that the user has set are right. Without any, the median clock is; of two, it is that of
     the camera whose messages are logged nearer to their stamps.
     """
-    sure = {camera.name: camera.clock_ms for camera in cameras if camera.verdict in SURE}
+    sure = {camera.name: camera.clock_ms for camera in cameras if camera.tells_the_clock}
     sure = {name: ms for name, ms in sure.items() if not math.isnan(ms)}
     if set_right := [ms for name, ms in sure.items() if name in given]:
         return float(np.median(set_right))

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from hiros_mcap.calibrate.verdict import SURE
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.camera_clock import ClockFault
 from hiros_mcap.io.result import Result, open_result
@@ -43,6 +44,11 @@ class PoseSummary:
     """When the camera was moved to this pose, s from the log's start; NaN if it stood there from
     the start. A camera that was moved is listed twice."""
     until_s: float = math.nan  # when it was moved away from this pose; NaN if it stayed
+
+    @property
+    def tells_the_clock(self) -> bool:
+        """Whether its clock can be believed: that goes with the pose, where the run uses this."""
+        return self.used or self.verdict in SURE
 
 
 @dataclass(frozen=True, slots=True)

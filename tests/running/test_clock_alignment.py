@@ -326,7 +326,7 @@ def test_the_lag_of_a_camera_that_shares_no_view_is_named_with_the_reason():
         PoseSummary("alone", "impossible", UNLINKED),
     ])  # fmt: skip
     (fault,) = clocks.faults
-    assert (fault.camera, fault.corrected, fault.reason) == ("alone", False, UNLINKED)
+    assert (fault.camera, fault.corrected, fault.reason) == ("alone", False, f"it {UNLINKED}")
 
 
 @pytest.mark.parametrize("poses", ["absent", "wrong"])

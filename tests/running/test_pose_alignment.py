@@ -488,16 +488,20 @@ def test_a_camera_whose_people_are_elsewhere_is_named(scene, detections, true, t
     assert any(text.startswith(named) for text in summary.warnings)
 
 
-def test_two_cameras_one_of_which_is_wrong_show_one_person_all_the_same(tmp_path):
+@pytest.mark.parametrize("ahead", [0.0, 0.2])
+def test_two_cameras_one_of_which_is_wrong_show_one_person_all_the_same(ahead, tmp_path):
     """People walk as regularly as strangers might. But here they are proved to be the same."""
     params = {"people": 1, "cameras": 2, "seconds": 14.0, "seed": 5, "rig": {"rate": 15.0}}
     params["detector"] = {"kind": "kinect"}
     two = simulate(SimulateParams.model_validate(params))
     true = {camera.name: camera.pose for camera in two.cameras}
     given = true | {"camera_1": turned(true["camera_1"], 30.0, 1.0)}
-    log, out = write(tmp_path / "log.mcap", two, list(two.detections), given), tmp_path / "out.mcap"
+    frames = [later(f, round(ahead * 1e9)) if f.source == "camera_1" else f for f in two.detections]
+    log, out = write(tmp_path / "log.mcap", two, frames, given), tmp_path / "out.mcap"
     summary = process(log, out, options=FIRST_STAGE)
     assert verdicts(summary) == ["doubtful"] * 2
+    assert summary.poses[1].clock_ms == pytest.approx(-1000.0 * ahead, abs=5.0)
+    assert any("corrected its stamps" in text for text in summary.warnings) == (ahead > 0.0)
     assert any("the cameras' poses are doubtful: expect" in text for text in summary.warnings)
     assert len(summary.people) == 1
     with open_log(out) as result:
