@@ -32,6 +32,9 @@ TURN, SHIFT = Rotation.from_euler("xyz", [0.3, -0.5, 1.2]), np.array([3.0, -1.0,
 # Some systems tell people apart on the floor: for them, z stays vertical.
 LEVEL_TURN, LEVEL_SHIFT = Rotation.from_euler("z", 1.2), np.array([3.0, -1.0, 0.0])
 
+KNOWN_SOON = "constrain.enough=0.3"
+"""Then a live run knows lengths after 0.3 s."""
+
 every_system = pytest.mark.parametrize("name", SYSTEMS)
 
 
@@ -41,18 +44,18 @@ def crossing():
     return room(people=2, cameras=3, action="cross", seconds=1.5, seed=11)
 
 
-def table(name, where):
+def table(name, where, settings=()):
     """Stages of a system, set up for a new run."""
-    config = load_config(system=name)
+    config = load_config(None, settings, system=name)
     run = Run(
         where.model, config, known=KnownCameras(where.cameras), fixed_frame="world", system=name
     )
     return SYSTEMS[name].stages(run)
 
 
-def run_system(name, frames, where, stages=""):
+def run_system(name, frames, where, stages="", settings=()):
     """Run the stages of a system, or some of them, one after the other, each to its end."""
-    result, ready = list(frames), table(name, where)
+    result, ready = list(frames), table(name, where, settings)
     for channel in chain_of(name, stages):
         result = list(at_once(ready[channel])(result))
     return result
@@ -160,8 +163,10 @@ def _is_renamed(one, other, new):
     )
 
 
-@every_system
-def test_it_does_not_matter_how_frames_are_cut_into_blocks(name):
+@pytest.mark.parametrize(
+    ("name", "settings"), [*((name, ()) for name in SYSTEMS), ("fuse-realtime", [KNOWN_SOON])]
+)
+def test_it_does_not_matter_how_frames_are_cut_into_blocks(name, settings):
     """Also where cameras fall silent, people come and go, and time makes a leap."""
     rng = np.random.default_rng(1)
     frames = [frame for k, frame in enumerate(crossing().frames) if not 40 < k < 55]
@@ -171,14 +176,14 @@ def test_it_does_not_matter_how_frames_are_cut_into_blocks(name):
         for f in frames[80:]
     ]
     frames = [f.select([]) if rng.random() < 0.05 else f for f in frames]
-    expected = run_system(name, frames, crossing())
+    expected = run_system(name, frames, crossing(), settings=settings)
     cuts = np.flatnonzero(rng.random(len(frames)) < 0.2).tolist()
     blocks: Iterator[Block] = (
         join([Block.of(frame) for frame in frames[a:b]])
         for a, b in pairwise([0, *cuts, len(frames)])
         if b > a
     )
-    stages = table(name, crossing())
+    stages = table(name, crossing(), settings)
     for channel in chain_of(name):
         blocks = stages[channel](blocks)
     assert all_same(list(frames_of(blocks)), expected)
