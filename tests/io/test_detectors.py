@@ -78,6 +78,19 @@ def test_every_detector_says_what_skeleton_groups_say(kind, logs, scene):
         np.testing.assert_allclose(frame.positions[:, here], other.positions[:, there], atol=off)
 
 
+@pytest.mark.parametrize("kind", made.KINDS)
+def test_one_image_of_each_camera_is_enough(kind, scene, tmp_path):
+    firsts = {}
+    for topic, frame in scene.detections:
+        if frame.n_people == 2:
+            firsts.setdefault(topic, frame)
+    one = replace(scene, detections=list(firsts.items()))
+    path = made.KINDS[kind](tmp_path / ("log.bag" if "bag" in kind else "log.mcap"), one)
+    with open_log(path) as log:
+        people = {frame.source: frame.n_people for frame in log.frames()}
+    assert people == {frame.source: 2 for frame in firsts.values()}
+
+
 @pytest.mark.parametrize("kind", sorted(made.KINDS.keys() - {"zed 34", "zed 70"}))
 def test_every_detector_can_be_processed(kind, logs, tmp_path):
     out = tmp_path / "out.mcap"
