@@ -38,6 +38,8 @@ _UNKNOWN = 1.0  # standard error, radians or m, from which on a pose tells nothi
 STILL = 1e-5
 """A step that changes less, m or radians, is the last."""
 _ROUNDING = 1e-9  # by so much a sum may grow and be the same
+LEVEL, TILTED = (2.0, 0.1), (4.0, 0.25)
+"""Degrees and m by which right poses have the floor elsewhere at most, and wrong ones at least."""
 
 Placement = tuple[Floats, Floats]
 """Rotation (3, 3) and shift (3,) of the common frame in the fixed frame."""
@@ -142,6 +144,27 @@ def on_transforms(rig: Rig, given: Mapping[int, Rigid], errors: Floats | None = 
         if max(np.abs(a - b).max() for a, b in zip(before, best, strict=True)) < STILL:
             break
     return best
+
+
+def without_tilted(rig: Rig, given: Mapping[int, Rigid], floor: Floor | None) -> dict[int, Rigid]:
+    """Return the log's poses but for those by which people do not stand on the floor, z = 0.
+
+    Of two cameras that contradict each other, this tells which one was moved. All stay where none
+    confirms that the floor is there.
+    """
+
+    def tilt(c: int) -> tuple[float, float]:
+        """Return by how many degrees and m a camera's pose puts the floor elsewhere."""
+        up, height = floor or (np.zeros(3), 0.0)
+        turn, shift = _by_camera(rig, c, given[c])
+        degrees = np.degrees(np.arccos(np.clip((turn @ up)[2], -1.0, 1.0)))
+        return float(degrees), abs(float((turn @ up * height + shift)[2]))
+
+    tilts = {c: tilt(c) for c in given}
+    if not any(degrees < LEVEL[0] and metres < LEVEL[1] for degrees, metres in tilts.values()):
+        return dict(given)
+    wrong = [c for c, (degrees, m) in tilts.items() if degrees > TILTED[0] or m > TILTED[1]]
+    return {c: pose for c, pose in given.items() if c not in wrong}
 
 
 def _by_camera(rig: Rig, c: int, pose: Rigid) -> Placement:

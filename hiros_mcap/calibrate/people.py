@@ -26,7 +26,14 @@ from hiros_mcap.body.transforms import far_apart, same_place
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
 from hiros_mcap.calibrate.evidence import camera_distances, full_evidence
-from hiros_mcap.calibrate.gauge import WORLD, find_floor, moved, on_floor, on_transforms
+from hiros_mcap.calibrate.gauge import (
+    WORLD,
+    find_floor,
+    moved,
+    on_floor,
+    on_transforms,
+    without_tilted,
+)
 from hiros_mcap.calibrate.joint_refinement import Refinement
 from hiros_mcap.calibrate.pair_pose import (
     PAIR_INSTANTS,
@@ -326,10 +333,11 @@ def _in_fixed_frame(
     refined = fit.refined
     at = [anchor] if anchor in fit.cameras else given
     fixed = {k: given[c] for k, c in enumerate(fit.cameras) if c in at and c in given}
-    if fixed:
-        return moved(refined.rig, on_transforms(refined.rig, fixed)), "transforms"
     poses, velocities = _merged(refined, log.model.n_markers)
     floor = find_floor(log.model, poses, velocities)
+    if fixed:
+        fixed = without_tilted(refined.rig, fixed, floor)
+        return moved(refined.rig, on_transforms(refined.rig, fixed)), "transforms"
     placement = on_floor(refined.rig, floor, refined.residuals.means.mean(axis=0))
     return moved(refined.rig, placement), "floor" if floor is not None else "first camera"
 

@@ -23,7 +23,13 @@ from hiros_mcap.calibrate.camera_views import (
 )
 from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
 from hiros_mcap.calibrate.evidence import shared_view
-from hiros_mcap.calibrate.gauge import find_floor, moved, on_transforms, placement_error
+from hiros_mcap.calibrate.gauge import (
+    find_floor,
+    moved,
+    on_transforms,
+    placement_error,
+    without_tilted,
+)
 from hiros_mcap.calibrate.joint_refinement import Points, free_unknowns, refine, residuals_of
 from hiros_mcap.calibrate.pair_pose import PairFit, chained, coarse_clocks, ranked, spanning_tree
 from hiros_mcap.calibrate.people import _only_ambiguous
@@ -269,6 +275,25 @@ def test_a_rig_that_contradicts_the_given_poses_stays_near_them(seed):
     placed = moved(rig, on_transforms(rig, given))
     apart = np.linalg.norm(placed.shifts[:, None] - places, axis=2)
     assert apart.min(axis=1).max() < 20.0
+
+
+@pytest.mark.parametrize(
+    ("lab", "kept"),
+    [
+        (Rotation.identity(), [0, 2]),
+        (Rotation.from_euler("z", 1.0), [0, 2]),
+        (Rotation.from_euler("x", 90, degrees=True), [0, 1, 2]),  # z is no way up there
+    ],
+)
+def test_a_camera_by_which_the_floor_is_tilted_does_not_place_the_rig(lab, kept):
+    turns = Rotation.random(3, random_state=2)
+    rig = Rig(turns.as_matrix(), np.eye(3), np.zeros(3))
+    given = {c: Rigid((lab * turns[c]).as_quat(), lab.apply(rig.shifts[c])) for c in range(3)}
+    off = Rotation.from_rotvec([np.radians(6.0), 0.0, 0.0])
+    given[1] = given[1]._replace(xyzw=(lab * off * turns[1]).as_quat())
+    floor = np.array([0.0, 0.0, 1.0]), 0.0
+    assert [*without_tilted(rig, given, floor)] == kept
+    assert [*without_tilted(rig, given, None)] == [0, 1, 2]
 
 
 def test_the_rig_stays_though_the_people_hardly_place_one_camera_in_it():
