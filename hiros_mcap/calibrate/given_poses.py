@@ -66,6 +66,11 @@ class PosedViews:
     moves: tuple[Move, ...] = ()
     late: Event | None = None  # a camera that was moved for too short a time to tell a pose
 
+    @property
+    def linked(self) -> list[CalibratedCamera]:
+        """Those that see the people where others do."""
+        return [camera for camera in self.rig if camera.fits and camera.reason != UNLINKED]
+
     def pose(self, k: int) -> Rigid:
         """Return the pose of a row's camera that is used."""
         return self.rig[k].pose or self.cameras[k].pose
@@ -151,7 +156,7 @@ def _fit(posed: PosedViews) -> tuple[int, float]:
 
     More is better in both. Unless all cameras fit, the residual counts as 0.
     """
-    fitting = [camera for camera in posed.rig if camera.fits and camera.reason != UNLINKED]
+    fitting = posed.linked
     all_fit = len(fitting) == len(posed.rig)
     return len(fitting), -max(camera.residual_mm for camera in fitting) if all_fit else 0.0
 

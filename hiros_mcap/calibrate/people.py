@@ -103,6 +103,8 @@ class PeopleCalibration:
     gauge: str = ""  # origin of the fixed frame: transforms, floor, or the first camera
     people_mm: float = math.nan
     """How far the poses' errors move the mean of the cameras' joints, root mean square."""
+    tilted: tuple[str, ...] = ()
+    """Cameras by whose given poses people do not stand on the floor, though by others they do."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON; numbers that are not known are None."""
@@ -149,14 +151,16 @@ def calibrate_people(
         _check_axes(survey, cameras)
         return PeopleCalibration(root, *_whole(cameras), tuple(cameras))
     anchor = next((c for c, view in enumerate(views) if view.frame == root), None)
-    rig, gauge = _in_fixed_frame(log, fit, given, anchor)  # transforms, or the floor
+    rig, gauge, tilted = _in_fixed_frame(log, fit, given, anchor)  # transforms, or the floor
     for c, camera in _placed(solved, fit, rig, given):  # verdict
         cameras[c] = camera
     _check_apart(log, shared, cameras)
     _check_axes(survey, cameras)
     joints = _by_joint(fit.refined, log.model)
     people_mm = 1000.0 * fit.refined.people
-    return PeopleCalibration(root, *_whole(cameras), tuple(cameras), joints, gauge, people_mm)
+    return PeopleCalibration(
+        root, *_whole(cameras), tuple(cameras), joints, gauge, people_mm, tilted
+    )
 
 
 def _check_apart(
@@ -325,8 +329,10 @@ def _only_ambiguous(c: int, tree: Sequence[Pair], fits: Fits) -> bool:
 
 def _in_fixed_frame(
     log: Log, fit: FittingRig, given: Mapping[int, Rigid], anchor: int | None
-) -> tuple[Rig, str]:
+) -> tuple[Rig, str, tuple[str, ...]]:
     """Return the rig where the log's transforms or the floor put it, and which of both.
+
+    Also those cameras by whose transforms people would not stand on the floor.
 
     The camera ``anchor`` defines the fixed frame.
     """
@@ -336,10 +342,11 @@ def _in_fixed_frame(
     poses, velocities = _merged(refined, log.model.n_markers)
     floor = find_floor(log.model, poses, velocities)
     if fixed:
-        fixed = without_tilted(refined.rig, fixed, floor)
-        return moved(refined.rig, on_transforms(refined.rig, fixed)), "transforms"
+        level = without_tilted(refined.rig, fixed, floor)
+        tilted = tuple(refined.views[k].name for k in fixed if k not in level)
+        return moved(refined.rig, on_transforms(refined.rig, level)), "transforms", tilted
     placement = on_floor(refined.rig, floor, refined.residuals.means.mean(axis=0))
-    return moved(refined.rig, placement), "floor" if floor is not None else "first camera"
+    return moved(refined.rig, placement), "floor" if floor is not None else "first camera", ()
 
 
 def _merged(refined: Refinement, n_markers: int) -> tuple[Floats, Floats]:

@@ -311,20 +311,13 @@ def _found_anew(
     nowhere = misfit and any(len(group) == len(posed.cameras) for group in alike)
     error = LogError(_NOWHERE, path=survey.log.path) if nowhere else None
     try:
-        anew = _from_nothing(
-            survey, clocks, error, mode, contradicted=mode != "require" and _all_wrong(posed)
-        )
+        wrong = mode != "require" and len(posed.linked) < _ENOUGH
+        anew = _from_nothing(survey, clocks, error, mode, contradicted=wrong)
         return replace(anew, alike=tuple(alike))
     except LogError:
         if nowhere:
             raise
         return None
-
-
-def _all_wrong(posed: PosedViews) -> bool:
-    """Whether people prove that poses are wrong, and no two cameras confirm each other's."""
-    fitting = [camera for camera in posed.rig if camera.fits and camera.reason != UNLINKED]
-    return len(fitting) < _ENOUGH
 
 
 def _separated(
@@ -438,8 +431,8 @@ def _from_nothing(
 ) -> PoseAlignment:  # fmt: skip
     """Use poses that need no transforms; raise LogError if the people do not tell them.
 
-    Where the log's are ``contradicted``, cameras are known to see the same people. So it does not
-    count that strangers might fit, too.
+    Where the log's are ``contradicted``, by the floor as well, cameras are known to see the same
+    people. So it does not count that strangers might fit, too.
 
     Without poses in the log (``error`` says so), two cameras are enough: the others are left out.
     Channels that share one of ``frames`` get frames of their own; None = any frame.
@@ -458,7 +451,8 @@ def _from_nothing(
     left = {
         camera.name
         for camera in calibration.cameras
-        if camera.verdict not in enough and not (contradicted and camera.agrees)
+        if camera.verdict not in enough
+        and not (contradicted and calibration.tilted and camera.agrees)
     }
     poses = {
         camera.frame: {0: camera.pose}

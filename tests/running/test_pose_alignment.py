@@ -488,6 +488,21 @@ def test_a_camera_whose_people_are_elsewhere_is_named(scene, detections, true, t
     assert any(text.startswith(named) for text in summary.warnings)
 
 
+def test_two_rooms_whose_people_walk_alike_keep_their_poses(tmp_path):
+    """People stand on the floor by both poses, so that nothing proves one wrong."""
+    params = {"people": 1, "cameras": 2, "seconds": 20.0, "detector": {"kind": "kinect"}}
+    here, there = (
+        simulate(SimulateParams.model_validate({**params, "seed": seed})) for seed in (405, 1405)
+    )
+    frames = [frame for frame in here.detections if frame.source == "camera_0"]
+    frames += [frame for frame in there.detections if frame.source == "camera_1"]
+    one, other = here.transforms["camera_0"], there.transforms["camera_1"]
+    away = other._replace(translation=np.add(other.translation, [12.0, 0.0, 0.0]))
+    log = write(tmp_path / "log.mcap", here, frames, {"camera_0": one, "camera_1": away})
+    summary = process(log, options=FIRST_STAGE)
+    assert not any(pose.used for pose in summary.poses)
+
+
 @pytest.mark.parametrize("ahead", [0.0, 0.2])
 def test_two_cameras_one_of_which_is_wrong_show_one_person_all_the_same(ahead, tmp_path):
     """People walk as regularly as strangers might. But here they are proved to be the same."""
