@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from hiros_mcap.body.transforms import read_extrinsics
 from hiros_mcap.evaluate.logs import evaluate_log, find_truth
 from hiros_mcap.plan import planning
 from hiros_mcap.plan.expected_error import MEAN_OF_NORMAL, RIGID, ErrorModel, View
-from hiros_mcap.plan.planning import make_plan
+from hiros_mcap.plan.planning import _maps, make_plan
 from hiros_mcap.plan.scenes import FloorGrid, make_scenes
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.simulate import SimulateParams
@@ -204,6 +205,15 @@ def test_one_more_camera_helps_and_one_less_does_not(plan):
         assert each.then.error_mm > expected.error_mm
         assert each.then.two <= expected.two
     assert 1 >= expected.one >= expected.two >= expected.three > 0
+
+
+def test_a_cell_of_the_floor_is_the_mean_of_those_who_are_seen_there_if_only_one():
+    floor = SimpleNamespace(x=np.arange(3), y=np.arange(1))
+    view = SimpleNamespace(cameras=np.array([2, 1, 3, 0]))
+    errors = np.array([[1.0, 3.0], [np.nan, np.nan], [4.0, 6.0], [np.nan, np.nan]])
+    found, twice = _maps(floor, np.array([0, 1, 1, 2]), errors, view)
+    np.testing.assert_array_equal(found, [[2.0, 5.0, np.nan]])
+    np.testing.assert_array_equal(twice, [[1.0, 0.5, 0.0]])
 
 
 def test_means_of_joints_parts_and_cells_agree(plan):
