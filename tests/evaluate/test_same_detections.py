@@ -8,6 +8,7 @@ import pytest
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.comparison import MeanDifference, Outcome, on_same_detections
 from hiros_mcap.evaluate.leave_one_out import Distances
+from hiros_mcap.evaluate.statistics import block_interval
 
 SECOND = 1_000_000_000
 
@@ -87,6 +88,18 @@ def test_the_interval_is_of_seconds_not_of_frames():
         wide.append(found.high - found.low)
     assert 0.91 < held / 300 < 0.985
     assert np.mean(wide) == pytest.approx(2 * 2.09 * 5 / 20**0.5, rel=0.05)
+
+
+@pytest.mark.parametrize(("blocks", "quantile"), [(2, 12.706), (3, 4.303), (10, 2.262)])
+def test_few_seconds_have_the_interval_of_student(blocks, quantile):
+    """Quantiles of tables of the t distribution, of one degree of freedom less."""
+    values = np.arange(blocks, dtype=float)
+    mean, low, high, n = block_interval(values, np.arange(blocks))
+    half = quantile * values.std(ddof=1) / blocks**0.5
+    assert (mean, low, high) == pytest.approx(
+        (values.mean(), values.mean() - half, values.mean() + half), rel=1e-3
+    )
+    assert n == blocks
 
 
 @pytest.mark.parametrize(

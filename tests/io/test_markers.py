@@ -11,14 +11,14 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from poses import posed
 from rosbags.typesys import Stores, get_typestore
-from stick_figures import MODEL, at, person, seen
+from stick_figures import MODEL, SECOND, START, at, person, seen
 
 import hiros_schemas
 from hiros_mcap.body.anatomy import ANGLE_NAMES, anatomical_angles
 from hiros_mcap.evaluate.logs import read_channel
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
-from hiros_mcap.io.container import McapWriter
+from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.export.markers import (
     JOINTS,
     LABELS,
@@ -148,6 +148,16 @@ def test_a_dashboard_shows_who_is_there_once_a_second_and_when_somebody_comes(tm
         (10, "2 people", ["for 0.2 s", "for 0.0 s"]),
         (41, "2 people", ["for 1.2 s", "for 1.0 s"]),  # 30 periods are a little less than 1 s
     ]
+
+
+def test_a_dashboard_is_told_after_a_second_and_not_sooner(tmp_path):
+    with McapWriter(tmp_path / "out.mcap") as writer:
+        summary = SummaryExport(writer, Events())
+        for ns in (0, SECOND - 1, SECOND, 2 * SECOND - 1, 2 * SECOND):
+            summary.write(Block.of(seen([person()], START + ns, ids=[4])))
+        writer.commit()
+    with McapReader(tmp_path / "out.mcap") as reader:
+        assert [m.log_time - START for m in reader.messages()] == [0, SECOND, 2 * SECOND]
 
 
 @pytest.mark.parametrize(
