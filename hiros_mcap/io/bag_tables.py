@@ -265,4 +265,4 @@ class _Ros1Bag(Bag):
     def _types(self, ids: Mapping[str, int]) -> Mapping[str, Typestore]:
         """Return types, whose Header is that of ROS 2."""
         texts = {name: self._connections[ident].msgdef.data for name, ident in ids.items()}
-        return dict.fromkeys(texts, types_of(texts))
+        return dict.fromkeys(texts, types_of(*texts.items()))

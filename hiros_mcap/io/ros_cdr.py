@@ -42,13 +42,15 @@ def long_name(name: str) -> str:
     return f"{package}/msg/{kind}"
 
 
-def types_of(texts: Mapping[str, str]) -> Typestore:
-    """Types of definitions, by name, and of what they contain; the Header is that of ROS 2.
+@lru_cache(maxsize=64)
+def types_of(*texts: tuple[str, str]) -> Typestore:
+    """Types of names and their definitions, and of what these contain; ROS 2's is the Header.
 
     The definitions of standard types differ from release to release, so only those of the log
-    itself tell what its bytes are. Raises LogError for text that is no definition.
+    itself tell what its bytes are. rosbags compiles code for each type, which cameras share. Raises
+    LogError for text that is no definition.
     """
-    return _with_types(exact_types({_HEADER: _HEADER_TEXT}), texts)
+    return _with_types(exact_types({_HEADER: _HEADER_TEXT}), dict(texts))
 
 
 def exact_types(texts: Mapping[str, str]) -> Typestore:

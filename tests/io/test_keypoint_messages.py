@@ -28,7 +28,7 @@ LENS = Intrinsics(
 
 def decoded(data, kind):
     name = hiros_schemas.short_name(kind)
-    return decoder_of(types_of({name: hiros_schemas.text(kind)}), name)(data)
+    return decoder_of(types_of((name, hiros_schemas.text(kind))), name)(data)
 
 
 def detections(frame, joints):
@@ -79,7 +79,7 @@ def test_a_lens_comes_back():
 def skeleton2d(points):
     kind = hiros_schemas.SKELETON_2D
     name = hiros_schemas.short_name(kind)
-    store = types_of({name: hiros_schemas.text(kind)})
+    store = types_of((name, hiros_schemas.text(kind)))
     types = store.types
     point, header = types["hri_msgs/msg/NormalizedPointOfInterest2D"], types["std_msgs/msg/Header"]
     stamp = types["builtin_interfaces/msg/Time"](3, 7)

@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from functools import lru_cache
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -61,9 +60,6 @@ from hiros_mcap.io.ros_cdr import (
 from hiros_mcap.rays.skeleton_rays import NONE_GUESSED
 from hiros_mcap.skeletons import Floats, SkeletonModel
 from hiros_mcap.wording import quantity
-
-if TYPE_CHECKING:
-    from rosbags.typesys.store import Typestore
 
 SKELETONS = hiros_schemas.short_name(hiros_schemas.SKELETON_GROUP)
 TRANSFORMS = hiros_schemas.short_name(hiros_schemas.TF_MESSAGE)
@@ -240,15 +236,9 @@ def source_of(reader: McapReader, info: ChannelInfo, *, selected: bool) -> Input
             check_schema(schema, info.topic)
         return InputChannel(info, kind, selected, is_native=True, cdr=_same, decode=_same)
     text = definition(name, schema.encoding, bytes(schema.data).decode(errors="replace"))
-    store = _types_of(name, text)
+    store = types_of((name, text))
     cdr: Callable[[Any], Any] = cdr_of(store, name) if info.encoding == "ros1" else _same
     return InputChannel(info, kind, selected, False, cdr, decoder_of(store, name))
-
-
-@lru_cache(maxsize=64)
-def _types_of(name: str, text: str) -> Typestore:
-    """Types of one definition; rosbags writes and compiles code for each, and cameras share it."""
-    return types_of({name: text})
 
 
 def _same(data: Any) -> Any:

@@ -101,4 +101,4 @@ def group_of(messages: Sequence[bytes | memoryview]) -> bytes:
 @cache
 def _types() -> Typestore:
     names = [long_name(name) for name in (GROUP, STAMPED)]
-    return types_of({name: hiros_schemas.text(name) for name in names})
+    return types_of(*((name, hiros_schemas.text(name)) for name in names))
