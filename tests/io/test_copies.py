@@ -45,6 +45,15 @@ def test_a_person_twice_in_a_message_is_one(joints, first, crossing, tmp_path):
     assert any("another one in the same message has the same joints" in n for n in notes)
 
 
+@pytest.mark.parametrize("last", [6, 7, 8, 9])
+def test_three_joints_at_the_same_places_tell_a_copy_and_two_do_not(last, crossing, tmp_path):
+    joints = slice(5, last)
+    log = changed(crossing, tmp_path / "log.mcap", lambda f, _: twice(f, joints=joints))
+    for frame, other in zip(frames_of(log)[0], frames_of(crossing)[0], strict=True):
+        shown = np.isfinite(other.markers[:, joints, 0]).sum(axis=1)
+        assert frame.n_people == other.n_people + np.isin(shown, [1, 2]).sum()
+
+
 def test_people_who_stand_close_are_two(crossing, tmp_path):
     close = changed(crossing, tmp_path / "log.mcap", lambda f, _: twice(f, 0.02))
     for frame, other in zip(frames_of(close)[0], frames_of(crossing)[0], strict=True):
