@@ -542,6 +542,14 @@ def test_two_ids_that_may_be_of_one_person_do_not_silence_each_other(same, accep
     assert (verdict.person, verdict.accepted) == (1, accepted)  # the later id
 
 
+def test_of_many_who_left_the_first_one_is_known_again():
+    """Seven people of different sizes left one after the other."""
+    old = [cues(k, 0.1 * k, 0.0, 1.0 + 0.08 * k) for k in range(7)]
+    for size, person_id in ((1.0, 0), (1.48, 6)):
+        verdict = reidentify([cues(9, 5.0, 0.0, size)], old, missing=7, limbs=LEGS)[9]
+        assert (verdict.person, verdict.accepted) == (person_id, True)
+
+
 def test_a_noisy_measurement_of_the_size_does_not_rule_somebody_out():
     assert reidentify([cues(9, 5.0, 0.0, 1.05)], [cues(0, 0.0, 0.0)], missing=1, limbs=LEGS)[
         9

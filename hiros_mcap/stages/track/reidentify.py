@@ -59,7 +59,8 @@ _USUAL_SECONDS = 20.0  # for which the usual detector counts
 _LASTING = 0.25  # share of the variance of a second that lasts (Kinect v2's: .2 to .7)
 _SOONEST = 0.5  # s: in less time errors hardly change
 _SHORTEST = 0.02  # m: shorter limbs are of no use, but have logarithms
-_MOST = 4  # newcomers, and absent people, that are weighed together; older ones wait or are left
+_MOST = 4
+"""Newcomers that are weighed together, the others wait; and absent people, of whom the best fit."""
 
 LIMBS, PLACE, NUMBER = "limb lengths", "place and time", "number of people"
 
@@ -206,11 +207,17 @@ def reidentify(
 
     Parameters
     ----------
-    newcomers : the most important first. absent : the last to leave last.
+    newcomers : the most important first. absent : of many, those count whom the first one fits.
     missing : how many people are missing, expected.
     limbs : how the lengths of their limbs vary, and go together.
     """
-    newcomers, absent = newcomers[:_MOST], absent[-_MOST:]
+    newcomers, first = newcomers[:_MOST], newcomers[0]
+    fits = [
+        limb_cue + place_cue(first, old)
+        for old, limb_cue in zip(absent, limb_cues(first, absent, limbs), strict=True)
+    ]
+    best = sorted(range(len(absent)), key=fits.__getitem__)[-_MOST:]
+    absent = [absent[a] for a in sorted(best)]
     cues = {
         (n, a): {
             LIMBS: limb_cue,
